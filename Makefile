@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # Bytecode is kept, also where the shell says otherwise: pip compiles none, and hundreds of processes are started.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: install demo test test-browser check page docs lock dist audit clean
+.PHONY: install demo test test-bounds test-rivals test-browser check page docs lock dist audit clean
 
 install: $(VENV)/.installed
 
@@ -27,6 +27,22 @@ demo: $(VENV)/.demo
 # wait for each other.
 test: install
 	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
+
+# Folders and files whose tests call compiled loops.
+LOOPED := tests/core tests/artifacts tests/segmentation tests/training/augmentation \
+	tests/shards/test_sample_codec.py tests/loading/test_labels.py tests/loading/test_metres.py \
+	tests/packing/test_two_projectors.py tests/networks/test_input.py tests/networks/test_labelling.py \
+	tests/training/test_loss.py
+
+# Compiled loops with every index checked: an access beyond an array is then an IndexError, not a damaged heap. Their
+# machine code has folders of its own (bodyseg_data/core/kernels.py).
+test-bounds: install
+	OMP_NUM_THREADS=1 NUMBA_BOUNDSCHECK=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder $(LOOPED)
+
+# Tests of what benches compare with, packages that `make install` leaves out: loaders, decoders, networks.
+test-rivals: install
+	tools/install_rivals
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder tests/benches tests/networks
 
 check: install
 	$(BIN)/ruff check .

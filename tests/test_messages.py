@@ -96,7 +96,7 @@ CASES: dict[str, Case] = {
     "pack with an unknown distance": (
         lambda: check_method(NAME),
         BadConfig,
-        "the method for distances must be one of exact, unfolded, edges, marching, heat, found 'hot'",
+        "the method for distances must be one of exact, unfolded, edges, found 'hot'",
     ),
     "pack on an unknown engine": (
         lambda: check_engine("dask"),

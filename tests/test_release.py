@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import yaml
-from folders import ROOT
+from folders import ROOT, TESTS
 
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 DOCKER = ROOT / "tools" / "docker"
@@ -37,6 +37,27 @@ def test_the_workflow_of_tests_runs_them_all_on_every_python_that_is_claimed() -
     claimed = re.findall(r"Python :: (3\.\d+)", "\n".join(project["classifiers"]))
     assert job["strategy"]["matrix"]["python"] == claimed
     assert project["requires-python"] == f">={claimed[0]}"
+
+
+def test_a_job_has_the_packages_that_benches_compare_with() -> None:
+    """And runs every test that skips without them."""
+    assert any(
+        step.get("run", "").startswith("make test-rivals") for step in steps(ROOT / ".github/workflows/tests.yml")
+    )
+    target = re.search(r"^test-rivals: install\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    assert target is not None
+    words = target[1].split()
+    assert "tools/install_rivals" in words
+    folders = tuple(f"{word}/" for word in words if word.startswith("tests/"))
+    skips = re.compile(r'importorskip\("(sklearn|transformers|litdata|streaming|cv2)|is not installed: \{error')
+    files = [path for path in TESTS.rglob("test_*.py") if path != Path(__file__) and skips.search(path.read_text())]
+    assert len(files) > 2 and all(path.relative_to(ROOT).as_posix().startswith(folders) for path in files)
+
+
+def test_data_that_are_not_in_the_repository_are_found_in_one_place() -> None:
+    """By the fixture `shared_data`, which skips: a test of its own path would be skipped, or fail, unseen."""
+    users = {path.relative_to(TESTS).as_posix() for path in TESTS.rglob("*.py") if "SHARED_DATA" in path.read_text()}
+    assert users == {"conftest.py", "helpers/folders.py", "test_release.py"}
 
 
 def test_publishing_may_do_no_more_than_it_needs() -> None:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.surface import Box, box_of, slants
-from bodyseg_data.core.errors import BadConfig, check_fields
+from bodyseg_data.core.errors import BadConfig, bounded, check_fields
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws, units
 from bodyseg_data.core.rig import Camera
@@ -45,11 +45,10 @@ class Losses(Artifact):
     kind = "missing_data"
     purposes = ("losses",)
 
-    most: float = 0.0
+    most: float = bounded(0.0, 0, 1)
 
     def __post_init__(self) -> None:
         check_fields(self)
-        _check_share(self.most, "the largest share of lost pixels")
 
     def lost(
         self, range_image: NDArray[np.uint16], camera: Camera, generator: np.random.Generator
@@ -197,6 +196,6 @@ def _loops() -> Any:
     return import_module("bodyseg_data.artifacts.loops.lost_pixels")
 
 
-def _check_share(share: float, what: str = "the share of lost pixels") -> None:
+def _check_share(share: float) -> None:
     if not 0 <= share <= 1:
-        raise BadConfig(f"{what} must be from 0 to 1, found {share}")
+        raise BadConfig(f"the share of lost pixels must be from 0 to 1, found {share}")

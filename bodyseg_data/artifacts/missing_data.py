@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
-from bodyseg_data.core.errors import BadConfig, check_fields
+from bodyseg_data.core.errors import BadConfig, bounded, check_fields
 from bodyseg_data.core.randomness import Draws
 
 
@@ -27,15 +27,15 @@ class MissingData(Artifact):
     purposes = ("missing rate", "missing data")
     drawn: ClassVar[Mapping[str, str]] = {"missing_rate": "{:.0%} missing"}
 
-    rates: tuple[float, ...] = (0.0, 0.05, 0.5)
-    between: tuple[float, float] | None = None
+    rates: tuple[float, ...] = bounded((0.0, 0.05, 0.5), 0, 1)
+    between: tuple[float, float] | None = bounded(None, 0, 1)
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if not self.rates or not all(0 <= rate <= 1 for rate in self.rates):
-            raise BadConfig(f"missing-data rates must be shares from 0 to 1, found {list(self.rates)}")
-        if self.between is not None and not 0 <= self.between[0] <= self.between[1] <= 1:
-            raise BadConfig(f"missing-data rates must lie between 0 <= low <= high <= 1, found {self.between}")
+        if not self.rates:
+            raise BadConfig("missing data must have one rate at least, found none")
+        if self.between is not None and self.between[0] > self.between[1]:
+            raise BadConfig(f"missing-data rates must lie between low <= high, found {self.between}")
 
     def rate(self, chance: float) -> float:
         """The share of pixels that one image loses; chance: uniform from 0 to below 1."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.constants import FIRST_SEGMENT, OFFSET_MASK, SEGMENT_SHIFT, SEGMENTS
-from bodyseg_data.core.errors import BadConfig, check_fields
+from bodyseg_data.core.errors import BadConfig, bounded, check_fields
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws
 
@@ -30,15 +30,13 @@ class Noise(Artifact):
     drawn: ClassVar[Mapping[str, str]] = {"sigma_mm": "noise {:.0f} mm"}
     alters_labels = False
 
-    low_mm: float = 0.0
-    high_mm: float = 100.0
+    low_mm: float = bounded(0.0, 0, 1000)
+    high_mm: float = bounded(100.0, 0, 1000)
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if not 0 <= self.low_mm <= self.high_mm <= 1000:
-            raise BadConfig(
-                f"noise must satisfy 0 <= low <= high <= 1000 mm, found low {self.low_mm} and high {self.high_mm}"
-            )
+        if self.low_mm > self.high_mm:
+            raise BadConfig(f"noise must satisfy low <= high, found low {self.low_mm} and high {self.high_mm}")
 
     def sigma_mm(self, chance: float) -> float:
         """The standard deviation of one image, millimetres; chance: uniform from 0 to below 1."""

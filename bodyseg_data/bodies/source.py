@@ -17,7 +17,7 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.splits import Split
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.geodesics import GeodesicMethod
-from bodyseg_data.meshes.partition.pieces import Piece
+from bodyseg_data.meshes.partition.pieces import SurfacePiece
 from bodyseg_data.meshes.partition.surface_parts import Partition, partition
 
 Entry = TypeVar("Entry")
@@ -49,7 +49,7 @@ class Body:
     mesh: Mesh
     landmarks: NDArray[np.int64]
     notes: tuple[str, ...] = ()
-    pieces: tuple[Piece, ...] = ()
+    pieces: tuple[SurfacePiece, ...] = ()
 
     def partition(self, method: GeodesicMethod = "exact") -> Partition:
         """Label every vertex of the mesh, as `partition` does and with its errors."""

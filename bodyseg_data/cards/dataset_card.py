@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from typing import Final
 
-from bodyseg_data.artifacts.variants import VARIANTS
 from bodyseg_data.cards import texts
 from bodyseg_data.cards.markdown import bullets, licence_lines, table
 from bodyseg_data.cards.set_facts import SetFacts
@@ -31,7 +30,8 @@ _SIZE_CLASSES: Final = (
 def dataset_card(facts: SetFacts, publication: Publication) -> str:
     """Return the text of a set's README.md."""
     parts = [_header(facts, publication), f"# {publication.title}", texts.summary(facts)]
-    parts += [_bodies(facts), _made(facts), _splits(facts), _reading(facts), _artifacts(), _labels()]
+    parts += ["## Who the bodies are", bullets(texts.bodies(facts))]
+    parts += [_made(facts), _splits(facts), _reading(facts), _labels()]
     limits = [texts.people(facts), *texts.LIMITS]
     parts += ["## Limits", bullets(limits), "## Licences", _licences(facts, publication)]
     if facts.notes:
@@ -62,10 +62,6 @@ def _header(facts: SetFacts, publication: Publication) -> str:
     for split in facts.splits:
         lines += [f"  - split: {split}", f"    path: {split}-*.tar"]
     return "\n".join([*lines, f"{DIGEST_FIELD}: {facts.digest}", "---"])
-
-
-def _bodies(facts: SetFacts) -> str:
-    return "## Who the bodies are\n\n" + bullets(texts.bodies(facts))
 
 
 def _made(facts: SetFacts) -> str:
@@ -126,14 +122,6 @@ def _reading(facts: SetFacts) -> str:
             "",
             "`croissant.json` describes the same files to readers of Croissant.",
         ]
-    )
-
-
-def _artifacts() -> str:
-    rows = [(f"`{name}`", ", ".join(kinds).replace("_", " ") or "no artifact") for name, kinds in VARIANTS.items()]
-    return (
-        "## Artifacts and variants\n\nNo stored image has an artifact. The package adds a sensor's artifacts while it "
-        "reads, by variant:\n\n" + table(("variant", "artifacts"), rows)
     )
 
 

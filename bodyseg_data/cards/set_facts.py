@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final
 
 from bodyseg_data.core.rig import Rig
@@ -67,12 +67,11 @@ class SetFacts:
 
 
 def set_facts(manifest: Manifest) -> SetFacts:
-    """Count the facts of a set, one shard after the other."""
-    counts = {split: _Counts() for split in SPLITS}
+    """Count the facts of a set."""
+    by_split = {split: [shard for shard in manifest.shards if shard.split == split] for split in SPLITS}
     sources: set[str] = set()
     views: set[tuple[int, ...]] = set()
     for shard in manifest.shards:
-        counts[shard.split].add(shard)
         sources.update(body[_BODY["source"]] for body in shard.descriptions.bodies)
         views.update(shard.descriptions.views)
     columns = zip(VIEW_FIELDS, zip(*views, strict=True), strict=True)
@@ -85,39 +84,23 @@ def set_facts(manifest: Manifest) -> SetFacts:
         sources=tuple(dict.fromkeys([manifest.source, *sorted(sources)])),
         shards=manifest.shards,
         index=manifest.index,
-        splits={split: found.counted() for split, found in counts.items() if found.samples},
+        splits={split: _split_counts(shards) for split, shards in by_split.items() if any(map(len, shards))},
         views={name: (min(values), max(values)) for name, values in columns},
         notes=tuple(manifest.notes()),
     )
 
 
-@dataclass
-class _Counts:
-    """Counts of one split, as far as its shards have been added."""
-
-    samples: int = 0
-    shards: int = 0
-    size: int = 0
-    bodies: set[tuple[str, ...]] = field(default_factory=set)
-    by_subset: Counter[str] = field(default_factory=Counter)
-
-    def add(self, shard: ShardRecord) -> None:
-        """Count a shard."""
-        described = shard.descriptions
-        self.samples += len(shard)
-        self.shards += 1
-        self.size += shard.size
-        self.bodies.update(described.bodies)
-        subsets = [body[_BODY["subset"]] for body in described.bodies]
-        self.by_subset.update(subsets[row] for row in described.body)
-
-    def counted(self) -> SplitCounts:
-        """Return the counts."""
-        return SplitCounts(
-            samples=self.samples,
-            shards=self.shards,
-            size=self.size,
-            bodies=len(self.bodies),
-            subjects=len({tuple(body[_BODY[name]] for name in _PERSON) for body in self.bodies}),
-            samples_by_subset=dict(sorted(self.by_subset.items())),
-        )
+def _split_counts(shards: Sequence[ShardRecord]) -> SplitCounts:
+    bodies = {body for shard in shards for body in shard.descriptions.bodies}
+    by_subset: Counter[str] = Counter()
+    for shard in shards:
+        subsets = [body[_BODY["subset"]] for body in shard.descriptions.bodies]
+        by_subset.update(subsets[row] for row in shard.descriptions.body)
+    return SplitCounts(
+        samples=sum(map(len, shards)),
+        shards=len(shards),
+        size=sum(shard.size for shard in shards),
+        bodies=len(bodies),
+        subjects=len({tuple(body[_BODY[name]] for name in _PERSON) for body in bodies}),
+        samples_by_subset=dict(sorted(by_subset.items())),
+    )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import types
 import typing
-from dataclasses import fields
+from dataclasses import dataclass, field, fields
 from functools import cache
 from numbers import Integral, Real
 from typing import Any, Final, Literal, TypeVar
@@ -106,18 +106,60 @@ def check_bool(name: str, value: Any) -> bool:
     return bool(value)
 
 
+@dataclass(frozen=True)
+class Bounds:
+    """Numbers from `low` to `high` that a field may hold; above: without `low` itself; below: without `high`.
+
+    values: the only ones that it may hold, if not any between the ends.
+    """
+
+    low: float
+    high: float
+    above: bool = False
+    below: bool = False
+    values: tuple[float, ...] = ()
+
+    def take(self, number: float) -> bool:
+        """Return whether a number lies within. NaN never does."""
+        if self.values:
+            return number in self.values
+        return (self.low < number if self.above else self.low <= number) and (
+            number < self.high if self.below else number <= self.high
+        )
+
+    def __str__(self) -> str:
+        if self.values:
+            return f"one of {', '.join(f'{value:g}' for value in self.values)}"
+        if self.above:
+            return f"above {self.low:g} and {'below' if self.below else 'at most'} {self.high:g}"
+        return f"from {self.low:g} to {'below ' if self.below else ''}{self.high:g}"
+
+
+def bounded(default: Any, low: float, high: float, *, above: bool = False, below: bool = False) -> Any:
+    """Declare a dataclass's field whose number, or each number of a tuple, lies within `Bounds`; None may stand."""
+    return field(default=default, metadata={"bounds": Bounds(low, high, above, below)})
+
+
+def one_of(default: float, values: tuple[float, ...]) -> Any:
+    """Declare a dataclass's field that holds one of some numbers."""
+    return field(default=default, metadata={"bounds": Bounds(min(values), max(values), values=values)})
+
+
 def check_fields(options: Any) -> None:
-    """Raise BadConfig unless every field of a dataclass holds a value of the type that it declares.
+    """Raise BadConfig unless every field of a dataclass holds a value of its type, within its bounds (`bounded`).
 
     Numbers may be of NumPy, a whole number may stand for a float, and a list for a tuple; a bool is no number.
     """
     kind: Any = type(options)
     hints = _field_types(kind)
-    for field in fields(options):
-        value = getattr(options, field.name)
-        if not _fits(value, hints[field.name]):
-            wanted = _in_words(hints[field.name])
-            raise BadConfig(f"{kind.__name__}: {field.name} must be {wanted}, found {value!r:.100}")
+    for each in fields(options):
+        value, bounds = getattr(options, each.name), each.metadata.get("bounds")
+        if not _fits(value, hints[each.name]):
+            wanted = _in_words(hints[each.name])
+            raise BadConfig(f"{kind.__name__}: {each.name} must be {wanted}, found {value!r:.100}")
+        numbers = value if isinstance(value, tuple | list) else () if value is None else (value,)
+        if bounds is not None and not all(map(bounds.take, numbers)):
+            raise BadConfig(f"{kind.__name__}: {each.name} must be {bounds}, found {value!r:.100}")
 
 
 @cache

@@ -1,7 +1,8 @@
-"""Compilation of loops over pixels, where numba is installed; each loop has a NumPy form that gives the same bits.
+"""Compilation of loops over pixels by numba.
 
-BODYSEG_KERNELS chooses: `auto` (the default: compiled if numba can be imported), `numpy`, or `compiled`. The choice
-changes how long a sample takes and nothing else.
+Loops of streaming have NumPy forms that give the same bits, for installs without numba. BODYSEG_KERNELS chooses: `auto`
+(the default: compiled if numba can be imported), `numpy`, or `compiled`. The choice changes how long a sample takes and
+nothing else. All other loops are compiled in any case, and an extra brings numba for them.
 
 Machine code is kept on disk, in NUMBA_CACHE_DIR or the user's cache folder, under a digest of all that shapes it.
 """
@@ -40,7 +41,7 @@ def use_compiled() -> bool:
     if choice == "numpy":
         return False
     try:
-        _numba(f"{VARIABLE}=compiled")
+        require_numba(f"{VARIABLE}=compiled")
     except MissingLibrary:  # absent, or there and unfit for the NumPy that is installed
         if choice == "compiled":
             raise
@@ -48,12 +49,12 @@ def use_compiled() -> bool:
     return True
 
 
-def compiled(loops: Callable[..., Any], feature: str) -> Any:
+def compiled(loops: Callable[..., Any], feature: str, extra: str = "fast") -> Any:
     """`loops`, a function of arrays and numbers, as machine code, made at the first call and kept on disk.
 
-    Without fast-math or threads, so with the same bits as Python's. Raises MissingLibrary, naming `feature`.
+    Without fast-math or threads, so with the same bits as Python's. Raises MissingLibrary as `require_numba`.
     """
-    numba = _numba(feature)
+    numba = require_numba(feature, extra)
     options = {"nogil": True, "error_model": "numpy"}
     with _one_at_a_time:  # numba asks for the folder once, here
         before = numba.config.CACHE_DIR
@@ -67,11 +68,14 @@ def compiled(loops: Callable[..., Any], feature: str) -> Any:
             numba.config.CACHE_DIR = before
 
 
-def _numba(feature: str) -> Any:
+def require_numba(feature: str, extra: str = "fast") -> Any:
+    """Import numba. Raises MissingLibrary, which names the feature and the extra that brings numba."""
     try:
         return import_module("numba")
     except ImportError as error:
-        raise MissingLibrary(f"{feature} needs the package 'numba': pip install 'bodyseg[fast]' ({error})") from error
+        raise MissingLibrary(
+            f"{feature} needs the package 'numba': pip install 'bodyseg[{extra}]' ({error})"
+        ) from error
 
 
 def _folder(named: str, digest: str) -> Path | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import operator
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol, TypedDict, runtime_checkable
 
 import numpy as np
@@ -13,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.kernels import use_compiled
+from bodyseg_data.core.kernels import compiled, use_compiled
 from bodyseg_data.core.labels.label_map import LabelMap
 from bodyseg_data.core.randomness import Permutation
 from bodyseg_data.core.sample import Sample
@@ -137,13 +136,18 @@ def metres(steps: NDArray[np.uint16], step_m: float, out: NDArray[np.float32] | 
     step_m: one step, metres (`RangeImages.step_m`). out: float32 array to write into, of the same shape.
     """
     if out is not None and steps.shape == out.shape and steps.flags.carray and out.flags.carray and use_compiled():
-        _loops().scale(steps.reshape(-1), np.float32(step_m), out.reshape(-1))
+        _compiled_scale()(steps.reshape(-1), np.float32(step_m), out.reshape(-1))
         return out
     found: NDArray[np.float32] = np.multiply(steps, np.float32(step_m), out=out)
     return found
 
 
+def _scale(steps: Any, step_m: Any, out: Any) -> None:
+    """Write float32(steps) * step_m in one pass; steps: uint16 [N], step_m: float32, out: float32 [N]."""
+    for i in range(np.uint64(out.size)):
+        out[i] = np.float32(steps[i]) * step_m
+
+
 @lru_cache(maxsize=1)
-def _loops() -> Any:
-    """The compiled loop, in a module that needs numba."""
-    return import_module("bodyseg_data.loading.items.metres")
+def _compiled_scale() -> Any:
+    return compiled(_scale, "converting ranges in a compiled loop")

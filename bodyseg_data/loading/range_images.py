@@ -28,8 +28,8 @@ from bodyseg_data.core.splits import ReadSplit
 from bodyseg_data.core.system.reused_memory import SCRATCH
 from bodyseg_data.loading.batch_order import BatchOrder
 from bodyseg_data.loading.image_set import Request, Requests, check_index, metres
-from bodyseg_data.loading.items.item import item_tensor
 from bodyseg_data.loading.selection.selection import Selection
+from bodyseg_data.loading.shared_batches import item_tensor
 from bodyseg_data.loading.transforms.camera_image import with_camera
 from bodyseg_data.loading.transforms.transform import (
     Transforms,

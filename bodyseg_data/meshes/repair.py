@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadMesh
-from bodyseg_data.core.system.libraries import missing_library, require_libraries
+from bodyseg_data.meshes.pymeshlab_thread import with_pymeshlab
 from bodyseg_data.meshes.topology import check_arrays, face_components
 
 SAME_POINT_M: Final = 1e-6
@@ -36,7 +36,18 @@ def repair(
     missing vertices, a one-sided surface), MissingLibrary without pymeshlab or the system libraries it loads.
     """
     vertices, faces = _used_part(name, np.asarray(vertices, np.float64), np.asarray(faces))
-    pymeshlab = load_pymeshlab(_FEATURE)
+    vertices, faces = with_pymeshlab(_FEATURE, lambda pymeshlab: _filtered(pymeshlab, name, vertices, faces))
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    clashes = len(edges) - len(np.unique(edges, axis=0))  # neighbours of one orientation cross an edge in opposite ways
+    if clashes:
+        raise BadMesh(f"mesh {name} cannot be repaired: it has one side only, found {clashes} edges where faces clash")
+    return vertices, _outward(vertices, faces)
+
+
+def _filtered(
+    pymeshlab: Any, name: str, vertices: NDArray[np.float64], faces: NDArray[np.int32]
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """All steps of `repair` but the last orientation, in pymeshlab's thread."""
     meshes = pymeshlab.MeshSet()
     meshes.add_mesh(pymeshlab.Mesh(vertices, faces))
     try:
@@ -52,28 +63,7 @@ def repair(
     except pymeshlab.PyMeshLabException as error:
         raise BadMesh(f"mesh {name} cannot be repaired: {' '.join(str(error).split())}") from error
     whole = meshes.current_mesh()
-    vertices = np.asarray(whole.vertex_matrix(), np.float64)
-    faces = np.asarray(whole.face_matrix(), np.int32)
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    clashes = len(edges) - len(np.unique(edges, axis=0))  # neighbours of one orientation cross an edge in opposite ways
-    if clashes:
-        raise BadMesh(f"mesh {name} cannot be repaired: it has one side only, found {clashes} edges where faces clash")
-    return vertices, _outward(vertices, faces)
-
-
-def load_pymeshlab(feature: str) -> Any:
-    """Import pymeshlab: a third of a second, and system libraries.
-
-    Its licence is GPL-3.0, so it is imported only where a user chose it: by `--pymeshlab`, or `--tolerance-mm` above 0.
-    feature: the feature that the message names. Raises MissingLibrary without pymeshlab or libGL and libOpenGL.
-    """
-    try:
-        # Without libOpenGL pymeshlab prints a page of warnings and comes up without half of its filters.
-        require_libraries(feature, ("GL", "OpenGL"))
-        import pymeshlab
-    except (ImportError, OSError, AttributeError) as error:
-        raise missing_library(feature, error, extra="pymeshlab") from error
-    return pymeshlab
+    return np.array(whole.vertex_matrix(), np.float64), np.array(whole.face_matrix(), np.int32)
 
 
 def _used_part(

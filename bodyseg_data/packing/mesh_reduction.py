@@ -20,7 +20,7 @@ from bodyseg_data.core.errors import BadConfig, BadMesh
 from bodyseg_data.core.rig import PlacedCamera, Rig
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.repair import load_pymeshlab
+from bodyseg_data.meshes.pymeshlab_thread import with_pymeshlab
 from bodyseg_data.meshes.topology import find_edges
 from bodyseg_data.rendering import open_renderer
 
@@ -225,13 +225,27 @@ def edges_collapsed(
     optimal: put the vertex that an edge becomes where the error is least; else at one of its ends, so that every vertex
     left is one of the mesh's. Raises BadMesh if the result is no body, MissingLibrary without pymeshlab.
     """
-    pymeshlab = load_pymeshlab(_FEATURE)
     low, high = mesh.surface_vertices.min(axis=0), mesh.surface_vertices.max(axis=0)
     held = np.zeros(len(mesh.vertices), np.bool_)
     held[np.concatenate([landmarks, _outermost(mesh), _edged(mesh)])] = True
-    fixed = held[mesh.faces].any(axis=1)
+    fixed: NDArray[np.bool_] = held[mesh.faces].any(axis=1)
     if fixed.all():
         return mesh, landmarks
+    number, vertices, faces = with_pymeshlab(
+        _FEATURE, lambda pymeshlab: _decimated(pymeshlab, mesh, fixed, count, optimal)
+    )
+    order = np.argsort(number, kind="stable")
+    found = order[np.minimum(np.searchsorted(number[order], landmarks), len(order) - 1)]
+    vertices = np.clip(vertices, low, high)
+    if not np.array_equal(vertices[found], mesh.vertices[landmarks]):
+        raise BadMesh("collapsing edges moved a landmark")
+    return Mesh(mesh.name, vertices, faces), found.astype(np.int64)
+
+
+def _decimated(
+    pymeshlab: Any, mesh: Mesh, fixed: NDArray[np.bool_], count: int, optimal: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]:
+    """Collapse edges in pymeshlab's thread; returns [V] the number each vertex had in `mesh`, [V, 3] metres, [F, 3]."""
     meshes = pymeshlab.MeshSet()
     number = np.arange(len(mesh.vertices), dtype=np.float64)  # goes along with each vertex
     meshes.add_mesh(
@@ -250,20 +264,12 @@ def edges_collapsed(
         )
     except pymeshlab.PyMeshLabException as error:
         raise BadMesh(f"edges could not be collapsed: {' '.join(str(error).split())}") from error
-    return _taken_back(meshes.current_mesh(), mesh, landmarks, low, high)
-
-
-def _taken_back(
-    coarse: Any, mesh: Mesh, landmarks: NDArray[np.int64], low: NDArray[np.float64], high: NDArray[np.float64]
-) -> tuple[Mesh, NDArray[np.int64]]:
-    """Convert pymeshlab's mesh, held within the box of `mesh`; returns it and the landmarks' vertices in it."""
-    number = np.asarray(coarse.vertex_scalar_array())
-    order = np.argsort(number, kind="stable")
-    found = order[np.minimum(np.searchsorted(number[order], landmarks), len(order) - 1)]
-    vertices = np.clip(np.asarray(coarse.vertex_matrix(), np.float64), low, high)
-    if not np.array_equal(vertices[found], mesh.vertices[landmarks]):
-        raise BadMesh("collapsing edges moved a landmark")
-    return Mesh(mesh.name, vertices, np.asarray(coarse.face_matrix(), np.int32)), found.astype(np.int64)
+    coarse = meshes.current_mesh()
+    return (
+        np.array(coarse.vertex_scalar_array()),
+        np.array(coarse.vertex_matrix(), np.float64),
+        np.array(coarse.face_matrix(), np.int32),
+    )
 
 
 def _edged(mesh: Mesh) -> NDArray[np.int64]:

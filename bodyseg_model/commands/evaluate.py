@@ -20,10 +20,9 @@ from bodyseg_data.core.system.memory import peak_mb
 from bodyseg_data.drawing.style import new_chart, save_picture
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod
-from bodyseg_model.evaluation.evaluation import Evaluation, evaluate, open_images
-from bodyseg_model.evaluation.frame_times import time_frames
+from bodyseg_model.evaluation.evaluation import Evaluation, evaluate, open_images, time_frames
+from bodyseg_model.evaluation.figures import SamplePicture
 from bodyseg_model.evaluation.report import report
-from bodyseg_model.evaluation.samples import SamplePicture
 from bodyseg_model.evaluation.training_fit import RigFit, sensor_warning
 from bodyseg_model.networks.checkpoints import CheckpointName, Trained, shipped_network
 from bodyseg_model.runtimes.backends import (

@@ -32,9 +32,9 @@ from bodyseg_model.runtimes.runtime import Precision
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
 from bodyseg_model.segmentation.frame_labeller import FrameLabeller, LabelledRecording
 from bodyseg_model.segmentation.output_folder import LABELS, OVERLAY, UNDISTORTED, FrameResults, OutputFolder
-from bodyseg_model.segmentation.pictures.overlay import Preview
+from bodyseg_model.segmentation.pictures import Preview
 from bodyseg_model.segmentation.sequence_summary import SequenceSummary
-from bodyseg_model.sensor_fit.shadows import ShadowFrames
+from bodyseg_model.sensor_fit.edges import ShadowFrames
 from bodyseg_model.training.distributed import use_threads
 
 EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"

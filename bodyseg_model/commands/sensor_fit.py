@@ -20,8 +20,7 @@ from bodyseg_model.recordings.frames import RECORDINGS_HELP, UNITS_HELP, find_fr
 from bodyseg_model.recordings.recording import Frame
 from bodyseg_model.recordings.skipping import Skipping, first_readable
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
-from bodyseg_model.sensor_fit.fit import SensorFit, fit_sensor
-from bodyseg_model.sensor_fit.picture import draw_comparison
+from bodyseg_model.sensor_fit.fit import SensorFit, draw_comparison, fit_sensor
 from bodyseg_model.sensor_fit.recording import read_recording
 
 EXAMPLE = "bodyseg sensor fit recording/ --focal 525 --nearer-than 1.2 --out sensor.toml"

@@ -1,4 +1,4 @@
-"""`bodyseg stability`: robustness of networks to sensor artifacts, motion and coarser arithmetic."""
+"""`bodyseg stability`: robustness of networks to sensor artifacts, motion and things around people."""
 
 from __future__ import annotations
 
@@ -16,26 +16,29 @@ from bodyseg_data.commands.provenance import provenance, write_figures
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.drawing.style import new_chart
 from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.segmentation.people.person_score import shipped_score
-from bodyseg_model.stability.accuracies import evaluate_conditions
+from bodyseg_model.segmentation.person_score import shipped_score
 from bodyseg_model.stability.figure import draw_stability
-from bodyseg_model.stability.groups import FEWEST_SEEDS, Group, Run, group, group_of, load_runs
-from bodyseg_model.stability.numerical import numerical
-from bodyseg_model.stability.people_and_things import people_and_things
-from bodyseg_model.stability.scenes import Scenes
-from bodyseg_model.stability.summary import motion_over_seeds, summarise
-from bodyseg_model.stability.sweeps import SWEEPS, Sweep, chosen
-from bodyseg_model.stability.tables import tables
+from bodyseg_model.stability.rooms import people_and_things
+from bodyseg_model.stability.scenes import SWEEPS, Scenes, Sweep, chosen
+from bodyseg_model.stability.summary import (
+    FEWEST_SEEDS,
+    Group,
+    Run,
+    evaluate_conditions,
+    group,
+    group_of,
+    load_runs,
+    motion_over_seeds,
+    summarise,
+)
 from bodyseg_model.stability.temporal import temporal
 from bodyseg_model.training.distributed import find_device, use_threads
 
 EXAMPLE = "bodyseg stability --run runs/all-0 runs/all-1 runs/all-2 --data shards --hard hard --out stability"
 
-Part = Literal["images", "temporal", "numerical", "things"]
+Part = Literal["images", "temporal", "things"]
 
 _FORMAT: Final = "bodyseg stability 1"
-_CACHED: Final = "cached_results"
-"""Folder in --out with the results measured so far."""
 
 
 @dataclass(frozen=True)
@@ -44,12 +47,12 @@ class Options:
 
     run: tuple[Path, ...] = option("folders of training runs, or .safetensors files; seeds of one make a group")
     data: str = option("folder or address of a set of shards, whose test split is used", address=True)
-    out: Path = option("folder for stability.json, stability.png, and cached results to carry on from")
+    out: Path = option("folder for stability.json and stability.png")
     reference: tuple[Path, ...] = option(
         "runs that mCE compares with, such as FCN-AlexNet trained on none (default: no mCE)", ()
     )
     hard: str | None = option("a set of hard poses, for the sweep 'hard' (default: without)", None, address=True)
-    parts: tuple[Part, ...] = option("what to measure", ("images", "temporal", "numerical", "things"))
+    parts: tuple[Part, ...] = option("what to measure", ("images", "temporal", "things"))
     sweeps: tuple[str, ...] = option(f"which sweeps of images: {', '.join(SWEEPS)} (default: all)", ())
     where: tuple[str, ...] = option(WHERE_HELP, ())
     images: int = option("images of every condition, and made rooms", 40)
@@ -72,7 +75,7 @@ def run(options: Options) -> int:
     if "images" in options.parts:
         new_chart(1, 1)  # fail now if matplotlib is missing, not after hours
     try:
-        (options.out / _CACHED).mkdir(parents=True, exist_ok=True)
+        options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadConfig(f"--out cannot be the folder {options.out}: {error.strerror or error}") from error
     start = time.perf_counter()
@@ -89,11 +92,8 @@ def run(options: Options) -> int:
         figures |= _images(options, runs, groups, sweeps, reference)
     if "temporal" in options.parts:
         figures["temporal"] = _temporal(options, runs, groups)
-    if "numerical" in options.parts:
-        figures["numerical"] = _numerical(options, groups)
     if "things" in options.parts:
         figures["things"] = _things(options, groups)
-    figures["tables"] = tables(figures)
     figures["seconds"] = round(time.perf_counter() - start, 1)
     written = [options.out / "stability.json"]
     write_figures(written[0], figures)
@@ -115,7 +115,7 @@ def _images(
     )
     with Progress("building", "bodies") as bodies, Progress("stability", "images") as progress:
         scenes = Scenes(images, options.images, hard, bodies.update)
-        found = evaluate_conditions(runs, conditions, scenes, options.out / _CACHED, progress.update)
+        found = evaluate_conditions(runs, conditions, scenes, progress.update)
     return {
         "images": len(scenes),
         "seed": options.seed,
@@ -132,17 +132,6 @@ def _temporal(options: Options, runs: list[Run], groups: list[Group]) -> dict[st
     with Progress("motion", "frames") as progress:
         found = temporal(networks, seed=options.seed, rig=rig, progress=progress.update)
     return found | {"groups": motion_over_seeds(groups, found["networks"])}
-
-
-def _numerical(options: Options, groups: list[Group]) -> dict[str, Any]:
-    """Compare computations on the first network of every group; networks of other seeds compute in the same way."""
-    images = RangeImages(options.data, "all", "test", options.seed, where=options.where)
-    found = {}
-    for each in groups:
-        with Progress(f"{each.label}, arithmetic", "comparisons") as progress:
-            compared = numerical(each.runs[0].trained.network, images, options.images, progress.update)
-        found[each.label] = {"run": each.runs[0].name, **compared}
-    return found
 
 
 def _things(options: Options, groups: list[Group]) -> dict[str, Any]:

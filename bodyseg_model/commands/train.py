@@ -30,12 +30,11 @@ from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod
 from bodyseg_model.networks.checkpoints import WEIGHTS_SHA256, CheckpointName, load_network, read_json
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import NetworkName, build, network_class
-from bodyseg_model.training.augmentation.geometric import GeometricAugmentation
+from bodyseg_model.training.augmentation import GeometricAugmentation
 from bodyseg_model.training.data import open_data
 from bodyseg_model.training.distributed import joined_process_group, use_threads
 from bodyseg_model.training.loop import RunOptions, Training
 from bodyseg_model.training.metrics import Metrics, Report
-from bodyseg_model.training.objective.distillation import Teacher
 from bodyseg_model.training.recipes import RecipeName, recipe_for
 from bodyseg_model.training.run_folder import RunFolder
 from bodyseg_model.training.validation import DEFAULT_EVERY, Validation
@@ -80,10 +79,6 @@ class Options:
     pretrained: Path | None = option(
         "weights to start from: a run's folder or a .safetensors file; for fcn_alexnet also AlexNet's", None
     )
-    teacher: Path | None = option(
-        "network to learn from beside the labels: a run's folder or a .safetensors file", None
-    )
-    teacher_share: float | None = option("its share of the loss (default: 0.5)", None)
     settings: str = option("settings of the network that differ from its defaults, as JSON", "{}")
     precision: Literal["recipe", "float32", "bfloat16"] = option("what layers compute in", "recipe")
     compile: bool = option("compile the network for this machine first", False)
@@ -117,7 +112,6 @@ def run(options: Options) -> int:
     )
     network = _network(options, images.label_map)
     pretrained = None if options.pretrained is None else _pretrained(options.pretrained, network, options, images)
-    teacher = _teacher(options)
     with joined_process_group(options.device) as processes, contextlib.ExitStack() as stack:
         folder = RunFolder(options.out)
         training = Training(
@@ -131,7 +125,6 @@ def run(options: Options) -> int:
             run_options,
             validation,
             pretrained,
-            teacher,
         )
         facts = provenance(command_line("bodyseg train", options))
         report: Report = report_nothing
@@ -223,17 +216,6 @@ def _pretrained(path: Path, network: Network, options: Options, images: ImageSet
         _check_alike(path, f"setting {name}", network.settings.get(name), trained.network.settings.get(name))
     network.load_state_dict(trained.network.state_dict())
     return _entry(path, trained.card[WEIGHTS_SHA256])
-
-
-def _teacher(options: Options) -> Teacher | None:
-    """The network to learn from. Raises BadConfig for a share without one."""
-    if options.teacher is None:
-        if options.teacher_share is not None:
-            raise BadConfig("--teacher-share is for a training with --teacher")
-        return None
-    trained = load_network(options.teacher)
-    share = {} if options.teacher_share is None else {"share": options.teacher_share}
-    return Teacher(trained.network, trained.label_map, _entry(options.teacher, trained.card[WEIGHTS_SHA256]), **share)
 
 
 def _check_alike(path: Path, what: str, ours: object, theirs: object) -> None:

@@ -21,11 +21,10 @@ from bodyseg_model.recordings.frames import UNITS_HELP, find_frames, metres_a_st
 from bodyseg_model.segmentation.foreground import Background, BackgroundMode
 from bodyseg_model.segmentation.frame_labeller import FrameLabeller
 from bodyseg_model.training.distributed import find_device
-from bodyseg_model.viewing.pages.page import Page
-from bodyseg_model.viewing.pages.recording_page import RecordingPage
-from bodyseg_model.viewing.pages.server import LOOPBACK
-from bodyseg_model.viewing.pages.set_page import SetPage
+from bodyseg_model.viewing.page import LOOPBACK, Page
+from bodyseg_model.viewing.recording_page import RecordingPage
 from bodyseg_model.viewing.recording_view import RecordingView
+from bodyseg_model.viewing.set_page import SetPage
 from bodyseg_model.viewing.set_view import SetView, Shown
 
 EXAMPLE = "bodyseg view shards"

@@ -1,14 +1,16 @@
-"""Evaluation of a network on a stream of test images, in memory that grows with neither images nor pixels."""
+"""Evaluation of a network on a stream of test images, in memory that grows with neither images nor pixels; its time."""
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact
@@ -22,14 +24,20 @@ from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.sample import Sample
 from bodyseg_data.core.splits import ReadSplit
 from bodyseg_data.core.system.progress import ProgressCallback, silent
+from bodyseg_data.core.system.stopwatch import Stopwatch
 from bodyseg_data.core.views import split_key
 from bodyseg_data.loading.loader import loader
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod
-from bodyseg_model.evaluation.border_distance import BorderErrors, distance_bins
-from bodyseg_model.evaluation.calibration import Confidences
-from bodyseg_model.evaluation.frame_times import Stopwatch
-from bodyseg_model.evaluation.scores import ConfusionMatrix, PerImageAccuracy, count_pairs, pairs_of
+from bodyseg_model.evaluation.scores import (
+    BorderErrors,
+    Confidences,
+    ConfusionMatrix,
+    PerImageAccuracy,
+    count_pairs,
+    distance_bins,
+    pairs_of,
+)
 from bodyseg_model.networks.network import Network, check_label_map
 from bodyseg_model.networks.registry import device_of, predict
 
@@ -287,3 +295,43 @@ class _CleanSamples:
         if self._last is None or self._last.key != key:
             self._last = self._images.clean(self._index_of[key])
         return self._last
+
+
+_WARM_UP: Final = 3
+
+
+@dataclass(frozen=True)
+class FrameTimes:
+    """Milliseconds for one frame. frames: number timed; threads: number torch may use; device: its name."""
+
+    mean: float
+    deviation: float
+    median: float
+    frames: int
+    threads: int
+    device: str
+
+
+def time_frames(network: Network, frames: Sequence[torch.Tensor]) -> FrameTimes:
+    """Time `predict` on single frames, float32 [1, 1, H, W] each, from a frame in memory to labels in memory.
+
+    Loading, scoring and drawing are excluded; a few frames are predicted first, untimed. deviation: over frames,
+    divisor n - 1, 0 for a single one. Raises BadConfig if there is no frame.
+    """
+    if not frames:
+        raise BadConfig("timing a network needs at least one frame")
+    device = device_of(network)
+
+    def seconds(frame: torch.Tensor) -> float:
+        start = time.perf_counter()
+        predict(network, frame.to(device)).labels.cpu()  # on another device, this also waits for the labels
+        return time.perf_counter() - start
+
+    for number in range(_WARM_UP):
+        seconds(frames[number % len(frames)])
+    taken = np.array([1000 * seconds(frame) for frame in frames])
+    deviation = float(taken.std(ddof=1)) if len(taken) > 1 else 0.0
+    name = torch.cuda.get_device_name(device) if device.type == "cuda" else "processor"
+    return FrameTimes(
+        float(taken.mean()), deviation, float(np.median(taken)), len(taken), torch.get_num_threads(), name
+    )

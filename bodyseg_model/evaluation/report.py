@@ -11,10 +11,18 @@ from typing import Any, Final
 import numpy as np
 
 from bodyseg_data.core.labels.label_map import PARTS33
-from bodyseg_model.evaluation.border_distance import BIN_NAMES, BorderErrors
-from bodyseg_model.evaluation.calibration import Confidences, ConfidentPixels, Reliability
 from bodyseg_model.evaluation.evaluation import Evaluation, Scores
-from bodyseg_model.evaluation.mistakes import KINDS, SWAPS, count_kinds, told_kinds
+from bodyseg_model.evaluation.scores import (
+    BIN_NAMES,
+    KINDS,
+    SWAPS,
+    BorderErrors,
+    Confidences,
+    ConfidentPixels,
+    Reliability,
+    count_kinds,
+    told_kinds,
+)
 
 Tree = dict[str, Any]
 

@@ -1,14 +1,22 @@
-"""Accuracy and IoU of a segmentation, from one integer confusion matrix; background is ignored everywhere."""
+"""Scores of a segmentation from counts: accuracy, kinds of mistakes, distances to borders, confidences.
+
+Background is ignored everywhere.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from functools import lru_cache
+from math import isqrt
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.artifacts.surface import box_of
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
+from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
+from bodyseg_data.core.parts import BACKGROUND, PART_COUNT, Part
 
 
 def pairs_of(truth: NDArray[np.uint8], predicted: NDArray[np.uint8], classes: int = PART_COUNT) -> NDArray[np.int64]:
@@ -138,3 +146,303 @@ def _mean(values: NDArray[np.float64]) -> float:
     """Mean of the values that are not NaN; NaN if there are none."""
     shown = values[~np.isnan(values)]
     return float(shown.mean()) if shown.size else float("nan")
+
+
+STEPS: Final = 1500
+FINER: Final = 1500
+CELLS: Final = FINER + STEPS - 1
+ECE_BINS: Final = 15
+THRESHOLD_STEPS: Final = 30
+"""Counts by class are kept in bins of 1/30, so thresholds are multiples of it: 50, 60, 70, 80, 90 % are among them."""
+
+_ROUNDING: Final = 1e-4  # softmax and interpolation may exceed 1 by as much
+
+
+@dataclass(frozen=True)
+class ConfidentPixels:
+    """Pixels above a threshold of confidence: their share of all, and their accuracy.
+
+    average_per_class_accuracy: over the classes that have such pixels.
+    """
+
+    share_of_pixels: float
+    pixel_accuracy: float
+    average_per_class_accuracy: float
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """One of 15 bins of confidence. confidence, accuracy: means over its pixels, NaN in an empty bin."""
+
+    confidence_above: float
+    up_to: float
+    pixels: int
+    confidence: float
+    accuracy: float
+
+
+class Confidences:
+    """Counts of right and wrong pixels by confidence.
+
+    counts: int64 [2, CELLS], row 0 right, row 1 wrong, most confident first; sums: float64 [CELLS], of confidences;
+    by_class: int64 [C, 2, 30], by true class, right or wrong, and bin of 1/30, most confident first.
+    """
+
+    def __init__(self, classes: int = PART_COUNT) -> None:
+        truth, predicted = np.divmod(np.arange(classes**2), classes)
+        # Pair number -> 1 if it is wrong, and the flat index of its first bin in `by_class`.
+        self._wrong = (truth != predicted).astype(np.int64)
+        self._first_bin = (2 * truth + self._wrong) * THRESHOLD_STEPS
+        self.counts: NDArray[np.int64] = np.zeros((2, CELLS), np.int64)
+        self.sums: NDArray[np.float64] = np.zeros(CELLS)
+        self.by_class: NDArray[np.int64] = np.zeros((classes, 2, THRESHOLD_STEPS), np.int64)
+
+    def __repr__(self) -> str:
+        return f"Confidences({self.pixels} pixels, mean {self.mean():.3f})"
+
+    def add(self, pairs: NDArray[np.int64], confidence: NDArray[np.float32]) -> None:
+        """Count pixels by their pair numbers, int64 [N] (`scores.pairs_of`), and confidences, float32 [N], 0 to 1.
+
+        Raises BadConfig for confidences outside 0 to 1.
+        """
+        if not pairs.size:
+            return
+        least, most = float(confidence.min()), float(confidence.max())
+        if not (least >= -_ROUNDING and most <= 1 + _ROUNDING):  # also for NaN
+            raise BadConfig(f"confidences must be 0 to 1, found {least:g} to {most:g}")
+        scaled = np.clip(np.float32(1) - confidence, 0, 1) * np.float32(STEPS)
+        step = np.minimum(scaled.astype(np.int64), STEPS - 1)
+        cell = np.where(step == 0, (scaled * np.float32(FINER)).astype(np.int64), step + (FINER - 1))
+        self.sums += np.bincount(cell, confidence, CELLS)
+        cell += CELLS * self._wrong.take(pairs)
+        self.counts += np.bincount(cell, minlength=2 * CELLS).reshape(2, CELLS)
+        step //= STEPS // THRESHOLD_STEPS
+        step += self._first_bin.take(pairs)
+        self.by_class += np.bincount(step, minlength=self.by_class.size).reshape(self.by_class.shape)
+
+    def merge(self, other: Confidences) -> None:
+        """Add the counts of other pixels."""
+        self.counts += other.counts
+        self.sums += other.sums
+        self.by_class += other.by_class
+
+    @property
+    def pixels(self) -> int:
+        """Number of pixels counted."""
+        return int(self.counts.sum())
+
+    def mean(self) -> float:
+        """Mean confidence; NaN if nothing was counted."""
+        return float(self.sums.sum()) / self.pixels if self.pixels else float("nan")
+
+    def reliability(self) -> list[Reliability]:
+        """Confidence and accuracy in 15 bins of equal width, open below and closed above, lowest first."""
+        width = STEPS // ECE_BINS
+        starts = [0, *(FINER - 1 + width * number for number in range(1, ECE_BINS))]
+        right, wrong = np.add.reduceat(self.counts, starts, axis=1)
+        sums = np.add.reduceat(self.sums, starts)
+        rows = []
+        for number in reversed(range(ECE_BINS)):
+            pixels = int(right[number] + wrong[number])
+            above = 1 - (number + 1) / ECE_BINS
+            means = (sums[number] / pixels, right[number] / pixels) if pixels else (float("nan"), float("nan"))
+            rows.append(Reliability(above, above + 1 / ECE_BINS, pixels, float(means[0]), float(means[1])))
+        return rows
+
+    def ece(self) -> float:
+        """Expected calibration error: mean over pixels of |confidence - accuracy| of their bin, 15 uniform bins.
+
+        Guo et al., "On calibration of modern neural networks", ICML 2017, equation 3. NaN if nothing was counted.
+        """
+        if not self.pixels:
+            return float("nan")
+        gaps = sum(row.pixels * abs(row.confidence - row.accuracy) for row in self.reliability() if row.pixels)
+        return float(gaps / self.pixels)
+
+    def aurc(self) -> float:
+        """Area under the risk-coverage curve: mean over k of the share of wrong pixels among the k most confident.
+
+        Geifman, Uziel and El-Yaniv, "Bias-reduced uncertainty estimation for deep neural classifiers", ICLR 2019.
+        NaN if nothing was counted.
+        """
+        if not self.pixels:
+            return float("nan")
+        inside = self.counts.sum(axis=0)
+        filled = inside > 0
+        inside, wrong = inside[filled].astype(np.float64), self.counts[1][filled].astype(np.float64)
+        before, wrong_before = np.cumsum(inside) - inside, np.cumsum(wrong) - wrong
+        # Wrong pixels are uniform within a bin: the integral of (E + rho t) / (N + t) for t from 0 to the bin's size.
+        rho = wrong / inside
+        grown = np.log1p(np.divide(inside, before, out=np.zeros_like(inside), where=before > 0))
+        return float((wrong + (wrong_before - rho * before) * grown).sum()) / self.pixels
+
+    def curve(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Coverage and risk at the end of every bin, float64 [M] each: share of pixels kept, and of these wrong."""
+        inside = self.counts.sum(axis=0)
+        filled = inside > 0
+        kept = np.cumsum(inside[filled])
+        return kept / max(self.pixels, 1), np.cumsum(self.counts[1][filled]) / kept
+
+    def above(self, threshold: float) -> ConfidentPixels:
+        """Share and accuracy of the pixels whose confidence is above `threshold`.
+
+        Raises BadConfig unless the threshold is a multiple of 1/30 from 0 to below 1.
+        """
+        scaled = (1 - threshold) * THRESHOLD_STEPS
+        steps = round(scaled) if 0.5 < scaled <= THRESHOLD_STEPS else 0  # 0 for NaN
+        if not steps or abs(scaled - steps) > 1e-6:
+            raise BadConfig(f"a threshold must be a multiple of 1/30 from 0 to below 1, found {threshold:g}")
+        right, wrong = self.by_class[:, :, :steps].sum(axis=2).T
+        kept = right + wrong
+        if not kept.any():
+            return ConfidentPixels(0.0 if self.pixels else float("nan"), float("nan"), float("nan"))
+        shown = kept > 0
+        average = float((right[shown] / kept[shown]).mean())
+        return ConfidentPixels(float(kept.sum() / self.pixels), float(right.sum() / kept.sum()), average)
+
+
+REGIONS: Final[dict[str, tuple[str, ...]]] = {
+    "head": ("Sellion", "Nuchale", "Supramenton"),
+    "trunk": (
+        "Suprasternale",
+        "Thelion/Bustpoint",
+        "Substernale",
+        "ASIS",
+        "Cervicale",
+        "10th Rib Midspine",
+        "PSIS",
+        "Axilla, Post.",
+    ),
+    "knees": ("Femoral Lateral Epicn", "Knee Crease"),
+}
+"""Region -> landmarks of its front and back parts, without "Lt." and "Rt."."""
+
+KINDS: Final = ("right", "left/right", "front/back", "both", "other")
+"""Kinds of predictions; a kind's number is its index here. "other" is any other mistake."""
+
+SWAPS: Final = KINDS[1:4]
+
+
+def _without_side(part: Part) -> str:
+    return part.landmark.removeprefix("Rt. ").removeprefix("Lt. ")
+
+
+@lru_cache(maxsize=16)
+def kinds_of(label_map: LabelMap) -> NDArray[np.uint8]:
+    """Kind's number of every pair of classes, uint8 [C, C], row truth, column prediction; not to be written to."""
+    labels = range(len(label_map))
+    kinds = [[KINDS.index(_kind(label_map, truth, predicted)) for predicted in labels] for truth in labels]
+    found = np.array(kinds, np.uint8)
+    found.setflags(write=False)
+    return found
+
+
+def _kind(label_map: LabelMap, truth: int, predicted: int) -> str:
+    if truth == predicted:
+        return "right"
+    if label_map.mirrored[truth] == predicted:
+        return "left/right"
+    true_parts, predicted_parts = label_map.parts[truth], label_map.parts[predicted]
+    names = {_without_side(part) for part in (*true_parts, *predicted_parts)}
+    faces = [{part.face for part in parts} for parts in (true_parts, predicted_parts)]
+    if any(names <= {*region} for region in REGIONS.values()) and faces in _OPPOSITE:
+        sides = [{part.side for part in parts} for parts in (true_parts, predicted_parts)]
+        return "both" if sides in ([{"left"}, {"right"}], [{"right"}, {"left"}]) else "front/back"
+    return "other"
+
+
+_OPPOSITE: Final = ([{"front"}, {"back"}], [{"back"}, {"front"}])
+
+
+def count_kinds(confusion: NDArray[np.int64], label_map: LabelMap = PARTS33) -> dict[str, int | None]:
+    """Pixels of each kind in a confusion matrix, int64 [C, C]; None for a kind that the classes cannot tell."""
+    counts = np.bincount(kinds_of(label_map).ravel(), confusion.ravel(), len(KINDS))
+    told = told_kinds(label_map)
+    return {kind: int(count) if kind in told else None for kind, count in zip(KINDS, counts, strict=True)}
+
+
+def told_kinds(label_map: LabelMap) -> frozenset[str]:
+    """Kinds that a prediction of these classes can have: joined front and back parts are no mistake any more."""
+    return frozenset(KINDS[number] for number in np.unique(kinds_of(label_map)).tolist())
+
+
+EDGES: Final = (1, 2, 4, 8, 16)
+"""Upper ends (included) of all bins but the last, pixels: up to 1, above 1 to 2, 2 to 4, 4 to 8, 8 to 16, above 16."""
+
+BIN_NAMES: Final = ("1", "1-2", "2-4", "4-8", "8-16", ">16")
+
+_ROWS: Final = tuple(
+    tuple(
+        (number, row)
+        for number, radius in enumerate(EDGES)
+        for row in range(radius + 1)
+        if isqrt(radius**2 - row**2) == reach
+    )
+    for reach in range(EDGES[-1] + 1)
+)
+"""Reach of a chord to either side, pixels -> (disc, row from its centre) of all chords with that reach."""
+
+
+def distance_bins(labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Bin of every pixel's distance to another class, uint8 [H, W], BACKGROUND where `labels` has it.
+
+    The distance is Euclidean, between pixel centres, to the nearest pixel of another class; background is none.
+    Pixels at distance 1 are adjacent to another class. labels: uint8 [H, W], any or BACKGROUND.
+    """
+    bins = np.full(labels.shape, BACKGROUND, np.uint8)
+    body = labels != BACKGROUND
+    box = box_of(body)
+    if box is None:
+        return bins
+    inside = body[box]
+    height, width = inside.shape
+    # Two images: maxima of the first give the largest label, of the second the smallest; 0 is background.
+    # Rows are padded with background, so that every shift is a shift in flat memory.
+    own = np.zeros((2, height, width + EDGES[-1]), np.uint8)
+    own[0, :, :width] = (labels[box] + np.uint8(1)) * inside
+    own[1, :, :width] = (np.uint8(BACKGROUND) - labels[box]) * inside
+    stride = own.shape[2]
+    own = own.reshape(2, -1)
+    found = np.full(own.shape[1], len(EDGES), np.uint8)
+    for disc in _discs(own, stride):
+        same = disc == own
+        found -= ~(same[0] & same[1])
+    bins[box][inside] = found.reshape(height, stride)[:, :width][inside]
+    return bins
+
+
+def _discs(own: NDArray[np.uint8], stride: int) -> list[NDArray[np.uint8]]:
+    """Maxima over discs around every pixel, one image [2, N] for each radius of EDGES; stride: pixels of a row.
+
+    A disc is made of one chord a row; chords of equal length are computed once for all discs.
+    """
+    chord, discs = own.copy(), [own.copy() for _ in EDGES]
+    length = own.shape[1]
+    for reach, rows in enumerate(_ROWS):
+        if reach:
+            np.maximum(chord[:, reach:], own[:, :-reach], out=chord[:, reach:])
+            np.maximum(chord[:, :-reach], own[:, reach:], out=chord[:, :-reach])
+        for number, row in rows:
+            disc, shift = discs[number], row * stride
+            if shift < length:
+                np.maximum(disc[:, shift:], chord[:, : length - shift], out=disc[:, shift:])
+                np.maximum(disc[:, : length - shift], chord[:, shift:], out=disc[:, : length - shift])
+    return discs
+
+
+class BorderErrors:
+    """Counts of pixels by distance and kind of mistake. counts: int64 [6, 5], row bin, column kind of `KINDS`."""
+
+    def __init__(self, label_map: LabelMap = PARTS33) -> None:
+        self._kinds = kinds_of(label_map).ravel()
+        self.counts: NDArray[np.int64] = np.zeros((len(EDGES) + 1, len(KINDS)), np.int64)
+
+    def __repr__(self) -> str:
+        return f"BorderErrors({self.counts.sum()} pixels)"
+
+    def add(self, pairs: NDArray[np.int64], bins: NDArray[np.uint8]) -> None:
+        """Count pixels by their pair numbers, int64 [N] (`scores.pairs_of`), and their bins, uint8 [N]."""
+        kinds = self._kinds.take(pairs)
+        self.counts += np.bincount(bins * np.uint8(len(KINDS)) + kinds, minlength=self.counts.size).reshape(
+            self.counts.shape
+        )

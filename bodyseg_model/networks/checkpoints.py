@@ -49,10 +49,6 @@ PRETRAINED: Final = "pretrained"
 """Entry of a card and of a plan: file and `WEIGHTS_SHA256` of the weights that a training started from; null, or not in
 a plan, for one that started from random weights."""
 
-TEACHER: Final = "teacher"
-"""Entry of a card and of a plan: file and `WEIGHTS_SHA256` of the network that a training learned from beside the
-labels, and its share of the loss; absent without one."""
-
 _LARGEST_FILE: Final = 1 << 31
 
 

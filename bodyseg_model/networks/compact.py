@@ -19,9 +19,8 @@ from torch import nn
 
 from bodyseg_data.core.errors import BadConfig, check_fields
 from bodyseg_data.core.parts import PART_COUNT
-from bodyseg_model.networks.input.patches import patches_of
-from bodyseg_model.networks.input.relief import check_range_images
 from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.patches import check_range_images, patches_of
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ class CompactSettings:
 class Compact(Network):
     """Range images -> scores of the classes, for images of any size.
 
-    The input has two channels (`relief.relief_of`): each pixel's range less the mean over the body, and whether it was
+    The input has two channels (`patches.relief_of`): each pixel's range less the mean over the body, and whether it was
     measured. The distance itself does not enter, so a person may stand anywhere; the size in pixels does.
     """
 

@@ -19,8 +19,8 @@ from torch import nn
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import PART_COUNT
-from bodyseg_model.networks.input.relief import check_range_images
 from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.patches import check_range_images
 from bodyseg_model.networks.pretrained import import_alexnet
 
 STRIDE: Final = 32

@@ -7,8 +7,8 @@ import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
 
 from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
-from bodyseg_model.networks.input.relief import check_range_images
 from bodyseg_model.networks.network import Network, check_label_map
+from bodyseg_model.networks.patches import check_range_images
 
 
 class FlipAverage(Network):

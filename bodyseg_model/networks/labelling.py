@@ -1,22 +1,22 @@
 """Labels and confidences of pixels from scores that are coarser than the image: interpolation, best class, softmax.
 
-All of it is specified here in single operations of float32, so that the compiled form, in `labelling_compiled`, gives
-the same bits. Of the classes, only those count whose highest score at the four points around a pixel comes within
-`REACH` of the score that some class has at all four: the best class is always among them, and all others together
-change a confidence by less than 2e-4 (of the network that ships, by 4e-5 at most).
+Compiled loops over measured pixels alone; where there is no numba, and on GPUs, PyTorch does the same. All of it is in
+single operations of float32, which the tests' plain form repeats bit by bit. Of the classes, only those count whose
+highest score at the four points around a pixel comes within `REACH` of the score that some class has at all four: the
+best class is always among them, and all others together change a confidence by less than 2e-4 (of the network that
+ships, by 4e-5 at most).
 """
 
 from __future__ import annotations
 
 import itertools
-from functools import lru_cache
-from importlib import import_module
+from functools import lru_cache, partial
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.kernels import use_compiled
+from bodyseg_data.core.kernels import compiled
 from bodyseg_data.core.system.divided_work import of_each, pieces
 
 REACH: Final = np.float32(12.0)
@@ -29,7 +29,8 @@ LEAST_POWER: Final = np.float32(-120.0)
 POWER: Final = tuple(np.float32(c) for c in (1.3333558e-3, 9.6181291e-3, 5.5504109e-2, 0.24022651, 0.69314718, 1.0))
 """Coefficients of 2^x for x from -1/2 to 1/2, highest power first: Taylor's series, within 4e-6 of the value."""
 
-_CHUNK: Final = 1024
+_P0, _P1, _P2, _P3, _P4, _P5 = POWER
+_HALF, _ONE, _LEAST = np.float32(0.5), np.float32(1), np.float32(-np.inf)
 _PIECES: Final = 6  # of an image for several threads: a body is not evenly divided among its rows
 _LEAST_PIXELS: Final = 1 << 13  # measured, of a thread: to start and await one takes as long as labelling some thousand
 
@@ -53,18 +54,13 @@ def label_pixels(
     """
     rows, columns = range_m.shape[1:]
     down, across = interpolation(rows, stride), interpolation(columns, stride)
-    if not use_compiled():
-        for image in zip(scores, range_m, labels, confidence, strict=True):
-            _label_in_numpy(*image[:2], down, across, *image[2:])
-        return
-    loops = import_module("bodyseg_model.networks.labelling_compiled")
     useful = min(threads, max(1, int(np.count_nonzero(range_m > 0)) // _LEAST_PIXELS))
     runs = pieces(scores.shape[1] + 1, _PIECES if useful > 1 else 1)
 
     def work(part: tuple[int, tuple[int, int]]) -> None:
         image, run = part
         of_image = scores[image], range_m[image], stride, down[1], across[1]
-        loops.label_rows(*of_image, *run, labels[image], confidence[image])
+        label_rows(*of_image, *run, labels[image], confidence[image])
 
     of_each(work, list(itertools.product(range(len(scores)), runs)), useful)
 
@@ -78,57 +74,99 @@ def interpolation(size: int, stride: int) -> Axis:
     return before, after.astype(np.float32)
 
 
-def _label_in_numpy(
-    scores: NDArray[np.float32],
-    range_m: NDArray[np.float32],
-    down: Axis,
-    across: Axis,
-    labels: NDArray[np.uint8],
-    confidence: NDArray[np.float32],
+@partial(compiled, feature="labelling in compiled loops")
+def label_rows(
+    scores: Any,
+    range_m: Any,
+    stride: Any,
+    down: Any,
+    across: Any,
+    first: Any,
+    last: Any,
+    labels: Any,
+    confidence: Any,
 ) -> None:
-    """As `label_pixels`, of one image [H, W], some pixels at a time."""
-    rows, columns = np.nonzero(range_m > 0)
-    last_row, last_column = scores.shape[0] - 1, scores.shape[1] - 1
-    for first in range(0, len(rows), _CHUNK):
-        row, column = rows[first : first + _CHUNK], columns[first : first + _CHUNK]
-        top, bottom = np.maximum(down[0][row], 0), np.minimum(down[0][row] + 1, last_row)
-        left, right = np.maximum(across[0][column], 0), np.minimum(across[0][column] + 1, last_column)
-        corners = scores[top, left], scores[top, right], scores[bottom, left], scores[bottom, right]
-        best, share = label_points(*corners, down[1][row, None], across[1][column, None])
-        labels[row, column], confidence[row, column] = best, share
+    """As `label_pixels`, of one image, from one row of squares between scores to before another; square 0 is before
+    all.
 
-
-def label_points(
-    a: NDArray[np.float32],
-    b: NDArray[np.float32],
-    c: NDArray[np.float32],
-    d: NDArray[np.float32],
-    down: NDArray[np.float32],
-    across: NDArray[np.float32],
-) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Best class, uint8 [N], and its probability, float32 [N], between scores a b above c d, each [N, C].
-
-    down, across: weights of the lower and right ones, [N, 1].
+    Pixels between the same four scores, `stride` x `stride` of them, are labelled together: the same classes count for
+    all of them, and each class is interpolated, compared and summed for all of them in loops that fit a processor's
+    vectors. down, across: weights of `interpolation`, float32 [rows] and [columns].
     """
-    lowest = np.minimum(np.minimum(a, b), np.minimum(c, d)).max(axis=1, keepdims=True)
-    counts = np.maximum(np.maximum(a, b), np.maximum(c, d)) >= lowest - REACH
-    above, below = a + (b - a) * across, c + (d - c) * across
-    scores = np.where(counts, above + (below - above) * down, np.float32(-np.inf))
-    label = scores.argmax(axis=1)
-    power = np.maximum((scores - scores.max(axis=1, keepdims=True)) * LOG2_E, LEAST_POWER)
-    terms = np.where(counts, powers_of_two(power), np.float32(0))
-    total = np.zeros(len(a), np.float32)
-    for term in terms.T:  # in the order of the classes: sums of float32 depend on it
-        total += term
-    return label.astype(np.uint8), np.float32(1) / total
-
-
-def powers_of_two(power: NDArray[np.float32]) -> NDArray[np.float32]:
-    """2 to the power of numbers from -120 to 0, float32 of any shape."""
-    whole = (power - np.float32(0.5)).astype(np.int32)  # towards zero, so the nearest
-    rest = power - whole.astype(np.float32)
-    series = np.full_like(rest, POWER[0])
-    for coefficient in POWER[1:]:
-        series = series * rest + coefficient
-    exponent: Any = (whole + np.int32(127)) << np.int32(23)
-    return np.asarray(series * exponent.view(np.float32), np.float32)
+    height, width, classes = scores.shape
+    low, high = np.empty(classes, np.float32), np.empty(classes, np.float32)
+    area = stride * stride
+    value = np.empty((classes, area), np.float32)
+    best, total = np.empty(area, np.float32), np.empty(area, np.float32)
+    label, number = np.empty(area, np.int32), np.empty(classes, np.int32)
+    shown = np.empty(across.size, np.uint8)
+    right_weight, lower_weight = np.empty(area, np.float32), np.empty(area, np.float32)
+    for square_row in range(first, last):
+        top, bottom = max(square_row - 1, 0), min(square_row, height - 1)
+        row_start = max((stride * (2 * square_row - 1)) // 2, 0)
+        row_end = min((stride * (2 * square_row + 1)) // 2, down.size)
+        shown[:] = 0  # where any of these rows was measured: most squares are empty
+        for row in range(row_start, row_end):
+            metres = range_m[row]
+            for column in range(metres.size):
+                shown[column] |= metres[column] > 0
+        for square_column in range(width + 1):
+            column_start = max((stride * (2 * square_column - 1)) // 2, 0)
+            column_end = min((stride * (2 * square_column + 1)) // 2, across.size)
+            seen = False
+            for column in range(column_start, column_end):
+                seen |= shown[column] != 0
+            if not seen:
+                continue
+            count = 0
+            for row in range(row_start, row_end):
+                for column in range(column_start, column_end):
+                    lower_weight[count] = down[row]
+                    right_weight[count] = across[column]
+                    count += 1
+            left, right = max(square_column - 1, 0), min(square_column, width - 1)
+            a, b = scores[top, left], scores[top, right]
+            c, d = scores[bottom, left], scores[bottom, right]
+            for k in range(classes):
+                low[k] = min(min(a[k], b[k]), min(c[k], d[k]))
+                high[k] = max(max(a[k], b[k]), max(c[k], d[k]))
+            least = low[0]
+            for k in range(1, classes):
+                least = max(least, low[k])
+            least -= REACH
+            counted = 0
+            for k in range(classes):
+                if high[k] >= least:
+                    number[counted] = k
+                    counted += 1
+            for p in range(count):
+                best[p] = _LEAST
+                total[p] = np.float32(0)
+            for n in range(counted):
+                k = number[n]
+                at_a, at_c = a[k], c[k]
+                rise_above, rise_below = b[k] - at_a, d[k] - at_c
+                row_of = value[n]
+                for p in range(count):
+                    above = at_a + rise_above * right_weight[p]
+                    below = at_c + rise_below * right_weight[p]
+                    score = above + (below - above) * lower_weight[p]
+                    row_of[p] = score
+                    greater = score > best[p]
+                    best[p] = score if greater else best[p]
+                    label[p] = k if greater else label[p]
+            for n in range(counted):
+                row_of = value[n]
+                for p in range(count):
+                    power = max((row_of[p] - best[p]) * LOG2_E, LEAST_POWER)
+                    whole = np.int32(power - _HALF)
+                    rest = power - np.float32(whole)
+                    series = ((((_P0 * rest + _P1) * rest + _P2) * rest + _P3) * rest + _P4) * rest + _P5
+                    total[p] += series * np.int32((whole + np.int32(127)) << np.int32(23)).view(np.float32)
+            p = 0
+            for row in range(row_start, row_end):
+                for column in range(column_start, column_end):
+                    if range_m[row, column] > 0:
+                        labels[row, column] = label[p]
+                        confidence[row, column] = _ONE / total[p]
+                    p += 1

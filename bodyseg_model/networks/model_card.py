@@ -9,7 +9,7 @@ from typing import Any, Final
 from bodyseg_data.cards.markdown import bullets, licence_lines, table
 from bodyseg_data.cards.texts import UNKNOWN_LICENCE, Publication
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.networks.checkpoints import NETWORK, PRETRAINED, TEACHER, WEIGHTS_SHA256, confusion_file, read_card
+from bodyseg_model.networks.checkpoints import NETWORK, PRETRAINED, WEIGHTS_SHA256, confusion_file, read_card
 
 _SCORES: Final = {
     "average_per_class_accuracy": "average per-class accuracy",
@@ -83,7 +83,6 @@ def _training(card: Mapping[str, Any]) -> list[tuple[str, str]]:
         "recipe": card.get("recipe"),
         **_data(card.get("data")),
         "started from": card.get(PRETRAINED),
-        "learned from": card.get(TEACHER),
         "command": card.get("command"),
         "commit": card.get("commit"),
         "machine": card.get("hardware"),

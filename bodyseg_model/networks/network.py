@@ -52,7 +52,7 @@ class Network(nn.Module, ABC):
 
         range_m: float [B, 1, H, W], metres, 0 = nothing measured. Score (i, j) belongs to the point ((i + 1/2)
         output_stride, (j + 1/2) output_stride) of the image, in pixels from its corner. Raises BadConfig for any other
-        shape (`input.relief.check_range_images`).
+        shape (`patches.check_range_images`).
         """
 
     def scores_at(self, range_m: torch.Tensor, rows: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:

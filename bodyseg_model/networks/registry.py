@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from torch import nn
 
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.randomness import generator
-from bodyseg_model.networks.input.relief import check_range_images
-from bodyseg_model.networks.labelling import label_pixels
 from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.patches import check_range_images
 
 
 class Prediction(NamedTuple):
@@ -97,8 +97,9 @@ def predict(network: Network, range_m: torch.Tensor) -> Prediction:
 
 
 def _predict_on_processor(network: Network, range_m: torch.Tensor) -> Prediction:
-    """As `predict`. NumPy and compiled loops compute all but the scores: after an operation that it divides among
-    threads, PyTorch's threads wait busily for the next one, on processors that a runtime's threads need.
+    """As `predict`. Where numba is installed, NumPy and compiled loops compute all but the scores: after an operation
+    that it divides among threads, PyTorch's threads wait busily for the next one, on processors that a runtime's
+    threads need.
     """
     metres = np.ascontiguousarray(range_m[:, 0].float().numpy())
     labels, confidence = np.full(metres.shape, BACKGROUND, np.uint8), np.zeros(metres.shape, np.float32)
@@ -106,10 +107,11 @@ def _predict_on_processor(network: Network, range_m: torch.Tensor) -> Prediction
     if not measured.any():
         return found
     scores = network.scores(range_m).float()
-    if network.output_stride > 1:
+    if network.output_stride > 1 and use_compiled():
         by_point = np.ascontiguousarray(scores.permute(0, 2, 3, 1).numpy())
         if np.isfinite(by_point).all():
-            label_pixels(by_point, metres, network.output_stride, labels, confidence, torch.get_num_threads())
+            loops = import_module(f"{__package__}.labelling")
+            loops.label_pixels(by_point, metres, network.output_stride, labels, confidence, torch.get_num_threads())
             return found
     return _label_by_torch(network, scores, torch.from_numpy(measured), found)
 
@@ -134,8 +136,8 @@ def predict_each(
 
 
 def _label_by_torch(network: Network, scores: torch.Tensor, measured: torch.Tensor, empty: Prediction) -> Prediction:
-    """Label with PyTorch: on another device, where every pixel has scores, or where some are not finite, and so
-    confidences neither.
+    """Label with PyTorch: on another device, without numba, where every pixel has scores, or where some are not finite,
+    and so confidences neither.
     """
     rows, columns = measured.shape[1:]
     scores = scores.contiguous(memory_format=torch.channels_last)

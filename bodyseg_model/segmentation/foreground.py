@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.rig import Camera
 from bodyseg_data.core.system.divided_work import of_each
-from bodyseg_model.segmentation.people.room_planes import LEAST_AREA_M2, TOLERANCE_PER_M, on_largest_plane
-from bodyseg_model.segmentation.people.surface_table import REACH_M, Surfaces
-from bodyseg_model.segmentation.people.surfaces import GAP_PIXELS, JUMP_M, JUMP_SHARE, SHADOW_M, loops
+from bodyseg_model.segmentation.room_planes import LEAST_AREA_M2, TOLERANCE_PER_M, on_largest_plane
+from bodyseg_model.segmentation.surfaces import GAP_PIXELS, JUMP_M, JUMP_SHARE, REACH_M, SHADOW_M, Surfaces
 
 BackgroundMode = Literal["people", "limits", "keep"]
 
@@ -76,11 +74,12 @@ class Background:
 def find_bodies(range_m: NDArray[np.float32], camera: Camera, background: Background, threads: int = 1) -> Bodies:
     """Find the bodies in a frame, the largest first; a pixel belongs to at most one.
 
-    range_m: [H, W], metres along the optical axis, 0 = nothing measured. camera: the one that took it. threads: among
-    which the work is divided; the bodies do not depend on it.
+    range_m: [H, W], metres along the optical axis, 0 = nothing measured, as are NaN and infinity. camera: the one that
+    took it. threads: among which the work is divided; the bodies do not depend on it. Raises MissingLibrary without
+    numba, in mode "people".
     """
     if background.mode == "keep":
-        return _all_of(range_m > 0)
+        return _all_of((range_m > 0) & (range_m < np.inf))
     kept = _within_limits(range_m, background)
     return _all_of(kept > 0) if background.mode == "limits" else _people(kept, camera, threads)
 
@@ -88,11 +87,7 @@ def find_bodies(range_m: NDArray[np.float32], camera: Camera, background: Backgr
 def _within_limits(range_m: NDArray[np.float32], background: Background) -> NDArray[np.float32]:
     """A copy of the frame with 0 where range is not within the limits."""
     near, far = np.float32(background.near_m), np.float32(background.far_m)
-    if not use_compiled():
-        return np.where((range_m >= near) & (range_m <= far), range_m, np.float32(0))
-    kept = np.empty(range_m.shape, np.float32)
-    loops().keep_within(np.ascontiguousarray(range_m).ravel(), near, far, kept.ravel())
-    return kept
+    return np.where((range_m >= near) & (range_m <= far), range_m, np.float32(0))
 
 
 def _all_of(mask: NDArray[np.bool_]) -> Bodies:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import Camera
-from bodyseg_model.evaluation.frame_times import Stopwatch
+from bodyseg_data.core.system.stopwatch import Stopwatch
 from bodyseg_model.networks.checkpoints import Trained, shipped_network
 from bodyseg_model.networks.registry import device_of
 from bodyseg_model.recordings.camera_files import find_cameras
@@ -26,11 +26,11 @@ from bodyseg_model.recordings.skipping import Skipping
 from bodyseg_model.runtimes.backends import BackendName, backend_of, put_on_backend, to_device
 from bodyseg_model.runtimes.runtime import Precision
 from bodyseg_model.segmentation.foreground import Background
-from bodyseg_model.segmentation.people.person_score import shipped_score
+from bodyseg_model.segmentation.person_score import shipped_score
 from bodyseg_model.segmentation.read_ahead import read_ahead
 from bodyseg_model.segmentation.segmenter import FoundSurfaces, LabelledBody, Segmentation, Segmenter, Thing
 from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels
-from bodyseg_model.segmentation.views.undistortion import Undistortion
+from bodyseg_model.segmentation.views import Undistortion
 
 _READ: Final = "read"
 _KEPT: Final = 4  # segmenters: an undistortion takes as much memory as several frames

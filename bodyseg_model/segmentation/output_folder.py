@@ -18,13 +18,12 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.files import flush, write_result
 from bodyseg_data.core.labels.label_map import LabelMap
 from bodyseg_data.core.system.memory import peak_mb
+from bodyseg_data.core.system.stopwatch import Stopwatch
 from bodyseg_data.drawing.style import save_picture
-from bodyseg_model.evaluation.frame_times import Stopwatch
 from bodyseg_model.networks.checkpoints import read_json, write_json
 from bodyseg_model.recordings.recording import Frame
 from bodyseg_model.segmentation.frame_labeller import LabelledFrame
-from bodyseg_model.segmentation.pictures.overlay import Preview, draw_overlay, draw_parts_legend
-from bodyseg_model.segmentation.pictures.picture_png import encode_picture
+from bodyseg_model.segmentation.pictures import Preview, draw_overlay, draw_parts_legend, encode_picture
 from bodyseg_model.segmentation.sequence_summary import SequenceSummary
 
 FORMAT: Final = "bodyseg segment 2"

@@ -12,20 +12,20 @@ import torch
 from numpy.typing import NDArray
 
 from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.kernels import require_numba
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, Rig, load_rig
 from bodyseg_data.core.system.divided_work import of_each
-from bodyseg_model.evaluation.frame_times import Stopwatch
+from bodyseg_data.core.system.stopwatch import Stopwatch
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict_each
 from bodyseg_model.runtimes.backends import BackendName, on_backend
 from bodyseg_model.runtimes.runtime import Precision
 from bodyseg_model.segmentation.foreground import Background, find_bodies
-from bodyseg_model.segmentation.order_statistics import median
-from bodyseg_model.segmentation.people.person_score import PersonScore
+from bodyseg_model.segmentation.person_score import PersonScore
 from bodyseg_model.segmentation.read_ahead import read_ahead
 from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels
-from bodyseg_model.segmentation.views.resampling import BodyView, usual_views, view_body
+from bodyseg_model.segmentation.views import BodyView, usual_views, view_body
 
 STAGES: Final = ("background", "shape", "resample", "network", "back", "video")
 
@@ -123,7 +123,7 @@ class Segmenter:
     "people" (`shipped_score`); None to label all of them. video: carries evidence from frame to frame of a recording,
     whose frames must then come in order (`CarriedLabels`); None to label each alone. backend, precision: what computes
     the network (`on_backend`). Raises BadConfig for a confidence outside 0 to 1, a camera with distortion, or as
-    `on_backend`.
+    `on_backend`; MissingLibrary without numba.
     """
 
     def __init__(
@@ -143,6 +143,7 @@ class Segmenter:
             raise BadConfig(f"a confidence must be 0 to 1, found {least_confidence:g}")
         if camera.distortion is not None:
             raise BadConfig(f"frames must be undistorted before they are labelled, found {camera.distortion}")
+        require_numba("labelling frames", extra="segment")
         self.camera, self.mirrored, self.least_confidence = camera, mirrored, least_confidence
         self.background = background or Background()
         self.rig = rig or load_rig()
@@ -186,7 +187,7 @@ class Segmenter:
                 judged = list(zip(surfaces, scores, strict=True))
                 people = [(pixels, person) for pixels, person in judged if person >= score.cutoff]
                 things = [
-                    Thing(pixels, median(range_m.ravel()[pixels]), person)
+                    Thing(pixels, float(np.median(range_m.ravel()[pixels])), person)
                     for pixels, person in judged
                     if person < score.cutoff
                 ]

@@ -1,4 +1,4 @@
-"""Summary of accuracies: curves over seeds, mCE, mRR, the worst case, and the strength at which 60 % is lost.
+"""Accuracy of groups of networks that differ by their seed alone: curves over seeds, mCE, mRR, the worst case.
 
 mCE is Hendrycks and Dietterich's mean corruption error ("Benchmarking neural network robustness to common corruptions
 and perturbations", 2019) with average per-class accuracy in place of their top-1 accuracy. For one sweep, the
@@ -8,16 +8,174 @@ mean over sweeps of the mean accuracy over strengths divided by the clean accura
 
 from __future__ import annotations
 
+import json
 import statistics
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, Final
 
+import torch
+
+from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.labels.label_map import PARTS33
+from bodyseg_data.core.system.progress import NotedProgress, silent
 from bodyseg_model.evaluation.report import over_seeds
-from bodyseg_model.stability.accuracies import Accuracies
-from bodyseg_model.stability.groups import Group
-from bodyseg_model.stability.sweeps import CLEAN, Condition, Sweep
+from bodyseg_model.evaluation.scores import ConfusionMatrix, count_pairs, pairs_of
+from bodyseg_model.networks.checkpoints import Trained, load_network
+from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.registry import device_of, predict
+from bodyseg_model.stability.scenes import CLEAN, LabelledImage, Scenes, Sweep, SweepPoint
+
+FEWEST_SEEDS: Final = 3
+"""With fewer seeds a standard deviation says little."""
+
+_ALIKE: Final = ("network", "settings", "variant", "recipe")
+
+
+@dataclass(frozen=True)
+class Run:
+    """A trained network. path: a run's folder or a .safetensors file. name: unique among those loaded together."""
+
+    name: str
+    path: Path
+    trained: Trained = field(repr=False)
+
+    @property
+    def seed(self) -> Any:
+        """Seed of the training, from the network's card; None if the card has none."""
+        return self.trained.card.get("seed")
+
+
+@dataclass(frozen=True)
+class Group:
+    """Networks that differ by their seed alone, in the order given. label: unique among groups."""
+
+    label: str
+    runs: tuple[Run, ...]
+
+    @property
+    def few_seeds(self) -> bool:
+        """True for fewer seeds than `FEWEST_SEEDS`."""
+        return len({run.seed for run in self.runs}) < FEWEST_SEEDS
+
+    def to_json(self) -> dict[str, Any]:
+        """Network, settings and variant that the runs share, and the runs' names and seeds."""
+        card = self.runs[0].trained.card
+        return {
+            **{name: card.get(name) for name in ("network", "settings", "variant")},
+            "runs": [run.name for run in self.runs],
+            "seeds": [run.seed for run in self.runs],
+            "few_seeds": self.few_seeds,
+        }
+
+
+def load_runs(paths: Sequence[Path]) -> list[Run]:
+    """Load the networks of runs' folders or .safetensors files, each once; raises BadConfig as `load_network`,
+    and for a network of other classes than the 33 parts.
+
+    A run is named after its folder, with as many parent folders as are needed to tell it from the others.
+    """
+    given = {path.resolve(): path for path in paths}
+    every = [full.with_suffix("").parts for full in given]
+    runs = []
+    for parts, path in zip(every, given.values(), strict=True):
+        depth = 1
+        while depth < len(parts) and sum(parts[-depth:] == other[-depth:] for other in every) > 1:
+            depth += 1
+        trained = load_network(path)
+        if trained.label_map != PARTS33:
+            raise BadConfig(
+                f"{path}: stability is measured on the 33 parts, which a network with labels "
+                f"{trained.label_map.name!r} does not predict"
+            )
+        runs.append(Run("/".join(parts[-depth:]), path, trained))
+    return runs
+
+
+def group(runs: Sequence[Run]) -> list[Group]:
+    """Group runs of one network, settings, variant, recipe and data; groups are in the order of their first runs."""
+    alike: dict[str, list[Run]] = {}
+    for run in runs:
+        alike.setdefault(_identity(run.trained.card), []).append(run)
+    labels = _labels([members[0] for members in alike.values()])
+    return [Group(label, tuple(members)) for label, members in zip(labels, alike.values(), strict=True)]
+
+
+def group_of(groups: Sequence[Group], paths: Sequence[Path]) -> Group | None:
+    """Find the one group that contains `paths`; None for no paths. Raises BadConfig if they are in several."""
+    given = {path.resolve() for path in paths}
+    found = [each for each in groups if given & {run.path.resolve() for run in each.runs}]
+    if len(found) > 1:
+        raise BadConfig(
+            "networks to compare with must differ by their seed alone, found "
+            f"{', '.join(each.runs[0].name for each in found)}"
+        )
+    return found[0] if found else None
+
+
+def _identity(card: dict[str, Any]) -> str:
+    """Everything on a card that identifies a training, except its seed, as JSON text."""
+    data = card.get("data")
+    if isinstance(data, dict):
+        data = {name: value for name, value in data.items() if name != "seed"}
+    return json.dumps([*(card.get(name) for name in _ALIKE), data], sort_keys=True)
+
+
+def _labels(runs: Sequence[Run]) -> list[str]:
+    """Unique labels of groups: the first run's name without "-SEED", or with its network added, or the full name."""
+    short = [run.name.removesuffix(f"-{run.seed}") for run in runs]
+    longer = [f"{name} ({run.trained.card['network']})" for name, run in zip(short, runs, strict=True)]
+    for names in (short, longer):
+        if max(Counter(names).values(), default=1) == 1:
+            return names
+    return [run.name for run in runs]
+
+
+Accuracies = dict[str, dict[SweepPoint, float]]
+"""Run's name -> condition -> average per-class accuracy."""
+
+
+def accuracy(network: Network, images: Sequence[LabelledImage]) -> float:
+    """Average per-class accuracy of a network in evaluation mode, from one confusion matrix over all images.
+
+    Images are predicted one by one, as a sensor gives them: the window that a batch is cropped to depends on all its
+    bodies. NaN if nothing was measured in any image.
+    """
+    matrix = ConfusionMatrix()
+    device = device_of(network)
+    for image in images:
+        prediction = predict(network, torch.from_numpy(image.range_m)[None, None].to(device))
+        predicted = prediction.labels[0].cpu().numpy().ravel()[image.pixels]
+        matrix.counts += count_pairs(pairs_of(image.truth, predicted))
+    return matrix.average_per_class_accuracy()
+
+
+def evaluate_conditions(
+    runs: Sequence[Run],
+    conditions: Sequence[SweepPoint],
+    scenes: Scenes,
+    progress: NotedProgress = silent,
+) -> Accuracies:
+    """Measure the accuracy of every network under every condition.
+
+    progress: called with images done, images in all, and the condition's name. Raises BadConfig, before any is
+    measured, for a condition that the scenes cannot show.
+    """
+    for condition in conditions:
+        scenes.check(condition)
+    found: Accuracies = {run.name: {} for run in runs}
+    done, total = 0, len(runs) * len(conditions) * len(scenes)
+    for condition in conditions:  # the outer loop, so that images are made once
+        images = scenes.labelled_images(condition)
+        for run in runs:
+            found[run.name][condition] = accuracy(run.trained.network, images)
+            done += len(scenes)
+            progress(done, total, condition.name)
+    return found
+
 
 Tree = dict[str, Any]
 
@@ -97,7 +255,7 @@ def _mean(rows: Sequence[Sequence[float]]) -> list[float]:
     return [statistics.mean(values) for values in zip(*rows, strict=True)]
 
 
-def _clean(group: Group, conditions: Mapping[str, Sequence[Condition]], found: Accuracies) -> Tree:
+def _clean(group: Group, conditions: Mapping[str, Sequence[SweepPoint]], found: Accuracies) -> Tree:
     """Accuracy on the clean stored and the clean rendered images, as far as the sweeps have them."""
     needed = {row[0] for row in conditions.values()}
     return {

@@ -3,13 +3,15 @@
 TC is the mIoU of a prediction and the next one warped onto it (Liu et al., "Efficient semantic video segmentation with
 per-frame inference", 2020); VC is the share of points whose label stays the same through a window of frames (Miao et
 al., "VSPW: a large-scale dataset for video scene parsing in the wild", 2021). These authors follow points by optical
-flow, or compare pixels without following them; here points of the skin are followed exactly, by the meshes.
+flow, or compare pixels without following them; here points of the skin are followed exactly, by the meshes: bodies of
+one subject share their triangles, so a point of the surface is a triangle and barycentric weights in it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -19,19 +21,204 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.artifact import RangeImage
 from bodyseg_data.artifacts.variants import Augmentation, VariantName
 from bodyseg_data.bodies.motions.catalogue import FRAMES_PER_SECOND
-from bodyseg_data.bodies.source import BodySource
+from bodyseg_data.bodies.source import Body, BodyRef, BodySource
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import BadConfig, check_int
 from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.rig import Rig, load_rig
+from bodyseg_data.core.rig import PlacedCamera, Rig, load_rig
+from bodyseg_data.core.sample import Sample, SampleInfo, steps
 from bodyseg_data.core.system.progress import ProgressCallback, counter, silent
+from bodyseg_data.core.views import View
 from bodyseg_data.loading.image_set import metres
+from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.partition.surface_parts import Partition
+from bodyseg_data.packing.sampler import faces_towards, sample_key, surface_points
+from bodyseg_data.rendering import open_renderer
+from bodyseg_data.rendering.renderer import Surface
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of, predict
 from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels
-from bodyseg_model.stability.correspondence import NOT_SEEN, RenderedBody, follow
-from bodyseg_model.stability.motion_frames import Frame, choose_shots, render_shot
+
+NEAR_M: Final = 0.005
+"""A point counts as seen by the pixel it projects into if the surface at the pixel's centre is at most this far from
+it, metres. A pixel is about 3.4 mm wide at 2.55 m."""
+
+NOT_SEEN: Final = -1
+
+
+@dataclass(frozen=True, repr=False)
+class RenderedBody:
+    """A body in front of a camera, and its rendered surface."""
+
+    mesh: Mesh
+    camera: PlacedCamera
+    surface: Surface
+
+    def __repr__(self) -> str:
+        return f"RenderedBody({self.mesh.name!r}, {len(self.pixels)} pixels)"
+
+    @cached_property
+    def pixels(self) -> NDArray[np.intp]:
+        """The pixels that see the body, int [N], row * columns + column, ascending."""
+        return np.flatnonzero(self.surface.face >= 0)
+
+    @cached_property
+    def faces(self) -> NDArray[np.int32]:
+        """The triangle that each of `pixels` sees, int32 [N]."""
+        return self.surface.face.take(self.pixels)
+
+    @cached_property
+    def points(self) -> NDArray[np.float64]:
+        """The surface points at the centres of `pixels`, [N, 3], metres, body frame."""
+        return surface_points(self.surface, self.camera, *np.divmod(self.pixels, self.surface.face.shape[1]))
+
+    @cached_property
+    def weights(self) -> NDArray[np.float64]:
+        """Barycentric weights of `points` in `faces`, [N, 3]."""
+        return self.mesh.barycentric(self.faces, self.points)
+
+    def labels(self, parts: Partition) -> NDArray[np.uint8]:
+        """Label image of the body, uint8 [H, W], BACKGROUND where the camera does not see it."""
+        labels = np.full(self.surface.face.shape, BACKGROUND, np.uint8)
+        labels.ravel()[self.pixels] = parts.labels_at(self.mesh, self.faces, self.points)
+        return labels
+
+
+def follow(first: RenderedBody, later: RenderedBody) -> NDArray[np.intp]:
+    """For each of `first.pixels` the pixel of `later` that sees the same point of the skin, int [N], or NOT_SEEN.
+
+    A point projects into one pixel of `later`. It is seen there if it lies in the frame, its triangle faces the camera,
+    and the pixel sees the same triangle, one that shares a corner with it, or a point within `NEAR_M`. Triangles are
+    compared because at a grazing angle one pixel spans more than `NEAR_M`.
+
+    Raises BadConfig for bodies that do not share their triangles.
+    """
+    if not np.array_equal(first.mesh.faces, later.mesh.faces):
+        raise BadConfig(
+            f"only bodies that share their triangles can be followed, found {first.mesh.name} and {later.mesh.name}"
+        )
+    points = np.einsum("nc,ncx->nx", first.weights, later.mesh.vertices[later.mesh.faces[first.faces]])
+    image, range_m = later.camera.project(points)
+    rows, columns = later.surface.face.shape
+    inside = (range_m > 0) & (image >= 0).all(axis=1) & (image < (columns, rows)).all(axis=1)
+    inside &= faces_towards(later.mesh, first.faces, points, later.camera.position)
+    found = np.full(len(points), NOT_SEEN, np.intp)
+    index_of = np.full(rows * columns, NOT_SEEN, np.intp)  # of a pixel in later.pixels
+    index_of[later.pixels] = np.arange(len(later.pixels))
+    candidates = np.flatnonzero(inside)
+    column, row = image[candidates].astype(np.intp).T
+    index = index_of[row * columns + column]
+    candidates, index = candidates[index >= 0], index[index >= 0]
+    near = np.linalg.norm(later.points[index] - points[candidates], axis=1) <= NEAR_M
+    near |= _touch(later.mesh, first.faces[candidates], later.faces[index])
+    found[candidates[near]] = later.pixels[index[near]]
+    return found
+
+
+def _touch(mesh: Mesh, one: NDArray[np.int32], other: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """True for pairs of triangles that share a corner, bool [N]; equal triangles do."""
+    touch: NDArray[np.bool_] = (mesh.faces[one][:, :, None] == mesh.faces[other][:, None, :]).any(axis=(1, 2))
+    return touch
+
+
+DISTANCE_CM: Final = 255
+AZIMUTHS_DEG: Final = (0, 50, 90, 140)
+"""Camera azimuths that shots take in turn, degrees: front, both three-quarter views, side."""
+
+
+@dataclass(frozen=True)
+class Shot:
+    """Consecutive bodies of one motion, and the view that the camera has of them."""
+
+    bodies: tuple[BodyRef, ...]
+    view: View
+
+
+@dataclass(frozen=True)
+class ShotFrame:
+    """One frame of a shot: a sample as it would be stored, and the rendered body in it."""
+
+    sample: Sample = field(repr=False)
+    body: RenderedBody
+
+
+def choose_shots(source: BodySource, count: int, frames: int) -> list[Shot]:
+    """Choose `count` shots of `frames` bodies each from the motions of a source's test split, taken in turn.
+
+    A motion is all bodies of one subject and pose, in the source's order; its shots start at even intervals along it.
+    Raises BadConfig if no motion has that many bodies.
+    """
+    motions: dict[tuple[str, str], list[BodyRef]] = {}
+    for body in source.bodies():
+        if body.split == "test":
+            motions.setdefault((body.subject, body.pose), []).append(body)
+    long = [motion for motion in motions.values() if len(motion) >= frames]
+    if not long:
+        longest = max(map(len, motions.values()), default=0)
+        raise BadConfig(
+            f"the source {source.name!r} needs a motion of {frames} frames to test on, found at most {longest}"
+        )
+    shots = []
+    for number in range(count):
+        motion, turn = long[number % len(long)], number // len(long)
+        shares = len(range(number % len(long), count, len(long)))
+        start = (2 * turn + 1) * (len(motion) - frames + 1) // (2 * shares)
+        view = View(DISTANCE_CM, AZIMUTHS_DEG[number % len(AZIMUTHS_DEG)])
+        shots.append(Shot(tuple(motion[start : start + frames]), view))
+    return shots
+
+
+def render_shot(source: BodySource, shot: Shot, rig: Rig) -> Iterator[ShotFrame]:
+    """Render the frames of a shot. The camera looks at the mean of the bodies' centres throughout.
+
+    Raises as `BodySource.build`, `partition` and `steps`.
+    """
+    built = [source.build(body) for body in shot.bodies]
+    centre = np.mean([body.mesh.centre for body in built], axis=0)
+    camera, _ = rig.placed(centre, shot.view)
+    projectors = [single.placed(centre, shot.view)[1] for single in rig.by_projector()]
+    for ref, body in zip(shot.bodies, built, strict=True):
+        key = sample_key(source.name, ref, shot.view)
+        yield _frame(ref, body, shot.view, key, camera, projectors, source.name, rig.range_step_m)
+
+
+def _frame(
+    ref: BodyRef,
+    body: Body,
+    view: View,
+    key: str,
+    camera: PlacedCamera,
+    projectors: Sequence[PlacedCamera],
+    source: str,
+    step_m: float,
+) -> ShotFrame:
+    """Make a sample as `Sampler.take` does, but with camera and projectors given and all that the projector sees."""
+    renderer = open_renderer("raster", body.mesh)
+    rendered = RenderedBody(body.mesh, camera, renderer.render(camera))
+    lit = [renderer.render(projector).range for projector in projectors]
+    renderer.close()
+    labels = rendered.labels(body.partition())
+    facing = []
+    for projector in projectors:
+        facing.append(np.zeros(labels.shape, np.bool_))
+        towards = faces_towards(body.mesh, rendered.faces, rendered.points, projector.position)
+        facing[-1].ravel()[rendered.pixels] = towards
+    info = SampleInfo(
+        source=source,
+        subset=ref.subset,
+        subject=ref.subject,
+        mesh=ref.mesh,
+        pose=ref.pose,
+        split=ref.split,
+        distance_cm=view.distance_cm,
+        azimuth_deg=view.azimuth_deg,
+    )
+    camera_range, projector_range = (steps(seen, step_m, key) for seen in (rendered.surface.range, np.concatenate(lit)))
+    second = facing[1] if len(facing) == 2 else None
+    sample = Sample(key, camera_range, projector_range, labels, facing[0], info, faces_second=second)
+    return ShotFrame(sample, rendered)
+
 
 SHOTS: Final = 4
 FRAMES: Final = 16
@@ -172,7 +359,7 @@ def temporal(
     truth, rendered_points = TemporalConsistency(), 0
     advance = counter(progress, shots * frames * (1 + len(variants) * len(networks)))
     for shot in chosen:
-        frames_of_shot: list[Frame] = []
+        frames_of_shot: list[ShotFrame] = []
         for frame in render_shot(source, shot, rig):
             frames_of_shot.append(frame)
             advance()

@@ -27,12 +27,11 @@ from bodyseg_data.loading.loader import Loader
 from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod, check_worker_method
 from bodyseg_model.networks.checkpoints import AVERAGED, PRETRAINED, TRAINED, Checkpoint, load_network, save_network
 from bodyseg_model.networks.network import Network, check_label_map
-from bodyseg_model.training.augmentation.mirror import mirror, mirror_draws
+from bodyseg_model.training.augmentation import mirror, mirror_draws
 from bodyseg_model.training.distributed import ProcessGroup
 from bodyseg_model.training.ema import AveragedNetwork
+from bodyseg_model.training.loss import NetworkWithLoss, class_pixels, part_weights
 from bodyseg_model.training.metrics import Metrics, MetricsWindow, Report
-from bodyseg_model.training.objective.distillation import Teacher
-from bodyseg_model.training.objective.loss import NetworkWithLoss, class_pixels, part_weights
 from bodyseg_model.training.optimisers import fill_optimiser, make_optimiser, optimiser_tensors, set_learning_rate
 from bodyseg_model.training.plan import training_plan
 from bodyseg_model.training.recipes import Recipe
@@ -71,9 +70,8 @@ class Training:
     network: with its initial weights; name: its key in `registry.NETWORKS`. seed: of mirroring, geometric augmentation,
     dropout and the pixels that the loss selects; order and artifacts have the images' own. validation: on images held
     out, by the first process alone while the others wait. pretrained: file and SHA-256 of the weights that the network
-    starts from (`checkpoints.PRETRAINED`). teacher: a network to learn from beside the labels. Raises BadConfig for
-    batches that cannot be divided evenly between the processes, or a network or teacher of other classes than the
-    images.
+    starts from (`checkpoints.PRETRAINED`). Raises BadConfig for batches that cannot be divided evenly between the
+    processes, or a network of other classes than the images.
     """
 
     def __init__(
@@ -88,7 +86,6 @@ class Training:
         run_options: RunOptions | None = None,
         validation: Validation | None = None,
         pretrained: dict[str, Any] | None = None,
-        teacher: Teacher | None = None,
     ) -> None:
         if recipe.batch_size % processes.world_size:
             raise BadConfig(
@@ -101,7 +98,6 @@ class Training:
         self.optimiser = make_optimiser(self.network, recipe)
         self.averaged = AveragedNetwork(self.network, recipe.ema) if recipe.ema and processes.first else None
         self.validation, self.pretrained = validation, pretrained
-        self.teacher = None if teacher is None else teacher.for_training(images.label_map, processes.device)
         self.step = 0
         self._best: Best | None = None
         self._ended = False
@@ -112,7 +108,7 @@ class Training:
     def plan(self) -> dict[str, Any]:
         """Everything that the result depends on, as plain JSON; see `training_plan`."""
         facts = self.name, self.network, self.images, self.recipe, self.seed, self.validation
-        return training_plan(*facts, self.pretrained, None if self.teacher is None else self.teacher.to_json())
+        return training_plan(*facts, self.pretrained)
 
     def run(self, resume: bool, report: Report, facts: dict[str, Any]) -> None:
         """Train to the end and write the network with its card, which also holds `facts`.
@@ -250,7 +246,7 @@ class Training:
         weights = torch.ones(self.network.classes)
         if self.recipe.balance:
             weights = part_weights(class_pixels(self.images), self.recipe.balance)
-        options = self.recipe.loss_stride, self.run_options.compile, self.teacher
+        options = self.recipe.loss_stride, self.run_options.compile
         objective: nn.Module = NetworkWithLoss(self.network, weights, *options).to(self.processes.device)
         if self.processes.world_size > 1:
             if self.processes.device.type == "cuda":

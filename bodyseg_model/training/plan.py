@@ -10,7 +10,7 @@ from typing import Any, Final
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.labels.label_map import PARTS33
 from bodyseg_data.loading.image_set import ImageSet
-from bodyseg_model.networks.checkpoints import PRETRAINED, TEACHER
+from bodyseg_model.networks.checkpoints import PRETRAINED
 from bodyseg_model.networks.network import Network
 from bodyseg_model.training.recipes import Recipe
 from bodyseg_model.training.validation import Validation
@@ -42,8 +42,6 @@ FLAGS: Final[dict[str, str]] = {
     "data.labels": "--labels",
     "labels": "--labels",
     "pretrained": "--pretrained",
-    "teacher": "--teacher",
-    "teacher.share": "--teacher-share",
     "sensor": "--sensor",
     "sensor.artifacts": "--artifacts",
     "rig": "--data rig",
@@ -73,13 +71,12 @@ def training_plan(
     seed: int,
     validation: Validation | None,
     pretrained: dict[str, Any] | None = None,
-    teacher: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Everything that a training's result depends on, as plain JSON: the same plan gives the same weights.
 
     name: of the network in `registry.NETWORKS`. Keys: network, settings, variant, seed, recipe, data (identity of the
     images), rig (`Rig.to_json`) and sensor (name and artifacts) of the images, of a mixture those of its first set,
-    labels (`LabelMap.to_json`) where they are not the 33 parts; validation, pretrained and teacher where there is one.
+    labels (`LabelMap.to_json`) where they are not the 33 parts; validation and pretrained where there is one.
     """
     first = images.sets[0]
     sensor = first.augmentation.sensor.to_json()
@@ -97,7 +94,8 @@ def training_plan(
         plan["labels"] = images.label_map.to_json()
     if validation is not None:
         plan["validation"] = validation.plan()
-    plan |= {key: origin for key, origin in ((PRETRAINED, pretrained), (TEACHER, teacher)) if origin is not None}
+    if pretrained is not None:
+        plan[PRETRAINED] = pretrained
     tree: dict[str, Any] = json.loads(json.dumps(plan))
     return tree
 

@@ -14,11 +14,10 @@ from bodyseg_data.drawing.style import THING
 from bodyseg_data.drawing.window import window_of
 from bodyseg_model.segmentation.flicker import STILL_M, Flicker, flicker
 from bodyseg_model.segmentation.frame_labeller import LabelledFrame, LabelledRecording
-from bodyseg_model.segmentation.pictures.overlay import draw_overlay
+from bodyseg_model.segmentation.pictures import draw_overlay
 from bodyseg_model.segmentation.segmenter import Segmentation
-from bodyseg_model.viewing.drawing import Drawing
 from bodyseg_model.viewing.pictures import EMPTY, Layout, Legend, Panel, class_legend, label_image, share_image
-from bodyseg_model.viewing.space import Points, camera_alone, device, point_gap_m, points_at
+from bodyseg_model.viewing.space import Drawing, Points, camera_alone, device, point_gap_m, points_at
 
 FrameColouring = Literal["parts", "confidence", "flicker"]
 FRAME_COLOURINGS: Final[tuple[FrameColouring, ...]] = get_args(FrameColouring)

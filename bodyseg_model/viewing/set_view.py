@@ -25,11 +25,10 @@ from bodyseg_data.drawing.contact_sheet import colour_range, span_of
 from bodyseg_data.drawing.window import Window, window_of
 from bodyseg_data.loading.image_set import metres
 from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.evaluation.mistakes import KINDS, kinds_of, told_kinds
+from bodyseg_model.evaluation.scores import KINDS, kinds_of, told_kinds
 from bodyseg_model.evaluation.training_fit import RigFit
 from bodyseg_model.networks.checkpoints import Trained
 from bodyseg_model.networks.registry import device_of, predict
-from bodyseg_model.viewing.drawing import Drawing
 from bodyseg_model.viewing.pictures import (
     KIND_LEGEND,
     Layout,
@@ -40,7 +39,7 @@ from bodyseg_model.viewing.pictures import (
     label_image,
     share_image,
 )
-from bodyseg_model.viewing.space import Device, Points, device, point_gap_m, points_at, rig_before
+from bodyseg_model.viewing.space import Device, Drawing, Points, device, point_gap_m, points_at, rig_before
 
 Colouring = Literal["parts", "range", "network", "mistakes", "confidence"]
 COLOURINGS: Final[tuple[Colouring, ...]] = get_args(Colouring)

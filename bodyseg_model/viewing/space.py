@@ -1,6 +1,7 @@
-"""Points and devices in the space of the page: x to the right and y up as the sensor's camera looks, z towards it.
+"""Points and devices in the space of the page, and a drawing: all that a page shows at one moment.
 
-Units are metres. Of a set, the origin is the body's middle, which stands upright; of a recording, it is the camera.
+x is to the right and y up as the sensor's camera looks, z towards it. Units are metres. Of a set, the origin is the
+body's middle, which stands upright; of a recording, it is the camera.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core.rig import Camera, PlacedCamera, Rig
 from bodyseg_data.core.views import View
+from bodyseg_model.viewing.pictures import Legend
 
 Viewpoint = Literal["points", "sensor", "camera"]
 VIEWPOINTS: Final[tuple[Viewpoint, ...]] = get_args(Viewpoint)
@@ -148,3 +150,20 @@ def quaternion(rotation: NDArray[np.float64]) -> tuple[float, float, float, floa
     w, x, y, z = np.linalg.eigh(symmetric)[1][:, -1].tolist()
     sign = -1.0 if w < 0 else 1.0
     return sign * w, sign * x, sign * y, sign * z
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """Points, devices, a picture of panels, sRGB uint8 [H, W, 3], and facts in lines of plain text.
+
+    gap_m: distance of neighbouring points, metres, which their size on the page follows. bodies: number of the first
+    points, which are of bodies, and to which a window is turned. legend: of the colours of the points.
+    """
+
+    points: Points
+    devices: tuple[Device, ...]
+    picture: NDArray[np.uint8] = field(repr=False)
+    facts: tuple[str, ...]
+    gap_m: float
+    bodies: int
+    legend: Legend = field(repr=False)

@@ -1,7 +1,7 @@
 """Controls of an artifact's strengths, made from its dataclass's fields: sliders, choices and texts.
 
-An artifact states the ranges of its strengths only by refusing what lies outside (BadConfig). So the ends of a slider
-are found by trial, and artifacts of users get sliders like those that ship.
+A slider ends where the field's bounds do (`bounded`), or nearer, at a few times the strength. Artifacts of users get
+sliders like those that ship.
 """
 
 from __future__ import annotations
@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 import types
 import typing
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final, Literal, TypeVar
 
 from bodyseg_data.artifacts.artifact import Artifact
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, Bounds
 
 _REACH: Final = 3
 """A slider without a nearer limit ends at a round number of at least so many times the strength."""
@@ -24,7 +24,6 @@ _LARGEST: Final = 4
 _SMALLEST: Final = -4
 _SEPARATOR: Final = ";"
 _UNITS: Final = ("mm", "cm", "m", "px", "deg")
-_GRID: Final = tuple(quarter / 4 for quarter in range(-40, 41))
 
 Kind = TypeVar("Kind", bound=Artifact)
 
@@ -133,26 +132,25 @@ def _controls(artifact: Artifact, name: str, hint: Any) -> Iterator[Control]:
 
 def _number(artifact: Artifact, name: str, item: int | None, value: float, whole: bool) -> Control:
     """A slider, or a choice where the artifact takes single numbers and nothing between them."""
-    trial = Slider(name, item, 0.0, 0.0, 1.0, whole)
-
-    def takes(number: float) -> bool:
-        try:
-            moved(artifact, trial, number)
-        except BadConfig:
-            return False
-        return True
-
-    if not whole and not any(takes(value + nudge) for nudge in (1e-4, -1e-4)):
-        return Choice(name, tuple(sorted({*filter(takes, _GRID), value})))
+    bounds = _bounds(artifact, name)
+    if bounds.values:
+        return Choice(name, bounds.values)
     rounds = [digit * 10.0**power for power in range(_SMALLEST, _LARGEST + 1) for digit in (1, 2, 5)]
-    allowed = [number for number in rounds if takes(number) and (not whole or number >= 1)]
-    limit = _limit(allowed[-1], takes, whole) if allowed else value
-    reference = _reference(artifact, name, value)
-    wanted = next((number for number in rounds if number >= _REACH * reference), limit) if reference else limit
-    high = max(limit if limit < 2 * wanted else wanted, value)
+    wanted = _REACH * (_reference(artifact, name, value) or min(bounds.high, 1.0) / _REACH)
+    round_end = next((number for number in rounds if number >= wanted), bounds.high)
+    high = max(bounds.high if bounds.high < 2 * round_end else round_end, value)
     step = 1.0 if whole else max((number for number in rounds if number <= high / _STEPS), default=10.0**_SMALLEST)
-    low = 0.0 if takes(0.0) else min((number for number in allowed if number >= step), default=value)
+    if bounds.below and high == bounds.high:
+        high = max(high - step, value)
+    low = max(bounds.low, 0.0)
+    low = step if bounds.above and low == bounds.low else low
     return Slider(name, item, min(low, value), high, step, whole)
+
+
+def _bounds(artifact: Artifact, name: str) -> Bounds:
+    """Bounds that the artifact declares (`bounded`), or none: it may still refuse to be moved somewhere."""
+    found: Bounds | None = next(each for each in fields(artifact) if each.name == name).metadata.get("bounds")
+    return found or Bounds(-math.inf, math.inf)
 
 
 def _reference(artifact: Artifact, name: str, value: float) -> float:
@@ -168,19 +166,6 @@ def _reference(artifact: Artifact, name: str, value: float) -> float:
     unit = name.rpartition("_")[2]
     alike = (getattr(artifact, each.name) for each in fields(artifact) if each.name.rpartition("_")[2] == unit)
     return own or max((abs(each) for each in alike if _is_number(each)), default=0.0)
-
-
-def _limit(largest_round: float, takes: Callable[[float], bool], whole: bool) -> float:
-    """The largest number that is taken, to three digits, from the largest round one on."""
-    low, high = largest_round, 2.5 * largest_round
-    if takes(high):  # beyond every round number that was tried
-        return largest_round
-    for _ in range(20):
-        middle = (low + high) / 2
-        low, high = (middle, high) if takes(middle) else (low, middle)
-    digits = 0 if whole else max(0, 2 - math.floor(math.log10(low)))
-    nearest = round(low, digits)
-    return nearest if takes(nearest) else math.floor(low * 10**digits) / 10**digits
 
 
 def _parsed(artifact: Artifact, control: Control, value: Any) -> Any:

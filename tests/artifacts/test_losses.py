@@ -200,7 +200,7 @@ def test_shares_are_from_0_to_1(share: float) -> None:
     for kind in ("patches", "stripes", "grazing"):
         with pytest.raises(BadConfig, match=f"the share of lost pixels must be from 0 to 1, found {share}"):
             lose(kind, body(), share)
-    with pytest.raises(BadConfig, match=f"the largest share of lost pixels must be from 0 to 1, found {share}"):
+    with pytest.raises(BadConfig, match=f"Losses: most must be from 0 to 1, found {share}"):
         Losses(share)
 
 

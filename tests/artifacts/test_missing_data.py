@@ -102,10 +102,10 @@ def test_rates_from_a_range_are_one_setting_away() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"rates": ()}, "shares from 0 to 1, found \\[\\]"),
-        ({"rates": (0.5, 50.0)}, "shares from 0 to 1, found \\[0.5, 50.0\\]"),
-        ({"rates": (float("nan"),)}, "shares from 0 to 1, found \\[nan\\]"),
-        ({"between": (0.5, 0.1)}, "0 <= low <= high <= 1, found \\(0.5, 0.1\\)"),
+        ({"rates": ()}, "must have one rate at least, found none"),
+        ({"rates": (0.5, 50.0)}, "rates must be from 0 to 1, found \\(0.5, 50.0\\)"),
+        ({"rates": (float("nan"),)}, "rates must be from 0 to 1, found \\(nan,\\)"),
+        ({"between": (0.5, 0.1)}, "between low <= high, found \\(0.5, 0.1\\)"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(options: dict[str, Any], message: str) -> None:

@@ -16,7 +16,7 @@ from bodyseg_data.bodies.contacts.limbs import Base, Limb
 from bodyseg_data.bodies.contacts.places import Places
 from bodyseg_data.bodies.contacts.ranges import ARM, chosen, mostly_middle, within
 from bodyseg_data.bodies.contacts.reaching import Goal, Reach
-from bodyseg_data.bodies.contacts.surface import Skin, deepest_m, vertex_normals
+from bodyseg_data.bodies.contacts.surface import PosedSkin, deepest_m, vertex_normals
 from bodyseg_data.core.randomness import generator
 from bodyseg_data.meshes.mesh import Mesh
 
@@ -57,7 +57,7 @@ def test_heights_above_a_ball_are_those_of_geometry() -> None:
     golden = np.pi * (3 - np.sqrt(5)) * np.arange(4000)
     y = np.linspace(-1, 1, 4000)
     ball = np.stack([np.sqrt(1 - y**2) * np.cos(golden), y, np.sqrt(1 - y**2) * np.sin(golden)], axis=1)
-    skin = Skin(ball, ball, np.ones(4000, bool))
+    skin = PosedSkin(ball, ball, np.ones(4000, bool))
     found = skin.heights(np.array([[1.1, 0, 0], [0, 0, 0.9], [0.5, 3, 0]]))
     assert found[0] == pytest.approx(0.1, abs=0.01)
     assert found[1] == pytest.approx(-0.1, abs=0.01)
@@ -109,7 +109,7 @@ def test_a_palm_reaches_the_chest_within_its_joints_ranges_and_lies_on_it() -> N
     chest = places().on("chest")
     at, by = int(chest[np.abs(vertices[chest, 0]).argmin()]), int(places().on("palm", "L")[20])
     goal = Goal(by, vertices[at], np.ones(3), -normals[at])
-    obstacles = Skin(vertices, normals, places().solid & ~limb.vertices)
+    obstacles = PosedSkin(vertices, normals, places().solid & ~limb.vertices)
     still = vertex_normals(adult().modelled, adult().faces)
     reach = Reach(limb, base, still, [goal], obstacles, floor=-5)
     start = Arm(flex=45, abduct=6, twist=-50, elbow=100)
@@ -127,7 +127,7 @@ def test_what_rests_on_the_floor_touches_it() -> None:
     limb = Limb(adult(), "leg", "R")
     base = Base(turns[limb.base_bone], heads[limb.base_bone], turns[0])
     floor = float(vertices[:, 1].min()) + 0.1
-    far = Skin(vertices + 9, vertices, places().solid)
+    far = PosedSkin(vertices + 9, vertices, places().solid)
     still = vertex_normals(adult().modelled, adult().faces)
     reach = Reach(limb, base, still, [], far, floor, [places().on("foot", "R")])
     ranges = {"flex": (-20.0, 90.0), "knee": (0.0, 120.0)}

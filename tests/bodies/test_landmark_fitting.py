@@ -30,7 +30,7 @@ from bodyseg_data.bodies.landmark_fitting.fit import (  # noqa: E402
 )
 from bodyseg_data.bodies.landmark_fitting.fitted import Proposal  # noqa: E402
 from bodyseg_data.bodies.landmark_fitting.search import propose  # noqa: E402
-from bodyseg_data.bodies.landmark_fitting.surface import Points, farthest, mean_geodesic, sample_surface  # noqa: E402
+from bodyseg_data.bodies.landmark_fitting.surface import SurfacePoints, farthest, mean_geodesic, sample_surface  # noqa: E402
 from bodyseg_data.bodies.landmark_fitting.template import FittingBody, fitting_body  # noqa: E402
 from bodyseg_data.bodies.source import Body  # noqa: E402
 from bodyseg_data.bodies.sources import open_source  # noqa: E402
@@ -120,9 +120,9 @@ def test_refining_finds_a_pose_that_was_changed_a_little(body: FittingBody) -> N
 
 
 def test_matches_are_alike_in_place_direction_and_remoteness() -> None:
-    def points(*rows: tuple[float, float, float]) -> Points:
+    def points(*rows: tuple[float, float, float]) -> SurfacePoints:
         positions, normals, remote = zip(*rows, strict=True)
-        return Points(
+        return SurfacePoints(
             np.array([(x, 0, 0) for x in positions], float),
             np.array([(0, 0, z) for z in normals], float),
             np.array(remote),

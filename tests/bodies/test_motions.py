@@ -21,7 +21,7 @@ from bodyseg_data.bodies.motions.catalogue import (
     STRIDES_B,
     STRIDES_C,
     SUBJECTS,
-    Frame,
+    MotionFrame,
 )
 from bodyseg_data.bodies.motions.curves import PoseTrack, Track, angles, from_angles, wander
 from bodyseg_data.bodies.motions.handstand import ARM_C
@@ -58,11 +58,11 @@ MIXED = {"leg.planted", "leg.ankle"}  # seen together, in the turn of the foot a
 
 
 @pytest.fixture(scope="module")
-def frames() -> dict[tuple[str, str], list[Frame]]:
+def frames() -> dict[tuple[str, str], list[MotionFrame]]:
     return {(subject, name): _all(subject, name) for subject, name in NAMES}
 
 
-def _all(subject: str, name: str) -> list[Frame]:
+def _all(subject: str, name: str) -> list[MotionFrame]:
     motion = MOTIONS[subject][name]  # type: ignore[index]
     return [motion.frame(index) for index in range(motion.frames)]
 

@@ -13,14 +13,14 @@ from bodyseg_data.artifacts import ARTIFACTS
 from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
 from bodyseg_data.artifacts.variants import Augmentation
-from bodyseg_data.core.errors import BadConfig, check_fields
+from bodyseg_data.core.errors import BadConfig, bounded, check_fields, one_of
 from bodyseg_data.core.rig import load_rig
 from bodyseg_data.core.rigs.distortion import Distortion
 from bodyseg_data.core.views import Drawn, View, ViewGrid
 from bodyseg_data.packing.options import Packing
 from bodyseg_data.shards.stores.remote import RetryPolicy
 from bodyseg_model.networks.compact import CompactSettings
-from bodyseg_model.training.augmentation.geometric import GeometricAugmentation
+from bodyseg_model.training.augmentation import GeometricAugmentation
 from bodyseg_model.training.recipes import PRESETS
 
 _RIG: Final = load_rig()
@@ -113,3 +113,35 @@ def test_every_kind_of_field_is_checked(name: str, wrong: Any, words: str) -> No
 def test_numbers_of_numpy_whole_floats_and_lists_are_accepted() -> None:
     made = Every(np.float32(1), np.int64(2), many=[1, 2], pair=[1, "a"], anything=object())  # type: ignore[arg-type]
     assert made.whole == 2 and Every(number=3, choice=2).number == 3
+
+
+@dataclass(frozen=True)
+class Bounded:
+    open_below: float = bounded(1.0, 0, 10, above=True)
+    open_above: float = bounded(1.0, 0, 10, below=True)
+    open_twice: float = bounded(1.0, 0, 10, above=True, below=True)
+    closed: int = bounded(1, 1, 50)
+    listed: float = one_of(0.5, (0.5, 2.0))
+    each: tuple[float, ...] = bounded((0.0, 1.0), 0, 1)
+    optional: float | None = bounded(None, 0, 1)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong", "words"),
+    [
+        ("open_below", 0.0, "above 0 and at most 10, found 0.0"),
+        ("open_above", 10.0, "from 0 to below 10, found 10.0"),
+        ("open_twice", 10.0, "above 0 and below 10, found 10.0"),
+        ("closed", 51, "from 1 to 50, found 51"),
+        ("listed", 1.0, "one of 0.5, 2, found 1.0"),
+        ("each", (0.5, 1.5), r"from 0 to 1, found \(0.5, 1.5\)"),
+        ("optional", float("nan"), "from 0 to 1, found nan"),
+    ],
+)
+def test_numbers_beyond_the_bounds_of_a_field_are_refused(name: str, wrong: Any, words: str) -> None:
+    with pytest.raises(BadConfig, match=f"^Bounded: {name} must be {words}$"):
+        Bounded(**{name: wrong})
+    assert Bounded(10.0, 0.0, 5.0, 50, 2.0, (), 1.0)

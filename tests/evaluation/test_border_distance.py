@@ -6,9 +6,7 @@ from scipy import ndimage
 from skimage.segmentation import find_boundaries
 
 from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_model.evaluation.border_distance import BIN_NAMES, EDGES, BorderErrors, distance_bins
-from bodyseg_model.evaluation.mistakes import KINDS
-from bodyseg_model.evaluation.scores import pairs_of
+from bodyseg_model.evaluation.scores import BIN_NAMES, EDGES, KINDS, BorderErrors, distance_bins, pairs_of
 
 
 def by_transform(labels: np.ndarray) -> np.ndarray:

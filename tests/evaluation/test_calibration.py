@@ -7,7 +7,7 @@ import pytest
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import PART_COUNT
-from bodyseg_model.evaluation.calibration import CELLS, Confidences
+from bodyseg_model.evaluation.scores import CELLS, Confidences
 
 
 def pixels(seed: int, count: int, sharp: float) -> tuple[np.ndarray, np.ndarray]:

@@ -17,13 +17,11 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
 from bodyseg_model.commands import cli
 from bodyseg_model.commands import evaluate as command
-from bodyseg_model.evaluation import evaluation, frame_times
-from bodyseg_model.evaluation.border_distance import distance_bins
-from bodyseg_model.evaluation.evaluation import Evaluation, PredictedImage, Scores, evaluate, open_images
-from bodyseg_model.evaluation.frame_times import time_frames
-from bodyseg_model.evaluation.mistakes import KINDS
+from bodyseg_model.evaluation import evaluation
+from bodyseg_model.evaluation.evaluation import Evaluation, PredictedImage, Scores, evaluate, open_images, time_frames
+from bodyseg_model.evaluation.figures import SamplePicture
 from bodyseg_model.evaluation.report import report
-from bodyseg_model.evaluation.samples import SamplePicture
+from bodyseg_model.evaluation.scores import KINDS, distance_bins
 from bodyseg_model.networks.checkpoints import load_network, save_network
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import Prediction, build, predict
@@ -191,9 +189,9 @@ def test_strengths_of_artifacts_can_be_fixed(small_set: Path) -> None:
     for variant, strengths in (("md", {"noise_mm": 1.0}), ("none", {"noise_mm": 0.0}), ("noise", {"missing": 0.5})):
         with pytest.raises(BadConfig, match=f"has (noise|missing_data), found variant '{variant}'"):
             open_images(str(small_set), variant, **strengths)  # type: ignore[arg-type]
-    with pytest.raises(BadConfig, match="must be shares from 0 to 1, found"):
+    with pytest.raises(BadConfig, match="rates must be from 0 to 1, found"):
         open_images(str(small_set), missing=1.5)
-    with pytest.raises(BadConfig, match="noise must satisfy"):
+    with pytest.raises(BadConfig, match="low_mm must be from 0 to 1000, found nan"):
         open_images(str(small_set), noise_mm=float("nan"))
 
 
@@ -316,10 +314,10 @@ def test_the_picture_keeps_the_first_of_each_subset_and_the_worst(
 def test_frames_are_timed_one_by_one(network: ByRange, monkeypatch: pytest.MonkeyPatch) -> None:
     # Three frames untimed, then 10, 20 and 60 ms.
     ticks = iter([0, 9, 0, 9, 0, 9, 0, 0.010, 0, 0.020, 0, 0.060])
-    monkeypatch.setattr(frame_times.time, "perf_counter", lambda: next(ticks))
+    monkeypatch.setattr(evaluation.time, "perf_counter", lambda: next(ticks))
     asked: list[tuple[int, ...]] = []
     monkeypatch.setattr(
-        frame_times, "predict", lambda _, frame: (asked.append(tuple(frame.shape)), predict(network, frame))[1]
+        evaluation, "predict", lambda _, frame: (asked.append(tuple(frame.shape)), predict(network, frame))[1]
     )
     frames = [torch.full((1, 1, 4, size), 2.0) for size in (5, 6, 7)]
     times = time_frames(network, frames)
@@ -392,7 +390,7 @@ def test_several_sets_are_one_evaluation_unless_they_share_samples(
         (["--batch-size", "0"], "batch_size must be a whole number of at least 1, found 0"),
         (["--device", "abacus"], "cannot compute on the device 'abacus'"),
         (["--variant", "none", "--noise-mm", "5"], "a strength of noise is for a variant that has noise"),
-        (["--missing", "2"], "missing-data rates must be shares from 0 to 1"),
+        (["--missing", "2"], "MissingData: rates must be from 0 to 1"),
         (["--artifacts", "{"], "--artifacts must be JSON, found '{'"),
         (["--variant", "noise", "--artifacts", '{"losses": {"most": 0.5}}'], "for a variant that has missing_data"),
         (["--seed", "-1"], "a seed must be a whole number from 0"),

@@ -18,8 +18,8 @@ from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
 from bodyseg_data.core.parts import BACKGROUND, PARTS
 from bodyseg_model.commands import cli
 from bodyseg_model.evaluation.evaluation import Evaluation, Scores, evaluate, open_images
-from bodyseg_model.evaluation.mistakes import KINDS, count_kinds, kinds_of, told_kinds
 from bodyseg_model.evaluation.report import report
+from bodyseg_model.evaluation.scores import KINDS, count_kinds, kinds_of, told_kinds
 from bodyseg_model.networks.checkpoints import save_network
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import build, predict

@@ -5,7 +5,7 @@ import pytest
 
 from bodyseg_data.core.labels.label_map import PARTS33
 from bodyseg_data.core.parts import LANDMARKS, PARTS
-from bodyseg_model.evaluation.mistakes import KINDS, REGIONS, count_kinds, kinds_of
+from bodyseg_model.evaluation.scores import KINDS, REGIONS, count_kinds, kinds_of
 
 
 def kind(truth: str, predicted: str) -> str:

@@ -5,10 +5,15 @@ import pytest
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_model.evaluation.border_distance import BorderErrors
-from bodyseg_model.evaluation.calibration import Confidences
 from bodyseg_model.evaluation.evaluation import Evaluation, Scores
-from bodyseg_model.evaluation.scores import ConfusionMatrix, PerImageAccuracy, count_pairs, pairs_of
+from bodyseg_model.evaluation.scores import (
+    BorderErrors,
+    Confidences,
+    ConfusionMatrix,
+    PerImageAccuracy,
+    count_pairs,
+    pairs_of,
+)
 
 
 def image(*labels: int) -> np.ndarray:

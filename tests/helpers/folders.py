@@ -1,5 +1,6 @@
 """Folders that tests read."""
 
+import os
 from pathlib import Path
 from typing import Final
 
@@ -8,8 +9,8 @@ TESTS: Final = HELPERS.parent
 ROOT: Final = TESTS.parent
 DOCS: Final = ROOT / "docs"
 GOLDEN: Final = TESTS / "golden"
-SHARED_DATA: Final = ROOT.parent / "shared" / "data"
-"""Bodies and frames whose licences keep them out of the repository; tests that need them say when they are absent."""
+SHARED_DATA: Final = Path(os.environ.get("BODYSEG_SHARED_DATA", ROOT.parent / "shared" / "data"))
+"""Bodies and frames whose licences keep them out of the repository; see the fixture `shared_data`."""
 
 MADE_PAGES: Final = (DOCS / "results" / "index.md", DOCS / "results" / "tables.md")
 """Pages that `make page` writes."""

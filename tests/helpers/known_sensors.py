@@ -16,7 +16,7 @@ from bodyseg_data.core.rig import Rig, load_rig
 from bodyseg_model.recordings.cameras import FrameCamera
 from bodyseg_model.sensor_fit.finding import Finding
 from bodyseg_model.sensor_fit.fit import SensorFit, fit_sensor
-from bodyseg_model.sensor_fit.recording import Recording
+from bodyseg_model.sensor_fit.recording import MarkedRecording
 
 
 def _narrow_rig() -> Rig:
@@ -36,12 +36,12 @@ def _scenes() -> Scenes:
 
 
 @cache
-def recorded(*artifacts: Artifact, frames: int = 4, moving: bool = False, wall: bool = False) -> Recording:
+def recorded(*artifacts: Artifact, frames: int = 4, moving: bool = False, wall: bool = False) -> MarkedRecording:
     """A recording of the figure with these artifacts, made once."""
     return _scenes().record(Scene(frames, moving, wall), SensorModel("known", artifacts))
 
 
-def fitted(recording: Recording, camera: FrameCamera = CAMERA) -> dict[str, Finding]:
+def fitted(recording: MarkedRecording, camera: FrameCamera = CAMERA) -> dict[str, Finding]:
     """All findings by artifact."""
     return by_artifact(fit_sensor(recording, camera))
 
@@ -51,7 +51,7 @@ def by_artifact(fit: SensorFit) -> dict[str, Finding]:
     return {finding.artifact: finding for finding in fit.findings}
 
 
-def flipped(recording: Recording) -> Recording:
+def flipped(recording: MarkedRecording) -> MarkedRecording:
     """The recording with left and right exchanged."""
     frames = tuple(
         replace(

@@ -13,7 +13,7 @@ import torch
 from bodyseg_data import RangeImages
 from bodyseg_model.evaluation.evaluation import Scores
 from bodyseg_model.networks.registry import build
-from bodyseg_model.training.augmentation.geometric import GeometricAugmentation
+from bodyseg_model.training.augmentation import GeometricAugmentation
 from bodyseg_model.training.distributed import ProcessGroup
 from bodyseg_model.training.loop import RunOptions, Training
 from bodyseg_model.training.metrics import Metrics

@@ -7,8 +7,8 @@ import torch.nn.functional as F  # noqa: N812
 from torch import nn
 
 from bodyseg_data.core.parts import PART_COUNT
-from bodyseg_model.networks.input.relief import check_range_images, relief_of
 from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.patches import check_range_images, relief_of
 
 
 class Toy(Network):

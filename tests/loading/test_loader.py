@@ -17,6 +17,8 @@ from bodyseg_data import RangeImages, loader
 from bodyseg_data.core.errors import BadConfig, BadShard
 from bodyseg_data.loading.loader import Loader
 from bodyseg_data.loading.slots import SPARE, Slots
+from bodyseg_data.loading.worker_processes import ProcessWorkers
+from bodyseg_data.loading.worker_threads import ThreadWorkers
 
 WAYS = [(0, "thread"), (2, "process"), (2, "thread")]
 """Numbers of workers, and their kind."""
@@ -80,6 +82,45 @@ def test_sixteen_bits_are_the_same_ranges(small_set: Path, workers: int, method:
         assert steps["range"].dtype == torch.uint16
         assert torch.equal(steps["range"].to(torch.float32).mul_(images.step_m), metres["range"])
         assert torch.equal(steps["labels"], metres["labels"])
+
+
+@pytest.mark.parametrize(
+    ("workers", "method", "options", "ahead"),
+    [
+        (2, "thread", {}, 4),
+        (2, "process", {}, 4),
+        (3, "thread", {"prefetch_factor": 1}, 3),
+        (1, "thread", {"prefetch_factor": 5}, 5),
+    ],
+)
+def test_as_many_batches_are_asked_for_in_advance_as_the_prefetch_factor_says(
+    small_set: Path, monkeypatch: pytest.MonkeyPatch, workers: int, method: Any, options: dict[str, Any], ahead: int
+) -> None:
+    """Two for each worker, as in PyTorch: more would take memory, and fewer let workers wait."""
+    kind = {"thread": ThreadWorkers, "process": ProcessWorkers}[method]
+    asked: list[Any] = []
+    submit = kind.submit
+
+    def counted(self: Any, request: Any) -> None:
+        asked.append(request)
+        submit(self, request)
+
+    monkeypatch.setattr(kind, "submit", counted)
+    batches = loader(RangeImages(small_set, "none", "train"), 1, workers, worker_method=method, **options)
+    given = [len(asked) for _ in batches]
+    assert given == [min(number + ahead, 16) for number in range(1, 17)]
+
+
+def test_without_workers_a_batch_is_made_when_it_is_asked_for(small_set: Path) -> None:
+    made: list[int] = []
+
+    class Counted(RangeImages):
+        def write(self, index: int, *where: Any) -> None:
+            made.append(index)
+            super().write(index, *where)
+
+    for number, _ in enumerate(loader(Counted(small_set, "none", "train"), 3), start=1):
+        assert len(made) == min(3 * number, 16)
 
 
 def test_slots_come_back_when_nobody_holds_them() -> None:

@@ -15,8 +15,8 @@ from bodyseg_model.commands.cli import main
 from bodyseg_model.networks.checkpoints import Trained, load_network, save_network
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import NETWORKS, build, predict
-from bodyseg_model.training.augmentation.mirror import mirror
-from bodyseg_model.training.objective.loss import NetworkWithLoss, part_weights
+from bodyseg_model.training.augmentation import mirror
+from bodyseg_model.training.loss import NetworkWithLoss, part_weights
 
 SMALL: dict[str, dict[str, Any]] = {
     "fcn_alexnet": {"width": 1 / 16},

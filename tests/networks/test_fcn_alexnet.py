@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
+from numpy_alexnet import figure_4
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.networks import pretrained
@@ -94,6 +95,66 @@ def test_an_answer_lies_where_it_looked() -> None:
     rows = torch.arange(481.0, dtype=torch.float64)
     centre = (seen.sum(dim=1) * rows).sum() / seen.sum(), (seen.sum(dim=0) * rows).sum() / seen.sum()
     assert centre == pytest.approx((pixel, pixel), abs=0.01)
+
+
+@pytest.fixture(scope="module")
+def lively() -> FcnAlexnet:
+    """A narrow network whose weights are so large that every ReLU and the normalisation change its answer."""
+    torch.manual_seed(4)
+    network = FcnAlexnet(normalise=True, width=1 / 16).eval()
+    with torch.no_grad():
+        for name, value in network.named_parameters():
+            if name.endswith("weight") and name != "upfeat.weight":
+                value.normal_(std=(2 / value[0].numel()) ** 0.5)
+            elif name.endswith("bias"):
+                value.normal_()
+    return network
+
+
+@pytest.mark.parametrize("normalise", [False, True])
+def test_the_forward_pass_is_figure_4_in_plain_numpy(lively: FcnAlexnet, normalise: bool) -> None:
+    network = FcnAlexnet(normalise, 1 / 16).eval()
+    network.load_state_dict(lively.state_dict())
+    range_m = 2 + np.random.default_rng(0).random((90, 41))
+    range_m[:30, :20] = 0  # nothing measured
+    weights = {name: value.double().numpy() for name, value in network.state_dict().items()}
+    expected = figure_4(weights, range_m, normalise)
+    with torch.no_grad():
+        found = network(torch.from_numpy(range_m)[None, None].float())[0].numpy()
+    np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
+    other = figure_4(weights, range_m, not normalise)
+    assert np.abs(other - expected).max() > 0.05 * np.abs(expected).max()
+
+
+def test_half_of_what_conv6_and_conv7_give_is_dropped_while_learning_and_nothing_else(lively: FcnAlexnet) -> None:
+    """As in AlexNet: what is kept counts twice, and what is asked for later is all there."""
+    seen: dict[str, tuple[torch.Tensor, torch.Tensor]] = {}
+    layers = {name: layer for name, layer in lively.named_children() if name.startswith(("conv", "score"))}
+    hooks = [
+        layer.register_forward_hook(lambda _, x, y, name=name: seen.update({name: (x[0], y)}))
+        for name, layer in layers.items()
+    ]
+    range_m = 2 + torch.rand(8, 1, 60, 40, generator=torch.Generator().manual_seed(1))
+    try:
+        with torch.no_grad():
+            lively(range_m)
+            whole = dict(seen)
+            torch.manual_seed(0)
+            lively.train()(range_m)
+    finally:
+        lively.eval()
+        for hook in hooks:
+            hook.remove()
+    for name in ("conv1", "conv2", "conv3", "conv4", "conv5", "conv6"):
+        assert torch.equal(seen[name][0], whole[name][0]), "no dropout before conv6"
+    for name, after in (("conv6", "conv7"), ("conv7", "conv8")):
+        given, taken = seen[name][1].relu(), seen[after][0]
+        kept = taken != 0
+        assert torch.equal(taken[kept], 2 * given[kept])
+        assert float(kept[given > 0].float().mean()) == pytest.approx(0.5, abs=0.03)
+        assert torch.equal(whole[after][0], whole[name][1].relu())
+    every = torch.arange(60), torch.arange(40)
+    assert torch.equal(seen["score"][0], lively._upsampled(seen["conv8"][1].relu(), *every)), "nor after conv8"
 
 
 # AlexNet's own files, made small in number of fields only: the same messages, names and sizes.

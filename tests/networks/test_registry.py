@@ -22,7 +22,7 @@ from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_model.networks import registry
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import NETWORKS, build, network_class, parameters, predict, predict_each
-from bodyseg_model.training.objective.loss import NetworkWithLoss
+from bodyseg_model.training.loss import NetworkWithLoss
 from bodyseg_model.training.recipes import PRESETS
 
 PACKAGE = Path(registry.__file__).parents[1]

@@ -14,7 +14,7 @@ from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.sample import HELD, Sample
 from bodyseg_data.core.views import View
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.pieces import Piece
+from bodyseg_data.meshes.partition.pieces import SurfacePiece
 from bodyseg_data.packing.mesh_reduction import reduced_body
 from bodyseg_data.packing.sampler import Sampler
 from bodyseg_data.packing.things import ThingsPlace
@@ -30,7 +30,7 @@ def holding(subdivisions: int = 2) -> Body:
     points, faces = icosphere(subdivisions, 0.06)
     vertices = np.concatenate([BARE.vertices, points + np.array([-0.1, 1.2, 0.24])])
     mesh = Mesh("holding", vertices, np.concatenate([BARE.faces, faces + len(BARE.vertices)]))
-    return Body(mesh, evenly_drawn(BARE), pieces=(Piece(len(BARE.vertices)),))
+    return Body(mesh, evenly_drawn(BARE), pieces=(SurfacePiece(len(BARE.vertices)),))
 
 
 def taken(body: Body, things: ThingsPlace = "none") -> Sample:

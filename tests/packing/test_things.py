@@ -36,7 +36,7 @@ from bodyseg_data.shards.faults import find_faults
 from bodyseg_data.shards.manifest import read_manifest
 from bodyseg_data.shards.sample_codec import decode_sample, encode_sample
 from bodyseg_model.networks.registry import build
-from bodyseg_model.training.objective.loss import NetworkWithLoss
+from bodyseg_model.training.loss import NetworkWithLoss
 
 REF = BodyRef("people", "P1", "P1-0", "standing", "test")
 MESH = figure()

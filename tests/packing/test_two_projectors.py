@@ -11,11 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kernel_forms import computed_by
+from pictures import decoded, marks, part
 
 from bodyseg_data.artifacts.occlusion import lit_pixels
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.commands import cli
 from bodyseg_data.core.errors import BadShard
+from bodyseg_data.core.parts import COLOURS
 from bodyseg_data.core.rig import Rig, load_rig
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.loading.loader import loader
@@ -91,7 +93,11 @@ def test_inspect_draws_and_counts_a_set(
     assert cli.main(["inspect", str(sets[codec]), "--variant", "occ", "--json", "--out", f"{tmp_path}/sheet.png"]) == 0
     both = json.loads(capsys.readouterr().out)
     assert both["rig"] == "paper" and 0.5 < both["kept"] < 1
-    assert (tmp_path / "sheet.png").stat().st_size > 10_000
+    picture = part(decoded(tmp_path / "sheet.png"), down=(0, 0.5))  # without the legend
+    images = RangeImages(sets[codec])
+    parts = np.unique(images.clean(0).labels)
+    seen = [label for label in parts[parts < 33] if marks(picture, COLOURS[label].tolist(), 30)]
+    assert len(seen) > 10, "labels are in their colours"
 
 
 def test_more_is_lit_than_by_one_projector_whose_set_is_the_same_else(

@@ -15,11 +15,8 @@ from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera
 from bodyseg_data.core.system.torch_threads import torch_threads
 from bodyseg_model.segmentation.temporal import carried_labels
-from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels, Carrying
-from bodyseg_model.segmentation.temporal.cell_loops import Lens
-from bodyseg_model.segmentation.temporal.evidence_loops import SLOTS, UNIT, nearest, nearest_first
-from bodyseg_model.segmentation.temporal.motion import still
-from bodyseg_model.segmentation.temporal.part_loops import count_matches, match_parts, peak
+from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels, Carrying, nearest_first, part_shifts
+from bodyseg_model.segmentation.temporal.carried_loops import SLOTS, UNIT, Cells, Lens, nearest
 
 LENS = Camera(120, 160, 200.0, (80.0, 60.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 FINE = Camera(480, 640, 800.0, (320.0, 240.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
@@ -225,11 +222,11 @@ def test_a_point_is_sought_at_the_nearest_pixel_of_its_range(reach: int) -> None
         fits = [
             ((v - line) ** 2 + (u - column) ** 2, v, u)
             for v, u in np.ndindex(10, 12)
-            if 0 < max(abs(v - line), abs(u - column)) <= reach and abs(old[v * 12 + u] - 2.01) <= 0.03
+            if max(abs(v - line), abs(u - column)) <= reach and abs(old[v * 12 + u] - 2.01) <= 0.03
         ]
         expected = -1 if not fits else min(fits)[1] * 12 + min(fits)[2]
         args = np.float32(2.01), old, lens, np.float32(0.03), reach, steps
-        assert nearest(column, line, *args) == expected
+        assert nearest(line, column, *args) == expected
 
 
 def test_labels_that_slide_along_a_board_are_followed() -> None:
@@ -244,31 +241,19 @@ def test_labels_that_slide_along_a_board_are_followed() -> None:
             labels[row : row + 36, column : column + 25] = part
         shown = [call(video, range_m, labels) for video in (followed, behind)]
     wrong, late = ((image != labels)[range_m > 0].mean() for image in shown)
-    assert wrong < 0.01 and late > 0.05
+    assert wrong < 0.03 and late > 0.05
 
 
-def test_a_part_is_matched_to_where_its_label_was() -> None:
-    lens = Lens(200.0, 80.0, 60.0, 160, 120, 4, 40, 30)
-    range_m, labels = np.zeros((120, 160), np.float32), np.full((120, 160), BACKGROUND, np.uint8)
-    range_m[20:100, 30:130], labels[20:100, 30:130] = 2.0, 1
-    labels[50:80, 60:90], labels[20:23, 30:33] = 2, 3
-    slots = np.full((range_m.size, SLOTS), BACKGROUND, np.uint32)
-    slots[:, 0] = np.roll(labels, (2, -1), (0, 1)).ravel()
-    slots[: 23 * 160, 0] = 1
-    shifts, weights = np.zeros((256, 3), np.float32), np.zeros(256, np.float32)
-    flat, pixels = range_m.ravel(), np.flatnonzero(range_m)
-    matches = count_matches(flat, pixels, labels.ravel(), flat, slots, still(), shifts, lens, np.float32(0.03), 2, 1)
-    match_parts(*matches, lens.focal, shifts, weights)
-    pixel_m = 2.0 / 200
-    np.testing.assert_allclose(shifts[2], [-pixel_m, 2 * pixel_m, 0], atol=0.5 * pixel_m)
-    assert (weights[2], weights[3]) == (1, 0) and not shifts[3].any(), "nine pixels are too few to be matched"
-
-
-def test_the_peak_of_counts_lies_on_a_parabola() -> None:
-    places = np.arange(5)
-    counts = (100 - 4 * (places - 2.25) ** 2) * 100
-    assert peak(counts.astype(np.int64), 2) == pytest.approx(0.25, abs=0.01)
-    assert peak(np.array([3, 2, 1]), 0) == peak(np.array([1, 2, 3]), 2) == peak(np.array([2, 2, 2]), 1) == 0
+def test_parts_shift_by_their_middles_unless_they_are_small_or_far() -> None:
+    points = np.zeros((120, 3), np.float32)
+    points[:, 0], points[:, 2] = np.linspace(0, 1.2, 120), 2.0
+    labels = np.repeat(np.array([1, 2, 3], np.uint8), [50, 60, 10])
+    before = points + np.where(labels[:, None] == 1, np.float32(0.1), np.float32(0.4))
+    earlier = Cells(np.zeros(0, np.int32), before, before, np.zeros((0, 4), np.int64), labels, 0.0)
+    shifts, weights = part_shifts(points, labels, earlier)
+    np.testing.assert_allclose(shifts[:50], 0.1, atol=1e-5)
+    assert not shifts[50:].any(), "further than a part comes in a frame, and ten cells are too few"
+    assert (weights[:50] > 0).all() and not weights[50:].any()
 
 
 @pytest.mark.parametrize(
@@ -278,8 +263,8 @@ def test_the_peak_of_counts_lies_on_a_parabola() -> None:
         ({"stiff_border_share": -0.1}, "stiff_border_share of carried labels must be 0 to 1, found -0.1"),
         ({"border": -1}, "the border of carried labels must be a whole number of at least 0, found -1"),
         ({"stiff_border": 0.5}, "the stiff_border of carried labels must be a whole number of at least 0, found 0.5"),
-        ({"keep": 1.0}, "the share of evidence that is kept must be 0 to less than 1, found 1"),
-        ({"slow": -1.0}, "slow of carried labels must be at least 0, found -1"),
+        ({"keep": 1.0}, "keep of carried labels must be 0 to less than 1, found 1"),
+        ({"bending_keep": -0.1}, "bending_keep of carried labels must be 0 to less than 1, found -0.1"),
         ({"margin": float("nan")}, "margin of carried labels must be at least 0, found nan"),
         ({"reach": -1}, "the reach of carried labels must be a whole number of at least 0, found -1"),
         ({"cell_m": 0.0}, "the cells of carried labels must be larger than 0 m, found 0"),
@@ -291,8 +276,7 @@ def test_parameters_that_cannot_be(options: dict[str, Any], message: str) -> Non
 
 
 def test_without_numba_one_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("cell_loops", "motion", "motion_loops", "part_loops", "evidence_loops"):
-        monkeypatch.delitem(sys.modules, f"bodyseg_model.segmentation.temporal.{name}", raising=False)
+    monkeypatch.delitem(sys.modules, "bodyseg_model.segmentation.temporal.carried_loops", raising=False)
     monkeypatch.setitem(sys.modules, "numba", None)
     with pytest.raises(MissingLibrary, match="carrying labels through a video needs the package 'numba'"):
         CarriedLabels()

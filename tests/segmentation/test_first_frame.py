@@ -5,24 +5,20 @@ from __future__ import annotations
 import subprocess
 import sys
 
-import pytest
-
 PROGRAM = """
 import numpy as np, torch
 from bodyseg_data.core.rig import load_sensor
 from bodyseg_model.networks.checkpoints import shipped_network
-from bodyseg_model.segmentation.people.person_score import shipped_score
+from bodyseg_model.segmentation.person_score import shipped_score
 from bodyseg_model.segmentation.segmenter import Segmenter
 
 torch.set_num_threads(2)
 camera, trained = load_sensor("kinect_v1").camera, shipped_network()
 segment = Segmenter(trained.network, camera, rig=trained.rig, people=shipped_score())
 segment.prepare()
-from bodyseg_model.segmentation import order_loops
-from bodyseg_model.segmentation.people import plane_loops, shape_loops, shape_network_loops, surface_loops
-from bodyseg_model.segmentation.views import resampling_loops
+from bodyseg_model.segmentation import surface_loops, view_loops
 
-modules = order_loops, plane_loops, shape_loops, shape_network_loops, surface_loops, resampling_loops
+modules = surface_loops, view_loops
 loops = {f"{module.__name__}.{name}": loop for module in modules for name, loop in vars(module).items()
          if hasattr(loop, "nopython_signatures")}
 before = {name: len(loop.nopython_signatures) for name, loop in loops.items()}
@@ -35,7 +31,6 @@ print(sorted(name for name, loop in loops.items() if len(loop.nopython_signature
 
 
 def test_no_loop_is_loaded_by_the_first_frame_in_two_threads() -> None:
-    pytest.importorskip("numba")
     done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, timeout=200, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout == "[]\n"

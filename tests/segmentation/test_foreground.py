@@ -9,13 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from plain_loops import connected_surfaces
 from skimage.measure import label
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import Camera
 from bodyseg_model.segmentation.foreground import Background, find_bodies
-from bodyseg_model.segmentation.people.room_planes import on_largest_plane, seen_area_m2
-from bodyseg_model.segmentation.people.surfaces import GAP_PIXELS, JUMP_M, JUMP_SHARE, SHADOW_M, connected_surfaces
+from bodyseg_model.segmentation.room_planes import on_largest_plane, seen_area_m2
+from bodyseg_model.segmentation.surfaces import GAP_PIXELS, JUMP_M, JUMP_SHARE, SHADOW_M
 
 Image = NDArray[np.float32]
 
@@ -359,3 +360,14 @@ def test_all_that_the_removal_depends_on_is_stated(background: Background, keys:
     stated: dict[str, Any] = background.to_json()
     assert set(stated) == keys
     assert stated["mode"] == background.mode
+
+
+@pytest.mark.parametrize("mode", ["people", "limits", "keep"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -1.0])
+def test_what_is_no_range_is_not_measured(mode: Any, value: float) -> None:
+    image = frame(person(0.0, 2.5))
+    broken, holes = image.copy(), np.random.default_rng(0).random(image.shape) < 0.2
+    broken[holes], image[holes] = value, 0
+    found, expected = (find_bodies(each, KINECT, Background(mode)) for each in (broken, image))
+    assert len(found) == len(expected) == 1
+    np.testing.assert_array_equal(found[0], expected[0])

@@ -23,7 +23,7 @@ from bodyseg_model.networks.checkpoints import Trained
 from bodyseg_model.recordings.frames import find_frames
 from bodyseg_model.segmentation.frame_labeller import FrameLabeller, LabelledFrame
 from bodyseg_model.segmentation.segmenter import STAGES, Segmenter
-from bodyseg_model.segmentation.views.undistortion import Undistortion
+from bodyseg_model.segmentation.views import Undistortion
 
 CAMERA = Camera(60, 80, 100.0, (40.0, 30.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 BENT = replace(CAMERA, distortion=Distortion(k1=0.1))

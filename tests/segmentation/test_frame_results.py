@@ -15,7 +15,7 @@ from PIL import Image
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.system import deflate
 from bodyseg_model.segmentation.output_folder import WriteBehind
-from bodyseg_model.segmentation.pictures.picture_png import encode_picture
+from bodyseg_model.segmentation.pictures import encode_picture
 
 
 def fails(message: str) -> None:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from folders import SHARED_DATA
 from label_networks import Places
 from numpy.typing import NDArray
 from PIL import Image
@@ -20,11 +18,16 @@ from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import Camera, load_sensor
 from bodyseg_model.networks.checkpoints import shipped_network
 from bodyseg_model.segmentation.foreground import Background
-from bodyseg_model.segmentation.people.person_score import PersonScore, shipped_score
-from bodyseg_model.segmentation.people.shape_network import shipped_shape_network
-from bodyseg_model.segmentation.people.surface_shape import MEASURES, SurfaceShape, surface_shape
+from bodyseg_model.segmentation.person_score import (
+    MEASURES,
+    PersonScore,
+    SurfaceShape,
+    shipped_score,
+    shipped_shape_network,
+    surface_shape,
+)
 from bodyseg_model.segmentation.segmenter import Segmenter
-from bodyseg_model.stability.people_and_things import rooms_of
+from bodyseg_model.stability.rooms import rooms_of
 
 CAMERA = Camera(240, 320, 262.5, (160.0, 120.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -169,9 +172,6 @@ def test_people_in_made_rooms_are_kept_and_most_things_are_not() -> None:
     assert people >= 5 and things >= 5 and lost <= 1 and labelled <= things / 3
 
 
-REAL = Path(os.environ.get("BODYSEG_REAL", SHARED_DATA / "real"))
-
-
 @pytest.mark.parametrize(
     ("sequence", "names"),
     [
@@ -179,12 +179,11 @@ REAL = Path(os.environ.get("BODYSEG_REAL", SHARED_DATA / "real"))
         ("kinect_v2", ["01.png", "02.png", "03.png"]),
     ],
 )
-def test_real_people_are_kept(sequence: str, names: list[str]) -> None:
-    if not (REAL / sequence).is_dir():
-        pytest.skip(f"real frames are absent: no {sequence} in {REAL} (set BODYSEG_REAL to the folder that has it)")
+def test_real_people_are_kept(sequence: str, names: list[str], shared_data: Callable[[str], Path]) -> None:
+    folder = shared_data(f"real/{sequence}")
     camera = load_sensor(sequence).camera
     segmenter = Segmenter(shipped_network().network, camera, people=shipped_score())
     for name in names:
-        with Image.open(REAL / sequence / name) as picture:
+        with Image.open(folder / name) as picture:
             found = segmenter((np.asarray(picture) / 1000).astype(np.float32))
         assert found.bodies and len(found.bodies[0].pixels) > 19_000, name

@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kernel_forms import by_both
 from numpy.typing import NDArray
+from plain_loops import PlainViewLoops
 from shapes import figure
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import Camera, PlacedCamera, axes_at, load_rig
 from bodyseg_data.rendering.raster import RasterRenderer
-from bodyseg_model.segmentation.views.resampling import (
+from bodyseg_model.segmentation import views as module
+from bodyseg_model.segmentation.views import (
     LARGEST_SIDE,
     STEP,
     USUAL_PEOPLE,
@@ -196,15 +197,27 @@ def test_every_pixel_of_a_body_has_its_place_in_the_view(case: tuple[int, int, f
 
 
 @given(bodies)
-def test_compiled_loops_and_numpy_give_the_same_bits(case: tuple[int, int, float, float, float, int, bool]) -> None:
+def test_loops_give_the_bits_of_plain_forms(case: tuple[int, int, float, float, float, int, bool]) -> None:
     *shape, mirrored = case
     image, lens = body_and_lens(*shape)
-    views = by_both(lambda: view_body(image, np.flatnonzero(image), lens, PAPER, mirrored))
-    np.testing.assert_array_equal(views[0].range_m, views[1].range_m)
-    np.testing.assert_array_equal(views[0].view_pixels, views[1].view_pixels)
-    assert [(view.corner, view.turn_rad, view.median_range_m, view.scale) for view in views[:1]] == [
-        (view.corner, view.turn_rad, view.median_range_m, view.scale) for view in views[1:]
-    ]
+    found = view_body(image, np.flatnonzero(image), lens, PAPER, mirrored)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "_loops", lambda: PlainViewLoops)
+        plain = view_body(image, np.flatnonzero(image), lens, PAPER, mirrored)
+    np.testing.assert_array_equal(found.range_m, plain.range_m)
+    np.testing.assert_array_equal(found.view_pixels, plain.view_pixels)
+    assert (found.corner, found.scale) == (plain.corner, plain.scale)
+
+
+@pytest.mark.parametrize(("value", "named"), [(np.nan, "nan"), (np.inf, "inf"), (-2.0, "-2"), (0.0, "0")])
+def test_ranges_that_are_none_are_refused(value: float, named: str) -> None:
+    image = np.full((6, 5), 2.0, np.float32)
+    image[3, 2] = value
+    with pytest.raises(BadConfig, match=f"^a body's ranges must be finite and in front of its view, found {named}"):
+        view_body(image, np.arange(30), camera(6, 5, 50.0), PAPER, turn_rad=0.0)
+    if value != 0:
+        with pytest.raises(BadConfig, match="^a body's ranges must be finite and in front of its view, found "):
+            view_body(image, np.arange(30), camera(6, 5, 50.0), PAPER)
 
 
 def test_a_pixel_of_the_view_is_the_pixel_that_its_centre_falls_in() -> None:

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
+import sys
 import tarfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from folders import SHARED_DATA
 from label_networks import Places
 from numpy.typing import NDArray
 from PIL import Image
@@ -32,9 +31,8 @@ from bodyseg_model.recordings.camera_files import cameras_beside
 from bodyseg_model.recordings.frames import find_frames
 from bodyseg_model.recordings.skipping import Skipping
 from bodyseg_model.runtimes import backends
-from bodyseg_model.segmentation.people.person_score import shipped_score
-from bodyseg_model.segmentation.views.resampling import usual_views
-from bodyseg_model.segmentation.views.undistortion import Undistortion
+from bodyseg_model.segmentation.person_score import shipped_score
+from bodyseg_model.segmentation.views import Undistortion, usual_views
 
 Frame = NDArray[np.uint16]
 
@@ -89,6 +87,14 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:
 def report(out: Path) -> dict[str, Any]:
     parsed: dict[str, Any] = json.loads((out / "summary.json").read_text())
     return parsed
+
+
+def test_an_install_without_numba_names_the_extra(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "numba", None)
+    said = refused(capsys, recording, "--focal", "100", "--out", tmp_path / "out")
+    assert said.startswith("labelling frames needs the package 'numba': pip install 'bodyseg[segment]'")
 
 
 def test_a_recording_is_labelled(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -524,9 +530,6 @@ def test_things_are_told_whatever_classes_a_network_has(
     assert report(tmp_path / "out")["things"] == 5
 
 
-REAL = Path(os.environ.get("BODYSEG_REAL", SHARED_DATA / "real"))
-
-
 @pytest.mark.parametrize(
     ("sequence", "names", "least_pixels"),
     [
@@ -534,20 +537,20 @@ REAL = Path(os.environ.get("BODYSEG_REAL", SHARED_DATA / "real"))
         ("kinect_v2", ["01.png", "03.png"], 19000),
     ],
 )
-def test_real_frames_have_one_person_each(sequence: str, names: list[str], least_pixels: int, tmp_path: Path) -> None:
-    if not (REAL / sequence).is_dir():
-        pytest.skip(f"real frames are absent: no {sequence} in {REAL} (set BODYSEG_REAL to the folder that has it)")
-    files = [REAL / sequence / name for name in names]
+def test_real_frames_have_one_person_each(
+    sequence: str, names: list[str], least_pixels: int, tmp_path: Path, shared_data: Callable[[str], Path]
+) -> None:
+    files = [shared_data(f"real/{sequence}") / name for name in names]
     assert run(*files, "--out", tmp_path / "out") == 0
     for frame in report(tmp_path / "out")["each"]:
         assert frame["people"] == 1 and frame["pixels"] > least_pixels
         assert frame["bodies"][0]["range_m"] < 2, "not the wall"
 
 
-def test_mirrored_frames_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    if not (REAL / "kinect_v1").is_dir():
-        pytest.skip(f"real frames are absent: no kinect_v1 in {REAL} (set BODYSEG_REAL to the folder that has it)")
-    file = REAL / "kinect_v1" / "0000000000_depth.png"
+def test_mirrored_frames_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], shared_data: Callable[[str], Path]
+) -> None:
+    file = shared_data("real/kinect_v1") / "0000000000_depth.png"
     assert run(file, "--out", tmp_path / "out") == 0
     warning = "the projector's shadows lie on the right side of bodies, so frames are probably mirrored"
     assert f"{warning}: give --mirrored" in capsys.readouterr().err.splitlines()

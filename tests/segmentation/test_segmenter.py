@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,21 +12,21 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from kernel_forms import by_both
 from label_networks import Places
 from numpy.typing import NDArray
 from PIL import Image
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.labels.label_map import load_label_map
+from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_data.core.labels.label_map import PARTS33, load_label_map
 from bodyseg_data.core.parts import BACKGROUND, COLOURS
 from bodyseg_data.core.rig import Camera
-from bodyseg_model.evaluation.frame_times import Stopwatch
+from bodyseg_data.core.system.stopwatch import Stopwatch
+from bodyseg_model.segmentation import pictures
 from bodyseg_model.segmentation.flicker import Flicker, flicker
 from bodyseg_model.segmentation.foreground import Background, find_bodies
 from bodyseg_model.segmentation.frame_labeller import FrameLabeller
-from bodyseg_model.segmentation.people.person_score import shipped_score
-from bodyseg_model.segmentation.pictures.overlay import MOST_FRAMES, Preview, draw_overlay, draw_parts_legend
+from bodyseg_model.segmentation.person_score import shipped_score
+from bodyseg_model.segmentation.pictures import MOST_FRAMES, Preview, draw_overlay, draw_parts_legend
 from bodyseg_model.segmentation.segmenter import STAGES, Segmenter
 from bodyseg_model.segmentation.sequence_summary import STAGES as ALL_STAGES
 from bodyseg_model.segmentation.sequence_summary import SequenceSummary
@@ -206,7 +207,7 @@ def test_the_examples_of_the_page_run(capsys: pytest.CaptureFixture[str]) -> Non
 
 def test_a_stopwatch_adds_up(monkeypatch: pytest.MonkeyPatch) -> None:
     times = iter([1.0, 1.5, 2.0, 2.25])
-    monkeypatch.setattr("bodyseg_model.evaluation.frame_times.time.perf_counter", lambda: next(times))
+    monkeypatch.setattr("bodyseg_data.core.system.stopwatch.time.perf_counter", lambda: next(times))
     watch = Stopwatch(("a", "b"))
     for _ in range(2):
         with watch("b"):
@@ -318,12 +319,41 @@ def test_an_overlay_shows_parts_unknown_and_room() -> None:
     assert unknown[0] > 130 > 100 > room[0] > empty.max()
 
 
-def test_overlays_have_the_same_bits_compiled_and_by_numpy() -> None:
+def test_overlays_have_the_colours_of_their_table() -> None:
     draws = np.random.default_rng(6)
     frame = np.where(draws.random((50, 70)) < 0.9, draws.uniform(0.5, 5, (50, 70)), 0).astype(np.float32)
     labels = draws.integers(0, 40, frame.shape).astype(np.uint8)  # some are of no class
     bodies = np.array_split(np.flatnonzero((frame > 0) & (frame < 3)), 2)
-    np.testing.assert_array_equal(*by_both(lambda: draw_overlay(frame, labels, bodies)))
+    picture, table, expected = draw_overlay(frame, labels, bodies), pictures._table(PARTS33), []
+    flat = frame.ravel()
+    for pixels, group in ((np.arange(flat.size), None), *((body, labels.ravel()[body]) for body in bodies)):
+        some = np.sort(flat[pixels])
+        near, far = (some[some > 0][int(share * (some > 0).sum())] for share in (0.02, 0.98))
+        depth = np.clip((flat[pixels] - near) * np.float32(127 / float(far - near)) + np.float32(0.5), 0, 127)
+        row = 0 if group is None else 1 + np.minimum(group, 33).astype(int)
+        expected.append(np.where(flat[pixels, None] > 0, table[row * 128 + depth.astype(int)], table[-1]))
+    whole = expected[0]
+    for pixels, colours in zip(bodies, expected[1:], strict=True):
+        whole[pixels] = colours
+    np.testing.assert_array_equal(picture.reshape(-1, 3), whole)
+
+
+def test_what_is_no_range_is_drawn_as_not_measured() -> None:
+    frame, labels = np.full((20, 30), 2.0, np.float32), np.full((20, 30), 4, np.uint8)
+    frame[:, 15:] = 3.5
+    frame[0, :4] = 0
+    bodies = [np.arange(60)]
+    expected = draw_overlay(frame, labels, bodies)
+    frame[0, :4] = np.nan, np.inf, -np.inf, -1
+    np.testing.assert_array_equal(draw_overlay(frame, labels, bodies), expected)
+
+
+def test_without_numba_one_line_says_which_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "numba", None)
+    with pytest.raises(
+        MissingLibrary, match=r"^labelling frames needs the package 'numba': pip install 'bodyseg\[segment\]' "
+    ):
+        Segmenter(Places(0, 10), Camera(50, 70, 60.0, (35.0, 25.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
 
 
 def test_an_overlay_of_nothing() -> None:

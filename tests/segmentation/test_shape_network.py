@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.segmentation.people import shape_network
-from bodyseg_model.segmentation.people.shape_network import (
+from bodyseg_model.segmentation import person_score
+from bodyseg_model.segmentation.person_score import (
     SHAPES,
     ShapeNetwork,
     network_from_json,
@@ -59,11 +59,11 @@ def test_curvature_is_the_range_from_the_mean_around() -> None:
 
 
 def test_the_network_that_ships_names_its_source(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    tree = json.loads((resources.files(shape_network.__package__) / shape_network.FILE).read_text())
+    tree = json.loads((resources.files("bodyseg_model") / "weights" / person_score.FILE).read_text())
     assert tree["source"]["command"].startswith("tools/bench shapes") and tree["source"]["fitted to"]["people"] > 5000
     assert 0.01 < shipped_shape_network().cutoff < 0.5
     (tmp_path / "other.json").write_text(json.dumps({"format": "bodyseg shape network 0"}))
-    monkeypatch.setattr(shape_network, "FILE", str(tmp_path / "other.json"))
+    monkeypatch.setattr(person_score, "FILE", str(tmp_path / "other.json"))
     shipped_shape_network.cache_clear()
     with pytest.raises(BadConfig, match="'format' must be 'bodyseg shape network 2', found 'bodyseg shape network 0'$"):
         shipped_shape_network()

@@ -21,8 +21,8 @@ from bodyseg_model.networks.registry import build
 from bodyseg_model.recordings.cameras import frame_camera
 from bodyseg_model.segmentation.foreground import Background
 from bodyseg_model.segmentation.frame_labeller import FrameLabeller
-from bodyseg_model.segmentation.views.resampling import STEP
-from bodyseg_model.training.augmentation.geometric import GeometricAugmentation
+from bodyseg_model.segmentation.views import STEP
+from bodyseg_model.training.augmentation import GeometricAugmentation
 from bodyseg_model.training.distributed import ProcessGroup
 from bodyseg_model.training.loop import RunOptions, Training
 from bodyseg_model.training.recipes import recipe_for

@@ -15,7 +15,7 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import Camera
 from bodyseg_data.core.rigs.distortion import Distortion
 from bodyseg_model.segmentation.segmenter import Segmenter
-from bodyseg_model.segmentation.views.undistortion import Undistortion
+from bodyseg_model.segmentation.views import Undistortion
 
 LENSES = {
     "a Kinect v1's": Distortion(k1=-0.26386, k2=0.99966, p1=-0.00076275, p2=0.0050350, k3=-1.30536),

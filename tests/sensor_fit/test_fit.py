@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from folders import SHARED_DATA
 from known_sensors import CAMERA, by_artifact, fitted, recorded
 
 from bodyseg_data.artifacts.lost_pixels.surfaces import EdgeLoss
@@ -87,11 +88,8 @@ def test_jitter_explains_ragged_outlines() -> None:
     assert "jitter" in found["edge_loss"].reason
 
 
-def test_real_frames_of_a_kinect_are_mirrored() -> None:
-    folder = SHARED_DATA / "real" / "kinect_v1"
-    if not folder.is_dir():
-        pytest.skip(f"no frames in {folder}")
-    files = find_frames([folder])[:4]
+def test_real_frames_of_a_kinect_are_mirrored(shared_data: Callable[[str], Path]) -> None:
+    files = find_frames([shared_data("real/kinect_v1")])[:4]
     camera = frame_camera((480, 640), "a frame")
     fit = fit_sensor(read_recording(files, camera.camera, Background(), 1.2), camera)
     found = by_artifact(fit)

@@ -13,12 +13,12 @@ from bodyseg_data.artifacts.lost_pixels.surfaces import EdgeLoss, GrazingLoss
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
 from bodyseg_model.sensor_fit.finding import NEEDED, UNKNOWN, Finding
-from bodyseg_model.sensor_fit.losses.outlines import outlines_of
-from bodyseg_model.sensor_fit.losses.pixel_losses import measure_losses
-from bodyseg_model.sensor_fit.recording import Recording
+from bodyseg_model.sensor_fit.losses import measure_losses
+from bodyseg_model.sensor_fit.outlines import outlines_of
+from bodyseg_model.sensor_fit.recording import MarkedRecording
 
 
-def losses_of(recording: Recording) -> dict[str, Finding]:
+def losses_of(recording: MarkedRecording) -> dict[str, Finding]:
     return {finding.artifact: finding for finding in measure_losses(outlines_of(recording, 0.075))}
 
 

@@ -1,4 +1,4 @@
-"""Shapes of masks, against SciPy's."""
+"""Shapes of masks, against SciPy's binary morphology."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from bodyseg_model.sensor_fit.masks import box_sums, closing, connected, dilated, eroded, holes, opening
+from bodyseg_model.sensor_fit.recording import closing, connected, dilated, eroded, holes, opening
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.8])
@@ -20,11 +20,6 @@ def test_squares_grow_and_shrink_masks(share: float, radius: int) -> None:
     wide = np.pad(mask, 8)
     np.testing.assert_array_equal(closing(mask, radius), ndimage.binary_closing(wide, square)[8:-8, 8:-8])
     assert (closing(mask, radius) >= mask).all()
-
-
-def test_sums_over_squares() -> None:
-    image = np.random.default_rng(1).random((20, 30))
-    np.testing.assert_allclose(box_sums(image, 2), ndimage.uniform_filter(image, 5, mode="constant") * 25)
 
 
 @pytest.mark.parametrize("seed", range(4))

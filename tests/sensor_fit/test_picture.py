@@ -9,7 +9,7 @@ from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.occlusion import Occlusion
 from bodyseg_data.artifacts.sensor_model import SensorModel
-from bodyseg_model.sensor_fit.picture import HEIGHT, draw_comparison, simulate
+from bodyseg_model.sensor_fit.fit import HEIGHT, draw_comparison, simulate
 
 
 def test_a_simulation_has_the_sensors_artifacts_but_no_shadow() -> None:

@@ -11,15 +11,12 @@ from bodyseg_data.artifacts.range_errors.axial_noise import AxialNoise
 from bodyseg_data.artifacts.range_errors.rounding import RangeRounding
 from bodyseg_data.artifacts.range_errors.stereo import StereoNoise
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Finding
-from bodyseg_model.sensor_fit.noise.bins import unrounded
-from bodyseg_model.sensor_fit.noise.formulas import measure_noise
-from bodyseg_model.sensor_fit.noise.least_squares import fit_positive
-from bodyseg_model.sensor_fit.noise.residuals import Residuals, residuals_of
-from bodyseg_model.sensor_fit.recording import Recording
-from bodyseg_model.sensor_fit.rounding import Steps, measure_steps
+from bodyseg_model.sensor_fit.noise import fit_positive, measure_noise, unrounded
+from bodyseg_model.sensor_fit.recording import MarkedRecording
+from bodyseg_model.sensor_fit.residuals import Residuals, Steps, measure_steps, residuals_of
 
 
-def noise_of(recording: Recording, baseline_m: float | None = 0.075) -> dict[str, Finding]:
+def noise_of(recording: MarkedRecording, baseline_m: float | None = 0.075) -> dict[str, Finding]:
     steps, _ = measure_steps(recording, None)
     found = measure_noise(residuals_of(recording), steps, RIG.camera.focal_px, baseline_m, ragged=False)
     return {finding.artifact: finding for finding in found}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from PIL import Image
 
 from bodyseg_data.artifacts.lost_pixels.areas import PatchLoss
 from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_model.recordings.cameras import frame_camera
 from bodyseg_model.recordings.frames import find_frames
 from bodyseg_model.segmentation.foreground import Background
@@ -51,6 +52,17 @@ def test_frames_must_fit_and_show_a_body(tmp_path: Path) -> None:
         read_recording(find_frames([tmp_path]), CAMERA, Background(), 2.0)
     save(tmp_path, "2", np.full((60, 81), 1000))
     with pytest.raises(BadConfig, match="the size of the first, 60 x 80, found 60 x 81: .*2.png"):
+        read_recording(find_frames([tmp_path]), CAMERA, Background(), 2.0)
+
+
+@pytest.mark.parametrize("package", ["scipy", "skimage"])
+def test_without_its_libraries_the_extra_is_named(
+    package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save(tmp_path, "1", np.full((60, 80), 1000))
+    monkeypatch.setitem(sys.modules, package, None)
+    wanted = rf"bodyseg sensor fit needs the package '{package}': pip install 'bodyseg\[sensor\]'"
+    with pytest.raises(MissingLibrary, match=wanted):
         read_recording(find_frames([tmp_path]), CAMERA, Background(), 2.0)
 
 

@@ -12,7 +12,7 @@ from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.range_errors.rounding import RangeRounding
 from bodyseg_data.artifacts.range_errors.stereo import DisparityRounding
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN
-from bodyseg_model.sensor_fit.rounding import measure_steps
+from bodyseg_model.sensor_fit.residuals import measure_steps
 
 
 @pytest.mark.parametrize("step_mm", [0.7, 1.0, 5.0])

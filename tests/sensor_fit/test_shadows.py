@@ -11,8 +11,8 @@ from known_sensors import CAMERA, RIG, flipped, recorded
 from bodyseg_data.artifacts.occlusion import Occlusion
 from bodyseg_data.core.rig import load_rig
 from bodyseg_model.recordings.cameras import FrameCamera, frame_camera
+from bodyseg_model.sensor_fit.edges import ShadowFrames, measure_shadow, probably_mirrored, shadow_finding
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN
-from bodyseg_model.sensor_fit.shadows import ShadowFrames, measure_shadow, probably_mirrored, shadow_finding
 
 
 def test_the_baseline_follows_from_the_width() -> None:

@@ -7,8 +7,8 @@ from known_sensors import recorded
 
 from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.range_errors.mixed_pixels import MixedPixels
+from bodyseg_model.sensor_fit.edges import measure_mixed_pixels
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN
-from bodyseg_model.sensor_fit.silhouettes import measure_mixed_pixels
 
 
 @pytest.mark.parametrize("moving", [False, True])

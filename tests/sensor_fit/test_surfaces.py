@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from known_sensors import RIG
 
-from bodyseg_model.sensor_fit.surfaces import smooth_surface, third_differences
+from bodyseg_model.sensor_fit.recording import smooth_surface, third_differences
 
 CAMERA = RIG.camera
 

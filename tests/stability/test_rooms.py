@@ -13,11 +13,10 @@ from label_networks import Places
 
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import load_sensor
-from bodyseg_model.segmentation.people.person_score import PersonScore
+from bodyseg_model.segmentation.person_score import PersonScore
 from bodyseg_model.segmentation.segmenter import LabelledBody
-from bodyseg_model.stability import people_and_things as measure
-from bodyseg_model.stability.people_and_things import Counts, people_and_things
-from bodyseg_model.stability.rooms import MOST_PEOPLE, MOST_THINGS, Room, Rooms
+from bodyseg_model.stability import rooms as measure
+from bodyseg_model.stability.rooms import MOST_PEOPLE, MOST_THINGS, Counts, Room, Rooms, people_and_things
 
 KINECT = load_sensor("kinect_v1").camera
 SMALL = replace(KINECT, rows=120, columns=160, focal_px=KINECT.focal_px / 4, centre_px=(80.0, 60.0))

@@ -18,8 +18,17 @@ from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.core.rig import axes_at, load_rig
 from bodyseg_data.core.views import ViewGrid
 from bodyseg_data.rendering.raster import RasterRenderer
-from bodyseg_model.stability.scenes import LabelledImage, Scenes, labelled_image, looking_down, sensor, with_baseline
-from bodyseg_model.stability.sweeps import CLEAN, SWEEPS, Condition
+from bodyseg_model.stability.scenes import (
+    CLEAN,
+    SWEEPS,
+    LabelledImage,
+    Scenes,
+    SweepPoint,
+    labelled_image,
+    looking_down,
+    sensor,
+    with_baseline,
+)
 
 RIG = load_rig()
 
@@ -71,8 +80,8 @@ def test_bodies_are_built_once_and_reported(images: RangeImages, monkeypatch: py
     monkeypatch.setitem(SOURCES, "open", FiguresEntry(make=Counting))
     seen: list[tuple[int, int]] = []
     scenes = Scenes(images, 8, progress=lambda *numbers: seen.append(numbers))
-    scenes.labelled_images(Condition("farther", 3.0))
-    scenes.labelled_images(Condition("farther", 4.0))
+    scenes.labelled_images(SweepPoint("farther", 3.0))
+    scenes.labelled_images(SweepPoint("farther", 4.0))
     assert sorted(built) == ["A-2", "people-2"] and seen == [(number, 8) for number in range(1, 9)]
 
 
@@ -94,7 +103,7 @@ def test_every_setting_of_a_drawn_sweep_can_be_shown(name: str, scenes: Scenes) 
 def test_things_hide_the_share_that_a_setting_names(scenes: Scenes) -> None:
     clean = shares(scenes.labelled_images(CLEAN["rendered"]))
     for share in (0.1, 0.3):
-        without, shown = (scenes.labelled_images(Condition(sweep, share)) for sweep in ("hidden", "hidden_shown"))
+        without, shown = (scenes.labelled_images(SweepPoint(sweep, share)) for sweep in ("hidden", "hidden_shown"))
         assert np.abs(1 - shares(without) / clean - share).max() <= 0.05 + 1e-9
         for alone, both in zip(without, shown, strict=True):
             on_thing = both.truth == BACKGROUND
@@ -111,7 +120,7 @@ def test_shadows_grow_with_the_baseline(scenes: Scenes) -> None:
 
 
 def test_a_body_gets_smaller_with_its_distance(scenes: Scenes) -> None:
-    near, far = (scenes.labelled_images(condition) for condition in (CLEAN["rendered"], Condition("farther", 4.0)))
+    near, far = (scenes.labelled_images(condition) for condition in (CLEAN["rendered"], SweepPoint("farther", 4.0)))
     np.testing.assert_allclose(shares(far) / shares(near), (2.5 / 4) ** 2, rtol=0.08)
     for a, b in zip(near, far, strict=True):
         nearest = [each.range_m[each.range_m > 0].min() for each in (a, b)]
@@ -151,7 +160,7 @@ def test_sensors_are_known_by_focal_length(scenes: Scenes) -> None:
         (424, 512),
     ]
     for focal in SWEEPS["rig"].strengths[1:]:
-        as_it_is, made = (scenes.labelled_images(Condition(name, focal)) for name in ("rig", "rig_resampled"))
+        as_it_is, made = (scenes.labelled_images(SweepPoint(name, focal)) for name in ("rig", "rig_resampled"))
         for a, b in zip(as_it_is, made, strict=True):
             np.testing.assert_array_equal(a.truth, b.truth)
             assert b.range_m.shape == (RIG.camera.rows, RIG.camera.columns)
@@ -162,7 +171,7 @@ def test_sensors_are_known_by_focal_length(scenes: Scenes) -> None:
 
 
 def test_hard_poses_are_another_sets_images(scenes: Scenes) -> None:
-    hard, clean = scenes.labelled_images(Condition("hard", 1)), scenes.labelled_images(CLEAN["stored"])
+    hard, clean = scenes.labelled_images(SweepPoint("hard", 1)), scenes.labelled_images(CLEAN["stored"])
     for a, b in zip(hard, clean, strict=True):
         np.testing.assert_array_equal(a.range_m, b.range_m)
 
@@ -178,5 +187,5 @@ def test_bodies_of_files_cannot_be_drawn_anew(images: RangeImages, monkeypatch: 
     monkeypatch.setattr(images, "manifest", replace(images.manifest, source="mit"))
     scenes = Scenes(images, 3)
     with pytest.raises(BadConfig, match="the sweep 'tilt' .* found a set of 'mit'.*--sweeps"):
-        scenes.labelled_images(Condition("tilt", 5))
-    assert len(scenes.labelled_images(Condition("noise", 10))) == 3
+        scenes.labelled_images(SweepPoint("tilt", 5))
+    assert len(scenes.labelled_images(SweepPoint("noise", 10))) == 3

@@ -13,16 +13,19 @@ from torch import nn
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.networks.checkpoints import Trained
 from bodyseg_model.stability.figure import _styles, draw_stability
-from bodyseg_model.stability.groups import Group, Run, group, group_of
+from bodyseg_model.stability.scenes import CLEAN, Sweep, SweepPoint
 from bodyseg_model.stability.summary import (
+    Group,
+    Run,
     corruption_error,
     falls_below,
+    group,
+    group_of,
     motion_over_seeds,
     over_seeds,
     relative_robustness,
     summarise,
 )
-from bodyseg_model.stability.sweeps import CLEAN, Condition, Sweep
 
 SWEEPS = {
     "noise": Sweep("Noise", "sigma, mm", (0, 10, 30)),
@@ -31,12 +34,12 @@ SWEEPS = {
 }
 SETTINGS = [
     CLEAN["stored"],
-    Condition("noise", 10),
-    Condition("noise", 30),
+    SweepPoint("noise", 10),
+    SweepPoint("noise", 30),
     CLEAN["rendered"],
-    Condition("nearer", 2.0),
-    Condition("nearer", 1.5),
-    Condition("hard", 1),
+    SweepPoint("nearer", 2.0),
+    SweepPoint("nearer", 1.5),
+    SweepPoint("hard", 1),
 ]
 
 
@@ -51,7 +54,7 @@ GROUPS = [
 ]
 
 
-def accuracies(**rows: tuple[float, ...]) -> dict[str, dict[Condition, float]]:
+def accuracies(**rows: tuple[float, ...]) -> dict[str, dict[SweepPoint, float]]:
     return {name.replace("_", "-"): dict(zip(SETTINGS, row, strict=True)) for name, row in rows.items()}
 
 

@@ -12,7 +12,7 @@ from bodyseg_data import RangeImages
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import Rig
 from bodyseg_data.core.sample import Sample
-from bodyseg_model.stability.sweeps import CLEAN, DEPTHS_M, SWEEPS, Condition, chosen, corrupted
+from bodyseg_model.stability.scenes import CLEAN, DEPTHS_M, SWEEPS, SweepPoint, chosen, corrupted
 
 STORED = [name for name, sweep in SWEEPS.items() if sweep.origin == "stored" and name != "hard"]
 SHARES = ("missing", "patches", "stripes", "grazing")
@@ -43,7 +43,7 @@ def test_sweeps_begin_clean_and_go_one_way(name: str) -> None:
     sweep = SWEEPS[name]
     conditions = sweep.conditions(name)
     assert conditions[0] == CLEAN[sweep.origin]
-    assert conditions[1:] == [Condition(name, strength) for strength in sweep.strengths[1:]]
+    assert conditions[1:] == [SweepPoint(name, strength) for strength in sweep.strengths[1:]]
     steps = np.diff(sweep.strengths)
     assert (steps > 0).all() or (steps < 0).all()
 
@@ -52,8 +52,8 @@ def test_sweeps_begin_clean_and_go_one_way(name: str) -> None:
 def test_what_is_changed_is_a_copy_on_the_body(name: str, sample: Sample, rig: Rig) -> None:
     before = sample.range.copy()
     for strength in SWEEPS[name].strengths[1:]:
-        image = corrupted(sample, Condition(name, strength), rig, 0)
-        np.testing.assert_array_equal(image, corrupted(sample, Condition(name, strength), rig, 0))
+        image = corrupted(sample, SweepPoint(name, strength), rig, 0)
+        np.testing.assert_array_equal(image, corrupted(sample, SweepPoint(name, strength), rig, 0))
         assert image.dtype == np.uint16 and image.shape == sample.range.shape
         assert not image[sample.range == 0].any()
         finer = name == "depth_steps" and (DEPTHS_M[1] - DEPTHS_M[0]) / (2**strength - 1) <= rig.range_step_m
@@ -66,7 +66,7 @@ def test_what_is_changed_is_a_copy_on_the_body(name: str, sample: Sample, rig: R
 def test_what_is_lost_stays_lost_and_the_rest_is_as_it_was(name: str, sample: Sample, rig: Rig) -> None:
     before = sample.range
     for strength in SWEEPS[name].strengths[1:]:
-        image = corrupted(sample, Condition(name, strength), rig, 0)
+        image = corrupted(sample, SweepPoint(name, strength), rig, 0)
         assert ((image == before) | (image == 0)).all()
         assert np.count_nonzero(image) < np.count_nonzero(before)
         before = image
@@ -76,7 +76,7 @@ def test_what_is_lost_stays_lost_and_the_rest_is_as_it_was(name: str, sample: Sa
 def test_shares_are_of_the_body(name: str, sample: Sample, rig: Rig) -> None:
     pixels = np.count_nonzero(sample.range)
     for share in SWEEPS[name].strengths[1:]:
-        lost = pixels - np.count_nonzero(corrupted(sample, Condition(name, share), rig, 0))
+        lost = pixels - np.count_nonzero(corrupted(sample, SweepPoint(name, share), rig, 0))
         chance = 5 * np.sqrt(pixels * share * (1 - share)) if name == "missing" else 0.5
         assert lost == pytest.approx(share * pixels, abs=chance)
 
@@ -84,7 +84,7 @@ def test_shares_are_of_the_body(name: str, sample: Sample, rig: Rig) -> None:
 def test_noise_has_the_sigma_asked_for(sample: Sample, rig: Rig) -> None:
     body = sample.range > 0
     off = {
-        sigma: (corrupted(sample, Condition("noise", sigma), rig, 0)[body].astype(float) - sample.range[body])
+        sigma: (corrupted(sample, SweepPoint("noise", sigma), rig, 0)[body].astype(float) - sample.range[body])
         * rig.range_step_mm
         for sigma in (10, 40)
     }
@@ -95,7 +95,7 @@ def test_noise_has_the_sigma_asked_for(sample: Sample, rig: Rig) -> None:
         off[40], 4 * off[10], atol=5 * rig.range_step_mm, err_msg="the same draws, four times as strong"
     )
     assert (
-        corrupted(sample, Condition("noise", 10), rig, 1) != corrupted(sample, Condition("noise", 10), rig, 0)
+        corrupted(sample, SweepPoint("noise", 10), rig, 1) != corrupted(sample, SweepPoint("noise", 10), rig, 0)
     ).any()
 
 
@@ -103,7 +103,7 @@ def test_few_bits_leave_few_depths(sample: Sample, rig: Rig) -> None:
     body = sample.range > 0
     for bits in (12, 8):
         step_mm = 1000 * (DEPTHS_M[1] - DEPTHS_M[0]) / (2**bits - 1)
-        image = corrupted(sample, Condition("depth_steps", bits), rig, 0)
+        image = corrupted(sample, SweepPoint("depth_steps", bits), rig, 0)
         depths_mm = np.unique(image[body]) * rig.range_step_mm
         assert (
             np.abs(image[body].astype(float) - sample.range[body]).max() * rig.range_step_mm
@@ -118,7 +118,7 @@ def test_depths_beyond_the_interval_are_its_ends(sample: Sample, rig: Rig) -> No
     image = np.zeros_like(sample.range)
     image[0, :3] = np.rint(np.array([0.1, 2.5, 6.0]) / rig.range_step_m)
     made = corrupted(Sample("k", image, None, sample.labels, sample.faces_projector, sample.info),
-                   Condition("depth_steps", 8), rig, 0)  # fmt: skip
+                   SweepPoint("depth_steps", 8), rig, 0)  # fmt: skip
     assert made[0, [0, 2, 3]].tolist() == [round(0.5 / rig.range_step_m), round(4.5 / rig.range_step_m), 0]
 
 
@@ -126,7 +126,7 @@ def test_crops_take_their_share_from_their_side(sample: Sample, rig: Rig) -> Non
     top, bottom = extent(sample.range.any(axis=1))
     left, right = extent(sample.range.any(axis=0))
     shown = {
-        name: corrupted(sample, Condition(name, 0.3), rig, 0) for name in ("crop_below", "crop_above", "crop_side")
+        name: corrupted(sample, SweepPoint(name, 0.3), rig, 0) for name in ("crop_below", "crop_above", "crop_side")
     }
     tall, wide = round(0.3 * (bottom - top)), round(0.3 * (right - left))
     assert not shown["crop_below"][bottom - tall :].any()
@@ -141,7 +141,7 @@ def test_an_empty_image_stays_empty(sample: Sample, rig: Rig) -> None:
     nothing = np.zeros_like(sample.range)
     empty = Sample("k", nothing, None, np.full_like(sample.labels, 255), nothing > 0, sample.info)
     for name in STORED:
-        assert not corrupted(empty, Condition(name, SWEEPS[name].strengths[-1]), rig, 0).any()
+        assert not corrupted(empty, SweepPoint(name, SWEEPS[name].strengths[-1]), rig, 0).any()
 
 
 def test_sweeps_are_chosen_by_name() -> None:

@@ -27,9 +27,19 @@ from bodyseg_data.rendering.embree import EmbreeRenderer
 from bodyseg_data.rendering.raster import RasterRenderer
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import predict
-from bodyseg_model.stability.correspondence import NEAR_M, NOT_SEEN, RenderedBody, follow
-from bodyseg_model.stability.motion_frames import AZIMUTHS_DEG, choose_shots, render_shot
-from bodyseg_model.stability.temporal import TemporalConsistency, Tracks, find_tracks, temporal
+from bodyseg_model.stability.temporal import (
+    AZIMUTHS_DEG,
+    NEAR_M,
+    NOT_SEEN,
+    RenderedBody,
+    TemporalConsistency,
+    Tracks,
+    choose_shots,
+    find_tracks,
+    follow,
+    render_shot,
+    temporal,
+)
 
 RIG = load_rig()
 COLUMNS = RIG.camera.columns

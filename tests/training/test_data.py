@@ -14,7 +14,7 @@ from bodyseg_data.core.errors import BadConfig
 from bodyseg_model.commands.cli import main
 from bodyseg_model.networks.checkpoints import load_network
 from bodyseg_model.networks.registry import build
-from bodyseg_model.training.augmentation.mirror import mirror_draws
+from bodyseg_model.training.augmentation import mirror_draws
 from bodyseg_model.training.data import open_data
 from bodyseg_model.training.distributed import ProcessGroup
 from bodyseg_model.training.loop import Metrics, RunOptions, Training

@@ -18,10 +18,10 @@ from bodyseg_model.commands.cli import main
 from bodyseg_model.networks.checkpoints import load_network
 from bodyseg_model.networks.registry import build, predict
 from bodyseg_model.training import loop
-from bodyseg_model.training.augmentation.geometric import GeometricAugmentation
+from bodyseg_model.training.augmentation import GeometricAugmentation
 from bodyseg_model.training.distributed import ProcessGroup
 from bodyseg_model.training.loop import Metrics, RunOptions, Training
-from bodyseg_model.training.objective.loss import part_weights
+from bodyseg_model.training.loss import part_weights
 from bodyseg_model.training.recipes import recipe_for
 from bodyseg_model.training.run_folder import RunFolder
 

@@ -9,20 +9,22 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
-from bodyseg_data import RangeImages
+from bodyseg_data import RangeImages, loader
 from bodyseg_data.core.errors import BadConfig, Diverged
+from bodyseg_data.core.randomness import generator
 from bodyseg_model.commands.cli import main
 from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import load_network
 from bodyseg_model.networks.registry import build, predict
-from bodyseg_model.training.augmentation.geometric import GeometricAugmentation
+from bodyseg_model.training.augmentation import GeometricAugmentation
 from bodyseg_model.training.distributed import ProcessGroup
 from bodyseg_model.training.loop import RunOptions, Training
+from bodyseg_model.training.loss import NetworkWithLoss, class_pixels
 from bodyseg_model.training.metrics import Metrics
-from bodyseg_model.training.objective.loss import class_pixels
 from bodyseg_model.training.recipes import Recipe, recipe_for
 from bodyseg_model.training.run_folder import RunFolder
 
@@ -109,6 +111,38 @@ def test_bodies_are_learned(small_set: Path, tmp_path: Path) -> None:
         matrix.add(image.labels, predict(trained.network, range_m).labels[0].numpy())
     assert matrix.average_per_class_accuracy() > 0.9
     assert trained.card["variant"] == "occ"
+
+
+def test_steps_are_those_of_plain_sgd_on_mean_gradients(small_set: Path, tmp_path: Path) -> None:
+    """Gradients of the batches of a step are averaged, not summed; momentum and weight decay are Caffe's."""
+    rate, momentum, decay, steps = 0.05, 0.9, 0.01, 3
+    recipe = Recipe(
+        steps=steps, batch_size=2, accumulate=3, optimiser="sgd", learning_rate=rate, layer_decay=1.0,
+        momentum=momentum, weight_decay=decay, warmup=0.0, cosine=False, clip=0.0, mirror=False, balance=0.0,
+        bf16=False, loss_stride=1,
+    )  # fmt: skip
+    train(small_set, tmp_path / "run", recipe)
+    torch.manual_seed(3)
+    network = build("compact", TINY).train()
+    weights = list(network.parameters())
+    velocities = [torch.zeros_like(weight) for weight in weights]
+    objective = NetworkWithLoss(network, torch.ones(33))
+    data = loader(RangeImages(small_set, "all", "train"), 2, drop_last=True)
+    batches = (batch for _ in range(9) for batch in data)
+    for step in range(steps):
+        losses = []
+        for number in range(3):
+            batch = next(batches)
+            pixels = torch.from_numpy(generator(0, step, "", f"pixels {number}").random(2, np.float32))
+            losses.append(objective(batch["range"], batch["labels"], pixels).loss)
+        gradients = torch.autograd.grad(torch.stack(losses).mean(), weights)
+        with torch.no_grad():
+            for weight, velocity, gradient in zip(weights, velocities, gradients, strict=True):
+                velocity.copy_(momentum * velocity + gradient + decay * weight)
+                weight -= rate * velocity
+    found = dict(load_network(tmp_path / "run").network.named_parameters())
+    for name, weight in network.named_parameters():
+        torch.testing.assert_close(found[name], weight, atol=2e-5, rtol=1e-3, msg=lambda text, name=name: name + text)
 
 
 @pytest.mark.parametrize("optimiser", ["sgd", "adamw"])

@@ -14,8 +14,7 @@ from kernel_forms import by_both
 from bodyseg_model.networks.compact import Compact, CompactSettings
 from bodyseg_model.networks.fcn_alexnet import FcnAlexnet
 from bodyseg_model.networks.network import Network
-from bodyseg_model.training.objective.loss import NetworkWithLoss, part_weights
-from bodyseg_model.training.objective.selected_pixels import SelectedPixels
+from bodyseg_model.training.loss import NetworkWithLoss, SelectedPixels, part_weights
 
 
 def batch(rows: int, columns: int) -> tuple[torch.Tensor, torch.Tensor]:

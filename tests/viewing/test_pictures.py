@@ -8,8 +8,7 @@ import numpy as np
 from PIL import Image
 
 from bodyseg_data.core.labels.label_map import PARTS33
-from bodyseg_model.viewing.drawing import Drawing
-from bodyseg_model.viewing.pages.page import picture_file
+from bodyseg_model.viewing.page import picture_file
 from bodyseg_model.viewing.pictures import (
     EMPTY,
     KIND_LEGEND,
@@ -23,7 +22,7 @@ from bodyseg_model.viewing.pictures import (
     share_image,
     sheet_of,
 )
-from bodyseg_model.viewing.space import Points
+from bodyseg_model.viewing.space import Drawing, Points
 
 
 def test_panels_lie_side_by_side_at_one_size() -> None:

@@ -10,12 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bodyseg_model.viewing.drawing import Drawing
-from bodyseg_model.viewing.pages.page import Page
-from bodyseg_model.viewing.pages.recording_page import RecordingPage
-from bodyseg_model.viewing.pages.server import LOOPBACK
+from bodyseg_model.viewing.page import LOOPBACK, Page
+from bodyseg_model.viewing.recording_page import RecordingPage
 from bodyseg_model.viewing.recording_view import ShownFrame
-from bodyseg_model.viewing.space import Points
+from bodyseg_model.viewing.space import Drawing, Points
 
 WAIT_S = 60.0
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 
-from bodyseg_model.viewing.pages.redrawing import Redrawing
+from bodyseg_model.viewing.page import Redrawing
 
 
 def test_requests_during_a_drawing_are_answered_by_one_more() -> None:

@@ -1,4 +1,4 @@
-"""Controls of artifacts' strengths: their ends are found by trial, for any artifact."""
+"""Controls of artifacts' strengths: they end at the bounds of the field, for any artifact."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.range_errors.axial_noise import POWERS, AxialNoise
 from bodyseg_data.artifacts.range_errors.mixed_pixels import MixedPixels
 from bodyseg_data.artifacts.range_errors.rounding import RangeRounding
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core.errors import BadConfig, bounded
 from bodyseg_data.core.randomness import Draws
 from bodyseg_model.viewing.strengths import Choice, Control, Entry, Slider, controls_of, moved, value_of
 
@@ -28,7 +28,7 @@ class Dropouts(Artifact):
     name = "dropouts"
     kind = "missing_data"
 
-    chance: float = 0.02
+    chance: float = bounded(0.02, 0, 0.4)
     rows: int = 3
     upwards: bool = False
     along: Literal["rows", "columns"] = "rows"
@@ -86,7 +86,7 @@ def test_a_low_above_the_high_takes_the_high_with_it() -> None:
     noise = Noise(5.0, 20.0)
     assert moved(noise, control(noise, "low_mm"), 50.0) == Noise(50.0, 50.0)
     assert moved(noise, control(noise, "high_mm"), 2.0) == Noise(2.0, 2.0)
-    with pytest.raises(BadConfig, match="found low -1.0"):
+    with pytest.raises(BadConfig, match="Noise: low_mm must be from 0 to 1000, found -1.0"):
         moved(noise, control(noise, "low_mm"), -1.0)
 
 

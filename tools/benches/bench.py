@@ -72,6 +72,7 @@ BENCHES: Final = {
         required=("data",),
         optional=("runs", "images"),
     ),
+    "numerical": Bench("model.networks.numerical", None, "test images, 25", required=("data",), optional=("runs",)),
     "sensors": Bench("model.networks.sensors", "sensors_figure", "bodies, 12", optional=("runs",)),
     "shapes": Bench("model.things.shapes", None, "made rooms to fit to, 20000"),
     "things": Bench("model.things.bench", None, "made rooms, 240", optional=("runs",)),
@@ -138,8 +139,8 @@ class Options:
     data: str | None = option(f"for {_takers('data')}: folder or address of the set", None, address=True)
     runs: tuple[Path, ...] | None = option(
         "for variants: folder of runs VARIANT-SEED, where missing ones are trained; for architectures and ablation: "
-        "folders of runs NAME-SEED; for network, runtimes, sensors, things, windows, people, real, steady and "
-        "failures: runs",
+        "folders of runs NAME-SEED; for network, runtimes, numerical, sensors, things, windows, people, real, steady "
+        "and failures: runs",
         None,
     )
     seeds: int | None = option("for variants: trainings of each variant (default 3)", None)

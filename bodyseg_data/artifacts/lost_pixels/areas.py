@@ -10,7 +10,7 @@ import numpy as np
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.losses import lost_patches, lost_stripes
-from bodyseg_data.core.errors import BadConfig, check_fields
+from bodyseg_data.core.errors import BadConfig, bounded, check_fields
 from bodyseg_data.core.parts import PARTS
 from bodyseg_data.core.randomness import Draws
 from bodyseg_data.core.rig import Rig
@@ -31,13 +31,13 @@ class PatchLoss(Artifact):
     purposes = ("patch share", "patch loss")
     drawn: ClassVar[Mapping[str, str]] = {"patch_share": "{:.0%} in patches"}
 
-    low: float = 0.0
-    high: float = 0.2
+    low: float = bounded(0.0, 0, 1)
+    high: float = bounded(0.2, 0, 1)
     parts: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_fields(self)
-        _check(self.low, self.high)
+        _check_order(self.low, self.high)
         for part in self.parts:
             if part not in _LABELS:
                 raise BadConfig(f"parts must be landmarks of the 33 parts, found {part!r}")
@@ -69,13 +69,13 @@ class StripeLoss(Artifact):
     purposes = ("stripe share", "stripe loss")
     drawn: ClassVar[Mapping[str, str]] = {"stripe_share": "{:.0%} in stripes"}
 
-    low: float = 0.0
-    high: float = 0.2
+    low: float = bounded(0.0, 0, 1)
+    high: float = bounded(0.2, 0, 1)
     along: Literal["rows", "columns"] | None = None
 
     def __post_init__(self) -> None:
         check_fields(self)
-        _check(self.low, self.high)
+        _check_order(self.low, self.high)
 
     def draw(self, draws: Draws) -> dict[str, float]:
         """As `Artifact.draw`: "stripe_share", the share lost."""
@@ -101,6 +101,6 @@ def _share(low: float, high: float, chance: float) -> float:
     return low + (high - low) * chance
 
 
-def _check(low: float, high: float) -> None:
-    if not 0 <= low <= high <= 1:
-        raise BadConfig(f"shares of lost pixels must satisfy 0 <= low <= high <= 1, found low {low} and high {high}")
+def _check_order(low: float, high: float) -> None:
+    if low > high:
+        raise BadConfig(f"shares of lost pixels must satisfy low <= high, found low {low} and high {high}")

@@ -12,7 +12,7 @@ import numpy as np
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.noise import drawn_bits
 from bodyseg_data.artifacts.surface import silhouettes, widened
-from bodyseg_data.core.errors import BadConfig, check_fields
+from bodyseg_data.core.errors import bounded, check_fields
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws
 
@@ -28,14 +28,11 @@ class GrazingLoss(Artifact):
     kind = "missing_data"
     purposes = ("grazing loss",)
 
-    from_deg: float = 75.0
-    share: float = 1.0
+    from_deg: float = bounded(75.0, 0, 85, below=True)
+    share: float = bounded(1.0, 0, 1)
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if not 0 <= self.from_deg < 85:
-            raise BadConfig(f"grazing incidence must begin from 0 to below 85 degrees, found {self.from_deg}")
-        _check_share("grazing", self.share)
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         """As `Artifact.apply`."""
@@ -60,17 +57,12 @@ class EdgeLoss(Artifact):
     kind = "missing_data"
     purposes = ("edge loss",)
 
-    width_px: int = 1
-    share: float = 0.5
-    jump_mm: float = 30.0
+    width_px: int = bounded(1, 1, 50)
+    share: float = bounded(0.5, 0, 1)
+    jump_mm: float = bounded(30.0, 0, 10_000, above=True)
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if not 1 <= self.width_px <= 50:
-            raise BadConfig(f"an edge must be 1 to 50 whole pixels wide, found {self.width_px}")
-        _check_share("edge", self.share)
-        if not 0 < self.jump_mm <= 10_000:
-            raise BadConfig(f"a jump must be above 0, at most 10 000 mm, found {self.jump_mm}")
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         """As `Artifact.apply`."""
@@ -88,8 +80,3 @@ class EdgeLoss(Artifact):
 def _loops() -> Any:
     """The compiled forms; they load numba, so not before they are used."""
     return import_module("bodyseg_data.artifacts.loops.lost_pixels")
-
-
-def _check_share(what: str, share: float) -> None:
-    if not 0 <= share <= 1:
-        raise BadConfig(f"the share of {what} pixels lost must be from 0 to 1, found {share}")

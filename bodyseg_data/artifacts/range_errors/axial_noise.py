@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.range_errors.gaussian import add_gaussian, clean_metres, loops
 from bodyseg_data.artifacts.surface import grazing
-from bodyseg_data.core.errors import BadConfig, check_fields
+from bodyseg_data.core.errors import bounded, check_fields, one_of
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws
 
@@ -34,21 +34,14 @@ class AxialNoise(Artifact):
     purposes = ("axial noise",)
     alters_labels = False
 
-    constant_mm: float = 1.2
-    quadratic_mm: float = 1.9
-    from_m: float = 0.4
-    grazing_mm: float = 0.1
-    grazing_power: float = -0.5
+    constant_mm: float = bounded(1.2, 0, 1000)
+    quadratic_mm: float = bounded(1.9, 0, 1000)
+    from_m: float = bounded(0.4, -100, 100)
+    grazing_mm: float = bounded(0.1, 0, 1000)
+    grazing_power: float = one_of(-0.5, POWERS)
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if not all(0 <= each <= 1000 for each in (self.constant_mm, self.quadratic_mm, self.grazing_mm)):
-            raise BadConfig(f"axial noise must have terms from 0 to 1000 mm, found {self}")
-        if not -100 <= self.from_m <= 100:
-            raise BadConfig(f"axial noise must grow from a range within 100 m, found {self.from_m} m")
-        if self.grazing_power not in POWERS:
-            powers = ", ".join(f"{power:g}" for power in POWERS)
-            raise BadConfig(f"axial noise must have a grazing power of {powers}, found {self.grazing_power}")
 
     def sigma_m(self, range_m: NDArray[np.float32], angle: NDArray[np.float32]) -> NDArray[np.float32]:
         """The standard deviation, metres, [N]; range_m: metres, [N]; angle: of incidence, radians, [N]."""

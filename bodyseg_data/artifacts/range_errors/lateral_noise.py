@@ -11,7 +11,7 @@ from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.noise import drawn_normals
 from bodyseg_data.artifacts.range_errors.gaussian import loops
 from bodyseg_data.artifacts.surface import grazing, widened
-from bodyseg_data.core.errors import BadConfig, check_fields
+from bodyseg_data.core.errors import bounded, check_fields
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws
 
@@ -35,13 +35,11 @@ class LateralNoise(Artifact):
     kind = "noise"
     purposes = ("lateral noise",)
 
-    constant_px: float = 0.8
-    grazing_px: float = 0.035
+    constant_px: float = bounded(0.8, 0, 20)
+    grazing_px: float = bounded(0.035, 0, 20)
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if not (0 <= self.constant_px <= 20 and 0 <= self.grazing_px <= 20):
-            raise BadConfig(f"lateral noise must have terms from 0 to 20 pixels, found {self}")
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         """As `Artifact.apply`."""

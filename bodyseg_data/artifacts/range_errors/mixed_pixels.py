@@ -9,7 +9,7 @@ import numpy as np
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.noise import as_range, drawn_bits
 from bodyseg_data.artifacts.range_errors.gaussian import loops
-from bodyseg_data.core.errors import BadConfig, check_fields
+from bodyseg_data.core.errors import bounded, check_fields
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws
 
@@ -28,18 +28,12 @@ class MixedPixels(Artifact):
     purposes = ("mixed pixels",)
     alters_labels = False
 
-    share: float = 0.5
-    background_m: float | None = None
-    jump_mm: float = 30.0
+    share: float = bounded(0.5, 0, 1)
+    background_m: float | None = bounded(None, 0, 100, above=True)
+    jump_mm: float = bounded(30.0, 0, 10_000, above=True)
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if not 0 <= self.share <= 1:
-            raise BadConfig(f"the share of mixed pixels must be from 0 to 1, found {self.share}")
-        if self.background_m is not None and not 0 < self.background_m <= 100:
-            raise BadConfig(f"the background must be above 0, at most 100 m away, found {self.background_m} m")
-        if not 0 < self.jump_mm <= 10_000:
-            raise BadConfig(f"a jump must be above 0, at most 10 000 mm, found {self.jump_mm}")
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         """As `Artifact.apply`."""

@@ -9,7 +9,7 @@ import numpy as np
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.noise import as_range
 from bodyseg_data.artifacts.range_errors.gaussian import loops
-from bodyseg_data.core.errors import BadConfig, check_fields
+from bodyseg_data.core.errors import bounded, check_fields
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws
 
@@ -22,12 +22,10 @@ class RangeRounding(Artifact):
     kind = "noise"
     alters_labels = False
 
-    step_mm: float = 1.0
+    step_mm: float = bounded(1.0, 0, 1000, above=True)
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if not 0 < self.step_mm <= 1000:
-            raise BadConfig(f"a step of range must be above 0, at most 1000 mm, found {self.step_mm}")
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         """As `Artifact.apply`."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.noise import as_range
 from bodyseg_data.artifacts.range_errors.gaussian import add_gaussian, clean_metres, loops
-from bodyseg_data.core.errors import BadConfig, check_fields
+from bodyseg_data.core.errors import BadConfig, bounded, check_fields
 from bodyseg_data.core.kernels import use_compiled
 from bodyseg_data.core.randomness import Draws
 from bodyseg_data.core.rig import Rig
@@ -34,15 +34,12 @@ class StereoNoise(Artifact):
     purposes = ("stereo noise",)
     alters_labels = False
 
-    subpixel_px: float = 0.08
-    focal_px: float | None = None
-    baseline_m: float | None = None
+    subpixel_px: float = bounded(0.08, 0, 10)
+    focal_px: float | None = bounded(None, 0, 1e6, above=True)
+    baseline_m: float | None = bounded(None, 0, 100, above=True)
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if not 0 <= self.subpixel_px <= 10:
-            raise BadConfig(f"stereo noise must be 0 to 10 pixels of disparity, found {self.subpixel_px}")
-        _check(self.focal_px, self.baseline_m)
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         """As `Artifact.apply`. Raises BadConfig for a rig whose camera and projector are at one point."""
@@ -63,15 +60,12 @@ class DisparityRounding(Artifact):
     name = "disparity_rounding"
     kind = "noise"
 
-    step_px: float = 0.125
-    focal_px: float | None = None
-    baseline_m: float | None = None
+    step_px: float = bounded(0.125, 0, 100, above=True)
+    focal_px: float | None = bounded(None, 0, 1e6, above=True)
+    baseline_m: float | None = bounded(None, 0, 100, above=True)
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if not 0 < self.step_px <= 100:
-            raise BadConfig(f"a step of disparity must be above 0, at most 100 pixels, found {self.step_px}")
-        _check(self.focal_px, self.baseline_m)
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         """As `Artifact.apply`. Raises BadConfig for a rig whose camera and projector are at one point."""
@@ -91,9 +85,3 @@ def focal_baseline(rig: Rig, focal_px: float | None, baseline_m: float | None) -
     if scale == 0:
         raise BadConfig(f"rig {rig.name} has no baseline: give the sensor's as 'baseline_m'")
     return scale
-
-
-def _check(focal_px: float | None, baseline_m: float | None) -> None:
-    for what, value, most in (("focal length", focal_px, 1e6), ("baseline", baseline_m, 100.0)):
-        if value is not None and not 0 < value <= most:
-            raise BadConfig(f"a {what} must be above 0, at most {most:g}, found {value}")

@@ -69,7 +69,7 @@ _RELAXED: Final[Ranges] = {
 
 
 @dataclass(frozen=True)
-class Body:
+class ArmSurroundings:
     """The posed body as an arm meets it. vertices, normals: [V, 3]. pelvis, shoulder, chest: [3], metres. chest_turn:
     [3, 3]. floor: height, metres. seat: there is one at the height of the pelvis. other_placed: the other arm is in its
     place.
@@ -107,7 +107,7 @@ class ArmTask:
         return replace(preset, **angles, fist=self.fist)
 
 
-def drawn_kind(body: Body, floor_hands: float, draws: np.random.Generator) -> str:
+def drawn_kind(body: ArmSurroundings, floor_hands: float, draws: np.random.Generator) -> str:
     """Draw what kind of task an arm has. floor_hands: chance of the floor."""
     if draws.random() < floor_hands:
         return "floor"
@@ -117,7 +117,7 @@ def drawn_kind(body: Body, floor_hands: float, draws: np.random.Generator) -> st
     return "touch" if kind == "other hand" and not body.other_placed else kind
 
 
-def drawn(kind: str, body: Body, draws: np.random.Generator) -> ArmTask:
+def drawn(kind: str, body: ArmSurroundings, draws: np.random.Generator) -> ArmTask:
     """Draw a task of a kind."""
     if kind == "other hand":
         by = "palm" if draws.random() < 0.7 else "fingertips"
@@ -129,7 +129,7 @@ def drawn(kind: str, body: Body, draws: np.random.Generator) -> ArmTask:
     return {"floor": _on_floor, "seat": _on_seat, "air": _in_the_air, "touch": _on_body}[kind](body, draws)
 
 
-def _on_body(body: Body, draws: np.random.Generator) -> ArmTask:
+def _on_body(body: ArmSurroundings, draws: np.random.Generator) -> ArmTask:
     weights = {(name, ""): weight for name, weight in _MIDDLE.items()}
     weights |= {(name, body.side): weight for name, weight in _SAME.items()}
     arm = ("upper arm", "elbow", "forearm")
@@ -140,7 +140,7 @@ def _on_body(body: Body, draws: np.random.Generator) -> ArmTask:
     return _touching(body, chosen(_BY, draws), name, side, draws)
 
 
-def _touching(body: Body, by: str, name: str, side: str, draws: np.random.Generator) -> ArmTask:
+def _touching(body: ArmSurroundings, by: str, name: str, side: str, draws: np.random.Generator) -> ArmTask:
     own, on = body.places.on(by, body.side), body.places.on(name, side)
     at = one_of(on, draws)
     vertex = one_of(own, draws)
@@ -149,7 +149,7 @@ def _touching(body: Body, by: str, name: str, side: str, draws: np.random.Genera
     return ArmTask(f"{by} on {name}", [goal], fist, tuple(_PRESETS.values()), ARM)
 
 
-def _on_floor(body: Body, draws: np.random.Generator) -> ArmTask:
+def _on_floor(body: ArmSurroundings, draws: np.random.Generator) -> ArmTask:
     place = body.shoulder + np.array([uniform(draws, -0.3, 0.3), 0, uniform(draws, -0.35, 0.35)])
     place[1] = body.floor + GAP_M
     ranges = ARM | {"wrist": LOADED_WRIST}
@@ -162,7 +162,7 @@ def _on_floor(body: Body, draws: np.random.Generator) -> ArmTask:
     return ArmTask(f"{by} on the floor", [goal], fist, tuple(_PRESETS.values()), ranges)
 
 
-def _on_seat(body: Body, draws: np.random.Generator) -> ArmTask:
+def _on_seat(body: ArmSurroundings, draws: np.random.Generator) -> ArmTask:
     sign = 1 if body.side == "L" else -1
     place = body.pelvis + np.array([sign * uniform(draws, 0.2, 0.34), -0.1, uniform(draws, -0.25, 0.15)])
     own = body.places.on("palm", body.side)
@@ -172,7 +172,7 @@ def _on_seat(body: Body, draws: np.random.Generator) -> ArmTask:
     )
 
 
-def _in_the_air(body: Body, draws: np.random.Generator) -> ArmTask:
+def _in_the_air(body: ArmSurroundings, draws: np.random.Generator) -> ArmTask:
     sign = 1 if body.side == "L" else -1
     reach = [sign * uniform(draws, -0.25, 0.55), uniform(draws, -0.3, 0.6), uniform(draws, 0.08, 0.6)]
     own = body.places.on("palm", body.side)

@@ -76,11 +76,11 @@ class Limb:
         offsets = person.modelled[vertices] - person.modelled_heads[own]
         return np.asarray(np.einsum("nij,nj->ni", person.reference[own], offsets), np.float64)
 
-    def points(self, vertices: NDArray[np.int64], normals: Floats) -> Points:
+    def points(self, vertices: NDArray[np.int64], normals: Floats) -> LimbPoints:
         """Return points of this limb's skin, to be moved with it. normals: [N, 3], of the modelled surface."""
         own = self._person.owner[vertices]
         turned = np.einsum("nij,nj->ni", self._person.reference[own], normals)
-        return Points(self._local[own], self._offsets(vertices), turned)
+        return LimbPoints(self._local[own], self._offsets(vertices), turned)
 
     def bones(self, angles: Arm | Leg, base: Base) -> tuple[Floats, Floats]:
         """Return turns [B, 3, 3] and heads [B, 3] of this limb's bones in the body frame."""
@@ -117,7 +117,7 @@ class Limb:
 
 
 @dataclass(frozen=True)
-class Points:
+class LimbPoints:
     """Points fixed to bones of a limb. bones: int [N], within the limb. offsets, normals: [N, 3], reference pose."""
 
     bones: NDArray[np.int64]

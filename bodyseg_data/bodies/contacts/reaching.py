@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.anny.skeleton import Arm, Leg
-from bodyseg_data.bodies.contacts.limbs import Base, Limb, Points
+from bodyseg_data.bodies.contacts.limbs import Base, Limb, LimbPoints
 from bodyseg_data.bodies.contacts.ranges import MOST_RAISED, Ranges
-from bodyseg_data.bodies.contacts.surface import Skin
+from bodyseg_data.bodies.contacts.surface import PosedSkin
 
 Floats = NDArray[np.float64]
 
@@ -65,7 +65,7 @@ class Reach:
         base: Base,
         normals: Floats,
         goals: Sequence[Goal],
-        obstacles: Skin,
+        obstacles: PosedSkin,
         floor: float,
         resting: Sequence[NDArray[np.int64]] = (),
     ) -> None:
@@ -76,7 +76,7 @@ class Reach:
         self._resting = [limb.points(group, normals[group]) for group in resting]
         vertices = np.array([goal.vertex for goal in goals], np.int64)
         self._points = limb.points(vertices, normals[vertices])
-        self._probes: Points = limb.points(limb.probes, normals[limb.probes])
+        self._probes: LimbPoints = limb.points(limb.probes, normals[limb.probes])
         self._places = np.array([goal.place for goal in goals]).reshape(-1, 3)
         self._axes = np.array([goal.axes for goal in goals]).reshape(-1, 3)
         self._looks = [(index, goal.facing) for index, goal in enumerate(goals) if goal.facing is not None]

@@ -25,7 +25,7 @@ from bodyseg_data.bodies.contacts.ranges import (
 )
 from bodyseg_data.bodies.contacts.reaching import ALL_AXES, GAP_M, Goal, Reach
 from bodyseg_data.bodies.contacts.stances import STANCES, LegTask, Stance
-from bodyseg_data.bodies.contacts.surface import Skin, deepest_m, vertex_normals
+from bodyseg_data.bodies.contacts.surface import PosedSkin, deepest_m, vertex_normals
 
 Floats = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ _SHOULDER_M: Final = 0.05  # by which shoulder and hip may be below the floor th
 
 
 @dataclass(frozen=True)
-class Drawn:
+class DrawnContact:
     """Result of a search for a pose. contacts: what each arm does, left first. attempts: poses drawn until this one was
     accepted. deepest_m: of skin in skin.
     """
@@ -58,7 +58,7 @@ class Drawn:
     deepest_m: float
 
 
-class Sampler:
+class ContactSampler:
     """Poses of one person."""
 
     def __init__(self, person: Posable, places: Places) -> None:
@@ -77,19 +77,19 @@ class Sampler:
         turns, heads = person.placed(bone_rotations(Pose()))
         self._leg_m = float(heads[0, 1] - person.vertices(turns, heads)[self._places.solid, 1].min())
 
-    def draw(self, stance: str, draws: np.random.Generator) -> Drawn:
+    def draw(self, stance: str, draws: np.random.Generator) -> DrawnContact:
         """Draw a pose. Of many rejected ones, in the end, the one with the least depth is returned."""
-        best: Drawn | None = None
+        best: DrawnContact | None = None
         for attempt in range(1, _ATTEMPTS + 1):
             found = self._attempt(STANCES[stance], draws)
             if found is None:
                 continue
             pose, contacts, deepest = found
             if best is None or deepest < best.deepest_m:
-                best = Drawn(pose, contacts, attempt, deepest)
+                best = DrawnContact(pose, contacts, attempt, deepest)
             if deepest <= DEEPEST_M:
                 break
-        return best or Drawn(Pose(), ("hanging", "hanging"), _ATTEMPTS, 0.0)
+        return best or DrawnContact(Pose(), ("hanging", "hanging"), _ATTEMPTS, 0.0)
 
     def _attempt(self, stance: Stance, draws: np.random.Generator) -> tuple[Pose, tuple[str, str], float] | None:
         legs = self._with_legs(stance, draws)
@@ -152,7 +152,7 @@ class Sampler:
             if task.start.get("twist", (0, 0))[1] > LEG["twist"][1]:
                 ranges["twist"] = CROSSED_TWIST
             resting = [self._places.on(name, side) for name in task.floor]
-            reach = Reach(limb, base, self._normals, goals, Skin(vertices, normals, done), floor, resting)
+            reach = Reach(limb, base, self._normals, goals, PosedSkin(vertices, normals, done), floor, resting)
             reached = reach(starts[side], ranges)
             if reached.miss_m > _MISS_M or reach.depth_m(reached.angles) > DEEPEST_M:
                 return None
@@ -219,10 +219,10 @@ class Sampler:
         solid = self._places.solid & ~limb.vertices
         if other_task is None:
             solid &= ~opposite.vertices
-        obstacles = Skin(vertices, normals, solid)
+        obstacles = PosedSkin(vertices, normals, solid)
         base = Base(turns[limb.base_bone], heads[limb.base_bone], turns[0])
         chest = self._person.numbers["spine02"]
-        body = arms.Body(
+        body = arms.ArmSurroundings(
             side=side,
             places=self._places,
             vertices=vertices,

@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 _REACH_M: Final = 0.2  # beyond this, a point's distance is of no interest
 
 
-class Skin:
+class PosedSkin:
     """Part of a posed surface. Distances are those to the tangent plane at the nearest vertex."""
 
     def __init__(self, vertices: Floats, normals: Floats, of: NDArray[np.bool_]) -> None:
@@ -53,6 +53,6 @@ def deepest_m(vertices: Floats, normals: Floats, limbs: list[Limb], solid: NDArr
     """
     deepest = 0.0
     for limb in limbs:
-        heights = Skin(vertices, normals, solid & ~limb.vertices).heights(vertices[limb.far])
+        heights = PosedSkin(vertices, normals, solid & ~limb.vertices).heights(vertices[limb.far])
         deepest = max(deepest, -float(heights.min()))
     return deepest

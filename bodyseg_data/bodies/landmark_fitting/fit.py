@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.landmark_fitting.surface import Points
+from bodyseg_data.bodies.landmark_fitting.surface import SurfacePoints
 from bodyseg_data.bodies.landmark_fitting.template import FittingBody, Skin, Tensor
 
 Stage = tuple[int, float, float]
@@ -64,13 +64,13 @@ def fitted_points(body: FittingBody, fit: Fit, skin: Skin) -> tuple[NDArray[np.f
         return (positions[0] * fit.scale + fit.move).numpy(), normals[0].numpy()
 
 
-def fitted_surface(body: FittingBody, fit: Fit, count: int | None = None) -> Points:
+def fitted_surface(body: FittingBody, fit: Fit, count: int | None = None) -> SurfacePoints:
     """Return the body's surface in a fit, or `count` points of it."""
     count = len(body.mean_geodesic) if count is None else count
-    return Points(*fitted_points(body, fit, body.surface.first(count)), body.mean_geodesic[:count])
+    return SurfacePoints(*fitted_points(body, fit, body.surface.first(count)), body.mean_geodesic[:count])
 
 
-def surface_distance(target: Points, own: Points) -> float:
+def surface_distance(target: SurfacePoints, own: SurfacePoints) -> float:
     """Distance of two surfaces: mean distance of matches from either to the other, in metres of position and reach."""
     return Matcher(target).distance(own) + Matcher(own).distance(target)
 
@@ -78,28 +78,28 @@ def surface_distance(target: Points, own: Points) -> float:
 class Matcher:
     """Finds the matches of points among those of one surface."""
 
-    def __init__(self, points: Points, reach_m: float = ROUGH_REACH_M) -> None:
+    def __init__(self, points: SurfacePoints, reach_m: float = ROUGH_REACH_M) -> None:
         from scipy.spatial import KDTree
 
         self._reach_m = reach_m
         self._tree: Any = KDTree(self._features(points))
 
-    def match(self, points: Points) -> Tensor:
+    def match(self, points: SurfacePoints) -> Tensor:
         """Return the index of each point's match, int64 [N]."""
         return torch.from_numpy(self._tree.query(self._features(points))[1])
 
-    def distance(self, points: Points) -> float:
+    def distance(self, points: SurfacePoints) -> float:
         """Return the mean distance to the matches, each clipped at a limit."""
         return float(np.minimum(self._tree.query(self._features(points))[0], _LIMIT_M).mean())
 
-    def _features(self, points: Points) -> NDArray[np.float64]:
+    def _features(self, points: SurfacePoints) -> NDArray[np.float64]:
         mean_geodesic = self._reach_m * points.mean_geodesic[:, None]
         return np.concatenate([points.positions, _NORMAL_REACH_M * points.normals, mean_geodesic], axis=1)
 
 
 def refine(
     body: FittingBody,
-    target: Points,
+    target: SurfacePoints,
     fits: Sequence[Fit],
     stages: Sequence[Stage],
     count: int,
@@ -133,7 +133,7 @@ def refine(
             own = own * log_scale.exp() + move
             if step % _MATCH_EVERY == 0:
                 now = [
-                    Points(*both, mean_geodesic)
+                    SurfacePoints(*both, mean_geodesic)
                     for both in zip(own.detach().numpy(), normals.detach().numpy(), strict=True)
                 ]
                 there = torch.stack([matcher.match(points) for points in now])

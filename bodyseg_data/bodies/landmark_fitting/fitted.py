@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.landmark_fitting.fit import Fit, fitted_points
-from bodyseg_data.bodies.landmark_fitting.surface import FEATURE, Points
+from bodyseg_data.bodies.landmark_fitting.surface import FEATURE, SurfacePoints
 from bodyseg_data.bodies.landmark_fitting.template import FittingBody
 from bodyseg_data.core.errors import BadMesh
 from bodyseg_data.core.parts import PART_COUNT
@@ -89,7 +89,7 @@ class FittedBody:
         return turned
 
 
-def gap_m(target: Points, own: Points) -> float:
+def gap_m(target: SurfacePoints, own: SurfacePoints) -> float:
     """Return the distance to the points of `target` that 99 % of the points of the fitted body keep, metres."""
     from scipy.spatial import KDTree
 

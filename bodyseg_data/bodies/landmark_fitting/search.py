@@ -29,7 +29,7 @@ from bodyseg_data.bodies.landmark_fitting.fit import (
 )
 from bodyseg_data.bodies.landmark_fitting.fitted import FittedBody, Proposal, gap_m, largest_piece
 from bodyseg_data.bodies.landmark_fitting.limbs import LIMB_POSES
-from bodyseg_data.bodies.landmark_fitting.surface import Points, sample_surface
+from bodyseg_data.bodies.landmark_fitting.surface import SurfacePoints, sample_surface
 from bodyseg_data.bodies.landmark_fitting.template import FittingBody, Tensor, fitting_body
 from bodyseg_data.bodies.motions.legs import about_y
 from bodyseg_data.core.system.torch_threads import torch_threads
@@ -85,7 +85,7 @@ def fit_body(body: FittingBody, mesh: Mesh, tilts: Sequence[NDArray[np.float64]]
         return FittedBody(mesh, body, fit, gap_m(target, fitted_surface(body, fit)))
 
 
-def _fit_to(body: FittingBody, target: Points, tilts: Sequence[NDArray[np.float64]]) -> Fit:
+def _fit_to(body: FittingBody, target: SurfacePoints, tilts: Sequence[NDArray[np.float64]]) -> Fit:
     poses = [body.start(pose) for _, pose in POSTURES]
     limbs = {kind: [body.start(pose) for pose in poses] for kind, poses in LIMB_POSES.items()}
     some, few = target.thinned(_POINTS), target.thinned(_ROUGH_POINTS)
@@ -109,7 +109,7 @@ def _fit_to(body: FittingBody, target: Points, tilts: Sequence[NDArray[np.float6
 
 
 def _starts(
-    body: FittingBody, target: Points, poses: Sequence[Tensor], tilts: Sequence[NDArray[np.float64]]
+    body: FittingBody, target: SurfacePoints, poses: Sequence[Tensor], tilts: Sequence[NDArray[np.float64]]
 ) -> list[tuple[float, int, Fit]]:
     """List (distance, direction number, fit) of every pose, tilted and turned every way, by centre and size."""
     centre, size = _centre_and_size(target.positions)
@@ -121,12 +121,14 @@ def _starts(
         own = fitted_surface(body, Fit(pose, torch.zeros(3).double(), torch.tensor(1.0).double(), angles, shape))
         middle, own_size = _centre_and_size(own.positions)
         scale = size / own_size
-        own = Points((own.positions - middle) * scale, own.normals, own.mean_geodesic).first(_ROUGH_POINTS)
+        own = SurfacePoints((own.positions - middle) * scale, own.normals, own.mean_geodesic).first(_ROUGH_POINTS)
         own_matcher = Matcher(own)
         for way, (tilt, turn) in enumerate((tilt, turn) for tilt in tilts for turn in range(_TURNS)):
             rotation = tilt @ about_y(360 * turn / _TURNS)
-            turned = Points(own.positions @ rotation.T + centre, own.normals @ rotation.T, own.mean_geodesic)
-            back = Points((target.positions - centre) @ rotation, target.normals @ rotation, target.mean_geodesic)
+            turned = SurfacePoints(own.positions @ rotation.T + centre, own.normals @ rotation.T, own.mean_geodesic)
+            back = SurfacePoints(
+                (target.positions - centre) @ rotation, target.normals @ rotation, target.mean_geodesic
+            )
             start = pose.clone()
             start[0] = torch.from_numpy(rotation) @ start[0]
             # Turning the root does not move the root itself.
@@ -159,7 +161,7 @@ def _candidates(body: FittingBody, fits: Sequence[Fit]) -> list[Fit]:
 
 
 def _other_limbs(
-    body: FittingBody, target: Points, fit: Fit, limb: tuple[str, str], poses: Sequence[Tensor]
+    body: FittingBody, target: SurfacePoints, fit: Fit, limb: tuple[str, str], poses: Sequence[Tensor]
 ) -> list[Fit]:
     """List fits with an arm, a leg or both arms of another pose: those nearest to the target, with the hand or foot, or
     one of the hands, in different places.

@@ -17,24 +17,24 @@ _SOURCES: Final = 24
 
 
 @dataclass(frozen=True)
-class Points:
+class SurfacePoints:
     """Points of a surface. positions: float64 [N, 3], metres; normals: [N, 3], outwards; mean_geodesic: [N]."""
 
     positions: NDArray[np.float64]
     normals: NDArray[np.float64]
     mean_geodesic: NDArray[np.float64]
 
-    def thinned(self, count: int) -> Points:
+    def thinned(self, count: int) -> SurfacePoints:
         """Return every n-th point, at least `count` of them if there are as many."""
         step = max(1, len(self.positions) // count)
-        return Points(self.positions[::step], self.normals[::step], self.mean_geodesic[::step])
+        return SurfacePoints(self.positions[::step], self.normals[::step], self.mean_geodesic[::step])
 
-    def first(self, count: int) -> Points:
+    def first(self, count: int) -> SurfacePoints:
         """Return the first `count` points."""
-        return Points(self.positions[:count], self.normals[:count], self.mean_geodesic[:count])
+        return SurfacePoints(self.positions[:count], self.normals[:count], self.mean_geodesic[:count])
 
 
-def sample_surface(mesh: Mesh, count: int) -> Points:
+def sample_surface(mesh: Mesh, count: int) -> SurfacePoints:
     """Sample `count` points evenly by area, the same ones for the same mesh."""
     double_areas = np.linalg.norm(mesh.normals, axis=1)
     filled = np.cumsum(double_areas)
@@ -45,7 +45,7 @@ def sample_surface(mesh: Mesh, count: int) -> Points:
     a, b, c = np.moveaxis(mesh.vertices[mesh.faces[faces]], 1, 0)
     positions = a + u[:, None] * (b - a) + v[:, None] * (c - a)
     normals = mesh.normals[faces] / double_areas[faces, None]
-    return Points(positions, normals, mean_geodesic(mesh)[mesh.faces[faces, 0]])
+    return SurfacePoints(positions, normals, mean_geodesic(mesh)[mesh.faces[faces, 0]])
 
 
 def mean_geodesic(mesh: Mesh) -> NDArray[np.float64]:

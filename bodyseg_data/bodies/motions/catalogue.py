@@ -24,7 +24,7 @@ _DECIMALS: Final = 4  # of a degree: the last bits of sines differ between machi
 
 
 @dataclass(frozen=True)
-class Frame:
+class MotionFrame:
     """One frame of a motion. height_m: of the body's lowest point above the floor, more than 0 only in flight."""
 
     pose: Pose
@@ -38,10 +38,10 @@ class Motion:
     frames: int
     at: Callable[[float], tuple[Pose, float]]
 
-    def frame(self, number: int) -> Frame:
+    def frame(self, number: int) -> MotionFrame:
         """Return frame `number`, from 0, rounded to four decimals of a degree and six of a metre."""
         pose, height = self.at(number / FRAMES_PER_SECOND)
-        return Frame(from_angles(angles(pose), _DECIMALS), round(height, 6))
+        return MotionFrame(from_angles(angles(pose), _DECIMALS), round(height, 6))
 
 
 BUILD_B: Final = Build(

@@ -21,7 +21,7 @@ from bodyseg_data.bodies.anny.model import Figure, standing
 from bodyseg_data.bodies.anny.people import SUBJECT_A, person
 from bodyseg_data.bodies.clothes.outfits import Outfit, drawn_outfit
 from bodyseg_data.bodies.contacts.places import Places
-from bodyseg_data.bodies.contacts.sampler import Drawn, Sampler
+from bodyseg_data.bodies.contacts.sampler import ContactSampler, DrawnContact
 from bodyseg_data.bodies.contacts.stances import STANCES
 from bodyseg_data.bodies.source import Body, BodyRef
 from bodyseg_data.bodies.sources.open_bodies import Listed, MadeBodies
@@ -58,15 +58,15 @@ class EverydayBodies(MadeBodies):
 
     def __init__(self) -> None:
         super().__init__("everyday", dict(self._listed()))
-        self._latest: tuple[BodyRef, Drawn] | None = None
+        self._latest: tuple[BodyRef, DrawnContact] | None = None
 
-    def drawn(self, body: BodyRef) -> Drawn:
+    def drawn(self, body: BodyRef) -> DrawnContact:
         """Draw the pose of one of `bodies()`, with how it was found. Raises BadConfig for a body of another source."""
         self.entry(body)
         if self._latest is None or self._latest[0] != body:
             index = int(body.subject[1:])
             draws = generator(0, 0, f"everyday/{body.mesh}", "pose")
-            sampler = Sampler(self.model.posable(person(_FIRST_PERSON + index)), self._places)
+            sampler = ContactSampler(self.model.posable(person(_FIRST_PERSON + index)), self._places)
             self._latest = body, sampler.draw(body.pose, draws)
         return self._latest[1]
 

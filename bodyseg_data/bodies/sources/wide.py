@@ -27,7 +27,7 @@ _FIRST_PERSON: Final = 1000  # beyond those of the open and the hard set
 _DRESSED_EVERY: Final = 3
 
 
-class Stance(NamedTuple):
+class WideStance(NamedTuple):
     """Ranges of trunk and legs, degrees. alike: both legs have the same angles."""
 
     trunk: Ranges
@@ -41,24 +41,24 @@ _LYING_LEG: Final[Ranges] = {
 }  # fmt: skip
 _ANY_WAY: Final = {"turn": (-180.0, 180.0)}
 
-STANCES: Final[dict[str, Stance]] = {
-    "upright": Stance(
+STANCES: Final[dict[str, WideStance]] = {
+    "upright": WideStance(
         {"lean": (-5, 8), "bend": (-8, 18), "side": (-12, 12), "twist": (-25, 25)} | _HEAD,
         {"flex": (-12, 25), "abduct": (-3, 15), "twist": (-5, 25), "knee": (0, 25)},
     ),
-    "bent": Stance(
+    "bent": WideStance(
         {"lean": (15, 65), "bend": (10, 60), "side": (-15, 15), "twist": (-25, 25)} | _HEAD,
         {"flex": (30, 75), "abduct": (0, 15), "twist": (0, 20), "knee": (0, 45)},
     ),
-    "crouching": Stance(
+    "crouching": WideStance(
         {"lean": (5, 45), "bend": (5, 45), "side": (-10, 10), "twist": (-20, 20)} | _HEAD,
         {"flex": (70, 125), "abduct": (0, 30), "twist": (0, 35), "knee": (75, 132)},
     ),
-    "on a chair": Stance(
+    "on a chair": WideStance(
         {"lean": (-15, 15), "bend": (0, 35), "side": (-10, 10), "twist": (-20, 20)} | _HEAD,
         {"flex": (72, 108), "abduct": (-2, 25), "twist": (-5, 35), "knee": (60, 112)},
     ),
-    "on the floor": Stance(
+    "on the floor": WideStance(
         {"lean": (-35, 0), "bend": (0, 45), "twist": (-20, 20)} | _HEAD,
         {
             "flex": (55, 120),
@@ -69,21 +69,21 @@ STANCES: Final[dict[str, Stance]] = {
             "ankle": (0, 25),
         },
     ),
-    "kneeling": Stance(
+    "kneeling": WideStance(
         {"lean": (-8, 25), "bend": (-5, 30), "side": (-10, 10), "twist": (-25, 25)} | _HEAD,
         {"flex": (-5, 60), "abduct": (0, 15), "knee": (85, 134), "planted": (0, 0), "ankle": (20, 48)},
         alike=True,
     ),
-    "bent double": Stance(
+    "bent double": WideStance(
         {"lean": (60, 90), "bend": (0, 70), "twist": (-20, 20)} | _HEAD,
         {"flex": (55, 100), "abduct": (0, 15), "knee": (0, 95), "planted": (0, 0), "ankle": (0, 40)},
         alike=True,
     ),
-    "on the back": Stance({"lean": (-95, -80), "bend": (-5, 20)} | _HEAD | _ANY_WAY, _LYING_LEG),
-    "on the front": Stance(
+    "on the back": WideStance({"lean": (-95, -80), "bend": (-5, 20)} | _HEAD | _ANY_WAY, _LYING_LEG),
+    "on the front": WideStance(
         {"lean": (80, 95), "bend": (-25, 5)} | _HEAD | _ANY_WAY, _LYING_LEG | {"flex": (-10, 30), "knee": (0, 60)}
     ),
-    "on the side": Stance({"roll": (-95, 95), "bend": (0, 45)} | _HEAD | _ANY_WAY, _LYING_LEG),
+    "on the side": WideStance({"roll": (-95, 95), "bend": (0, 45)} | _HEAD | _ANY_WAY, _LYING_LEG),
 }
 
 ARMS: Final[dict[str, Ranges]] = {

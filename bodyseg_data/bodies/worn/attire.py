@@ -17,7 +17,7 @@ from bodyseg_data.bodies.worn.held import IN_HAND, Held, held_thing
 from bodyseg_data.bodies.worn.shoes import Shoes, shoe
 from bodyseg_data.bodies.worn.wearer import Wearer
 from bodyseg_data.core.parts import LANDMARKS
-from bodyseg_data.meshes.partition.pieces import Piece
+from bodyseg_data.meshes.partition.pieces import SurfacePiece
 from bodyseg_data.meshes.solids import Solid
 
 Floats = NDArray[np.float64]
@@ -89,7 +89,7 @@ def under(drape: Drape, outfit: Outfit) -> Outfit:
 
 def joined(
     vertices: Floats, faces: NDArray[np.int32], worn: Worn
-) -> tuple[Floats, NDArray[np.int32], tuple[Piece, ...]]:
+) -> tuple[Floats, NDArray[np.int32], tuple[SurfacePiece, ...]]:
     """Join a body, [V, 3] and [F, 3], of which `worn.points` are the first vertices, and all that is over it.
 
     Further vertices of the body, in the middle of its edges, move as the nearest of the first ones do.
@@ -105,7 +105,7 @@ def joined(
     points = [worn.points, between]
     triangles, pieces, count = [faces], [], len(vertices)
     for solid, parts in worn.over:
-        pieces.append(Piece(count, parts))
+        pieces.append(SurfacePiece(count, parts))
         points.append(solid.vertices)
         triangles.append(solid.faces + np.int32(count))
         count += len(solid.vertices)

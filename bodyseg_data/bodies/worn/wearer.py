@@ -24,7 +24,7 @@ _ARM: Final = ("upperarm", "lowerarm", "wrist", "metacarpal", "finger")
 
 
 @dataclass(frozen=True)
-class Frame:
+class MovedPart:
     """A part of the body that moved as a whole from rest to the pose: posed = turn @ rest + shift."""
 
     turn: Floats
@@ -66,14 +66,14 @@ class Wearer:
         """A landmark at rest, [3], metres."""
         return np.asarray(self.rest[self._at[name]], np.float64)
 
-    def frame(self, of: Mask) -> Frame:
+    def frame(self, of: Mask) -> MovedPart:
         """The rigid motion from rest to the pose that fits vertices best (Kabsch 1976)."""
         rest, posed = self.rest[of], self.points[of]
         u, _, v = np.linalg.svd((rest - rest.mean(axis=0)).T @ (posed - posed.mean(axis=0)))
         turn = v.T @ np.diag([1.0, 1.0, np.linalg.det(v.T @ u.T)]) @ u.T
-        return Frame(turn, posed.mean(axis=0) - turn @ rest.mean(axis=0))
+        return MovedPart(turn, posed.mean(axis=0) - turn @ rest.mean(axis=0))
 
     @cached_property
-    def head(self) -> Frame:
+    def head(self) -> MovedPart:
         """The head's motion."""
         return self.frame(self.of("head"))

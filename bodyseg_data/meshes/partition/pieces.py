@@ -19,7 +19,7 @@ from bodyseg_data.meshes.mesh import Mesh
 
 
 @dataclass(frozen=True)
-class Piece:
+class SurfacePiece:
     """A connected piece of a mesh that lies over the body. vertex: index of any of its vertices.
 
     parts: labels, 0 to 32, of which each of its points gets the nearest; none for a thing, whose label is 255. Raises
@@ -36,7 +36,7 @@ class Piece:
 
 def label_pieces(
     mesh: Mesh,
-    pieces: Sequence[Piece],
+    pieces: Sequence[SurfacePiece],
     piece_of_vertex: NDArray[np.int32],
     labels: NDArray[np.uint8],
     distance: NDArray[np.float64],

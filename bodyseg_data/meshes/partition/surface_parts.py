@@ -16,7 +16,7 @@ from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.nearest import nearest_corner
 from bodyseg_data.meshes.partition.borders import Borders, find_borders
 from bodyseg_data.meshes.partition.geodesics import FALLBACK_METHOD, GeodesicMethod, check_method, nearest_sources
-from bodyseg_data.meshes.partition.pieces import Piece, label_pieces
+from bodyseg_data.meshes.partition.pieces import SurfacePiece, label_pieces
 from bodyseg_data.meshes.topology import face_components
 
 _FEATURE: Final = "partitioning a body"
@@ -28,9 +28,9 @@ class Partition:
 
     labels: uint8 [V], 0 to 32, index in `parts.PARTS`; 255 on things. distance: float64 [V], metres along the surface
     to the landmark of that part; infinite where no landmark can be reached (another piece of the surface, or a vertex
-    that no face uses), where the label is that of the nearest reached triangle in a straight line, or, on a `Piece`,
-    of the nearest vertex of the parts that it covers. borders: the triangles that parts share. note: repairs and a
-    change of method in words, or None.
+    that no face uses), where the label is that of the nearest reached triangle in a straight line, or, on a
+    `SurfacePiece`, of the nearest vertex of the parts that it covers. borders: the triangles that parts share. note:
+    repairs and a change of method in words, or None.
     """
 
     labels: NDArray[np.uint8]
@@ -53,7 +53,7 @@ class Partition:
 
 
 def partition(
-    mesh: Mesh, landmarks: NDArray[np.int64], method: GeodesicMethod = "exact", pieces: Sequence[Piece] = ()
+    mesh: Mesh, landmarks: NDArray[np.int64], method: GeodesicMethod = "exact", pieces: Sequence[SurfacePiece] = ()
 ) -> Partition:
     """Label every vertex of `mesh` with its nearest landmark along the surface.
 
@@ -68,8 +68,8 @@ def partition(
     any other piece gets the label of the nearest labelled triangle, of that triangle's corner nearest to it.
 
     Raises BadLandmarks for landmarks that are not 33 vertices at distinct points of the surface or pieces that are not
-    over the body, BadConfig for an unknown method, MissingLibrary without pygeodesic (potpourri3d for `marching` and
-    `heat`), scipy, trimesh or rtree.
+    over the body, BadConfig for an unknown method, MissingLibrary without pygeodesic, scipy, trimesh or
+    rtree.
     """
     check_method(method)
     landmarks = _checked_landmarks(mesh, landmarks)
@@ -120,7 +120,7 @@ def _with_borders(
     labels: NDArray[np.uint8],
     distance: NDArray[np.float64],
     note: str | None,
-    pieces: Sequence[Piece] = (),
+    pieces: Sequence[SurfacePiece] = (),
 ) -> Partition:
     reached = np.isfinite(distance)
     if pieces:

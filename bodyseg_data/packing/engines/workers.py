@@ -28,7 +28,6 @@ _SHAPE_BYTES: Final = (
     "numba",
     "numpy",
     "pillow",
-    "potpourri3d",
     "pygeodesic",
     "pymeshlab",
     "pyrender",

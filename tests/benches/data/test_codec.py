@@ -11,6 +11,7 @@ from benches.data.codec.baselines import Baseline, baselines
 from benches.data.codec.bench import DEFAULT, bench_codec
 from benches.data.codec.figure import draw_codec
 from folders import ROOT
+from pictures import decoded, marks
 
 from bodyseg_data.core.errors import BadConfig
 
@@ -72,4 +73,9 @@ def test_a_codec_that_loses_anything_stops_the_bench(monkeypatch: pytest.MonkeyP
 def test_the_chart_is_drawn(figures: dict[str, Any], tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     draw_codec(figures, tmp_path / "codec.png")
-    assert (tmp_path / "codec.png").stat().st_size > 10_000
+    picture = decoded(tmp_path / "codec.png")
+    ours, others = marks(picture, "#1f5ac8", 80), marks(picture, "#77777f", 30)
+    assert len(ours) == sum(name.startswith("bsi") for name in figures["codecs"]) and len(others) > 5
+    largest = max(figures["codecs"].values(), key=lambda row: row["bytes"])
+    assert largest not in [figures["codecs"][name] for name in figures["codecs"] if name.startswith("bsi")]
+    assert min(mark.top for mark in others) < min(mark.top for mark in ours), "more bytes stand higher"

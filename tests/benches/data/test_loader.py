@@ -17,6 +17,7 @@ from benches.data.loader.limits import limits, ratio
 from benches.data.loader.passes import _check, checksum_of
 from benches.data.loader.pngs import DECODERS, by_pillow, png, time_decoders
 from numpy.typing import NDArray
+from pictures import decoded, marks, part
 
 from bodyseg_data.core.errors import BadConfig, BadSample
 from bodyseg_data.loading.image_set import Batch
@@ -122,6 +123,27 @@ def test_baselines_deliver_what_was_stored(name: str, small_set: Path, tmp_path:
         baseline.close()
     if name == "mds_zstd":
         assert folder_bytes(tmp_path) > 24 * 160 * 82 * 3 > 3 * size, "it keeps both forms"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_loader_shuffles(name: str, small_set: Path, tmp_path: Path) -> None:
+    """In each of its passes, ours as its rivals: what is read in the order of storage is read faster."""
+    premade, known = Premade(RangeImages(small_set)), bench.baselines()
+    if name in known:
+        try:
+            (tmp_path / name).mkdir()
+            known[name].write(premade, tmp_path / name)
+        except ImportError as error:
+            pytest.skip(f"{name} is not installed: {error}")
+    there = {name: known[name]} if name in known else {}
+    batches = bench._openings(small_set, there, tmp_path, 5, 0)[name]()
+    stored = [image.key for image in premade]
+    for _ in range(2):
+        found = [key for one in batches for key in one["key"]]
+        assert sorted(found) == sorted(stored) and found != stored
+    del batches
+    if name in known:
+        known[name].close()
 
 
 def test_the_quickest_decoder_that_is_installed_is_used(small_set: Path) -> None:
@@ -248,4 +270,10 @@ def test_too_little_to_measure_is_refused(views: int, workers: tuple[int, ...], 
 
 def test_the_figure_is_drawn(figures: dict[str, Any], tmp_path: Path) -> None:
     draw_loader(figures, tmp_path / "chart.png")
-    assert (tmp_path / "chart.png").stat().st_size > 10_000
+    sizes = part(decoded(tmp_path / "chart.png"), across=(0.72, 1))
+    ours, others = (marks(sizes, colour, 150) for colour in ("#1f5ac8", "#6e6e76"))
+    assert len(ours) == len(OURS) and len({mark.width for mark in ours}) == 1, "a bar for each row of one set"
+    assert len(others) == len(NAMES) - len(OURS) - len(figures["missing"]), "none for what is not installed"
+    kept = figures["kept_bytes_per_sample"]
+    memory = min(others, key=lambda mark: mark.top)  # the first row of the others
+    assert memory.width / ours[0].width == pytest.approx(kept["memory"] / kept["ours_all"], rel=0.05)

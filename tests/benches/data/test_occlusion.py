@@ -10,14 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 from benches.charts.fronts import pareto_front
-from benches.data.occlusion import bench
+from benches.data.occlusion import bench, crops
 from benches.data.occlusion.baselines import DEFAULT, METHODS
 from benches.data.occlusion.bench import bench_occlusion
+from benches.data.occlusion.crops import _COLOURS
 from benches.data.occlusion.figure import draw_occlusion
 from benches.data.occlusion.stored import Storage
 from benches.data.occlusion.tallies import SCENES
 from benches.data.occlusion.views import GROUPS, ExactView, exact_view, grown
 from folders import ROOT
+from pictures import decoded, marks, part
 from shapes import figure
 from small_rig import SMALL
 
@@ -129,8 +131,23 @@ def test_the_bench_needs_a_view() -> None:
         bench_occlusion(0)
 
 
-def test_chart_and_worst_errors_are_drawn(figures: dict[str, Any], tmp_path: Path) -> None:
+def test_chart_and_worst_errors_are_drawn(
+    figures: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     few = {**figures, "worst_crops": figures["worst_crops"][:1]}
+    monkeypatch.setattr(crops, "load_rig", lambda: SMALL)  # which the windows are of
     draw_occlusion(few, tmp_path / "chart.png")
-    for name in ("chart.png", "chart_errors.png"):
-        assert (tmp_path / name).stat().st_size > 10_000
+    upper = part(decoded(tmp_path / "chart.png"), down=(0, 0.57))
+    for half in ((0.0, 0.5), (0.5, 1.0)):
+        panel = part(upper, across=half)
+        (star, *_) = sorted(marks(panel, (0, 0, 0), 60), key=lambda mark: -mark.bottom)
+        points = marks(panel, "#1f4fa8", 8, within=20)
+        assert points and max(mark.bottom for mark in points) <= star.bottom, "the exact mask has the least error"
+    errors = part(decoded(tmp_path / "chart_errors.png"), down=(0, 0.85))  # without the legend
+    columns = [
+        {name: marks(part(errors, (third / 9, (third + 1) / 9)), colour, 1) for name, colour in _COLOURS.items()}
+        for third in range(3)
+    ]
+    assert all(found["lit"] and found["in shadow"] for found in columns)
+    wrong = [bool(found["wrongly lit"] or found["wrongly dark"]) for found in columns]
+    assert wrong == [False, False, True], "errors are marked in the third picture of a scene"

@@ -9,12 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 from benches.data.surface import partition as bench
+from benches.data.surface import partition_figure
 from benches.data.surface.broken_bodies import CASES, scan, sound
 from benches.data.surface.partition import METHODS, bench_partition, wrong_surface
 from benches.data.surface.partition_figure import draw_partition
+from benches.data.surface.rival_geodesics import rivals_installed
+from pictures import decoded, marks, part
 from shapes import ball
 
 from bodyseg_data.bodies.source import Body, BodyRef
+from bodyseg_data.core.errors import BadConfig, Unanswerable
+from bodyseg_data.meshes.partition.geodesics import check_method, nearest_sources
 from bodyseg_data.meshes.partition.surface_parts import partition
 
 
@@ -104,4 +109,48 @@ def test_every_method_is_measured_on_every_body(figures: dict[str, Any]) -> None
 
 def test_the_chart_is_drawn(figures: dict[str, Any], tmp_path: Path) -> None:
     draw_partition(figures, tmp_path / "chart.png")
-    assert (tmp_path / "chart.png").stat().st_size > 10_000
+    picture = decoded(tmp_path / "chart.png")
+    for name in METHODS[1:]:
+        assert marks(part(picture, down=(0, 0.52)), partition_figure._GREYS[name], 40), name
+    table = part(picture, down=(0.52, 1))
+    assert sum((table == 255).all(axis=-1).ravel()) < 0.9 * table[..., 0].size, "worse cells are darker"
+
+
+def dented_ball() -> Any:
+    """Vertices, faces and 20 sources."""
+    mesh = ball(subdivisions=4)
+    vertices = mesh.vertices.copy()
+    vertices[:, 2] *= 1 + 0.3 * np.sin(9 * mesh.vertices[:, 1])
+    return vertices, mesh.faces.astype(np.int64), np.random.default_rng(0).choice(len(vertices), 20, replace=False)
+
+
+@pytest.mark.parametrize(("method", "error_m", "wrong"), [("marching", 9e-3, 0.03), ("heat", 6e-3, 0.02)])
+def test_rivals_come_near_the_exact_answer_while_they_are_installed(method: Any, error_m: float, wrong: float) -> None:
+    vertices, faces, sources = dented_ball()
+    with rivals_installed():
+        exact, answer = (nearest_sources(name, vertices, faces, sources) for name in ("exact", method))
+    np.testing.assert_array_equal(answer.source[sources], np.arange(20))
+    np.testing.assert_allclose(answer.distance[sources], 0, atol=1e-12)
+    assert 0 < np.abs(answer.distance - exact.distance).mean() < error_m
+    assert 0 < (answer.source != exact.source).mean() < wrong
+    with pytest.raises(BadConfig, match=f"found '{method}'"):
+        check_method(method)
+
+
+def test_what_a_rival_refuses_is_one_line() -> None:
+    """An edge of three faces for fast marching; two balls that share one vertex for its library."""
+    vertices, faces, sources = dented_ball()
+    far, fin = np.append(vertices, [[0.0, 5, 0]], axis=0), np.append(faces, [[*faces[0, :2], len(vertices)]], axis=0)
+    count = len(vertices)
+    top, bottom = int(vertices[:, 1].argmax()), int(vertices[:, 1].argmin())
+    other = vertices + np.array([0, np.ptp(vertices[:, 1]), 0])
+    more = np.where(faces == bottom, top, faces + count)
+    used, corners = np.unique(np.concatenate([faces, more]), return_inverse=True)
+    with rivals_installed():
+        assert np.isfinite(nearest_sources("heat", far, fin, sources).distance).all()  # type: ignore[arg-type]
+        with pytest.raises(Unanswerable, match="the method 'marching' cannot answer: an edge may have two faces"):
+            nearest_sources("marching", far, fin, sources)  # type: ignore[arg-type]
+        both = np.concatenate([vertices, other])[used], corners.reshape(-1, 3)
+        with pytest.raises(Unanswerable, match="the method 'marching' cannot answer: .*nonmanifold") as caught:
+            nearest_sources("marching", *both, sources)  # type: ignore[arg-type]
+    assert "\n" not in str(caught.value)

@@ -5,10 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from benches.data.occlusion import quantisation
+from benches.data.occlusion import quantisation, quantisation_figure
 from benches.data.occlusion.quantisation import LIMIT, RESOLUTION_MM, STEPS_MM, bench_quantisation
 from benches.data.occlusion.quantisation_figure import draw_quantisation
 from folders import ROOT
+from pictures import decoded, marks, part
 from small_rig import SMALL
 
 from bodyseg_data.core.errors import BadConfig
@@ -56,4 +57,10 @@ def test_the_default_rig_has_the_best_step_of_the_kept_results(figures: dict[str
 def test_the_chart_is_drawn(figures: dict[str, Any], tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     draw_quantisation(figures, tmp_path / "steps.png")
-    assert (tmp_path / "steps.png").stat().st_size > 10_000
+    picture = decoded(tmp_path / "steps.png")
+    for panel in range(3):
+        inside = part(picture, across=(panel / 3, (panel + 1) / 3))
+        assert len(marks(inside, quantisation_figure._DEFAULT, 60)) == 1
+        assert len(marks(inside, quantisation_figure._OTHERS, 20)) >= 1
+        lines = [mark for mark in marks(inside, quantisation_figure._LIMIT) if mark.width > 200]
+        assert bool(lines) == (panel == 1), "the limit is one of wrong shadows"

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from benches.data.surface import reduction as benches
-from benches.data.surface.reduction_figure import draw_reduction
+from benches.data.surface.reduction_figure import _COLOURS, draw_reduction
 from fakes import Figures, FiguresEntry
+from pictures import decoded, marks, part
 from shapes import figure
 from small_rig import SMALL
 
@@ -76,7 +77,11 @@ def test_a_whole_mesh_has_no_error_and_coarser_ones_have_more(figures: dict[str,
 def test_the_chart_is_drawn(figures: dict[str, Any], tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     draw_reduction(figures, tmp_path / "chart.png")
-    assert (tmp_path / "chart.png").stat().st_size > 10_000
+    picture = decoded(tmp_path / "chart.png")
+    for kind in figures["kinds"]:
+        for half in ((0.0, 0.5), (0.5, 1.0)):
+            assert marks(part(picture, across=half), _COLOURS[kind], 20), (kind, half)
+    assert not marks(picture, _COLOURS["mit"], 60), "no MIT frames were measured"
 
 
 def test_at_least_one_view_is_needed() -> None:

@@ -10,8 +10,9 @@ from benches.data.render import alone as render_alone
 from benches.data.render import steps as render_steps
 from benches.data.render.alone import PLAIN, measure_renderers, true_range
 from benches.data.render.bench import bench_render
-from benches.data.render.figure import draw_render
+from benches.data.render.figure import _STAGES, draw_render
 from benches.data.render.steps import STAGES, _Scene, _steps, measure_stages, measure_steps
+from pictures import decoded, marks
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import PlacedCamera, axes_at
@@ -98,4 +99,14 @@ def test_a_figure_is_drawn_without_the_baseline(tmp_path: Path) -> None:
         "steps": [{"name": name, "ms_per_view": ms, "bytes_per_view": 9e4} for name, ms in (("a", 30.0), ("b", 20.0))],
     }
     draw_render(figures, tmp_path / "chart.png")
-    assert (tmp_path / "chart.png").stat().st_size > 10_000
+    picture = decoded(tmp_path / "chart.png")
+    assert not marks(picture, "#9a9aa2"), "no bar for what cannot draw"
+    stages = [marks(picture, colour, 400) for colour in _STAGES.values() if colour != "#1f5ac8"]
+    assert {len(found) for found in stages} == {1} and max(m[0].width for m in stages) < 1.05 * min(
+        m[0].width for m in stages
+    )
+    assert [found[0].left for found in stages] == sorted(found[0].left for found in stages)
+    speed, camera, last = sorted(marks(picture, "#1f5ac8", 400), key=lambda mark: mark.top)
+    (first,) = marks(picture, "#a9bfe8", 400)
+    assert first.left == last.left and last.width / first.width == pytest.approx(20 / 30, rel=0.02)
+    assert speed.left == pytest.approx(first.left, abs=2) and camera.left > stages[1][0].left

@@ -24,6 +24,7 @@ from benches.model.ablation.figure import draw_ablation
 from benches.model.ablation.rows import ROW_OF_BASE, ROWS, AblationRow, deviation_of, enough, verdict, worth
 from benches.model.ablation.runs import find_runs
 from benches.model.ablation.sensor_artifacts import ADDED
+from pictures import decoded, marks, part
 from slow_accuracy import slow_accuracy
 
 from bodyseg_data import RangeImages
@@ -286,7 +287,15 @@ def test_the_smallest_set_that_suffices() -> None:
 def test_the_figure_and_the_table_are_made(measured: dict[str, Any], tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     draw_ablation(measured, tmp_path / "ablation.png")
-    assert (tmp_path / "ablation.png").stat().st_size > 10_000
+    picture = part(decoded(tmp_path / "ablation.png"), down=(0, 0.93))  # without the legend
+    gains, bodies, views = (
+        part(picture, across, down)
+        for across, down in (((0, 0.62), (0, 1)), ((0.72, 1), (0, 0.5)), ((0.72, 1), (0.5, 1)))
+    )
+    blue, orange = (marks(gains, colour, 6, within=60) for colour in ("#1f4fa8", "#c25a00"))
+    assert len(blue) >= 5 and orange
+    for panel in (bodies, views):
+        assert marks(panel, "#1f4fa8", 30, within=30) and not marks(panel, "#c25a00", 6, within=30)
     lines = measured["table"].splitlines()
     assert len(lines) == 3 + len(measured["rows"]) and all(line.count("|") == 8 for line in lines)
     costs = {cost["what"]: cost for row in measured["rows"] if row["name"] == "views_1" for cost in row["cost"]}

@@ -10,8 +10,9 @@ import pytest
 import torch
 from benches.model.networks import network as bench
 from benches.model.networks.network import bench_network
-from benches.model.networks.network_figure import draw_network
+from benches.model.networks.network_figure import _MARKS, draw_network
 from benches.model.networks.network_times import LEAST_ROUNDS, operations, summary
+from pictures import decoded, marks, part
 from torch import nn
 
 from bodyseg_data.core.errors import BadConfig, MissingLibrary
@@ -109,7 +110,14 @@ def test_size_time_and_accuracy_of_both_networks(
     assert torch.get_num_threads() == threads
     assert json.loads(json.dumps(found)) == found
     draw_network(found, tmp_path / "network.png")
-    assert (tmp_path / "network.png").stat().st_size > 10_000
+    picture = part(decoded(tmp_path / "network.png"), down=(0, 0.82))  # without the legend
+    colours = dict(
+        zip([found["reference"], *(n for n in found["networks"] if n != found["reference"])], _MARKS, strict=False)
+    )
+    places = {name: [mark.middle[0] for mark in marks(picture, colour, 12)] for name, (colour, _) in colours.items()}
+    assert all(len(each) >= len(found["times"]) // 2 for each in places.values()), "a mark in every row"
+    by_time = sorted(places, key=lambda name: np.mean([np.log(row["networks"][name]["ms"]) for row in found["times"]]))
+    assert sorted(places, key=lambda name: np.mean(places[name])) == by_time, "slower ones stand to the right"
 
 
 def test_operations_are_counted_as_by_hand() -> None:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from benches.model.networks import runtimes as bench
 from benches.model.networks.runtimes import PAPERS, REFERENCE, bench_runtimes
-from benches.model.networks.runtimes_figure import draw_runtimes
+from benches.model.networks.runtimes_figure import _COLOURS, draw_runtimes
+from pictures import decoded, marks
 
 from bodyseg_model.networks.checkpoints import save_network
 from bodyseg_model.networks.registry import build
@@ -34,4 +35,10 @@ def test_every_backend_is_timed_and_scored(small_set: Path, tmp_path: Path, monk
         assert row["networks"][REFERENCE]["times_as_fast"] == 1
         assert all(each["ms"] > 0 and each["processor_ms"] > 0 for each in row["networks"].values())
     draw_runtimes(found, tmp_path / "runtimes.png")
-    assert (tmp_path / "runtimes.png").stat().st_size > 5_000
+    picture = decoded(tmp_path / "runtimes.png")
+    row = [row for row in found["times"] if row["frame"] == "filled"][-1]
+    slowest = max(found["networks"], key=lambda name: row["networks"][name]["ms"])
+    points = {name: marks(picture, colour, 25) for name, colour in _COLOURS.items()}
+    assert all(points[name.split(" ")[1]] for name in found["networks"])
+    rightmost = max((mark.right, name) for name, several in points.items() for mark in several)[1]
+    assert rightmost == slowest.split(" ")[1]

@@ -11,6 +11,7 @@ from benches.model.sensor_fit.bench import all_cases, bench_sensor_fit, summaris
 from benches.model.sensor_fit.figure import draw_sensor_fit
 from benches.model.sensor_fit.recordings import Scene
 from fakes import Figures
+from pictures import decoded, marks
 
 from bodyseg_data.core.errors import BadConfig
 
@@ -40,7 +41,11 @@ def test_known_strengths_are_compared_with_those_found(figures: dict[str, Any], 
     assert rows["edges 1 px 50%", "4 still"]["verdicts"] == {"edge_loss": "needed"}
     assert figures["summary"]["4 still"]["within"] == figures["summary"]["4 still"]["figures"] == 4
     draw_sensor_fit(figures, tmp_path / "sensor_fit.png")
-    assert (tmp_path / "sensor_fit.png").stat().st_size > 10_000
+    picture = decoded(tmp_path / "sensor_fit.png")
+    bands = marks(picture, "#e9eee4", 40)
+    left, right = min(mark.left for mark in bands), max(mark.right for mark in bands)
+    points = [mark for mark in marks(picture, "#8a8a8a", 12) if mark.top >= min(mark.top for mark in bands)]
+    assert points and all(left <= mark.middle[0] <= right for mark in points), "all strengths were found closely"
 
 
 def test_figures_that_are_not_found_are_counted() -> None:

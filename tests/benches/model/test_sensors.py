@@ -12,9 +12,10 @@ import torch
 from benches.model import chosen
 from benches.model.networks import sensors as bench
 from benches.model.networks.sensors import METHODS, Scene, all_scenes, bench_sensors
-from benches.model.networks.sensors_figure import draw_sensors
+from benches.model.networks.sensors_figure import _COLOURS, draw_sensors
 from fakes import Figures
 from label_networks import Places
+from pictures import decoded, marks, part
 from shapes import figure
 
 from bodyseg_data.core.errors import BadConfig
@@ -58,7 +59,11 @@ def test_every_scene_is_scored_by_every_method(figures: dict[str, Any], tmp_path
     in_view = [scene["in_view"] for scene in figures["scenes"]]
     assert in_view[0] == in_view[2] == 1 and 0.5 < in_view[1] < 0.95
     draw_sensors(figures, tmp_path / "sensors.png")
-    assert (tmp_path / "sensors.png").stat().st_size > 10_000
+    picture = part(decoded(tmp_path / "sensors.png"), down=(0, 0.8))  # without the legend
+    near, turned = (
+        marks(part(picture, across=half), _COLOURS["as it is"], 8, within=60) for half in ((0, 0.5), (0.5, 1))
+    )
+    assert len(near) >= 2 and len(turned) >= 1, "two sensors near by, one body aside"
 
 
 def test_a_camera_looks_past_a_body_to_the_right() -> None:

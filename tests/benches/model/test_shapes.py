@@ -14,14 +14,14 @@ from fakes import Figures
 
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.rig import load_sensor
-from bodyseg_model.segmentation.people.shape_network import (
+from bodyseg_model.segmentation.person_score import (
+    MEASURES,
     SHAPES,
     ShapeNetwork,
     network_from_json,
     shape_image,
     with_curvature,
 )
-from bodyseg_model.segmentation.people.surface_shape import MEASURES
 from bodyseg_model.stability.rooms import Rooms
 
 

@@ -14,13 +14,22 @@ from bodyseg_data.core.errors import BadConfig
 def test_every_way_is_timed_by_the_command(small_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(training_speed, "ROUNDS", 1)
     monkeypatch.setattr(training_speed, "_BATCH", 2)
-    monkeypatch.setattr(training_speed, "ways", lambda cores: {"default": Way(1, 1), "a process each": Way(2, 1)})
+    monkeypatch.setattr(training_speed, "ways", lambda cores: {"default": Way(1, 1)})
     done: list[tuple[int, int]] = []
     found = bench_training(str(small_set), 4, lambda *numbers: done.append(numbers))
-    assert done == [(1, 2), (2, 2)]
-    assert [(way["processes"], way["threads"]) for way in found["ways"].values()] == [(1, 1), (2, 1)]
-    for way in found["ways"].values():
-        assert way["images_per_second"] > 0 and 0 <= way["data_wait"] < 1
+    assert done == [(1, 1)]
+    (way,) = found["ways"].values()
+    assert (way["processes"], way["threads"]) == (1, 1)
+    assert way["images_per_second"] > 0 and 0 <= way["data_wait"] < 1
+
+
+def test_several_processes_are_torchruns(tmp_path: Path) -> None:
+    """Which tests/training/test_torchrun.py starts."""
+    alone, several = (Way(count, 1).command("shards", 8, tmp_path) for count in (1, 2))
+    assert several[:4] == ["-m", "torch.distributed.run", "--nproc-per-node=2", "-m"]
+    assert alone[0] == "-m" and several[4] == alone[1] == "bodyseg_model"
+    sizes = [words[words.index("--batch-size") + 1] for words in (alone, several)]
+    assert sizes == ["16", "32"], "each process has as many images"
 
 
 def test_ways_are_compared_by_their_medians() -> None:

@@ -12,8 +12,9 @@ import torch
 from benches.model.variants import runs as variants_runs
 from benches.model.variants.bench import bench_variants
 from benches.model.variants.claims import claims
-from benches.model.variants.figure import draw_variants
+from benches.model.variants.figure import _STYLES, draw_variants
 from benches.model.variants.scores import SWEEPS, SWEEPS_ALONE, Condition, Sweep
+from pictures import decoded, marks, part
 from slow_accuracy import slow_accuracy
 
 from bodyseg_data import RangeImages
@@ -244,4 +245,8 @@ def test_claims_of_single_images_and_subsets_can_fail() -> None:
 def test_the_figure_is_drawn(measured: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     draw_variants(measured[1], tmp_path / "variants.png")
-    assert (tmp_path / "variants.png").stat().st_size > 10_000
+    picture = part(decoded(tmp_path / "variants.png"), down=(0, 0.9))  # without the legend
+    for panel in ((0.0, 0.33), (0.33, 0.66)):  # the last curve, which lies on the others
+        assert marks(part(picture, across=panel), _STYLES["all"].colour, 30, within=20), panel
+    cells = np.unique(part(picture, across=(0.7, 1)).reshape(-1, 3), axis=0, return_counts=True)[1]
+    assert (cells > 1500).sum() >= 4, "cells of the table are in shades"

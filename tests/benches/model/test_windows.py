@@ -10,6 +10,7 @@ import torch
 from benches.model.segment import windows as bench
 from benches.model.segment.windows import MARGINS, Windowed, bench_windows
 from benches.model.segment.windows_figure import draw_windows
+from pictures import decoded, marks, part
 
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_model.networks.compact import Compact, CompactSettings
@@ -56,4 +57,7 @@ def test_margins_are_compared_on_the_set_and_in_rooms(
         assert pixels == sorted(pixels) and pixels[-1] == 1
         assert (of["margins"][-1]["less"], of["margins"][-1]["less_error"]) == (0, 0)
     draw_windows(found, tmp_path / "windows.png")
-    assert (tmp_path / "windows.png").stat().st_size > 10_000
+    picture = decoded(tmp_path / "windows.png")
+    for half in ((0.0, 0.5), (0.5, 1.0)):
+        star = max(marks(part(picture, across=half), "#1f4fa8", 60), key=lambda mark: mark.pixels)
+        assert star.height > 14, "the whole image is a star"

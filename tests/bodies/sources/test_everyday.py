@@ -14,9 +14,9 @@ from bodyseg_data.bodies.anny.skeleton import bone_rotations
 from bodyseg_data.bodies.contacts.limbs import Limb
 from bodyseg_data.bodies.contacts.places import Places
 from bodyseg_data.bodies.contacts.ranges import ARM, CROSSED_TWIST, LEG, LOADED_WRIST
-from bodyseg_data.bodies.contacts.sampler import DEEPEST_M, Drawn
+from bodyseg_data.bodies.contacts.sampler import DEEPEST_M, DrawnContact
 from bodyseg_data.bodies.contacts.stances import STANCES
-from bodyseg_data.bodies.contacts.surface import Skin, vertex_normals
+from bodyseg_data.bodies.contacts.surface import PosedSkin, vertex_normals
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.bodies.sources.everyday import EVERYDAY, EverydayBodies
@@ -35,7 +35,7 @@ def source() -> EverydayBodies:
 
 
 @cache
-def drawn(index: int) -> Drawn:
+def drawn(index: int) -> DrawnContact:
     return source().drawn(source().bodies()[index])
 
 
@@ -83,7 +83,7 @@ def test_a_touching_hand_is_at_the_skin_and_no_limb_goes_deep(index: int) -> Non
     for side, contact in zip("LR", found.contacts, strict=True):
         by, _, at = contact.partition(" on ")
         limb = Limb(posable(index), "arm", side)  # type: ignore[arg-type]
-        near = Skin(vertices, normals, places.solid & ~limb.vertices).heights(vertices[limb.far])
+        near = PosedSkin(vertices, normals, places.solid & ~limb.vertices).heights(vertices[limb.far])
         assert near.min() >= -DEEPEST_M - 1e-4
         if at == "the floor":
             assert vertices[limb.far, 1].min() < 0.07

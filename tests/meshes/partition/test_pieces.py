@@ -11,7 +11,7 @@ from bodyseg_data.bodies.source import Body
 from bodyseg_data.core.errors import BadLandmarks
 from bodyseg_data.core.parts import BACKGROUND
 from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.pieces import Piece
+from bodyseg_data.meshes.partition.pieces import SurfacePiece
 from bodyseg_data.meshes.partition.surface_parts import partition
 
 WHOLE = ball(subdivisions=4)
@@ -32,7 +32,7 @@ def test_a_piece_takes_the_nearest_label_of_those_that_it_covers() -> None:
     found = set(np.unique(free.labels[COUNT:]))
     left_out = int(np.bincount(free.labels[COUNT:]).argmax())
     parts = tuple(sorted(set(range(33)) - {left_out}))
-    result = partition(mesh, LANDMARKS, pieces=[Piece(COUNT + 5, parts)])
+    result = partition(mesh, LANDMARKS, pieces=[SurfacePiece(COUNT + 5, parts)])
     assert left_out in found and left_out not in result.labels[COUNT:]
     assert np.isinf(result.distance[COUNT:]).all()
     np.testing.assert_array_equal(result.labels[:COUNT], free.labels[:COUNT])
@@ -44,7 +44,7 @@ def test_a_piece_takes_the_nearest_label_of_those_that_it_covers() -> None:
 
 def test_a_thing_gets_no_label_and_changes_none() -> None:
     mesh = with_a_ball_over((0.0, 0.9, 0.6))
-    result = Body(mesh, LANDMARKS, pieces=(Piece(COUNT),)).partition()
+    result = Body(mesh, LANDMARKS, pieces=(SurfacePiece(COUNT),)).partition()
     assert set(result.labels[COUNT:]) == {BACKGROUND}
     np.testing.assert_array_equal(result.labels[:COUNT], partition(WHOLE, LANDMARKS).labels)
     thing = np.flatnonzero((mesh.faces >= COUNT).all(axis=1)).astype(np.int32)
@@ -63,4 +63,4 @@ def test_a_thing_gets_no_label_and_changes_none() -> None:
 def test_what_is_no_piece_over_the_body_is_refused(vertex: int, parts: tuple[int, ...], words: str) -> None:
     mesh = with_a_ball_over((0.0, 0.9, 0.6))
     with pytest.raises(BadLandmarks, match=words):
-        partition(mesh, LANDMARKS, pieces=[Piece(vertex, parts)])
+        partition(mesh, LANDMARKS, pieces=[SurfacePiece(vertex, parts)])

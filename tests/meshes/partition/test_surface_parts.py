@@ -240,7 +240,7 @@ def test_a_method_that_cannot_answer_is_replaced_and_the_note_says_so(monkeypatc
     def too_thin(*arguments: Any) -> Any:
         raise Unanswerable("the method 'exact' cannot answer: it is tired")
 
-    monkeypatch.setitem(geodesics._METHODS, "exact", too_thin)
+    monkeypatch.setitem(geodesics.METHODS, "exact", too_thin)
     result = partition(mesh, landmarks)
     assert result.note == "distances by the method 'unfolded': the method 'exact' cannot answer: it is tired"
     np.testing.assert_array_equal(result.labels, wanted.labels)

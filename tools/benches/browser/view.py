@@ -26,7 +26,7 @@ from PIL import Image
 from benches.browser.chromium import Tab, chromium, open_tab
 from bodyseg_data.artifacts.variants import VARIANTS
 from bodyseg_model.commands import cli
-from bodyseg_model.viewing.pages.server import LOOPBACK
+from bodyseg_model.viewing.page import LOOPBACK
 from bodyseg_model.viewing.pictures import WIDTH, Layout
 from bodyseg_model.viewing.set_view import SetView
 

@@ -211,7 +211,7 @@ _SMALLER_NETWORKS: Final = replace(
     _NETWORKS,
     name="smaller_networks",
     title="How small a network?",
-    note="Trained alike, tested on `all`; bars: standard deviation over seeds. Taught: by the network that ships.",
+    note="Trained alike, tested on `all`; bars: standard deviation over seeds.",
     results="smaller",
 )
 

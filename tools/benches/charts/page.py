@@ -12,6 +12,8 @@ A variable is a JSON file of the folder without its `.json`, so page and figures
     {{ sources }}                                               a table of all files read: command, commit, hardware
     {{ outdated }}                                              a paragraph on files that the code of today did not make
 
+Files of `bodyseg stability` have their numbers as `tables` of text as well.
+
 `processors` has a record of each folder of `processors/`: its `name`, and its files' contents by their names without
 `.json`. `each` takes the value at a path of names from all records that have the path's first name.
 
@@ -31,6 +33,7 @@ from benches.charts.fields import read_fields
 from benches.charts.outdated import outdated, stale_results
 from benches.charts.processors import FOLDER, HEAD, by_processor
 from benches.charts.scales import thousands
+from benches.charts.stability_tables import FORMAT, tables
 from bodyseg_data.core.errors import BadConfig
 
 _SOURCES: Final = "sources"
@@ -48,7 +51,9 @@ def render_page(template: str, folder: Path, values: Mapping[str, Any] | None = 
     """
     given = dict(values or {})
     names = _variables(template)
-    files = {name: read_fields(folder / f"{name}.json").value for name in sorted(names - _SPECIAL - {*given})}
+    files = {
+        name: _with_tables(read_fields(folder / f"{name}.json").value) for name in sorted(names - _SPECIAL - {*given})
+    }
     processors = by_processor(folder) if FOLDER in names else []
     given[FOLDER] = processors
     read = files | {
@@ -69,6 +74,11 @@ def render_page(template: str, folder: Path, values: Mapping[str, Any] | None = 
 def sources_of(template: str) -> list[str]:
     """The JSON files that a template reads, each once, in alphabetical order. Raises BadConfig if it is no template."""
     return [f"{name}.json" for name in sorted(_variables(template) - _SPECIAL)]
+
+
+def _with_tables(content: Any) -> Any:
+    """The content of a file; that of `bodyseg stability` with its numbers as `tables` of text as well."""
+    return content | {"tables": tables(content)} if content.get("format") == FORMAT else content
 
 
 def _variables(template: str) -> set[str]:

@@ -157,15 +157,16 @@ def loading_rate(
     data_loader = loader(images, _BATCH, workers, shuffle=True, metres=in_metres, pin_memory=pin, worker_method=method)
     batches: Iterator[Batch] = itertools.chain.from_iterable(itertools.repeat(data_loader))
     done, start = 0, 0.0
-    for number, batch in enumerate(batches):
-        if number == max(workers, 1):
-            wait_for(device)
-            start = time.perf_counter()
+    for number, batch in enumerate(batches, start=1):
         ranges = batch["range"].to(device, non_blocking=True)
         batch["labels"].to(device, non_blocking=True)
         if not in_metres:
             ranges.to(torch.float32).mul_(images.step_m)
-        done += len(batch["key"]) if number >= max(workers, 1) else 0
+        if number == max(workers, 1):
+            wait_for(device)
+            start = time.perf_counter()
+        elif number > max(workers, 1):
+            done += len(batch["key"])
         if done >= samples:
             break
     wait_for(device)

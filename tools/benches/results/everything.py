@@ -46,7 +46,7 @@ PAGES: Final = pages(Path(__file__).parents[3] / RESULTS)
 """The pages of this checkout."""
 
 _STILL_IMAGES: Final = ("--parts", "images", "--images", "25", "--threads", "1")
-_MOTION: Final = ("--parts", "temporal", "numerical", "--images", "25", "--threads", "1")
+_MOTION: Final = ("--parts", "temporal", "--threads", "1")
 
 
 def everything() -> Graph:
@@ -161,6 +161,8 @@ def _by_processor() -> Iterator[Step]:
 
 def _stability() -> Iterator[Step]:
     """Robustness: accuracy under rising severity, in motion, in other arithmetic."""
+    for to, run in (("numerical", "runs/variants/all-0"), ("numerical_fcn_alexnet", "runs/networks/fcn_alexnet_8th-0")):
+        yield _bench("numerical", "--data", OPEN, "--views", "25", "--runs", run, to=to)
     yield _stability_of("stability", VARIANT_RUNS)
     yield _stability_of("stability_fcn_alexnet", ALEXNET_RUNS)
     yield _stability_of("stability_networks", (*seeds("runs/variants/all"), BOX, *LOSSES_RUNS), BOX_LINKS)

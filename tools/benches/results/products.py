@@ -7,10 +7,10 @@ from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 
+from benches.result_cache import json_digest
 from benches.results.step import RESULTS, SHIPPED, Places, Step
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.shards.manifest import MANIFEST_NAME
-from bodyseg_model.evaluation.result_cache import json_digest
 from bodyseg_model.networks.checkpoints import NETWORK, read_json
 from bodyseg_model.networks.checkpoints import SHIPPED as SHIPPED_FILE
 

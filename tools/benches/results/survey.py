@@ -8,13 +8,12 @@ from functools import cache
 from typing import Literal
 
 from benches.charts.processors import folder_name
+from benches.result_cache import code_digest, json_digest
 from benches.results.products import Products
 from benches.results.records import Record, Records, record_of
 from benches.results.step import SHIPPED, Graph, Places, Step
 from bodyseg_data.core.errors import BadConfig
 from bodyseg_data.core.system.machine import hardware
-from bodyseg_model.evaluation.code_digest import code_digest
-from bodyseg_model.evaluation.result_cache import json_digest
 
 State = Literal["fresh", "stale", "absent", "blocked"]
 """absent: made as it would be made today, but not in this work folder; needed only where a stale step reads it."""

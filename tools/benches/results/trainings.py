@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Final
 
 from benches.model.ablation.rows import ROWS, Source
@@ -52,7 +51,7 @@ BOX_LINKS: Final = ((BOX, SHIPPED),)
 """The network that ships, as a run."""
 
 _TINY: Final = ("--settings", '{"widths":[56,72,80],"blocks":[1,1,1]}')  # half a million parameters
-SMALLER: Final = {"compact_tiny": _TINY, "compact_tiny_taught": (*_TINY, "--teacher", BOX)}
+SMALLER: Final = {"compact_tiny": _TINY}
 """Row of the table of smaller networks -> options of its trainings."""
 
 _SEEDS_OF_ROWS: Final = {"no_occlusion": SEEDS, "no_noise": SEEDS, "losses": SEEDS}
@@ -111,8 +110,7 @@ def trainings() -> Iterator[Step]:
     for (name, options), seed in itertools.product(NETWORKS.items(), range(SEEDS)):
         yield _training(f"runs/networks/{name}-{seed}", OPEN, *options, seed=seed)
     for (name, options), seed in itertools.product(SMALLER.items(), range(SEEDS)):
-        links = BOX_LINKS if BOX in options else ()
-        yield replace(_training(f"runs/smaller/{name}-{seed}", OPEN, *options, seed=seed), links=links)
+        yield _training(f"runs/smaller/{name}-{seed}", OPEN, *options, seed=seed)
     for seed, run in enumerate(REFERENCE_RUNS):
         yield _training(run, OPEN, "--variant", "none", *NETWORKS["fcn_alexnet_8th"], seed=seed)
     sensors = {artifact.name for artifact in ADDED.values()}

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.data.surface.broken_bodies import CASES, Broken, scan, sound
+from benches.data.surface.rival_geodesics import RIVALS, rivals_installed
 from bodyseg_data.bodies.source import Body
 from bodyseg_data.bodies.sources import open_source
 from bodyseg_data.core.errors import Unanswerable
@@ -25,7 +26,7 @@ from bodyseg_data.meshes.partition.geodesics import FALLBACK_METHOD, GeodesicMet
 from bodyseg_data.meshes.partition.surface_parts import Partition, partition, partition_unmended
 from bodyseg_data.packing.options import evenly_sampled
 
-METHODS: Final[tuple[GeodesicMethod, ...]] = get_args(GeodesicMethod)
+METHODS: Final[tuple[GeodesicMethod, ...]] = (*get_args(GeodesicMethod), *RIVALS)
 DEFAULT: Final[GeodesicMethod] = "exact"
 
 OPEN_BODIES: Final = 8
@@ -35,6 +36,7 @@ _POINTS: Final = 4
 REPEATS: Final = 3
 
 
+@rivals_installed()
 def bench_partition(mit: Path | None = None, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Time and error of every method on open bodies, MIT frames (if `mit` is their folder) and broken bodies.
 

@@ -24,7 +24,7 @@ from bodyseg_data.core.parts import LANDMARKS, PARTS
 from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.surface_parts import partition
-from bodyseg_data.meshes.repair import load_pymeshlab
+from bodyseg_data.meshes.pymeshlab_thread import with_pymeshlab
 
 OPEN: Final = (
     "person-007",
@@ -107,11 +107,14 @@ def _bodies(mit: Path | None) -> Iterator[Placed]:
 
 def shuffled(mesh: Mesh, seed: int) -> Mesh:
     """The same surface with half the triangles and all numbers changed. Raises MissingLibrary without pymeshlab."""
-    pymeshlab = load_pymeshlab("bench proposal")
-    meshes = pymeshlab.MeshSet()
-    meshes.add_mesh(pymeshlab.Mesh(mesh.vertices, mesh.faces))
-    meshes.meshing_decimation_quadric_edge_collapse(targetfacenum=len(mesh.faces) // 2)
-    vertices, faces = meshes.current_mesh().vertex_matrix(), meshes.current_mesh().face_matrix()
+
+    def halve(pymeshlab: Any) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+        meshes = pymeshlab.MeshSet()
+        meshes.add_mesh(pymeshlab.Mesh(mesh.vertices, mesh.faces))
+        meshes.meshing_decimation_quadric_edge_collapse(targetfacenum=len(mesh.faces) // 2)
+        return np.array(meshes.current_mesh().vertex_matrix()), np.array(meshes.current_mesh().face_matrix())
+
+    vertices, faces = with_pymeshlab("bench proposal", halve)
     rng = np.random.default_rng(seed)
     order = rng.permutation(len(vertices))
     renumbered = np.argsort(order)

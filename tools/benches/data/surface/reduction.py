@@ -27,7 +27,7 @@ from bodyseg_data.core.views import View, ViewGrid
 from bodyseg_data.meshes.mesh import Mesh
 from bodyseg_data.meshes.partition.borders import find_borders
 from bodyseg_data.meshes.partition.surface_parts import Partition, partition
-from bodyseg_data.meshes.repair import load_pymeshlab
+from bodyseg_data.meshes.pymeshlab_thread import with_pymeshlab
 from bodyseg_data.packing.mesh_reduction import PAYS_FROM, TOLERANCE_M, WITHIN, edges_collapsed, reduce
 from bodyseg_data.packing.options import Packing, evenly_sampled
 from bodyseg_data.packing.sampler import Sampler, faces_towards, surface_points
@@ -117,15 +117,17 @@ def _rough(body: Body, triangles: int) -> Body:
 
 def subdivided(body: Body, longest_m: float) -> Body:
     """The body with edges longer than that divided, smoothly: a scan without noise (C. Loop, 1987; pymeshlab)."""
-    pymeshlab = load_pymeshlab("bench reduction")
-    meshes = pymeshlab.MeshSet()
-    meshes.add_mesh(pymeshlab.Mesh(body.mesh.vertices, body.mesh.faces))
-    longest = pymeshlab.PureValue(longest_m)
-    meshes.meshing_surface_subdivision_loop(loopweight="Loop", iterations=3, threshold=longest, selected=False)
-    fine = meshes.current_mesh()
+
+    def divide(pymeshlab: Any) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+        meshes = pymeshlab.MeshSet()
+        meshes.add_mesh(pymeshlab.Mesh(body.mesh.vertices, body.mesh.faces))
+        longest = pymeshlab.PureValue(longest_m)
+        meshes.meshing_surface_subdivision_loop(loopweight="Loop", iterations=3, threshold=longest, selected=False)
+        fine = meshes.current_mesh()
+        return np.array(fine.vertex_matrix()), np.array(fine.face_matrix(), np.int32)
+
     # Subdivision puts new vertices behind the old ones: landmarks keep theirs.
-    mesh = Mesh(body.mesh.name, np.asarray(fine.vertex_matrix()), np.asarray(fine.face_matrix(), np.int32))
-    return replace(body, mesh=mesh)
+    return replace(body, mesh=Mesh(body.mesh.name, *with_pymeshlab("bench reduction", divide)))
 
 
 class _Reference:

@@ -15,7 +15,7 @@ from bodyseg_data.core.views import split_key
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.networks.checkpoints import read_json
 from bodyseg_model.networks.registry import build
-from bodyseg_model.training.augmentation.geometric import GeometricAugmentation
+from bodyseg_model.training.augmentation import GeometricAugmentation
 from bodyseg_model.training.recipes import PRESETS, Recipe
 
 NETWORK: Final = "compact"

@@ -19,8 +19,7 @@ from bodyseg_data.core.labels.label_map import PARTS33
 from bodyseg_data.core.parts import BACKGROUND, MIRRORED_LABELS, PART_COUNT, PARTS
 from bodyseg_data.core.rig import Camera
 from bodyseg_data.core.sample import Sample
-from bodyseg_model.evaluation.border_distance import EDGES, distance_bins
-from bodyseg_model.evaluation.mistakes import KINDS, kinds_of
+from bodyseg_model.evaluation.scores import EDGES, KINDS, distance_bins, kinds_of
 
 About = Literal["a place", "a mistake", "an image"]
 

@@ -26,8 +26,8 @@ from bodyseg_data.core.randomness import generator
 from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.loading.image_set import metres
 from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.networks.input.relief import check_range_images
 from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.patches import check_range_images
 
 FAR_M: Final = np.float32(10.0)
 """Range where nothing was measured: "a large positive constant value", though one that float32 subtracts well."""

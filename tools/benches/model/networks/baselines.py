@@ -22,8 +22,8 @@ from bodyseg_data.core.errors import BadConfig, MissingLibrary
 from bodyseg_data.core.parts import PART_COUNT
 from bodyseg_model.commands import train
 from bodyseg_model.commands.cli import main
-from bodyseg_model.networks.input.relief import check_range_images, relief_of, shrunk
 from bodyseg_model.networks.network import Network, check_classes
+from bodyseg_model.networks.patches import check_range_images, relief_of, shrunk
 from bodyseg_model.networks.registry import NETWORKS
 
 BASELINES: Final = {

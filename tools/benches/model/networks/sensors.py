@@ -31,7 +31,7 @@ from bodyseg_model.evaluation.scores import ConfusionMatrix
 from bodyseg_model.networks.checkpoints import Trained
 from bodyseg_model.networks.registry import predict
 from bodyseg_model.recordings.cameras import other_sensors
-from bodyseg_model.segmentation.views.resampling import view_body
+from bodyseg_model.segmentation.views import view_body
 
 Method = Literal["as it is", "scaled", "turned and scaled"]
 METHODS: Final[tuple[Method, ...]] = get_args(Method)

@@ -26,15 +26,12 @@ from bodyseg_data.core.parts import BACKGROUND, LANDMARKS, MIRRORED_LABELS
 from bodyseg_data.core.rig import Camera
 from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_data.core.system.torch_threads import torch_threads
-from bodyseg_model.evaluation.calibration import Confidences
-from bodyseg_model.evaluation.mistakes import count_kinds
-from bodyseg_model.evaluation.scores import ConfusionMatrix, pairs_of
+from bodyseg_model.evaluation.scores import Confidences, ConfusionMatrix, count_kinds, pairs_of
 from bodyseg_model.networks.checkpoints import Trained
 from bodyseg_model.recordings.cameras import FrameCamera, assumed_sensors
 from bodyseg_model.segmentation.segmenter import Segmenter
-from bodyseg_model.sensor_fit.recording import Frame as ShadowFrame
-from bodyseg_model.sensor_fit.recording import Recording as ShadowRecording
-from bodyseg_model.sensor_fit.shadows import Shadow, measure_shadow, probably_mirrored
+from bodyseg_model.sensor_fit.edges import ProjectorShadow, measure_shadow, probably_mirrored
+from bodyseg_model.sensor_fit.recording import MarkedFrame, MarkedRecording
 
 _FRAMES: Final = 50
 _SHADOW_FRAMES: Final = 20
@@ -128,7 +125,7 @@ def bench_real(
     )
 
 
-def settled(frames: Sequence[Frame]) -> tuple[Shadow | None, bool]:
+def settled(frames: Sequence[Frame]) -> tuple[ProjectorShadow | None, bool]:
     """Measure the projector's shadow behind the person, and whether frames are mirrored by it; without room behind the
     person or a known sensor, frames are taken as they are.
     """
@@ -137,8 +134,8 @@ def settled(frames: Sequence[Frame]) -> tuple[Shadow | None, bool]:
     for frame in evenly_spaced(frames, _SHADOW_FRAMES):
         body = np.zeros(frame.range_m.shape, np.bool_)
         body.ravel()[frame.pixels] = True
-        chosen.append(ShadowFrame(frame.name, np.zeros(body.shape, np.uint16), frame.range_m, body))
-    shadow = measure_shadow(ShadowRecording(tuple(chosen), camera, step_m=0.001))
+        chosen.append(MarkedFrame(frame.name, np.zeros(body.shape, np.uint16), frame.range_m, body))
+    shadow = measure_shadow(MarkedRecording(tuple(chosen), camera, step_m=0.001))
     sensor = next((one for one in assumed_sensors() if _same_size(one.camera, camera)), None)
     side = None if sensor is None else FrameCamera(sensor.camera, sensor.name, rig=sensor.rig).projector_side
     return shadow, bool(probably_mirrored(shadow, side))
@@ -218,7 +215,7 @@ def _same_size(one: Camera, other: Camera) -> bool:
     return (one.rows, one.columns) == (other.rows, other.columns)
 
 
-def _shadow_json(shadow: Shadow | None) -> dict[str, Any]:
+def _shadow_json(shadow: ProjectorShadow | None) -> dict[str, Any]:
     if shadow is None:
         return {"shadow": None}
     return {

@@ -1,7 +1,7 @@
 """`bench segment`: times of every stage of `bodyseg segment`, beside the people it finds and the labels it gets right.
 
-The command runs as its users call it, on recordings of made rooms with known labels: in both precisions, by the NumPy
-forms of its loops, beside a busy program, with a label on every surface, without pictures, and with the network on
+The command runs as its users call it, on recordings of made rooms with known labels: in both precisions,
+beside a busy program, with a label on every surface, without pictures, and with the network on
 OpenVINO. `live` gives the age of a live sensor's frames, which come as arrays, when their labels are there.
 docs/results/segment.md has the results.
 """
@@ -24,7 +24,6 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image
 
-from benches.environment import computed_by
 from benches.measuring import medians
 from benches.model.segment.live import live
 from bodyseg_data.bodies.sources import open_source
@@ -37,11 +36,10 @@ from bodyseg_model.networks.checkpoints import shipped_network
 from bodyseg_model.runtimes.backends import BackendName
 from bodyseg_model.runtimes.runtime import Precision
 from bodyseg_model.segmentation.frame_labeller import FrameLabeller
-from bodyseg_model.segmentation.people.person_score import shipped_score
-from bodyseg_model.segmentation.pictures.picture_png import encode_picture
+from bodyseg_model.segmentation.person_score import shipped_score
+from bodyseg_model.segmentation.pictures import encode_picture
 from bodyseg_model.segmentation.segmenter import Segmenter
-from bodyseg_model.stability.people_and_things import LEAST_SEEN_M2, TEST_SEED, TEST_SOURCES, Counts
-from bodyseg_model.stability.rooms import Room, Rooms
+from bodyseg_model.stability.rooms import LEAST_SEEN_M2, TEST_SEED, TEST_SOURCES, Counts, Room, Rooms
 
 _SQUARE: Final = 1024
 _SQUARE_FOCAL_PX: Final = 840.0
@@ -54,11 +52,10 @@ STAGES: Final = ("read", "background", "shape", "resample", "network", "back", "
 
 @dataclass(frozen=True)
 class Way:
-    """One way to call the command. loops: for BODYSEG_KERNELS. options: of the command, besides its frames. busy:
+    """One way to call the command. options: of the command, besides its frames. busy:
     another program computes all the time, in one thread.
     """
 
-    loops: str = "auto"
     options: dict[str, Any] = field(default_factory=dict)
     busy: bool = False
 
@@ -70,7 +67,6 @@ _OPENVINO: Final = {"backend": "openvino", **_BFLOAT16}
 WAYS: Final = {
     "bfloat16": Way(options=_BFLOAT16),
     "float32": Way(options=_FLOAT32),
-    "NumPy": Way(loops="numpy", options=_FLOAT32),
     "beside a busy program": Way(options=_FLOAT32, busy=True),
     "beside it, one thread": Way(options={**_FLOAT32, "threads": 1}, busy=True),
     "things labelled, too": Way(options={**_FLOAT32, "keep_things": True}),
@@ -177,7 +173,7 @@ def _measured(way: Way, frames: Path, out: Path, camera: Camera, rooms: Sequence
     options = segment.Options((frames,), out, focal=camera.focal_px, centre=camera.centre_px, **way.options)
     threads = torch.get_num_threads()
     beside = _busy_program() if way.busy else contextlib.nullcontext()
-    with computed_by(way.loops), beside, contextlib.redirect_stderr(io.StringIO()):
+    with beside, contextlib.redirect_stderr(io.StringIO()):
         segment.run(options)
     torch.set_num_threads(threads)
     summary = json.loads((out / "summary.json").read_text())

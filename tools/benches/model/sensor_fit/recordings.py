@@ -17,7 +17,7 @@ from bodyseg_data.core.sample import Sample, SampleInfo, steps
 from bodyseg_data.core.views import View
 from bodyseg_data.packing.sampler import faces_towards, surface_points
 from bodyseg_data.rendering import open_renderer
-from bodyseg_model.sensor_fit.recording import Frame, Recording
+from bodyseg_model.sensor_fit.recording import MarkedFrame, MarkedRecording
 
 DISTANCE_CM: Final = 200
 TURN_DEG: Final = 12
@@ -53,7 +53,7 @@ class Scenes:
         """Release the renderer."""
         self._renderer.close()
 
-    def record(self, scene: Scene, sensor: SensorModel, rig: Rig | None = None) -> Recording:
+    def record(self, scene: Scene, sensor: SensorModel, rig: Rig | None = None) -> MarkedRecording:
         """A recording of a scene by a sensor; rig: one of the same camera, whose projector throws the shadow."""
         rig = rig or self._rig
         augmentation = Augmentation(rig, "all", 0, sensor)
@@ -67,9 +67,9 @@ class Scenes:
             stored = augmentation(sample, number).range
             range_m = stored.astype(np.float32) * np.float32(rig.range_step_m)
             body = (range_m > 0) & (range_m < wall_m - _BETWEEN_M)
-            frames.append(Frame(str(number), stored, range_m, body))
+            frames.append(MarkedFrame(str(number), stored, range_m, body))
         pairs = tuple((index, index + 1) for index in range(scene.frames - 1))
-        return Recording(tuple(frames), rig.camera, rig.range_step_m, pairs)
+        return MarkedRecording(tuple(frames), rig.camera, rig.range_step_m, pairs)
 
     def _sample(self, azimuth: int) -> Sample:
         if azimuth not in self._samples:

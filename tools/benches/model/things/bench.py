@@ -11,8 +11,8 @@ from typing import Any
 
 from benches.model.chosen import chosen_network
 from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_model.segmentation.people.person_score import shipped_score
-from bodyseg_model.stability.people_and_things import people_and_things
+from bodyseg_model.segmentation.person_score import shipped_score
+from bodyseg_model.stability.rooms import people_and_things
 
 
 def bench_things(views: int = 240, runs: Sequence[Path] = (), progress: ProgressCallback = silent) -> dict[str, Any]:

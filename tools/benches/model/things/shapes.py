@@ -1,7 +1,7 @@
 """`bench shapes`: fit the small network that tells people from things by the shape of a surface, on made rooms.
 
-`network` in the figures is the content of `bodyseg_model/segmentation/people/shape_network.json`.
-docs/reference/things.md says how to read the results.
+`network` in the figures is the content of `bodyseg_model/weights/shape_network.json`. docs/reference/things.md
+says how to read the results.
 """
 
 from __future__ import annotations
@@ -25,18 +25,19 @@ from bodyseg_data.core.splits import Split
 from bodyseg_data.core.system.machine import processors
 from bodyseg_data.core.system.progress import ProgressCallback, silent
 from bodyseg_model.segmentation.foreground import Background, find_bodies
-from bodyseg_model.segmentation.people.shape_network import (
+from bodyseg_model.segmentation.person_score import (
     FORMAT,
+    MEASURES,
     SHAPES,
     SIDE,
     ShapeNetwork,
+    SurfaceShape,
     network_to_json,
     shape_image,
+    surface_shape,
     with_curvature,
 )
-from bodyseg_model.segmentation.people.surface_shape import MEASURES, SurfaceShape, surface_shape
-from bodyseg_model.stability.people_and_things import LEAST_SEEN_M2, SENSORS, rooms_of
-from bodyseg_model.stability.rooms import Rooms
+from bodyseg_model.stability.rooms import LEAST_SEEN_M2, SENSORS, Rooms, rooms_of
 
 
 @dataclass(frozen=True)

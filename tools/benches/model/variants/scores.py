@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from benches.result_cache import ResultCache, network_identity
 from bodyseg_data.artifacts.variants import VARIANTS, VariantName
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_model.evaluation.evaluation import EXTRAS, evaluate, open_images
 from bodyseg_model.evaluation.report import report
-from bodyseg_model.evaluation.result_cache import ResultCache, network_identity
 from bodyseg_model.networks.network import Network
 from bodyseg_model.networks.registry import device_of
 

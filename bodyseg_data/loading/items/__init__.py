@@ -1,1 +1,0 @@
-"""Single samples as tensors, and their way through PyTorch's own DataLoader."""

@@ -1,1 +1,0 @@
-"""Input of the networks: centred ranges, and the patches that the first layer of `compact` reads."""

@@ -1,0 +1,83 @@
+"""Patches of range images and bits of bfloat16, compiled: the bits of `patches.patches_of` in PyTorch's operations."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+
+from bodyseg_data.core.kernels import compiled
+from bodyseg_model.networks.patches import RELIEF
+
+BITS: Final = np.uint32(16)
+"""Bits of a bfloat16: the upper ones of float32."""
+
+_HALF_LESS_ONE, _LAST = np.uint32(0x7FFF), np.uint32(1)
+_SCALE = np.float32(RELIEF)
+_ZERO, _ONE = np.float32(0), np.float32(1)
+_kernel = partial(compiled, feature="cutting range images into patches in a compiled loop")
+
+
+@_kernel
+def nearest(exact: Any) -> Any:
+    """Round the bits of a float32, uint32, to those of the nearest bfloat16, ties to even, as the lower ones of 32."""
+    return (exact + _HALF_LESS_ONE + ((exact >> BITS) & _LAST)) >> BITS
+
+
+@_kernel
+def count_measured(range_m: Any, count: Any) -> None:
+    """Write the measured pixels of images [B, H, W] into float32 [B]."""
+    images, rows, columns = range_m.shape
+    for image in range(images):
+        total = 0
+        for row in range(rows):
+            metres = range_m[image, row]
+            for column in range(columns):
+                total += metres[column] > _ZERO
+        count[image] = total
+
+
+@_kernel
+def cut_patches(range_m: Any, mean: Any, side: Any, values: Any, measured: Any) -> None:
+    """Write the patches of images and the share of each that was measured, `Patches`.
+
+    range_m: float32 [B, H, W], metres; mean: float32 [B], of what was measured. values: [B, h, w, 2 side^2], the bits
+    of float32 as int32 or of bfloat16 as int16, rounded to the nearest, ties to even. measured: float32 [B, h, w].
+    """
+    images, rows, columns = range_m.shape
+    across, area = values.shape[2], side * side
+    line = np.zeros((2, across * side), np.float32)  # one row of an image, centred, and what was measured in it
+    bits = line.view(np.uint32)
+    out = np.zeros(line.shape, values.dtype)
+    for image in range(images):
+        centre = mean[image]
+        for down in range(values.shape[1]):
+            height = min(side, rows - down * side)
+            measured[image, down] = _ZERO
+            values[image, down] = 0
+            for row in range(height):
+                metres = range_m[image, down * side + row]
+                for column in range(columns):
+                    seen = _ONE if metres[column] > _ZERO else _ZERO
+                    line[0, column] = (metres[column] - centre) * seen * _SCALE
+                    line[1, column] = seen
+                if values.itemsize == 2:
+                    for channel in range(2):
+                        for column in range(columns):
+                            out[channel, column] = nearest(bits[channel, column])
+                else:
+                    for channel in range(2):
+                        for column in range(columns):
+                            out[channel, column] = bits[channel, column]
+                for cell in range(across):
+                    total = _ZERO
+                    for column in range(cell * side, (cell + 1) * side):
+                        total += line[1, column]
+                    measured[image, down, cell] += total
+                    to, start = values[image, down, cell], row * side
+                    for k in range(side):
+                        to[start + k] = out[0, cell * side + k]
+                        to[area + start + k] = out[1, cell * side + k]
+            for cell in range(across):
+                measured[image, down, cell] /= area

@@ -1,1 +1,0 @@
-"""Pictures of labelled frames: overlays, their animation, and their encoding."""

@@ -1,0 +1,133 @@
+"""Augmentation of the batches of a training: images mirrored; and rotated, zoomed and cut, as by a tilted camera or
+people partly out of view.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from importlib import import_module
+
+import torch
+
+from bodyseg_data.core.errors import BadConfig, check_fields
+from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
+from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.core.randomness import chance
+from bodyseg_model.networks.patches import in_loops
+
+
+@dataclass(frozen=True)
+class GeometricAugmentation:
+    """Ranges of random rotation, zoom and cuts of images; 0 for none.
+
+    roll_deg: largest rotation either way, degrees. zoom: the scale is drawn from 1 / (1 + zoom) to 1 + zoom. stretch:
+    the scale of the width is further multiplied by up to 1 + stretch, or divided by it. cut: share of the images of
+    which one side, up to half of the height or width, is out of view. Raises BadConfig for a value out of range.
+    """
+
+    roll_deg: float = 0.0
+    zoom: float = 0.0
+    stretch: float = 0.0
+    cut: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        for name, most in (("roll_deg", 180), ("zoom", 1), ("stretch", 1), ("cut", 1)):
+            if not 0 <= getattr(self, name) <= most:
+                raise BadConfig(f"{name} must be from 0 to {most}, found {getattr(self, name)!r}")
+
+    def __call__(
+        self, range_m: torch.Tensor, labels: torch.Tensor, seed: int, epochs: list[int], keys: list[str]
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Copies of range [B, 1, H, W] and labels uint8 [B, H, W], transformed as drawn for (seed, epoch, key) of each.
+
+        Values are taken from the nearest pixel, so that none is interpolated between two surfaces.
+        """
+        if self == GeometricAugmentation():
+            return range_m, labels
+        rows, columns = range_m.shape[2:]
+        maps, cuts = [], []
+        for epoch, key in zip(epochs, keys, strict=True):
+            roll, zoom, stretch, cut, side, share = (
+                chance(seed, epoch, key, f"placement {what}")
+                for what in ("roll", "zoom", "stretch", "cut", "side", "share")
+            )
+            angle = math.radians(self.roll_deg) * (2 * roll - 1)
+            down = (1 + self.zoom) ** (2 * zoom - 1)
+            across = down * (1 + self.stretch) ** (2 * stretch - 1)
+            maps.append(_source_map(angle, down, across, rows, columns))
+            cuts.append(_cut_side(int(4 * side), share / 2, rows, columns) if cut < self.cut else None)
+        sources = torch.tensor(maps, dtype=torch.float32, device=range_m.device)
+        moved, named = _moved(range_m, labels, sources)
+        for image, place in enumerate(cuts):
+            if place is not None:
+                moved[image, 0][place] = 0
+                named[image][place] = BACKGROUND
+        return moved, named
+
+
+def _moved(range_m: torch.Tensor, labels: torch.Tensor, maps: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Images and labels with each pixel taken from the one nearest to where its `_source_map`, [B, 2, 2], points."""
+    images, _, rows, columns = range_m.shape
+    x, y = ((2 * torch.arange(side, device=maps.device) + 1) / side - 1 for side in (columns, rows))
+    down, across = (  # the place in the source is the sum of what a pixel's column gives and what its row gives
+        (maps[:, axis, 0, None] * x * half, (maps[:, axis, 1, None] * y + 1) * half - 0.5)
+        for axis, half in ((1, rows / 2), (0, columns / 2))
+    )
+    if in_loops(range_m):
+        moved, named = torch.empty_like(range_m), torch.empty_like(labels)
+        places = (tuple(each.numpy() for each in pair) for pair in (down, across))
+        loops = import_module("bodyseg_model.training.loops")
+        loops.move_images(range_m[:, 0].numpy(), labels.numpy(), *places, moved[:, 0].numpy(), named.numpy())
+        return moved, named
+    row, column = ((by_column[:, None, :] + by_row[:, :, None]).round_() for by_column, by_row in (down, across))
+    inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    place = torch.where(inside, row.mul_(columns).add_(column), 0).int()
+    place += torch.arange(images, dtype=torch.int32, device=maps.device)[:, None, None] * (rows * columns)
+    ranges, parts = (each.reshape(-1).index_select(0, place.view(-1)).view_as(inside) for each in (range_m, labels))
+    return torch.where(inside, ranges, 0)[:, None], torch.where(inside, parts, BACKGROUND)
+
+
+def _source_map(angle: float, down: float, across: float, rows: int, columns: int) -> list[list[float]]:
+    """Affine map from the transformed image to the source, both from -1 to 1 each way: [2, 2], (x, y) -> (x, y)."""
+    cosine, sine = math.cos(angle), math.sin(angle)
+    aspect = rows / columns
+    return [[cosine / across, -sine * aspect / across], [sine / aspect / down, cosine / down]]
+
+
+def _cut_side(side: int, share: float, rows: int, columns: int) -> tuple[slice, slice]:
+    """Rows and columns of a share of an image at its top, bottom, left or right, which are out of view."""
+    down, across = int(share * rows), int(share * columns)
+    every = slice(None)
+    if side < 2:
+        return (slice(down) if side == 0 else slice(rows - down, None)), every
+    return every, (slice(across) if side == 2 else slice(columns - across, None))
+
+
+def mirror(
+    range_m: torch.Tensor, labels: torch.Tensor, chosen: torch.Tensor, label_map: LabelMap = PARTS33
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Copies of range [B, 1, H, W] and labels uint8 [B, H, W] in which those `chosen`, bool [B], are mirrored.
+
+    A mirrored person's left hand is a right hand, so labels change sides as `label_map` says. Shadows change sides,
+    too: such an image is that of a rig whose projector is on the camera's other side.
+    """
+    if in_loops(range_m):
+        moved, named = torch.empty_like(range_m), torch.empty_like(labels)
+        arrays = (each.numpy() for each in (range_m[:, 0], labels, chosen))
+        loops = import_module("bodyseg_model.training.loops")
+        loops.mirror_images(*arrays, label_map.mirrored, moved[:, 0].numpy(), named.numpy())
+        return moved, named
+    picked = chosen.nonzero()[:, 0]
+    range_m, labels = range_m.clone(), labels.clone()
+    range_m[picked] = range_m[picked].flip(-1)
+    table = torch.from_numpy(label_map.mirrored).to(labels.device)
+    labels[picked] = table[labels[picked].flip(-1).int()]
+    return range_m, labels
+
+
+def mirror_draws(seed: int, epochs: list[int], keys: list[str]) -> torch.Tensor:
+    """Draw the samples that are mirrored, bool [B], each with a chance of one half. epochs, keys: of the B samples."""
+    drawn = (chance(seed, epoch, key, "mirror") for epoch, key in zip(epochs, keys, strict=True))
+    return torch.tensor([each < 0.5 for each in drawn], dtype=torch.bool)

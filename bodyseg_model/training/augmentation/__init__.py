@@ -1,1 +1,0 @@
-"""Augmentation of the batches of a training: images mirrored, rotated, zoomed and cut."""

@@ -1,0 +1,204 @@
+"""Loss of a training step: cross-entropy over the pixels of the body, or over an even selection of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, Final, NamedTuple, Self
+
+import numpy as np
+import torch
+import torch.nn.functional as F  # noqa: N812  its name everywhere
+from numpy.typing import NDArray
+from torch import nn
+
+from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.loading.image_set import ImageSet
+from bodyseg_model.networks.network import Network
+from bodyseg_model.networks.patches import in_loops
+
+_SAMPLES_FOR_WEIGHTS: Final = 128
+_BITS: Final = {torch.float32: torch.uint32, torch.bfloat16: torch.uint16}
+"""Types of scores that the compiled loops know, and of their bits."""
+
+
+@dataclass(frozen=True)
+class SelectedPixels:
+    """N pixels of the bodies in B images: of every cell of stride x stride pixels the one at the same offset.
+
+    image, row, column: int64 [N], place of each pixel, row and column in pixels of the image. truth: int64 [N], its
+    class.
+
+    Scores are computed at these alone, since most pixels of an image show no body.
+    """
+
+    image: torch.Tensor
+    row: torch.Tensor
+    column: torch.Tensor
+    truth: torch.Tensor
+
+    @classmethod
+    def of(cls, labels: torch.Tensor, row: int, column: int, stride: int) -> Self:
+        """Select in labels, uint8 [B, H, W]: `row` and `column` are the offset in the cells, pixels."""
+        cells = labels[:, row::stride, column::stride]
+        image, down, across = (cells != BACKGROUND).nonzero(as_tuple=True)
+        return cls(image, down * stride + row, across * stride + column, cells[image, down, across].long())
+
+    def of_cells(self, scores: torch.Tensor, stride: int) -> torch.Tensor:
+        """Scores of these pixels, float32 [N, C], from the scores of the selected pixel of each cell [B, C, h, w]."""
+        return scores.permute(0, 2, 3, 1)[self.image, self.row // stride, self.column // stride].float()
+
+    def interpolated(self, scores: torch.Tensor, step: int) -> torch.Tensor:
+        """Scores at these pixels, float32 [N, C], interpolated bilinearly as `Network.forward` interpolates.
+
+        scores: float [B, C, h, w], `step` pixels apart each way, as `Network.scores` gives them.
+        """
+        rows, columns = scores.shape[2:]
+        top, bottom, down = _neighbours(self.row, step, rows)
+        left, right, across = _neighbours(self.column, step, columns)
+        shares = torch.stack([(1 - down) * (1 - across), (1 - down) * across, down * (1 - across), down * across])
+        places = [(row, column) for row in (top, bottom) for column in (left, right)]
+        if scores.dtype in _BITS and in_loops(scores):
+            interpolated: torch.Tensor = _Interpolated.apply(  # type: ignore[no-untyped-call]
+                scores, self.image, places, shares
+            )
+            return interpolated
+        # Rows of one table, not four selections: the gradient of each would fill a tensor of all scores.
+        table = scores.permute(0, 2, 3, 1).flatten(0, 2)
+        cells = torch.stack([(self.image * rows + row) * columns + column for row, column in places])
+        corners = table.index_select(0, cells.flatten()).reshape(*cells.shape, scores.shape[1])
+        found: torch.Tensor = (corners * shares[..., None]).sum(0)
+        return found
+
+
+class _Interpolated(torch.autograd.Function):
+    """The same bits, and bits of gradients, by compiled loops: PyTorch passes over four points' scores a pixel."""
+
+    @staticmethod
+    def forward(
+        context: Any, scores: torch.Tensor, image: torch.Tensor, places: list[tuple[Any, Any]], shares: torch.Tensor
+    ) -> torch.Tensor:
+        if scores.stride(1) != 1:
+            scores = scores.contiguous(memory_format=torch.channels_last)
+        by_image, _, by_row, by_column = scores.stride()
+        starts = torch.stack([image * by_image + row * by_row + column * by_column for row, column in places])
+        reach = 1 + sum((size - 1) * stride for size, stride in zip(scores.shape, scores.stride(), strict=True))
+        table = scores.as_strided((reach,), (1,)).view(_BITS[scores.dtype])
+        found = torch.empty(len(image), scores.shape[1])
+        loops = import_module("bodyseg_model.training.loops")
+        loops.interpolate(table.numpy(), starts.numpy(), shares.numpy(), found.numpy())
+        context.save_for_backward(starts, shares, torch.bincount(image, minlength=len(scores)).cumsum(0))
+        context.scores = reach, scores.shape, scores.stride(), scores.dtype
+        return found
+
+    @staticmethod
+    def backward(context: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor, None, None, None]:
+        starts, shares, ends = context.saved_tensors
+        reach, shape, strides, dtype = context.scores
+        found = torch.empty(shape[0] * strides[0] if shape[0] > 1 else reach, dtype=dtype)
+        arrays = (each.numpy() for each in (gradients[0].contiguous(), starts, shares, ends))
+        loops = import_module("bodyseg_model.training.loops")
+        loops.add_gradient(*arrays, found.view(_BITS[dtype]).numpy())
+        return found.as_strided(shape, strides), None, None, None
+
+
+def _neighbours(pixel: torch.Tensor, step: int, size: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Scores before and after pixels along an axis, int64 [N], and the share of those after, float32 [N].
+
+    Score i is at (i + 1/2) step from the edge, a pixel's centre 1/2 from its own; beyond the outermost of `size` scores
+    that one's value holds.
+    """
+    place = ((pixel.float() + 0.5) / step - 0.5).clamp(0, size - 1)
+    before = place.long()
+    return before, (before + 1).clamp(max=size - 1), place - before
+
+
+class LossAndCounts(NamedTuple):
+    """Result of a step.
+
+    loss: scalar. counts: int64 [C, C], confusion matrix of the selected pixels, rows truth, columns prediction.
+    """
+
+    loss: torch.Tensor
+    counts: torch.Tensor
+
+
+class NetworkWithLoss(nn.Module):
+    """A network and its loss as one module, as distributed training wraps it.
+
+    Softmax cross-entropy over the C classes, background ignored (section 3.5). A step selects one pixel of every cell
+    of stride x stride pixels, where stride is the larger of `loss_stride` and the network's output stride: the pixels
+    at the same offset in all cells, with scores interpolated there as in `predict`. Over all offsets every pixel is
+    selected once; a stride of 4 makes a sixteenth of the cost.
+
+    weights: float32 [C], weight of a pixel of each class. compiled: whether the network is compiled first, anew for
+    every size of images.
+    """
+
+    weights: torch.Tensor
+
+    def __init__(
+        self,
+        network: Network,
+        weights: torch.Tensor,
+        loss_stride: int = 1,
+        compiled: bool = False,
+    ) -> None:
+        super().__init__()
+        self.network, self.loss_stride = network, loss_stride
+        self._scores = torch.compile(_scores, dynamic=False) if compiled else _scores
+        self.register_buffer("weights", weights)
+
+    def extra_repr(self) -> str:
+        """Stride of the selected pixels, for `repr`."""
+        return f"loss_stride={self.loss_stride}"
+
+    def forward(self, range_m: torch.Tensor, labels: torch.Tensor, offset: torch.Tensor) -> LossAndCounts:
+        """Compute the loss, the mean over images of each image's weighted mean over its body; 0 without a body.
+
+        It does not depend on how a batch is divided, between processes or for accumulation. range_m: float32
+        [B, 1, H, W], metres; labels: uint8 [B, H, W]; offset: float [2], position of the selected pixels in their
+        cells, down and across, as shares of a cell from 0 to below 1.
+        """
+        pixels = (  # as tensors, not slices: compiled code would be made anew for each pixel at which a slice begins
+            torch.arange(side, device=range_m.device)[int(share * self.loss_stride) :: self.loss_stride]
+            for share, side in zip(offset.tolist(), labels.shape[1:], strict=True)
+        )
+        scores, step = self._scores(self.network, range_m, *pixels), self.network.output_stride
+        stride, images, classes = max(step, self.loss_stride), len(labels), len(self.weights)
+        row, column = (int(share * stride) for share in offset.tolist())
+        chosen = SelectedPixels.of(labels, row, column, stride)
+        at_pixels = chosen.interpolated(scores, step) if step > 1 else chosen.of_cells(scores, stride)
+        weight = self.weights[chosen.truth]
+        each = weight * F.cross_entropy(at_pixels, chosen.truth, reduction="none")
+        sums, weights = (each.new_zeros(images).index_add(0, chosen.image, values) for values in (each, weight))
+        with torch.no_grad():
+            pairs = chosen.truth * classes + at_pixels.argmax(1)
+            counts = torch.bincount(pairs, minlength=classes**2).reshape(classes, classes)
+        return LossAndCounts((sums / weights.clamp(min=1e-6)).mean(), counts)
+
+
+def _scores(network: Network, range_m: torch.Tensor, rows: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
+    """All scores of a network that are coarser than the image; else those at `rows` and `columns` only."""
+    return network.scores(range_m) if network.output_stride > 1 else network.scores_at(range_m, rows, columns)
+
+
+def part_weights(counts: NDArray[np.int64], balance: float) -> torch.Tensor:
+    """Weights of the classes, float32 [C]: each class's share of all pixels to the power of -balance, scaled so that
+    the mean weight of a pixel is 1.
+
+    counts: int64 [C], pixels of each class. Classes without a pixel weigh as much as the rarest with any.
+    """
+    shares = np.maximum(counts, counts[counts > 0].min() if counts.any() else 1).astype(np.float64)
+    shares /= shares.sum()
+    weights = shares**-balance
+    return torch.from_numpy((weights / (weights * shares).sum()).astype(np.float32))
+
+
+def class_pixels(images: ImageSet) -> NDArray[np.int64]:
+    """Pixels of each class, int64 [C], in clean samples spread evenly over the set."""
+    label_map = images.label_map
+    counts = np.zeros(len(label_map), np.int64)
+    for index in images.evenly_sampled(_SAMPLES_FOR_WEIGHTS).tolist():
+        counts += np.bincount(label_map.table[images.clean(index).labels.ravel()], minlength=256)[: len(label_map)]
+    return counts

@@ -1,1 +1,0 @@
-"""The loss of a training over selected pixels of bodies, by labels and by a teacher."""

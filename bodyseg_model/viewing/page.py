@@ -1,0 +1,349 @@
+"""The page that sets and recordings share: its server, points in space, a picture of panels, facts and a legend."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import io
+import socket
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core.errors import BadConfig, BodysegError
+from bodyseg_data.core.files import write_result
+from bodyseg_data.core.system.libraries import missing_library
+from bodyseg_model.viewing.pictures import facts_html, legend_html, sheet_of
+from bodyseg_model.viewing.space import VIEWPOINTS, Drawing, name_heights, viewpoint
+
+if TYPE_CHECKING:
+    import viser
+
+
+LOOPBACK: Final = "127.0.0.1"
+"""The address that only this machine can reach."""
+
+_PORTS_TRIED: Final = 20
+_TAKEN: Final = (errno.EADDRINUSE,)
+
+
+def free_port(host: str, port: int) -> int:
+    """The given port, or the next free one after it. 0: any. Raises BadConfig for a host that is not this machine's,
+    or if the next ports are taken, too.
+    """
+    if not 0 <= port <= 65535:
+        raise BadConfig(f"a port must be 0 to 65535, found {port}")
+    for number in range(port, min(port + _PORTS_TRIED, 65536)):
+        try:
+            family, kind, _, _, address = socket.getaddrinfo(host, number, type=socket.SOCK_STREAM)[0]
+            with socket.socket(family, kind) as tried:
+                tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                tried.bind(address)
+                return int(tried.getsockname()[1])
+        except socket.gaierror as error:
+            raise BadConfig(f"--host must be an address of this machine, found {host!r}: {error.strerror}") from error
+        except PermissionError as error:
+            raise BadConfig(f"port {number} needs more rights: give a --port of at least 1024") from error
+        except OSError as error:
+            if error.errno not in _TAKEN:
+                raise BadConfig(
+                    f"--host must be an address of this machine, found {host!r}: {error.strerror}"
+                ) from error
+    raise BadConfig(f"ports {port} to {min(port + _PORTS_TRIED, 65536) - 1} of {host} are taken: give another --port")
+
+
+def open_server(host: str, port: int, title: str) -> viser.ViserServer:
+    """Start a server. title: above the page's controls. Raises BadConfig as `free_port`, MissingLibrary."""
+    try:
+        import viser
+    except ImportError as error:
+        raise missing_library("bodyseg view", error, extra="view") from error
+
+    class Server(viser.ViserServer):
+        def request_share_url(self, verbose: bool = True) -> str | None:
+            """Refuse what would connect this page to a server outside."""
+            return None
+
+    chosen = free_port(host, port)
+    with contextlib.redirect_stdout(io.StringIO()):
+        return Server(host=host, port=chosen, label=title, verbose=False)
+
+
+def close_server(server: viser.ViserServer) -> None:
+    """Stop a server and its threads."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()
+
+
+class Redrawing:
+    """Calls `draw` after requests, from one thread. Requests that arrive while it draws are answered by one more call.
+
+    least_s: time from one call to the next at least, so that a slider that is dragged does not fill a connection.
+    """
+
+    def __init__(self, draw: Callable[[], None], least_s: float = 0.1) -> None:
+        self._draw, self._least_s = draw, least_s
+        self._changed = threading.Condition()
+        self._requested = self._drawn = 0
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name="redrawing", daemon=True)
+        self._thread.start()
+
+    def request(self) -> None:
+        """Ask for a drawing; returns at once."""
+        with self._changed:
+            self._requested += 1
+            self._changed.notify_all()
+
+    def wait(self, timeout_s: float | None = None) -> bool:
+        """Wait until all that was requested before is drawn; False if that took longer, or this is closed."""
+        with self._changed:
+            wanted = self._requested
+            self._changed.wait_for(lambda: self._closed or self._drawn >= wanted, timeout_s)
+            return self._drawn >= wanted
+
+    def close(self) -> None:
+        """End the thread after what it is drawing."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._closed or self._drawn < self._requested)
+                if self._closed:
+                    return
+                begun = self._requested
+            start = time.monotonic()
+            try:
+                self._draw()
+            finally:
+                with self._changed:
+                    self._drawn = begun
+                    self._changed.notify_all()
+            with self._changed:
+                self._changed.wait_for(lambda: self._closed, max(0.0, self._least_s - (time.monotonic() - start)))
+
+
+_FOV_RAD: Final = 0.7
+_ASPECT: Final = 0.6
+"""Width over height of the space between the panels of a usual window."""
+
+_PICTURE_PX: Final = 540
+_CONTROLS_PX: Final = 330
+_DEVICE_M: Final = 0.22
+_DEVICE_COLOURS: Final = ((32, 34, 40), (196, 110, 20), (150, 60, 140))
+_VIEW_PX: Final = (1000, 800)
+_VIEW_TIMEOUT_S: Final = 20.0
+
+
+class Page:
+    """A page with nothing on it yet: controls are added to `server.gui`, and `start` begins to draw.
+
+    host, port: as for `open_server`, and raises as it does. title: of the page. save: folder for pictures; None: the
+    browser downloads them.
+    """
+
+    def __init__(self, host: str, port: int, title: str, save: Path | None = None) -> None:
+        self.server = open_server(host, port, title)
+        self.host, self.port = host, self.server.get_port()
+        self._save_in, self._warning = save, ""
+        self._drawing: Drawing | None = None
+        self._lock = threading.Lock()
+        self._redrawing: Redrawing | None = None
+        self._build()
+
+    def __repr__(self) -> str:
+        return f"Page({self.address})"
+
+    @property
+    def address(self) -> str:
+        """Address of the page, for a browser on this machine if it is served on all of its addresses."""
+        host = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(self.host, self.host)
+        return f"http://{f'[{host}]' if ':' in host and '[' not in host else host}:{self.port}"
+
+    def _build(self) -> None:
+        gui, scene = self.server.gui, self.server.scene
+        gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+        scene.set_up_direction("+y")
+        scene.configure_default_lights(cast_shadow=False)
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(_CONTROLS_PX)
+        self.facts = gui.add_html("")
+        panel = gui.add_panel()
+        with panel.add_tab("Images"):
+            blank = np.full((8, 8, 3), 250, np.uint8)
+            self._picture = gui.add_image(blank, format="jpeg", jpeg_quality=88)
+            self._legend = gui.add_html("")
+        panel.dock_left()
+        panel.set_width(_PICTURE_PX)
+        none = np.zeros((0, 3), np.float32)
+        self._points = scene.add_point_cloud(
+            "/points", none, none.astype(np.uint8), precision="float32", point_shape="circle", point_shading="flat"
+        )
+        self.point_scale = 1.3
+        self._devices: dict[str, viser.CameraFrustumHandle] = {}
+        self._names: dict[str, viser.LabelHandle] = {}
+        self._devices_shown = True
+
+    def add_view_controls(self) -> None:
+        """Add the controls of the viewpoint and of what is drawn, and the button that saves a picture."""
+        gui = self.server.gui
+        with gui.add_folder("View"):
+            look = gui.add_button_group("look at", VIEWPOINTS)
+            size = gui.add_slider("point size", 0.4, 4.0, 0.1, self.point_scale)
+            devices = gui.add_checkbox("camera, projector", True)
+            save = gui.add_button("Save picture")
+
+        @size.on_update
+        def _(_: object) -> None:
+            self.point_scale = size.value
+            self.request()
+
+        @devices.on_update
+        def _(_: object) -> None:
+            self._devices_shown = devices.value
+            self.request()
+
+        @look.on_click
+        def _(event: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
+            if event.client is not None:
+                self._look(event.client, look.value)
+
+        @save.on_click
+        def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
+            if event.client is not None:
+                self._save(event.client)
+
+    def start(self, draw: Callable[[], Drawing]) -> None:
+        """Draw once, then after every `request`, in a thread. Raises what the first drawing raises."""
+        first = draw()
+        self._aim(first)
+        self._show(first)
+
+        def redraw() -> None:
+            try:
+                drawing = draw()
+            except BodysegError as error:
+                self.warn(str(error))
+                return
+            except Exception as error:  # of a user's artifact: the page goes on
+                self.warn(f"{type(error).__name__}: {error}")
+                return
+            self._warning = ""
+            self._show(drawing)
+
+        self._redrawing = Redrawing(redraw)
+
+    def request(self) -> None:
+        """Ask for a new drawing; returns at once."""
+        if self._redrawing is not None:
+            self._redrawing.request()
+
+    def wait(self, timeout_s: float | None = None) -> bool:
+        """Wait until what was requested is drawn; False if that took longer."""
+        return self._redrawing is not None and self._redrawing.wait(timeout_s)
+
+    def warn(self, line: str) -> None:
+        """Show a line in red above the facts until the next drawing; what is drawn stays."""
+        with self._lock:
+            self._warning = line
+            self.facts.content = facts_html(() if self._drawing is None else self._drawing.facts, line)
+
+    def close(self) -> None:
+        """Stop drawing and serving."""
+        if self._redrawing is not None:
+            self._redrawing.close()
+        close_server(self.server)
+
+    def _aim(self, drawing: Drawing) -> None:
+        """Put the first view before the points."""
+        place, at = viewpoint(aimed_at(drawing), drawing.devices, "points", _FOV_RAD, _ASPECT)
+        camera = self.server.initial_camera
+        camera.fov, camera.look_at, camera.position = _FOV_RAD, at, place
+
+    def _look(self, client: viser.ClientHandle, kind: str) -> None:
+        """Move one client's view to one of `VIEWPOINTS`."""
+        drawing, chosen = self._drawing, next(each for each in VIEWPOINTS if each == kind)
+        if drawing is None:
+            return
+        camera = client.camera
+        place, at = viewpoint(aimed_at(drawing), drawing.devices, chosen, camera.fov, camera.aspect)
+        with client.atomic():
+            camera.up_direction, camera.position, camera.look_at = (0.0, 1.0, 0.0), place, at
+
+    def _show(self, drawing: Drawing) -> None:
+        with self._lock, self.server.atomic():
+            self._drawing = drawing
+            self._points.points = drawing.points.xyz
+            self._points.colors = drawing.points.colours
+            self._points.point_size = self.point_scale * drawing.gap_m
+            self._show_devices(drawing)
+            self._picture.image = drawing.picture
+            legend = legend_html(drawing.legend, 3)
+            if self._legend.content != legend:
+                self._legend.content = legend
+            self.facts.content = facts_html(drawing.facts, self._warning)
+
+    def _show_devices(self, drawing: Drawing) -> None:
+        heights = name_heights(drawing.devices)
+        for number, (device, height) in enumerate(zip(drawing.devices, heights, strict=True)):
+            handle = self._devices.get(device.name)
+            if handle is None:
+                colour = _DEVICE_COLOURS[min(number, len(_DEVICE_COLOURS) - 1)]
+                name = f"/{device.name.replace(' ', '_')}"
+                handle = self._devices[device.name] = self.server.scene.add_camera_frustum(
+                    name, device.fov_rad, device.aspect, scale=_DEVICE_M, thickness=0.006, color=colour
+                )
+                self._names[device.name] = self.server.scene.add_label(f"{name}_name", device.name)
+            handle.wxyz, handle.position = device.wxyz, device.position_m
+            x, y, z = device.position_m
+            self._names[device.name].position = (x, y + height, z)
+            handle.visible = self._names[device.name].visible = self._devices_shown
+
+    def _save(self, client: viser.ClientHandle) -> None:
+        """Write the panels and the points as one client sees them as a PNG."""
+        drawing = self._drawing
+        if drawing is None:
+            return
+        try:
+            view = client.get_render(*_VIEW_PX, timeout=_VIEW_TIMEOUT_S)
+            name, data = picture_file(drawing, np.asarray(view[..., :3], np.uint8))
+            if self._save_in is None:
+                client.send_file_download(name, data, save_immediately=True)
+                return
+            path = unused(self._save_in / name)
+            write_result(path, data)
+            client.add_notification("Saved", str(path), auto_close_seconds=6)
+        except (BodysegError, OSError, RuntimeError) as error:
+            self.warn(f"no picture was saved: {error}")
+
+
+def aimed_at(drawing: Drawing) -> NDArray[np.float32]:
+    """Points that a window is turned to, float32 [N, 3]: those of bodies, or all if there is no body."""
+    return drawing.points.xyz[: drawing.bodies or None]
+
+
+def picture_file(drawing: Drawing, view: NDArray[np.uint8]) -> tuple[str, bytes]:
+    """Name and bytes of a PNG of a drawing. view: its points as a browser drew them, sRGB uint8 [H, W, 3]."""
+    buffer = io.BytesIO()
+    sheet_of(drawing.picture, view, drawing.facts).save(buffer, "PNG")
+    word = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in drawing.facts[0])
+    return f"{word[:80] or 'picture'}.png", buffer.getvalue()
+
+
+def unused(path: Path) -> Path:
+    """The path, or with the first number from 2 on at the end of its name for which there is no file."""
+    number, found = 1, path
+    while found.exists():
+        number += 1
+        found = path.with_name(f"{path.stem}-{number}{path.suffix}")
+    return found

@@ -1,0 +1,301 @@
+"""The controls of a set's page: a sample, its variant, and the strengths of a sensor's artifacts."""
+
+from __future__ import annotations
+
+import shlex
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final
+
+from bodyseg_data.artifacts.artifact import Artifact
+from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model, sensor_model_names
+from bodyseg_data.artifacts.variants import PAIRS, VARIANTS, VariantName, check_variant
+from bodyseg_data.core.errors import BadConfig, BodysegError
+from bodyseg_data.core.splits import READ_SPLITS, SPLITS, ReadSplit
+from bodyseg_model.viewing.page import Page
+from bodyseg_model.viewing.set_view import COLOURINGS, Colouring, SetView, Shown
+from bodyseg_model.viewing.space import Drawing
+from bodyseg_model.viewing.strengths import Choice, Control, Slider, controls_of, moved, value_of
+
+if TYPE_CHECKING:
+    import viser
+
+    from bodyseg_model.viewing.page import Page
+
+
+_KINDS: Final = {"occlusion": "occ", "noise": "noise", "missing_data": "md"}
+_NONE: Final = "none"
+
+
+class SensorState:
+    """A sensor model as its controls leave it: artifacts with other strengths, and those that are left out."""
+
+    def __init__(self, model: SensorModel) -> None:
+        self._artifacts = {artifact.name: artifact for artifact in model}
+        self._model, self._left_out = model, set[str]()
+
+    def __repr__(self) -> str:
+        return f"SensorState({self.model!r})"
+
+    @property
+    def model(self) -> SensorModel:
+        """The model with the artifacts that are not left out."""
+        return self._model.with_artifacts(*self._artifacts.values()).without(*self._left_out)
+
+    def artifact(self, name: str) -> Artifact:
+        """The artifact of this name with its strengths, also where it is left out."""
+        return self._artifacts[name]
+
+    def leave_out(self, name: str, left_out: bool) -> None:
+        """Leave an artifact out, or take it in again."""
+        (self._left_out.add if left_out else self._left_out.discard)(name)
+
+    def move(self, name: str, control: Control, value: Any) -> bool:
+        """Set a strength (`moved`); False if nothing changed. Raises BadConfig for a value that it cannot have."""
+        changed = moved(self._artifacts[name], control, value)
+        if changed == self._artifacts[name]:
+            return False
+        self._artifacts[name] = changed
+        return True
+
+
+class SensorControls:
+    """Puts controls of a model into the page's current container. changed: is called with the new model."""
+
+    def __init__(self, page: Page, model: SensorModel, changed: Callable[[SensorModel], None]) -> None:
+        self._page, self._changed = page, changed
+        self._lock = threading.RLock()
+        self._folder = page.server.gui.add_folder("artifacts")
+        self._handles: dict[str, list[tuple[Control, Any]]] = {}
+        self._folders: list[viser.GuiFolderHandle] = []
+        self.put(model)
+
+    def __repr__(self) -> str:
+        return f"SensorControls({self.state!r})"
+
+    def put(self, model: SensorModel) -> None:
+        """Show the controls of another model in place of those shown."""
+        with self._lock:
+            self.state = SensorState(model)
+            for each in self._folders:
+                each.remove()
+            self._handles, self._folders = {}, []
+            with self._folder:
+                for artifact in model:
+                    self._add(artifact)
+
+    def _add(self, artifact: Artifact) -> None:
+        gui = self._page.server.gui
+        name = artifact.name
+        folder = gui.add_folder(f"{name.replace('_', ' ')} ({_KINDS[artifact.kind]})")
+        self._folders.append(folder)
+        with folder:
+            kept = gui.add_checkbox("applied", True)
+            handles = [(control, self._handle(artifact, control)) for control in controls_of(artifact)]
+        self._handles[name] = handles
+
+        @kept.on_update
+        def _(_: object) -> None:
+            with self._lock:
+                self.state.leave_out(name, not kept.value)
+            self._changed(self.state.model)
+
+        for control, handle in handles:
+            handle.on_update(self._mover(name, control, handle))
+
+    def _handle(self, artifact: Artifact, control: Control) -> Any:
+        gui, value = self._page.server.gui, value_of(artifact, control)
+        if isinstance(control, Slider):
+            if control.whole:
+                return gui.add_slider(control.label, round(control.low), round(control.high), 1, value)
+            return gui.add_slider(control.label, control.low, control.high, control.step, float(value))
+        if isinstance(control, Choice):
+            return gui.add_dropdown(control.label, tuple(map(_text, control.values)), initial_value=_text(value))
+        hint = "several values with ; between them" if control.several else "empty: what the artifact takes by itself"
+        return gui.add_text(control.label, value, hint=hint)
+
+    def _mover(self, name: str, control: Control, handle: Any) -> Callable[[object], None]:
+        def move(_: object) -> None:
+            with self._lock:
+                if all(handle is not each for _, each in self._handles.get(name, ())):
+                    return  # of a model that is no longer shown
+                given = handle.value
+                if isinstance(control, Choice):
+                    given = next(value for value in control.values if _text(value) == given)
+                try:
+                    if not self.state.move(name, control, given):
+                        return
+                except BadConfig as error:
+                    self._page.warn(str(error))
+                    return
+                self._follow(name)
+            self._changed(self.state.model)
+
+        return move
+
+    def _follow(self, name: str) -> None:
+        """Show the strengths that changed with the one that was moved."""
+        artifact = self.state.artifact(name)
+        for control, handle in self._handles[name]:
+            value = value_of(artifact, control)
+            shown = _text(value) if isinstance(control, Choice) else value
+            if handle.value != shown:
+                handle.value = shown
+
+
+def _text(value: Any) -> str:
+    return _NONE if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+_BOTH: Final = "train and test"
+
+
+class SetPage:
+    """Puts a set on a page and keeps what its controls say. first: what is shown first."""
+
+    def __init__(self, page: Page, view: SetView, first: Shown) -> None:
+        self.page, self.view, self.shown = page, view, first
+        self._lock = threading.RLock()
+        self._sensors = {name: load_sensor_model(name) for name in sensor_model_names()} | {
+            first.sensor.name: first.sensor
+        }
+        gui = page.server.gui
+        with gui.add_folder("Sample"):
+            self._add_sample_controls()
+        with gui.add_folder("Image"):
+            self._add_image_controls()
+        page.add_view_controls()
+        with gui.add_folder("Sensor: strengths of its artifacts"):
+            self._add_sensor_controls()
+        page.start(self.draw)
+
+    def __repr__(self) -> str:
+        return f"SetPage({self.page!r}, {self.view!r})"
+
+    def draw(self) -> Drawing:
+        """Draw what the controls say. Raises as `SetView.draw`."""
+        with self._lock:
+            view, shown = self.view, self.shown
+        return view.draw(shown)
+
+    def change(self, **changes: Any) -> None:
+        """Change what is shown, by the fields of `Shown`, and draw it."""
+        with self._lock:
+            self.shown = replace(self.shown, **changes)
+        self.page.request()
+
+    def choose(self, split: str, where: str, only: str) -> None:
+        """Show other samples of the set, from the first on; where it refuses, say so and keep what is shown.
+
+        split: one of `SPLITS`, or anything else for all. where, only: conditions and patterns as a shell would divide
+        them into words.
+        """
+        chosen: ReadSplit | None = next((each for each in READ_SPLITS if each == split), None)
+        try:
+            view = self.view.chosen(chosen, _words(only), _words(where))
+        except BodysegError as error:
+            self.page.warn(str(error))
+            return
+        with self._lock:
+            self.view = view
+            self._index.max = max(1, len(view) - 1)
+            self._index.value = 0
+            self._key.value = view.images.keys[0]
+        self.change(index=0)
+
+    def _add_sample_controls(self) -> None:
+        gui = self.page.server.gui
+        splits = (_BOTH, *(SPLITS if not self.view.val_share else READ_SPLITS))
+        split = gui.add_dropdown("split", splits, initial_value=self.view.images.split or _BOTH)
+        selection = self.view.images.selection
+        hint = "conditions with spaces between them, like distance_cm<=255 subject=B,C azimuth_deg=-90..90"
+        texts = " ".join(shlex.quote(condition.text) for condition in selection.where)
+        where = gui.add_text("where", texts, hint=hint)
+        only = gui.add_text("only", " ".join(selection.only), hint="patterns of keys, like open-A-*")
+        # A slider needs two ends.
+        self._index: Any = gui.add_slider("sample", 0, max(1, len(self.view) - 1), 1, self.shown.index)
+        self._key: Any = gui.add_text(
+            "key", self.view.images.keys[self.shown.index], hint="a sample's name, to go to it"
+        )
+        step = gui.add_button_group("go to", ("previous", "next"))
+
+        def choose(_: object) -> None:
+            self.choose(split.value, where.value, only.value)
+
+        for control in (split, where, only):
+            control.on_update(choose)
+
+        @self._index.on_update
+        def _(_: object) -> None:
+            self._go_to(int(self._index.value))
+
+        @step.on_click
+        def _(_: object) -> None:
+            self._index.value = (self.shown.index + (1 if step.value == "next" else -1)) % len(self.view)
+
+        @self._key.on_update
+        def _(_: object) -> None:
+            index = self.view.index_of(self._key.value)
+            if index is None:
+                self.page.warn(f"no sample of those chosen has the key {self._key.value!r}")
+            else:
+                self._index.value = index
+
+    def _go_to(self, index: int) -> None:
+        with self._lock:
+            index = min(index, len(self.view) - 1)
+            self._key.value = self.view.images.keys[index]
+        if index != self.shown.index:
+            self.change(index=index)
+
+    def _add_image_controls(self) -> None:
+        gui = self.page.server.gui
+        variant = gui.add_dropdown("variant", (*VARIANTS, *PAIRS), initial_value=self.shown.variant)
+        colourings = COLOURINGS if self.view.trained is not None else COLOURINGS[:2]
+        colouring = gui.add_dropdown("colour by", colourings, initial_value=self.shown.colouring)
+        epoch = gui.add_slider("draws of epoch", 0, 99, 1, self.shown.epoch)
+        network = gui.add_checkbox("ask the network", self.shown.network, visible=self.view.trained is not None)
+
+        @variant.on_update
+        def _(_: object) -> None:
+            name: VariantName = check_variant(variant.value)
+            self.change(variant=name)
+
+        @colouring.on_update
+        def _(_: object) -> None:
+            chosen: Colouring = next(each for each in COLOURINGS if each == colouring.value)
+            self.change(colouring=chosen)
+
+        @epoch.on_update
+        def _(_: object) -> None:
+            self.change(epoch=int(epoch.value))
+
+        @network.on_update
+        def _(_: object) -> None:
+            self.change(network=network.value)
+
+    def _add_sensor_controls(self) -> None:
+        gui = self.page.server.gui
+        sensor = gui.add_dropdown("model", tuple(self._sensors), initial_value=self.shown.sensor.name)
+        again = gui.add_button("Reset strengths")
+        self._sensor = controls = SensorControls(self.page, self.shown.sensor, self._changed_sensor)
+
+        def put(_: object) -> None:
+            model = self._sensors[sensor.value]
+            controls.put(model)
+            self._changed_sensor(model)
+
+        sensor.on_update(put)
+        again.on_click(put)
+
+    def _changed_sensor(self, model: SensorModel) -> None:
+        self.change(sensor=model)
+
+
+def _words(text: str) -> list[str]:
+    """Words of a text as a shell divides it. Raises BadConfig for a quotation mark without its other one."""
+    try:
+        return shlex.split(text)
+    except ValueError as error:
+        raise BadConfig(f"cannot divide {text!r} into words: {error}") from error
