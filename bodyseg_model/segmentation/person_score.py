@@ -8,7 +8,8 @@ A small convolutional network judges the shape. It sees the surface at `CELL_M` 
 channels: range from the median, what is measured, and range from the mean of the 3 x 3 cells around, which shows how a
 body is curved; and the measures. NumPy computes its 8 825 weights in a thirtieth of the time of the network that labels
 bodies: a runtime's threads would take processors from that one. `weights/shape_network.json` holds the weights, and
-says how they were made; `tools/bench things` counts whom it finds in rooms it was not fitted to (docs/things.md).
+says how they were made; `tools/bench things` counts whom it finds in rooms it was not fitted to
+(docs/reference/things.md).
 """
 
 from __future__ import annotations

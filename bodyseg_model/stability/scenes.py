@@ -1,8 +1,8 @@
 """Corruptions of rising strength, and labelled images with them: altered stored samples, or bodies rendered anew.
 
 A sweep changes one thing and leaves all else clean, so two predictions at different strengths differ because of it
-alone. Its first strength is clean. docs/stability.md describes every sweep. Images are made on demand; labelled bodies
-and their renderers are kept.
+alone. Its first strength is clean. docs/results/stability.md describes every sweep. Images are made on demand;
+labelled bodies and their renderers are kept.
 """
 
 from __future__ import annotations
