@@ -91,4 +91,4 @@ def test_the_command_prints_a_table(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_an_unknown_extra_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["licences", "gold"]) == 2
-    assert "the extra must be one of streaming, fast, render, " in capsys.readouterr().err
+    assert "the extra must be one of streaming, fast, segment, render, " in capsys.readouterr().err

@@ -10,7 +10,7 @@ from bodyseg_data.commands import cli
 
 COMMANDS: Final[cli.Commands] = {
     "bench": ("benches.bench", "measure speed and accuracy side by side"),
-    "chart": ("benches.chart", "chart speed against accuracy, one chart a choice"),
+    "chart": ("benches.results.chart", "chart speed against accuracy, one chart a choice"),
     "licences": ("benches.licences", "list the licences of the packages that each extra installs"),
 }
 

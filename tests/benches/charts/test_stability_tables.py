@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from benches.charts.page import render_page
 from benches.charts.stability_tables import tables
+from benches.results.page import render_page
 
 from bodyseg_data.core.errors import BadConfig
 

@@ -9,11 +9,11 @@ import pytest
 from benches.__main__ import main
 from benches.bench import BENCHES
 from benches.bench import Options as BenchOptions
-from benches.chart import Options as ChartOptions
-from benches.charts.outdated import NEVER, outdated, stale_results, without_mark
-from benches.charts.page import render_page, sources_of
 from benches.model.networks.baselines import with_baselines
+from benches.results.chart import Options as ChartOptions
 from benches.results.everything import PAGES, PROCESSORS, everything
+from benches.results.outdated import NEVER, outdated, stale_results, without_mark
+from benches.results.page import render_page, sources_of
 from benches.results.records import Records
 from benches.results.running import duration
 from benches.results.step import Graph, Places, Step
@@ -97,7 +97,7 @@ def test_code_is_that_of_the_command() -> None:
     steps = everything().steps
     assert steps["sets/hard18"].code == ("bodyseg_data.commands.shard",)
     assert steps["failures_open"].code == ("benches.model.failures.bench",)
-    assert steps["page"].code == ("benches.chart",)
+    assert steps["page"].code == ("benches.results.chart",)
 
 
 def test_the_list_of_a_fresh_checkout(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -173,7 +173,7 @@ def test_a_page_names_what_the_code_of_today_did_not_make(tmp_path: Path, monkey
         (tmp_path / f"{name}.json").write_text('{"n": 1}')
     template = "{{ outdated }}\n{{ a.n | number }}{{ b.n | number }}{{ c.n | number }}\n"
     stale = {"a.json": "the code has changed", "b.json": NEVER, "other.json": NEVER}
-    monkeypatch.setattr("benches.charts.page.stale_results", lambda folder: stale)
+    monkeypatch.setattr("benches.results.page.stale_results", lambda folder: stale)
     page = render_page(template, tmp_path)
     first, *_, last = page.splitlines()
     assert "changed since: [a.json](a.json); " in first and "by hand" in first and "[b.json](b.json)." in first

@@ -79,7 +79,7 @@ class Step:
             return (COMMANDS[name][0].partition(":")[0],)
         if program == "tools/bench":
             return (f"benches.{BENCHES[name].module}",)
-        return ("benches.chart",) if program == "tools/chart" else ()
+        return ("benches.results.chart",) if program == "tools/chart" else ()
 
 
 class Graph:

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from benches.charts.page import render_page, sources_of
+from benches.results.page import render_page, sources_of
 
 from bodyseg_data.core.errors import BadConfig
 

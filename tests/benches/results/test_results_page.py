@@ -8,11 +8,11 @@ import re
 import pytest
 from benches.charts.choice import Choice
 from benches.charts.choices import CHOICES
-from benches.charts.outdated import without_mark
-from benches.charts.page import render_page, sources_of
 from benches.charts.processors import by_processor, figures_of, panels_of
 from benches.charts.report import described
 from benches.results.everything import PAGES
+from benches.results.outdated import without_mark
+from benches.results.page import render_page, sources_of
 from folders import ROOT
 
 RESULTS = ROOT / "docs" / "results"

@@ -30,10 +30,10 @@ from typing import Any, Final
 from jinja2 import Environment, StrictUndefined, TemplateError, TemplateSyntaxError, Undefined, meta
 
 from benches.charts.fields import read_fields
-from benches.charts.outdated import outdated, stale_results
 from benches.charts.processors import FOLDER, HEAD, by_processor
 from benches.charts.scales import thousands
 from benches.charts.stability_tables import FORMAT, tables
+from benches.results.outdated import outdated, stale_results
 from bodyseg_data.core.errors import BadConfig
 
 _SOURCES: Final = "sources"

@@ -4,10 +4,10 @@ import json
 from pathlib import Path
 
 import pytest
-from benches import chart
-from benches.chart import Options, run
 from benches.charts.choices import CHOICES
 from benches.charts.drawing import Picture
+from benches.results import chart
+from benches.results.chart import Options, run
 from chart_figures import SOURCE, figures_of, write_figures_of
 from PIL import Image
 

@@ -9,9 +9,9 @@ from typing import Any
 
 from benches.charts.choices import CHOICES
 from benches.charts.drawing import Picture, draw
-from benches.charts.page import render_page
 from benches.charts.processors import figures_of, panels_of
 from benches.charts.report import described
+from benches.results.page import render_page
 from bodyseg_data.commands.options import option
 from bodyseg_data.commands.provenance import write_figures
 from bodyseg_data.core.errors import BadConfig
