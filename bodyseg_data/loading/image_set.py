@@ -19,7 +19,6 @@ from bodyseg_data.core.sample import Sample
 
 if TYPE_CHECKING:
     from bodyseg_data.loading.batch_order import BatchOrder
-    from bodyseg_data.loading.range_images import RangeImages
 
 Request = tuple[int, int]
 """(epoch, index) of a sample: with its epoch, so that workers kept over several epochs need no other message."""
@@ -76,7 +75,7 @@ class ImageSet(Protocol):
     @property
     def label_map(self) -> LabelMap: ...
     @property
-    def sets(self) -> tuple[RangeImages, ...]: ...
+    def sets(self) -> tuple[Any, ...]: ...  # `RangeImages`, which are made from what stands here
 
     def __len__(self) -> int: ...
 

@@ -8,13 +8,11 @@ from typing import Any, Final
 import numpy as np
 
 from bodyseg_data.core.kernels import compiled
-from bodyseg_model.networks.patches import RELIEF
 
 BITS: Final = np.uint32(16)
 """Bits of a bfloat16: the upper ones of float32."""
 
 _HALF_LESS_ONE, _LAST = np.uint32(0x7FFF), np.uint32(1)
-_SCALE = np.float32(RELIEF)
 _ZERO, _ONE = np.float32(0), np.float32(1)
 _kernel = partial(compiled, feature="cutting range images into patches in a compiled loop")
 
@@ -39,10 +37,11 @@ def count_measured(range_m: Any, count: Any) -> None:
 
 
 @_kernel
-def cut_patches(range_m: Any, mean: Any, side: Any, values: Any, measured: Any) -> None:
+def cut_patches(range_m: Any, mean: Any, relief: Any, side: Any, values: Any, measured: Any) -> None:
     """Write the patches of images and the share of each that was measured, `Patches`.
 
-    range_m: float32 [B, H, W], metres; mean: float32 [B], of what was measured. values: [B, h, w, 2 side^2], the bits
+    range_m: float32 [B, H, W], metres; mean: float32 [B], of what was measured. relief: float32, factor of centred ranges.
+    values: [B, h, w, 2 side^2], the bits
     of float32 as int32 or of bfloat16 as int16, rounded to the nearest, ties to even. measured: float32 [B, h, w].
     """
     images, rows, columns = range_m.shape
@@ -60,7 +59,7 @@ def cut_patches(range_m: Any, mean: Any, side: Any, values: Any, measured: Any) 
                 metres = range_m[image, down * side + row]
                 for column in range(columns):
                     seen = _ONE if metres[column] > _ZERO else _ZERO
-                    line[0, column] = (metres[column] - centre) * seen * _SCALE
+                    line[0, column] = (metres[column] - centre) * seen * relief
                     line[1, column] = seen
                 if values.itemsize == 2:
                     for channel in range(2):

@@ -10,6 +10,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Final, NamedTuple
 
+import numpy as np
 import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
 
@@ -101,7 +102,7 @@ def _by_loops(range_m: torch.Tensor, side: int, layers: torch.dtype) -> Patches:
     metres, count = range_m[:, 0].contiguous().numpy(), torch.empty(images, 1, 1, 1)
     loops.count_measured(metres, count.view(images).numpy())
     mean = body_mean(range_m, count).view(images)
-    loops.cut_patches(metres, mean.numpy(), side, bits, measured.numpy())
+    loops.cut_patches(metres, mean.numpy(), np.float32(RELIEF), side, bits, measured.numpy())
     return Patches(values.permute(0, 3, 1, 2), measured[:, None])
 
 

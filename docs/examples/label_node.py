@@ -5,7 +5,7 @@ Run it with topics of your own:
     GOMP_SPINCOUNT=10000 python label_node.py --ros-args \
         -r depth:=/camera/depth/image_rect_raw -r camera_info:=/camera/depth/camera_info
 
-The variable keeps PyTorch's threads from taking the processors of other nodes (docs/how-to/segment.md, Speed). The node
+The variable keeps PyTorch's threads from taking the processors of other nodes (docs/how-to/segment.md). The node
 publishes mono8 images on `labels`: part 0 to 32, 255 elsewhere, with the header of their range image.
 """
 

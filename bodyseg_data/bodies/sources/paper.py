@@ -9,15 +9,20 @@ from typing import Final
 
 from bodyseg_data.bodies.mesh_options import DEFAULTS, MeshOptions
 from bodyseg_data.bodies.source import Body, BodyRef, BodySource, ListedBodies
-from bodyseg_data.bodies.sources import caesar, mit, scape
+from bodyseg_data.bodies.sources.caesar import MESHES as CAESAR_MESHES
+from bodyseg_data.bodies.sources.caesar import CaesarBodies
+from bodyseg_data.bodies.sources.mit import MESHES as MIT_MESHES
+from bodyseg_data.bodies.sources.mit import MitBodies
+from bodyseg_data.bodies.sources.scape import MESHES as SCAPE_MESHES
+from bodyseg_data.bodies.sources.scape import ScapeBodies
 from bodyseg_data.core.errors import BadConfig
 
 _Opened = Callable[[Path, Path | None, MeshOptions], BodySource]
 
 _PARTS: Final[dict[str, tuple[_Opened, tuple[str, ...]]]] = {
-    "scape": (scape.ScapeBodies, scape.MESHES),
-    "mit": (mit.MitBodies, mit.MESHES),
-    "caesar": (caesar.CaesarBodies, caesar.MESHES),
+    "scape": (ScapeBodies, SCAPE_MESHES),
+    "mit": (MitBodies, MIT_MESHES),
+    "caesar": (CaesarBodies, CAESAR_MESHES),
 }
 
 

@@ -1,7 +1,7 @@
 """`bench shapes`: fit the small network that tells people from things by the shape of a surface, on made rooms.
 
-`network` in the figures is the content of `bodyseg_model/weights/shape_network.json`. docs/reference/things.md
-says how to read the results.
+`network` in the figures is the content of `bodyseg_model/weights/shape_network.json`. docs/reference/things.md says
+how to read the results.
 """
 
 from __future__ import annotations
