@@ -41,7 +41,8 @@ def cut_patches(range_m: Any, mean: Any, relief: Any, side: Any, values: Any, me
     """Write the patches of images and the share of each that was measured, `Patches`.
 
     range_m: float32 [B, H, W], metres; mean: float32 [B], of what was measured. relief: float32, factor of
-    centred ranges. values: [B, h, w, 2 side^2], the bits of float32 as int32 or of bfloat16 as int16, rounded to the nearest, ties to even. measured: float32 [B, h, w].
+    centred ranges. values: [B, h, w, 2 side^2], the bits of float32 as int32 or of bfloat16 as int16, rounded to the
+    nearest, ties to even. measured: float32 [B, h, w].
     """
     images, rows, columns = range_m.shape
     across, area = values.shape[2], side * side

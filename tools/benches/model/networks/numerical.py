@@ -1,7 +1,7 @@
 """`bench numerical`: labels that change when a network is computed in another way: fewer bits, more threads, batches.
 
-Every computation is compared with one baseline: each image alone, in 32 bits, on one thread. docs/results/stability.md says
-how to read the results.
+Every computation is compared with one baseline: each image alone, in 32 bits, on one thread. docs/results/stability.md
+says how to read the results.
 """
 
 from __future__ import annotations
