@@ -117,7 +117,7 @@ def drawn_kind(body: ArmSurroundings, floor_hands: float, draws: np.random.Gener
     return "touch" if kind == "other hand" and not body.other_placed else kind
 
 
-def drawn(kind: str, body: ArmSurroundings, draws: np.random.Generator) -> ArmTask:
+def drawn_task(kind: str, body: ArmSurroundings, draws: np.random.Generator) -> ArmTask:
     """Draw a task of a kind."""
     if kind == "other hand":
         by = "palm" if draws.random() < 0.7 else "fingertips"

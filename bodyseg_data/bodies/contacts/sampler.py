@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies.anny.posable import Posable
 from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk, bone_rotations
-from bodyseg_data.bodies.contacts import arms
+from bodyseg_data.bodies.contacts.arms import ArmSurroundings, drawn_kind, drawn_task
 from bodyseg_data.bodies.contacts.limbs import Base, Limb, Side, other
 from bodyseg_data.bodies.contacts.places import Places
 from bodyseg_data.bodies.contacts.ranges import (
@@ -222,7 +222,7 @@ class ContactSampler:
         obstacles = PosedSkin(vertices, normals, solid)
         base = Base(turns[limb.base_bone], heads[limb.base_bone], turns[0])
         chest = self._person.numbers["spine02"]
-        body = arms.ArmSurroundings(
+        body = ArmSurroundings(
             side=side,
             places=self._places,
             vertices=vertices,
@@ -244,8 +244,8 @@ class ContactSampler:
         kind = ""
         for index in range(_ARM_TRIES):
             if index % _SAME_KIND == 0:
-                kind = arms.drawn_kind(body, stance.floor_hands, draws)
-            task = arms.drawn(kind, body, draws)
+                kind = drawn_kind(body, stance.floor_hands, draws)
+            task = drawn_task(kind, body, draws)
             reach = Reach(limb, base, self._normals, task.goals, obstacles, floor)
             start = min((task.begun(preset, draws) for preset in task.presets), key=reach.miss_m)
             reached = reach(start, task.ranges)
