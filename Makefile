@@ -35,7 +35,7 @@ LOOPED := tests/core tests/artifacts tests/segmentation tests/training/augmentat
 	tests/training/test_loss.py
 
 # Compiled loops with every index checked: an access beyond an array is then an IndexError, not a damaged heap. Their
-# machine code has folders of its own (bodyseg_data/core/kernels.py).
+# machine code has folders of its own (bodyseg_data/machine/kernels.py).
 test-bounds: install
 	OMP_NUM_THREADS=1 NUMBA_BOUNDSCHECK=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder $(LOOPED)
 

@@ -2,74 +2,122 @@
 
     from bodyseg_data import RangeImages, loader
 
-Importing this package is fast: each name below is imported on first use, and none needs a renderer.
+Importing this package is fast: each name below is imported on first use, and none needs a renderer. The names in
+`__all__` are the public interface; all else may move.
 """
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
+
+from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
-    from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
-    from bodyseg_data.artifacts.variants import VARIANTS, Augmentation
-    from bodyseg_data.core.errors import BodysegError
-    from bodyseg_data.core.parts import BACKGROUND, PARTS
-    from bodyseg_data.core.rig import Rig, load_rig
-    from bodyseg_data.core.sample import Sample
-    from bodyseg_data.example.example_set import example_set
-    from bodyseg_data.loading.image_set import Batch
-    from bodyseg_data.loading.loader import Loader, loader
-    from bodyseg_data.loading.mixtures.mixture import Mixture
-    from bodyseg_data.loading.range_images import RangeImages
+    from bodyseg_data.artifacts import (
+        VARIANTS,
+        Artifact,
+        Augmentation,
+        MissingData,
+        Noise,
+        Occlusion,
+        RangeImage,
+        Scene,
+        SensorModel,
+        load_sensor_model,
+    )
+    from bodyseg_data.bodies import Body, BodyRef, BodySource, open_source
+    from bodyseg_data.core import BodysegError
+    from bodyseg_data.example import example_set
+    from bodyseg_data.labels import BACKGROUND, PARTS, LabelMap, colour_labels, load_label_map
+    from bodyseg_data.loading import (
+        Batch,
+        BodyCrop,
+        CameraImage,
+        Crop,
+        Flip,
+        Loader,
+        Mixture,
+        RangeImages,
+        Roll,
+        Transform,
+        Zoom,
+        loader,
+    )
+    from bodyseg_data.meshes import Mesh, read_mesh
+    from bodyseg_data.packing import Packing, pack, plan
+    from bodyseg_data.rigs import Camera, Rig, load_rig
+    from bodyseg_data.samples import Sample
+    from bodyseg_data.shards import read_manifest
 
     __version__: str
-
-_HOME: Final = {
-    "BodysegError": "core.errors",
-    "BACKGROUND": "core.parts",
-    "PARTS": "core.parts",
-    "Rig": "core.rig",
-    "load_rig": "core.rig",
-    "Sample": "core.sample",
-    "Batch": "loading.image_set",
-    "Loader": "loading.loader",
-    "RangeImages": "loading.range_images",
-    "loader": "loading.loader",
-    "Mixture": "loading.mixtures.mixture",
-    "VARIANTS": "artifacts.variants",
-    "SensorModel": "artifacts.sensor_model",
-    "load_sensor_model": "artifacts.sensor_model",
-    "Augmentation": "artifacts.variants",
-    "example_set": "example.example_set",
-}
 
 __all__ = [
     "BACKGROUND",
     "PARTS",
     "VARIANTS",
+    "Artifact",
     "Augmentation",
     "Batch",
+    "Body",
+    "BodyCrop",
+    "BodyRef",
+    "BodySource",
     "BodysegError",
+    "Camera",
+    "CameraImage",
+    "Crop",
+    "Flip",
+    "LabelMap",
     "Loader",
+    "Mesh",
+    "MissingData",
     "Mixture",
+    "Noise",
+    "Occlusion",
+    "Packing",
+    "RangeImage",
     "RangeImages",
     "Rig",
+    "Roll",
     "Sample",
+    "Scene",
     "SensorModel",
+    "Transform",
+    "Zoom",
+    "colour_labels",
     "example_set",
+    "load_label_map",
     "load_rig",
     "load_sensor_model",
     "loader",
+    "open_source",
+    "pack",
+    "plan",
+    "read_manifest",
+    "read_mesh",
 ]
+
+_public, _ = lazy_door(
+    __name__,
+    {
+        "artifacts": "VARIANTS Artifact Augmentation MissingData Noise Occlusion RangeImage Scene SensorModel "
+        "load_sensor_model",
+        "bodies": "Body BodyRef BodySource open_source",
+        "core": "BodysegError",
+        "example": "example_set",
+        "labels": "BACKGROUND PARTS LabelMap colour_labels load_label_map",
+        "loading": "Batch BodyCrop CameraImage Crop Flip Loader Mixture RangeImages Roll Transform Zoom loader",
+        "meshes": "Mesh read_mesh",
+        "packing": "Packing pack plan",
+        "rigs": "Camera Rig load_rig",
+        "samples": "Sample",
+        "shards": "read_manifest",
+    },
+)
 
 
 def __getattr__(name: str) -> Any:
-    if name == "__version__":
-        return _installed_version()
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+    return _installed_version() if name == "__version__" else _public(name)
 
 
 def _installed_version() -> str:

@@ -2,6 +2,6 @@
 
 import sys
 
-from bodyseg_data.commands.cli import main
+from bodyseg_data.commands import main
 
 sys.exit(main())

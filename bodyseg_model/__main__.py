@@ -2,6 +2,6 @@
 
 import sys
 
-from bodyseg_model.commands.cli import main
+from bodyseg_model.commands import main
 
 sys.exit(main())

@@ -19,17 +19,16 @@ from folders import SHARED_DATA, TESTS
 from kernel_forms import FORMS, computed_by
 from small_rig import SMALL
 
-from bodyseg_data.bodies.sources import SOURCES
+from bodyseg_data.bodies import SOURCES
 from bodyseg_data.commands import shard
-from bodyseg_data.core.errors import MissingLibrary
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.meshes.partition import surface_parts
-from bodyseg_data.meshes.partition.geodesics import GeodesicMethod, nearest_sources
-from bodyseg_data.meshes.pymeshlab_thread import with_pymeshlab
-from bodyseg_data.packing.engines.jobs import Engine
-from bodyseg_data.packing.options import Packing
-from bodyseg_data.packing.pack import pack
+from bodyseg_data.core import MissingLibrary
+from bodyseg_data.meshes import GeodesicMethod, with_pymeshlab
+from bodyseg_data.meshes import partitioning as surface_parts
+from bodyseg_data.meshes.geodesics import nearest_sources
+from bodyseg_data.packing import Packing, pack
+from bodyseg_data.packing.jobs import Engine
+from bodyseg_data.rigs import load_rig
+from bodyseg_data.samples import ViewGrid
 
 # Nothing imports pymeshlab (GPL-3.0) by default: where a test does not ask for it by the fixture, importing it fails.
 sys.modules["pymeshlab"] = None  # type: ignore[assignment]

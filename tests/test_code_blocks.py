@@ -18,12 +18,12 @@ from benches.model.tutorial import read_tutorial, smaller
 from folders import DOCS, PAGES, ROOT
 from people_on_disk import write_by_vertex, write_mesh
 
-from bodyseg_data.artifacts.sensor_model import load_sensor_model
+from bodyseg_data.artifacts import load_sensor_model
 from bodyseg_data.commands.cli import load_command
 from bodyseg_data.commands.options import parse
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import BadConfig
+from bodyseg_model.commands import main as bodyseg_main
 from bodyseg_model.commands.cli import COMMANDS
-from bodyseg_model.commands.cli import main as bodyseg_main
 
 DOCUMENTS: Final = sorted([ROOT / "README.md", *PAGES])
 

@@ -18,8 +18,8 @@ from benches.site.contents import OUTSIDE, sections
 from benches.site.notebooks import as_markdown
 from folders import DOCS, MADE_PAGES, PAGES, ROOT
 
+from bodyseg_model.commands import main as bodyseg_main
 from bodyseg_model.commands.cli import COMMANDS
-from bodyseg_model.commands.cli import main as bodyseg_main
 
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *PAGES, *(DOCS / "decisions").glob("*.md")])
 NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
@@ -173,9 +173,9 @@ def test_names_of_nothing_are_found() -> None:
 # One heading
 
 See `bodyseg_data/loading/nowhere.py`, `nowhere.py`, `Loader.nothing`, `Loader.state_dict()`,
-`bodyseg_data.loading.loader.Loader.nothing`, `tools/nothing`,
-[a page](nowhere.md), [a heading](#two-headings), and tools/bench nothing. There are `bodyseg_data/loading/loader.py`,
-`loader.py`, `bodyseg_data.loading.loader.Loader.state_dict`, `bodyseg_data.RangeImages`, `tools/shard --plan`,
+`bodyseg_data.loading.Loader.nothing`, `tools/nothing`,
+[a page](nowhere.md), [a heading](#two-headings), and tools/bench nothing. There are `bodyseg_data/loading/loaders.py`,
+`loader.py`, `bodyseg_data.loading.Loader.state_dict`, `bodyseg_data.RangeImages`, `tools/shard --plan`,
 [a page](glossary.md#glossary), [a heading](#one-heading) and `tools/bench codec`.
 
 ```python
@@ -187,8 +187,8 @@ from bodyseg_data.loading.loader import Loader, Nothing
         "file tools/nothing",
         "file bodyseg_data/loading/nowhere.py",
         "file nowhere.py",
-        "name bodyseg_data.loading.loader.Loader.nothing",
-        "name bodyseg_data.loading.loader.Nothing",
+        "name bodyseg_data.loading.Loader.nothing",
+        "name bodyseg_data.loading.loaders.Nothing",
         "name Loader.nothing",
         "command nothing",
         "bench nothing",

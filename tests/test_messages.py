@@ -10,29 +10,22 @@ import numpy as np
 import pytest
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.artifacts.variants import Augmentation
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.bodies.sources.scape import ScapeBodies
-from bodyseg_data.core.errors import BadConfig, BadLandmarks, BadMesh, BadSample, BodysegError
-from bodyseg_data.core.rig import Camera, load_rig, parse_rig
-from bodyseg_data.core.sample import check_key, steps
-from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet, load_landmarks
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.geodesics import check_method
-from bodyseg_data.meshes.partition.surface_parts import partition
-from bodyseg_data.meshes.readers.files import read_mesh
-from bodyseg_data.packing.engines.engine import check_engine
+from bodyseg_data.artifacts import Augmentation
+from bodyseg_data.bodies import open_source
+from bodyseg_data.bodies.sources.paper import ScapeBodies
+from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh, BadSample, BodysegError
+from bodyseg_data.meshes import LandmarkSet, Mesh, check_method, load_landmarks, partition, read_mesh
+from bodyseg_data.packing import Packing, check_engine
 from bodyseg_data.packing.mesh_reduction import check_tolerance
-from bodyseg_data.packing.options import Packing
 from bodyseg_data.rendering import check_renderer
-from bodyseg_data.shards.manifest import read_manifest
-from bodyseg_data.shards.sample_codec import check_codec, decode_sample
-from bodyseg_model.networks.checkpoints import load_network
-from bodyseg_model.networks.registry import build
-from bodyseg_model.recordings.frames import metres_a_step
-from bodyseg_model.segmentation.foreground import Background
-from bodyseg_model.segmentation.segmenter import Segmenter
+from bodyseg_data.rigs import Camera, load_rig
+from bodyseg_data.rigs.rig import parse_rig
+from bodyseg_data.samples import ViewGrid, check_key, steps
+from bodyseg_data.shards import check_codec, read_manifest
+from bodyseg_data.shards.sample_codec import decode_sample
+from bodyseg_model.networks import build, load_network
+from bodyseg_model.recordings import metres_a_step
+from bodyseg_model.segmentation import Background, Segmenter
 
 NONE: Any = None
 NUMBER: Any = 3

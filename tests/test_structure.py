@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import ast
+import graphlib
+import importlib
+import inspect
 import re
 import subprocess
 import sys
@@ -109,34 +112,172 @@ def test_rooms_import_only_from_rooms_above_them() -> None:
 def test_an_import_against_the_order_is_seen() -> None:
     sources = {
         "bodyseg_data": "",
-        "bodyseg_data.core.rig": "from bodyseg_data.loading import loader",
-        "bodyseg_data.loading.loader": "import bodyseg_data.core.rig",
+        "bodyseg_data.rigs.rig": "from bodyseg_data.loading import loader",
+        "bodyseg_data.loading.loaders": "import bodyseg_data.rigs.rig",
         "bodyseg_data.loose": "",
         "bodyseg_data.commands.cli": "TABLE = {'train': 'bodyseg_model.commands.train'}",
         "bodyseg_model.commands.train": "import bodyseg_data",
     }
     rooms = ["bodyseg_data.core", "bodyseg_data.loading", "bodyseg_data.commands", "bodyseg_model.commands"]
     assert faults(sources, rooms) == [
-        "bodyseg_data.core.rig imports bodyseg_data.loading.loader",
+        "bodyseg_data.rigs.rig imports bodyseg_data.loading.loaders",
         "bodyseg_data.loose is in no room",
         "bodyseg_data.commands.cli imports bodyseg_model.commands.train",
     ]
 
 
-def test_rooms_are_small_enough_to_look_over() -> None:
-    """At most a dozen entries beside the registry, and files that fit a few screens."""
-    folders = {path.parent for path in modules().values()}
-    crowded = {
-        str(folder.relative_to(ROOT)): count
-        for folder in folders
-        if (count := sum(1 for entry in folder.iterdir() if entry.name[0] not in "._" and entry.suffix != ".typed"))
-        > 16
+THIRD_LEVEL = {
+    "bodyseg_data.bodies.motions",  # motions
+    "bodyseg_data.bodies.sources",  # sources of bodies
+    "bodyseg_data.shards.codecs",  # codecs
+    "bodyseg_model.recordings.formats",  # formats of recordings
+}
+"""Folders inside rooms: each holds kinds that share a protocol. Everything else is package, room, file."""
+
+
+def room_of(module: str) -> str:
+    """The room of a module, "bodyseg_data.core"; of a package's own files, the package; of benches, "benches"."""
+    parts = module.split(".")
+    return ".".join(parts[:2]) if parts[0] in PACKAGES[:2] and len(parts) > 1 and parts[1] != "__main__" else parts[0]
+
+
+def from_imports(text: str, known: set[str]) -> Iterable[tuple[str, str | None]]:
+    """(module, name) of every name that a text imports from the project; the name is None for a module as a whole."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.ImportFrom):
+            for alias in node.names:
+                whole = f"{node.module}.{alias.name}"
+                yield (whole, None) if whole in known else (str(node.module), alias.name)
+        elif isinstance(node, ast.Import):
+            yield from ((alias.name, None) for alias in node.names if alias.name in known)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value in known:
+            yield node.value, None
+
+
+def past_doors(sources: dict[str, str], doors: Mapping[str, Iterable[str]]) -> list[str]:
+    """Lines of modules that enter another room by one of its files, or take a name that no door has.
+
+    doors: room -> the names of its door. A module of the benches may open a file of a room for what no door names, as
+    it measures what users never see.
+    """
+    known = set(sources)
+    lines = []
+    for user, text in sources.items():
+        for module, name in from_imports(text, known):
+            room = room_of(module)
+            if room == room_of(user) or room not in doors:
+                continue
+            named = name in doors[room]
+            if user.startswith("benches"):
+                wrong = module != room and named
+            else:
+                wrong = module != room or not named
+            if wrong:
+                lines.append(f"{user} imports {module}{'' if name is None else f': {name}'}")
+    return lines
+
+
+def doors() -> dict[str, list[str]]:
+    """Room -> names of its door, for every room that has one."""
+    rooms = [room for room in listed_rooms() if room.startswith(PACKAGES[:2])]
+    return {room: importlib.import_module(room).__all__ for room in rooms if room.split(".")[1] != "weights"}
+
+
+def test_rooms_are_entered_by_their_doors() -> None:
+    assert not past_doors({name: path.read_text() for name, path in modules().items()}, doors())
+
+
+def test_a_way_past_a_door_is_seen() -> None:
+    sources = {
+        "bodyseg_data.core": "from bodyseg_data.core.files import write",
+        "bodyseg_data.core.files": "",
+        "bodyseg_data.loading.loaders": "from bodyseg_data.core import write\nfrom bodyseg_data.core.files import write",
+        "bodyseg_model.training.loop": "from bodyseg_data.core import hidden\nhome = 'bodyseg_data.core.files'",
+        "benches.loader": "from bodyseg_data.core.files import hidden\nfrom bodyseg_data.core.files import write",
     }
-    assert not crowded
-    long = {name: lines for name, path in modules().items() if (lines := len(path.read_text().splitlines())) > 450}
-    assert not long
-    loose = {entry.name for package in ("bodyseg_data", "bodyseg_model") for entry in (ROOT / package).glob("*.*")}
+    assert past_doors(sources, {"bodyseg_data.core": ["write"]}) == [
+        "bodyseg_data.loading.loaders imports bodyseg_data.core.files: write",
+        "bodyseg_model.training.loop imports bodyseg_data.core: hidden",
+        "bodyseg_model.training.loop imports bodyseg_data.core.files",
+        "benches.loader imports bodyseg_data.core.files: write",
+    ]
+
+
+def test_doors_say_the_same_to_type_checkers_and_to_python() -> None:
+    for room in [*doors(), *PACKAGES[:2]]:
+        module = importlib.import_module(room)
+        tree = ast.parse(Path(str(module.__file__)).read_text())
+        seen = {
+            alias.name
+            for node in tree.body
+            if isinstance(node, ast.If)
+            for each in node.body
+            if isinstance(each, ast.ImportFrom)
+            for alias in each.names
+        }
+        assert seen == set(module.__all__), room
+        for name in module.__all__:
+            assert not inspect.ismodule(getattr(module, name)), f"{room}.{name} is hidden by a file of that name"
+
+
+def test_every_name_of_a_door_is_used_outside_its_room() -> None:
+    """By another room, by the package's own door, or by what documents teach."""
+    sources = {name: path.read_text() for name, path in modules().items()}
+    used: dict[str, set[str]] = {}
+    for user, text in sources.items():
+        for module, name in from_imports(text, set(sources)):
+            if name is not None and room_of(user) != room_of(module):
+                used.setdefault(module, set()).add(name)
+    unused = {room: set(names) - used.get(room, set()) for room, names in doors().items()}
+    assert not {room: names for room, names in unused.items() if names}
+
+
+def circles(sources: dict[str, str]) -> list[list[str]]:
+    """Sets of modules that import each other, directly or by others, names in strings and for type checkers included."""
+    known = set(sources)
+    imported = {module: {name for name, _ in from_imports(text, known)} - {module} for module, text in sources.items()}
+    order = graphlib.TopologicalSorter(imported)
+    found = []
+    while True:
+        try:
+            order.prepare()
+        except graphlib.CycleError as error:
+            circle = error.args[1]
+            found.append(circle)
+            imported[circle[1]].discard(circle[0])
+            order = graphlib.TopologicalSorter(imported)
+        else:
+            return found
+
+
+def test_no_imports_run_in_a_circle() -> None:
+    """Doors aside, which name all of their room."""
+    shut = {*doors(), *PACKAGES}
+    assert not circles({name: path.read_text() for name, path in modules().items() if name not in shut})
+    assert circles({"a": "import b", "b": "from c import d", "c": "home = 'a'"})
+
+
+def test_rooms_have_no_cellars() -> None:
+    """Package, room, file; files of one topic, read from top to bottom; and no more of them than a reader can know."""
+    wheel = {name: path for name, path in modules().items() if not name.startswith("benches")}
+    folders = {name.rpartition(".")[0] for name in wheel if name.count(".") > 2} - {""}
+    assert folders == THIRD_LEVEL
+    lines = {name: len(path.read_text().splitlines()) for name, path in wheel.items()}
+    assert not {name: count for name, count in lines.items() if count > 520}
+    assert len(wheel) <= 240
+    assert sum(lines.values()) <= 45_000
+    loose = {entry.name for package in PACKAGES[:2] for entry in (ROOT / package).glob("*.*")}
     assert loose <= {"__init__.py", "__main__.py", "py.typed"}
+
+
+def test_no_two_public_classes_have_one_name() -> None:
+    homes: dict[str, list[str]] = {}
+    for module, path in modules().items():
+        if not module.startswith("benches"):
+            for node in ast.parse(path.read_text()).body:
+                if isinstance(node, ast.ClassDef) and not node.name.startswith("_") and node.name != "Options":
+                    homes.setdefault(node.name, []).append(module)
+    assert not {name: found for name, found in homes.items() if len(found) > 1}
 
 
 CHECKOUT_ONLY = re.compile(
@@ -203,10 +344,10 @@ def test_imports_and_commands_load_no_more_than_they_need() -> None:
         "from bodyseg_data import RangeImages, loader, load_rig, Augmentation": {*HEAVY} | parser,
         "import bodyseg_data.commands.inspect, bodyseg_data.commands.verify": {*HEAVY} | parser,
         "import bodyseg_model.commands.train": {*HEAVY} | parser,
-        "import bodyseg_data.bodies.sources; bodyseg_data.bodies.sources.open_source('open').bodies()": HEAVY,
-        "import bodyseg_data.packing.pack": HEAVY,
+        "import bodyseg_data.bodies.sources; bodyseg_data.bodies.open_source('open').bodies()": HEAVY,
+        "import bodyseg_data.packing.packer": HEAVY,
         "import bodyseg_model.commands.segment, bodyseg_model.commands.evaluate": HEAVY,
-        "import bodyseg_data.packing.engines.cluster, bodyseg_data.packing.engines.processes": HEAVY,
+        "import bodyseg_data.packing.cluster, bodyseg_data.packing.jobs": HEAVY,
         "import bodyseg_data.commands.shard": HEAVY,
         "import scipy": {"scipy"},
     }
@@ -236,12 +377,11 @@ def test_pymeshlab_is_installed_and_imported_by_choice_alone() -> None:
     assert {name for name, needs in extras.items() if any(map(brings.match, needs))} == {"pymeshlab", "dev"}
     naming = re.compile(r"^ *(import|from) pymeshlab\b|import_module\(.pymeshlab", re.MULTILINE)
     assert {name for name, path in modules().items() if naming.search(path.read_text())} == {
-        "bodyseg_data.meshes.pymeshlab_thread"
+        "bodyseg_data.meshes.repairing"
     }
     calls = {name: path.read_text().count("with_pymeshlab(") for name, path in modules().items()}
     assert {name for name, count in calls.items() if count and name.startswith("bodyseg_")} == {
-        "bodyseg_data.meshes.pymeshlab_thread",
-        "bodyseg_data.meshes.repair",  # repair of scans, with --pymeshlab
+        "bodyseg_data.meshes.repairing",  # repair of scans, with --pymeshlab
         "bodyseg_data.packing.mesh_reduction",  # of large meshes, with --pymeshlab, or of all, with --tolerance-mm
     }
 

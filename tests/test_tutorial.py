@@ -12,9 +12,9 @@ import pytest
 from benches.model.tutorial import prepare, read_tutorial, smaller
 from pngs import pixels
 
-from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_model.commands import main as bodyseg_main
 from bodyseg_model.commands.cli import COMMANDS
-from bodyseg_model.commands.cli import main as bodyseg_main
 
 SIZES: Final = {
     "shard --meshes": "6",

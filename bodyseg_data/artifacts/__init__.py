@@ -1,92 +1,53 @@
-"""Artifacts of range sensors in clean range images. A new one is a file in this folder and a line below.
-
-Packages of users add theirs by the entry point `bodyseg.artifacts`: name -> class.
-"""
+"""Artifacts of structured-light sensors, and the five variants."""
 
 from __future__ import annotations
 
-from dataclasses import is_dataclass
-from functools import cache
-from importlib import metadata
-from typing import Any, Final, get_args
+from typing import TYPE_CHECKING
 
-from bodyseg_data.artifacts.artifact import Artifact, Kind
-from bodyseg_data.artifacts.losses import Losses
-from bodyseg_data.artifacts.lost_pixels.areas import PatchLoss, StripeLoss
-from bodyseg_data.artifacts.lost_pixels.surfaces import EdgeLoss, GrazingLoss
-from bodyseg_data.artifacts.missing_data import MissingData
-from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.occlusion import Occlusion
-from bodyseg_data.artifacts.range_errors.axial_noise import AxialNoise
-from bodyseg_data.artifacts.range_errors.lateral_noise import LateralNoise
-from bodyseg_data.artifacts.range_errors.mixed_pixels import MixedPixels
-from bodyseg_data.artifacts.range_errors.rounding import RangeRounding
-from bodyseg_data.artifacts.range_errors.stereo import DisparityRounding, StereoNoise
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import lazy_door
 
-ARTIFACTS: Final[dict[str, type[Artifact]]] = {
-    "occlusion": Occlusion,
-    "noise": Noise,
-    "missing_data": MissingData,
-    "losses": Losses,
-    "axial_noise": AxialNoise,
-    "lateral_noise": LateralNoise,
-    "stereo_noise": StereoNoise,
-    "disparity_rounding": DisparityRounding,
-    "range_rounding": RangeRounding,
-    "mixed_pixels": MixedPixels,
-    "patch_loss": PatchLoss,
-    "stripe_loss": StripeLoss,
-    "grazing_loss": GrazingLoss,
-    "edge_loss": EdgeLoss,
-}
-"""Name -> class of the artifacts that ship with this package; the first three are those of the paper's Table 1."""
+if TYPE_CHECKING:
+    from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
+    from bodyseg_data.artifacts.lost_pixels import SHAPES, Losses, lost
+    from bodyseg_data.artifacts.missing_data import MissingData
+    from bodyseg_data.artifacts.noise import Noise
+    from bodyseg_data.artifacts.occlusion import Floats, Occlusion, ShadowTest, framed, lit_pixels, shadow_tests
+    from bodyseg_data.artifacts.range_errors import AxialNoise
+    from bodyseg_data.artifacts.registry import artifact_class
+    from bodyseg_data.artifacts.sensor_model import (
+        PAPER_SENSOR,
+        SensorModel,
+        artifacts_to_json,
+        load_sensor_model,
+        parse_artifacts,
+        sensor_model_from_json,
+        sensor_model_names,
+    )
+    from bodyseg_data.artifacts.surface import angles, box_of, silhouettes, slants, widened
+    from bodyseg_data.artifacts.variants import (
+        PAIRS,
+        VARIANTS,
+        Augmentation,
+        VariantName,
+        check_variant,
+        kinds_of,
+        sensor_for,
+        shown_with,
+    )
 
-ENTRY_POINT: Final = "bodyseg.artifacts"
-"""Group of the entry points by which an installed package adds artifacts."""
-
-
-def artifact_class(name: str) -> type[Artifact]:
-    """Return the class of an artifact by its name: one of `ARTIFACTS`, or one that an installed package adds.
-
-    Raises BadConfig for an unknown name, or an entry point that cannot be loaded or breaks the protocol's rules.
-    """
-    if name in ARTIFACTS:
-        return ARTIFACTS[name]
-    added = _entry_points()
-    if name not in added:
-        raise BadConfig(f"an artifact must be one of {', '.join((*ARTIFACTS, *added))}, found {name!r}")
-    return _loaded(added[name])
-
-
-def check_artifact_class(kind: Any, where: str) -> type[Artifact]:
-    """Return a class if it keeps the protocol's rules. Raises BadConfig, naming `where`, for one that does not."""
-    found: Any = kind
-    if not (isinstance(kind, type) and Artifact in kind.__mro__ and is_dataclass(kind)):
-        shown = getattr(kind, "__name__", repr(kind))
-        raise BadConfig(f"{where}: an artifact must be a dataclass derived from Artifact, found {shown}")
-    if not kind.__dataclass_params__.frozen:  # type: ignore[attr-defined]
-        raise BadConfig(f"{where}: an artifact must be a frozen dataclass, found {kind.__name__}")
-    if not isinstance(getattr(kind, "name", None), str) or getattr(kind, "kind", None) not in get_args(Kind):
-        raise BadConfig(
-            f"{where}: an artifact must have a name and one kind of {', '.join(get_args(Kind))}, found {kind.__name__}"
-        )
-    checked: type[Artifact] = found
-    return checked
-
-
-def _entry_points() -> dict[str, metadata.EntryPoint]:
-    return {entry.name: entry for entry in metadata.entry_points(group=ENTRY_POINT)}
-
-
-@cache
-def _loaded(entry: metadata.EntryPoint) -> type[Artifact]:
-    where = f"entry point {entry.name} = {entry.value!r} of {ENTRY_POINT}"
-    try:
-        found = entry.load()
-    except Exception as error:  # whatever the user's module raises
-        raise BadConfig(f"{where} cannot be loaded: {error}") from error
-    kind = check_artifact_class(found, where)
-    if kind.name != entry.name:
-        raise BadConfig(f"{where}: the artifact must be called as its entry point, found {kind.name!r}")
-    return kind
+__getattr__, __all__ = lazy_door(
+    __name__,
+    {
+        "artifact": "Artifact RangeImage Scene",
+        "lost_pixels": "SHAPES Losses lost",
+        "missing_data": "MissingData",
+        "noise": "Noise",
+        "occlusion": "Floats Occlusion ShadowTest framed lit_pixels shadow_tests",
+        "range_errors": "AxialNoise",
+        "registry": "artifact_class",
+        "sensor_model": "PAPER_SENSOR SensorModel artifacts_to_json load_sensor_model parse_artifacts "
+        "sensor_model_from_json sensor_model_names",
+        "surface": "angles box_of silhouettes slants widened",
+        "variants": "PAIRS VARIANTS Augmentation VariantName check_variant kinds_of sensor_for shown_with",
+    },
+)

@@ -1,6 +1,6 @@
 """The protocol of an artifact: strengths that are set, draws for one image, and an alteration in NumPy.
 
-A new artifact is one file in this folder and one line of the registry (`bodyseg_data/artifacts/__init__.py`), or a
+A new artifact is one file in this folder and one line of the registry (`bodyseg_data/artifacts/registry.py`), or a
 class in a package of yours with an entry point `bodyseg.artifacts`, or an object in a `SensorModel`:
 
     @dataclass(frozen=True)
@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.surface import incidence
-from bodyseg_data.core.randomness import Draws
-from bodyseg_data.core.rig import Rig
-from bodyseg_data.core.sample import Sample, shape_of
+from bodyseg_data.core import Draws
+from bodyseg_data.rigs import Rig
+from bodyseg_data.samples import Sample, shape_of
 
 Kind = Literal["occlusion", "noise", "missing_data"]
 """The three kinds of artifacts of the paper's Table 1: what the projector does not light, ranges that are wrong, pixels

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
-from bodyseg_data.core.errors import BadConfig, bounded, check_fields
-from bodyseg_data.core.randomness import Draws
+from bodyseg_data.core import BadConfig, Draws, bounded, check_fields
 
 
 @dataclass(frozen=True)

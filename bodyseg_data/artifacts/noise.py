@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.constants import FIRST_SEGMENT, OFFSET_MASK, SEGMENT_SHIFT, SEGMENTS
-from bodyseg_data.core.errors import BadConfig, bounded, check_fields
-from bodyseg_data.core.kernels import use_compiled
-from bodyseg_data.core.randomness import Draws
+from bodyseg_data.core import BadConfig, Draws, bounded, check_fields
+from bodyseg_data.machine import use_compiled
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,7 @@ def normals(draws: NDArray[np.uint32]) -> NDArray[np.float32]:
 def drawn_bits(draws: Draws, purpose: str, count: int, kind: type[np.uint16] | type[np.uint32]) -> NDArray[Any]:
     """One draw a pixel of a purpose, [count]; see `Draws.pixels`."""
     if use_compiled():
-        loops = import_module("bodyseg_data.artifacts.loops.philox")
+        loops = import_module("bodyseg_data.artifacts.random_loops")
         found: NDArray[Any] = loops.bits_of(draws.stream(purpose), count, kind)
         return found
     return draws.pixels(purpose, count, kind)
@@ -83,7 +82,7 @@ def drawn_bits(draws: Draws, purpose: str, count: int, kind: type[np.uint16] | t
 def drawn_normals(draws: Draws, purpose: str, count: int) -> NDArray[np.float32]:
     """One standard normal for each 32 random bits of a purpose, float32 [N]; see `normals`."""
     if use_compiled():
-        loops = import_module("bodyseg_data.artifacts.loops.normals")
+        loops = import_module("bodyseg_data.artifacts.random_loops")
         found: NDArray[np.float32] = loops.normals_of(draws.stream(purpose), count)
         return found
     return normals(draws.pixels(purpose, count, np.uint32))

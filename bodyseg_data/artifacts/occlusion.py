@@ -21,10 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
-from bodyseg_data.core.errors import BadSample
-from bodyseg_data.core.randomness import Draws
-from bodyseg_data.core.rig import Rig
-from bodyseg_data.core.sample import FARTHEST_STEPS, SHADOW_THRESHOLDS, Sample
+from bodyseg_data.core import BadSample, Draws
+from bodyseg_data.rigs import Rig
+from bodyseg_data.samples import FARTHEST_STEPS, SHADOW_THRESHOLDS, Sample
 
 Floats = NDArray[np.float32]
 

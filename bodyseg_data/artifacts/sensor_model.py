@@ -12,10 +12,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.artifacts import artifact_class, check_artifact_class
 from bodyseg_data.artifacts.artifact import Artifact
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.tables import Table, toml_names, toml_text, toml_tree
+from bodyseg_data.artifacts.registry import artifact_class, check_artifact_class
+from bodyseg_data.core import BadConfig, Table, toml_names, toml_text, toml_tree
 
 SENSOR_FORMAT: Final = "bodyseg sensor 1"
 PAPER_SENSOR: Final = "paper"

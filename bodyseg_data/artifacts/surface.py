@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.constants import ARCCOS, FAR, STEEPEST
-from bodyseg_data.core.kernels import use_compiled
-from bodyseg_data.core.rig import Camera
+from bodyseg_data.machine import use_compiled
+from bodyseg_data.rigs import Camera
 
 Box = tuple[slice, slice]
 
@@ -142,4 +142,4 @@ def widened(marked: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
 
 def _loops() -> Any:
     """The compiled forms; they load numba, so not before they are used."""
-    return import_module("bodyseg_data.artifacts.loops.surface")
+    return import_module("bodyseg_data.artifacts.sensor_loops")

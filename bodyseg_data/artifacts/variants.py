@@ -20,14 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, Kind, RangeImage, Scene
-from bodyseg_data.artifacts.loops.scratch import copy_unless_same
+from bodyseg_data.artifacts.scratch import copy_unless_same
 from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
-from bodyseg_data.core.errors import BadConfig, BadSample
-from bodyseg_data.core.kernels import use_compiled
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.randomness import Draws, check_epoch, check_seed
-from bodyseg_data.core.rig import Rig
-from bodyseg_data.core.sample import Sample
+from bodyseg_data.core import BadConfig, BadSample, Draws, check_epoch, check_seed
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.machine import use_compiled
+from bodyseg_data.rigs import Rig
+from bodyseg_data.samples import Sample
 
 VariantName = Literal["none", "occ", "noise", "md", "all", "occ+noise", "occ+md", "noise+md"]
 
@@ -214,4 +213,4 @@ def _check_fit(sample: Sample, what: str, array: NDArray[Any], kind: type[np.gen
 @lru_cache(maxsize=1)
 def _loops() -> Any:
     """The compiled loops; they load numba, so not before they are used."""
-    return import_module("bodyseg_data.artifacts.loops.fused")
+    return import_module("bodyseg_data.artifacts.fused_loops")

@@ -1,1 +1,29 @@
 """Sources of bodies to render, behind one Protocol."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bodyseg_data.core import lazy_door
+
+if TYPE_CHECKING:
+    from bodyseg_data.bodies.alignment import Units, UpAxis, metres_a_unit
+    from bodyseg_data.bodies.anny_model import fill_cache
+    from bodyseg_data.bodies.landmark_proposal import Proposal, propose
+    from bodyseg_data.bodies.mesh_bodies import MeshBodies
+    from bodyseg_data.bodies.motions.catalogue import FRAMES_PER_SECOND
+    from bodyseg_data.bodies.source import Body, BodyRef, BodySource, collapsed
+    from bodyseg_data.bodies.sources import SOURCES, SourceEntry, SourceName, open_source
+
+__getattr__, __all__ = lazy_door(
+    __name__,
+    {
+        "alignment": "Units UpAxis metres_a_unit",
+        "anny_model": "fill_cache",
+        "landmark_proposal": "Proposal propose",
+        "mesh_bodies": "MeshBodies",
+        "motions.catalogue": "FRAMES_PER_SECOND",
+        "source": "Body BodyRef BodySource collapsed",
+        "sources": "SOURCES SourceEntry SourceName open_source",
+    },
+)

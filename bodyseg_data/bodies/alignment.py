@@ -12,10 +12,9 @@ from typing import Final, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig, BadMesh
-from bodyseg_data.core.parts import LANDMARKS
-from bodyseg_data.meshes.landmarks.by_point import METRES
-from bodyseg_data.meshes.mesh import HEIGHT_RANGE_M
+from bodyseg_data.core import BadConfig, BadMesh
+from bodyseg_data.labels import LANDMARKS
+from bodyseg_data.meshes import HEIGHT_RANGE_M, METRES
 
 Units = Literal["auto", "m", "cm", "mm", "in"]
 UpAxis = Literal["auto", "x", "y", "z", "-x", "-y", "-z"]

@@ -1,4 +1,8 @@
-"""Protocol of the sources of bodies, and the list of bodies that each of them keeps.
+"""File names as parts of sample keys, and lists of them in messages.
+
+Options of the sources that read mesh files; importing them is quick.
+
+Protocol of the sources of bodies, and the list of bodies that each of them keeps.
 
 A source lists its bodies cheaply and in a fixed order, and builds each one on demand, the same bits every time. Every
 process opens its own.
@@ -6,19 +10,76 @@ process opens its own.
 
 from __future__ import annotations
 
+import hashlib
+import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Final, Generic, Protocol, TypeVar
+from urllib.parse import quote_from_bytes
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.splits import Split
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.geodesics import GeodesicMethod
-from bodyseg_data.meshes.partition.pieces import SurfacePiece
-from bodyseg_data.meshes.partition.surface_parts import Partition, partition
+from bodyseg_data.bodies.alignment import Units, UpAxis, check_alignment
+from bodyseg_data.core import BadConfig
+from bodyseg_data.meshes import GeodesicMethod, Mesh, Partition, SurfacePiece, partition
+from bodyseg_data.samples import Split
+
+_NUMBERED: Final = re.compile(r"(.*?)(\d+)(\D*)", re.DOTALL)
+_HASH_LETTERS: Final = 10
+
+
+def key_name(path: str, longest: int) -> str:
+    """Turn a file's relative path, with / between folders, into part of a sample key: letters, digits, _, + and -.
+
+    Different paths give different names: "/" becomes "++" and any other byte "+" and two hexadecimal digits. A name
+    longer than `longest` ends in ten digits of a hash of the whole in place of the rest.
+    """
+    quoted = quote_from_bytes(os.fsencode(path), safe="/").replace(".", "%2E").replace("~", "%7E")
+    name = quoted.replace("%", "+").replace("/", "++")
+    if len(name) <= longest:
+        return name
+    return f"{name[: longest - _HASH_LETTERS - 1]}-{hashlib.sha256(name.encode()).hexdigest()[:_HASH_LETTERS]}"
+
+
+def collapsed(names: Sequence[str]) -> list[str]:
+    """Join runs of names whose last number counts up by one: "meshes/mesh_0001.obj to mesh_0004.obj"."""
+    runs: list[list[str]] = []
+    for name in names:
+        if runs and _follows(name, runs[-1][-1]):
+            runs[-1].append(name)
+        else:
+            runs.append([name])
+    return [run[0] if len(run) == 1 else f"{run[0]} to {run[-1].rpartition('/')[2]}" for run in runs]
+
+
+def _follows(name: str, before: str) -> bool:
+    this, that = _NUMBERED.fullmatch(name), _NUMBERED.fullmatch(before)
+    if this is None or that is None or this[1] != that[1] or this[3] != that[3] or len(this[2]) != len(that[2]):
+        return False
+    return int(this[2]) == int(that[2]) + 1
+
+
+@dataclass(frozen=True)
+class MeshOptions:
+    """Options of all sources that read mesh files.
+
+    units, up: unit of the files and their axis that points up, found from body and landmarks if "auto" (`alignment`).
+    pymeshlab: repair meshes with landmarks by coordinate that break a rule of `Mesh`, by that package (GPL-3.0).
+    Raises BadConfig for an unknown unit or axis.
+    """
+
+    units: Units = "auto"
+    up: UpAxis = "auto"
+    pymeshlab: bool = False
+
+    def __post_init__(self) -> None:
+        check_alignment(self.units, self.up)
+
+
+DEFAULTS: Final = MeshOptions()
+
 
 Entry = TypeVar("Entry")
 

@@ -10,19 +10,19 @@ from __future__ import annotations
 import json
 from typing import Any, Final
 
-from bodyseg_data.cards.set_facts import SetFacts
-from bodyseg_data.cards.texts import (
+from bodyseg_data.cards.facts import (
     LIMITS,
     MEMBERS,
     UNKNOWN_LICENCE,
     Publication,
+    SetFacts,
     bodies_text,
     people_text,
     summary_text,
 )
-from bodyseg_data.core.parts import PARTS
-from bodyseg_data.core.splits import Split
-from bodyseg_data.shards.codecs import CODECS
+from bodyseg_data.labels import PARTS
+from bodyseg_data.samples import Split
+from bodyseg_data.shards import CODECS
 
 CROISSANT_NAME: Final = "croissant.json"
 CROISSANT: Final = "http://mlcommons.org/croissant/1.1"

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any, Final, Literal, Protocol, get_args
 
 from bodyseg_data.commands.options import command_parser, parse, version_line
-from bodyseg_data.core.errors import BadConfig, BodysegError
-from bodyseg_data.core.system.torch_threads import wait_briefly
+from bodyseg_data.core import BadConfig, BodysegError
+from bodyseg_data.machine import wait_briefly
 
 Commands = Mapping[str, tuple[str, str]]
 

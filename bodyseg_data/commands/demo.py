@@ -11,23 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from bodyseg_data.artifacts.variants import VARIANTS
-from bodyseg_data.bodies.anny.library import fill_cache
+from bodyseg_data.artifacts import VARIANTS
+from bodyseg_data.bodies import fill_cache
 from bodyseg_data.commands.inspect import contact_sheet
 from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.shard import pack_on
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.files import make_folder, write_atomically
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.system.machine import processors
-from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.drawing.style import save_picture
-from bodyseg_data.example.example_set import example_set
-from bodyseg_data.loading.loader import loader
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.packing.engines.engine import PROCESSES
-from bodyseg_data.packing.options import Packing
+from bodyseg_data.core import BadConfig, make_folder, write_atomically
+from bodyseg_data.drawing import save_picture
+from bodyseg_data.example import example_set
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.loading import RangeImages, loader
+from bodyseg_data.machine import processors
+from bodyseg_data.packing import PROCESSES, Packing
+from bodyseg_data.samples import ViewGrid
 
 EXAMPLE = "bodyseg demo --out demo"
 

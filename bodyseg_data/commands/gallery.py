@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from bodyseg_data.artifacts.artifact import Scene
+from bodyseg_data.artifacts import Scene
 from bodyseg_data.commands.options import WHERE_HELP, option
-from bodyseg_data.commands.provenance import check_target
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.drawing.gallery import choose_views, draw_gallery
-from bodyseg_data.drawing.style import check_picture, save_picture
-from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_data.commands.records import check_target
+from bodyseg_data.core import BadConfig
+from bodyseg_data.drawing import check_picture, choose_views, draw_gallery, save_picture
+from bodyseg_data.loading import RangeImages
 
 EXAMPLE = "bodyseg gallery shards hard-shards --views 48 --out gallery.png"
 

@@ -12,18 +12,15 @@ from typing import Any, Final
 import numpy as np
 from PIL import Image
 
-from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR
-from bodyseg_data.artifacts.variants import VARIANTS, Augmentation, VariantName
+from bodyseg_data.artifacts import PAPER_SENSOR, VARIANTS, Augmentation, VariantName
 from bodyseg_data.commands.options import WHERE_HELP, option
 from bodyseg_data.commands.progress import Progress
-from bodyseg_data.commands.provenance import check_target
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.labels.label_map import PARTS33, label_map_names
-from bodyseg_data.core.randomness import generator
-from bodyseg_data.core.splits import SPLITS, ReadSplit
-from bodyseg_data.drawing.contact_sheet import Row, draw_sheet
-from bodyseg_data.drawing.style import check_picture, save_picture
-from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_data.commands.records import check_target
+from bodyseg_data.core import BadConfig, generator
+from bodyseg_data.drawing import Row, check_picture, draw_sheet, save_picture
+from bodyseg_data.labels import PARTS33, label_map_names
+from bodyseg_data.loading import RangeImages
+from bodyseg_data.samples import SPLITS, ReadSplit
 
 EXAMPLE = "bodyseg inspect shards --variant all --out sheet.png"
 

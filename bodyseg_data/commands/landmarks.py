@@ -10,21 +10,15 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.alignment import Units, UpAxis, metres_a_unit
-from bodyseg_data.bodies.source import BodyRef, BodySource
-from bodyseg_data.bodies.sources import SourceName, open_source
+from bodyseg_data.bodies import BodyRef, BodySource, SourceName, Units, UpAxis, metres_a_unit, open_source
 from bodyseg_data.commands.options import option
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.files import write_atomically
-from bodyseg_data.core.parts import LANDMARKS, PARTS
-from bodyseg_data.drawing.body_views import HEIGHTS_PX, LabelledBody, draw_body_views
-from bodyseg_data.drawing.style import check_picture, save_picture
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import partition
-from bodyseg_data.meshes.readers.files import read_mesh
+from bodyseg_data.core import BadConfig, write_atomically
+from bodyseg_data.drawing import HEIGHTS_PX, LabelledBody, check_picture, draw_body_views, save_picture
+from bodyseg_data.labels import LANDMARKS, PARTS
+from bodyseg_data.meshes import Mesh, partition, read_mesh
 
 if TYPE_CHECKING:
-    from bodyseg_data.bodies.landmark_fitting.fitted import Proposal
+    from bodyseg_data.bodies import Proposal
 
 EXAMPLE = "bodyseg landmarks --mesh scan.ply --propose scan.json --out scan.png"
 
@@ -98,7 +92,7 @@ def _proposed(options: Options, out: Path) -> LabelledBody:
         if not file.parent.is_dir():
             raise BadConfig(f"cannot write {file}: no such folder")
     mesh, title, upward = _to_propose(options)
-    from bodyseg_data.bodies.landmark_fitting.search import propose
+    from bodyseg_data.bodies import propose
 
     sys.stderr.write(f"laying the open body over {title}: about half a minute of one processor\n")
     proposal = propose(mesh, [_upright(axis).T for axis in upward])
@@ -123,7 +117,7 @@ def _to_propose(options: Options) -> tuple[Mesh, str, list[NDArray[np.float64]]]
     source, bodies = _bodies(options)
     if len(bodies) != 1:
         raise BadConfig(f"--propose takes one mesh at a time, found {len(bodies)} in --meshes")
-    from bodyseg_data.bodies.mesh_bodies import MeshBodies
+    from bodyseg_data.bodies import MeshBodies
 
     if isinstance(source, MeshBodies):
         return _read(source.entry(bodies[0]).path, options), bodies[0].mesh, upward

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar
 
 import bodyseg_data
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import BadConfig
 
 if TYPE_CHECKING:
     from cyclopts import App

@@ -10,28 +10,31 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from bodyseg_data.bodies.alignment import Units, UpAxis
-from bodyseg_data.bodies.names import collapsed
-from bodyseg_data.bodies.sources import SourceName
+from bodyseg_data.bodies import SourceName, Units, UpAxis, collapsed
 from bodyseg_data.commands.options import command_line, option
 from bodyseg_data.commands.progress import Progress
-from bodyseg_data.commands.provenance import check_target, provenance, write_figures
-from bodyseg_data.core.errors import BadConfig, BadMesh, one_line
-from bodyseg_data.core.rig import PAPER, load_rig
-from bodyseg_data.core.splits import SPLITS
-from bodyseg_data.core.system.machine import processors
-from bodyseg_data.core.system.memory import peak_mb
-from bodyseg_data.core.views import ViewGrid, parse_choice
-from bodyseg_data.meshes.partition.geodesics import GeodesicMethod
-from bodyseg_data.packing.engines.engine import PROCESSES, check_engine, open_engine
-from bodyseg_data.packing.engines.worker_memory import MeasuringExecutor
-from bodyseg_data.packing.options import Packing
-from bodyseg_data.packing.pack import pack, plan
-from bodyseg_data.packing.skipping import STOP, FaultyMeshes, OnError, OnFaults
-from bodyseg_data.packing.things import ThingsPlace
+from bodyseg_data.commands.records import check_target, provenance, write_figures
+from bodyseg_data.core import BadConfig, BadMesh, one_line
+from bodyseg_data.machine import peak_mb, processors
+from bodyseg_data.meshes import GeodesicMethod
+from bodyseg_data.packing import (
+    PROCESSES,
+    STOP,
+    FaultyMeshes,
+    MeasuringExecutor,
+    OnError,
+    OnFaults,
+    Packing,
+    ThingsPlace,
+    check_engine,
+    open_engine,
+    pack,
+    plan,
+)
 from bodyseg_data.rendering import RendererName
-from bodyseg_data.shards.codecs import CodecName
-from bodyseg_data.shards.manifest import Manifest
+from bodyseg_data.rigs import PAPER, load_rig
+from bodyseg_data.samples import SPLITS, ViewGrid, parse_choice
+from bodyseg_data.shards import CodecName, Manifest
 
 EXAMPLE = "bodyseg shard --source open --meshes 40 --out shards"
 

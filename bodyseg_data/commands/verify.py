@@ -5,14 +5,11 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 
-from bodyseg_data.cards.stale import stale_cards
+from bodyseg_data.cards import stale_cards
 from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
-from bodyseg_data.core.errors import BadConfig, BadShard
-from bodyseg_data.shards.faults import find_faults, find_index_faults
-from bodyseg_data.shards.manifest import read_manifest
-from bodyseg_data.shards.stores.addresses import open_store
-from bodyseg_data.shards.stores.store import LocalFolder, Store
+from bodyseg_data.core import BadConfig, BadShard
+from bodyseg_data.shards import LocalFolder, Store, find_faults, find_index_faults, open_store, read_manifest
 
 EXAMPLE = "bodyseg verify shards"
 

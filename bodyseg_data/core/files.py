@@ -1,4 +1,9 @@
-"""Atomic writes, and reads of untrusted files up to a limit of bytes."""
+"""Atomic writes, and reads of untrusted files up to a limit of bytes.
+
+TOML files that ship or that users write, and their tables, read key by key.
+
+A file or key that is missing, wrong or unknown is one clear line.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +12,9 @@ import errno
 import gzip
 import json
 import os
+import tomllib
 from collections.abc import Iterable, Sequence
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any, Final
 
@@ -105,3 +112,130 @@ def contents(path: Path, packed: bool, limit: int) -> bytes | None:
         while len(data) <= limit and (chunk := file.read(_CHUNK_BYTES)):
             data += chunk
     return bytes(data) if len(data) <= limit else None
+
+
+def _is_number(value: Any) -> bool:
+    """True for a finite number that fits a float: TOML allows whole numbers of any length."""
+    return not isinstance(value, bool) and isinstance(value, int | float) and abs(value) < 1e300
+
+
+def _shown(value: Any) -> str:
+    """Beginning of a value, for messages."""
+    try:
+        return str(value)[:60]
+    except ValueError:  # hexadecimal numbers may be longer than Python prints
+        return "a number of thousands of digits"
+
+
+class Table:
+    """A table of TOML or JSON, read key by key; a key that is never read is an error, so a misspelt one stops the run.
+
+    Every method that reads a key removes it, and raises BadConfig, naming `where`, if it is missing or of another kind.
+    """
+
+    def __init__(self, tree: dict[str, Any], where: str) -> None:
+        self._tree, self.where = dict(tree), where
+
+    def __repr__(self) -> str:
+        return f"Table({self.where!r}, unread: {', '.join(self._tree) or 'none'})"
+
+    def _take(self, key: str, kind: str) -> Any:
+        try:
+            return self._tree.pop(key)
+        except KeyError:
+            raise BadConfig(f"{self.where}: {kind} {key!r} is missing") from None
+
+    def number(self, key: str) -> float:
+        """Read a finite number."""
+        value = self._take(key, "number")
+        if not _is_number(value):
+            raise BadConfig(f"{self.where}: {key!r} must be a finite number, found {_shown(value)!r}")
+        return float(value)
+
+    def positive(self, key: str) -> float:
+        """Read a finite number above 0."""
+        value = self.number(key)
+        if value <= 0:
+            raise BadConfig(f"{self.where}: {key!r} must be positive, found {value:g}")
+        return value
+
+    def whole(self, key: str) -> int:
+        """Read a whole number."""
+        value = self.number(key)
+        if value != int(value):
+            raise BadConfig(f"{self.where}: {key!r} must be a whole number, found {value!r}")
+        return int(value)
+
+    def flag(self, key: str) -> bool:
+        """Read true or false."""
+        value = self._take(key, "flag")
+        if not isinstance(value, bool):
+            raise BadConfig(f"{self.where}: {key!r} must be true or false, found {_shown(value)}")
+        return value
+
+    def text(self, key: str) -> str:
+        """Read a text."""
+        value = self._take(key, "text")
+        if not isinstance(value, str):
+            raise BadConfig(f"{self.where}: {key!r} must be text, found {_shown(value)}")
+        return value
+
+    def numbers(self, key: str, count: int) -> Any:
+        """Read a list of `count` finite numbers, as a tuple of floats."""
+        values = self._take(key, "list")
+        if not isinstance(values, list | tuple) or len(values) != count or not all(map(_is_number, values)):
+            raise BadConfig(f"{self.where}: {key!r} must be {count} finite numbers, found {_shown(values)}")
+        return tuple(float(value) for value in values)
+
+    def table(self, key: str) -> Table:
+        """Read a table within this one."""
+        value = self._take(key, "table")
+        if not isinstance(value, dict):
+            raise BadConfig(f"{self.where}: {key!r} must be a table, found {_shown(value)}")
+        return Table(value, f"{self.where}, [{key}]")
+
+    def has(self, key: str) -> bool:
+        """True for a key that is there and not read yet."""
+        return key in self._tree
+
+    def finish(self) -> None:
+        """Raise BadConfig for keys that were not read."""
+        if self._tree:
+            raise BadConfig(f"{self.where}: unknown {', '.join(map(repr, sorted(self._tree)))}")
+
+
+def toml_names(folder: Traversable) -> tuple[str, ...]:
+    """Names of a folder's TOML files, without their suffix, in alphabetical order."""
+    return tuple(sorted(file.name.removesuffix(".toml") for file in folder.iterdir() if file.name.endswith(".toml")))
+
+
+def toml_text(kind: str, name_or_path: str | Path, folder: Traversable, further: Sequence[str] = ()) -> str:
+    """Read a TOML file of a folder by its name, or any by its path, which ends in .toml.
+
+    kind: the content's name in messages. further: names known to the caller without a file, which messages list first.
+    Raises BadConfig for a name that is not there, or a file that cannot be read.
+    """
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        names = toml_names(folder)
+        if str(name_or_path) not in names:
+            known = ", ".join([*further, *names])
+            raise BadConfig(
+                f"no {kind} is called {str(name_or_path)!r}: give one of {known} or the path of a .toml file"
+            )
+        return (folder / f"{name_or_path}.toml").read_text(encoding="utf-8")
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadConfig(f"cannot read the {kind} file {path}: {error}") from error
+
+
+def toml_tree(text: str, where: str, file_format: str) -> dict[str, Any]:
+    """Parse TOML text whose `format` must be `file_format`; the tree comes without it. Raises BadConfig."""
+    try:
+        tree = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # also numbers and brackets beyond reason
+        raise BadConfig(f"{where} is not TOML: {error}") from error
+    if tree.pop("format", None) != file_format:
+        raise BadConfig(f"{where}: 'format' must be {file_format!r}")
+    return tree

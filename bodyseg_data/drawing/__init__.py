@@ -1,1 +1,35 @@
 """Pictures for people: contact sheets, galleries, views of a body."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bodyseg_data.core import lazy_door
+
+if TYPE_CHECKING:
+    from bodyseg_data.drawing.body_views import HEIGHTS_PX, LabelledBody, draw_body_views
+    from bodyseg_data.drawing.contact_sheet import Row, Window, colour_range, draw_sheet, span_of, window_of
+    from bodyseg_data.drawing.gallery import choose_views, draw_gallery
+    from bodyseg_data.drawing.style import (
+        FAINT,
+        INK,
+        PAPER,
+        THING,
+        check_picture,
+        draw_legend,
+        fitted,
+        font,
+        new_chart,
+        save_chart,
+        save_picture,
+    )
+
+__getattr__, __all__ = lazy_door(
+    __name__,
+    {
+        "body_views": "HEIGHTS_PX LabelledBody draw_body_views",
+        "contact_sheet": "Row Window colour_range draw_sheet span_of window_of",
+        "gallery": "choose_views draw_gallery",
+        "style": "FAINT INK PAPER THING check_picture draw_legend fitted font new_chart save_chart save_picture",
+    },
+)

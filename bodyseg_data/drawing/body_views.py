@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import PART_COUNT, colour_labels
-from bodyseg_data.core.rig import Camera, PlacedCamera, axes_at
+from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing.style import FAINT, INK, PAPER, THING, draw_legend, font
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import Partition
-from bodyseg_data.packing.sampler import surface_points
+from bodyseg_data.labels import PART_COUNT, colour_labels
+from bodyseg_data.meshes import Mesh, Partition
+from bodyseg_data.packing import surface_points
 from bodyseg_data.rendering import open_renderer
+from bodyseg_data.rigs import Camera, PlacedCamera, axes_at
 
 LabelledBody = tuple[str, Mesh, Partition, NDArray[np.int64]]
 """A body to draw: title, mesh, partition, landmarks int64 [33]."""

@@ -1,24 +1,47 @@
-"""Contact sheet: the stored images of several samples and their five variants, side by side."""
+"""Window of range images: the rows and columns that a picture shows, where bodies are small in them.
+
+Contact sheet: the stored images of several samples and their five variants, side by side.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from bodyseg_data.artifacts.artifact import RangeImage
-from bodyseg_data.artifacts.sensor_model import SensorModel
-from bodyseg_data.artifacts.variants import VARIANTS, VariantName
-from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
-from bodyseg_data.core.parts import BACKGROUND, colour_labels
-from bodyseg_data.core.sample import HELD, Sample
+from bodyseg_data.artifacts import VARIANTS, RangeImage, SensorModel, VariantName
 from bodyseg_data.drawing.style import FAINT, INK, PAPER, THING, draw_legend, fitted, font
-from bodyseg_data.drawing.window import Window, window_of
+from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap, colour_labels
+from bodyseg_data.samples import HELD, Sample
+
+Window = tuple[slice, slice]
+"""Rows and columns."""
+
+_MARGIN: Final = 0.08  # of the longer side of what is measured, around it
+_MOST_CROPPED: Final = 0.4  # images stay whole where the window would keep more of them than this share
+
+
+def window_of(images: Sequence[NDArray[Any]]) -> Window:
+    """Return rows and columns of all pixels where any of the images [H, W] is above 0, with a margin.
+
+    Images stay whole if these are more than two fifths of them, as before a narrow camera, or if their sizes differ.
+    """
+    whole = slice(None), slice(None)
+    if len({image.shape for image in images}) != 1:
+        return whole
+    measured = np.any([image > 0 for image in images], axis=0)
+    spans = [np.flatnonzero(measured.any(axis=axis)) for axis in (1, 0)]
+    if not measured.any():
+        return whole
+    margin = round(_MARGIN * max(int(span[-1] - span[0]) for span in spans))
+    rows, columns = (slice(max(0, int(span[0]) - margin), int(span[-1]) + margin + 1) for span in spans)
+    return (rows, columns) if measured[rows, columns].size < _MOST_CROPPED * measured.size else whole
+
 
 _EMPTY: Final = (24, 26, 32)
 """Colour of pixels without a range."""

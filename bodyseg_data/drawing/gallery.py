@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from bodyseg_data.artifacts.artifact import Scene
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import colour_labels
-from bodyseg_data.core.randomness import generator
-from bodyseg_data.core.rig import Camera
-from bodyseg_data.core.views import split_key
+from bodyseg_data.artifacts import Scene
+from bodyseg_data.core import BadConfig, generator
 from bodyseg_data.drawing.style import FAINT, INK, PAPER, THING, draw_legend, font
+from bodyseg_data.labels import colour_labels
+from bodyseg_data.rigs import Camera
+from bodyseg_data.samples import split_key
 
 COLUMNS: Final = 12
 _TILE_ROWS: Final = 320

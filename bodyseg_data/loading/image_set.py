@@ -1,24 +1,31 @@
-"""Protocol of the images that a loader reads, of one set of shards or of a mixture; and the batches it delivers."""
+"""Protocol of the images that a loader reads, of one set of shards or of a mixture; and the batches it delivers.
+
+Assignment of samples to batches: a function of set, seed, epoch, world size and batch size, and of nothing else.
+
+All ranks share one order an epoch. It is cut into global batches of world_size x batch_size samples, and each global
+batch into consecutive parts, one a rank. So the ranks' batches put together are the batches of one process, and a
+position in an epoch is a number of samples, valid for any number of workers or ranks and any batch size.
+"""
 
 from __future__ import annotations
 
 import operator
+import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Protocol, TypedDict, runtime_checkable
+from typing import Any, Final, Protocol, TypedDict, runtime_checkable
 
 import numpy as np
 import torch
+import torch.distributed
 from numpy.typing import NDArray
+from torch.utils.data import Sampler
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.kernels import compiled, use_compiled
-from bodyseg_data.core.labels.label_map import LabelMap
-from bodyseg_data.core.randomness import Permutation
-from bodyseg_data.core.sample import Sample
-
-if TYPE_CHECKING:
-    from bodyseg_data.loading.batch_order import BatchOrder
+from bodyseg_data.core import BadConfig, Permutation, check_bool, check_epoch, check_int
+from bodyseg_data.labels import LabelMap
+from bodyseg_data.machine import compiled, use_compiled
+from bodyseg_data.samples import Sample
 
 Request = tuple[int, int]
 """(epoch, index) of a sample: with its epoch, so that workers kept over several epochs need no other message."""
@@ -150,3 +157,231 @@ def _scale(steps: Any, step_m: Any, out: Any) -> None:
 @lru_cache(maxsize=1)
 def _compiled_scale() -> Any:
     return compiled(_scale, "converting ranges in a compiled loop")
+
+
+STATE_FORMAT: Final = "bodyseg loader 1"
+
+_PROGRESS: Final = frozenset({"format", "epoch", "position", "skipped"})
+"""Fields of a state besides its identity."""
+
+
+def find_rank(rank: int | None = None, world_size: int | None = None) -> tuple[int, int]:
+    """Return (rank, world_size): as given, else torch.distributed's, else torchrun's variables, else (0, 1).
+
+    torchrun sets RANK and WORLD_SIZE in the environment. Raises BadConfig for values that are no rank.
+    """
+    if (rank is None) != (world_size is None):
+        raise BadConfig(f"rank and world_size are given together or not at all, found {rank!r} of {world_size!r}")
+    if rank is None or world_size is None:
+        rank, world_size = _distributed_rank()
+    check_int("world_size", world_size, 1)
+    if check_int("rank", rank, 0) >= world_size:
+        raise BadConfig(f"rank must be less than world_size, found {rank} of {world_size}")
+    return rank, world_size
+
+
+def _distributed_rank() -> tuple[int, int]:
+    if torch.distributed.is_available() and torch.distributed.is_initialized():
+        return torch.distributed.get_rank(), torch.distributed.get_world_size()
+    found = os.environ.get("RANK"), os.environ.get("WORLD_SIZE")
+    if found[0] is None or found[1] is None:
+        return 0, 1
+    try:
+        return int(found[0]), int(found[1])
+    except ValueError:
+        raise BadConfig(f"RANK and WORLD_SIZE must be whole numbers, found {found[0]!r} and {found[1]!r}") from None
+
+
+def batch_bounds(samples: int, start: int, batch_size: int, world_size: int, drop_last: bool) -> list[int]:
+    """Positions at which the global batches of an epoch begin, from `start` on, and the end of the last one.
+
+    The last batch may be shorter; if it has fewer samples than ranks, it takes some from the batch before. `drop_last`
+    leaves it out. Raises BadConfig if the ranks cannot all get the same number of batches.
+    """
+    whole = world_size * batch_size
+    found = list(range(start, samples + 1, whole))
+    rest = samples - found[-1]
+    if drop_last or not rest:
+        return found
+    if rest < world_size:
+        if len(found) == 1:
+            raise BadConfig(
+                f"{rest} samples cannot give each of {world_size} ranks a batch: use fewer ranks, or drop_last=True"
+            )
+        if batch_size == 1:
+            raise BadConfig(
+                f"{samples - start} samples cannot be shared out to {world_size} ranks in equally many batches of 1: "
+                "use a larger batch_size, or drop_last=True"
+            )
+        found[-1] = samples - world_size
+    return [*found, samples]
+
+
+@dataclass(frozen=True)
+class Pass:
+    """One pass over an epoch, or the rest of one. order: of the epoch's samples; bounds: see `batch_bounds`."""
+
+    epoch: int
+    order: Requests
+    bounds: list[int]
+    rank: int
+    world_size: int
+
+    def __len__(self) -> int:
+        return len(self.bounds) - 1
+
+    def batch(self, number: int) -> list[Request]:
+        """Requests of this rank's part of a global batch: nearly equal parts, side by side."""
+        first, end = self.bounds[number], self.bounds[number + 1]
+        own, after = (first + (end - first) * rank // self.world_size for rank in (self.rank, self.rank + 1))
+        return self.order.part(own, after)
+
+
+class BatchOrder(Sampler[list[Request]]):
+    """Batch sampler that yields lists of (epoch of the draws, index); every pass is the next epoch.
+
+    `Loader` uses it, and torch's DataLoader and torchdata's StatefulDataLoader over `RangeImages` or a `Mixture` can:
+
+        DataLoader(images, batch_sampler=images.batches(20), num_workers=2, persistent_workers=True)
+
+    Its state counts the batches it has yielded, which StatefulDataLoader records batch by batch. A plain DataLoader
+    with workers draws batches in advance: call `state_dict(batches=done)` there.
+    """
+
+    def __init__(
+        self,
+        images: ImageSet,
+        batch_size: int,
+        shuffle: bool | None = None,
+        drop_last: bool = False,
+        rank: int | None = None,
+        world_size: int | None = None,
+    ) -> None:
+        self.images, self.drop_last = images, check_bool("drop_last", drop_last)
+        self.batch_size = check_int("batch_size", batch_size, 1)
+        self.shuffle = images.split == "train" if shuffle is None else check_bool("shuffle", shuffle)
+        self.rank, self.world_size = find_rank(rank, world_size)
+        if len(images) < self.world_size:
+            raise BadConfig(f"{len(images)} samples are fewer than {self.world_size} ranks: use fewer ranks")
+        if not len(self):
+            each = f" on each of {self.world_size} ranks" if self.world_size > 1 else ""
+            raise BadConfig(
+                f"drop_last=True leaves nothing of {len(images)} samples: they do not fill one batch of "
+                f"{self.batch_size}{each}; use a smaller batch_size"
+            )
+        self._next = (images.epoch, 0)
+        self._reached: tuple[int, int] | None = None
+        self._epochs_set = images.epochs_set
+        self._pass: Pass | None = None
+
+    def __repr__(self) -> str:
+        return (
+            f"BatchOrder({self.images!r}, batch_size={self.batch_size}, shuffle={self.shuffle}, "
+            f"drop_last={self.drop_last}, rank={self.rank}, world_size={self.world_size}, batches={len(self)})"
+        )
+
+    def _bounds(self, start: int) -> list[int]:
+        return batch_bounds(len(self.images), start, self.batch_size, self.world_size, self.drop_last)
+
+    def __len__(self) -> int:
+        """Number of batches in a whole pass, the same for every rank."""
+        return len(self._bounds(0)) - 1
+
+    @property
+    def largest(self) -> int:
+        """Size of the largest batch that one rank can get, in samples."""
+        return min(self.batch_size, -(-len(self.images) // self.world_size))
+
+    @property
+    def epoch(self) -> int:
+        """The epoch of the next pass."""
+        self._follow_images()
+        return self._next[0]
+
+    def set_epoch(self, epoch: int) -> None:
+        """Make `epoch` the next pass: from its start, or from the position of a loaded state of the same epoch."""
+        if check_epoch(epoch) != self._next[0]:
+            self._next = (int(epoch), 0)
+        self._reached = None
+
+    def _follow_images(self) -> None:
+        if self._epochs_set != self.images.epochs_set:
+            self._epochs_set = self.images.epochs_set
+            self.set_epoch(self.images.epoch)
+
+    def begin_pass(self) -> Pass:
+        """Start the next pass and return it."""
+        self._follow_images()
+        epoch, start = self._next
+        order = self.images.requests(epoch, self.shuffle)
+        self._pass = Pass(epoch, order, self._bounds(start), self.rank, self.world_size)
+        self._reached = self._next
+        self._next = (epoch + 1, 0)
+        return self._pass
+
+    def mark_delivered(self, batches: int) -> None:
+        """Record that so many batches of the current pass are delivered."""
+        if self._pass is not None:
+            self._reached = (self._pass.epoch, self._pass.bounds[batches])
+
+    def end_pass(self) -> None:
+        """Record that the current pass is complete."""
+        self._reached = None
+
+    def __iter__(self) -> Iterator[list[Request]]:
+        this = self.begin_pass()
+        for number in range(len(this)):
+            self.mark_delivered(number + 1)
+            yield this.batch(number)
+        self.end_pass()
+
+    def state_dict(self, batches: int | None = None) -> dict[str, Any]:
+        """Position in the current pass, or after `batches` of its batches: plain JSON, the same on every rank."""
+        self._follow_images()
+        epoch, position = self._next if self._reached is None else self._reached
+        if batches is not None:
+            if self._pass is None or not 0 <= batches <= len(self._pass):
+                raise BadConfig(f"batches must be a number of batches of the current pass, found {batches!r}")
+            epoch, position = self._pass.epoch, self._pass.bounds[batches]
+        return {"format": STATE_FORMAT, "epoch": epoch, "position": position, **self._identity()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Make the next pass continue at the position of `state`; the end of an epoch means the next epoch.
+
+        Takes the same time for every position. Raises BadConfig for the state of other samples, variant, seed, or
+        order, and if fewer samples are left than there are ranks.
+        """
+        epoch, position = _checked_position(state, self._identity())
+        if len(self._bounds(position)) == 1:
+            epoch, position = epoch + 1, 0
+        self._next, self._reached, self._pass = (epoch, position), None, None
+        self._epochs_set = self.images.epochs_set
+
+    def _identity(self) -> dict[str, Any]:
+        return {"samples": len(self.images), **self.images.identity(), "shuffle": self.shuffle}
+
+
+def _checked_position(state: Any, identity: dict[str, Any]) -> tuple[int, int]:
+    found = state.get("format") if isinstance(state, dict) else type(state).__name__
+    if found != STATE_FORMAT:
+        raise BadConfig(f"a state's 'format' must be {STATE_FORMAT!r}, found {found!r}")
+    there = {field: value for field, value in state.items() if field not in _PROGRESS}
+    for field in identity | there:
+        if there.get(field) != identity.get(field):
+            name, before, now = _first_difference(field, there.get(field), identity.get(field))
+            raise BadConfig(f"the state belongs to another run: {name} {before!r}, here {now!r}")
+    epoch, position = (state.get(field) for field in ("epoch", "position"))
+    if type(epoch) is not int or epoch < 0 or type(position) is not int or not 0 <= position <= identity["samples"]:
+        raise BadConfig(f"a state's epoch and position must be whole numbers, found {epoch!r} and {position!r}")
+    return epoch, position
+
+
+def _first_difference(name: str, there: Any, here: Any) -> tuple[str, Any, Any]:
+    """Name and values of the innermost part in which two JSON values differ, as `mixture[1].variant`."""
+    if isinstance(there, dict) and isinstance(here, dict):
+        pairs = [(f"{name}.{field}", there.get(field), here.get(field)) for field in [*here, *there]]
+    elif isinstance(there, list) and isinstance(here, list) and len(there) == len(here):
+        pairs = [(f"{name}[{at}]", *both) for at, both in enumerate(zip(there, here, strict=True))]
+    else:
+        return name, there, here
+    return next(_first_difference(*pair) for pair in pairs if pair[1] != pair[2])

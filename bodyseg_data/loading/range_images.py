@@ -17,33 +17,50 @@ import numpy as np
 from numpy.typing import NDArray
 from torch.utils.data import Dataset
 
-from bodyseg_data.artifacts.artifact import RangeImage
-from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR, SensorModel, artifacts_to_json, load_sensor_model
-from bodyseg_data.artifacts.variants import Augmentation, check_variant
-from bodyseg_data.core.errors import BadConfig, BadSample, BadShard, BadTransform, with_text
-from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
-from bodyseg_data.core.randomness import Draws, Permutation, check_epoch, check_seed, permutation
-from bodyseg_data.core.sample import Sample
-from bodyseg_data.core.splits import ReadSplit
-from bodyseg_data.core.system.reused_memory import SCRATCH
-from bodyseg_data.loading.batch_order import BatchOrder
-from bodyseg_data.loading.image_set import Request, Requests, check_index, metres
-from bodyseg_data.loading.selection.selection import Selection
-from bodyseg_data.loading.shared_batches import item_tensor
-from bodyseg_data.loading.transforms.camera_image import with_camera
-from bodyseg_data.loading.transforms.transform import (
+from bodyseg_data.artifacts import (
+    PAPER_SENSOR,
+    Augmentation,
+    RangeImage,
+    SensorModel,
+    artifacts_to_json,
+    check_variant,
+    load_sensor_model,
+)
+from bodyseg_data.core import (
+    BadConfig,
+    BadSample,
+    BadShard,
+    BadTransform,
+    Draws,
+    Permutation,
+    check_epoch,
+    check_seed,
+    permutation,
+    with_text,
+)
+from bodyseg_data.labels import PARTS33, LabelMap, load_label_map
+from bodyseg_data.loading.image_set import BatchOrder, Request, Requests, check_index, metres
+from bodyseg_data.loading.selection import Selection
+from bodyseg_data.loading.slots import item_tensor
+from bodyseg_data.loading.transform import (
     Transforms,
     check_transforms,
     transform_image,
     transformed_shape,
     transforms_to_json,
+    with_camera,
 )
-from bodyseg_data.shards.cache.store import with_cache, with_kept_index
-from bodyseg_data.shards.manifest import read_manifest
-from bodyseg_data.shards.records import ShardRecord
-from bodyseg_data.shards.stores.addresses import open_store
-from bodyseg_data.shards.stores.remote import RetryPolicy
-from bodyseg_data.shards.tar import ShardReader
+from bodyseg_data.machine import SCRATCH
+from bodyseg_data.samples import ReadSplit, Sample
+from bodyseg_data.shards import (
+    RetryPolicy,
+    ShardReader,
+    ShardRecord,
+    open_store,
+    read_manifest,
+    with_cache,
+    with_kept_index,
+)
 
 WHOLE_ORDER: Final = 1 << 23
 """Number of samples of an epoch whose order is computed at once; that of more samples in parts."""

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from bodyseg_data.core.errors import BadConfig, BadSample, BadShard, with_text
+from bodyseg_data.core import BadConfig, BadSample, BadShard, with_text
 
 OnError = Literal["stop", "skip"]
 

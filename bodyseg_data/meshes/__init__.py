@@ -1,1 +1,41 @@
 """Triangle meshes of bodies: reading, repair, landmarks, and their partition into 33 parts."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bodyseg_data.core import lazy_door
+
+if TYPE_CHECKING:
+    from bodyseg_data.meshes.coincident import separate
+    from bodyseg_data.meshes.geodesics import GeodesicMethod, check_method
+    from bodyseg_data.meshes.landmark_files import load_landmark_file
+    from bodyseg_data.meshes.landmarks import (
+        FARTHEST_M,
+        METRES,
+        LandmarkSet,
+        PointLandmarks,
+        SnappedLandmarks,
+        farthest_from,
+        load_landmarks,
+    )
+    from bodyseg_data.meshes.mesh import HEIGHT_RANGE_M, Mesh, find_edges
+    from bodyseg_data.meshes.mesh_files import mesh_stem, mesh_suffix, preferred, read_mesh
+    from bodyseg_data.meshes.partitioning import Partition, partition
+    from bodyseg_data.meshes.repairing import repair, with_pymeshlab
+    from bodyseg_data.meshes.solids import Solid, SurfacePiece, cuboid, together, turned_solid
+
+__getattr__, __all__ = lazy_door(
+    __name__,
+    {
+        "coincident": "separate",
+        "geodesics": "GeodesicMethod check_method",
+        "landmark_files": "load_landmark_file",
+        "landmarks": "FARTHEST_M METRES LandmarkSet PointLandmarks SnappedLandmarks farthest_from load_landmarks",
+        "mesh": "HEIGHT_RANGE_M Mesh find_edges",
+        "mesh_files": "mesh_stem mesh_suffix preferred read_mesh",
+        "partitioning": "Partition partition",
+        "repairing": "repair with_pymeshlab",
+        "solids": "Solid SurfacePiece cuboid together turned_solid",
+    },
+)

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.system.libraries import missing_library
-from bodyseg_data.meshes.repair import SAME_POINT_M
-from bodyseg_data.meshes.topology import Edges, components, find_edges
+from bodyseg_data.machine import missing_library
+from bodyseg_data.meshes.mesh import Edges, components, find_edges
+from bodyseg_data.meshes.repairing import SAME_POINT_M
 
 
 @dataclass(frozen=True)

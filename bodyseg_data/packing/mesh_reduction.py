@@ -15,14 +15,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.source import Body
-from bodyseg_data.core.errors import BadConfig, BadMesh
-from bodyseg_data.core.rig import PlacedCamera, Rig
-from bodyseg_data.core.views import View
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.pymeshlab_thread import with_pymeshlab
-from bodyseg_data.meshes.topology import find_edges
+from bodyseg_data.bodies import Body
+from bodyseg_data.core import BadConfig, BadMesh
+from bodyseg_data.meshes import Mesh, find_edges, with_pymeshlab
 from bodyseg_data.rendering import open_renderer
+from bodyseg_data.rigs import PlacedCamera, Rig
+from bodyseg_data.samples import View
 
 TOLERANCE_M: Final = 2e-4
 """An independent error of 0.2 mm makes a sensor's uncertainty of 1 mm one of 1.02 mm."""

@@ -8,19 +8,16 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
-from bodyseg_data.bodies.alignment import Units, UpAxis
-from bodyseg_data.bodies.source import BodyRef, BodySource
-from bodyseg_data.bodies.sources import SOURCES, SourceEntry, open_source
-from bodyseg_data.core.errors import BadConfig, check_fields
-from bodyseg_data.core.rig import Rig, load_rig
-from bodyseg_data.core.views import View, ViewGrid
-from bodyseg_data.meshes.partition.geodesics import GeodesicMethod, check_method
+from bodyseg_data.bodies import SOURCES, BodyRef, BodySource, SourceEntry, Units, UpAxis, open_source
+from bodyseg_data.core import BadConfig, check_fields
+from bodyseg_data.meshes import GeodesicMethod, check_method
 from bodyseg_data.packing.mesh_reduction import check_tolerance
 from bodyseg_data.packing.sampler import body_key
 from bodyseg_data.packing.things import ThingsPlace, check_place
 from bodyseg_data.rendering import RendererName, check_renderer
-from bodyseg_data.shards.codecs import CodecName
-from bodyseg_data.shards.sample_codec import check_codec
+from bodyseg_data.rigs import Rig, load_rig
+from bodyseg_data.samples import View, ViewGrid
+from bodyseg_data.shards import CodecName, check_codec
 
 PACKING_VERSION: Final = 3
 """Goes up with any change of code that changes a sample's bytes, so that no packing carries on across it."""

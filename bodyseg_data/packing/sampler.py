@@ -8,17 +8,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.occlusion import ShadowTest, shadow_tests
-from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.rig import PlacedCamera, Rig
-from bodyseg_data.core.sample import HELD, Sample, SampleInfo, steps
-from bodyseg_data.core.views import View
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import Partition
-from bodyseg_data.packing.occluder_range import occluder_range
+from bodyseg_data.artifacts import ShadowTest, shadow_tests
+from bodyseg_data.bodies import BodyRef
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.meshes import Mesh, Partition
+from bodyseg_data.packing.occluders import occluder_range
 from bodyseg_data.packing.things import Things, ThingsPlace, draw_things, nearest
-from bodyseg_data.rendering.renderer import Renderer, Surface
+from bodyseg_data.rendering import Renderer, Surface
+from bodyseg_data.rigs import PlacedCamera, Rig
+from bodyseg_data.samples import HELD, Sample, SampleInfo, View, steps
 
 _SHARED: Final = 254  # stands for a triangle that parts share; no part has this number
 _SURE_M: Final = 1e-4  # a light this far from a triangle's plane is on one side of it, however its points are rounded

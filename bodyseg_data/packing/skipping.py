@@ -1,16 +1,23 @@
-"""Meshes that cannot be packed: all are named at once, or left out, up to a budget, each of them recorded."""
+"""Meshes that cannot be packed: all are named at once, or left out, up to a budget, each of them recorded.
+
+The check of all files of a source before the first view is rendered.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import uuid
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final, Literal
 
-from bodyseg_data.bodies.names import collapsed
-from bodyseg_data.core.errors import BadConfig, BadLandmarks, BadMesh, BadSample, check_fields
-from bodyseg_data.core.system.progress import ProgressCallback, silent
+from bodyseg_data.bodies import BodyRef, collapsed
+from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh, BadSample, ProgressCallback, check_fields, silent
+from bodyseg_data.packing.jobs import ordered
+from bodyseg_data.packing.options import Packing
 
 OnError = Literal["stop", "skip"]
 
@@ -127,3 +134,31 @@ class SkipList:
                 file.writelines(f"{line}\n" for line in lines if line not in known)
         except (OSError, UnicodeDecodeError) as error:
             raise BadConfig(f"skip_log {log} cannot be written: {error}") from error
+
+
+def check_run(packing: Packing, body: BodyRef, plan: str) -> str | None:
+    """The reason why a body cannot be packed, in whichever process, as far as its source's check tells; else None."""
+    try:
+        packing.opened(plan).check(body)
+    except SKIPPABLE as error:
+        return str(error)
+    return None
+
+
+def find_faults(
+    packing: Packing, bodies: Sequence[BodyRef], executor: Executor, workers: int, progress: ProgressCallback
+) -> dict[str, str]:
+    """Name of a mesh -> the reason why it cannot be packed, of all bodies whose files are at fault.
+
+    Sources that make their bodies and read no files are not checked.
+    """
+    if packing.path is None:
+        return {}
+    token = uuid.uuid4().hex  # files may have changed since a worker read them
+    jobs = (partial(executor.submit, check_run, packing, body, token) for body in bodies)
+    found: dict[str, str] = {}
+    for done, (body, reason) in enumerate(zip(bodies, ordered(jobs, workers), strict=True), 1):
+        if reason is not None:
+            found[body.mesh] = reason
+        progress(done, len(bodies))
+    return found

@@ -1,36 +1,21 @@
-"""Renderers and their registry: a new one is a file in this folder and an entry of `RENDERERS`."""
+"""Renderers: range and triangle at every pixel of a camera."""
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.rendering.renderer import Renderer
-
-RENDERERS: Final[dict[str, str]] = {
-    "raster": "raster.RasterRenderer",
-    "embree": "embree.EmbreeRenderer",
-    "opengl": "opengl.OpenGLRenderer",
-}
-"""Name -> "module.Class" in this folder, imported when a renderer of that name is opened."""
+from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
-    RendererName = str
-else:
-    RendererName = Literal[tuple(RENDERERS)]
+    from bodyseg_data.rendering.raster import RasterRenderer
+    from bodyseg_data.rendering.registry import RendererName, check_renderer, open_renderer
+    from bodyseg_data.rendering.renderer import Renderer, Surface
 
-
-def check_renderer(name: str) -> None:
-    """Raise BadConfig unless a renderer is called `name`."""
-    if name not in RENDERERS:
-        raise BadConfig(f"the renderer must be one of {', '.join(RENDERERS)}, found {name!r}")
-
-
-def open_renderer(name: str, mesh: Mesh) -> Renderer:
-    """Construct the renderer called `name` for `mesh`. Raises BadConfig, or MissingLibrary without its libraries."""
-    check_renderer(name)
-    module, kind = RENDERERS[name].split(".")
-    renderer: Renderer = getattr(import_module(f"{__name__}.{module}"), kind)(mesh)
-    return renderer
+__getattr__, __all__ = lazy_door(
+    __name__,
+    {
+        "raster": "RasterRenderer",
+        "registry": "RendererName check_renderer open_renderer",
+        "renderer": "Renderer Surface",
+    },
+)

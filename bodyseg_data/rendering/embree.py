@@ -7,11 +7,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.rig import PlacedCamera
-from bodyseg_data.core.system.libraries import missing_library
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.rendering.outline import Outline
-from bodyseg_data.rendering.renderer import Surface
+from bodyseg_data.machine import missing_library
+from bodyseg_data.meshes import Mesh
+from bodyseg_data.rendering.renderer import Outline, Surface
+from bodyseg_data.rigs import PlacedCamera
 
 try:
     from embreex.mesh_construction import TriangleMesh

@@ -17,11 +17,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig, BadMesh, MissingLibrary
-from bodyseg_data.core.rig import Camera, PlacedCamera
-from bodyseg_data.core.system.libraries import SOFTWARE_DRIVER, missing_library
-from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.core import BadConfig, BadMesh, MissingLibrary
+from bodyseg_data.machine import SOFTWARE_DRIVER, missing_library
+from bodyseg_data.meshes import Mesh
 from bodyseg_data.rendering.renderer import Surface
+from bodyseg_data.rigs import Camera, PlacedCamera
 
 _FEATURE: Final = "the opengl renderer"
 _ALTERNATIVE: Final = "the embree renderer needs nothing from the system"

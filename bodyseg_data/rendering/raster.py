@@ -13,9 +13,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.kernels import compiled
-from bodyseg_data.core.rig import PlacedCamera
+from bodyseg_data.machine import compiled
 from bodyseg_data.rendering.renderer import Surface, Triangles
+from bodyseg_data.rigs import PlacedCamera
 
 _NEAR_M: Final = 1e-3  # a triangle nearer to the camera's plane is tested at every pixel
 _MARGIN_PX: Final = 1e-6  # added to the bounding box of a triangle, for rounding

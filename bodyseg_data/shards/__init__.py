@@ -1,1 +1,50 @@
 """Shards (plain tars of samples), their manifest, codecs, stores and cache."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bodyseg_data.core import lazy_door
+
+if TYPE_CHECKING:
+    from bodyseg_data.shards.cache import with_cache, with_kept_index
+    from bodyseg_data.shards.codecs import CODECS, CodecName
+    from bodyseg_data.shards.codecs.png import SIGNATURE, check_checksums, decode_chunks, read_chunks, read_header
+    from bodyseg_data.shards.faults import find_faults, find_index_faults
+    from bodyseg_data.shards.manifest import (
+        LARGEST_MANIFEST,
+        MANIFEST_FORMAT,
+        MANIFEST_NAME,
+        Manifest,
+        SkippedMesh,
+        read_manifest,
+        write_manifest,
+    )
+    from bodyseg_data.shards.records import (
+        BODY_FIELDS,
+        VIEW_FIELDS,
+        CheckedFile,
+        ShardRecord,
+        record_from_json,
+        record_to_json,
+    )
+    from bodyseg_data.shards.remote import RemoteFolder, RetryPolicy, open_store
+    from bodyseg_data.shards.sample_codec import check_codec, encode_sample
+    from bodyseg_data.shards.store import READ_ATTEMPTS, LocalFolder, Store, open_file
+    from bodyseg_data.shards.tar import ShardReader, ShardWriter
+
+__getattr__, __all__ = lazy_door(
+    __name__,
+    {
+        "cache": "with_cache with_kept_index",
+        "codecs": "CODECS CodecName",
+        "codecs.png": "SIGNATURE check_checksums decode_chunks read_chunks read_header",
+        "faults": "find_faults find_index_faults",
+        "manifest": "LARGEST_MANIFEST MANIFEST_FORMAT MANIFEST_NAME Manifest SkippedMesh read_manifest write_manifest",
+        "records": "BODY_FIELDS VIEW_FIELDS CheckedFile ShardRecord record_from_json record_to_json",
+        "remote": "RemoteFolder RetryPolicy open_store",
+        "sample_codec": "check_codec encode_sample",
+        "store": "READ_ATTEMPTS LocalFolder Store open_file",
+        "tar": "ShardReader ShardWriter",
+    },
+)

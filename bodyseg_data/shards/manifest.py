@@ -9,15 +9,14 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.core.errors import BadConfig, BadShard
-from bodyseg_data.core.files import write_atomically
-from bodyseg_data.core.parts import LANDMARKS
-from bodyseg_data.core.rig import Rig, rig_from_json
-from bodyseg_data.core.splits import Split
+from bodyseg_data.core import BadConfig, BadShard, write_atomically
+from bodyseg_data.labels import LANDMARKS
+from bodyseg_data.rigs import Rig, rig_from_json
+from bodyseg_data.samples import Split
 from bodyseg_data.shards.codecs import CODECS
 from bodyseg_data.shards.index import INDEX_NAME, IndexedShards, ShardTable, table_from_json, write_index
 from bodyseg_data.shards.records import ShardRecord, record_from_json, record_to_json
-from bodyseg_data.shards.stores.store import READ_ATTEMPTS, LocalFolder, Store, store_at
+from bodyseg_data.shards.store import READ_ATTEMPTS, LocalFolder, Store, store_at
 
 MANIFEST_NAME: Final = "manifest.json"
 MANIFEST_FORMAT: Final = "bodyseg shards 5"

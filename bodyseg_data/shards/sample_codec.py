@@ -16,11 +16,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig, BadSample
-from bodyseg_data.core.sample import Occupancy, Sample, SampleInfo, info_from_json
+from bodyseg_data.core import BadConfig, BadSample
+from bodyseg_data.samples import Occupancy, Sample, SampleInfo, info_from_json
 from bodyseg_data.shards.codecs import CODECS
-from bodyseg_data.shards.codecs.codec import DecodedImages, OutputArrays
-from bodyseg_data.shards.codecs.labels import join_labels, mark_things, take_second_facing
+from bodyseg_data.shards.codecs.codec import DecodedImages, OutputArrays, join_labels, mark_things, take_second_facing
 
 _BY_MEMBERS: Final = {frozenset((*codec.members, "json")): codec for codec in CODECS.values()}
 

@@ -12,17 +12,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Final
 
-from bodyseg_data.core.errors import BadSample, BadShard, one_line
-from bodyseg_data.core.files import sync
-from bodyseg_data.core.rig import Rig
-from bodyseg_data.core.sample import Sample, SampleInfo, check_key
-from bodyseg_data.core.splits import Split
+from bodyseg_data.core import BadSample, BadShard, one_line, sync
+from bodyseg_data.rigs import Rig
+from bodyseg_data.samples import Sample, SampleInfo, Split, check_key
 from bodyseg_data.shards.codecs.codec import OutputArrays
-from bodyseg_data.shards.descriptions import describe
 from bodyseg_data.shards.manifest import Manifest
-from bodyseg_data.shards.records import BLOCK, ShardRecord, location, read_checked
+from bodyseg_data.shards.records import BLOCK, ShardRecord, describe, location, read_checked
 from bodyseg_data.shards.sample_codec import decode_sample, parse_info
-from bodyseg_data.shards.stores.store import Store, store_at
+from bodyseg_data.shards.store import Store, store_at
 
 
 class ShardWriter:

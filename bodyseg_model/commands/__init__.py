@@ -1,1 +1,17 @@
 """Commands that use networks, one module each."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bodyseg_data.core import lazy_door
+
+if TYPE_CHECKING:
+    from bodyseg_model.commands.cli import main
+
+__getattr__, __all__ = lazy_door(
+    __name__,
+    {
+        "cli": "main",
+    },
+)

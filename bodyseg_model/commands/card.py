@@ -7,14 +7,18 @@ from dataclasses import dataclass
 from datetime import UTC, date, datetime
 from pathlib import Path
 
-from bodyseg_data.cards.croissant import CROISSANT_NAME, croissant_bytes
-from bodyseg_data.cards.dataset_card import CARD_NAME, dataset_card
-from bodyseg_data.cards.set_facts import set_facts
-from bodyseg_data.cards.texts import UNKNOWN_LICENCE, Publication
-from bodyseg_data.commands.options import option
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.files import write_result
-from bodyseg_data.shards.manifest import MANIFEST_NAME, read_manifest
+from bodyseg_data.cards import (
+    CARD_NAME,
+    CROISSANT_NAME,
+    UNKNOWN_LICENCE,
+    Publication,
+    croissant_bytes,
+    dataset_card,
+    set_facts,
+)
+from bodyseg_data.commands import option
+from bodyseg_data.core import BadConfig, write_result
+from bodyseg_data.shards import MANIFEST_NAME, read_manifest
 
 EXAMPLE = 'bodyseg card shards --title "Standing people" --licence CC0-1.0 --author "A. Author"'
 
@@ -54,7 +58,7 @@ def _of_set(folder: Path, publication: Publication) -> dict[Path, bytes]:
 
 
 def _of_network(path: Path, publication: Publication) -> dict[Path, bytes]:
-    from bodyseg_model.networks.model_card import model_card, network_file, page_file
+    from bodyseg_model.networks import model_card, network_file, page_file
 
     weights = network_file(path)
     return {page_file(path): model_card(weights, publication).encode()}

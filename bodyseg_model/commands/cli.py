@@ -28,5 +28,5 @@ COMMANDS: Final[cli.Commands] = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one of `COMMANDS`; see `bodyseg_data.commands.cli.main`."""
+    """Run one of `COMMANDS`; see `bodyseg_data.commands.main`."""
     return cli.main(arguments, COMMANDS)

@@ -8,35 +8,46 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR, load_sensor_model, parse_artifacts
-from bodyseg_data.artifacts.variants import VariantName
-from bodyseg_data.commands.options import WHERE_HELP, command_line, last_name, option
-from bodyseg_data.commands.progress import Progress
-from bodyseg_data.commands.provenance import check_target, provenance, write_figures
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.labels.label_map import LabelMap, load_label_map
-from bodyseg_data.core.splits import ReadSplit
-from bodyseg_data.core.system.memory import peak_mb
-from bodyseg_data.drawing.style import new_chart, save_picture
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod
-from bodyseg_model.evaluation.evaluation import Evaluation, evaluate, open_images, time_frames
-from bodyseg_model.evaluation.figures import SamplePicture
-from bodyseg_model.evaluation.report import report
-from bodyseg_model.evaluation.training_fit import RigFit, sensor_warning
-from bodyseg_model.networks.checkpoints import CheckpointName, Trained, shipped_network
-from bodyseg_model.runtimes.backends import (
+from bodyseg_data.artifacts import PAPER_SENSOR, VariantName, load_sensor_model, parse_artifacts
+from bodyseg_data.commands import (
+    WHERE_HELP,
+    Progress,
+    check_target,
+    command_line,
+    last_name,
+    option,
+    provenance,
+    write_figures,
+)
+from bodyseg_data.core import BadConfig
+from bodyseg_data.drawing import new_chart, save_picture
+from bodyseg_data.labels import LabelMap, load_label_map
+from bodyseg_data.loading import DEFAULT_WORKER_METHOD, RangeImages, WorkerMethod
+from bodyseg_data.machine import peak_mb
+from bodyseg_data.samples import ReadSplit
+from bodyseg_model.evaluation import (
+    Evaluation,
+    RigFit,
+    SamplePicture,
+    evaluate,
+    open_images,
+    report,
+    sensor_warning,
+    time_frames,
+)
+from bodyseg_model.networks import CheckpointName, Trained, shipped_network
+from bodyseg_model.runtimes import (
     BACKEND_HELP,
     FLIP_HELP,
     PRECISION_HELP,
     BackendName,
+    Precision,
     backend_of,
     load_run,
     put_on_backend,
     to_device,
 )
-from bodyseg_model.runtimes.runtime import Precision
-from bodyseg_model.training.distributed import use_threads
+from bodyseg_model.training import use_threads
 
 EXAMPLE = "bodyseg evaluate --run runs/all-0 --data shards hard --json all-0.json --figures all-0"
 
@@ -109,7 +120,7 @@ def run(options: Options) -> int:
     )
     written = [options.json]
     if options.figures is not None:
-        from bodyseg_model.evaluation.figures import draw_figures
+        from bodyseg_model.evaluation import draw_figures
 
         written += draw_figures(scores, options.figures)
         drawn = None if picture is None else picture.draw()

@@ -6,9 +6,9 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from bodyseg_data.commands.options import option
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.networks.checkpoints import (
+from bodyseg_data.commands import option
+from bodyseg_data.core import BadConfig
+from bodyseg_model.networks import (
     WEIGHTS_SHA256,
     Trained,
     confusion_file,
@@ -18,7 +18,7 @@ from bodyseg_model.networks.checkpoints import (
     shipped_network,
     write_json,
 )
-from bodyseg_model.runtimes.onnx_files import OPSET, SUFFIX, export_trained, write_onnx
+from bodyseg_model.runtimes import OPSET, SUFFIX, export_trained, write_onnx
 
 EXAMPLE = "bodyseg export --run runs/all-0 --scores scores.json --out compact.safetensors"
 

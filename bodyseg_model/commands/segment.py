@@ -10,32 +10,37 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.commands.options import option
-from bodyseg_data.commands.progress import Progress, rate_text
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.labels.label_map import LabelMap
-from bodyseg_data.core.rig import Rig, rig_names
-from bodyseg_data.core.system.machine import hardware
-from bodyseg_data.core.system.memory import keep_freed_memory
-from bodyseg_model.networks.checkpoints import Trained, shipped_network
-from bodyseg_model.recordings.bags.labels_out import LabelsOut, labels_out
-from bodyseg_model.recordings.frames import RECORDINGS_HELP, UNITS_HELP, find_frames, metres_a_step
-from bodyseg_model.runtimes.backends import (
+from bodyseg_data.commands import Progress, option, rate_text
+from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import LabelMap
+from bodyseg_data.machine import hardware, keep_freed_memory
+from bodyseg_data.rigs import Rig, rig_names
+from bodyseg_model.networks import Trained, shipped_network
+from bodyseg_model.recordings import RECORDINGS_HELP, UNITS_HELP, LabelsOut, find_frames, labels_out, metres_a_step
+from bodyseg_model.runtimes import (
     BACKEND_HELP,
     FLIP_HELP,
     QUICK_PRECISION_HELP,
     BackendName,
+    Precision,
     load_run,
     quick_precision,
 )
-from bodyseg_model.runtimes.runtime import Precision
-from bodyseg_model.segmentation.foreground import Background, BackgroundMode
-from bodyseg_model.segmentation.frame_labeller import FrameLabeller, LabelledRecording
-from bodyseg_model.segmentation.output_folder import LABELS, OVERLAY, UNDISTORTED, FrameResults, OutputFolder
-from bodyseg_model.segmentation.pictures import Preview
-from bodyseg_model.segmentation.sequence_summary import SequenceSummary
-from bodyseg_model.sensor_fit.edges import ShadowFrames
-from bodyseg_model.training.distributed import use_threads
+from bodyseg_model.segmentation import (
+    LABELS,
+    OVERLAY,
+    UNDISTORTED,
+    Background,
+    BackgroundMode,
+    FrameLabeller,
+    FrameResults,
+    LabelledRecording,
+    OutputFolder,
+    Preview,
+    SequenceSummary,
+)
+from bodyseg_model.sensor_fit import ShadowFrames
+from bodyseg_model.training import use_threads
 
 EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"
 

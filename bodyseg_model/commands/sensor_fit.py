@@ -7,21 +7,24 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from bodyseg_data.artifacts.sensor_model import SensorModel
-from bodyseg_data.commands.options import option
-from bodyseg_data.commands.progress import Progress
-from bodyseg_data.commands.provenance import check_target
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.files import write_result
-from bodyseg_data.core.rig import rig_names
-from bodyseg_data.drawing.style import check_picture, save_picture
-from bodyseg_model.recordings.cameras import FrameCamera, frame_camera
-from bodyseg_model.recordings.frames import RECORDINGS_HELP, UNITS_HELP, find_frames, metres_a_step
-from bodyseg_model.recordings.recording import Frame
-from bodyseg_model.recordings.skipping import Skipping, first_readable
-from bodyseg_model.segmentation.foreground import Background, BackgroundMode
-from bodyseg_model.sensor_fit.fit import SensorFit, draw_comparison, fit_sensor
-from bodyseg_model.sensor_fit.recording import read_recording
+from bodyseg_data.artifacts import SensorModel
+from bodyseg_data.commands import Progress, check_target, option
+from bodyseg_data.core import BadConfig, write_result
+from bodyseg_data.drawing import check_picture, save_picture
+from bodyseg_data.rigs import rig_names
+from bodyseg_model.recordings import (
+    RECORDINGS_HELP,
+    UNITS_HELP,
+    Frame,
+    FrameCamera,
+    Skipping,
+    find_frames,
+    first_readable,
+    frame_camera,
+    metres_a_step,
+)
+from bodyseg_model.segmentation import Background, BackgroundMode
+from bodyseg_model.sensor_fit import SensorFit, draw_comparison, fit_sensor, read_recording
 
 EXAMPLE = "bodyseg sensor fit recording/ --focal 525 --nearer-than 1.2 --out sensor.toml"
 

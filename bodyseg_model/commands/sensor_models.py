@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 
-from bodyseg_data.artifacts.sensor_model import load_sensor_model, sensor_model_names
-from bodyseg_data.commands.options import option
+from bodyseg_data.artifacts import load_sensor_model, sensor_model_names
+from bodyseg_data.commands import option
 
 
 class ListSensors:

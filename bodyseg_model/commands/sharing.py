@@ -7,17 +7,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from bodyseg_data.commands.options import option
-from bodyseg_data.commands.progress import Progress
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.files import parse_json
-from bodyseg_data.shards.manifest import MANIFEST_NAME
-from bodyseg_data.shards.stores.addresses import open_store
-from bodyseg_data.shards.stores.remote import RemoteFolder
-from bodyseg_data.shards.stores.store import LocalFolder, Store
-from bodyseg_data.transfer.bundle import Bundle, SharedFile, pages_of, read_page, set_bundle
-from bodyseg_data.transfer.targets import LocalTarget, RemoteTarget, Target
-from bodyseg_data.transfer.transfer import transfer
+from bodyseg_data.commands import Progress, option
+from bodyseg_data.core import BadConfig, parse_json
+from bodyseg_data.shards import MANIFEST_NAME, LocalFolder, RemoteFolder, Store, open_store
+from bodyseg_data.transfer import (
+    Bundle,
+    LocalTarget,
+    RemoteTarget,
+    SharedFile,
+    Target,
+    pages_of,
+    read_page,
+    set_bundle,
+    transfer,
+)
 
 _WEIGHTS: Final = ".safetensors"
 _LARGEST: Final = 1 << 28
@@ -40,7 +43,7 @@ class Push:
     @staticmethod
     def run(options: Options) -> int:
         """Copy, and print one line on what was copied."""
-        from bodyseg_model.networks.model_card import network_file
+        from bodyseg_model.networks import network_file
 
         if (options.what / MANIFEST_NAME).exists():
             folder = options.what
@@ -86,7 +89,7 @@ class Pull:
 
 def _bundle_at(address: str) -> tuple[Store, Bundle]:
     """Open the store at an address, and find the set or network there."""
-    from bodyseg_model.networks.checkpoints import NETWORK
+    from bodyseg_model.networks import NETWORK
 
     path, mark, query = address.partition("?") if address.startswith(("http://", "https://")) else (address, "", "")
     weights = path.rpartition("/")[2] if path.endswith(_WEIGHTS) else ""
@@ -108,8 +111,7 @@ def _network_bundle(store: Store, weights: str) -> Bundle:
     weights: name of its .safetensors file in the store. Raises BadConfig for a card that cannot vouch for the weights,
     OSError or Unreachable.
     """
-    from bodyseg_model.networks.checkpoints import FORMAT, NETWORK, WEIGHTS_SHA256, confusion_file
-    from bodyseg_model.networks.model_card import page_file
+    from bodyseg_model.networks import FORMAT, NETWORK, WEIGHTS_SHA256, confusion_file, page_file
 
     file = Path(weights)
     index = file.with_suffix(".json").name

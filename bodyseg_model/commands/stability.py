@@ -10,29 +10,30 @@ from typing import Any, Final, Literal
 
 import torch
 
-from bodyseg_data.commands.options import WHERE_HELP, command_line, last_name, option
-from bodyseg_data.commands.progress import Progress
-from bodyseg_data.commands.provenance import provenance, write_figures
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.drawing.style import new_chart
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.segmentation.person_score import shipped_score
-from bodyseg_model.stability.figure import draw_stability
-from bodyseg_model.stability.rooms import people_and_things
-from bodyseg_model.stability.scenes import SWEEPS, Scenes, Sweep, chosen
-from bodyseg_model.stability.summary import (
+from bodyseg_data.commands import WHERE_HELP, Progress, command_line, last_name, option, provenance, write_figures
+from bodyseg_data.core import BadConfig
+from bodyseg_data.drawing import new_chart
+from bodyseg_data.loading import RangeImages
+from bodyseg_model.segmentation import shipped_score
+from bodyseg_model.stability import (
     FEWEST_SEEDS,
+    SWEEPS,
     Group,
     Run,
+    Scenes,
+    Sweep,
+    chosen,
+    draw_stability,
     evaluate_conditions,
     group,
     group_of,
     load_runs,
     motion_over_seeds,
+    people_and_things,
     summarise,
+    temporal,
 )
-from bodyseg_model.stability.temporal import temporal
-from bodyseg_model.training.distributed import find_device, use_threads
+from bodyseg_model.training import find_device, use_threads
 
 EXAMPLE = "bodyseg stability --run runs/all-0 runs/all-1 runs/all-2 --data shards --hard hard --out stability"
 

@@ -13,31 +13,48 @@ from pathlib import Path
 from typing import Any, Literal
 
 from bodyseg_data import RangeImages
-from bodyseg_data.artifacts.artifact import Artifact
-from bodyseg_data.artifacts.losses import Losses
-from bodyseg_data.artifacts.missing_data import MissingData
-from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR, SensorModel, load_sensor_model, parse_artifacts
-from bodyseg_data.artifacts.variants import VariantName, sensor_for
-from bodyseg_data.commands.options import WHERE_HELP, command_line, option
-from bodyseg_data.commands.progress import Progress, rate_text
-from bodyseg_data.commands.provenance import provenance
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, label_map_names
-from bodyseg_data.core.splits import ReadSplit
-from bodyseg_data.loading.image_set import ImageSet
-from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod
-from bodyseg_model.networks.checkpoints import WEIGHTS_SHA256, CheckpointName, load_network, read_json
-from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.registry import NetworkName, build, network_class
-from bodyseg_model.training.augmentation import GeometricAugmentation
-from bodyseg_model.training.data import open_data
-from bodyseg_model.training.distributed import joined_process_group, use_threads
-from bodyseg_model.training.loop import RunOptions, Training
-from bodyseg_model.training.metrics import Metrics, Report
-from bodyseg_model.training.recipes import RecipeName, recipe_for
-from bodyseg_model.training.run_folder import RunFolder
-from bodyseg_model.training.validation import DEFAULT_EVERY, Validation
+from bodyseg_data.artifacts import (
+    PAPER_SENSOR,
+    Artifact,
+    Losses,
+    MissingData,
+    Noise,
+    SensorModel,
+    VariantName,
+    load_sensor_model,
+    parse_artifacts,
+    sensor_for,
+)
+from bodyseg_data.commands import WHERE_HELP, Progress, command_line, option, provenance, rate_text
+from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import PARTS33, LabelMap, label_map_names
+from bodyseg_data.loading import DEFAULT_WORKER_METHOD, ImageSet, WorkerMethod
+from bodyseg_data.samples import ReadSplit
+from bodyseg_model.networks import (
+    WEIGHTS_SHA256,
+    CheckpointName,
+    Network,
+    NetworkName,
+    build,
+    load_network,
+    network_class,
+    read_json,
+)
+from bodyseg_model.training import (
+    DEFAULT_EVERY,
+    GeometricAugmentation,
+    Metrics,
+    RecipeName,
+    Report,
+    RunFolder,
+    RunOptions,
+    Training,
+    Validation,
+    joined_process_group,
+    open_data,
+    recipe_for,
+    use_threads,
+)
 
 EXAMPLE = "bodyseg train --data shards --variant all --network compact --out runs/all-0"
 

@@ -9,23 +9,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR, load_sensor_model
-from bodyseg_data.artifacts.variants import VariantName
-from bodyseg_data.commands.options import WHERE_HELP, option
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import rig_names
-from bodyseg_data.core.splits import ReadSplit
-from bodyseg_data.shards.manifest import MANIFEST_NAME
-from bodyseg_model.networks.checkpoints import Trained, load_network, shipped_network
-from bodyseg_model.recordings.frames import UNITS_HELP, find_frames, metres_a_step
-from bodyseg_model.segmentation.foreground import Background, BackgroundMode
-from bodyseg_model.segmentation.frame_labeller import FrameLabeller
-from bodyseg_model.training.distributed import find_device
-from bodyseg_model.viewing.page import LOOPBACK, Page
-from bodyseg_model.viewing.recording_page import RecordingPage
-from bodyseg_model.viewing.recording_view import RecordingView
-from bodyseg_model.viewing.set_page import SetPage
-from bodyseg_model.viewing.set_view import SetView, Shown
+from bodyseg_data.artifacts import PAPER_SENSOR, VariantName, load_sensor_model
+from bodyseg_data.commands import WHERE_HELP, option
+from bodyseg_data.core import BadConfig
+from bodyseg_data.rigs import rig_names
+from bodyseg_data.samples import ReadSplit
+from bodyseg_data.shards import MANIFEST_NAME
+from bodyseg_model.networks import Trained, load_network, shipped_network
+from bodyseg_model.recordings import UNITS_HELP, find_frames, metres_a_step
+from bodyseg_model.segmentation import Background, BackgroundMode, FrameLabeller
+from bodyseg_model.training import find_device
+from bodyseg_model.viewing import LOOPBACK, Page, RecordingPage, RecordingView, SetPage, SetView, Shown
 
 EXAMPLE = "bodyseg view shards"
 

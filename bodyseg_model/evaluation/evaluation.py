@@ -13,22 +13,19 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.artifact import Artifact
-from bodyseg_data.artifacts.missing_data import MissingData
-from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.sensor_model import PAPER_SENSOR, SensorModel, load_sensor_model
-from bodyseg_data.artifacts.variants import sensor_for
-from bodyseg_data.core.errors import BadConfig, check_int
-from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.sample import Sample
-from bodyseg_data.core.splits import ReadSplit
-from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_data.core.system.stopwatch import Stopwatch
-from bodyseg_data.core.views import split_key
-from bodyseg_data.loading.loader import loader
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod
+from bodyseg_data.artifacts import (
+    PAPER_SENSOR,
+    Artifact,
+    MissingData,
+    Noise,
+    SensorModel,
+    load_sensor_model,
+    sensor_for,
+)
+from bodyseg_data.core import BadConfig, ProgressCallback, Stopwatch, check_int, silent
+from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap
+from bodyseg_data.loading import DEFAULT_WORKER_METHOD, RangeImages, WorkerMethod, loader
+from bodyseg_data.samples import ReadSplit, Sample, split_key
 from bodyseg_model.evaluation.scores import (
     BorderErrors,
     Confidences,
@@ -38,8 +35,7 @@ from bodyseg_model.evaluation.scores import (
     distance_bins,
     pairs_of,
 )
-from bodyseg_model.networks.network import Network, check_label_map
-from bodyseg_model.networks.registry import device_of, predict
+from bodyseg_model.networks import Network, check_label_map, device_of, predict
 
 Extra = Literal["confidences", "borders"]
 EXTRAS: Final[tuple[Extra, ...]] = ("confidences", "borders")

@@ -10,13 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from bodyseg_data.artifacts.surface import box_of
-from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, label_map_from_json
-from bodyseg_data.core.parts import BACKGROUND, colour_labels
-from bodyseg_data.drawing.contact_sheet import colour_range
-from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, fitted, font, new_chart, save_chart
+from bodyseg_data.artifacts import box_of
+from bodyseg_data.drawing import FAINT, INK, PAPER, colour_range, draw_legend, fitted, font, new_chart, save_chart
+from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap, colour_labels, label_map_from_json
 from bodyseg_model.evaluation.evaluation import PredictedImage
-from bodyseg_model.evaluation.report import PAPERS_THRESHOLD, subset_order
+from bodyseg_model.evaluation.reports import PAPERS_THRESHOLD, subset_order
 from bodyseg_model.evaluation.scores import KINDS, ConfusionMatrix, kinds_of, told_kinds
 
 Tree = dict[str, Any]

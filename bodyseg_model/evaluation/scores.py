@@ -13,10 +13,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.surface import box_of
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
-from bodyseg_data.core.parts import BACKGROUND, PART_COUNT, Part
+from bodyseg_data.artifacts import box_of
+from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import BACKGROUND, PART_COUNT, PARTS33, LabelMap, Part
 
 
 def pairs_of(truth: NDArray[np.uint8], predicted: NDArray[np.uint8], classes: int = PART_COUNT) -> NDArray[np.int64]:

@@ -15,11 +15,10 @@ from safetensors import SafetensorError
 from safetensors.torch import load as parse_tensors
 from safetensors.torch import save as tensor_bytes
 
-from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model, sensor_model_from_json
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.files import parse_json, write_result
-from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, label_map_from_json
-from bodyseg_data.core.rig import Rig, load_rig, rig_from_json
+from bodyseg_data.artifacts import SensorModel, load_sensor_model, sensor_model_from_json
+from bodyseg_data.core import BadConfig, parse_json, write_result
+from bodyseg_data.labels import PARTS33, LabelMap, label_map_from_json
+from bodyseg_data.rigs import Rig, load_rig, rig_from_json
 from bodyseg_model.networks.network import Network, check_label_map
 from bodyseg_model.networks.registry import build
 

@@ -17,10 +17,9 @@ import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
 from torch import nn
 
-from bodyseg_data.core.errors import BadConfig, check_fields
-from bodyseg_data.core.parts import PART_COUNT
-from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.patches import check_range_images, patches_of
+from bodyseg_data.core import BadConfig, check_fields
+from bodyseg_data.labels import PART_COUNT
+from bodyseg_model.networks.network import Network, check_range_images, patches_of
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.kernels import compiled
-from bodyseg_data.core.system.divided_work import of_each, pieces
+from bodyseg_data.machine import compiled, of_each, pieces
 
 REACH: Final = np.float32(12.0)
 """A class whose score is less than another's by as much has at most exp(-12), 6e-6, of its probability."""

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from bodyseg_data.core.kernels import compiled
+from bodyseg_data.machine import compiled
 
 BITS: Final = np.uint32(16)
 """Bits of a bfloat16: the upper ones of float32."""

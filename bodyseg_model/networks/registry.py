@@ -12,12 +12,10 @@ import torch.nn.functional as F  # noqa: N812  its name everywhere
 from numpy.typing import NDArray
 from torch import nn
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.kernels import use_compiled
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.randomness import generator
-from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.patches import check_range_images
+from bodyseg_data.core import BadConfig, generator
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.machine import use_compiled
+from bodyseg_model.networks.network import Network, check_range_images
 
 
 class Prediction(NamedTuple):

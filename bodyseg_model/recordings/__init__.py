@@ -1,1 +1,33 @@
 """Recordings of range sensors: frames in files, folders, tars and bags, their cameras and their names in results."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bodyseg_data.core import lazy_door
+
+if TYPE_CHECKING:
+    from bodyseg_model.recordings.camera_files import find_cameras
+    from bodyseg_model.recordings.cameras import FrameCamera, frame_camera, other_sensors
+    from bodyseg_model.recordings.frames import (
+        RECORDINGS_HELP,
+        UNITS_HELP,
+        Skipping,
+        find_frames,
+        first_readable,
+        metres_a_step,
+        to_metres,
+    )
+    from bodyseg_model.recordings.label_bags import LabelsOut, labels_out
+    from bodyseg_model.recordings.recording import Frame, Pixels, Stamp, evenly_apart
+
+__getattr__, __all__ = lazy_door(
+    __name__,
+    {
+        "camera_files": "find_cameras",
+        "cameras": "FrameCamera frame_camera other_sensors",
+        "frames": "RECORDINGS_HELP UNITS_HELP Skipping find_frames first_readable metres_a_step to_metres",
+        "label_bags": "LabelsOut labels_out",
+        "recording": "Frame Pixels Stamp evenly_apart",
+    },
+)

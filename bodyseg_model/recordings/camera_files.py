@@ -12,17 +12,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.files import parse_json, refuse_special
-from bodyseg_data.core.rig import Rig
-from bodyseg_data.core.rigs.distortion import Distortion
-from bodyseg_data.core.tables import Table
-from bodyseg_model.recordings.cameras import FrameCamera, frame_camera
-from bodyseg_model.recordings.frame_tars import list_tar
-from bodyseg_model.recordings.frames import FrameFile
-from bodyseg_model.recordings.intrinsics import Intrinsics
+from bodyseg_data.core import BadConfig, Table, parse_json, refuse_special
+from bodyseg_data.rigs import Distortion, Rig
+from bodyseg_model.recordings.cameras import FrameCamera, Intrinsics, frame_camera
+from bodyseg_model.recordings.frame_files import list_tar
+from bodyseg_model.recordings.frames import FrameFile, Skipping, first_readable
 from bodyseg_model.recordings.recording import Frame
-from bodyseg_model.recordings.skipping import Skipping, first_readable
 
 CAMERAS: Final = "cameras.json"
 

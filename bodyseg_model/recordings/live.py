@@ -12,9 +12,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_data.core.rigs.distortion import Distortion
-from bodyseg_model.recordings.intrinsics import Intrinsics
+from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_data.rigs import Distortion
+from bodyseg_model.recordings.cameras import Intrinsics
 from bodyseg_model.recordings.recording import FLOAT_STEP_M, MILLIMETRE, FrameSource, StoredFrame
 
 Timed = NDArray[Any] | tuple[float | None, NDArray[Any]]

@@ -12,8 +12,8 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.recordings.intrinsics import Intrinsics
+from bodyseg_data.core import BadConfig
+from bodyseg_model.recordings.cameras import Intrinsics
 
 MILLIMETRE: Final = 1e-3
 """Metres a step of whole numbers where neither recording nor caller says otherwise."""

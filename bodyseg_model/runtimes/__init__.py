@@ -1,1 +1,34 @@
 """Networks in other runtimes: ONNX files with the answer in the graph, ONNX Runtime and OpenVINO."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bodyseg_data.core import lazy_door
+
+if TYPE_CHECKING:
+    from bodyseg_model.runtimes.backends import (
+        BACKEND_HELP,
+        FLIP_HELP,
+        PRECISION_HELP,
+        QUICK_PRECISION_HELP,
+        BackendName,
+        backend_of,
+        load_run,
+        on_backend,
+        put_on_backend,
+        quick_precision,
+        to_device,
+    )
+    from bodyseg_model.runtimes.onnx_files import OPSET, SUFFIX, export_trained, write_onnx
+    from bodyseg_model.runtimes.runtime import Precision
+
+__getattr__, __all__ = lazy_door(
+    __name__,
+    {
+        "backends": "BACKEND_HELP FLIP_HELP PRECISION_HELP QUICK_PRECISION_HELP BackendName backend_of load_run "
+        "on_backend put_on_backend quick_precision to_device",
+        "onnx_files": "OPSET SUFFIX export_trained write_onnx",
+        "runtime": "Precision",
+    },
+)

@@ -12,10 +12,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.system.libraries import missing_library
-from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.patches import check_range_images
+from bodyseg_data.core import BadConfig
+from bodyseg_data.machine import missing_library
+from bodyseg_model.networks import Network, check_range_images
 from bodyseg_model.runtimes.onnx_files import RANGE, SCORES, OnnxModel
 
 Precision = Literal["float32", "bfloat16"]

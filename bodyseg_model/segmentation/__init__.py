@@ -1,1 +1,33 @@
 """Segmentation of the frames of a real sensor: background removal, resampling, labels, overlays."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bodyseg_data.core import lazy_door
+
+if TYPE_CHECKING:
+    from bodyseg_model.segmentation.carried_labels import CarriedLabels
+    from bodyseg_model.segmentation.frame_labeller import FrameLabeller, LabelledFrame, LabelledRecording
+    from bodyseg_model.segmentation.output_folder import LABELS, OVERLAY, UNDISTORTED, FrameResults, OutputFolder
+    from bodyseg_model.segmentation.person_score import PersonScore, shipped_score
+    from bodyseg_model.segmentation.pictures import Preview, draw_overlay
+    from bodyseg_model.segmentation.segmenter import LabelledBody, Segmentation, Segmenter
+    from bodyseg_model.segmentation.sequence_summary import STILL_M, Flicker, SequenceSummary, flicker
+    from bodyseg_model.segmentation.surfaces import Background, BackgroundMode, find_bodies
+    from bodyseg_model.segmentation.views import view_body
+
+__getattr__, __all__ = lazy_door(
+    __name__,
+    {
+        "carried_labels": "CarriedLabels",
+        "frame_labeller": "FrameLabeller LabelledFrame LabelledRecording",
+        "output_folder": "LABELS OVERLAY UNDISTORTED FrameResults OutputFolder",
+        "person_score": "PersonScore shipped_score",
+        "pictures": "Preview draw_overlay",
+        "segmenter": "LabelledBody Segmentation Segmenter",
+        "sequence_summary": "STILL_M Flicker SequenceSummary flicker",
+        "surfaces": "Background BackgroundMode find_bodies",
+        "views": "view_body",
+    },
+)

@@ -13,23 +13,15 @@ from weakref import WeakSet
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import Camera
-from bodyseg_data.core.system.stopwatch import Stopwatch
-from bodyseg_model.networks.checkpoints import Trained, shipped_network
-from bodyseg_model.networks.registry import device_of
-from bodyseg_model.recordings.camera_files import find_cameras
-from bodyseg_model.recordings.cameras import FrameCamera
-from bodyseg_model.recordings.frames import find_frames, to_metres
-from bodyseg_model.recordings.recording import Frame, Pixels, Stamp
-from bodyseg_model.recordings.skipping import Skipping
-from bodyseg_model.runtimes.backends import BackendName, backend_of, put_on_backend, to_device
-from bodyseg_model.runtimes.runtime import Precision
-from bodyseg_model.segmentation.foreground import Background
+from bodyseg_data.core import BadConfig, Stopwatch
+from bodyseg_data.rigs import Camera
+from bodyseg_model.networks import Trained, device_of, shipped_network
+from bodyseg_model.recordings import Frame, FrameCamera, Pixels, Skipping, Stamp, find_cameras, find_frames, to_metres
+from bodyseg_model.runtimes import BackendName, Precision, backend_of, put_on_backend, to_device
+from bodyseg_model.segmentation.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.person_score import shipped_score
-from bodyseg_model.segmentation.read_ahead import read_ahead
-from bodyseg_model.segmentation.segmenter import FoundSurfaces, LabelledBody, Segmentation, Segmenter, Thing
-from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels
+from bodyseg_model.segmentation.segmenter import FoundSurfaces, LabelledBody, Segmentation, Segmenter, Thing, read_ahead
+from bodyseg_model.segmentation.surfaces import Background
 from bodyseg_model.segmentation.views import Undistortion
 
 _READ: Final = "read"

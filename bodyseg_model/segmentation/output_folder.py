@@ -14,14 +14,12 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.files import flush, write_result
-from bodyseg_data.core.labels.label_map import LabelMap
-from bodyseg_data.core.system.memory import peak_mb
-from bodyseg_data.core.system.stopwatch import Stopwatch
-from bodyseg_data.drawing.style import save_picture
-from bodyseg_model.networks.checkpoints import read_json, write_json
-from bodyseg_model.recordings.recording import Frame
+from bodyseg_data.core import BadConfig, Stopwatch, flush, write_result
+from bodyseg_data.drawing import save_picture
+from bodyseg_data.labels import LabelMap
+from bodyseg_data.machine import peak_mb
+from bodyseg_model.networks import read_json, write_json
+from bodyseg_model.recordings import Frame
 from bodyseg_model.segmentation.frame_labeller import LabelledFrame
 from bodyseg_model.segmentation.pictures import Preview, draw_overlay, draw_parts_legend, encode_picture
 from bodyseg_model.segmentation.sequence_summary import SequenceSummary

@@ -27,8 +27,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import Camera
+from bodyseg_data.core import BadConfig
+from bodyseg_data.rigs import Camera
 
 MEASURES: Final = (
     "flat share",

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
-from bodyseg_data.core.system.deflate import compress
-from bodyseg_data.drawing.style import draw_legend
-from bodyseg_data.shards.codecs.png import SIGNATURE
+from bodyseg_data.core import BadConfig
+from bodyseg_data.drawing import draw_legend
+from bodyseg_data.labels import PARTS33, LabelMap
+from bodyseg_data.machine import compress
+from bodyseg_data.shards import SIGNATURE
 
 _EMPTY: Final = (24, 26, 32)
 _ROOM_GREYS: Final = (96, 44)
@@ -64,7 +64,7 @@ def draw_overlay(
     for the room, which is darker than any body; pixels that were not measured are nearly black. Raises
     MissingLibrary without numba.
     """
-    loops, table = import_module("bodyseg_model.segmentation.picture_loops"), _table(label_map)
+    loops, table = import_module("bodyseg_model.segmentation.pixel_loops"), _table(label_map)
     flat, label = np.ascontiguousarray(range_m).ravel(), np.ascontiguousarray(labels).ravel()
     picture = np.empty((flat.size, 3), np.uint8)
     loops.paint_room(flat, _shading(flat[:: flat.size // _SAMPLED | 1]), table, picture)

@@ -1,31 +1,49 @@
-"""Segmentation of a frame of any range camera: remove the background, resample and label each body, map labels back."""
+"""Reading ahead: the next item is made in a thread while the caller works on this one.
+
+Segmentation of a frame of any range camera: remove the background, resample and label each body, map labels back.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.kernels import require_numba
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.rig import Camera, Rig, load_rig
-from bodyseg_data.core.system.divided_work import of_each
-from bodyseg_data.core.system.stopwatch import Stopwatch
-from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.registry import device_of, predict_each
-from bodyseg_model.runtimes.backends import BackendName, on_backend
-from bodyseg_model.runtimes.runtime import Precision
-from bodyseg_model.segmentation.foreground import Background, find_bodies
+from bodyseg_data.core import BadConfig, Stopwatch
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.machine import of_each, require_numba
+from bodyseg_data.rigs import Camera, Rig, load_rig
+from bodyseg_model.networks import Network, device_of, predict_each
+from bodyseg_model.runtimes import BackendName, Precision, on_backend
+from bodyseg_model.segmentation.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.person_score import PersonScore
-from bodyseg_model.segmentation.read_ahead import read_ahead
-from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels
+from bodyseg_model.segmentation.surfaces import Background, find_bodies
 from bodyseg_model.segmentation.views import BodyView, usual_views, view_body
+
+_END: Final = object()
+
+Item = TypeVar("Item")
+
+
+def read_ahead(items: Iterable[Item]) -> Generator[Item, None, None]:
+    """Yield items in their order; one thread makes the next while the caller works on this one, and no more than that.
+
+    An error of an item is raised in its place, after all items before it have been yielded. Whoever leaves early waits
+    for the item that is being made.
+    """
+    remaining = iter(items)
+    with ThreadPoolExecutor(1, "reading") as thread:
+        coming = thread.submit(next, remaining, _END)
+        while (item := coming.result()) is not _END:
+            coming = thread.submit(next, remaining, _END)
+            yield item  # type: ignore[misc]  # all but _END
+
 
 STAGES: Final = ("background", "shape", "resample", "network", "back", "video")
 

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from bodyseg_data.core.kernels import compiled
+from bodyseg_data.machine import compiled
 
 _ONE: Final = np.float32(1)
 _NOTHING: Final = np.float32(0)

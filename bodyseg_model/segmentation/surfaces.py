@@ -1,19 +1,140 @@
-"""Connected surfaces of a range image, neighbouring pixels of similar range: their pixels, areas and bounding boxes."""
+"""Floors and walls: the large planes of a range image.
+
+A plane a X + b Y + c Z = 1 is a x + b y + c = 1 / Z in the image, where x = X / Z and y = Y / Z. So a plane is linear
+in inverse range, and is fitted there: structured light and stereo measure inverse range with equal accuracy near and
+far.
+
+Connected surfaces of a range image, neighbouring pixels of similar range: their pixels, areas and bounding boxes.
+
+Background removal by range: the pixels of a frame that show bodies, divided into bodies.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import asdict, dataclass
+from functools import cache, lru_cache
 from importlib import import_module
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.rig import Camera
-from bodyseg_data.core.system.divided_work import of_each, pieces
-from bodyseg_model.segmentation.room_planes import lens_of
+from bodyseg_data.core import BadConfig, pixel_draws, stream
+from bodyseg_data.machine import of_each, pieces
+from bodyseg_data.rigs import Camera
+
+LEAST_AREA_M2: Final = 1.0
+"""Least visible area of a floor or wall, square metres: no body has so large a flat surface."""
+
+TOLERANCE_PER_M: Final = 0.008
+"""Greatest distance of a pixel from its plane, in inverse range: 5 cm at 2.5 m, along the optical axis. A Kinect
+measures a flat wall at 2.6 m as bent by that much."""
+
+_CANDIDATES: Final = 1024  # a plane with a fifth of the pixels is missed in one frame of 4 000
+_JUDGES: Final = 512  # pixels that vote on every candidate
+_FITTED: Final = 4096  # pixels that the best one is fitted to
+_FITS: Final = 3
+
+Points = NDArray[np.float64]
+
+
+class Lens(NamedTuple):
+    """Principal point, to the right and down, and focal length of a camera, pixels."""
+
+    across: float
+    down: float
+    focal_px: float
+
+
+def lens_of(camera: Camera) -> Lens:
+    """The numbers of a camera that loops need."""
+    return Lens(*camera.centre_px, camera.focal_px)
+
+
+def on_largest_plane(range_m: NDArray[np.float32], pixels: NDArray[np.intp], camera: Camera) -> NDArray[np.bool_]:
+    """Find the largest plane; True for those of `pixels` on it, bool [N].
+
+    range_m: [H, W], metres. pixels: flat indices [N]; ranges there must not be 0. All are False if less than
+    `LEAST_AREA_M2` of the plane is visible. Each candidate goes through three pixels (Fischler and Bolles, "Random
+    sample consensus", 1981); the best is then fitted to the pixels near it. Draws are the same for every frame.
+    """
+    if not len(pixels):
+        return np.zeros(0, np.bool_)
+    some = _points(range_m, pixels[_draws() % len(pixels)], camera)
+    plane = _best_candidate(some[:_JUDGES], some[_FITTED:].reshape(-1, 3, 3))
+    if plane is None:
+        return np.zeros(len(pixels), np.bool_)
+    x, y, inverse = np.ascontiguousarray(some.T)
+    rays = np.stack([x, y, np.ones(len(some))])
+    for _ in range(_FITS):
+        plane = _fit(rays, inverse, plane)
+    near, cubes = _near_plane(range_m, pixels, camera, plane)
+    return near if seen_area_m2(cubes, plane, camera) >= LEAST_AREA_M2 else np.zeros(len(pixels), np.bool_)
+
+
+@cache
+def _plane_loops() -> Any:
+    """The compiled loops, in a module that needs numba."""
+    return import_module("bodyseg_model.segmentation.surface_loops")
+
+
+def seen_area_m2(cubes: float, plane: NDArray[np.float64], camera: Camera) -> float:
+    """Area of a plane (a, b, c), 1 / m, visible in some pixels, square metres. cubes: sum of their ranges cubed, m³.
+
+    A pixel at range Z covers (Z / f)² of a surface that faces the camera, and that area over the cosine between ray and
+    normal of a slanted one; the cosine is 1 / (Z |(a, b, c)|) for a ray of unit depth.
+    """
+    return float(np.linalg.norm(plane)) * cubes / camera.focal_px**2
+
+
+@lru_cache(maxsize=1)
+def _draws() -> NDArray[np.uint32]:
+    return pixel_draws(stream(0, 0, "", "room planes"), _FITTED + 3 * _CANDIDATES, np.uint32)
+
+
+def _points(range_m: NDArray[np.float32], pixels: NDArray[np.intp], camera: Camera) -> Points:
+    """x, y and inverse range of pixels, [N, 3]."""
+    rows = pixels // range_m.shape[1]
+    columns = pixels - rows * range_m.shape[1]
+    x = (columns + 0.5 - camera.centre_px[0]) / camera.focal_px
+    y = (rows + 0.5 - camera.centre_px[1]) / camera.focal_px
+    return np.stack([x, y, 1 / range_m.ravel()[pixels].astype(np.float64)], axis=1)
+
+
+def _near_plane(
+    range_m: NDArray[np.float32], pixels: NDArray[np.intp], camera: Camera, plane: NDArray[np.float64]
+) -> tuple[NDArray[np.bool_], float]:
+    """Mark the pixels within the tolerance of a plane, bool [N]; and the sum of their ranges cubed."""
+    near = np.empty(len(pixels), np.bool_)
+    flat, columns = range_m.ravel(), range_m.shape[1]
+    return near, float(_plane_loops().mark_plane(flat, pixels, columns, lens_of(camera), plane, TOLERANCE_PER_M, near))
+
+
+def _fit(rays: Points, inverse: NDArray[np.float64], plane: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Fit a plane (a, b, c) by least squares of misfits in inverse range to the points near another one.
+
+    rays: x, y and 1 of points, [3, N]. inverse: their inverse ranges, [N].
+    """
+    near = rays * (np.abs(plane @ rays - inverse) <= TOLERANCE_PER_M)
+    return np.asarray(np.linalg.lstsq(near @ rays.T, near @ inverse, rcond=None)[0], np.float64)
+
+
+def _best_candidate(judges: Points, corners: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """The plane (a, b, c) through one of the triples of points [N, 3, 3] that explains most of the visible surface.
+
+    judges: points [M, 3] that stand for that surface. None if no candidate explains any of them.
+    """
+    planes, surface = np.empty((4, len(corners))), np.zeros(len(corners))
+    # Three points on a line have a zero normal, which explains no point.
+    _plane_loops().explained(judges, corners, TOLERANCE_PER_M, planes, surface)
+    best = int(np.argmax(surface))
+    if not surface[best]:
+        return None
+    a, b, c, offset = planes[:, best]
+    plane: NDArray[np.float64] = np.array([-a, -b, offset]) / c
+    return plane
+
 
 GAP_PIXELS: Final = 3
 """Greatest distance of neighbours in a row or column, pixels, so that single missing pixels divide no surface."""
@@ -192,3 +313,114 @@ class BoundingBoxes:
         within = (self.lowest[2] >= low[2]) & (self.highest[2] <= high[2])
         near: NDArray[np.bool_] = overlap.all(axis=0) & within
         return near
+
+
+BackgroundMode = Literal["people", "limits", "keep"]
+
+BODY_AREA_M2: Final = (0.05, 2.0)
+"""Least and greatest visible surface of a body, square metres, as if it faced the camera."""
+
+BODY_EXTENT_M: Final = 2.5
+"""Greatest width, height or depth of a body, metres."""
+
+BODY_HEIGHT_M: Final = 0.3
+"""Least height of a body, metres; less of one cannot be recognised."""
+
+LOOSE_AREA_M2: Final = 0.1
+"""Surfaces smaller than this, such as a forearm with its hand, join a body that they overlap in the image, if within
+its reach; square metres."""
+
+_MOST_PLANES: Final = 6
+
+Bodies = tuple[NDArray[np.intp], ...]
+"""One array for each body: its pixels [N] as row * columns + column, ascending."""
+
+
+@dataclass(frozen=True)
+class Background:
+    """Rule for removing the background before a network labels the rest.
+
+    mode: "people" keeps surfaces within the limits that are on no large plane and have the size of a body; "limits"
+    keeps every pixel within the limits, as one body; "keep" keeps every measured pixel, as one body, for frames whose
+    background was removed before. near_m, far_m: the limits of range, metres. Raises BadConfig for limits in the wrong
+    order.
+    """
+
+    mode: BackgroundMode = "people"
+    near_m: float = 0.5
+    far_m: float = 5.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.near_m < self.far_m < float("inf"):
+            raise BadConfig(
+                "the near limit must be at least 0 m and less than the far one, found "
+                f"{self.near_m:g} and {self.far_m:g} m"
+            )
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything that the removal depends on, for summary.json."""
+        if self.mode == "keep":
+            return {"mode": self.mode}
+        if self.mode == "limits":
+            return asdict(self)
+        return {
+            **asdict(self),
+            "neighbours": {"pixels": GAP_PIXELS, "shadow_m": SHADOW_M, "jump_m": JUMP_M, "jump_share": JUMP_SHARE},
+            "plane": {"least_m2": LEAST_AREA_M2, "tolerance_per_m": TOLERANCE_PER_M},
+            "body": {"area_m2": list(BODY_AREA_M2), "extent_m": BODY_EXTENT_M, "height_m": BODY_HEIGHT_M},
+            "loose": {"area_m2": LOOSE_AREA_M2, "reach_m": list(REACH_M)},
+        }
+
+
+def find_bodies(range_m: NDArray[np.float32], camera: Camera, background: Background, threads: int = 1) -> Bodies:
+    """Find the bodies in a frame, the largest first; a pixel belongs to at most one.
+
+    range_m: [H, W], metres along the optical axis, 0 = nothing measured, as are NaN and infinity. camera: the one that
+    took it. threads: among which the work is divided; the bodies do not depend on it. Raises MissingLibrary without
+    numba, in mode "people".
+    """
+    if background.mode == "keep":
+        return _all_of((range_m > 0) & (range_m < np.inf))
+    kept = _within_limits(range_m, background)
+    return _all_of(kept > 0) if background.mode == "limits" else _people(kept, camera, threads)
+
+
+def _within_limits(range_m: NDArray[np.float32], background: Background) -> NDArray[np.float32]:
+    """A copy of the frame with 0 where range is not within the limits."""
+    near, far = np.float32(background.near_m), np.float32(background.far_m)
+    return np.where((range_m >= near) & (range_m <= far), range_m, np.float32(0))
+
+
+def _all_of(mask: NDArray[np.bool_]) -> Bodies:
+    pixels = np.flatnonzero(mask)
+    return (pixels,) if len(pixels) else ()
+
+
+def _people(range_m: NDArray[np.float32], camera: Camera, threads: int) -> Bodies:
+    """Surfaces of a body's size, after large planes are removed from `range_m`, in place."""
+    surfaces = Surfaces(range_m, camera, threads)
+    for _ in range(_MOST_PLANES):
+        large = [surfaces.pixels_of(number) for number in surfaces.by_size(LEAST_AREA_M2 / 2)]
+        flat = of_each(lambda pixels: on_largest_plane(range_m, pixels, camera), large, threads)
+        if not any(map(np.any, flat)):
+            break
+        surfaces.remove(large, flat)
+    boxes = surfaces.bounding_boxes()
+    taken = np.zeros(len(surfaces.area_m2), np.bool_)
+    bodies = []
+    for number in surfaces.by_size(BODY_AREA_M2[0]):
+        if taken[number] or not _has_body_size(surfaces, number):
+            continue
+        taken[number] = True
+        pieces = np.flatnonzero(~taken & (surfaces.area_m2 < LOOSE_AREA_M2) & boxes.near(number))
+        taken[pieces] = True
+        pixels = [surfaces.pixels_of(piece) for piece in (number, *pieces)]
+        bodies.append(np.sort(np.concatenate(pixels), kind="stable") if len(pieces) else pixels[0])
+    return tuple(bodies)
+
+
+def _has_body_size(surfaces: Surfaces, number: int) -> bool:
+    if surfaces.area_m2[number] > BODY_AREA_M2[1]:
+        return False
+    width, height, depth = surfaces.extents_m(number)
+    return max(width, height, depth) <= BODY_EXTENT_M and height >= BODY_HEIGHT_M

@@ -21,9 +21,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import Camera, Rig
-from bodyseg_data.core.sample import FARTHEST_STEPS
+from bodyseg_data.core import BadConfig
+from bodyseg_data.rigs import Camera, Rig
+from bodyseg_data.samples import FARTHEST_STEPS
 
 LARGEST_SIDE: Final = 2048
 """Greatest side that a body's view may need, pixels: 6.7 m at the stand-off of the paper's rig."""
@@ -156,7 +156,7 @@ def _in_steps(trained: int, needed: int) -> int:
 @cache
 def _loops() -> Any:
     """The compiled loops, in a module that needs numba."""
-    return import_module("bodyseg_model.segmentation.view_loops")
+    return import_module("bodyseg_model.segmentation.pixel_loops")
 
 
 class Turn(NamedTuple):

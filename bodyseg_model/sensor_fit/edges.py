@@ -10,8 +10,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_model.recordings.cameras import FrameCamera
-from bodyseg_model.recordings.recording import evenly_apart
+from bodyseg_model.recordings import FrameCamera, evenly_apart
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Estimate, Finding, rounded
 from bodyseg_model.sensor_fit.recording import MarkedFrame, MarkedRecording
 

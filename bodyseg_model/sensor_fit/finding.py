@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
-from bodyseg_data.artifacts import artifact_class
-from bodyseg_data.artifacts.artifact import Artifact
+from bodyseg_data.artifacts import Artifact, artifact_class
 
 Verdict = Literal["needed", "not seen", "cannot be told"]
 

@@ -11,15 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from bodyseg_data.artifacts.sensor_model import SensorModel
-from bodyseg_data.artifacts.surface import box_of
-from bodyseg_data.artifacts.variants import Augmentation
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.rig import Rig
-from bodyseg_data.core.sample import Sample, SampleInfo
-from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_data.drawing.style import INK, PAPER, font
-from bodyseg_model.recordings.cameras import FrameCamera
+from bodyseg_data.artifacts import Augmentation, SensorModel, box_of
+from bodyseg_data.core import ProgressCallback, silent
+from bodyseg_data.drawing import INK, PAPER, font
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.rigs import Rig
+from bodyseg_data.samples import Sample, SampleInfo
+from bodyseg_model.recordings import FrameCamera
 from bodyseg_model.sensor_fit.edges import (
     ProjectorShadow,
     measure_mixed_pixels,

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.range_errors.axial_noise import AxialNoise
+from bodyseg_data.artifacts import AxialNoise
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Estimate, Finding, rounded
 from bodyseg_model.sensor_fit.residuals import Residuals, Steps
 

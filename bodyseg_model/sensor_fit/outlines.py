@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.surface import angles, box_of, silhouettes, slants, widened
-from bodyseg_data.core.rig import Camera
+from bodyseg_data.artifacts import angles, box_of, silhouettes, slants, widened
+from bodyseg_data.rigs import Camera
 from bodyseg_model.sensor_fit.recording import (
     MarkedFrame,
     MarkedRecording,

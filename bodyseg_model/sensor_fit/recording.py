@@ -10,14 +10,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.surface import box_of
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import Camera
-from bodyseg_data.core.system.libraries import missing_library
-from bodyseg_model.recordings.frames import to_metres
-from bodyseg_model.recordings.recording import Frame, evenly_apart
-from bodyseg_model.recordings.skipping import Skipping
-from bodyseg_model.segmentation.foreground import Background, find_bodies
+from bodyseg_data.artifacts import box_of
+from bodyseg_data.core import BadConfig
+from bodyseg_data.machine import missing_library
+from bodyseg_data.rigs import Camera
+from bodyseg_model.recordings import Frame, Skipping, evenly_apart, to_metres
+from bodyseg_model.segmentation import Background, find_bodies
 
 Mask = NDArray[np.bool_]
 
@@ -91,7 +89,7 @@ class SmoothSurface:
 
     range_m: metres, NaN where there were too few pixels. slope_m: metres a pixel, the length of the gradient.
     incidence_rad: the angle between a pixel's ray and the surface's normal, by the smaller differences to its
-    neighbours as artifacts take it (`bodyseg_data.artifacts.surface.slants`). misfit_m: standard deviation of the
+    neighbours as artifacts take it (`bodyseg_data.artifacts.slants`). misfit_m: standard deviation of the
     pixels around the surface within the window.
     """
 

@@ -13,7 +13,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.rig import RANGE_STEP_MM
+from bodyseg_data.rigs import RANGE_STEP_MM
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Estimate, Finding, rounded
 from bodyseg_model.sensor_fit.recording import (
     MarkedFrame,

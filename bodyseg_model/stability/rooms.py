@@ -16,22 +16,17 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.range_errors.axial_noise import AxialNoise
-from bodyseg_data.bodies.source import BodyRef, BodySource
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.randomness import generator, stream
-from bodyseg_data.core.rig import Camera, PlacedCamera, axes_at, load_sensor
-from bodyseg_data.core.splits import Split
-from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import Partition
-from bodyseg_data.meshes.solids import Solid, cuboid, together
-from bodyseg_data.packing.furniture import FURNITURE, Numbers
-from bodyseg_data.rendering.raster import RasterRenderer
-from bodyseg_model.networks.network import Network
-from bodyseg_model.segmentation.person_score import PersonScore
-from bodyseg_model.segmentation.segmenter import LabelledBody, Segmenter
+from bodyseg_data.artifacts import AxialNoise
+from bodyseg_data.bodies import BodyRef, BodySource, open_source
+from bodyseg_data.core import ProgressCallback, generator, silent, stream
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.meshes import Mesh, Partition, Solid, cuboid, together
+from bodyseg_data.packing import FURNITURE, Numbers
+from bodyseg_data.rendering import RasterRenderer
+from bodyseg_data.rigs import Camera, PlacedCamera, axes_at, load_sensor
+from bodyseg_data.samples import Split
+from bodyseg_model.networks import Network
+from bodyseg_model.segmentation import LabelledBody, PersonScore, Segmenter
 
 MOST_PEOPLE: Final = 3
 MOST_THINGS: Final = 5

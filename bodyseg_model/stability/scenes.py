@@ -15,33 +15,19 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.artifact import Artifact
-from bodyseg_data.artifacts.losses import SHAPES, lost
-from bodyseg_data.artifacts.missing_data import MissingData
-from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.occlusion import lit_pixels
-from bodyseg_data.artifacts.surface import box_of
-from bodyseg_data.artifacts.variants import shown_with
-from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.randomness import generator
-from bodyseg_data.core.rig import Camera, PlacedCamera, Rig, axes_at, load_rig
-from bodyseg_data.core.sample import Sample, steps
-from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_data.core.views import View
-from bodyseg_data.loading.image_set import metres
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import Partition
-from bodyseg_data.packing.sampler import Sampler
-from bodyseg_data.packing.things import draw_things, in_front
-from bodyseg_data.rendering import open_renderer
-from bodyseg_data.rendering.renderer import Renderer
-from bodyseg_model.recordings.cameras import other_sensors
-from bodyseg_model.segmentation.views import view_body
-from bodyseg_model.stability.temporal import RenderedBody
+from bodyseg_data.artifacts import SHAPES, Artifact, MissingData, Noise, box_of, lit_pixels, lost, shown_with
+from bodyseg_data.bodies import BodyRef, open_source
+from bodyseg_data.core import BadConfig, ProgressCallback, generator, silent
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.loading import RangeImages, metres
+from bodyseg_data.meshes import Mesh, Partition
+from bodyseg_data.packing import Sampler, draw_things, in_front
+from bodyseg_data.rendering import Renderer, open_renderer
+from bodyseg_data.rigs import Camera, PlacedCamera, Rig, axes_at, load_rig
+from bodyseg_data.samples import Sample, View, steps
+from bodyseg_model.recordings import other_sensors
+from bodyseg_model.segmentation import view_body
+from bodyseg_model.stability.motion import RenderedBody
 
 Origin = Literal["stored", "rendered"]
 

@@ -10,11 +10,9 @@ from importlib import import_module
 
 import torch
 
-from bodyseg_data.core.errors import BadConfig, check_fields
-from bodyseg_data.core.labels.label_map import PARTS33, LabelMap
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.randomness import chance
-from bodyseg_model.networks.patches import in_loops
+from bodyseg_data.core import BadConfig, chance, check_fields
+from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap
+from bodyseg_model.networks import in_loops
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import torch
 import torch.distributed
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.loading.batch_order import find_rank
+from bodyseg_data.core import BadConfig
+from bodyseg_data.loading import find_rank
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,6 @@
-"""Training loop: a set of shards and a recipe -> a network. A killed training resumes with the same bits.
+"""Images of a training: those of one set, or a mixture of several.
+
+Training loop: a set of shards and a recipe -> a network. A killed training resumes with the same bits.
 
 Seed and step number determine all that a step does: its images (their order belongs to seed and epoch), which of them
 are mirrored, the pixels that the loss selects, and dropout. So a checkpoint needs weights, the optimiser's state and
@@ -9,7 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -17,26 +19,56 @@ import numpy as np
 import torch
 from torch import nn
 
-from bodyseg_data import loader
-from bodyseg_data.core.errors import BadConfig, Diverged, check_int
-from bodyseg_data.core.randomness import generator
-from bodyseg_data.core.system.memory import peak_mb
-from bodyseg_data.core.system.signals import signals_held
-from bodyseg_data.loading.image_set import Batch, ImageSet
-from bodyseg_data.loading.loader import Loader
-from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod, check_worker_method
-from bodyseg_model.networks.checkpoints import AVERAGED, PRETRAINED, TRAINED, Checkpoint, load_network, save_network
-from bodyseg_model.networks.network import Network, check_label_map
+from bodyseg_data import Mixture, RangeImages, loader
+from bodyseg_data.core import BadConfig, Diverged, check_int, generator
+from bodyseg_data.loading import DEFAULT_WORKER_METHOD, Batch, ImageSet, Loader, WorkerMethod, check_worker_method
+from bodyseg_data.machine import peak_mb, signals_held
+from bodyseg_model.networks import (
+    AVERAGED,
+    PRETRAINED,
+    TRAINED,
+    Checkpoint,
+    Network,
+    check_label_map,
+    load_network,
+    save_network,
+)
 from bodyseg_model.training.augmentation import mirror, mirror_draws
 from bodyseg_model.training.distributed import ProcessGroup
-from bodyseg_model.training.ema import AveragedNetwork
 from bodyseg_model.training.loss import NetworkWithLoss, class_pixels, part_weights
-from bodyseg_model.training.metrics import Metrics, MetricsWindow, Report
-from bodyseg_model.training.optimisers import fill_optimiser, make_optimiser, optimiser_tensors, set_learning_rate
-from bodyseg_model.training.plan import training_plan
-from bodyseg_model.training.recipes import Recipe
-from bodyseg_model.training.run_folder import Best, RunFolder
-from bodyseg_model.training.validation import Validation
+from bodyseg_model.training.plan import Best, RunFolder, training_plan
+from bodyseg_model.training.recipes import (
+    AveragedNetwork,
+    Recipe,
+    fill_optimiser,
+    make_optimiser,
+    optimiser_tensors,
+    set_learning_rate,
+)
+from bodyseg_model.training.validation import Metrics, MetricsWindow, Report, Validation
+
+
+def open_data(
+    addresses: Sequence[str],
+    weights: Sequence[float],
+    samples: int | None,
+    seed: int,
+    open_set: Callable[[str], RangeImages],
+) -> ImageSet:
+    """Return the one set that `addresses` name, or a mixture of several.
+
+    weights: of the sets in a mixture; none for the numbers of their samples, so that all samples come equally often.
+    samples: in an epoch of a mixture, None for the sum of the sets' lengths. seed: of the order in which sets are
+    mixed. open_set: opens one set. Raises BadConfig for another number of weights than of sets, and as `Mixture`.
+    """
+    if weights and len(weights) != len(addresses):
+        raise BadConfig(f"--weights needs a number for each of {len(addresses)} sets in --data, found {len(weights)}")
+    sets = [open_set(address) for address in addresses]
+    if len(sets) == 1 and samples is None:
+        return sets[0]
+    parts = zip(sets, weights or [len(images) for images in sets], strict=True)
+    return Mixture([(images, float(weight)) for images, weight in parts], samples, seed)
+
 
 _OPTIMISER: Final = "optimiser."
 """Prefix of the optimiser's tensors in a checkpoint."""

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from bodyseg_data.core.kernels import compiled
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_model.networks.patch_loops import BITS, nearest
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.machine import compiled
+from bodyseg_model.networks import BITS, nearest
 
 _NOTHING = np.float32(0)
 _kernel = partial(compiled, feature="training in compiled loops")

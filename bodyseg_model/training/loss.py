@@ -12,10 +12,9 @@ import torch.nn.functional as F  # noqa: N812  its name everywhere
 from numpy.typing import NDArray
 from torch import nn
 
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.loading.image_set import ImageSet
-from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.patches import in_loops
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.loading import ImageSet
+from bodyseg_model.networks import Network, in_loops
 
 _SAMPLES_FOR_WEIGHTS: Final = 128
 _BITS: Final = {torch.float32: torch.uint32, torch.bfloat16: torch.uint16}

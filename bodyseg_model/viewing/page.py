@@ -15,11 +15,17 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig, BodysegError
-from bodyseg_data.core.files import write_result
-from bodyseg_data.core.system.libraries import missing_library
-from bodyseg_model.viewing.pictures import facts_html, legend_html, sheet_of
-from bodyseg_model.viewing.space import VIEWPOINTS, Drawing, name_heights, viewpoint
+from bodyseg_data.core import BadConfig, BodysegError, write_result
+from bodyseg_data.machine import missing_library
+from bodyseg_model.viewing.pictures import (
+    VIEWPOINTS,
+    Drawing,
+    facts_html,
+    legend_html,
+    name_heights,
+    sheet_of,
+    viewpoint,
+)
 
 if TYPE_CHECKING:
     import viser

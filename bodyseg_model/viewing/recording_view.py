@@ -1,23 +1,46 @@
-"""Drawing of the page of a recording: a frame with the labels that the network gives its people."""
+"""Drawing of the page of a recording: a frame with the labels that the network gives its people.
+
+The controls of a recording's page: play, pause, and the choice of a frame.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import threading
+import time
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Final, Literal, get_args
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.parts import BACKGROUND, colour_labels
-from bodyseg_data.drawing.style import THING
-from bodyseg_data.drawing.window import window_of
-from bodyseg_model.segmentation.flicker import STILL_M, Flicker, flicker
-from bodyseg_model.segmentation.frame_labeller import LabelledFrame, LabelledRecording
-from bodyseg_model.segmentation.pictures import draw_overlay
-from bodyseg_model.segmentation.segmenter import Segmentation
-from bodyseg_model.viewing.pictures import EMPTY, Layout, Legend, Panel, class_legend, label_image, share_image
-from bodyseg_model.viewing.space import Drawing, Points, camera_alone, device, point_gap_m, points_at
+from bodyseg_data.drawing import THING, window_of
+from bodyseg_data.labels import BACKGROUND, colour_labels
+from bodyseg_model.segmentation import (
+    STILL_M,
+    Flicker,
+    LabelledFrame,
+    LabelledRecording,
+    Segmentation,
+    draw_overlay,
+    flicker,
+)
+from bodyseg_model.viewing.page import Page
+from bodyseg_model.viewing.pictures import (
+    EMPTY,
+    Drawing,
+    Layout,
+    Legend,
+    Panel,
+    Points,
+    camera_alone,
+    class_legend,
+    device,
+    label_image,
+    point_gap_m,
+    points_at,
+    share_image,
+)
 
 FrameColouring = Literal["parts", "confidence", "flicker"]
 FRAME_COLOURINGS: Final[tuple[FrameColouring, ...]] = get_args(FrameColouring)
@@ -185,3 +208,92 @@ def _counted(found: Segmentation) -> str:
 def _change_image(changes: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Changes in their colours, sRGB uint8 [H, W, 3]; changes: uint8 [H, W]."""
     return colour_labels(changes, EMPTY, np.array([colour for _, colour in FLICKER_LEGEND], np.uint8))
+
+
+_DRAWING_S: Final = 60.0
+
+
+class RecordingPage:
+    """Puts a recording on a page and keeps what its controls say. While it plays, no frame is left out: a frame that
+    takes longer than its time delays the next one.
+    """
+
+    def __init__(self, page: Page, view: RecordingView) -> None:
+        self.page, self.view, self.shown = page, view, ShownFrame()
+        self._lock = threading.RLock()
+        self._playing, self._closed = threading.Event(), threading.Event()
+        gui = page.server.gui
+        with gui.add_folder("Frames"):
+            # A slider needs two ends.
+            self._number: Any = gui.add_slider("frame", 0, max(1, len(view) - 1), 1, self.shown.number)
+            self._play: Any = gui.add_checkbox("play", False)
+            self._rate: Any = gui.add_slider("frames a second", 1, 30, 1, 10)
+            step = gui.add_button_group("go to", ("previous", "next"))
+        with gui.add_folder("Image"):
+            colouring = gui.add_dropdown("colour by", FRAME_COLOURINGS, initial_value=self.shown.colouring)
+            room = gui.add_checkbox("room", self.shown.room)
+        page.add_view_controls()
+
+        @self._number.on_update
+        def _(_: object) -> None:
+            self.change(number=min(int(self._number.value), len(view) - 1))
+
+        @self._play.on_update
+        def _(_: object) -> None:
+            (self._playing.set if self._play.value else self._playing.clear)()
+
+        @step.on_click
+        def _(_: object) -> None:
+            self.go_on(1 if step.value == "next" else -1)
+
+        @colouring.on_update
+        def _(_: object) -> None:
+            chosen: FrameColouring = next(each for each in FRAME_COLOURINGS if each == colouring.value)
+            self.change(colouring=chosen)
+
+        @room.on_update
+        def _(_: object) -> None:
+            self.change(room=room.value)
+
+        page.start(self.draw)
+        self._player = threading.Thread(target=self._run, name="player", daemon=True)
+        self._player.start()
+
+    def __repr__(self) -> str:
+        return f"RecordingPage({self.page!r}, {self.view!r})"
+
+    def draw(self) -> Drawing:
+        """Draw what the controls say. Raises as `RecordingView.draw`."""
+        with self._lock:
+            shown = self.shown
+        return self.view.draw(shown)
+
+    def change(self, **changes: Any) -> None:
+        """Change what is shown, by the fields of `ShownFrame`, and draw it."""
+        with self._lock:
+            self.shown = replace(self.shown, **changes)
+        self.page.request()
+
+    def go_on(self, frames: int) -> None:
+        """Show the frame so many after this one; the first one follows the last."""
+        self._number.value = (self.shown.number + frames) % len(self.view)
+
+    def play(self, on: bool = True) -> None:
+        """Play or pause."""
+        self._play.value = on
+
+    def close(self) -> None:
+        """Stop playing."""
+        self._closed.set()
+        self._playing.set()
+        self._player.join()
+
+    def _run(self) -> None:
+        while True:
+            self._playing.wait()
+            if self._closed.is_set():
+                return
+            due = time.monotonic() + 1 / self._rate.value
+            self.go_on(1)
+            self.page.wait(_DRAWING_S)
+            self._closed.wait(max(0.0, due - time.monotonic()))

@@ -8,14 +8,21 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
-from bodyseg_data.artifacts.artifact import Artifact
-from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model, sensor_model_names
-from bodyseg_data.artifacts.variants import PAIRS, VARIANTS, VariantName, check_variant
-from bodyseg_data.core.errors import BadConfig, BodysegError
-from bodyseg_data.core.splits import READ_SPLITS, SPLITS, ReadSplit
+from bodyseg_data.artifacts import (
+    PAIRS,
+    VARIANTS,
+    Artifact,
+    SensorModel,
+    VariantName,
+    check_variant,
+    load_sensor_model,
+    sensor_model_names,
+)
+from bodyseg_data.core import BadConfig, BodysegError
+from bodyseg_data.samples import READ_SPLITS, SPLITS, ReadSplit
 from bodyseg_model.viewing.page import Page
+from bodyseg_model.viewing.pictures import Drawing
 from bodyseg_model.viewing.set_view import COLOURINGS, Colouring, SetView, Shown
-from bodyseg_model.viewing.space import Drawing
 from bodyseg_model.viewing.strengths import Choice, Control, Slider, controls_of, moved, value_of
 
 if TYPE_CHECKING:

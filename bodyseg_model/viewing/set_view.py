@@ -13,33 +13,31 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.artifact import RangeImage
-from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
-from bodyseg_data.artifacts.variants import VARIANTS, Augmentation, VariantName
-from bodyseg_data.core.labels.label_map import PARTS33
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.rig import PlacedCamera
-from bodyseg_data.core.sample import Sample
-from bodyseg_data.core.splits import ReadSplit
-from bodyseg_data.drawing.contact_sheet import colour_range, span_of
-from bodyseg_data.drawing.window import Window, window_of
-from bodyseg_data.loading.image_set import metres
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.evaluation.scores import KINDS, kinds_of, told_kinds
-from bodyseg_model.evaluation.training_fit import RigFit
-from bodyseg_model.networks.checkpoints import Trained
-from bodyseg_model.networks.registry import device_of, predict
+from bodyseg_data.artifacts import VARIANTS, Augmentation, RangeImage, SensorModel, VariantName, load_sensor_model
+from bodyseg_data.drawing import Window, colour_range, span_of, window_of
+from bodyseg_data.labels import BACKGROUND, PARTS33
+from bodyseg_data.loading import RangeImages, metres
+from bodyseg_data.rigs import PlacedCamera
+from bodyseg_data.samples import ReadSplit, Sample
+from bodyseg_model.evaluation import KINDS, RigFit, kinds_of, told_kinds
+from bodyseg_model.networks import Trained, device_of, predict
 from bodyseg_model.viewing.pictures import (
     KIND_LEGEND,
+    Device,
+    Drawing,
     Layout,
     Legend,
     Panel,
+    Points,
     class_legend,
+    device,
     kind_image,
     label_image,
+    point_gap_m,
+    points_at,
+    rig_before,
     share_image,
 )
-from bodyseg_model.viewing.space import Device, Drawing, Points, device, point_gap_m, points_at, rig_before
 
 Colouring = Literal["parts", "range", "network", "mistakes", "confidence"]
 COLOURINGS: Final[tuple[Colouring, ...]] = get_args(Colouring)

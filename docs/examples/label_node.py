@@ -14,13 +14,11 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
-from bodyseg_data.core.errors import BodysegError
-from bodyseg_model.recordings.bags.camera_info import camera_of
-from bodyseg_model.recordings.bags.images import pixels
-from bodyseg_model.recordings.bags.messages import IMAGE
-from bodyseg_model.recordings.frames import to_metres
+from bodyseg_data.core import BodysegError
+from bodyseg_model.recordings import to_metres
+from bodyseg_model.recordings.bag_messages import IMAGE, camera_of, pixels
 from bodyseg_model.recordings.recording import FLOAT_STEP_M, MILLIMETRE, in_steps
-from bodyseg_model.segmentation.frame_labeller import FrameLabeller
+from bodyseg_model.segmentation import FrameLabeller
 
 
 class LabelNode(Node):

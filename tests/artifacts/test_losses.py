@@ -13,21 +13,17 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage.measure import label, regionprops
 
-from bodyseg_data.artifacts.losses import (
+from bodyseg_data.artifacts import SHAPES, Losses, lost, slants
+from bodyseg_data.artifacts.lost_pixels import (
     LONGEST,
     MOST_PATCHES,
     MOST_STRIPES,
-    SHAPES,
-    Losses,
-    lost,
     lost_grazing,
     lost_patches,
     lost_stripes,
 )
-from bodyseg_data.artifacts.surface import slants
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.randomness import generator
-from bodyseg_data.core.rig import Camera
+from bodyseg_data.core import BadConfig, generator
+from bodyseg_data.rigs import Camera
 
 CAMERA = Camera(120, 90, 140.0, (47.3, 55.9), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 WHOLE = slice(None), slice(None)
@@ -178,7 +174,7 @@ def test_training_draws_kinds_and_shares_evenly(most: float) -> None:
 
 
 def test_training_draws_every_kind(monkeypatch: pytest.MonkeyPatch) -> None:
-    from bodyseg_data.artifacts import losses
+    from bodyseg_data.artifacts import lost_pixels as losses
 
     asked = Counter[str]()
 

@@ -14,16 +14,14 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
+from bodyseg_data.artifacts import Augmentation, MissingData, Noise, VariantName, load_sensor_model
 from bodyseg_data.artifacts.constants import SEGMENTS
-from bodyseg_data.artifacts.missing_data import MissingData, kept_pixels
-from bodyseg_data.artifacts.noise import Noise, add_noise, normals, steps_of
-from bodyseg_data.artifacts.sensor_model import load_sensor_model
-from bodyseg_data.artifacts.variants import Augmentation, VariantName
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.randomness import chance, pixel_draws, stream
-from bodyseg_data.core.rig import Camera, Rig
-from bodyseg_data.core.sample import Sample, SampleInfo
+from bodyseg_data.artifacts.missing_data import kept_pixels
+from bodyseg_data.artifacts.noise import add_noise, normals, steps_of
+from bodyseg_data.core import BadConfig, chance, pixel_draws, stream
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.rigs import Camera, Rig
+from bodyseg_data.samples import Sample, SampleInfo
 
 SIGMAS = 5.0
 """How many of its own standard deviations an estimate may be off: once in 1.7 million."""

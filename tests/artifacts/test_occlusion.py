@@ -15,18 +15,16 @@ from numpy.typing import NDArray
 from shadow_reference import lit_by_pixel
 from shapes import ball, figure
 
-from bodyseg_data.artifacts.loops import occlusion as occlusion_compiled
-from bodyseg_data.artifacts.loops.bounds import bound_pieces, find_extremes, take_pieces
-from bodyseg_data.artifacts.loops.scratch import BLOCK, scratch_for
-from bodyseg_data.artifacts.occlusion import ShadowTest
-from bodyseg_data.bodies.source import Body, BodyRef
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.errors import BadSample
-from bodyseg_data.core.rig import Camera, Rig, load_rig
-from bodyseg_data.core.sample import steps
-from bodyseg_data.core.views import View
-from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.artifacts import ShadowTest
+from bodyseg_data.artifacts import shadow_loops as occlusion_compiled
+from bodyseg_data.artifacts.scratch import BLOCK, scratch_for
+from bodyseg_data.artifacts.shadow_loops import bound_pieces, find_extremes, take_pieces
+from bodyseg_data.bodies import Body, BodyRef, open_source
+from bodyseg_data.core import BadSample
+from bodyseg_data.meshes import Mesh
 from bodyseg_data.rendering.embree import EmbreeRenderer
+from bodyseg_data.rigs import Camera, Rig, load_rig
+from bodyseg_data.samples import View, steps
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -477,7 +475,7 @@ def test_real_clothed_frames_are_within_one_percent_of_exact_shadow_rays(mit_fol
 
 def test_the_shadow_test_imports_no_renderer_and_no_compiler() -> None:
     code = (
-        "import sys; from bodyseg_data.artifacts.occlusion import ShadowTest; "
+        "import sys; from bodyseg_data.artifacts.registry.occlusion import ShadowTest; "
         "heavy = {'embreex', 'pyrender', 'numba', 'trimesh', 'scipy', 'matplotlib', 'anny'} & set(sys.modules); "
         "sys.exit(','.join(heavy) or None)"
     )

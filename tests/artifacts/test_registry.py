@@ -15,21 +15,25 @@ import pytest
 from kernel_forms import by_both
 
 from bodyseg_data import RangeImages, SensorModel, load_sensor_model, loader
-from bodyseg_data.artifacts import ARTIFACTS
-from bodyseg_data.artifacts.artifact import Artifact, Kind, RangeImage, Scene
-from bodyseg_data.artifacts.losses import Losses
-from bodyseg_data.artifacts.lost_pixels.areas import PatchLoss, StripeLoss
-from bodyseg_data.artifacts.missing_data import MissingData
-from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.occlusion import Occlusion
-from bodyseg_data.artifacts.sensor_model import sensor_model_names
+from bodyseg_data.artifacts import (
+    Artifact,
+    Losses,
+    MissingData,
+    Noise,
+    Occlusion,
+    RangeImage,
+    Scene,
+    sensor_model_names,
+)
+from bodyseg_data.artifacts.artifact import Kind
+from bodyseg_data.artifacts.lost_pixels import PatchLoss, StripeLoss
+from bodyseg_data.artifacts.registry import ARTIFACTS
 from bodyseg_data.commands.inspect import summarise
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.randomness import Draws, Stream
-from bodyseg_data.core.sample import Sample
+from bodyseg_data.core import BadConfig, Draws, Stream
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.samples import Sample
 from bodyseg_model.commands import train
-from bodyseg_model.evaluation.evaluation import open_images
+from bodyseg_model.evaluation import open_images
 
 PAPER = load_sensor_model()
 
@@ -162,7 +166,7 @@ def test_both_forms_of_every_artifact_and_sensor_give_the_same_bits(
 
 
 def test_the_compiled_call_takes_what_it_covers_from_the_first_artifact_on() -> None:
-    from bodyseg_data.artifacts.loops.fused import covered
+    from bodyseg_data.artifacts.fused_loops import covered
 
     class OtherNoise(Noise):
         pass

@@ -14,22 +14,23 @@ import numpy as np
 import pytest
 
 from bodyseg_data import RangeImages, SensorModel, load_sensor_model
-from bodyseg_data.artifacts import ENTRY_POINT, artifact_class
-from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
-from bodyseg_data.artifacts.losses import Losses
-from bodyseg_data.artifacts.missing_data import MissingData
-from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.occlusion import Occlusion
-from bodyseg_data.artifacts.sensor_model import (
-    artifacts_from_json,
+from bodyseg_data.artifacts import (
+    Artifact,
+    Losses,
+    MissingData,
+    Noise,
+    Occlusion,
+    RangeImage,
+    Scene,
+    artifact_class,
     artifacts_to_json,
     parse_artifacts,
-    parse_sensor_model,
+    sensor_for,
     sensor_model_names,
 )
-from bodyseg_data.artifacts.variants import sensor_for
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.randomness import Draws
+from bodyseg_data.artifacts.registry import ENTRY_POINT
+from bodyseg_data.artifacts.sensor_model import artifacts_from_json, parse_sensor_model
+from bodyseg_data.core import BadConfig, Draws
 
 PAPER = load_sensor_model("paper")
 REVERSED = SensorModel("reversed", (Losses(0.4), MissingData((0.25,)), Noise(5.0, 5.0), Occlusion()), "another order")

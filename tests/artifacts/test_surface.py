@@ -10,8 +10,9 @@ import pytest
 from kernel_forms import by_both
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.surface import incidence, silhouettes, widened
-from bodyseg_data.core.rig import Camera
+from bodyseg_data.artifacts import silhouettes, widened
+from bodyseg_data.artifacts.surface import incidence
+from bodyseg_data.rigs import Camera
 
 SHAPES = [(1, 1), (1, 9), (9, 1), (2, 2), (7, 40), (33, 5)]
 

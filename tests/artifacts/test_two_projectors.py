@@ -9,19 +9,15 @@ import pytest
 from benches.data.occlusion.views import exact_view, postures
 from shapes import figure
 
-from bodyseg_data.artifacts.occlusion import ShadowTest, lit_pixels
-from bodyseg_data.artifacts.variants import Augmentation
-from bodyseg_data.bodies.source import Body, BodyRef
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.errors import BadSample
-from bodyseg_data.core.rig import Rig, load_rig
-from bodyseg_data.core.sample import Sample
-from bodyseg_data.core.views import View
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.borders import find_borders
-from bodyseg_data.meshes.partition.surface_parts import Partition
-from bodyseg_data.packing.sampler import Sampler
+from bodyseg_data.artifacts import Augmentation, ShadowTest, lit_pixels
+from bodyseg_data.bodies import Body, BodyRef, open_source
+from bodyseg_data.core import BadSample
+from bodyseg_data.meshes import Mesh, Partition
+from bodyseg_data.meshes.partitioning import find_borders
+from bodyseg_data.packing import Sampler
 from bodyseg_data.rendering.embree import EmbreeRenderer
+from bodyseg_data.rigs import Rig, load_rig
+from bodyseg_data.samples import Sample, View
 
 REF = BodyRef("A", "A", "figure", "standing", "train")
 

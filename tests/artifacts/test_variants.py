@@ -13,18 +13,26 @@ from kernel_forms import by_both
 from numpy.typing import NDArray
 from strategies import keys
 
-from bodyseg_data.artifacts.artifact import RangeImage
-from bodyseg_data.artifacts.losses import Losses
-from bodyseg_data.artifacts.missing_data import MissingData
-from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.occlusion import Occlusion, ShadowTest
-from bodyseg_data.artifacts.sensor_model import load_sensor_model
-from bodyseg_data.artifacts.variants import PAIRS, VARIANTS, Augmentation, VariantName, check_variant, shown_with
-from bodyseg_data.core.errors import BadConfig, BadSample
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.rig import Camera, Rig
-from bodyseg_data.core.sample import Sample, SampleInfo
-from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_data.artifacts import (
+    PAIRS,
+    VARIANTS,
+    Augmentation,
+    Losses,
+    MissingData,
+    Noise,
+    Occlusion,
+    RangeImage,
+    ShadowTest,
+    VariantName,
+    check_variant,
+    load_sensor_model,
+    shown_with,
+)
+from bodyseg_data.core import BadConfig, BadSample
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.loading import RangeImages
+from bodyseg_data.rigs import Camera, Rig
+from bodyseg_data.samples import Sample, SampleInfo
 
 
 @pytest.fixture(scope="module")

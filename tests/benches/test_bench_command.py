@@ -11,7 +11,7 @@ from benches.__main__ import main
 from benches.charts.processors import by_processor, folder_name
 from folders import ROOT
 
-from bodyseg_data.core.system.machine import hardware
+from bodyseg_data.machine import hardware
 
 
 def test_figures_that_do_not_fit_on_the_disk_are_one_line_and_leave_nothing(

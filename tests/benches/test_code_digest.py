@@ -13,7 +13,7 @@ import pytest
 from benches.result_cache import PACKAGES, SourceTree, code_digest, installed_versions
 from folders import ROOT
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import BadConfig
 
 VARIANTS, ABLATION = "benches.model.variants.scores", "benches.model.ablation.conditions"
 STABILITY = "bodyseg_model.stability.summary"
@@ -115,15 +115,15 @@ def test_data_that_code_reads_counts(file: str, stale: set[str], changed_by: Cha
 @pytest.mark.parametrize(
     ("module", "stale"),
     [
-        ("bodyseg_data.artifacts.missing_data", {"scores", "stability"}),
-        ("bodyseg_data.artifacts.losses", {"scores", "stability"}),
-        ("bodyseg_data.artifacts.loops.fused", {"scores", "stability"}),  # by `import_module` in a function
+        ("bodyseg_data.artifacts.registry.missing_data", {"scores", "stability"}),
+        ("bodyseg_data.artifacts.lost_pixels", {"scores", "stability"}),
+        ("bodyseg_data.artifacts.fused_loops", {"scores", "stability"}),  # by `import_module` in a function
         ("bodyseg_data.loading.range_images", {"scores", "stability"}),
         ("bodyseg_model.networks.compact", {"scores", "stability"}),
         ("bodyseg_model.evaluation.evaluation", {"scores", "stability"}),
         ("benches.result_cache", {"scores"}),
         ("bodyseg_data.bodies.sources.hard", {"stability"}),  # by a statement in a function
-        ("bodyseg_data.meshes.partition.surface_parts", {"stability"}),
+        ("bodyseg_data.meshes.partitioning", {"stability"}),
         ("bodyseg_data.commands.cli", set()),
         ("bodyseg_data.commands", set()),
         ("benches.model.ablation.figure", set()),
@@ -225,8 +225,8 @@ def test_modules_may_import_each_other(tmp_path: Path) -> None:
 
 
 def test_names_that_a_package_loads_later_count(copied: SourceTree) -> None:
-    found = copied.imported_by(["bodyseg_data.core.parts"])
-    assert {"bodyseg_data", "bodyseg_data.loading.range_images", "bodyseg_data.loading.loader"} <= set(found)
+    found = copied.imported_by(["bodyseg_data.labels.label_map"])
+    assert {"bodyseg_data", "bodyseg_data.loading.range_images", "bodyseg_data.loading.loaders"} <= set(found)
 
 
 def test_files_are_those_beside_the_package_that_is_named(tmp_path: Path) -> None:
@@ -249,7 +249,7 @@ def test_a_module_outside_packages_can_be_asked_about(tmp_path: Path, monkeypatc
     assert code_digest("alone") == tree.digest(["alone"])
 
 
-@pytest.mark.parametrize("name", ["bodyseg_model.nowhere", "nowhere", "sys", "bodyseg_data.artifacts.sensors"])
+@pytest.mark.parametrize("name", ["bodyseg_model.nowhere", "nowhere", "sys", "bodyseg_data.artifacts.registry.sensors"])
 def test_a_module_without_a_source_is_refused(name: str) -> None:
     with pytest.raises(BadConfig, match=f"the module '{name}' has no source"):
         code_digest(name)

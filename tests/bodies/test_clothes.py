@@ -8,15 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.clothes.outfits import OUTFITS, Outfit
-from bodyseg_data.bodies.clothes.refining import Refinement
-from bodyseg_data.bodies.clothes.wardrobe import FINE_M, Wardrobe
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.errors import BadConfig, BadMesh
-from bodyseg_data.core.parts import LANDMARKS
-from bodyseg_data.meshes.landmarks.by_vertex import load_landmarks
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.bodies import open_source
+from bodyseg_data.bodies.outfits import OUTFITS, Outfit
+from bodyseg_data.bodies.wardrobe import FINE_M, Refinement, Wardrobe
+from bodyseg_data.core import BadConfig, BadMesh
+from bodyseg_data.labels import LANDMARKS
+from bodyseg_data.meshes import Mesh, load_landmarks, partition
 
 Floats = NDArray[np.float64]
 

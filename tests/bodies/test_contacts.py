@@ -7,18 +7,26 @@ from functools import cache
 import numpy as np
 import pytest
 
-from bodyseg_data.bodies.anny.model import AnnyModel
-from bodyseg_data.bodies.anny.people import SUBJECT_A
-from bodyseg_data.bodies.anny.posable import Posable
-from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk, bone_rotations
-from bodyseg_data.bodies.clothes.outfits import drawn_outfit
-from bodyseg_data.bodies.contacts.limbs import Base, Limb
-from bodyseg_data.bodies.contacts.places import Places
-from bodyseg_data.bodies.contacts.ranges import ARM, chosen, mostly_middle, within
-from bodyseg_data.bodies.contacts.reaching import Goal, Reach
-from bodyseg_data.bodies.contacts.surface import PosedSkin, deepest_m, vertex_normals
-from bodyseg_data.core.randomness import generator
-from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.bodies.anny_model import AnnyModel, Posable
+from bodyseg_data.bodies.anny_people import SUBJECT_A
+from bodyseg_data.bodies.limb_reaching import (
+    ARM,
+    Base,
+    Goal,
+    Limb,
+    PosedSkin,
+    Reach,
+    chosen,
+    deepest_m,
+    mostly_middle,
+    vertex_normals,
+    within,
+)
+from bodyseg_data.bodies.outfits import drawn_outfit
+from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, bone_rotations
+from bodyseg_data.bodies.stances import Places
+from bodyseg_data.core import generator
+from bodyseg_data.meshes import Mesh
 
 
 @cache

@@ -8,15 +8,21 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("anny")
 
-from bodyseg_data.bodies.anny.postures import POSTURES  # noqa: E402
-from bodyseg_data.bodies.landmark_fitting.fit import Fit, fitted_points  # noqa: E402
-from bodyseg_data.bodies.landmark_fitting.fitted import POOR_M, FittedBody, gap_m  # noqa: E402
-from bodyseg_data.bodies.landmark_fitting.limbs import LIMB_POSES  # noqa: E402
-from bodyseg_data.bodies.landmark_fitting.surface import Points  # noqa: E402
-from bodyseg_data.bodies.landmark_fitting.template import FittingBody, fitting_body  # noqa: E402
-from bodyseg_data.core.parts import LANDMARKS  # noqa: E402
-from bodyseg_data.core.system.torch_threads import torch_threads  # noqa: E402
-from bodyseg_data.meshes.mesh import Mesh  # noqa: E402
+from bodyseg_data.bodies.anny_people import POSTURES  # noqa: E402
+from bodyseg_data.bodies.body_fit import (  # noqa: E402
+    LIMB_POSES,
+    Fit,
+    fitted_points,
+)
+from bodyseg_data.bodies.fitting_body import (  # noqa: E402
+    FittingBody,
+    Points,
+    fitting_body,
+)
+from bodyseg_data.bodies.landmark_proposal import POOR_M, FittedBody, gap_m  # noqa: E402
+from bodyseg_data.labels import LANDMARKS  # noqa: E402
+from bodyseg_data.machine import torch_threads  # noqa: E402
+from bodyseg_data.meshes import Mesh  # noqa: E402
 
 _SHAPES = 14  # principal components; lengths come after them
 

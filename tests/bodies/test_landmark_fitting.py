@@ -17,29 +17,35 @@ pytest.importorskip("anny")
 from benches.__main__ import main as tools_main  # noqa: E402
 from benches.data.surface.proposal import measure, shuffled  # noqa: E402
 
-from bodyseg_data.bodies.anny.people import SUBJECT_A  # noqa: E402
-from bodyseg_data.bodies.anny.postures import POSTURES  # noqa: E402
-from bodyseg_data.bodies.landmark_fitting import search as proposal_module  # noqa: E402
-from bodyseg_data.bodies.landmark_fitting.fit import (  # noqa: E402
-    Fit,
-    Matcher,
-    fitted_points,
-    fitted_surface,
-    refine,
-    surface_distance,
+from bodyseg_data.bodies import (  # noqa: E402
+    Body,
+    Proposal,
+    open_source,
+    propose,
 )
-from bodyseg_data.bodies.landmark_fitting.fitted import Proposal  # noqa: E402
-from bodyseg_data.bodies.landmark_fitting.search import propose  # noqa: E402
-from bodyseg_data.bodies.landmark_fitting.surface import SurfacePoints, farthest, mean_geodesic, sample_surface  # noqa: E402
-from bodyseg_data.bodies.landmark_fitting.template import FittingBody, fitting_body  # noqa: E402
-from bodyseg_data.bodies.source import Body  # noqa: E402
-from bodyseg_data.bodies.sources import open_source  # noqa: E402
-from bodyseg_data.commands.cli import main  # noqa: E402
-from bodyseg_data.core.errors import BadMesh  # noqa: E402
-from bodyseg_data.core.parts import LANDMARKS  # noqa: E402
-from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet, load_landmarks  # noqa: E402
-from bodyseg_data.meshes.landmarks.files import load_landmark_file  # noqa: E402
-from bodyseg_data.meshes.mesh import Mesh  # noqa: E402
+from bodyseg_data.bodies import landmark_proposal as proposal_module  # noqa: E402
+from bodyseg_data.bodies.anny_people import (  # noqa: E402
+    POSTURES,
+    SUBJECT_A,
+)
+from bodyseg_data.bodies.body_fit import Fit, Matcher, fitted_points, fitted_surface, refine, surface_distance  # noqa: E402
+from bodyseg_data.bodies.fitting_body import (  # noqa: E402  # noqa: E402
+    FittingBody,
+    SurfacePoints,
+    farthest,
+    fitting_body,
+    mean_geodesic,
+    sample_surface,
+)
+from bodyseg_data.commands import main  # noqa: E402
+from bodyseg_data.core import BadMesh  # noqa: E402
+from bodyseg_data.labels import LANDMARKS  # noqa: E402
+from bodyseg_data.meshes import (  # noqa: E402
+    LandmarkSet,
+    Mesh,
+    load_landmark_file,
+    load_landmarks,
+)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -12,25 +12,26 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk, bone_rotations, root_rotation
-from bodyseg_data.bodies.motions.catalogue import (
-    BUILD_B,
-    BUILD_C,
-    FRAMES_PER_SECOND,
-    MOTIONS,
-    STRIDES_B,
-    STRIDES_C,
-    SUBJECTS,
-    MotionFrame,
+from bodyseg_data.bodies import FRAMES_PER_SECOND
+from bodyseg_data.bodies.motions.catalogue import BUILD_B, BUILD_C, MOTIONS, STRIDES_B, STRIDES_C, SUBJECTS, MotionFrame
+from bodyseg_data.bodies.motions.curves import (
+    Build,
+    PoseTrack,
+    Sole,
+    Track,
+    angles,
+    from_angles,
+    pelvis_over,
+    reach,
+    wander,
 )
-from bodyseg_data.bodies.motions.curves import PoseTrack, Track, angles, from_angles, wander
 from bodyseg_data.bodies.motions.handstand import ARM_C
 from bodyseg_data.bodies.motions.jumps import Flight
-from bodyseg_data.bodies.motions.legs import Build, Sole, pelvis_over, reach
 from bodyseg_data.bodies.motions.walk import STANCE
+from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, bone_rotations, root_rotation
 from bodyseg_data.bodies.sources.open_bodies import OpenBodies
-from bodyseg_data.core.parts import LANDMARKS
-from bodyseg_data.meshes.landmarks.by_vertex import load_landmarks
+from bodyseg_data.labels import LANDMARKS
+from bodyseg_data.meshes import load_landmarks
 
 Floats = NDArray[np.float64]
 NAMES = [(subject, name) for subject, motions in MOTIONS.items() for name in motions]

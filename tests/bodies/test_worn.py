@@ -9,26 +9,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.anny.model import AnnyModel
-from bodyseg_data.bodies.anny.people import SUBJECT_A
-from bodyseg_data.bodies.anny.posable import Posable
-from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Trunk, bone_rotations, symmetric
-from bodyseg_data.bodies.clothes.outfits import OUTFITS
-from bodyseg_data.bodies.contacts.places import Places
-from bodyseg_data.bodies.worn.attire import Attire, drawn_attire, joined, put_on, under
-from bodyseg_data.bodies.worn.drapes import Drape, draped
-from bodyseg_data.bodies.worn.hair import Hair, bun, long_hair, scalp
-from bodyseg_data.bodies.worn.held import Held, Kind, gripping, held_thing, padded
-from bodyseg_data.bodies.worn.shells import hull_radius, settled, shell
-from bodyseg_data.bodies.worn.shoes import Shoes, shoe
-from bodyseg_data.bodies.worn.wearer import Wearer
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import LANDMARKS
-from bodyseg_data.core.randomness import generator
-from bodyseg_data.meshes.landmarks.by_vertex import load_landmarks
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.solids import Solid
-from bodyseg_data.meshes.topology import find_edges
+from bodyseg_data.bodies.anny_model import AnnyModel, Posable
+from bodyseg_data.bodies.anny_people import SUBJECT_A
+from bodyseg_data.bodies.attire import Attire, drawn_attire, joined, put_on, under
+from bodyseg_data.bodies.outfits import OUTFITS
+from bodyseg_data.bodies.shells import Hair, Shoes, Wearer, bun, hull_radius, long_hair, scalp, settled, shell, shoe
+from bodyseg_data.bodies.skeleton import Arm, Leg, Trunk, bone_rotations, symmetric
+from bodyseg_data.bodies.stances import Places
+from bodyseg_data.bodies.worn import Drape, Held, Kind, draped, gripping, held_thing, padded
+from bodyseg_data.core import BadConfig, generator
+from bodyseg_data.labels import LANDMARKS
+from bodyseg_data.meshes import Mesh, Solid, find_edges, load_landmarks
 
 Floats = NDArray[np.float64]
 

@@ -13,17 +13,16 @@ import numpy as np
 import pytest
 
 from bodyseg_data import RangeImages
-from bodyseg_data.bodies.sources import SOURCES
-from bodyseg_data.cards.croissant import CROISSANT_NAME, croissant
-from bodyseg_data.cards.dataset_card import CARD_NAME, dataset_card, size_class
-from bodyseg_data.cards.origins import ORIGINS, origin_of
-from bodyseg_data.cards.set_facts import SetFacts, set_facts
-from bodyseg_data.cards.texts import Publication
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.shards.codecs.labels import join_labels
-from bodyseg_data.shards.manifest import read_manifest
+from bodyseg_data.bodies import SOURCES
+from bodyseg_data.cards import CARD_NAME, CROISSANT_NAME, Publication, dataset_card, set_facts
+from bodyseg_data.cards.croissant import croissant
+from bodyseg_data.cards.dataset_cards import size_class
+from bodyseg_data.cards.facts import ORIGINS, SetFacts, origin_of
+from bodyseg_data.core import BadConfig
+from bodyseg_data.shards import read_manifest
+from bodyseg_data.shards.codecs.codec import join_labels
 from bodyseg_data.shards.sample_codec import decode_sample
-from bodyseg_model.commands.cli import main
+from bodyseg_model.commands import main
 
 DAY = date(2026, 1, 31)
 

@@ -25,11 +25,12 @@ from PIL import Image
 
 import bodyseg_data
 import bodyseg_model
-from bodyseg_data.commands import cli, shard, verify
-from bodyseg_data.commands.options import flag_of, option, parse
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.labels.label_map import load_label_map
-from bodyseg_model.commands.cli import COMMANDS, main
+from bodyseg_data.commands import cli, option, shard, verify
+from bodyseg_data.commands.options import flag_of, parse
+from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import load_label_map
+from bodyseg_model.commands import main
+from bodyseg_model.commands.cli import COMMANDS
 
 
 @dataclass(frozen=True)

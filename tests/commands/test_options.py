@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from bodyseg_data.commands.options import command_line, option, parse
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.commands import command_line, option
+from bodyseg_data.commands.options import parse
+from bodyseg_data.core import BadConfig
 
 
 @dataclass(frozen=True)

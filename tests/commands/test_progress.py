@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from bodyseg_data.commands.progress import Progress, rate_text
+from bodyseg_data.commands import Progress, rate_text
 
 
 def lines_within(capsys: pytest.CaptureFixture[str], count: int) -> list[str]:

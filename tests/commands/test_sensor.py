@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.sensor_model import load_sensor_model, sensor_model_names
-from bodyseg_model.commands.cli import main
+from bodyseg_data.artifacts import Noise, load_sensor_model, sensor_model_names
+from bodyseg_model.commands import main
 
 
 def run(*words: str | Path) -> int:

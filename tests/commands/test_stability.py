@@ -16,17 +16,17 @@ from label_networks import Places
 from pictures import decoded, marks, part
 
 from bodyseg_data import RangeImages
-from bodyseg_data.bodies.sources import SOURCES
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.labels.label_map import load_label_map
+from bodyseg_data.bodies import SOURCES
+from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import load_label_map
 from bodyseg_model.commands import cli
 from bodyseg_model.commands import stability as command
-from bodyseg_model.evaluation.scores import ConfusionMatrix
-from bodyseg_model.networks.checkpoints import save_network
-from bodyseg_model.networks.registry import build, predict
-from bodyseg_model.segmentation.person_score import PersonScore, shipped_score
-from bodyseg_model.stability.scenes import CLEAN, LabelledImage, Scenes, SweepPoint
-from bodyseg_model.stability.summary import accuracy, evaluate_conditions, load_runs
+from bodyseg_model.evaluation import ConfusionMatrix
+from bodyseg_model.networks import build, predict, save_network
+from bodyseg_model.segmentation import PersonScore, shipped_score
+from bodyseg_model.stability import Scenes, evaluate_conditions, load_runs
+from bodyseg_model.stability.scenes import CLEAN, LabelledImage, SweepPoint
+from bodyseg_model.stability.summary import accuracy
 
 SETTINGS = {"patch": 16, "widths": (8,), "blocks": (0,)}
 CHOSEN = ("farther", "hard")

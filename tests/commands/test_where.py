@@ -11,10 +11,9 @@ from PIL import Image
 from small_rig import SMALL
 
 from bodyseg_data import RangeImages
-from bodyseg_data.bodies.sources import SOURCES
-from bodyseg_model.commands.cli import main
-from bodyseg_model.networks.checkpoints import save_network
-from bodyseg_model.networks.registry import build
+from bodyseg_data.bodies import SOURCES
+from bodyseg_model.commands import main
+from bodyseg_model.networks import build, save_network
 
 SETTINGS = {"patch": 16, "widths": (8,), "blocks": (0,)}
 WHERE = ["subset=A", "azimuth_deg=-100..90"]

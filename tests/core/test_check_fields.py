@@ -9,18 +9,16 @@ from typing import Any, Final, Literal
 import numpy as np
 import pytest
 
-from bodyseg_data.artifacts import ARTIFACTS
-from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
-from bodyseg_data.artifacts.variants import Augmentation
-from bodyseg_data.core.errors import BadConfig, bounded, check_fields, one_of
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.core.rigs.distortion import Distortion
-from bodyseg_data.core.views import Drawn, View, ViewGrid
-from bodyseg_data.packing.options import Packing
-from bodyseg_data.shards.stores.remote import RetryPolicy
+from bodyseg_data.artifacts import Augmentation, Noise, SensorModel, load_sensor_model
+from bodyseg_data.artifacts.registry import ARTIFACTS
+from bodyseg_data.core import BadConfig, bounded, check_fields, one_of
+from bodyseg_data.packing import Packing
+from bodyseg_data.rigs import Distortion, load_rig
+from bodyseg_data.samples import View, ViewGrid
+from bodyseg_data.samples.views import Drawn
+from bodyseg_data.shards import RetryPolicy
 from bodyseg_model.networks.compact import CompactSettings
-from bodyseg_model.training.augmentation import GeometricAugmentation
+from bodyseg_model.training import GeometricAugmentation
 from bodyseg_model.training.recipes import PRESETS
 
 _RIG: Final = load_rig()

@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bodyseg_data.artifacts.loops.philox import raw_words
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.randomness import (
+from bodyseg_data.artifacts.random_loops import raw_words
+from bodyseg_data.core import (
+    BadConfig,
     Draws,
     Permutation,
     chance,

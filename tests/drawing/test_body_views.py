@@ -9,13 +9,13 @@ import pytest
 from numpy.typing import NDArray
 from shapes import ball
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import COLOURS
+from bodyseg_data.core import BadConfig
+from bodyseg_data.drawing import LabelledBody, draw_body_views
 from bodyseg_data.drawing import body_views as portrait
-from bodyseg_data.drawing.body_views import LabelledBody, draw_body_views, draw_parts, draw_side
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.borders import find_borders
-from bodyseg_data.meshes.partition.surface_parts import Partition
+from bodyseg_data.drawing.body_views import draw_parts, draw_side
+from bodyseg_data.labels.label_map import COLOURS
+from bodyseg_data.meshes import Mesh, Partition
+from bodyseg_data.meshes.partitioning import find_borders
 
 
 def quartered() -> LabelledBody:

@@ -9,10 +9,8 @@ import pytest
 from PIL import Image
 from samples import GOOD
 
-from bodyseg_data.artifacts.artifact import RangeImage
-from bodyseg_data.artifacts.sensor_model import load_sensor_model
-from bodyseg_data.artifacts.variants import VARIANTS
-from bodyseg_data.drawing.contact_sheet import Row, draw_sheet
+from bodyseg_data.artifacts import VARIANTS, RangeImage, load_sensor_model
+from bodyseg_data.drawing import Row, draw_sheet
 
 BODY = (112, 116, 124)
 """Grey of pixels with a range and without a label."""

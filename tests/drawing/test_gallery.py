@@ -9,9 +9,10 @@ import pytest
 from PIL import Image
 
 from bodyseg_data.commands import cli
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.drawing.gallery import COLUMNS, choose_views, surface_shading
+from bodyseg_data.core import BadConfig
+from bodyseg_data.drawing import choose_views
+from bodyseg_data.drawing.gallery import COLUMNS, surface_shading
+from bodyseg_data.rigs import load_rig
 
 CAMERA = load_rig().camera
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
-from bodyseg_data.drawing.style import PAPER, draw_legend
+from bodyseg_data.drawing import PAPER, draw_legend
+from bodyseg_data.labels import PARTS33, LabelMap, load_label_map
 
 
 @pytest.mark.parametrize("label_map", [PARTS33, load_label_map("itop15")])

@@ -5,8 +5,9 @@ import pytest
 from scipy import ndimage
 from skimage.segmentation import find_boundaries
 
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_model.evaluation.scores import BIN_NAMES, EDGES, KINDS, BorderErrors, distance_bins, pairs_of
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_model.evaluation import KINDS, pairs_of
+from bodyseg_model.evaluation.scores import BIN_NAMES, EDGES, BorderErrors, distance_bins
 
 
 def by_transform(labels: np.ndarray) -> np.ndarray:

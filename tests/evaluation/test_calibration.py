@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import PART_COUNT
+from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import PART_COUNT
 from bodyseg_model.evaluation.scores import CELLS, Confidences
 
 

@@ -12,19 +12,26 @@ from PIL import Image
 from small_rig import SMALL
 
 from bodyseg_data import RangeImages
-from bodyseg_data.artifacts.sensor_model import sensor_model_names
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
+from bodyseg_data.artifacts import sensor_model_names
+from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import BACKGROUND, PART_COUNT
 from bodyseg_model.commands import cli
 from bodyseg_model.commands import evaluate as command
-from bodyseg_model.evaluation import evaluation
-from bodyseg_model.evaluation.evaluation import Evaluation, PredictedImage, Scores, evaluate, open_images, time_frames
-from bodyseg_model.evaluation.figures import SamplePicture
-from bodyseg_model.evaluation.report import report
-from bodyseg_model.evaluation.scores import KINDS, distance_bins
-from bodyseg_model.networks.checkpoints import load_network, save_network
-from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.registry import Prediction, build, predict
+from bodyseg_model.evaluation import (
+    KINDS,
+    Evaluation,
+    SamplePicture,
+    Scores,
+    evaluate,
+    evaluation,
+    open_images,
+    report,
+    time_frames,
+)
+from bodyseg_model.evaluation.evaluation import PredictedImage
+from bodyseg_model.evaluation.scores import distance_bins
+from bodyseg_model.networks import Network, build, load_network, predict, save_network
+from bodyseg_model.networks.registry import Prediction
 
 
 class ByRange(Network):

@@ -13,16 +13,12 @@ from label_networks import Places
 from PIL import Image
 from small_rig import SMALL
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
-from bodyseg_data.core.parts import BACKGROUND, PARTS
+from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import BACKGROUND, PARTS, PARTS33, LabelMap, load_label_map
 from bodyseg_model.commands import cli
-from bodyseg_model.evaluation.evaluation import Evaluation, Scores, evaluate, open_images
-from bodyseg_model.evaluation.report import report
-from bodyseg_model.evaluation.scores import KINDS, count_kinds, kinds_of, told_kinds
-from bodyseg_model.networks.checkpoints import save_network
-from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.registry import build, predict
+from bodyseg_model.evaluation import KINDS, Evaluation, Scores, evaluate, kinds_of, open_images, report, told_kinds
+from bodyseg_model.evaluation.scores import count_kinds
+from bodyseg_model.networks import Network, build, predict, save_network
 
 LIMBS, ITOP = load_label_map("limbs14"), load_label_map("itop15")
 FACES = LabelMap(

@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bodyseg_data.core.labels.label_map import PARTS33
-from bodyseg_data.core.parts import LANDMARKS, PARTS
-from bodyseg_model.evaluation.scores import KINDS, REGIONS, count_kinds, kinds_of
+from bodyseg_data.labels import LANDMARKS, PARTS, PARTS33
+from bodyseg_model.evaluation import KINDS, kinds_of
+from bodyseg_model.evaluation.scores import REGIONS, count_kinds
 
 
 def kind(truth: str, predicted: str) -> str:

@@ -3,17 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_model.evaluation.evaluation import Evaluation, Scores
-from bodyseg_model.evaluation.scores import (
-    BorderErrors,
-    Confidences,
-    ConfusionMatrix,
-    PerImageAccuracy,
-    count_pairs,
-    pairs_of,
-)
+from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_model.evaluation import ConfusionMatrix, Evaluation, Scores, count_pairs, pairs_of
+from bodyseg_model.evaluation.scores import BorderErrors, Confidences, PerImageAccuracy
 
 
 def image(*labels: int) -> np.ndarray:

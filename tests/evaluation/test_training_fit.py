@@ -11,17 +11,13 @@ import pytest
 import torch
 from small_rig import SMALL
 
-from bodyseg_data.artifacts.losses import Losses
-from bodyseg_data.artifacts.missing_data import MissingData
-from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.sensor_model import load_sensor_model
-from bodyseg_data.artifacts.variants import Augmentation
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import Rig, load_rig
+from bodyseg_data.artifacts import Augmentation, Losses, MissingData, Noise, load_sensor_model
+from bodyseg_data.core import BadConfig
+from bodyseg_data.rigs import Rig, load_rig
 from bodyseg_model.commands import cli
-from bodyseg_model.evaluation.training_fit import FAR_OFF, SIMILAR, RigFit, sensor_warning
-from bodyseg_model.networks.checkpoints import Trained, save_network
-from bodyseg_model.networks.registry import build
+from bodyseg_model.evaluation import RigFit, sensor_warning
+from bodyseg_model.evaluation.reports import FAR_OFF, SIMILAR
+from bodyseg_model.networks import Trained, build, save_network
 
 PAPER = load_rig()
 MODEL = load_sensor_model()

@@ -17,10 +17,10 @@ from bodyseg_data import RangeImages, example_set
 from bodyseg_data.commands import shard
 from bodyseg_data.commands.options import parse
 from bodyseg_data.commands.verify import Options, run
-from bodyseg_data.packing.options import Packing
-from bodyseg_data.packing.pack import pack, render_run
+from bodyseg_data.packing import Packing, pack
+from bodyseg_data.packing.packer import render_run
 from bodyseg_data.shards.sample_codec import decode_sample
-from bodyseg_model.commands.cli import main
+from bodyseg_model.commands import main
 
 MOST_BYTES = 1_600_000
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from samples import GOOD
 
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.sample import SampleInfo
-from bodyseg_data.loading.transforms import CameraImage
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.loading import CameraImage
+from bodyseg_data.samples import SampleInfo
 
 STORED = replace(GOOD, info=SampleInfo("open", "A", "A", "posture-00", "standing", 250, 0, "train"))
 

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from shapes import figure
 
-from bodyseg_data.bodies.source import Body, BodyRef, BodySource
-from bodyseg_data.bodies.sources import SourceEntry
-from bodyseg_data.core.parts import PART_COUNT
-from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.bodies import Body, BodyRef, BodySource, SourceEntry
+from bodyseg_data.labels import PART_COUNT
+from bodyseg_data.meshes import Mesh
 
 
 class Figures:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import figure_worker  # noqa: F401  # registers the figures, with the trouble that BODYSEG_TROUBLE names
 
-from bodyseg_data.commands.cli import main
+from bodyseg_data.commands import main
 
 if __name__ == "__main__":
     raise SystemExit(main())

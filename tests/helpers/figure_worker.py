@@ -13,9 +13,8 @@ from pathlib import Path
 
 from fakes import Figures, FiguresEntry
 
-from bodyseg_data.bodies.source import Body, BodyRef
-from bodyseg_data.bodies.sources import SOURCES
-from bodyseg_data.core.errors import BadMesh
+from bodyseg_data.bodies import SOURCES, Body, BodyRef
+from bodyseg_data.core import BadMesh
 
 TROUBLE = Path(os.environ["BODYSEG_TROUBLE"])
 

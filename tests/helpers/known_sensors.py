@@ -10,12 +10,11 @@ import numpy as np
 from benches.model.sensor_fit.recordings import Scene, Scenes
 from fakes import Figures
 
-from bodyseg_data.artifacts.artifact import Artifact
-from bodyseg_data.artifacts.sensor_model import SensorModel
-from bodyseg_data.core.rig import Rig, load_rig
-from bodyseg_model.recordings.cameras import FrameCamera
+from bodyseg_data.artifacts import Artifact, SensorModel
+from bodyseg_data.rigs import Rig, load_rig
+from bodyseg_model.recordings import FrameCamera
+from bodyseg_model.sensor_fit import SensorFit, fit_sensor
 from bodyseg_model.sensor_fit.finding import Finding
-from bodyseg_model.sensor_fit.fit import SensorFit, fit_sensor
 from bodyseg_model.sensor_fit.recording import MarkedRecording
 
 

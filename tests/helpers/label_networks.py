@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import torch
 
-from bodyseg_data.core.parts import PART_COUNT
-from bodyseg_model.networks.network import Network
+from bodyseg_data.labels import PART_COUNT
+from bodyseg_model.networks import Network
 
 
 class Places(Network):

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.registry import predict
+from bodyseg_model.networks import Network, predict
 from bodyseg_model.runtimes.onnx_files import OnnxModel
 
 

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from spheres import icosphere
 
-from bodyseg_data.core.parts import LANDMARKS
-from bodyseg_data.meshes.landmarks.by_vertex import LANDMARKS_FORMAT
-from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.labels import LANDMARKS
+from bodyseg_data.meshes import Mesh
+from bodyseg_data.meshes.landmarks import LANDMARKS_FORMAT
 
 Floats = NDArray[np.float64]
 

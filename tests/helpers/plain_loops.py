@@ -7,9 +7,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.rig import Camera
-from bodyseg_model.segmentation.room_planes import TOLERANCE_PER_M
-from bodyseg_model.segmentation.surfaces import Surfaces
+from bodyseg_data.rigs import Camera
+from bodyseg_model.segmentation.surfaces import TOLERANCE_PER_M, Surfaces
 from bodyseg_model.segmentation.views import Turn
 
 Floats = NDArray[np.float32]

@@ -9,16 +9,13 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.rig import PlacedCamera, Rig
-from bodyseg_data.core.sample import steps
-from bodyseg_data.core.views import View
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import Partition
-from bodyseg_data.packing.sampler import faces_towards, surface_points
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.meshes import Mesh, Partition
+from bodyseg_data.packing import faces_towards, surface_points
+from bodyseg_data.rendering import RasterRenderer, Surface
 from bodyseg_data.rendering.embree import EmbreeRenderer
-from bodyseg_data.rendering.raster import RasterRenderer
-from bodyseg_data.rendering.renderer import Surface
+from bodyseg_data.rigs import PlacedCamera, Rig
+from bodyseg_data.samples import View, steps
 
 
 def cast_whole_frame(mesh: Mesh, camera: PlacedCamera) -> Surface:

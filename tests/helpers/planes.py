@@ -8,11 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.artifact import Artifact, RangeImage
-from bodyseg_data.artifacts.variants import shown_with
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.rig import Camera, Rig
-from bodyseg_data.core.sample import Sample, SampleInfo
+from bodyseg_data.artifacts import Artifact, RangeImage, shown_with
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.rigs import Camera, Rig
+from bodyseg_data.samples import Sample, SampleInfo
 
 CAMERA = Camera(200, 160, 400.0, (80.0, 100.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 PROJECTOR = replace(CAMERA, position_m=(0.075, 0.0, 0.0), aims_at_m=(0.075, 0.0, 1.0))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bodyseg_data.core.sample import Sample, SampleInfo
+from bodyseg_data.samples import Sample, SampleInfo
 
 GOOD = Sample(
     key="open-A-posture-00-d215-a000",

@@ -7,12 +7,11 @@ import pytest
 from numpy.typing import NDArray
 from shapes import ball
 
-from bodyseg_data.core.errors import MissingLibrary
-from bodyseg_data.core.rig import PlacedCamera, load_rig
-from bodyseg_data.core.views import View
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.rendering import open_renderer
-from bodyseg_data.rendering.renderer import Surface
+from bodyseg_data.core import MissingLibrary
+from bodyseg_data.meshes import Mesh
+from bodyseg_data.rendering import Surface, open_renderer
+from bodyseg_data.rigs import PlacedCamera, load_rig
+from bodyseg_data.samples import View
 
 RIG = load_rig()
 FRONT = View(255, 0)

@@ -10,7 +10,7 @@ from math import floor
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.sample import FARTHEST_STEPS
+from bodyseg_data.samples import FARTHEST_STEPS
 
 _NONE, _HALF, _ONE = np.float32(0), np.float32(0.5), np.float32(1)
 

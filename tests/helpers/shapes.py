@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from spheres import icosphere
 
-from bodyseg_data.core.parts import PART_COUNT
-from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.labels import PART_COUNT
+from bodyseg_data.meshes import Mesh
 
 
 def ball(

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from bodyseg_data.bodies.anny import library, model
+from bodyseg_data.bodies import anny_model as library
+from bodyseg_data.bodies import anny_model as model
 
 
 def shared(load: Callable[..., Any]) -> Callable[..., Any]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from torch import nn
 
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.evaluation.scores import ConfusionMatrix
-from bodyseg_model.networks.registry import predict
+from bodyseg_data.loading import RangeImages
+from bodyseg_model.evaluation import ConfusionMatrix
+from bodyseg_model.networks import predict
 
 
 def slow_accuracy(network: nn.Module, images: RangeImages, count: int) -> float:

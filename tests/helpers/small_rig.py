@@ -6,7 +6,7 @@ from typing import Final
 
 from folders import HELPERS
 
-from bodyseg_data.core.rig import load_rig
+from bodyseg_data.rigs import load_rig
 
 SMALL_FILE: Final = HELPERS / "small_rig.toml"
 SMALL: Final = load_rig(SMALL_FILE)

@@ -11,15 +11,10 @@ from typing import Any, Final
 import torch
 
 from bodyseg_data import RangeImages
-from bodyseg_model.evaluation.evaluation import Scores
-from bodyseg_model.networks.registry import build
-from bodyseg_model.training.augmentation import GeometricAugmentation
+from bodyseg_model.evaluation import Scores
+from bodyseg_model.networks import build
+from bodyseg_model.training import GeometricAugmentation, Metrics, Recipe, RunFolder, RunOptions, Training, Validation
 from bodyseg_model.training.distributed import ProcessGroup
-from bodyseg_model.training.loop import RunOptions, Training
-from bodyseg_model.training.metrics import Metrics
-from bodyseg_model.training.recipes import Recipe
-from bodyseg_model.training.run_folder import RunFolder
-from bodyseg_model.training.validation import Validation
 
 ONE: Final = ProcessGroup(0, 1, torch.device("cpu"))
 TINY: Final = {"patch": 16, "widths": [8], "blocks": [1]}

@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
-from bodyseg_data.core.sample import Sample, SampleInfo
+from bodyseg_data.labels import BACKGROUND, PART_COUNT
+from bodyseg_data.samples import Sample, SampleInfo
 
 keys = st.text("abcXYZ019_-+", min_size=1, max_size=80)
 

@@ -17,7 +17,7 @@ import torch.distributed
 from torch import nn
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_model.commands.cli import main
+from bodyseg_model.commands import main
 
 
 def batches(out: Path, folder: str, count: int) -> None:

@@ -6,9 +6,9 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import nn
 
-from bodyseg_data.core.parts import PART_COUNT
-from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.patches import check_range_images, relief_of
+from bodyseg_data.labels import PART_COUNT
+from bodyseg_model.networks import Network, check_range_images
+from bodyseg_model.networks.network import relief_of
 
 
 class Toy(Network):

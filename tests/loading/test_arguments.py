@@ -15,10 +15,10 @@ import pytest
 import torch
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.artifacts.variants import Augmentation
-from bodyseg_data.core.errors import BadConfig, WorkerLost
-from bodyseg_data.loading.batch_order import BatchOrder
-from bodyseg_data.loading.worker_processes import ProcessWorkers
+from bodyseg_data.artifacts import Augmentation
+from bodyseg_data.core import BadConfig, WorkerLost
+from bodyseg_data.loading.image_set import BatchOrder
+from bodyseg_data.loading.workers import ProcessWorkers
 
 
 def _open_files() -> int:

@@ -13,11 +13,9 @@ import torch
 from kernel_forms import by_both
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.loading.transforms import CameraImage
-from bodyseg_data.loading.transforms.transform import Transform
+from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap, load_label_map
+from bodyseg_data.loading import CameraImage, Transform
 
 LIMBS = load_label_map("limbs14")
 FEET = LabelMap("feet", (("feet", ("Rt. Digit II", "Lt. Digit II")),))

@@ -14,11 +14,10 @@ from torch.utils.data import DataLoader
 from torchdata.stateful_dataloader import Stateful, StatefulDataLoader
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.core.errors import BadConfig, BadShard
-from bodyseg_data.loading.loader import Loader
+from bodyseg_data.core import BadConfig, BadShard
+from bodyseg_data.loading import Loader
 from bodyseg_data.loading.slots import SPARE, Slots
-from bodyseg_data.loading.worker_processes import ProcessWorkers
-from bodyseg_data.loading.worker_threads import ThreadWorkers
+from bodyseg_data.loading.workers import ProcessWorkers, ThreadWorkers
 
 WAYS = [(0, "thread"), (2, "process"), (2, "thread")]
 """Numbers of workers, and their kind."""

@@ -16,10 +16,8 @@ from small_rig import SMALL
 from torch.utils.data import DataLoader
 
 from bodyseg_data import Batch, RangeImages, loader
-from bodyseg_data.artifacts.missing_data import MissingData
-from bodyseg_data.artifacts.sensor_model import load_sensor_model
-from bodyseg_data.artifacts.variants import VARIANTS
-from bodyseg_data.core.errors import BadConfig, BadShard
+from bodyseg_data.artifacts import VARIANTS, MissingData, load_sensor_model
+from bodyseg_data.core import BadConfig, BadShard
 
 Bits = list[tuple[tuple[str, ...], bytes, bytes]]
 

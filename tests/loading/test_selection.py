@@ -14,19 +14,14 @@ import numpy as np
 import pytest
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.core.sample import SampleInfo
-from bodyseg_data.core.splits import ReadSplit
-from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.loading.selection.conditions import FIELDS, parse_condition
-from bodyseg_data.loading.selection.sample_table import BodyRow, SampleTable
-from bodyseg_data.loading.selection.selection import Selection
-from bodyseg_data.loading.selection.validation import groups, mark_val
-from bodyseg_data.shards.descriptions import describe
-from bodyseg_data.shards.manifest import Manifest
-from bodyseg_data.shards.records import ShardRecord
+from bodyseg_data.bodies import open_source
+from bodyseg_data.core import BadConfig
+from bodyseg_data.loading.conditions import FIELDS, BodyRow, SampleTable, parse_condition
+from bodyseg_data.loading.selection import Selection, groups, mark_val
+from bodyseg_data.rigs import load_rig
+from bodyseg_data.samples import ReadSplit, SampleInfo, ViewGrid
+from bodyseg_data.shards import Manifest, ShardRecord
+from bodyseg_data.shards.records import describe
 
 
 def infos(*fields: dict[str, Any]) -> list[SampleInfo]:

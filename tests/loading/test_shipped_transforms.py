@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 from camera_images import camera_image
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import BACKGROUND, PARTS
-from bodyseg_data.loading.transforms import BodyCrop, CameraImage, Crop, Flip, Roll, Transform, Zoom
-from bodyseg_data.loading.transforms.roll import turned
-from bodyseg_data.loading.transforms.transform import transforms_to_json
-from bodyseg_data.loading.transforms.zoom import magnified
+from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import BACKGROUND, PARTS
+from bodyseg_data.loading import BodyCrop, CameraImage, Crop, Flip, Roll, Transform, Zoom
+from bodyseg_data.loading.transform import transforms_to_json
+from bodyseg_data.loading.transforms import magnified, turned
 
 ALL: tuple[Transform, ...] = (
     Crop(30, 20), Crop(80, 70, "body"), Crop(70, 20, "anywhere"), BodyCrop(48, 32), Flip(), Roll(180), Zoom(2.0),

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.core.errors import BadConfig, BadShard, Unreachable
+from bodyseg_data.core import BadConfig, BadShard, Unreachable
 
 
 @pytest.fixture

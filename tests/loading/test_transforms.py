@@ -19,11 +19,10 @@ from folders import ROOT
 from torch.utils.data import DataLoader
 
 from bodyseg_data import Batch, RangeImages, loader
-from bodyseg_data.artifacts.variants import VARIANTS
-from bodyseg_data.core.errors import BadConfig, BadSample, BadShard, BadTransform
-from bodyseg_data.core.labels.label_map import load_label_map
-from bodyseg_data.core.parts import BACKGROUND, MIRRORED_LABELS
-from bodyseg_data.loading.transforms import BodyCrop, CameraImage, Crop, Flip, Roll, Transform, Zoom
+from bodyseg_data.artifacts import VARIANTS
+from bodyseg_data.core import BadConfig, BadSample, BadShard, BadTransform
+from bodyseg_data.labels import BACKGROUND, MIRRORED_LABELS, load_label_map
+from bodyseg_data.loading import BodyCrop, CameraImage, Crop, Flip, Roll, Transform, Zoom
 
 ALL = (Zoom(1.2), Roll(10), Flip(), Crop(400, 200, "anywhere"))
 

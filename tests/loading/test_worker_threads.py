@@ -20,9 +20,9 @@ import torch
 from processes import start_interruptible
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.core.errors import BadConfig, BadShard, BodysegError, WorkerLost
-from bodyseg_data.loading.loader import Loader
-from bodyseg_data.loading.worker_threads import ThreadWorkers
+from bodyseg_data.core import BadConfig, BadShard, BodysegError, WorkerLost
+from bodyseg_data.loading import Loader
+from bodyseg_data.loading.workers import ThreadWorkers
 
 WITHIN_S = 60
 """Time for what happens at once, on a busy machine."""

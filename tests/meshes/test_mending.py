@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from shapes import ball, figure
 
-from bodyseg_data.meshes.mending import find_edges, find_fans, mend
+from bodyseg_data.meshes import find_edges
+from bodyseg_data.meshes.mending import find_fans, mend
 
 SQUARE = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
 HALVES = np.array([[0, 1, 2], [0, 2, 3]])

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from shapes import ball, figure
 from spheres import icosphere
 
-from bodyseg_data.core.errors import BadMesh, MissingLibrary
-from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.core import BadMesh, MissingLibrary
+from bodyseg_data.meshes import Mesh
 
 Arrays = tuple[NDArray[np.float64], NDArray[np.int64]]
 

@@ -17,10 +17,10 @@ import pytest
 from folders import HELPERS, ROOT
 from shapes import ball
 
-from bodyseg_data.core.errors import BadMesh
-from bodyseg_data.meshes import pymeshlab_thread
-from bodyseg_data.meshes.pymeshlab_thread import with_pymeshlab
-from bodyseg_data.shards.manifest import read_manifest
+from bodyseg_data.core import BadMesh
+from bodyseg_data.meshes import repairing as pymeshlab_thread
+from bodyseg_data.meshes import with_pymeshlab
+from bodyseg_data.shards import read_manifest
 
 pytestmark = pytest.mark.usefixtures("pymeshlab")
 

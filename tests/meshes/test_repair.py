@@ -11,10 +11,10 @@ import pytest
 from numpy.typing import NDArray
 from shapes import ball, figure
 
-from bodyseg_data.core.errors import BadMesh, MissingLibrary
-from bodyseg_data.core.system import libraries
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.repair import SAME_POINT_M, repair
+from bodyseg_data.core import BadMesh, MissingLibrary
+from bodyseg_data.machine import libraries
+from bodyseg_data.meshes import Mesh, repair
+from bodyseg_data.meshes.repairing import SAME_POINT_M
 
 Parts = tuple[NDArray[np.float64], NDArray[np.int32]]
 

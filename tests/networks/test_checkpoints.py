@@ -14,19 +14,10 @@ import torch
 from safetensors.torch import load_file
 from small_rig import SMALL
 
-from bodyseg_data.artifacts.missing_data import MissingData
-from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import load_rig
-from bodyseg_model.networks.checkpoints import (
-    load_network,
-    read_json,
-    save_network,
-    write_json,
-    write_tensors,
-)
-from bodyseg_model.networks.registry import build
+from bodyseg_data.artifacts import MissingData, Noise, SensorModel, load_sensor_model
+from bodyseg_data.core import BadConfig
+from bodyseg_data.rigs import load_rig
+from bodyseg_model.networks import build, load_network, read_json, save_network, write_json, write_tensors
 
 TINY = {"patch": 16, "widths": [4], "blocks": [1]}
 

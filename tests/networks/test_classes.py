@@ -9,12 +9,11 @@ from typing import Any
 import pytest
 import torch
 
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
-from bodyseg_model.commands.cli import main
-from bodyseg_model.networks.checkpoints import Trained, load_network, save_network
-from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.registry import NETWORKS, build, predict
+from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_data.labels import PARTS33, LabelMap, load_label_map
+from bodyseg_model.commands import main
+from bodyseg_model.networks import Network, Trained, build, load_network, predict, save_network
+from bodyseg_model.networks.registry import NETWORKS
 from bodyseg_model.training.augmentation import mirror
 from bodyseg_model.training.loss import NetworkWithLoss, part_weights
 

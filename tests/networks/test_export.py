@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from bodyseg_model.commands.cli import main
-from bodyseg_model.networks.checkpoints import load_network, save_network
-from bodyseg_model.networks.registry import build
+from bodyseg_model.commands import main
+from bodyseg_model.networks import build, load_network, save_network
 
 
 @pytest.fixture

@@ -11,10 +11,9 @@ import torch
 from numpy.typing import NDArray
 from numpy_alexnet import figure_4
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.networks import pretrained
-from bodyseg_model.networks.fcn_alexnet import FcnAlexnet, bilinear_filters
-from bodyseg_model.networks.pretrained import SHAPES, import_alexnet
+from bodyseg_data.core import BadConfig
+from bodyseg_model.networks import fcn_alexnet as pretrained
+from bodyseg_model.networks.fcn_alexnet import SHAPES, FcnAlexnet, bilinear_filters, import_alexnet
 
 LAYERS = {
     "conv1.weight": (96, 1, 11, 11),

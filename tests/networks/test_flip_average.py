@@ -8,14 +8,10 @@ import torch
 from numpy.typing import NDArray
 from toy_network import Toy
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
-from bodyseg_data.core.parts import MIRRORED_LABELS
-from bodyseg_model.networks.checkpoints import Trained, shipped_network
-from bodyseg_model.networks.flip_average import FlipAverage
-from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.registry import build, predict
-from bodyseg_model.runtimes.backends import backend_of, on_backend, put_on_backend, to_device
+from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import MIRRORED_LABELS, PARTS33, LabelMap, load_label_map
+from bodyseg_model.networks import FlipAverage, Network, Trained, build, predict, shipped_network
+from bodyseg_model.runtimes import backend_of, on_backend, put_on_backend, to_device
 
 TINY = {"patch": 16, "widths": [8, 12], "blocks": [1, 1]}
 

@@ -7,7 +7,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 from kernel_forms import by_both
 
-from bodyseg_model.networks.patches import patches_of, relief_of, shrunk
+from bodyseg_model.networks.network import patches_of, relief_of, shrunk
 
 
 def test_shrinking_averages_what_was_measured() -> None:

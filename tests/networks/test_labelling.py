@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from plain_labelling import label_in_numpy, powers_of_two
 from toy_network import Toy
 
+from bodyseg_model.networks import predict
 from bodyseg_model.networks.labelling import _LEAST_PIXELS, label_pixels
-from bodyseg_model.networks.registry import predict
 
 Answer = tuple[NDArray[np.uint8], NDArray[np.float32]]
 

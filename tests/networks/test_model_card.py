@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from bodyseg_data.cards.texts import Publication
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.commands.cli import main
-from bodyseg_model.networks.checkpoints import SHIPPED, confusion_file
-from bodyseg_model.networks.model_card import model_card
+from bodyseg_data.cards import Publication
+from bodyseg_data.core import BadConfig
+from bodyseg_model.commands import main
+from bodyseg_model.networks import confusion_file, model_card
+from bodyseg_model.networks.checkpoints import SHIPPED
 
 PUBLICATION = Publication("Parts of people", date(2026, 1, 31), "Apache-2.0", "A. Author")
 

@@ -18,10 +18,9 @@ import torch
 from folders import HELPERS
 from toy_network import Toy
 
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_model.networks import registry
-from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.registry import NETWORKS, build, network_class, parameters, predict, predict_each
+from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_model.networks import Network, build, network_class, predict, predict_each, registry
+from bodyseg_model.networks.registry import NETWORKS, parameters
 from bodyseg_model.training.loss import NetworkWithLoss
 from bodyseg_model.training.recipes import PRESETS
 

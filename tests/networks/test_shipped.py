@@ -8,15 +8,15 @@ from pathlib import Path
 import pytest
 
 from bodyseg_data import RangeImages
-from bodyseg_data.artifacts.losses import Losses
-from bodyseg_data.artifacts.sensor_model import load_sensor_model
+from bodyseg_data.artifacts import Losses, load_sensor_model
 from bodyseg_data.bodies.sources.open_bodies import OpenBodies
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.packing.options import Packing, evenly_sampled
-from bodyseg_data.packing.pack import pack
-from bodyseg_model.evaluation.evaluation import evaluate
-from bodyseg_model.networks.checkpoints import SHIPPED, shipped_network
+from bodyseg_data.packing import Packing, pack
+from bodyseg_data.packing.options import evenly_sampled
+from bodyseg_data.rigs import load_rig
+from bodyseg_data.samples import ViewGrid
+from bodyseg_model.evaluation import evaluate
+from bodyseg_model.networks import shipped_network
+from bodyseg_model.networks.checkpoints import SHIPPED
 
 
 def test_the_shipped_network_is_small_and_says_where_it_is_from() -> None:

@@ -12,13 +12,11 @@ from small_rig import SMALL
 from small_training import CutError, GivenScores, cut_at, train
 
 from bodyseg_data import RangeImages
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import rig_from_json
-from bodyseg_model.commands.cli import main
-from bodyseg_model.networks import checkpoints
-from bodyseg_model.networks.checkpoints import load_network
-from bodyseg_model.training.loop import RunOptions
-from bodyseg_model.training.run_folder import RunFolder
+from bodyseg_data.core import BadConfig
+from bodyseg_data.rigs import rig_from_json
+from bodyseg_model.commands import main
+from bodyseg_model.networks import checkpoints, load_network
+from bodyseg_model.training import RunFolder, RunOptions
 
 
 @pytest.fixture(scope="module")

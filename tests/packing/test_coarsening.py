@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.occlusion import ShadowTest
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.packing import coarsening
-from bodyseg_data.packing.coarsening import COARSEST_STEP, coarsened
+from bodyseg_data.artifacts import ShadowTest
+from bodyseg_data.packing import occluders as coarsening
+from bodyseg_data.packing.occluders import COARSEST_STEP, coarsened
+from bodyseg_data.rigs import load_rig
 
 SHAPE = (24, 18)
 TEST = ShadowTest(replace(load_rig(), range_step_mm=0.1))

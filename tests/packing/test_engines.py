@@ -32,18 +32,16 @@ from processes import start_interruptible
 from servers import free_port
 from small_rig import SMALL, SMALL_FILE
 
-from bodyseg_data.bodies.source import Body, BodyRef
-from bodyseg_data.bodies.sources import SOURCES
-from bodyseg_data.commands.cli import main
-from bodyseg_data.core.errors import BadConfig, BadMesh, MissingLibrary
-from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.packing.engines import cluster, workers
-from bodyseg_data.packing.engines.engine import check_engine, open_engine
-from bodyseg_data.packing.engines.jobs import Engine
-from bodyseg_data.packing.options import Packing, forget_sources
-from bodyseg_data.packing.pack import pack
-from bodyseg_data.packing.state import STATE_NAME
+from bodyseg_data.bodies import SOURCES, Body, BodyRef
+from bodyseg_data.commands import main
+from bodyseg_data.core import BadConfig, BadMesh, MissingLibrary
+from bodyseg_data.meshes import Mesh
+from bodyseg_data.packing import Packing, check_engine, cluster, open_engine, pack
+from bodyseg_data.packing import cluster as workers
+from bodyseg_data.packing.jobs import Engine
+from bodyseg_data.packing.options import forget_sources
+from bodyseg_data.packing.writing import STATE_NAME
+from bodyseg_data.samples import ViewGrid
 
 PACKING = Packing("open", rig=SMALL, views=ViewGrid(span_deg=360, count=4), shard_samples=5)  # as figures_set
 

@@ -16,19 +16,17 @@ from fakes import Figures, FiguresEntry
 from people_on_disk import PERSON, VERTICES, write_by_point, write_by_vertex, write_lnd, write_mesh
 from small_rig import SMALL
 
-from bodyseg_data.bodies.source import Body, BodyRef
-from bodyseg_data.bodies.sources import SOURCES, open_source
-from bodyseg_data.commands.cli import main
+from bodyseg_data.bodies import SOURCES, Body, BodyRef, open_source
+from bodyseg_data.commands import main
 from bodyseg_data.commands.shard import Options
-from bodyseg_data.core.errors import BadConfig, BadMesh, BadSample, BadShard
-from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.packing import pack as packing
-from bodyseg_data.packing.engines.processes import processes
-from bodyseg_data.packing.options import Packing
-from bodyseg_data.packing.pack import pack
-from bodyseg_data.packing.skipping import FaultyMeshes, OnFaults, SkipList
-from bodyseg_data.packing.state import STATE_NAME
-from bodyseg_data.shards.manifest import Manifest, read_manifest
+from bodyseg_data.core import BadConfig, BadMesh, BadSample, BadShard
+from bodyseg_data.packing import FaultyMeshes, OnFaults, Packing, pack
+from bodyseg_data.packing import packer as packing
+from bodyseg_data.packing.jobs import processes
+from bodyseg_data.packing.skipping import SkipList
+from bodyseg_data.packing.writing import STATE_NAME
+from bodyseg_data.samples import ViewGrid
+from bodyseg_data.shards import Manifest, read_manifest
 
 POINTS: Final = PERSON.vertices[list(VERTICES)]
 SKIP: Final = OnFaults("skip", 0.9)

@@ -8,9 +8,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from bodyseg_data.core.randomness import stream
-from bodyseg_data.meshes.solids import Solid, cuboid, together, turned_solid
-from bodyseg_data.packing.furniture import FURNITURE, Numbers
+from bodyseg_data.core import stream
+from bodyseg_data.meshes import Solid, cuboid, together, turned_solid
+from bodyseg_data.packing import FURNITURE, Numbers
 
 MIRROR = np.diag([1.0, 1.0, -1.0])
 

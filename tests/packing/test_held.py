@@ -8,18 +8,16 @@ from shapes import evenly_drawn, figure
 from small_rig import SMALL
 from spheres import icosphere
 
-from bodyseg_data.bodies.source import Body, BodyRef
-from bodyseg_data.core.errors import BadSample
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.sample import HELD, Sample
-from bodyseg_data.core.views import View
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.pieces import SurfacePiece
+from bodyseg_data.bodies import Body, BodyRef
+from bodyseg_data.core import BadSample
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.meshes import Mesh, SurfacePiece
+from bodyseg_data.packing import Sampler, ThingsPlace
 from bodyseg_data.packing.mesh_reduction import reduced_body
-from bodyseg_data.packing.sampler import Sampler
-from bodyseg_data.packing.things import ThingsPlace
-from bodyseg_data.rendering.raster import RasterRenderer
-from bodyseg_data.shards.sample_codec import decode_sample, encode_sample
+from bodyseg_data.rendering import RasterRenderer
+from bodyseg_data.samples import HELD, Sample, View
+from bodyseg_data.shards import encode_sample
+from bodyseg_data.shards.sample_codec import decode_sample
 
 REF = BodyRef("everyday", "E1", "E1-0", "standing", "train")
 BARE = figure()

@@ -18,14 +18,10 @@ from folders import HELPERS, ROOT
 from numpy.typing import NDArray
 from shapes import ball, figure
 
-from bodyseg_data.bodies.source import Body
-from bodyseg_data.core.errors import BadConfig, BadMesh, MissingLibrary
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.core.system import libraries
-from bodyseg_data.core.views import View
-from bodyseg_data.meshes.mending import find_edges
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.bodies import Body
+from bodyseg_data.core import BadConfig, BadMesh, MissingLibrary
+from bodyseg_data.machine import libraries
+from bodyseg_data.meshes import Mesh, find_edges, partition
 from bodyseg_data.packing import mesh_reduction
 from bodyseg_data.packing.mesh_reduction import (
     Reduction,
@@ -37,7 +33,9 @@ from bodyseg_data.packing.mesh_reduction import (
     reduced_body,
     seen_ranges,
 )
-from bodyseg_data.shards.manifest import read_manifest
+from bodyseg_data.rigs import load_rig
+from bodyseg_data.samples import View
+from bodyseg_data.shards import read_manifest
 
 RIG = load_rig()
 BALL = ball(subdivisions=5)  # 20 480 triangles

@@ -8,7 +8,7 @@ from functools import partial
 
 import pytest
 
-from bodyseg_data.packing.engines.ordered import ordered
+from bodyseg_data.packing.jobs import ordered
 
 
 def test_results_wait_for_the_reader_instead_of_filling_memory() -> None:

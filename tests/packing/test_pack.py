@@ -21,17 +21,17 @@ from folders import HELPERS
 from processes import start_interruptible
 from small_rig import SMALL_FILE
 
-from bodyseg_data.bodies.source import Body, BodyRef
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.commands.cli import main
-from bodyseg_data.core.errors import BadConfig, BadMesh
-from bodyseg_data.core.views import Drawn, ViewGrid
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.meshes.partition.surface_parts import Partition
-from bodyseg_data.packing.options import Packing, evenly_sampled
-from bodyseg_data.packing.pack import plan
-from bodyseg_data.packing.state import STATE_NAME, claimed
-from bodyseg_data.shards.manifest import read_manifest
+from bodyseg_data.bodies import Body, BodyRef, open_source
+from bodyseg_data.commands import main
+from bodyseg_data.core import BadConfig, BadMesh
+from bodyseg_data.loading import RangeImages
+from bodyseg_data.meshes import Partition
+from bodyseg_data.packing import Packing, plan
+from bodyseg_data.packing.options import evenly_sampled
+from bodyseg_data.packing.writing import STATE_NAME, claimed
+from bodyseg_data.samples import ViewGrid
+from bodyseg_data.samples.views import Drawn
+from bodyseg_data.shards import read_manifest
 
 Pack = Callable[..., Path]
 

@@ -16,13 +16,12 @@ from benches.fuzzing.interruptions import TROUBLES, Interrupted, Trouble, _forke
 from fakes import FiguresEntry
 from folders import ROOT
 
-from bodyseg_data.bodies.sources import SOURCES
-from bodyseg_data.commands.provenance import write_figures
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.packing.options import Packing
-from bodyseg_data.packing.pack import pack
-from bodyseg_model.commands.cli import main
+from bodyseg_data.bodies import SOURCES
+from bodyseg_data.commands import write_figures
+from bodyseg_data.core import BadConfig
+from bodyseg_data.packing import Packing, pack
+from bodyseg_data.samples import ViewGrid
+from bodyseg_model.commands import main
 
 SMALL = Packing("open", views=ViewGrid(count=1), shard_samples=2)
 

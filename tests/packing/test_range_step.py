@@ -11,15 +11,13 @@ import pytest
 import torch
 from torch.utils.data import ConcatDataset
 
-from bodyseg_data.artifacts.variants import VARIANTS
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.loading.image_set import metres
-from bodyseg_data.loading.loader import loader
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.packing.options import Packing
-from bodyseg_data.shards.codecs import CODECS
+from bodyseg_data.artifacts import VARIANTS
+from bodyseg_data.core import BadConfig
+from bodyseg_data.loading import RangeImages, loader, metres
+from bodyseg_data.packing import Packing
+from bodyseg_data.rigs import load_rig
+from bodyseg_data.samples import ViewGrid
+from bodyseg_data.shards import CODECS
 from bodyseg_model.commands import cli
 
 STEPS_MM = 0.1, 0.25, 1.0, 3.0

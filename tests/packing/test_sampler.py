@@ -12,21 +12,19 @@ import pytest
 from plain_views import take_whole_frames
 from shapes import ball, figure
 
-from bodyseg_data.artifacts.occlusion import ShadowTest
-from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.errors import BadSample, MissingLibrary
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.rig import Rig, load_rig
-from bodyseg_data.core.sample import Sample, info_from_json
-from bodyseg_data.core.views import View
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.borders import find_borders
-from bodyseg_data.meshes.partition.surface_parts import Partition, partition
-from bodyseg_data.packing.coarsening import COARSEST_STEP
-from bodyseg_data.packing.sampler import Sampler
+from bodyseg_data.artifacts import ShadowTest
+from bodyseg_data.bodies import BodyRef, open_source
+from bodyseg_data.core import BadSample, MissingLibrary
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.meshes import Mesh, Partition, partition
+from bodyseg_data.meshes.partitioning import find_borders
+from bodyseg_data.packing import Sampler
+from bodyseg_data.packing.occluders import COARSEST_STEP
 from bodyseg_data.rendering import open_renderer
-from bodyseg_data.shards.sample_codec import decode_sample, encode_sample
+from bodyseg_data.rigs import Rig, load_rig
+from bodyseg_data.samples import Sample, View, info_from_json
+from bodyseg_data.shards import encode_sample
+from bodyseg_data.shards.sample_codec import decode_sample
 
 REF = BodyRef("people", "P007", "ball-1", "standing", "test")
 RADIUS = 0.5

@@ -11,9 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.sample import SHADOW_THRESHOLDS, ShadowThresholds
-from bodyseg_data.shards.manifest import MANIFEST_FORMAT, read_manifest
+from bodyseg_data.core import BadConfig
+from bodyseg_data.samples import SHADOW_THRESHOLDS
+from bodyseg_data.samples.sample import ShadowThresholds
+from bodyseg_data.shards import MANIFEST_FORMAT, read_manifest
 
 ROOT = Path(__file__).parents[2]
 

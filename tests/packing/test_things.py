@@ -14,28 +14,22 @@ from shapes import evenly_drawn, figure
 from small_rig import SMALL
 
 from bodyseg_data import RangeImages
+from bodyseg_data.artifacts import VARIANTS
 from bodyseg_data.artifacts.occlusion import shadow_test
-from bodyseg_data.artifacts.variants import VARIANTS
-from bodyseg_data.bodies.source import BodyRef
+from bodyseg_data.bodies import BodyRef
 from bodyseg_data.commands import cli
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
-from bodyseg_data.core.rig import Rig
-from bodyseg_data.core.sample import Sample
-from bodyseg_data.core.views import View
-from bodyseg_data.drawing.contact_sheet import Row, draw_sheet
-from bodyseg_data.meshes.partition.surface_parts import partition
-from bodyseg_data.meshes.solids import Solid, cuboid, together
-from bodyseg_data.packing.options import Packing
-from bodyseg_data.packing.pack import plan
-from bodyseg_data.packing.sampler import Sampler
-from bodyseg_data.packing.things import LEAST_HIDDEN, MOST_HIDDEN, Things, ThingsPlace, draw_things, in_front, nearest
-from bodyseg_data.rendering.raster import RasterRenderer
-from bodyseg_data.rendering.renderer import Surface
-from bodyseg_data.shards.faults import find_faults
-from bodyseg_data.shards.manifest import read_manifest
-from bodyseg_data.shards.sample_codec import decode_sample, encode_sample
-from bodyseg_model.networks.registry import build
+from bodyseg_data.core import BadConfig
+from bodyseg_data.drawing import Row, draw_sheet
+from bodyseg_data.labels import BACKGROUND, PART_COUNT
+from bodyseg_data.meshes import Solid, cuboid, partition, together
+from bodyseg_data.packing import Packing, Sampler, ThingsPlace, draw_things, in_front, plan
+from bodyseg_data.packing.things import LEAST_HIDDEN, MOST_HIDDEN, Things, nearest
+from bodyseg_data.rendering import RasterRenderer, Surface
+from bodyseg_data.rigs import Rig
+from bodyseg_data.samples import Sample, View
+from bodyseg_data.shards import encode_sample, find_faults, read_manifest
+from bodyseg_data.shards.sample_codec import decode_sample
+from bodyseg_model.networks import build
 from bodyseg_model.training.loss import NetworkWithLoss
 
 REF = BodyRef("people", "P1", "P1-0", "standing", "test")

@@ -13,19 +13,14 @@ import pytest
 from kernel_forms import computed_by
 from pictures import decoded, marks, part
 
-from bodyseg_data.artifacts.occlusion import lit_pixels
-from bodyseg_data.artifacts.variants import VARIANTS, VariantName
+from bodyseg_data.artifacts import VARIANTS, VariantName, lit_pixels
 from bodyseg_data.commands import cli
-from bodyseg_data.core.errors import BadShard
-from bodyseg_data.core.parts import COLOURS
-from bodyseg_data.core.rig import Rig, load_rig
-from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.loading.loader import loader
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.shards.codecs import CODECS, CodecName
-from bodyseg_data.shards.faults import find_faults
-from bodyseg_data.shards.manifest import Manifest, read_manifest, write_manifest
-from bodyseg_data.shards.tar import ShardReader
+from bodyseg_data.core import BadShard
+from bodyseg_data.labels.label_map import COLOURS
+from bodyseg_data.loading import RangeImages, loader
+from bodyseg_data.rigs import Rig, load_rig
+from bodyseg_data.samples import ViewGrid
+from bodyseg_data.shards import CODECS, CodecName, Manifest, ShardReader, find_faults, read_manifest, write_manifest
 
 VIEWS = ViewGrid(span_deg=360, count=3)
 

@@ -10,8 +10,8 @@ from threading import Event
 import pytest
 from jobs import take
 
-from bodyseg_data.core.errors import BadMesh
-from bodyseg_data.packing.engines.worker_memory import MeasuringExecutor
+from bodyseg_data.core import BadMesh
+from bodyseg_data.packing import MeasuringExecutor
 
 
 def fail() -> None:

@@ -12,9 +12,10 @@ import pytest
 from PIL import Image
 from pngs import RAMP, png
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import BadConfig
+from bodyseg_model.recordings import find_frames, to_metres
 from bodyseg_model.recordings.camera_files import cameras_beside
-from bodyseg_model.recordings.frames import find_frames, open_recording, to_metres
+from bodyseg_model.recordings.frames import open_recording
 
 STACK = np.stack([RAMP, RAMP[::-1], RAMP // 2])
 

@@ -30,13 +30,16 @@ from pngs import RAMP, png
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin
 
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_data.core.labels.label_map import PARTS33
-from bodyseg_model.recordings.bags import compression, mcap_files, messages, ros1, sqlite_files
-from bodyseg_model.recordings.bags.labels_out import labels_out
-from bodyseg_model.recordings.bags.messages import typestore
-from bodyseg_model.recordings.frames import find_frames, open_recording, to_metres
-from bodyseg_model.recordings.recording import Stamp
+from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_data.labels import PARTS33
+from bodyseg_model.recordings import Stamp, find_frames, labels_out, to_metres
+from bodyseg_model.recordings import bag_files as mcap_files
+from bodyseg_model.recordings import bag_files as ros1
+from bodyseg_model.recordings import bag_files as sqlite_files
+from bodyseg_model.recordings import bag_messages as compression
+from bodyseg_model.recordings import bag_messages as messages
+from bodyseg_model.recordings.bag_messages import typestore
+from bodyseg_model.recordings.frames import open_recording
 
 STACK = [RAMP, RAMP[::-1].copy(), RAMP // 2]
 METRES = np.where(RAMP % 5 == 0, np.nan, RAMP / 10_000).astype(np.float32)

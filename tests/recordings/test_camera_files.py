@@ -12,13 +12,11 @@ import numpy as np
 import pytest
 from pngs import png
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import Camera
-from bodyseg_data.core.rigs.distortion import Distortion
+from bodyseg_data.core import BadConfig
+from bodyseg_data.rigs import Camera, Distortion
+from bodyseg_model.recordings import FrameCamera, find_frames, frame_camera
 from bodyseg_model.recordings.camera_files import FrameCameras, cameras_beside
-from bodyseg_model.recordings.cameras import FrameCamera, frame_camera
-from bodyseg_model.recordings.frames import find_frames
-from bodyseg_model.recordings.intrinsics import Intrinsics
+from bodyseg_model.recordings.cameras import Intrinsics
 
 PLAIN = {"fx": 50.0, "fy": 50.0, "cx": 19.5, "cy": 14.5}
 

@@ -6,9 +6,10 @@ from typing import Any
 
 import pytest
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import Camera, load_rig, load_sensor, rig_names
-from bodyseg_model.recordings.cameras import assumed_sensors, frame_camera, other_sensors
+from bodyseg_data.core import BadConfig
+from bodyseg_data.rigs import Camera, load_rig, load_sensor, rig_names
+from bodyseg_model.recordings import frame_camera, other_sensors
+from bodyseg_model.recordings.cameras import assumed_sensors
 
 
 def test_a_camera_is_given_or_told_by_the_size_of_frames() -> None:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from pngs import RAMP, chunk, png
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.recordings.frame_png import parse_frame
+from bodyseg_data.core import BadConfig
+from bodyseg_model.recordings.frame_files import parse_frame
 
 
 @pytest.mark.parametrize(

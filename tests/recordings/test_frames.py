@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from pngs import RAMP, png
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.recordings.frame_tars import list_tar
-from bodyseg_model.recordings.frames import FrameFile, find_frames, metres_a_step, to_metres
-from bodyseg_model.recordings.recording import evenly_apart
+from bodyseg_data.core import BadConfig
+from bodyseg_model.recordings import evenly_apart, find_frames, metres_a_step, to_metres
+from bodyseg_model.recordings.frame_files import list_tar
+from bodyseg_model.recordings.frames import FrameFile
 
 
 def tar_of(path: Path, *entries: tuple[tarfile.TarInfo | str, bytes], end: bool = True) -> Path:

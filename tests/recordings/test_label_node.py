@@ -13,8 +13,8 @@ import pytest
 from bags import ROS2, built, camera_info, image
 from label_networks import Places
 
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_model.networks.checkpoints import Trained
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_model.networks import Trained
 
 NODE = Path(__file__).parents[2] / "docs" / "examples" / "label_node.py"
 

@@ -12,8 +12,8 @@ import pytest
 from fake_cameras import FakeOrbbec, FakeRealSense
 from pngs import RAMP
 
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_model.recordings.frames import to_metres
+from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_model.recordings import to_metres
 from bodyseg_model.recordings.live import LiveRecording, orbbec, realsense
 
 

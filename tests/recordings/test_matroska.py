@@ -12,7 +12,7 @@ from damaged_recordings import reads_or_refuses
 from kinect_mkv import calibration, write_mkv
 from pngs import RAMP
 
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
+from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_model.recordings.formats.kinect_calibration import depth_camera
 from bodyseg_model.recordings.frames import open_recording
 

@@ -12,10 +12,9 @@ import pytest
 from seen import FRONT, RIG, body_rays, see, skip_without_opengl
 from shapes import ball, figure
 
-from bodyseg_data.core.errors import BadConfig, BadMesh
-from bodyseg_data.core.views import View
-from bodyseg_data.rendering import open_renderer
-from bodyseg_data.rendering.renderer import Surface
+from bodyseg_data.core import BadConfig, BadMesh
+from bodyseg_data.rendering import Surface, open_renderer
+from bodyseg_data.samples import View
 
 
 @pytest.fixture(autouse=True)

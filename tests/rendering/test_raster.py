@@ -10,11 +10,11 @@ import pytest
 from plain_views import check_filled
 from shapes import figure
 
-from bodyseg_data.core import kernels
-from bodyseg_data.core.rig import PlacedCamera, load_rig
-from bodyseg_data.core.views import View
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.rendering.raster import RasterRenderer
+from bodyseg_data.machine import kernels
+from bodyseg_data.meshes import Mesh
+from bodyseg_data.rendering import RasterRenderer
+from bodyseg_data.rigs import PlacedCamera, load_rig
+from bodyseg_data.samples import View
 
 RIG = load_rig()
 

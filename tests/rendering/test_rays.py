@@ -7,10 +7,10 @@ import pytest
 from plain_views import cast_whole_frame, check_rays
 from shapes import ball, figure
 
-from bodyseg_data.core.rig import PlacedCamera, load_rig
-from bodyseg_data.core.views import View
 from bodyseg_data.rendering.embree import EmbreeRenderer
-from bodyseg_data.rendering.outline import Outline
+from bodyseg_data.rendering.renderer import Outline
+from bodyseg_data.rigs import PlacedCamera, load_rig
+from bodyseg_data.samples import View
 
 RIG = load_rig()
 

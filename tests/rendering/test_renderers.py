@@ -19,14 +19,13 @@ from numpy.typing import NDArray
 from seen import FRONT, RIG, body_rays, see, skip_without_opengl
 from shapes import ball, figure
 
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import PlacedCamera
-from bodyseg_data.core.views import View
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.rendering import open_renderer
+from bodyseg_data.bodies import open_source
+from bodyseg_data.core import BadConfig
+from bodyseg_data.meshes import Mesh
+from bodyseg_data.rendering import Renderer, Surface, open_renderer
 from bodyseg_data.rendering.embree import EmbreeRenderer
-from bodyseg_data.rendering.renderer import Renderer, Surface
+from bodyseg_data.rigs import PlacedCamera
+from bodyseg_data.samples import View
 
 
 @pytest.fixture(params=["raster", "embree", "opengl"])

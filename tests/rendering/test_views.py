@@ -11,10 +11,10 @@ import pytest
 from plain_views import check_filled, check_rays
 from shapes import ball, figure
 
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.rig import PlacedCamera, load_rig
-from bodyseg_data.core.views import View
-from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.bodies import open_source
+from bodyseg_data.meshes import Mesh
+from bodyseg_data.rigs import PlacedCamera, load_rig
+from bodyseg_data.samples import View
 
 RIG = load_rig()
 TURNED = replace(RIG, projector=replace(RIG.projector, roll_deg=30.0))

@@ -12,29 +12,32 @@ import torch
 from onnx_answers import ask, check_answer, frames
 from toy_network import Toy
 
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_data.core.rig import Camera
-from bodyseg_data.core.system.machine import computes_bfloat16
-from bodyseg_model.commands.cli import main
-from bodyseg_model.networks.checkpoints import load_network, save_network, shipped_network
-from bodyseg_model.networks.registry import build, predict
-from bodyseg_model.runtimes import backends
-from bodyseg_model.runtimes.backends import backend_of, on_backend, quick_precision, to_device
+from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_data.machine import computes_bfloat16
+from bodyseg_data.rigs import Camera
+from bodyseg_model.commands import main
+from bodyseg_model.networks import build, load_network, predict, save_network, shipped_network
+from bodyseg_model.runtimes import (
+    backend_of,
+    backends,
+    export_trained,
+    on_backend,
+    quick_precision,
+    to_device,
+    write_onnx,
+)
+from bodyseg_model.runtimes.backends import folded
 from bodyseg_model.runtimes.onnx_files import (
     GraphFacts,
     OnnxModel,
     answer_graph,
-    export_trained,
     import_onnx,
     read_onnx,
     scores_part,
     to_onnx,
-    write_onnx,
 )
 from bodyseg_model.runtimes.runtime import OnnxRuntime, RuntimeNetwork
-from bodyseg_model.runtimes.torch_forms import folded
-from bodyseg_model.segmentation.foreground import Background
-from bodyseg_model.segmentation.segmenter import Segmenter
+from bodyseg_model.segmentation import Background, Segmenter
 
 onnx = pytest.importorskip("onnx")
 onnxruntime = pytest.importorskip("onnxruntime")

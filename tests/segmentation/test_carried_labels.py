@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.rig import Camera
-from bodyseg_data.core.system.torch_threads import torch_threads
-from bodyseg_model.segmentation.temporal import carried_labels
-from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels, Carrying, nearest_first, part_shifts
-from bodyseg_model.segmentation.temporal.carried_loops import SLOTS, UNIT, Cells, Lens, nearest
+from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.machine import torch_threads
+from bodyseg_data.rigs import Camera
+from bodyseg_model.segmentation import CarriedLabels, carried_labels
+from bodyseg_model.segmentation.carried_labels import Carrying, nearest_first, part_shifts
+from bodyseg_model.segmentation.carried_loops import SLOTS, UNIT, Cells, Lens, nearest
 
 LENS = Camera(120, 160, 200.0, (80.0, 60.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 FINE = Camera(480, 640, 800.0, (320.0, 240.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
@@ -276,7 +276,7 @@ def test_parameters_that_cannot_be(options: dict[str, Any], message: str) -> Non
 
 
 def test_without_numba_one_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "bodyseg_model.segmentation.temporal.carried_loops", raising=False)
+    monkeypatch.delitem(sys.modules, "bodyseg_model.segmentation.carried_loops", raising=False)
     monkeypatch.setitem(sys.modules, "numba", None)
     with pytest.raises(MissingLibrary, match="carrying labels through a video needs the package 'numba'"):
         CarriedLabels()

@@ -9,11 +9,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from plain_loops import plain_best_candidate, plain_near_plane
 
-from bodyseg_data.core.rig import Camera
-from bodyseg_model.segmentation import room_planes, surfaces
-from bodyseg_model.segmentation.foreground import Background, find_bodies
-from bodyseg_model.segmentation.room_planes import on_largest_plane
-from bodyseg_model.segmentation.surfaces import Surfaces
+from bodyseg_data.rigs import Camera
+from bodyseg_model.segmentation import Background, find_bodies, surfaces
+from bodyseg_model.segmentation import surfaces as room_planes
+from bodyseg_model.segmentation.surfaces import Surfaces, on_largest_plane
 
 LENS = Camera(120, 160, 131.0, (81.0, 57.5), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from plain_loops import connected_surfaces
 from skimage.measure import label
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import Camera
-from bodyseg_model.segmentation.foreground import Background, find_bodies
-from bodyseg_model.segmentation.room_planes import on_largest_plane, seen_area_m2
-from bodyseg_model.segmentation.surfaces import GAP_PIXELS, JUMP_M, JUMP_SHARE, SHADOW_M
+from bodyseg_data.core import BadConfig
+from bodyseg_data.rigs import Camera
+from bodyseg_model.segmentation import Background, find_bodies
+from bodyseg_model.segmentation.surfaces import GAP_PIXELS, JUMP_M, JUMP_SHARE, SHADOW_M, on_largest_plane, seen_area_m2
 
 Image = NDArray[np.float32]
 

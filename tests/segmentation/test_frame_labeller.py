@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 from pngs import png
 from small_rig import SMALL
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.rig import Camera
-from bodyseg_data.core.rigs.distortion import Distortion
-from bodyseg_model.networks.checkpoints import Trained
-from bodyseg_model.recordings.frames import find_frames
-from bodyseg_model.segmentation.frame_labeller import FrameLabeller, LabelledFrame
-from bodyseg_model.segmentation.segmenter import STAGES, Segmenter
+from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.rigs import Camera, Distortion
+from bodyseg_model.networks import Trained
+from bodyseg_model.recordings import find_frames
+from bodyseg_model.segmentation import FrameLabeller, LabelledFrame, Segmenter
+from bodyseg_model.segmentation.segmenter import STAGES
 from bodyseg_model.segmentation.views import Undistortion
 
 CAMERA = Camera(60, 80, 100.0, (40.0, 30.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))

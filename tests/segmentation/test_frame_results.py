@@ -12,8 +12,8 @@ import pytest
 from isal import isal_zlib
 from PIL import Image
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.system import deflate
+from bodyseg_data.core import BadConfig
+from bodyseg_data.machine import libraries as deflate
 from bodyseg_model.segmentation.output_folder import WriteBehind
 from bodyseg_model.segmentation.pictures import encode_picture
 

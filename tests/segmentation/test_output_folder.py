@@ -11,9 +11,10 @@ from pathlib import Path
 import pytest
 from pngs import png
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.recordings.frames import find_frames
-from bodyseg_model.segmentation.output_folder import IMAGES, OutputFolder
+from bodyseg_data.core import BadConfig
+from bodyseg_model.recordings import find_frames
+from bodyseg_model.segmentation import OutputFolder
+from bodyseg_model.segmentation.output_folder import IMAGES
 
 
 @pytest.fixture

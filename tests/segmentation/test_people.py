@@ -13,20 +13,12 @@ from label_networks import Places
 from numpy.typing import NDArray
 from PIL import Image
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.rig import Camera, load_sensor
-from bodyseg_model.networks.checkpoints import shipped_network
-from bodyseg_model.segmentation.foreground import Background
-from bodyseg_model.segmentation.person_score import (
-    MEASURES,
-    PersonScore,
-    SurfaceShape,
-    shipped_score,
-    shipped_shape_network,
-    surface_shape,
-)
-from bodyseg_model.segmentation.segmenter import Segmenter
+from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.rigs import Camera, load_sensor
+from bodyseg_model.networks import shipped_network
+from bodyseg_model.segmentation import Background, PersonScore, Segmenter, shipped_score
+from bodyseg_model.segmentation.person_score import MEASURES, SurfaceShape, shipped_shape_network, surface_shape
 from bodyseg_model.stability.rooms import rooms_of
 
 CAMERA = Camera(240, 320, 262.5, (160.0, 120.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))

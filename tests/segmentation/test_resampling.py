@@ -14,18 +14,12 @@ from numpy.typing import NDArray
 from plain_loops import PlainViewLoops
 from shapes import figure
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import Camera, PlacedCamera, axes_at, load_rig
-from bodyseg_data.rendering.raster import RasterRenderer
+from bodyseg_data.core import BadConfig
+from bodyseg_data.rendering import RasterRenderer
+from bodyseg_data.rigs import Camera, PlacedCamera, axes_at, load_rig
+from bodyseg_model.segmentation import view_body
 from bodyseg_model.segmentation import views as module
-from bodyseg_model.segmentation.views import (
-    LARGEST_SIDE,
-    STEP,
-    USUAL_PEOPLE,
-    BodyView,
-    usual_views,
-    view_body,
-)
+from bodyseg_model.segmentation.views import LARGEST_SIDE, STEP, USUAL_PEOPLE, BodyView, usual_views
 
 PAPER = load_rig()
 NEAREST_M, FARTHEST_M = PAPER.range_step_m, 65535 * PAPER.range_step_m

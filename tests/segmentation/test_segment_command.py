@@ -21,17 +21,14 @@ from PIL import Image
 from pngs import pixels, png
 from small_rig import SMALL
 
-from bodyseg_data.core.labels.label_map import PARTS33, LabelMap, load_label_map
-from bodyseg_data.core.parts import BACKGROUND, LANDMARKS, MIRRORED_LABELS
-from bodyseg_data.core.rig import load_sensor
+from bodyseg_data.labels import BACKGROUND, LANDMARKS, MIRRORED_LABELS, PARTS33, LabelMap, load_label_map
+from bodyseg_data.rigs import load_sensor
 from bodyseg_model.commands import cli, segment
-from bodyseg_model.networks.checkpoints import Trained, save_network
-from bodyseg_model.networks.registry import build
+from bodyseg_model.networks import Trained, build, save_network
+from bodyseg_model.recordings import Skipping, find_frames
 from bodyseg_model.recordings.camera_files import cameras_beside
-from bodyseg_model.recordings.frames import find_frames
-from bodyseg_model.recordings.skipping import Skipping
 from bodyseg_model.runtimes import backends
-from bodyseg_model.segmentation.person_score import shipped_score
+from bodyseg_model.segmentation import shipped_score
 from bodyseg_model.segmentation.views import Undistortion, usual_views
 
 Frame = NDArray[np.uint16]

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from PIL import Image
 from rosbags.rosbag2 import Reader
 
-from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.labels import BACKGROUND
 from bodyseg_model.commands import cli, segment
-from bodyseg_model.networks.checkpoints import Trained
-from bodyseg_model.recordings.bags.messages import typestore
+from bodyseg_model.networks import Trained
+from bodyseg_model.recordings.bag_messages import typestore
 
 
 def standing(x: int) -> NDArray[np.uint16]:

@@ -16,20 +16,26 @@ from label_networks import Places
 from numpy.typing import NDArray
 from PIL import Image
 
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_data.core.labels.label_map import PARTS33, load_label_map
-from bodyseg_data.core.parts import BACKGROUND, COLOURS
-from bodyseg_data.core.rig import Camera
-from bodyseg_data.core.system.stopwatch import Stopwatch
-from bodyseg_model.segmentation import pictures
-from bodyseg_model.segmentation.flicker import Flicker, flicker
-from bodyseg_model.segmentation.foreground import Background, find_bodies
-from bodyseg_model.segmentation.frame_labeller import FrameLabeller
-from bodyseg_model.segmentation.person_score import shipped_score
-from bodyseg_model.segmentation.pictures import MOST_FRAMES, Preview, draw_overlay, draw_parts_legend
-from bodyseg_model.segmentation.segmenter import STAGES, Segmenter
+from bodyseg_data.core import BadConfig, MissingLibrary, Stopwatch
+from bodyseg_data.labels import BACKGROUND, PARTS33, load_label_map
+from bodyseg_data.labels.label_map import COLOURS
+from bodyseg_data.rigs import Camera
+from bodyseg_model.segmentation import (
+    Background,
+    Flicker,
+    FrameLabeller,
+    Preview,
+    Segmenter,
+    SequenceSummary,
+    draw_overlay,
+    find_bodies,
+    flicker,
+    pictures,
+    shipped_score,
+)
+from bodyseg_model.segmentation.pictures import MOST_FRAMES, draw_parts_legend
+from bodyseg_model.segmentation.segmenter import STAGES
 from bodyseg_model.segmentation.sequence_summary import STAGES as ALL_STAGES
-from bodyseg_model.segmentation.sequence_summary import SequenceSummary
 
 LENS = Camera(60, 80, 100.0, (40.0, 30.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 KEEP = Background("keep")
@@ -207,7 +213,7 @@ def test_the_examples_of_the_page_run(capsys: pytest.CaptureFixture[str]) -> Non
 
 def test_a_stopwatch_adds_up(monkeypatch: pytest.MonkeyPatch) -> None:
     times = iter([1.0, 1.5, 2.0, 2.25])
-    monkeypatch.setattr("bodyseg_data.core.system.stopwatch.time.perf_counter", lambda: next(times))
+    monkeypatch.setattr("bodyseg_data.core.progress.time.perf_counter", lambda: next(times))
     watch = Stopwatch(("a", "b"))
     for _ in range(2):
         with watch("b"):

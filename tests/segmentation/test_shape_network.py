@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import BadConfig
 from bodyseg_model.segmentation import person_score
 from bodyseg_model.segmentation.person_score import (
     SHAPES,

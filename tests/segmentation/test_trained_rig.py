@@ -13,20 +13,15 @@ from PIL import Image
 from small_rig import SMALL
 
 from bodyseg_data import RangeImages
-from bodyseg_data.core.rig import load_rig, rig_from_json
+from bodyseg_data.rigs import load_rig, rig_from_json
 from bodyseg_model.commands import cli, segment
-from bodyseg_model.evaluation.scores import ConfusionMatrix
-from bodyseg_model.networks.checkpoints import Trained, load_network, save_network
-from bodyseg_model.networks.registry import build
-from bodyseg_model.recordings.cameras import frame_camera
-from bodyseg_model.segmentation.foreground import Background
-from bodyseg_model.segmentation.frame_labeller import FrameLabeller
+from bodyseg_model.evaluation import ConfusionMatrix
+from bodyseg_model.networks import Trained, build, load_network, save_network
+from bodyseg_model.recordings import frame_camera
+from bodyseg_model.segmentation import Background, FrameLabeller
 from bodyseg_model.segmentation.views import STEP
-from bodyseg_model.training.augmentation import GeometricAugmentation
+from bodyseg_model.training import GeometricAugmentation, RunFolder, RunOptions, Training, recipe_for
 from bodyseg_model.training.distributed import ProcessGroup
-from bodyseg_model.training.loop import RunOptions, Training
-from bodyseg_model.training.recipes import recipe_for
-from bodyseg_model.training.run_folder import RunFolder
 
 KEEP = Background("keep")
 LENS = frame_camera((60, 80), "a frame", focal_px=100.0).camera

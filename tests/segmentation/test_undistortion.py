@@ -11,10 +11,9 @@ import pytest
 from label_networks import Places
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import Camera
-from bodyseg_data.core.rigs.distortion import Distortion
-from bodyseg_model.segmentation.segmenter import Segmenter
+from bodyseg_data.core import BadConfig
+from bodyseg_data.rigs import Camera, Distortion
+from bodyseg_model.segmentation import Segmenter
 from bodyseg_model.segmentation.views import Undistortion
 
 LENSES = {

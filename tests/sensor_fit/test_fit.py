@@ -10,19 +10,15 @@ import numpy as np
 import pytest
 from known_sensors import CAMERA, by_artifact, fitted, recorded
 
-from bodyseg_data.artifacts.lost_pixels.surfaces import EdgeLoss
-from bodyseg_data.artifacts.missing_data import MissingData
-from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.occlusion import Occlusion
-from bodyseg_data.artifacts.range_errors.lateral_noise import LateralNoise
-from bodyseg_data.artifacts.range_errors.stereo import DisparityRounding, StereoNoise
+from bodyseg_data.artifacts import MissingData, Noise, Occlusion
+from bodyseg_data.artifacts.lost_pixels import EdgeLoss
+from bodyseg_data.artifacts.range_errors import DisparityRounding, LateralNoise, StereoNoise
 from bodyseg_data.artifacts.sensor_model import parse_sensor_model
-from bodyseg_model.recordings.cameras import frame_camera
-from bodyseg_model.recordings.frames import find_frames
-from bodyseg_model.segmentation.foreground import Background
+from bodyseg_model.recordings import find_frames, frame_camera
+from bodyseg_model.segmentation import Background
+from bodyseg_model.sensor_fit import SensorFit, fit_sensor, read_recording
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Finding
-from bodyseg_model.sensor_fit.fit import ORDER, SensorFit, fit_sensor
-from bodyseg_model.sensor_fit.recording import read_recording
+from bodyseg_model.sensor_fit.fit import ORDER
 
 
 @pytest.mark.parametrize("moving", [False, True])

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 from known_sensors import recorded
 
-from bodyseg_data.artifacts.lost_pixels.areas import PatchLoss, StripeLoss
-from bodyseg_data.artifacts.lost_pixels.surfaces import EdgeLoss, GrazingLoss
-from bodyseg_data.artifacts.missing_data import MissingData
-from bodyseg_data.artifacts.noise import Noise
+from bodyseg_data.artifacts import MissingData, Noise
+from bodyseg_data.artifacts.lost_pixels import EdgeLoss, GrazingLoss, PatchLoss, StripeLoss
 from bodyseg_model.sensor_fit.finding import NEEDED, UNKNOWN, Finding
 from bodyseg_model.sensor_fit.losses import measure_losses
 from bodyseg_model.sensor_fit.outlines import outlines_of

@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 from known_sensors import recorded
 
-from bodyseg_data.artifacts.missing_data import MissingData
-from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.occlusion import Occlusion
-from bodyseg_data.artifacts.sensor_model import SensorModel
-from bodyseg_model.sensor_fit.fit import HEIGHT, draw_comparison, simulate
+from bodyseg_data.artifacts import MissingData, Noise, Occlusion, SensorModel
+from bodyseg_model.sensor_fit import draw_comparison
+from bodyseg_model.sensor_fit.fit import HEIGHT, simulate
 
 
 def test_a_simulation_has_the_sensors_artifacts_but_no_shadow() -> None:

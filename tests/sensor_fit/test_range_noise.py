@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from known_sensors import RIG, recorded
 
-from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.range_errors.axial_noise import AxialNoise
-from bodyseg_data.artifacts.range_errors.rounding import RangeRounding
-from bodyseg_data.artifacts.range_errors.stereo import StereoNoise
+from bodyseg_data.artifacts import AxialNoise, Noise
+from bodyseg_data.artifacts.range_errors import RangeRounding, StereoNoise
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Finding
 from bodyseg_model.sensor_fit.noise import fit_positive, measure_noise, unrounded
 from bodyseg_model.sensor_fit.recording import MarkedRecording

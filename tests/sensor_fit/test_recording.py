@@ -10,13 +10,13 @@ import pytest
 from known_sensors import recorded
 from PIL import Image
 
-from bodyseg_data.artifacts.lost_pixels.areas import PatchLoss
-from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_model.recordings.cameras import frame_camera
-from bodyseg_model.recordings.frames import find_frames
-from bodyseg_model.segmentation.foreground import Background
-from bodyseg_model.sensor_fit.recording import chosen_frames, read_recording
+from bodyseg_data.artifacts import Noise
+from bodyseg_data.artifacts.lost_pixels import PatchLoss
+from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_model.recordings import find_frames, frame_camera
+from bodyseg_model.segmentation import Background
+from bodyseg_model.sensor_fit import read_recording
+from bodyseg_model.sensor_fit.recording import chosen_frames
 
 CAMERA = frame_camera((60, 80), "a frame", focal_px=100.0).camera
 

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from known_sensors import recorded
 
-from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.range_errors.rounding import RangeRounding
-from bodyseg_data.artifacts.range_errors.stereo import DisparityRounding
+from bodyseg_data.artifacts import Noise
+from bodyseg_data.artifacts.range_errors import DisparityRounding, RangeRounding
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN
 from bodyseg_model.sensor_fit.residuals import measure_steps
 

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from known_sensors import CAMERA, RIG, flipped, recorded
 
-from bodyseg_data.artifacts.occlusion import Occlusion
-from bodyseg_data.core.rig import load_rig
-from bodyseg_model.recordings.cameras import FrameCamera, frame_camera
-from bodyseg_model.sensor_fit.edges import ShadowFrames, measure_shadow, probably_mirrored, shadow_finding
+from bodyseg_data.artifacts import Occlusion
+from bodyseg_data.rigs import load_rig
+from bodyseg_model.recordings import FrameCamera, frame_camera
+from bodyseg_model.sensor_fit import ShadowFrames
+from bodyseg_model.sensor_fit.edges import measure_shadow, probably_mirrored, shadow_finding
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN
 
 

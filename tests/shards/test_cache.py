@@ -19,16 +19,22 @@ import pytest
 from samples import GOOD
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.core.errors import BadConfig, BadShard, MissingLibrary, Unreachable
-from bodyseg_data.shards.cache.folder import ShardCache, default_folder
-from bodyseg_data.shards.cache.store import CachedStore, with_cache
-from bodyseg_data.shards.descriptions import describe
-from bodyseg_data.shards.manifest import Manifest, read_manifest
-from bodyseg_data.shards.records import ShardRecord
-from bodyseg_data.shards.stores.addresses import open_store
-from bodyseg_data.shards.stores.remote import RemoteFolder, RetryPolicy
-from bodyseg_data.shards.stores.store import LocalFolder, Store, open_file
-from bodyseg_data.shards.tar import ShardReader
+from bodyseg_data.core import BadConfig, BadShard, MissingLibrary, Unreachable
+from bodyseg_data.shards import (
+    LocalFolder,
+    Manifest,
+    RemoteFolder,
+    RetryPolicy,
+    ShardReader,
+    ShardRecord,
+    Store,
+    open_file,
+    open_store,
+    read_manifest,
+    with_cache,
+)
+from bodyseg_data.shards.cache import CachedStore, ShardCache, default_folder
+from bodyseg_data.shards.records import describe
 
 fsspec = pytest.importorskip("fsspec")
 
@@ -130,7 +136,7 @@ def test_cache_options_are_checked(paper_set: Path, memory: str, tmp_path: Path)
 def test_a_missing_package_is_one_line(missing: str) -> None:
     script = (
         "import sys; sys.modules[sys.argv[1]] = None\n"
-        "from bodyseg_data.shards.stores.addresses import open_store\n"
+        "from bodyseg_data.shards.remote import open_store\n"
         "from bodyseg_data.core.errors import MissingLibrary\n"
         "try: open_store('https://host/shards')\n"
         "except MissingLibrary as error: print(error)"

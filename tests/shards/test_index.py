@@ -15,23 +15,34 @@ from typing import Any
 import pytest
 
 from bodyseg_data import Mixture, RangeImages, loader
+from bodyseg_data.cards import Publication, set_facts
 from bodyseg_data.cards.croissant import croissant
-from bodyseg_data.cards.set_facts import set_facts
-from bodyseg_data.cards.texts import Publication
-from bodyseg_data.commands.cli import main
-from bodyseg_data.core.errors import BadShard, Unreachable
-from bodyseg_data.core.randomness import Permutation
-from bodyseg_data.core.views import ViewGrid
+from bodyseg_data.commands import main
+from bodyseg_data.core import BadShard, Permutation, Unreachable
 from bodyseg_data.loading import range_images
-from bodyseg_data.shards import index, manifest
-from bodyseg_data.shards.index import INDEX_NAME, IndexedShards, ShardTable, table_from_json
-from bodyseg_data.shards.manifest import MANIFEST_NAME, Manifest, read_manifest, write_manifest
-from bodyseg_data.shards.pieces import LARGEST_PIECE, Piece, encode_piece
-from bodyseg_data.shards.records import ShardRecord, record_from_json, record_to_json
-from bodyseg_data.shards.stores.store import LocalFolder
-from bodyseg_data.transfer.bundle import set_bundle
-from bodyseg_data.transfer.targets import LocalTarget
-from bodyseg_data.transfer.transfer import transfer
+from bodyseg_data.samples import ViewGrid
+from bodyseg_data.shards import (
+    MANIFEST_NAME,
+    LocalFolder,
+    Manifest,
+    ShardRecord,
+    index,
+    manifest,
+    read_manifest,
+    record_from_json,
+    record_to_json,
+    write_manifest,
+)
+from bodyseg_data.shards.index import (
+    INDEX_NAME,
+    LARGEST_PIECE,
+    IndexedShards,
+    Piece,
+    ShardTable,
+    encode_piece,
+    table_from_json,
+)
+from bodyseg_data.transfer import LocalTarget, set_bundle, transfer
 
 Count = Callable[[str], int]
 
@@ -172,7 +183,7 @@ def test_an_index_that_cannot_be_written_leaves_none(copied: Path, monkeypatch: 
     before = {path.name: path.read_bytes() for path in copied.iterdir()}
     monkeypatch.setattr(manifest, "INDEXED_FROM", 24)
     found = read_manifest(copied)
-    monkeypatch.setattr("bodyseg_data.shards.pieces.LARGEST_PIECE", 100)
+    monkeypatch.setattr("bodyseg_data.shards.index.LARGEST_PIECE", 100)
     with pytest.raises(BadShard, match="train-00000.tar: its index takes [0-9]+ bytes, at most 100: use smaller"):
         write_manifest(found, copied)
     assert {path.name: path.read_bytes() for path in copied.iterdir()} == before

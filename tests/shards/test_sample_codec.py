@@ -22,15 +22,15 @@ from PIL import Image
 from pngs import chunk
 from strategies import same, samples
 
-from bodyseg_data.core.errors import BadConfig, BadSample
-from bodyseg_data.core.sample import Sample, SampleInfo
-from bodyseg_data.core.system import deflate
-from bodyseg_data.shards.codecs import CODECS, CodecName
+from bodyseg_data.core import BadConfig, BadSample
+from bodyseg_data.machine import libraries as deflate
+from bodyseg_data.samples import Sample, SampleInfo
+from bodyseg_data.shards import CODECS, CodecName, check_codec, encode_sample, read_chunks, read_header
 from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
-from bodyseg_data.shards.codecs.labels import FACING_BIT, join_labels, mark_things, split_labels, take_second_facing
-from bodyseg_data.shards.codecs.png import decode_png, encode_png, read_chunks, read_header
-from bodyseg_data.shards.codecs.slopes import unzigzag, zigzag
-from bodyseg_data.shards.sample_codec import check_codec, decode_sample, encode_sample
+from bodyseg_data.shards.codecs.codec import FACING_BIT, join_labels, mark_things, split_labels, take_second_facing
+from bodyseg_data.shards.codecs.png import decode_png, encode_png
+from bodyseg_data.shards.codecs.residuals import unzigzag, zigzag
+from bodyseg_data.shards.sample_codec import decode_sample
 
 INFO = SampleInfo("open", "A", "A", "posture-00", "standing", 215, 40, "train")
 

@@ -20,13 +20,10 @@ from servers import WebServer, free_port, s3_server, web_server
 from torch.utils.data import DataLoader
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.commands.cli import main
-from bodyseg_data.core.errors import BadConfig, BadShard, Unreachable
-from bodyseg_data.shards.cache.store import CachedStore, with_cache
-from bodyseg_data.shards.manifest import Manifest, read_manifest
-from bodyseg_data.shards.stores.remote import RemoteFolder, RetryPolicy
-from bodyseg_data.shards.stores.store import LocalFolder
-from bodyseg_data.shards.tar import ShardReader
+from bodyseg_data.commands import main
+from bodyseg_data.core import BadConfig, BadShard, Unreachable
+from bodyseg_data.shards import LocalFolder, Manifest, RemoteFolder, RetryPolicy, ShardReader, read_manifest, with_cache
+from bodyseg_data.shards.cache import CachedStore
 
 QUICK = RetryPolicy(tries=12, first_wait_s=0.001, stall_s=0.3)
 
@@ -574,7 +571,7 @@ def test_an_address_that_cannot_be_opened_is_one_error_and_nothing_else_on_stand
     program = (
         "import sys\n"
         "from bodyseg_data.core.errors import BodysegError\n"
-        "from bodyseg_data.shards.stores.remote import RemoteFolder, RetryPolicy\n"
+        "from bodyseg_data.shards.remote import RemoteFolder, RetryPolicy\n"
         "for address in sys.argv[1:]:\n"
         "    try:\n        RemoteFolder(address, {}, RetryPolicy())\n"
         "    except BodysegError as error:\n        print(error)\n"

@@ -17,14 +17,21 @@ import pytest
 import webdataset
 from samples import GOOD
 
-from bodyseg_data.commands.cli import main
-from bodyseg_data.core.errors import BadSample, BadShard
+from bodyseg_data.commands import main
+from bodyseg_data.core import BadSample, BadShard
+from bodyseg_data.shards import (
+    MANIFEST_NAME,
+    ShardReader,
+    ShardWriter,
+    encode_sample,
+    find_faults,
+    read_manifest,
+    record_from_json,
+    record_to_json,
+)
 from bodyseg_data.shards.codecs.png import encode_png
-from bodyseg_data.shards.faults import find_faults
-from bodyseg_data.shards.manifest import MANIFEST_NAME, _digest, read_manifest
-from bodyseg_data.shards.records import record_from_json, record_to_json
-from bodyseg_data.shards.sample_codec import encode_sample
-from bodyseg_data.shards.tar import ShardReader, ShardWriter, _read_header, parse_members
+from bodyseg_data.shards.manifest import _digest
+from bodyseg_data.shards.tar import _read_header, parse_members
 
 
 @pytest.fixture

@@ -12,17 +12,16 @@ from fakes import Figures, FiguresEntry
 from shapes import figure
 
 from bodyseg_data import RangeImages
-from bodyseg_data.bodies.sources import SOURCES
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.rig import axes_at, load_rig
-from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.rendering.raster import RasterRenderer
+from bodyseg_data.bodies import SOURCES
+from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.rendering import RasterRenderer
+from bodyseg_data.rigs import axes_at, load_rig
+from bodyseg_data.samples import ViewGrid
+from bodyseg_model.stability import SWEEPS, Scenes
 from bodyseg_model.stability.scenes import (
     CLEAN,
-    SWEEPS,
     LabelledImage,
-    Scenes,
     SweepPoint,
     labelled_image,
     looking_down,

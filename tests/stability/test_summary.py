@@ -10,22 +10,12 @@ import pytest
 from PIL import Image
 from torch import nn
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.networks.checkpoints import Trained
-from bodyseg_model.stability.figure import _styles, draw_stability
-from bodyseg_model.stability.scenes import CLEAN, Sweep, SweepPoint
-from bodyseg_model.stability.summary import (
-    Group,
-    Run,
-    corruption_error,
-    falls_below,
-    group,
-    group_of,
-    motion_over_seeds,
-    over_seeds,
-    relative_robustness,
-    summarise,
-)
+from bodyseg_data.core import BadConfig
+from bodyseg_model.evaluation import over_seeds
+from bodyseg_model.networks import Trained
+from bodyseg_model.stability import Group, Run, Sweep, draw_stability, group, group_of, motion_over_seeds, summarise
+from bodyseg_model.stability.scenes import CLEAN, SweepPoint
+from bodyseg_model.stability.summary import _styles, corruption_error, falls_below, relative_robustness
 
 SWEEPS = {
     "noise": Sweep("Noise", "sigma, mm", (0, 10, 30)),

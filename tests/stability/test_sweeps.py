@@ -9,10 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from bodyseg_data import RangeImages
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import Rig
-from bodyseg_data.core.sample import Sample
-from bodyseg_model.stability.scenes import CLEAN, DEPTHS_M, SWEEPS, SweepPoint, chosen, corrupted
+from bodyseg_data.core import BadConfig
+from bodyseg_data.rigs import Rig
+from bodyseg_data.samples import Sample
+from bodyseg_model.stability import SWEEPS, chosen
+from bodyseg_model.stability.scenes import CLEAN, DEPTHS_M, SweepPoint, corrupted
 
 STORED = [name for name, sweep in SWEEPS.items() if sweep.origin == "stored" and name != "hard"]
 SHARES = ("missing", "patches", "stripes", "grazing")

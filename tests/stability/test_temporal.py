@@ -14,20 +14,19 @@ from numpy.typing import NDArray
 from shapes import ball, figure
 from small_rig import SMALL
 
-from bodyseg_data.artifacts.variants import Augmentation
-from bodyseg_data.bodies.source import Body, BodyRef
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import PART_COUNT
-from bodyseg_data.core.rig import Camera, load_rig
-from bodyseg_data.core.views import View
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import partition
-from bodyseg_data.packing.sampler import Sampler
+from bodyseg_data.artifacts import Augmentation
+from bodyseg_data.bodies import Body, BodyRef
+from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import PART_COUNT
+from bodyseg_data.meshes import Mesh, partition
+from bodyseg_data.packing import Sampler
+from bodyseg_data.rendering import RasterRenderer
 from bodyseg_data.rendering.embree import EmbreeRenderer
-from bodyseg_data.rendering.raster import RasterRenderer
-from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.registry import predict
-from bodyseg_model.stability.temporal import (
+from bodyseg_data.rigs import Camera, load_rig
+from bodyseg_data.samples import View
+from bodyseg_model.networks import Network, predict
+from bodyseg_model.stability import temporal
+from bodyseg_model.stability.motion import (
     AZIMUTHS_DEG,
     NEAR_M,
     NOT_SEEN,
@@ -38,7 +37,6 @@ from bodyseg_model.stability.temporal import (
     find_tracks,
     follow,
     render_shot,
-    temporal,
 )
 
 RIG = load_rig()

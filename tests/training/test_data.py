@@ -10,16 +10,12 @@ import pytest
 import torch
 
 from bodyseg_data import Mixture, RangeImages, loader
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.commands.cli import main
-from bodyseg_model.networks.checkpoints import load_network
-from bodyseg_model.networks.registry import build
+from bodyseg_data.core import BadConfig
+from bodyseg_model.commands import main
+from bodyseg_model.networks import build, load_network
+from bodyseg_model.training import Metrics, RunFolder, RunOptions, Training, open_data, recipe_for
 from bodyseg_model.training.augmentation import mirror_draws
-from bodyseg_model.training.data import open_data
 from bodyseg_model.training.distributed import ProcessGroup
-from bodyseg_model.training.loop import Metrics, RunOptions, Training
-from bodyseg_model.training.recipes import recipe_for
-from bodyseg_model.training.run_folder import RunFolder
 
 ONE = ProcessGroup(0, 1, torch.device("cpu"))
 TINY = {"patch": 16, "widths": [12, 16], "blocks": [1, 1]}

@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.randomness import permutation
-from bodyseg_data.loading.batch_order import BatchOrder, batch_bounds, find_rank
-from bodyseg_data.loading.image_set import Requests
+from bodyseg_data.core import BadConfig, permutation
+from bodyseg_data.loading import find_rank
+from bodyseg_data.loading.image_set import BatchOrder, Requests, batch_bounds
 
 
 class Numbers:

@@ -8,11 +8,10 @@ import pytest
 import torch
 from small_training import train
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.networks.checkpoints import load_network
-from bodyseg_model.networks.registry import build
-from bodyseg_model.training.ema import AveragedNetwork
-from bodyseg_model.training.recipes import Recipe, recipe_for
+from bodyseg_data.core import BadConfig
+from bodyseg_model.networks import build, load_network
+from bodyseg_model.training import Recipe, recipe_for
+from bodyseg_model.training.recipes import AveragedNetwork
 
 
 def test_averages_follow_their_formula() -> None:

@@ -9,8 +9,9 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 from kernel_forms import by_both
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.training.augmentation import GeometricAugmentation, _moved, _source_map
+from bodyseg_data.core import BadConfig
+from bodyseg_model.training import GeometricAugmentation
+from bodyseg_model.training.augmentation import _moved, _source_map
 
 KEYS = [f"body-{number}" for number in range(60)]
 EPOCHS = [0] * len(KEYS)

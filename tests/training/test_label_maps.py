@@ -11,19 +11,13 @@ import pytest
 import torch
 
 from bodyseg_data import RangeImages
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.labels.label_map import LabelMap, load_label_map
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_model.commands.cli import main
-from bodyseg_model.networks.checkpoints import load_network
-from bodyseg_model.networks.registry import build, predict
-from bodyseg_model.training import loop
-from bodyseg_model.training.augmentation import GeometricAugmentation
+from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import BACKGROUND, LabelMap, load_label_map
+from bodyseg_model.commands import main
+from bodyseg_model.networks import build, load_network, predict
+from bodyseg_model.training import GeometricAugmentation, Metrics, RunFolder, RunOptions, Training, loop, recipe_for
 from bodyseg_model.training.distributed import ProcessGroup
-from bodyseg_model.training.loop import Metrics, RunOptions, Training
 from bodyseg_model.training.loss import part_weights
-from bodyseg_model.training.recipes import recipe_for
-from bodyseg_model.training.run_folder import RunFolder
 
 ONE = ProcessGroup(0, 1, torch.device("cpu"))
 TINY = {"patch": 16, "widths": [12, 16], "blocks": [1, 1]}

@@ -14,19 +14,13 @@ import pytest
 import torch
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.core.errors import BadConfig, Diverged
-from bodyseg_data.core.randomness import generator
-from bodyseg_model.commands.cli import main
-from bodyseg_model.evaluation.scores import ConfusionMatrix
-from bodyseg_model.networks.checkpoints import load_network
-from bodyseg_model.networks.registry import build, predict
-from bodyseg_model.training.augmentation import GeometricAugmentation
+from bodyseg_data.core import BadConfig, Diverged, generator
+from bodyseg_model.commands import main
+from bodyseg_model.evaluation import ConfusionMatrix
+from bodyseg_model.networks import build, load_network, predict
+from bodyseg_model.training import GeometricAugmentation, Metrics, Recipe, RunFolder, RunOptions, Training, recipe_for
 from bodyseg_model.training.distributed import ProcessGroup
-from bodyseg_model.training.loop import RunOptions, Training
 from bodyseg_model.training.loss import NetworkWithLoss, class_pixels
-from bodyseg_model.training.metrics import Metrics
-from bodyseg_model.training.recipes import Recipe, recipe_for
-from bodyseg_model.training.run_folder import RunFolder
 
 ONE = ProcessGroup(0, 1, torch.device("cpu"))
 TINY = {"patch": 16, "widths": [12, 16], "blocks": [1, 1]}

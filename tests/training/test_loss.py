@@ -11,9 +11,9 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 from kernel_forms import by_both
 
+from bodyseg_model.networks import Network
 from bodyseg_model.networks.compact import Compact, CompactSettings
 from bodyseg_model.networks.fcn_alexnet import FcnAlexnet
-from bodyseg_model.networks.network import Network
 from bodyseg_model.training.loss import NetworkWithLoss, SelectedPixels, part_weights
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bodyseg_model.commands.cli import main
+from bodyseg_model.commands import main
 
 
 @pytest.mark.parametrize(("method", "processes"), [("process", 1), ("thread", 0)])

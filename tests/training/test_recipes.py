@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 import torch
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.networks.registry import build
-from bodyseg_model.training.optimisers import fill_optimiser, make_optimiser, optimiser_tensors, set_learning_rate
-from bodyseg_model.training.recipes import PRESETS, Recipe, recipe_for
+from bodyseg_data.core import BadConfig
+from bodyseg_model.networks import build
+from bodyseg_model.training import Recipe, recipe_for
+from bodyseg_model.training.recipes import PRESETS, fill_optimiser, make_optimiser, optimiser_tensors, set_learning_rate
 
 
 def test_the_papers_recipe_is_its_networks_own() -> None:

@@ -13,13 +13,12 @@ from small_rig import SMALL
 from small_training import RECIPE, TINY, CutError, GivenScores, cut_at, log, train, written
 
 from bodyseg_data import RangeImages
-from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.sensor_model import load_sensor_model
+from bodyseg_data.artifacts import Noise, load_sensor_model
 from bodyseg_data.commands.options import flag_of
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import BadConfig
 from bodyseg_model.commands.train import Options
-from bodyseg_model.networks.checkpoints import load_network
-from bodyseg_model.training.loop import RunOptions
+from bodyseg_model.networks import load_network
+from bodyseg_model.training import RunOptions
 from bodyseg_model.training.plan import FLAGS, check_plan, differences, option_of
 
 SELDOM = RunOptions(1, 100, 0)

@@ -16,8 +16,8 @@ from servers import free_port
 from small_training import log
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_model.commands.cli import main
-from bodyseg_model.networks.checkpoints import load_network
+from bodyseg_model.commands import main
+from bodyseg_model.networks import load_network
 
 _SMALL = ["--network", "fcn_alexnet", "--settings", '{"width": 0.0625}', "--batch-size", "2", "--num-workers", "0"]
 

@@ -12,8 +12,8 @@ import pytest
 import torch
 from small_training import TINY, log, written
 
-from bodyseg_model.commands.cli import main
-from bodyseg_model.networks.checkpoints import WEIGHTS_SHA256, Trained, load_network
+from bodyseg_model.commands import main
+from bodyseg_model.networks import WEIGHTS_SHA256, Trained, load_network
 from bodyseg_model.networks.compact import Compact
 
 VALIDATED = ["--val-share", "0.5", "--val-every", "2", "--val-images", "3"]

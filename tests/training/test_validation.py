@@ -11,11 +11,10 @@ import torch
 from small_training import CutError, GivenScores, cut_at, log, train, written
 
 from bodyseg_data import RangeImages
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.evaluation.evaluation import evaluate
-from bodyseg_model.networks.checkpoints import load_network
-from bodyseg_model.training.loop import RunOptions
-from bodyseg_model.training.validation import Validation
+from bodyseg_data.core import BadConfig
+from bodyseg_model.evaluation import evaluate
+from bodyseg_model.networks import load_network
+from bodyseg_model.training import RunOptions, Validation
 
 NAN = float("nan")
 

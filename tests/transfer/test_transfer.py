@@ -13,14 +13,11 @@ import pytest
 from servers import WebServer, s3_server, web_server
 
 from bodyseg_data import RangeImages
-from bodyseg_data.core.errors import BadConfig, BadShard, Unreachable
-from bodyseg_data.shards.manifest import MANIFEST_NAME, read_manifest
-from bodyseg_data.shards.stores.remote import RemoteFolder, RetryPolicy
-from bodyseg_data.shards.stores.store import LocalFolder
-from bodyseg_data.transfer.bundle import set_bundle
-from bodyseg_data.transfer.targets import LocalTarget, RemoteTarget
-from bodyseg_data.transfer.transfer import Outcome, transfer
-from bodyseg_model.commands.cli import main
+from bodyseg_data.core import BadConfig, BadShard, Unreachable
+from bodyseg_data.shards import MANIFEST_NAME, LocalFolder, RemoteFolder, RetryPolicy, read_manifest
+from bodyseg_data.transfer import LocalTarget, RemoteTarget, set_bundle, transfer
+from bodyseg_data.transfer.transfers import Outcome
+from bodyseg_model.commands import main
 
 QUICK = RetryPolicy(tries=6, first_wait_s=0.001, stall_s=10)
 

@@ -14,14 +14,13 @@ import pytest
 from label_networks import Places
 from small_rig import SMALL
 
-from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.sensor_model import load_sensor_model
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_model.networks.checkpoints import Trained
-from bodyseg_model.viewing.page import LOOPBACK, Page, aimed_at, free_port, open_server, unused
-from bodyseg_model.viewing.set_page import SensorState, SetPage
-from bodyseg_model.viewing.set_view import SetView, Shown
-from bodyseg_model.viewing.space import Drawing, Points
+from bodyseg_data.artifacts import Noise, load_sensor_model
+from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_model.networks import Trained
+from bodyseg_model.viewing import LOOPBACK, Page, SetPage, SetView, Shown
+from bodyseg_model.viewing.page import aimed_at, free_port, open_server, unused
+from bodyseg_model.viewing.pictures import Drawing, Points
+from bodyseg_model.viewing.set_page import SensorState
 from bodyseg_model.viewing.strengths import controls_of
 
 WAIT_S = 60.0

@@ -7,14 +7,16 @@ import io
 import numpy as np
 from PIL import Image
 
-from bodyseg_data.core.labels.label_map import PARTS33
+from bodyseg_data.labels import PARTS33
 from bodyseg_model.viewing.page import picture_file
 from bodyseg_model.viewing.pictures import (
     EMPTY,
     KIND_LEGEND,
     WIDTH,
+    Drawing,
     Layout,
     Panel,
+    Points,
     class_legend,
     facts_html,
     kind_image,
@@ -22,7 +24,6 @@ from bodyseg_model.viewing.pictures import (
     share_image,
     sheet_of,
 )
-from bodyseg_model.viewing.space import Drawing, Points
 
 
 def test_panels_lie_side_by_side_at_one_size() -> None:

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bodyseg_model.viewing.page import LOOPBACK, Page
-from bodyseg_model.viewing.recording_page import RecordingPage
+from bodyseg_model.viewing import LOOPBACK, Page, RecordingPage
+from bodyseg_model.viewing.pictures import Drawing, Points
 from bodyseg_model.viewing.recording_view import ShownFrame
-from bodyseg_model.viewing.space import Drawing, Points
 
 WAIT_S = 60.0
 

@@ -10,21 +10,13 @@ from label_networks import Places
 from pngs import png
 from small_rig import SMALL
 
-from bodyseg_data.core.parts import COLOURS
-from bodyseg_data.core.rig import Camera
-from bodyseg_model.networks.checkpoints import Trained
-from bodyseg_model.recordings.frames import find_frames
-from bodyseg_model.segmentation.foreground import Background
-from bodyseg_model.segmentation.frame_labeller import FrameLabeller, LabelledFrame
-from bodyseg_model.segmentation.segmenter import Segmentation, Segmenter
-from bodyseg_model.viewing.recording_view import (
-    CONFIDENCE_LEGEND,
-    FLICKER_LEGEND,
-    RecordingView,
-    ShownFrame,
-    body_range,
-    changes_of,
-)
+from bodyseg_data.labels.label_map import COLOURS
+from bodyseg_data.rigs import Camera
+from bodyseg_model.networks import Trained
+from bodyseg_model.recordings import find_frames
+from bodyseg_model.segmentation import Background, FrameLabeller, LabelledFrame, Segmentation, Segmenter
+from bodyseg_model.viewing import RecordingView
+from bodyseg_model.viewing.recording_view import CONFIDENCE_LEGEND, FLICKER_LEGEND, ShownFrame, body_range, changes_of
 
 CAMERA = Camera(60, 80, 90.0, (40.0, 30.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 

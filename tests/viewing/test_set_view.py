@@ -12,15 +12,13 @@ from label_networks import Places
 from small_rig import SMALL
 
 from bodyseg_data import RangeImages
-from bodyseg_data.artifacts.missing_data import MissingData
-from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.sensor_model import load_sensor_model
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import COLOURS
-from bodyseg_model.networks.checkpoints import Trained
-from bodyseg_model.viewing.pictures import KIND_LEGEND
-from bodyseg_model.viewing.set_view import COLOURINGS, SetView, Shown
-from bodyseg_model.viewing.space import rig_before
+from bodyseg_data.artifacts import MissingData, Noise, load_sensor_model
+from bodyseg_data.core import BadConfig
+from bodyseg_data.labels.label_map import COLOURS
+from bodyseg_model.networks import Trained
+from bodyseg_model.viewing import SetView, Shown
+from bodyseg_model.viewing.pictures import KIND_LEGEND, rig_before
+from bodyseg_model.viewing.set_view import COLOURINGS
 
 KINDS = np.array([colour for _, colour in KIND_LEGEND], np.uint8)
 

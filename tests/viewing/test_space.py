@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from small_rig import SMALL
 
-from bodyseg_data.core.rig import Camera, load_rig
-from bodyseg_data.core.rigs.camera import axes_at, rolled
-from bodyseg_data.core.views import View
-from bodyseg_model.viewing.space import (
+from bodyseg_data.rigs import Camera, axes_at, load_rig
+from bodyseg_data.rigs.camera import rolled
+from bodyseg_data.samples import View
+from bodyseg_model.viewing.pictures import (
     VIEWPOINTS,
     Device,
     Viewpoint,

@@ -8,16 +8,11 @@ from typing import Any, Literal
 
 import pytest
 
-from bodyseg_data.artifacts import ARTIFACTS
-from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
-from bodyseg_data.artifacts.lost_pixels.areas import PatchLoss, StripeLoss
-from bodyseg_data.artifacts.missing_data import MissingData
-from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.range_errors.axial_noise import POWERS, AxialNoise
-from bodyseg_data.artifacts.range_errors.mixed_pixels import MixedPixels
-from bodyseg_data.artifacts.range_errors.rounding import RangeRounding
-from bodyseg_data.core.errors import BadConfig, bounded
-from bodyseg_data.core.randomness import Draws
+from bodyseg_data.artifacts import Artifact, AxialNoise, MissingData, Noise, RangeImage, Scene
+from bodyseg_data.artifacts.lost_pixels import PatchLoss, StripeLoss
+from bodyseg_data.artifacts.range_errors import POWERS, MixedPixels, RangeRounding
+from bodyseg_data.artifacts.registry import ARTIFACTS
+from bodyseg_data.core import BadConfig, Draws, bounded
 from bodyseg_model.viewing.strengths import Choice, Control, Entry, Slider, controls_of, moved, value_of
 
 

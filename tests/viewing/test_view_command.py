@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from pngs import png
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.commands import view
-from bodyseg_model.commands.cli import main
+from bodyseg_data.core import BadConfig
+from bodyseg_model.commands import main, view
 from bodyseg_model.commands.view import Options, check_options, is_set, welcome
 
 

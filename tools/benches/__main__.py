@@ -21,7 +21,7 @@ ALL: Final[cli.Commands] = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one of `COMMANDS`, or `tools/bench all`; see `bodyseg_data.commands.cli.main`."""
+    """Run one of `COMMANDS`, or `tools/bench all`; see `bodyseg_data.commands.main`."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     return cli.main(words, ALL if " ".join(words[:2]) in ALL else COMMANDS, "tools/")
 

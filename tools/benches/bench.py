@@ -11,13 +11,11 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from benches.charts.processors import FOLDER, folder_name
 from benches.measuring import Conditions
-from bodyseg_data.commands.options import flag_of, option
-from bodyseg_data.commands.progress import Progress
-from bodyseg_data.commands.provenance import check_target, provenance, write_figures
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.files import make_folder
-from bodyseg_data.core.system.machine import hardware
-from bodyseg_data.drawing.style import check_picture, new_chart
+from bodyseg_data.commands import Progress, check_target, option, provenance, write_figures
+from bodyseg_data.commands.options import flag_of
+from bodyseg_data.core import BadConfig, make_folder
+from bodyseg_data.drawing import check_picture, new_chart
+from bodyseg_data.machine import hardware
 
 EXAMPLE = "tools/bench occlusion --json occlusion.json"
 

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import benches
 import bodyseg_data
-from bodyseg_data.core.kernels import VARIABLE, use_compiled
+from bodyseg_data.machine import use_compiled
+from bodyseg_data.machine.kernels import VARIABLE
 
 
 def child_environment() -> dict[str, str]:

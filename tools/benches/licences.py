@@ -19,8 +19,8 @@ from typing import Any, Final
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from bodyseg_data.commands.options import option
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.commands import option
+from bodyseg_data.core import BadConfig
 
 EXAMPLE = "tools/licences render fast"
 

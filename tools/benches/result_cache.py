@@ -22,8 +22,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_model.networks.checkpoints import NETWORK, read_bytes, read_json, write_json
+from bodyseg_data.core import BadConfig
+from bodyseg_model.networks import NETWORK, read_bytes, read_json, write_json
 
 PACKAGES: Final = ("bodyseg_data", "bodyseg_model")
 """Packages whose modules are followed, besides the packages of the given modules."""

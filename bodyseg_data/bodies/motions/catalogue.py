@@ -9,14 +9,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from bodyseg_data.bodies.anny.people import SUBJECT_B, SUBJECT_C, Person
-from bodyseg_data.bodies.anny.skeleton import Pose
-from bodyseg_data.bodies.motions.curves import angles, from_angles
+from bodyseg_data.bodies.anny_people import SUBJECT_B, SUBJECT_C, Person
+from bodyseg_data.bodies.motions.curves import Build, angles, from_angles
 from bodyseg_data.bodies.motions.handstand import handstand
 from bodyseg_data.bodies.motions.jumps import Bounces, Jumps
-from bodyseg_data.bodies.motions.legs import Build
 from bodyseg_data.bodies.motions.stands import SQUATS_B, SQUATS_C, crane
 from bodyseg_data.bodies.motions.walk import Gait, walking
+from bodyseg_data.bodies.skeleton import Pose
 
 FRAMES_PER_SECOND: Final = 25
 

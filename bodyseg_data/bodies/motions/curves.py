@@ -1,17 +1,20 @@
-"""Smooth curves through key values in time, the basis of every motion."""
+"""Smooth curves through key values in time, the basis of every motion.
+
+Inverse kinematics of the legs: joint angles from the positions of pelvis and soles.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields, replace
 from operator import attrgetter
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk
+from bodyseg_data.bodies.skeleton import Arm, Leg, Matrix, Pose, Trunk, root_rotation
 
 Vector = NDArray[np.float64]
 
@@ -95,3 +98,127 @@ def wander(time: float, number: int, seconds: float) -> float:
     """Return a slow oscillation between -1 and 1 that does not repeat; `number` selects its phases."""
     first, second = 2 * math.pi * time / seconds, 2 * math.pi * time / (seconds * 0.618)
     return 0.6 * math.sin(first + 2.4 * number) + 0.4 * math.sin(second + 1.1 * number * number)
+
+
+Triple = tuple[float, float, float]
+
+_MIRROR: Final = np.array([-1.0, 1.0, 1.0])
+_FLAT_DEG: Final = 16  # a sole pitched by more than this is no longer laid flat by its ankle
+_ROUNDS: Final = 4
+
+
+@dataclass(frozen=True)
+class Build:
+    """Joint offsets of a person's left leg, metres, body frame, standing in the skeleton's reference pose.
+
+    hip: from the pelvis. thigh: hip to knee. shin: knee to ankle. ball, heel: from the ankle to the points about which
+    the sole turns on the floor.
+    """
+
+    hip: Triple
+    thigh: Triple
+    shin: Triple
+    ball: Triple
+    heel: Triple
+
+    @property
+    def ankle_height_m(self) -> float:
+        return -self.ball[1]
+
+
+@dataclass(frozen=True)
+class Sole:
+    """Position of a foot. x, z: of its ankle when the sole is flat, metres. yaw: toes to the left, degrees.
+
+    pitch: toes pointed down, degrees, turning about the ball of the foot; toes up, negative, about the heel.
+    height: of the point it turns about, metres.
+    """
+
+    x: float
+    z: float
+    yaw: float = 0
+    pitch: float = 0
+    height: float = 0
+
+    def mirrored(self) -> Sole:
+        return replace(self, x=-self.x, yaw=-self.yaw)
+
+    def ankle(self, build: Build) -> Vector:
+        """Return the position of the ankle, [3], metres."""
+        pivot = np.array(build.ball if self.pitch > 0 else build.heel)
+        raised = pivot - about_x(self.pitch) @ pivot
+        ankle: Vector = [self.x, build.ankle_height_m + self.height, self.z] + about_y(self.yaw) @ raised
+        return ankle
+
+
+def about_x(degrees: float) -> Matrix:
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+
+
+def about_y(degrees: float) -> Matrix:
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+
+
+def about_z(degrees: float) -> Matrix:
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+
+
+def standing(build: Build, pelvis: Vector, trunk: Trunk, arms: tuple[Arm, Arm], soles: tuple[Sole, Sole]) -> Pose:
+    """Return the pose whose legs lead from a pelvis at [3] to both soles; left first."""
+    root = root_rotation(trunk)
+    left, right = (reach(build, root, pelvis, sole, side) for sole, side in zip(soles, (1, -1), strict=True))
+    return Pose(trunk, *arms, left, right)
+
+
+def reach(build: Build, root: Matrix, pelvis: Vector, sole: Sole, side: int) -> Leg:
+    """Return the leg that leads from a pelvis at [3], rotated by `root`, to a sole; straight if that is too far.
+
+    side: 1 for the left leg, -1 for the right one, which is computed as a mirrored left one.
+    """
+    if side < 0:
+        mirror = np.diag(_MIRROR)
+        return reach(build, mirror @ root @ mirror, pelvis * _MIRROR, sole.mirrored(), 1)
+    thigh, shin = np.array(build.thigh), np.array(build.shin)
+    way = root.T @ (sole.ankle(build) - pelvis) - build.hip
+    knee = _knee(thigh, shin, float(way @ way))
+    leg = thigh + about_x(knee) @ shin
+    twist = off = 0.0
+    for _ in range(_ROUNDS):  # turning the thigh moves the ankle, which flexion and abduction put back
+        twist = min(max(twist + off, -45.0), 45.0)
+        at = about_y(twist) @ leg
+        across = math.hypot(at[0], at[1])
+        share = min(max(float(way[0]) / across, -1.0), 1.0)
+        abduct = math.degrees(-math.acos(share) - math.atan2(at[1], at[0]))
+        flex = math.degrees(math.atan2(at[2], -across * math.sqrt(1 - share * share)) - math.atan2(way[2], way[1]))
+        turned = root @ about_x(-flex) @ about_z(abduct) @ about_y(twist) @ about_x(knee)
+        off = _wrapped(sole.yaw - math.degrees(math.atan2(-turned[2, 0], turned[0, 0])))
+    tilt = math.degrees(math.atan2(float(turned[:, 1] @ about_y(sole.yaw)[:, 2]), float(turned[1, 1])))
+    flat = 1 - min(abs(sole.pitch) / _FLAT_DEG, 1.0)
+    planted = flat * flat * (3 - 2 * flat)
+    toes = min(max(sole.pitch, 0.0), 45.0)
+    return Leg(_wrapped(flex), abduct, twist, knee, planted, sole.pitch - (1 - planted) * tilt, toes)
+
+
+def _wrapped(degrees: float) -> float:
+    return (degrees + 180) % 360 - 180
+
+
+def _knee(thigh: Vector, shin: Vector, reach_squared: float) -> float:
+    """Return the knee's angle, degrees, for a distance of hip and ankle: law of cosines for bones that are askew."""
+    along = thigh[1] * shin[1] + thigh[2] * shin[2]
+    across = thigh[2] * shin[1] - thigh[1] * shin[2]
+    wanted = (reach_squared - float(thigh @ thigh + shin @ shin)) / 2 - thigh[0] * shin[0]
+    cosine = min(max(wanted / math.hypot(along, across), -1.0), 1.0)
+    return math.degrees(math.atan2(across, along) + math.acos(cosine))
+
+
+def pelvis_over(build: Build, pose: Pose) -> Vector:
+    """Return the pelvis, [3], over the middle of two flat soles if both legs bend as a pose's left one."""
+    leg, lean = pose.left_leg, pose.trunk.lean
+    thigh = lean - leg.flex
+    below = about_x(thigh + leg.knee) @ build.shin + about_x(thigh) @ build.thigh + about_x(lean) @ build.hip
+    pelvis: Vector = (Sole(0, 0, 0, leg.ankle).ankle(build) - below) * (0, 1, 1)
+    return pelvis

@@ -9,9 +9,18 @@ from typing import Final
 
 import numpy as np
 
-from bodyseg_data.bodies.anny.skeleton import KNUCKLES, Arm, Leg, Matrix, Pose, Trunk, bone_rotations
-from bodyseg_data.bodies.motions.curves import PoseTrack, Track, wander
-from bodyseg_data.bodies.motions.legs import Build, Sole, Triple, Vector, pelvis_over, standing
+from bodyseg_data.bodies.motions.curves import (
+    Build,
+    PoseTrack,
+    Sole,
+    Track,
+    Triple,
+    Vector,
+    pelvis_over,
+    standing,
+    wander,
+)
+from bodyseg_data.bodies.skeleton import KNUCKLES, Arm, Leg, Matrix, Pose, Trunk, bone_rotations
 
 ARM_C: Final[tuple[tuple[str, Triple], ...]] = (
     ("spine05", (0, 0, 0)),

@@ -11,9 +11,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk, symmetric
-from bodyseg_data.bodies.motions.curves import PoseTrack, Track, wander
-from bodyseg_data.bodies.motions.legs import Build, Sole, about_y, pelvis_over, standing
+from bodyseg_data.bodies.motions.curves import Build, PoseTrack, Sole, Track, about_y, pelvis_over, standing, wander
+from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, symmetric
 
 _GRAVITY: Final = 9.81
 _STEPS: Final = 200

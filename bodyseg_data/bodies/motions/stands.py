@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
-from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk, symmetric
-from bodyseg_data.bodies.motions.curves import PoseTrack, Track, wander
-from bodyseg_data.bodies.motions.legs import Build, Sole, pelvis_over, standing
+from bodyseg_data.bodies.motions.curves import Build, PoseTrack, Sole, Track, pelvis_over, standing, wander
+from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, symmetric
 
 
 class Squats:

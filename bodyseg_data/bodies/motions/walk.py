@@ -14,9 +14,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk, root_rotation
-from bodyseg_data.bodies.motions.curves import Track, wander
-from bodyseg_data.bodies.motions.legs import Build, Sole, about_y, reach
+from bodyseg_data.bodies.motions.curves import Build, Sole, Track, about_y, reach, wander
+from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, root_rotation
 
 Vector = NDArray[np.float64]
 

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from bodyseg_data.bodies.alignment import Units, UpAxis
-from bodyseg_data.bodies.mesh_options import MeshOptions
-from bodyseg_data.bodies.source import BodySource
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.bodies.source import BodySource, MeshOptions
+from bodyseg_data.core import BadConfig
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from bodyseg_data.bodies.file_search import files_below, given_landmarks, landmark_file, meshes_in
-from bodyseg_data.bodies.mesh_bodies import MeshBodies, MeshFile
-from bodyseg_data.bodies.mesh_options import DEFAULTS, MeshOptions
-from bodyseg_data.bodies.names import key_name
-from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.splits import Split
+from bodyseg_data.bodies.mesh_bodies import MeshBodies, MeshFile, files_below, given_landmarks, landmark_file, meshes_in
+from bodyseg_data.bodies.source import DEFAULTS, BodyRef, MeshOptions, key_name
+from bodyseg_data.core import BadConfig
+from bodyseg_data.samples import Split
 
 _LONGEST_SUBJECT: Final = 20  # with the mesh's name and the view in a sample key of at most 80
 _LONGEST_MESH: Final = 40

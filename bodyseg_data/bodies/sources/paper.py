@@ -1,21 +1,239 @@
-"""All bodies of the paper: PATH with the sub-folders scape, mit and caesar, each as its own source reads it."""
+"""SCAPE: one man in 71 postures (Anguelov et al. 2005), read from a user's copy; the paper's subject "A".
+
+Layout: PATH/mesh000.ply to mesh071.ply, or .obj or .off, each also gzipped; number 051 does not exist. All meshes
+number their vertices alike, so one landmark file serves all: PATH/landmarks.json (or .lnd), or the one given.
+
+The motion sequences of "Articulated Mesh Animation from Multi-view Silhouettes" (MIT), read from a user's copy.
+
+Layout: PATH/<SEQUENCE>/meshes/mesh_NNNN.obj (also gzipped), y up: crane, jumping, march and squat of one man (I_*, the
+paper's subject "B"), bouncing, handstand, march and squat of another (D_*, subject "C"). All frames of a man number
+their vertices alike. Landmarks of I_* ship with the package; those of D_* are the user's: PATH/landmarks_C.json.
+
+CAESAR: standing people, scanned with markers on their landmarks, read from a user's copy; the subset "people".
+
+Layout: anywhere below PATH one mesh a subject (csr0001a.ply, .obj or .off, also gzipped) and its landmarks under the
+same name (csr0001a.lnd), in the same folder or another; capitals do not matter. The paper uses 583 subjects.
+Where a subject has several scans (a standing, b and c sitting), the standing one is read.
+
+All bodies of the paper: PATH with the sub-folders scape, mit and caesar, each as its own source reads it.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
-from bodyseg_data.bodies.mesh_options import DEFAULTS, MeshOptions
-from bodyseg_data.bodies.source import Body, BodyRef, BodySource, ListedBodies
-from bodyseg_data.bodies.sources.caesar import MESHES as CAESAR_MESHES
-from bodyseg_data.bodies.sources.caesar import CaesarBodies
-from bodyseg_data.bodies.sources.mit import MESHES as MIT_MESHES
-from bodyseg_data.bodies.sources.mit import MitBodies
-from bodyseg_data.bodies.sources.scape import MESHES as SCAPE_MESHES
-from bodyseg_data.bodies.sources.scape import ScapeBodies
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.bodies.mesh_bodies import (
+    LANDMARK_SUFFIXES,
+    MeshBodies,
+    MeshFile,
+    files_below,
+    given_landmarks,
+    landmark_file,
+    meshes_in,
+)
+from bodyseg_data.bodies.source import DEFAULTS, Body, BodyRef, BodySource, ListedBodies, MeshOptions, key_name
+from bodyseg_data.core import BadConfig
+from bodyseg_data.meshes import mesh_stem, mesh_suffix, preferred
+from bodyseg_data.samples import split_by_motion, split_by_order
+
+NUMBERS: Final = tuple(number for number in range(72) if number != 51)
+"""Numbers of the 71 meshes, in order."""
+
+SCAPE_MESHES: Final = tuple(f"mesh{number:03d}.ply" for number in NUMBERS)
+"""Files of a complete copy."""
+
+_SCAPE_STEM: Final = re.compile(r"mesh(\d{1,6})", re.IGNORECASE)
+
+
+class ScapeBodies(MeshBodies):
+    """Postures found in a folder, by number. Raises BadConfig if there are none."""
+
+    name = "scape"
+
+    def __init__(self, path: Path, landmarks: Path | None = None, options: MeshOptions = DEFAULTS) -> None:
+        given, folder = given_landmarks(path, landmarks)
+        labelled = given or landmark_file([folder], "landmarks")
+        found: dict[int, Path] = {}
+        for stem, file in meshes_in(path).items():
+            match = _SCAPE_STEM.fullmatch(stem)
+            if match and int(match[1]) in NUMBERS:
+                found.setdefault(int(match[1]), file)
+        if not found:
+            raise BadConfig(f"the source 'scape' needs mesh000.ply to mesh071.ply in its folder: found none in {path}")
+        wanted = f"the meshes in {path}: put landmarks.json there, or give a file with --landmarks"
+        files = {
+            BodyRef("A", "A", f"mesh{number:03d}", "posture", split_by_order("A", index)): MeshFile(
+                found[number], labelled, wanted, group="A"
+            )
+            for index, number in enumerate(NUMBERS)
+            if number in found
+        }
+        missing = [name for number, name in zip(NUMBERS, SCAPE_MESHES, strict=True) if number not in found]
+        super().__init__(files, missing, options)
+
+
+SEQUENCES: Final[dict[Literal["B", "C"], dict[str, int]]] = {
+    "B": {"I_crane": 175, "I_jumping": 150, "I_march": 250, "I_squat": 250},
+    "C": {"D_bouncing": 175, "D_handstand": 175, "D_march": 250, "D_squat": 250},
+}
+"""Frames of every sequence, by subject."""
+
+MIT_MESHES: Final = tuple(
+    f"{sequence}/meshes/mesh_{number:04d}.obj"
+    for sequences in SEQUENCES.values()
+    for sequence, frames in sequences.items()
+    for number in range(frames)
+)
+"""Files of a complete copy."""
+
+_SHIPPED: Final = {"B": "mit_I"}
+_MIT_STEM: Final = re.compile(r"mesh_(\d{4,6})")
+
+
+class MitBodies(MeshBodies):
+    """Frames found below a folder, sequence by sequence in the paper's order. Raises BadConfig if there are none.
+
+    Every sequence is rotated as a whole, so that the man faces the front as it begins; his later directions are kept.
+    landmarks: a file for subject C, or a folder that holds landmarks_C.json and, to replace those that ship,
+    landmarks_B.json.
+    """
+
+    name = "mit"
+
+    def __init__(self, path: Path, landmarks: Path | None = None, options: MeshOptions = DEFAULTS) -> None:
+        given, folder = given_landmarks(path, landmarks)
+        files: dict[BodyRef, MeshFile] = {}
+        missing: list[str] = []
+        for subject, sequences in SEQUENCES.items():
+            labelled = landmark_file([folder], f"landmarks_{subject}") or _SHIPPED.get(subject)
+            if subject == "C" and given is not None:
+                labelled = given
+            wanted = f"subject {subject} ({', '.join(sequences)}): put landmarks_{subject}.json into {folder}, give "
+            wanted += "it with --landmarks (bodyseg landmarks --propose makes one), or leave these sequences out"
+            if labelled is None and given is None and any((path / sequence).is_dir() for sequence in sequences):
+                missing.append(f"landmarks_{subject}.json (for {', '.join(sequences)})")
+            for sequence, count in sequences.items():
+                motion, found = sequence.partition("_")[2], _frames(path / sequence / "meshes", count)
+                for number in range(count):
+                    if number in found:
+                        ref = BodyRef(
+                            subject, subject, f"{sequence}_{number:04d}", motion, split_by_motion(subject, motion)
+                        )
+                        files[ref] = MeshFile(found[number], labelled, wanted, group=sequence)
+                    else:
+                        missing.append(f"{sequence}/meshes/mesh_{number:04d}.obj")
+        if not files:
+            raise BadConfig(
+                "the source 'mit' needs SEQUENCE/meshes/mesh_NNNN.obj in its folder, with SEQUENCE one of "
+                f"{', '.join(name for names in SEQUENCES.values() for name in names)}: found none in {path}"
+            )
+        if given is not None and not any(ref.subject == "C" for ref in files):
+            raise BadConfig(
+                f"a landmark file is for subject C (D_*), found none of its frames in {path}: to replace the landmarks "
+                "of subject B give a folder that holds landmarks_B.json"
+            )
+        # The sequences stand on the plane y = 0; a handstand would mislead the search for what is up.
+        super().__init__(files, missing, replace(options, up="y") if options.up == "auto" else options)
+
+
+def _frames(folder: Path, count: int) -> dict[int, Path]:
+    """Return number -> file of the frames in a folder, without numbers that the complete sequence lacks."""
+    matches = [(_MIT_STEM.fullmatch(stem), file) for stem, file in meshes_in(folder).items()]
+    return {int(match[1]): file for match, file in matches if match and int(match[1]) < count}
+
+
+SUBJECTS: Final = 583
+
+CAESAR_MESHES: Final = tuple(f"subject {number:03d}" for number in range(1, SUBJECTS + 1))
+"""Subjects of a complete copy; the paper does not name them."""
+
+_SITTING: Final = re.compile(r"(.*\d)[bc]")
+_LONGEST: Final = 28  # of a subject's name, which is twice in a sample key
+
+
+class CaesarBodies(MeshBodies):
+    """Subjects found below a folder, by name: the first 467 for training, the others for testing.
+
+    landmarks: a folder to search for the .lnd files, or one file for meshes that all have one topology.
+    Raises BadConfig if there are none, more than 583, or two meshes of one name in different folders.
+    """
+
+    name = "caesar"
+
+    def __init__(self, path: Path, landmarks: Path | None = None, options: MeshOptions = DEFAULTS) -> None:
+        given, folder = given_landmarks(path, landmarks)
+        meshes = _standing(path)
+        points = _by_name(folder, _landmark_stem)
+        files: dict[BodyRef, MeshFile] = {}
+        missing: list[str] = []
+        for index, (subject, mesh) in enumerate(meshes.items()):
+            own = _own(points.get(subject, []), mesh)
+            stem = mesh_stem(mesh.name)
+            if own is None and given is None:
+                missing.append(f"{stem}.lnd")
+            wanted = f"subject {stem}: no {stem}.lnd anywhere in {folder}"
+            name = key_name(stem, _LONGEST)
+            ref = BodyRef("people", name, name, "standing", split_by_order("people", index))
+            files[ref] = MeshFile(mesh, own or given, wanted, shared=own is None, standing=True)
+        super().__init__(files, (*missing, *CAESAR_MESHES[len(meshes) :]), options)
+
+
+def _standing(path: Path) -> dict[str, Path]:
+    """Return lower-case name -> mesh file of every subject, sorted."""
+    found = _by_name(path, lambda name: mesh_stem(name) if mesh_suffix(name) else None)
+    chosen = {}
+    for name in sorted(found):
+        sitting = _SITTING.fullmatch(name)
+        if sitting and f"{sitting[1]}a" in found:
+            continue
+        folders = sorted({file.parent for file in found[name]})
+        if len(folders) > 1:
+            raise BadConfig(f"a subject needs one mesh, found {name} in {folders[0]} and in {folders[1]}")
+        chosen[name] = folders[0] / preferred([file.name for file in found[name]])
+    if not chosen:
+        raise BadConfig(f"the source 'caesar' needs one mesh (.ply, .obj, .off) a subject: found none in {path}")
+    if len(chosen) > SUBJECTS:
+        raise BadConfig(
+            f"the source 'caesar' has the paper's {SUBJECTS} subjects, found {len(chosen)} in {path}: take out those "
+            "that are not wanted, or read them all with --source folder"
+        )
+    return chosen
+
+
+def _own(candidates: list[Path], mesh: Path) -> Path | None:
+    """Return a subject's landmark file: the one beside its mesh, or else the only one."""
+    beside = [file for file in candidates if file.parent == mesh.parent]
+    if not beside and len({file.parent for file in candidates}) > 1:
+        raise BadConfig(f"a subject needs one landmark file, found {candidates[0]} and {candidates[1]} for {mesh}")
+    return min(
+        beside or candidates, key=lambda file: LANDMARK_SUFFIXES.index(_landmark_suffix(file.name)), default=None
+    )
+
+
+def _landmark_suffix(name: str) -> str:
+    """Return the landmark file's suffix that a name ends in, or ""."""
+    return next((suffix for suffix in LANDMARK_SUFFIXES if name.lower().endswith(suffix)), "")
+
+
+def _landmark_stem(name: str) -> str | None:
+    suffix = _landmark_suffix(name)
+    return name[: -len(suffix)] if suffix else None
+
+
+def _by_name(root: Path, stem_of: Callable[[str], str | None]) -> dict[str, list[Path]]:
+    """Return lower-case stem -> files of that stem anywhere below a folder, sorted."""
+    found: dict[str, list[Path]] = {}
+    for file in files_below(root):
+        stem = stem_of(file.name)
+        if stem:
+            found.setdefault(stem.lower(), []).append(file)
+    return found
+
 
 _Opened = Callable[[Path, Path | None, MeshOptions], BodySource]
 

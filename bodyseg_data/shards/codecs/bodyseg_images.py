@@ -19,23 +19,26 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from bodyseg_data.core.kernels import use_compiled
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.rigs.camera import MAX_SIDE
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.machine import use_compiled
+from bodyseg_data.rigs import MAX_SIDE
 from bodyseg_data.shards.codecs.codec import DecodedImages, OutputArrays
-from bodyseg_data.shards.codecs.runs import (
+from bodyseg_data.shards.codecs.residuals import (
     ESCAPE,
     Box,
     Bytes,
     Runs,
+    Slopes,
     bounding_box,
     checked_lengths,
+    decode_slopes,
+    encode_slopes,
     escape_large,
     find_runs,
+    foreground_runs,
     from_byte_planes,
     to_byte_planes,
 )
-from bodyseg_data.shards.codecs.slopes import Slopes, decode_slopes, encode_slopes, foreground_runs
 
 _MAGIC: Final = b"BSI2"
 _START: Final = struct.Struct("<4sI")  # the magic, a CRC-32 of all that follows
@@ -294,4 +297,4 @@ def _split(numbers: Bytes, sizes: Sequence[int]) -> list[Bytes]:
 @lru_cache(maxsize=1)
 def _loops() -> Any:
     """The compiled loops; they load numba, so not before they are used."""
-    return import_module("bodyseg_data.shards.codecs.bodyseg_compiled")
+    return import_module("bodyseg_data.shards.codecs.bodyseg_loops")

@@ -15,11 +15,9 @@ from typing import Any, ClassVar, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.kernels import use_compiled
-from bodyseg_data.core.rigs.camera import MAX_SIDE
-from bodyseg_data.core.system.deflate import decompress
-from bodyseg_data.shards.codecs.codec import DecodedImages, OutputArrays
-from bodyseg_data.shards.codecs.labels import split_labels
+from bodyseg_data.machine import decompress, use_compiled
+from bodyseg_data.rigs import MAX_SIDE
+from bodyseg_data.shards.codecs.codec import DecodedImages, OutputArrays, split_labels
 
 SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from bodyseg_data.core.kernels import compiled
+from bodyseg_data.machine import compiled
 
 
 def _undo_filters(data: Any, step: Any, rows: Any) -> Any:

@@ -10,7 +10,7 @@ from typing import IO, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import BadConfig
 from bodyseg_model.recordings.frames import natural_key
 from bodyseg_model.recordings.recording import LARGEST_SIDE, FrameSource, StoredRecording, stored_recording
 

@@ -14,9 +14,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rigs.distortion import Distortion
-from bodyseg_model.recordings.intrinsics import Intrinsics
+from bodyseg_data.core import BadConfig
+from bodyseg_data.rigs import Distortion
+from bodyseg_model.recordings.cameras import Intrinsics
 
 CALIBRATION: Final = "calibration.json"
 """Name of the attachment."""

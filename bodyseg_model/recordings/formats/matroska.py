@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.system.libraries import missing_library
+from bodyseg_data.core import BadConfig
+from bodyseg_data.machine import missing_library
 from bodyseg_model.recordings.formats.kinect_calibration import CALIBRATION, depth_camera
 from bodyseg_model.recordings.recording import LARGEST_SIDE, FrameSource, StoredRecording, stored_recording
 

@@ -9,7 +9,7 @@ import math
 from pathlib import Path, PurePosixPath
 from typing import Final
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import BadConfig
 from bodyseg_model.recordings.frames import png_file
 from bodyseg_model.recordings.recording import StoredRecording
 

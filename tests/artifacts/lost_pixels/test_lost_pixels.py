@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 from planes import CAMERA, PROJECTOR, RIG, plane, sample_of, shown
 
-from bodyseg_data.artifacts.artifact import Artifact
-from bodyseg_data.artifacts.lost_pixels.areas import PatchLoss, StripeLoss, code_lines
-from bodyseg_data.artifacts.lost_pixels.surfaces import EdgeLoss, GrazingLoss
-from bodyseg_data.artifacts.variants import shown_with
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import PARTS
+from bodyseg_data.artifacts import Artifact, shown_with
+from bodyseg_data.artifacts.lost_pixels import EdgeLoss, GrazingLoss, PatchLoss, StripeLoss, code_lines
+from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import PARTS
 
 
 def test_patches_lose_the_share_that_is_drawn() -> None:

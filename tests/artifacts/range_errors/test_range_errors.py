@@ -11,17 +11,20 @@ import pytest
 from numpy.typing import NDArray
 from planes import CAMERA, RIG, plane, sample_of, shown
 
-from bodyseg_data.artifacts.artifact import Artifact
-from bodyseg_data.artifacts.range_errors.axial_noise import POWERS, AxialNoise
-from bodyseg_data.artifacts.range_errors.lateral_noise import REACH, LateralNoise
-from bodyseg_data.artifacts.range_errors.mixed_pixels import MixedPixels
-from bodyseg_data.artifacts.range_errors.rounding import RangeRounding
-from bodyseg_data.artifacts.range_errors.stereo import DisparityRounding, StereoNoise
-from bodyseg_data.artifacts.surface import angles, grazing
-from bodyseg_data.artifacts.variants import shown_with
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.sample import Sample
+from bodyseg_data.artifacts import Artifact, AxialNoise, angles, shown_with
+from bodyseg_data.artifacts.range_errors import (
+    POWERS,
+    REACH,
+    DisparityRounding,
+    LateralNoise,
+    MixedPixels,
+    RangeRounding,
+    StereoNoise,
+)
+from bodyseg_data.artifacts.surface import grazing
+from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.samples import Sample
 
 
 def errors_mm(artifact: Artifact, sample: Sample, columns: slice = slice(60, 100)) -> NDArray[np.float64]:

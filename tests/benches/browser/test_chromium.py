@@ -14,7 +14,7 @@ from benches.browser import view
 from benches.browser.chromium import chromium, open_tab
 from benches.browser.view import Proxy
 
-from bodyseg_data.core.errors import MissingLibrary
+from bodyseg_data.core import MissingLibrary
 
 
 def test_without_a_browser_one_line_says_so(

@@ -13,7 +13,7 @@ from benches.charts.report import described
 from chart_figures import BY_NAME, RENDERERS, SOURCE, figures_of, panels_of
 from folders import ROOT
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import BadConfig
 
 RESULTS = ROOT / "docs" / "results"
 

@@ -10,7 +10,7 @@ import pytest
 from benches.charts.stability_tables import tables
 from benches.results.page import render_page
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import BadConfig
 
 
 def over_seeds(*values: float) -> dict[str, Any]:

@@ -9,9 +9,9 @@ from benches.data.render.cluster import Costs, at_scale
 from fakes import FiguresEntry
 from small_rig import SMALL
 
-from bodyseg_data.bodies.sources import SOURCES
-from bodyseg_data.core.errors import MissingLibrary
-from bodyseg_data.packing.options import Packing
+from bodyseg_data.bodies import SOURCES
+from bodyseg_data.core import MissingLibrary
+from bodyseg_data.packing import Packing
 
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning")  # distributed closes its loops late

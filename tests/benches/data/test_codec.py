@@ -13,7 +13,7 @@ from benches.data.codec.figure import draw_codec
 from folders import ROOT
 from pictures import decoded, marks
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import BadConfig
 
 pytest.importorskip("imagecodecs")
 pytest.importorskip("numba")

@@ -9,7 +9,7 @@ from benches.data.surface.interpenetration import bench_interpenetration, groups
 
 from bodyseg_data.bodies.sources.hard import HardBodies
 from bodyseg_data.bodies.sources.open_bodies import OpenBodies
-from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes import Mesh
 
 pytestmark = pytest.mark.usefixtures("quick_geodesics")
 

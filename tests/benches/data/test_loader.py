@@ -19,9 +19,8 @@ from benches.data.loader.pngs import DECODERS, by_pillow, png, time_decoders
 from numpy.typing import NDArray
 from pictures import decoded, marks, part
 
-from bodyseg_data.core.errors import BadConfig, BadSample
-from bodyseg_data.loading.image_set import Batch
-from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_data.core import BadConfig, BadSample
+from bodyseg_data.loading import Batch, RangeImages
 
 # webdataset leaves the tars it has read to the garbage collector.
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore::ResourceWarning")

@@ -23,13 +23,13 @@ from pictures import decoded, marks, part
 from shapes import figure
 from small_rig import SMALL
 
-from bodyseg_data.artifacts.occlusion import ShadowTest
-from bodyseg_data.bodies.source import Body, BodyRef
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.core.views import View
-from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.artifacts import ShadowTest
+from bodyseg_data.bodies import Body, BodyRef
+from bodyseg_data.core import BadConfig
+from bodyseg_data.meshes import partition
 from bodyseg_data.rendering.embree import EmbreeRenderer
+from bodyseg_data.rigs import load_rig
+from bodyseg_data.samples import View
 
 RESULTS = ROOT / "docs" / "results"
 

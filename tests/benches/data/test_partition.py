@@ -17,10 +17,10 @@ from benches.data.surface.rival_geodesics import rivals_installed
 from pictures import decoded, marks, part
 from shapes import ball
 
-from bodyseg_data.bodies.source import Body, BodyRef
-from bodyseg_data.core.errors import BadConfig, Unanswerable
-from bodyseg_data.meshes.partition.geodesics import check_method, nearest_sources
-from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.bodies import Body, BodyRef
+from bodyseg_data.core import BadConfig, Unanswerable
+from bodyseg_data.meshes import check_method, partition
+from bodyseg_data.meshes.geodesics import nearest_sources
 
 
 def round_body(subdivisions: int = 4) -> Body:

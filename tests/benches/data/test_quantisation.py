@@ -12,8 +12,8 @@ from folders import ROOT
 from pictures import decoded, marks, part
 from small_rig import SMALL
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import load_rig
+from bodyseg_data.core import BadConfig
+from bodyseg_data.rigs import load_rig
 
 pytestmark = pytest.mark.usefixtures("quick_geodesics")
 

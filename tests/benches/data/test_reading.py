@@ -7,8 +7,8 @@ import pytest
 from benches.data.reading import bench
 from benches.data.reading.manifests import SHARD_SAMPLES, fit, write_large_manifest
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.shards.manifest import read_manifest
+from bodyseg_data.core import BadConfig
+from bodyseg_data.shards import read_manifest
 
 
 def test_ranks_share_caches_and_manifests_are_opened(small_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:

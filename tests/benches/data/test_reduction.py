@@ -15,9 +15,8 @@ from pictures import decoded, marks, part
 from shapes import figure
 from small_rig import SMALL
 
-from bodyseg_data.bodies.source import Body, BodyRef
-from bodyseg_data.bodies.sources import SOURCES
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.bodies import SOURCES, Body, BodyRef
+from bodyseg_data.core import BadConfig
 
 BODY = Body(figure(), np.linspace(0, len(figure().vertices) - 1, 33).astype(np.int64))  # some on every piece
 

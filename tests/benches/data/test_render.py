@@ -14,11 +14,11 @@ from benches.data.render.figure import _STAGES, draw_render
 from benches.data.render.steps import STAGES, _Scene, _steps, measure_stages, measure_steps
 from pictures import decoded, marks
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import PlacedCamera, axes_at
-from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.packing.options import Packing
+from bodyseg_data.core import BadConfig
+from bodyseg_data.meshes import Mesh
+from bodyseg_data.packing import Packing
+from bodyseg_data.rigs import PlacedCamera, axes_at
+from bodyseg_data.samples import ViewGrid
 
 pytestmark = pytest.mark.usefixtures("quick_geodesics")
 

@@ -6,8 +6,8 @@ import pytest
 from benches.data.render import scaling
 from fakes import FiguresEntry
 
-from bodyseg_data.bodies.sources import SOURCES
-from bodyseg_data.core.errors import MissingLibrary
+from bodyseg_data.bodies import SOURCES
+from bodyseg_data.core import MissingLibrary
 
 
 def test_every_cost_of_a_view_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:

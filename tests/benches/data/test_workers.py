@@ -13,8 +13,8 @@ from benches.data.workers.memory import process_tree, tree_mb
 from benches.data.workers.subject import Setup
 from PIL import Image
 
-from bodyseg_data.core.errors import BadSample
-from bodyseg_data.core.kernels import VARIABLE
+from bodyseg_data.core import BadSample
+from bodyseg_data.machine.kernels import VARIABLE
 
 
 @pytest.fixture(scope="module")

@@ -13,11 +13,10 @@ from pathlib import Path
 import pytest
 from benches.fuzzing.damage import BLOCK, Damaged, Tally, cut_everywhere, flip_bits, mangle
 
-from bodyseg_data.core.errors import BadShard
-from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.shards.faults import find_faults
-from bodyseg_data.shards.manifest import MANIFEST_NAME, write_manifest
+from bodyseg_data.core import BadShard
+from bodyseg_data.loading import RangeImages
+from bodyseg_data.samples import ViewGrid
+from bodyseg_data.shards import MANIFEST_NAME, find_faults, write_manifest
 from bodyseg_data.shards.tar import parse_members
 
 

@@ -24,13 +24,12 @@ from benches.fuzzing.hostile_files import KEY, hostile_tar
 from folders import ROOT
 from PIL import Image
 
-from bodyseg_data.core.errors import BadConfig, BadSample, BadShard, BodysegError
-from bodyseg_data.core.rig import parse_rig
-from bodyseg_data.shards.manifest import MANIFEST_NAME, read_manifest
-from bodyseg_data.shards.records import record_from_json
-from bodyseg_data.shards.sample_codec import decode_sample, encode_sample
+from bodyseg_data.core import BadConfig, BadSample, BadShard, BodysegError
+from bodyseg_data.rigs.rig import parse_rig
+from bodyseg_data.shards import MANIFEST_NAME, encode_sample, read_manifest, record_from_json
+from bodyseg_data.shards.sample_codec import decode_sample
 from bodyseg_data.shards.tar import parse_members
-from bodyseg_model.commands.cli import main
+from bodyseg_model.commands import main
 
 INPUTS = int(os.environ.get("BODYSEG_FUZZ", "60"))
 """How many inputs each reader gets here; `bench reliability` feeds 100 000."""

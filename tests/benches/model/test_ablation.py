@@ -28,12 +28,11 @@ from pictures import decoded, marks, part
 from slow_accuracy import slow_accuracy
 
 from bodyseg_data import RangeImages
-from bodyseg_data.artifacts.losses import lost_grazing
+from bodyseg_data.artifacts.lost_pixels import lost_grazing
 from bodyseg_data.commands.options import parse
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import BadConfig
 from bodyseg_model.commands import train
-from bodyseg_model.networks.checkpoints import load_network, save_network
-from bodyseg_model.networks.registry import build
+from bodyseg_model.networks import build, load_network, save_network
 from bodyseg_model.training.recipes import PRESETS
 
 IMAGES = 1

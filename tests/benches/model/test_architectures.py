@@ -17,10 +17,10 @@ from benches.model.networks.architectures_runs import groups_in
 from benches.model.networks.network_times import LEAST_ROUNDS
 from slow_accuracy import slow_accuracy
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.networks.checkpoints import load_network, save_network
-from bodyseg_model.networks.registry import build, parameters
+from bodyseg_data.core import BadConfig
+from bodyseg_data.loading import RangeImages
+from bodyseg_model.networks import build, load_network, save_network
+from bodyseg_model.networks.registry import parameters
 
 TINY = {"patch": 16, "widths": [8], "blocks": [0]}
 NARROW = {"width": 1 / 16}

@@ -10,8 +10,8 @@ import torch
 from benches.model.networks import baselines as rivals
 from onnx_answers import check_answer, frames
 
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_model.networks.registry import build, predict
+from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_model.networks import build, predict
 from bodyseg_model.runtimes.onnx_files import to_onnx
 
 

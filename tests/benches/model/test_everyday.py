@@ -8,8 +8,8 @@ import pytest
 from benches.model.failures import everyday
 from benches.model.failures.everyday import bench_everyday
 
-from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.bodies.sources.wide import WideBodies
+from bodyseg_data.bodies import BodyRef
+from bodyseg_data.bodies.sources.open_bodies import WideBodies
 
 
 class FewWideBodies(WideBodies):

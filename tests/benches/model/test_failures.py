@@ -34,16 +34,16 @@ from benches.model.failures.poses import (
 from label_networks import Places
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.artifact import RangeImage
-from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_data.core.parts import BACKGROUND, PARTS
-from bodyseg_data.core.rig import Camera
-from bodyseg_data.core.sample import Sample, SampleInfo, steps
-from bodyseg_data.meshes.partition.surface_parts import partition
-from bodyseg_model.evaluation.evaluation import evaluate, open_images
-from bodyseg_model.networks.checkpoints import Trained
+from bodyseg_data.artifacts import RangeImage
+from bodyseg_data.bodies import open_source
+from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk
+from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_data.labels import BACKGROUND, PARTS
+from bodyseg_data.meshes import partition
+from bodyseg_data.rigs import Camera
+from bodyseg_data.samples import Sample, SampleInfo, steps
+from bodyseg_model.evaluation import evaluate, open_images
+from bodyseg_model.networks import Trained
 
 Labels = NDArray[np.uint8]
 

@@ -20,11 +20,11 @@ from benches.model.networks.architectures_forest import (
     walk,
 )
 
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_data.core.parts import PART_COUNT
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.evaluation.scores import ConfusionMatrix
-from bodyseg_model.networks.registry import predict
+from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_data.labels import PART_COUNT
+from bodyseg_data.loading import RangeImages
+from bodyseg_model.evaluation import ConfusionMatrix
+from bodyseg_model.networks import predict
 
 SMALL = ForestScale(images=6, candidates=30, tried=10, depth=12, window=3)
 

@@ -13,7 +13,7 @@ from benches.model import gpu
 from benches.model.gpu import COMPACT, FILLED, SENSOR, measured, real_time
 
 from bodyseg_data import RangeImages
-from bodyseg_model.networks.registry import build
+from bodyseg_model.networks import build
 
 
 def frame(rows: int, columns: int) -> np.ndarray:

@@ -15,10 +15,9 @@ from benches.model.networks.network_times import LEAST_ROUNDS, operations, summa
 from pictures import decoded, marks, part
 from torch import nn
 
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_model.networks.checkpoints import save_network
-from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.registry import build, parameters
+from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_model.networks import Network, build, save_network
+from bodyseg_model.networks.registry import parameters
 
 TINY: dict[str, dict[str, Any]] = {
     "fcn_alexnet": {"width": 1 / 16},

@@ -11,15 +11,12 @@ import torch
 from benches.model.networks.numerical import BATCH_SIZES, bench_numerical, numerical, table
 from torch import nn
 
-from bodyseg_data.artifacts.missing_data import MissingData
-from bodyseg_data.artifacts.sensor_model import load_sensor_model
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
-from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.networks.checkpoints import save_network
-from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.registry import build
+from bodyseg_data.artifacts import MissingData, load_sensor_model
+from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import BACKGROUND, PART_COUNT
+from bodyseg_data.loading import RangeImages
+from bodyseg_data.samples import ViewGrid
+from bodyseg_model.networks import Network, build, save_network
 
 NOTHING = {"changed": 0.0, "accuracy_change": 0.0}
 FEWER_BITS = {"bf16, autocast", "bf16 throughout", "fp16, autocast", "fp16 throughout", "weights kept in fp16"}

@@ -24,15 +24,17 @@ from benches.model.people.scores import accuracy, by_groups  # noqa: E402
 from label_networks import Places  # noqa: E402
 from shapes import ball  # noqa: E402
 
-from bodyseg_data.bodies.anny.postures import POSTURES  # noqa: E402
-from bodyseg_data.bodies.landmark_fitting.fit import Fit, fitted_points  # noqa: E402
-from bodyseg_data.bodies.landmark_fitting.fitted import FittedBody  # noqa: E402
-from bodyseg_data.bodies.landmark_fitting.template import FittingBody, fitting_body  # noqa: E402
-from bodyseg_data.core.errors import BadConfig, BadLandmarks  # noqa: E402
-from bodyseg_data.core.parts import LANDMARKS, PARTS  # noqa: E402
-from bodyseg_data.core.system.torch_threads import torch_threads  # noqa: E402
-from bodyseg_data.meshes.mesh import Mesh  # noqa: E402
-from bodyseg_data.meshes.partition.surface_parts import partition  # noqa: E402
+from bodyseg_data.bodies.anny_people import POSTURES  # noqa: E402
+from bodyseg_data.bodies.body_fit import Fit, fitted_points  # noqa: E402
+from bodyseg_data.bodies.fitting_body import FittingBody, fitting_body  # noqa: E402
+from bodyseg_data.bodies.landmark_proposal import FittedBody  # noqa: E402
+from bodyseg_data.core import BadConfig, BadLandmarks  # noqa: E402
+from bodyseg_data.labels import LANDMARKS, PARTS  # noqa: E402
+from bodyseg_data.machine import torch_threads  # noqa: E402
+from bodyseg_data.meshes import (  # noqa: E402
+    Mesh,
+    partition,
+)
 
 MOVED = LANDMARKS.index("Rt. Acromion")
 

@@ -42,13 +42,13 @@ from scipy.spatial import KDTree  # noqa: E402
 from scipy.spatial.transform import Rotation  # noqa: E402
 from spheres import icosphere  # noqa: E402
 
-from bodyseg_data.core.errors import BadConfig, BadLandmarks  # noqa: E402
-from bodyseg_data.core.parts import BACKGROUND, LANDMARKS  # noqa: E402
-from bodyseg_data.core.rig import Camera, PlacedCamera, load_rig  # noqa: E402
-from bodyseg_data.meshes.mesh import Mesh  # noqa: E402
-from bodyseg_data.meshes.partition.geodesics import nearest_sources  # noqa: E402
+from bodyseg_data.core import BadConfig, BadLandmarks  # noqa: E402
+from bodyseg_data.labels import BACKGROUND, LANDMARKS  # noqa: E402
+from bodyseg_data.meshes import Mesh  # noqa: E402
+from bodyseg_data.meshes.geodesics import nearest_sources  # noqa: E402
 from bodyseg_data.rendering.embree import EmbreeRenderer  # noqa: E402
-from bodyseg_model.networks.checkpoints import Trained  # noqa: E402
+from bodyseg_data.rigs import Camera, PlacedCamera, load_rig  # noqa: E402
+from bodyseg_model.networks import Trained  # noqa: E402
 
 LENS = Camera(180, 200, 200.0, (100.0, 90.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 """5.5 mm a pixel; its lower edge cuts the body below y = 0.25 m, the world's y pointing down."""

@@ -11,8 +11,7 @@ from benches.model.networks.runtimes import PAPERS, REFERENCE, bench_runtimes
 from benches.model.networks.runtimes_figure import _COLOURS, draw_runtimes
 from pictures import decoded, marks
 
-from bodyseg_model.networks.checkpoints import save_network
-from bodyseg_model.networks.registry import build
+from bodyseg_model.networks import build, save_network
 
 
 def test_every_backend_is_timed_and_scored(small_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,10 +25,10 @@ from benches.model.segment.live import Sensor
 from label_networks import Places
 from pictures import decoded, marks, part
 
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.rig import Camera
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.rigs import Camera
 from bodyseg_model.commands import segment
-from bodyseg_model.networks.checkpoints import Trained
+from bodyseg_model.networks import Trained
 from bodyseg_model.stability.rooms import Room
 
 

@@ -13,7 +13,7 @@ from benches.model.sensor_fit.recordings import Scene
 from fakes import Figures
 from pictures import decoded, marks
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import BadConfig
 
 
 @pytest.fixture

@@ -18,10 +18,10 @@ from label_networks import Places
 from pictures import decoded, marks, part
 from shapes import figure
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.rendering.raster import RasterRenderer
-from bodyseg_model.networks.checkpoints import Trained
-from bodyseg_model.recordings.cameras import frame_camera
+from bodyseg_data.core import BadConfig
+from bodyseg_data.rendering import RasterRenderer
+from bodyseg_model.networks import Trained
+from bodyseg_model.recordings import frame_camera
 
 KINECT = frame_camera((480, 640), "a Kinect").camera
 

@@ -12,8 +12,8 @@ from benches.model.things import shapes as bench
 from benches.model.things.shapes import Shapes, bench_shapes, fitted, logits, quality
 from fakes import Figures
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import load_sensor
+from bodyseg_data.core import BadConfig
+from bodyseg_data.rigs import load_sensor
 from bodyseg_model.segmentation.person_score import (
     MEASURES,
     SHAPES,

@@ -16,10 +16,10 @@ from benches.model.real.recording import Frame
 from benches.model.real.steady import ALONE, CARRIED_ALONG, WAYS, changes, labelled, point_labels, ratio_of, table
 from label_networks import Places
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.rig import Camera, PlacedCamera, load_rig
-from bodyseg_model.networks.checkpoints import Trained
+from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.rigs import Camera, PlacedCamera, load_rig
+from bodyseg_model.networks import Trained
 
 LENS = Camera(60, 80, 90.0, (40.0, 30.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 AWAY_M = 1.5

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from benches.model.things import bench
 
-from bodyseg_model.segmentation.person_score import PersonScore, shipped_score
+from bodyseg_model.segmentation import PersonScore, shipped_score
 
 
 def test_the_shipped_score_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:

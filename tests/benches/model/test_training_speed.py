@@ -8,7 +8,7 @@ import pytest
 from benches.model import training_speed
 from benches.model.training_speed import Way, bench_training, summary
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import BadConfig
 
 
 def test_every_way_is_timed_by_the_command(small_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:

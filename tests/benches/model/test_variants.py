@@ -18,15 +18,12 @@ from pictures import decoded, marks, part
 from slow_accuracy import slow_accuracy
 
 from bodyseg_data import RangeImages
-from bodyseg_data.artifacts.missing_data import MissingData
-from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.sensor_model import load_sensor_model
-from bodyseg_data.artifacts.variants import VARIANTS
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.artifacts import VARIANTS, MissingData, Noise, load_sensor_model
+from bodyseg_data.core import BadConfig
 from bodyseg_model.commands import train as train_command
-from bodyseg_model.networks.checkpoints import load_network
+from bodyseg_model.networks import load_network
+from bodyseg_model.training import RunOptions
 from bodyseg_model.training.distributed import ProcessGroup
-from bodyseg_model.training.loop import RunOptions
 
 SETTINGS = '{"patch": 16, "widths": [8], "blocks": [0]}'
 STEPS = 2

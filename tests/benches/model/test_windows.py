@@ -12,7 +12,7 @@ from benches.model.segment.windows import MARGINS, Windowed, bench_windows
 from benches.model.segment.windows_figure import draw_windows
 from pictures import decoded, marks, part
 
-from bodyseg_data.core.parts import BACKGROUND
+from bodyseg_data.labels import BACKGROUND
 from bodyseg_model.networks.compact import Compact, CompactSettings
 from bodyseg_model.stability.rooms import Room
 

@@ -11,7 +11,7 @@ from benches.results.chart import Options, run
 from chart_figures import SOURCE, figures_of, write_figures_of
 from PIL import Image
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import BadConfig
 
 pytest.importorskip("matplotlib")
 

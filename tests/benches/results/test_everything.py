@@ -23,7 +23,7 @@ from made_steps import Workshop, a_result, a_set, a_training
 
 from bodyseg_data.commands.cli import load_command
 from bodyseg_data.commands.options import parse
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import BadConfig
 from bodyseg_model.commands.cli import COMMANDS
 
 RESULTS = ROOT / "docs" / "results"

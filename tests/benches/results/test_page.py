@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from benches.results.page import render_page, sources_of
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import BadConfig
 
 CONTENT = {
     "share": 0.88557,

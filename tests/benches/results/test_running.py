@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from made_steps import RESULT, TRAINING, Workshop, a_page, a_result, a_set, a_training, shell
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import BadConfig
 
 Capture = pytest.CaptureFixture[str]
 

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from people_on_disk import PERSON, VERTICES, person, turn, write_by_vertex, write_lnd, write_mesh
 
-from bodyseg_data.bodies.mesh_options import MeshOptions
-from bodyseg_data.bodies.source import Body, BodyRef
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.bodies.sources.caesar import CaesarBodies
-from bodyseg_data.core.errors import BadConfig, BadLandmarks, BadMesh
+from bodyseg_data.bodies import Body, BodyRef, open_source
+from bodyseg_data.bodies.source import MeshOptions
+from bodyseg_data.bodies.sources.paper import CaesarBodies
+from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh
 
 TURN = turn("-x", "z")  # as scanners hold people: millimetres, z up
 POINTS = PERSON.vertices[list(VERTICES)] @ TURN

@@ -8,21 +8,16 @@ from functools import cache
 import numpy as np
 import pytest
 
-from bodyseg_data.bodies.anny.people import person
-from bodyseg_data.bodies.anny.posable import Posable
-from bodyseg_data.bodies.anny.skeleton import bone_rotations
-from bodyseg_data.bodies.contacts.limbs import Limb
-from bodyseg_data.bodies.contacts.places import Places
-from bodyseg_data.bodies.contacts.ranges import ARM, CROSSED_TWIST, LEG, LOADED_WRIST
-from bodyseg_data.bodies.contacts.sampler import DEEPEST_M, DrawnContact
-from bodyseg_data.bodies.contacts.stances import STANCES
-from bodyseg_data.bodies.contacts.surface import PosedSkin, vertex_normals
-from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.bodies.sources.everyday import EVERYDAY, EverydayBodies
+from bodyseg_data.bodies import BodyRef, open_source
+from bodyseg_data.bodies.anny_model import Posable
+from bodyseg_data.bodies.anny_people import person
+from bodyseg_data.bodies.contact_poses import DEEPEST_M, DrawnContact
+from bodyseg_data.bodies.limb_reaching import ARM, CROSSED_TWIST, LEG, LOADED_WRIST, Limb, PosedSkin, vertex_normals
+from bodyseg_data.bodies.skeleton import bone_rotations
 from bodyseg_data.bodies.sources.hard import HardBodies
-from bodyseg_data.bodies.sources.wide import WideBodies
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.bodies.sources.open_bodies import EVERYDAY, EverydayBodies, WideBodies
+from bodyseg_data.bodies.stances import STANCES, Places
+from bodyseg_data.core import BadConfig
 
 DRAWN = (1, 2, 34)
 """Bodies whose poses are drawn here: stepping, on one leg, on all fours."""

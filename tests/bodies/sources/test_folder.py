@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 from people_on_disk import PERSON, VERTICES, turn, write_by_point, write_by_vertex, write_lnd, write_mesh
 
-from bodyseg_data.bodies.names import collapsed, key_name
-from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.bodies import BodyRef, collapsed, open_source
+from bodyseg_data.bodies.source import key_name
 from bodyseg_data.bodies.sources.folder import FolderBodies
-from bodyseg_data.core.errors import BadConfig, BadLandmarks
-from bodyseg_data.core.sample import check_key
+from bodyseg_data.core import BadConfig, BadLandmarks
+from bodyseg_data.samples import check_key
 
 
 def touch(root: Path, *names: str) -> Path:

@@ -8,16 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bodyseg_data.bodies.anny.people import PEOPLE, person
-from bodyseg_data.bodies.source import Body, BodyRef
-from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.bodies import Body, BodyRef, open_source
+from bodyseg_data.bodies.anny_people import PEOPLE, person
 from bodyseg_data.bodies.sources.hard import HardBodies
 from bodyseg_data.bodies.sources.open_bodies import OpenBodies
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import LANDMARKS
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.core.views import View
+from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.rendering.embree import EmbreeRenderer
+from bodyseg_data.rigs import load_rig
+from bodyseg_data.samples import View
 
 
 @pytest.fixture(scope="module")

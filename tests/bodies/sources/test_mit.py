@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 from people_on_disk import PERSON, VERTICES, obj, turn, write_by_vertex, write_mesh
 from shapes import ball
 
-from bodyseg_data.bodies.mesh_options import MeshOptions
-from bodyseg_data.bodies.names import collapsed
-from bodyseg_data.bodies.source import Body, BodyRef
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.bodies.sources.mit import MESHES, SEQUENCES, MitBodies
-from bodyseg_data.core.errors import BadConfig, BadLandmarks, BadMesh
-from bodyseg_data.core.parts import LANDMARKS
+from bodyseg_data.bodies import Body, BodyRef, collapsed, open_source
+from bodyseg_data.bodies.source import MeshOptions
+from bodyseg_data.bodies.sources.paper import MIT_MESHES as MESHES
+from bodyseg_data.bodies.sources.paper import SEQUENCES, MitBodies
+from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh
+from bodyseg_data.labels import LANDMARKS
 
 FACING = turn("z", "y")  # I_crane begins facing -x
 COUNTS = {

@@ -16,17 +16,15 @@ import pytest
 from folders import ROOT
 from scipy.spatial import cKDTree
 
-from bodyseg_data.bodies.anny.model import Figure
-from bodyseg_data.bodies.anny.people import PEOPLE, SUBJECT_A, SUBJECT_B, SUBJECT_C, person, standing_pose
-from bodyseg_data.bodies.anny.postures import POSTURES
-from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk, bone_rotations
-from bodyseg_data.bodies.clothes.outfits import OUTFITS
-from bodyseg_data.bodies.source import Body, BodyRef
-from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.bodies import Body, BodyRef, open_source
+from bodyseg_data.bodies.anny_model import Figure
+from bodyseg_data.bodies.anny_people import PEOPLE, POSTURES, SUBJECT_A, SUBJECT_B, SUBJECT_C, person, standing_pose
+from bodyseg_data.bodies.outfits import OUTFITS
+from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, bone_rotations
 from bodyseg_data.bodies.sources.open_bodies import BareBodies, MadeBodies, OpenBodies
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_data.core.parts import LANDMARKS
-from bodyseg_data.core.views import ViewGrid
+from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_data.labels import LANDMARKS
+from bodyseg_data.samples import ViewGrid
 
 Built = Callable[[str], Body]
 

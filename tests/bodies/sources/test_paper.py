@@ -11,17 +11,13 @@ import numpy as np
 import pytest
 from people_on_disk import PERSON, VERTICES, turn, write_by_vertex, write_lnd, write_mesh
 
-from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.bodies.sources.mit import MESHES as MIT_MESHES
-from bodyseg_data.bodies.sources.paper import PaperBodies
-from bodyseg_data.bodies.sources.scape import MESHES as SCAPE_MESHES
+from bodyseg_data.bodies import BodyRef, open_source
+from bodyseg_data.bodies.sources.paper import MIT_MESHES, SCAPE_MESHES, PaperBodies
 from bodyseg_data.commands import cli
-from bodyseg_data.core.errors import BadConfig, BadLandmarks
-from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.packing.options import Packing
-from bodyseg_data.packing.pack import pack, plan
-from bodyseg_data.shards.manifest import read_manifest
+from bodyseg_data.core import BadConfig, BadLandmarks
+from bodyseg_data.packing import Packing, pack, plan
+from bodyseg_data.samples import ViewGrid
+from bodyseg_data.shards import read_manifest
 
 
 @pytest.fixture(scope="module")

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from people_on_disk import PERSON, VERTICES, person, turn, write_by_point, write_by_vertex, write_lnd, write_mesh
 
-from bodyseg_data.bodies.mesh_options import MeshOptions
-from bodyseg_data.bodies.source import Body, BodyRef
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.bodies.sources.scape import ScapeBodies
-from bodyseg_data.core.errors import BadConfig, BadLandmarks, BadMesh
+from bodyseg_data.bodies import Body, BodyRef, open_source
+from bodyseg_data.bodies.source import MeshOptions
+from bodyseg_data.bodies.sources.paper import ScapeBodies
+from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh
 
 NUMBERS = [number for number in range(72) if number != 51]
 TURN = turn("x", "z")

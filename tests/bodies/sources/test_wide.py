@@ -7,10 +7,10 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.bodies import open_source
 from bodyseg_data.bodies.sources.hard import HardBodies
-from bodyseg_data.bodies.sources.open_bodies import OpenBodies
-from bodyseg_data.bodies.sources.wide import ARMS, STANCES, WIDE, WideBodies, drawn_pose
+from bodyseg_data.bodies.sources.open_bodies import ARMS, WIDE, OpenBodies, WideBodies, drawn_pose
+from bodyseg_data.bodies.sources.open_bodies import WIDE_STANCES as STANCES
 
 
 @pytest.fixture(scope="module")

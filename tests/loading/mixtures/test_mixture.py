@@ -18,7 +18,7 @@ from torch.utils.data import DataLoader
 from torchdata.stateful_dataloader import StatefulDataLoader
 
 from bodyseg_data import Mixture, RangeImages, loader
-from bodyseg_data.core.errors import BadConfig, BadShard
+from bodyseg_data.core import BadConfig, BadShard
 
 PINNED = ["56195eadde124a32", "d0dd9bb57b2520ec", "5026884420bef013"]
 """Digests of the requests of epochs 0, 1 and 1000 of the fixture `mixture`."""

@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bodyseg_data import RangeImages
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import BadConfig
 from bodyseg_data.loading.image_set import Request
-from bodyseg_data.loading.mixtures.set_stream import SetStream
+from bodyseg_data.loading.mixture_order import SetStream
 
 
 @pytest.fixture(scope="module")

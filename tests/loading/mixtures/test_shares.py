@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.loading.mixtures.shares import Shares, read_schedule
+from bodyseg_data.core import BadConfig
+from bodyseg_data.loading.mixture_order import Shares, read_schedule
 
 
 def counts(shares: Shares, epoch: int) -> list[int]:

@@ -11,12 +11,10 @@ import pytest
 from numpy.typing import NDArray
 from shapes import ball
 
-from bodyseg_data.core.errors import BadLandmarks
-from bodyseg_data.core.parts import LANDMARKS
-from bodyseg_data.meshes.landmarks.by_point import FARTHEST_M, PointLandmarks, parse_points, snap
-from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet, parse_landmarks
-from bodyseg_data.meshes.landmarks.files import load_landmark_file
-from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.core import BadLandmarks
+from bodyseg_data.labels import LANDMARKS
+from bodyseg_data.meshes import FARTHEST_M, LandmarkSet, Mesh, PointLandmarks, load_landmark_file
+from bodyseg_data.meshes.landmarks import parse_landmarks, parse_points, snap
 
 BALL = ball(subdivisions=3)
 SPREAD = np.arange(33) * 19

@@ -11,12 +11,11 @@ import pytest
 from benches.data.surface.areas import part_areas
 from shapes import ball
 
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.errors import BadLandmarks
-from bodyseg_data.core.parts import LANDMARKS, PARTS
-from bodyseg_data.meshes.landmarks.by_vertex import LandmarkSet, load_landmarks, parse_landmarks
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.bodies import open_source
+from bodyseg_data.core import BadLandmarks
+from bodyseg_data.labels import LANDMARKS, PARTS
+from bodyseg_data.meshes import LandmarkSet, Mesh, load_landmarks, partition
+from bodyseg_data.meshes.landmarks import parse_landmarks
 
 PAIRS = [part.label for part in PARTS if part.side == "right"]
 

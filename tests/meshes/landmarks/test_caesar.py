@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bodyseg_data.core.errors import BadLandmarks
-from bodyseg_data.core.parts import LANDMARKS
-from bodyseg_data.meshes.landmarks.caesar import CAESAR_LANDMARKS, read_lnd, recognise
-from bodyseg_data.meshes.landmarks.files import load_landmark_file
+from bodyseg_data.core import BadLandmarks
+from bodyseg_data.labels import LANDMARKS
+from bodyseg_data.meshes import load_landmark_file
+from bodyseg_data.meshes.landmark_files import CAESAR_LANDMARKS, read_lnd, recognise
 
 POINTS = {name: (10.0 * label, -3.5, 100.25 + label) for label, name in enumerate(CAESAR_LANDMARKS)}
 

@@ -5,11 +5,9 @@ import pytest
 from numpy.typing import NDArray
 from people_on_disk import PERSON, VERTICES
 
-from bodyseg_data.core.errors import BadLandmarks
-from bodyseg_data.core.parts import LANDMARKS
-from bodyseg_data.meshes.landmarks.coincident import separate
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.core import BadLandmarks
+from bodyseg_data.labels import LANDMARKS
+from bodyseg_data.meshes import Mesh, partition, separate
 
 RIGHT, LEFT = LANDMARKS.index("Rt. Dactylion"), LANDMARKS.index("Lt. Dactylion")
 GAP_M = 0.004

@@ -14,11 +14,9 @@ from people_on_disk import PERSON, VERTICES
 from pygeodesic.geodesic import PyGeodesicAlgorithmExact
 from shapes import ball, box_mesh, evenly_drawn, figure
 
-from bodyseg_data.bodies.source import Body, BodyRef
-from bodyseg_data.bodies.sources import SOURCES
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.borders import find_borders
-from bodyseg_data.meshes.partition.surface_parts import Partition, partition
+from bodyseg_data.bodies import SOURCES, Body, BodyRef
+from bodyseg_data.meshes import Mesh, Partition, partition
+from bodyseg_data.meshes.partitioning import find_borders
 
 
 def points_in(mesh: Mesh, faces: NDArray[np.int32], seed: int = 0) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -7,12 +7,10 @@ import pytest
 from shapes import ball, evenly_drawn
 from spheres import icosphere
 
-from bodyseg_data.bodies.source import Body
-from bodyseg_data.core.errors import BadLandmarks
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.pieces import SurfacePiece
-from bodyseg_data.meshes.partition.surface_parts import partition
+from bodyseg_data.bodies import Body
+from bodyseg_data.core import BadLandmarks
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.meshes import Mesh, SurfacePiece, partition
 
 WHOLE = ball(subdivisions=4)
 LANDMARKS = evenly_drawn(WHOLE)

@@ -11,13 +11,12 @@ import pytest
 from benches.data.surface.areas import part_areas
 from shapes import ball, box_mesh, evenly_drawn, figure
 
-from bodyseg_data.core.errors import BadConfig, BadLandmarks, MissingLibrary, Unanswerable
-from bodyseg_data.core.parts import PART_COUNT
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.nearest import nearest_corner
-from bodyseg_data.meshes.partition import geodesics
-from bodyseg_data.meshes.partition.geodesics import FALLBACK_METHOD, GeodesicMethod
-from bodyseg_data.meshes.partition.surface_parts import partition, partition_unmended
+from bodyseg_data.core import BadConfig, BadLandmarks, MissingLibrary, Unanswerable
+from bodyseg_data.labels import PART_COUNT
+from bodyseg_data.meshes import GeodesicMethod, Mesh, geodesics, partition
+from bodyseg_data.meshes.geodesics import FALLBACK_METHOD
+from bodyseg_data.meshes.landmarks import nearest_corner
+from bodyseg_data.meshes.partitioning import partition_unmended
 
 
 def test_distances_on_a_flat_grid_are_straight_lines_not_paths_along_edges() -> None:

@@ -14,9 +14,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadMesh
-from bodyseg_data.meshes.readers import files as mesh_files
-from bodyseg_data.meshes.readers.files import mesh_stem, mesh_suffix, preferred, read_mesh
+from bodyseg_data.core import BadMesh
+from bodyseg_data.meshes import mesh_files, mesh_stem, mesh_suffix, preferred, read_mesh
 
 VERTICES = np.array([[0, 0, 0], [1.5, 0, 0], [0, 1.25, 0], [0, 0, 1], [1, 1, 1], [9, 9, 9]], np.float64)
 FACES = np.array([[0, 2, 1], [4, 1, 3], [0, 3, 2], [1, 2, 3], [2, 4, 0], [2, 0, 3]])  # the last two from one square

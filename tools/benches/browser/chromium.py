@@ -20,7 +20,7 @@ from PIL import Image
 from websockets.sync.client import connect
 from websockets.sync.connection import Connection
 
-from bodyseg_data.core.errors import MissingLibrary
+from bodyseg_data.core import MissingLibrary
 
 _NAMES: Final = ("chromium", "chromium-browser", "google-chrome")
 _OPTIONS: Final = (

@@ -24,11 +24,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benches.browser.chromium import Tab, chromium, open_tab
-from bodyseg_data.artifacts.variants import VARIANTS
+from bodyseg_data.artifacts import VARIANTS
 from bodyseg_model.commands import cli
-from bodyseg_model.viewing.page import LOOPBACK
+from bodyseg_model.viewing import LOOPBACK, SetView
 from bodyseg_model.viewing.pictures import WIDTH, Layout
-from bodyseg_model.viewing.set_view import SetView
 
 WINDOW: Final = (1400, 900)
 PREFIX: Final = "/lab/view"

@@ -8,7 +8,7 @@ from typing import Literal
 
 from benches.charts.fields import Field
 from benches.charts.fronts import Axis, Point
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import BadConfig
 
 
 @dataclass(frozen=True)

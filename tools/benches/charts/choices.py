@@ -10,7 +10,7 @@ from benches.charts.choice import Choice, Limit, Panel
 from benches.charts.fields import Field
 from benches.charts.fronts import Axis, Point
 from benches.charts.scales import shown
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import BadConfig
 
 _FAMILIES: Final = {
     "compact": "compact: ours",

@@ -15,7 +15,8 @@ from benches.charts.fronts import Point, front, shortfalls
 from benches.charts.labels import Label, place_labels
 from benches.charts.legends import legend_line, legend_mark
 from benches.charts.scales import axis_title, scale_of
-from bodyseg_data.drawing.style import chart_bytes, new_chart
+from bodyseg_data.drawing import new_chart
+from bodyseg_data.drawing.style import chart_bytes
 
 FRONT: Final = "#0072B2"  # this and the next by M. Okabe and K. Ito, distinct to the colour-blind and in grey
 DEFAULT: Final = "#E69F00"

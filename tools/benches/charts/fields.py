@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.files import contents, parse_json
+from bodyseg_data.core import BadConfig, contents, parse_json
 
 LARGEST_FILE_BYTES: Final = 1 << 26
 _SHOWN: Final = 60

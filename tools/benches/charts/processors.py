@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from benches.charts.choice import Choice, Panel
 from benches.charts.fields import Field, read_fields
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import BadConfig
 
 FOLDER: Final = "processors"
 HEAD: Final = ("folder", "name")

@@ -12,11 +12,10 @@ from typing import Any, Final
 from benches.fuzzing.damage import BLOCK, Damaged, Tally, cut_everywhere, flip_bits, mangle
 from benches.fuzzing.fuzzing import campaign
 from benches.fuzzing.interruptions import TROUBLES, Interrupted, kill_at_instants
-from bodyseg_data.core.system.progress import ProgressCallback, counter, silent
-from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.packing.options import Packing
-from bodyseg_data.packing.pack import pack
-from bodyseg_data.shards.manifest import MANIFEST_NAME
+from bodyseg_data.core import ProgressCallback, counter, silent
+from bodyseg_data.packing import Packing, pack
+from bodyseg_data.samples import ViewGrid
+from bodyseg_data.shards import MANIFEST_NAME
 
 FLIPS: Final = 1000
 MANGLES: Final = 450

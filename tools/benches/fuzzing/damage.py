@@ -16,11 +16,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.random import Generator
 
-from bodyseg_data.core.errors import BadShard, BodysegError
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.shards.faults import find_faults
-from bodyseg_data.shards.manifest import MANIFEST_NAME, read_manifest
-from bodyseg_data.shards.records import ShardRecord
+from bodyseg_data.core import BadShard, BodysegError
+from bodyseg_data.loading import RangeImages
+from bodyseg_data.shards import MANIFEST_NAME, ShardRecord, find_faults, read_manifest
 
 BLOCK: Final = 512
 

@@ -28,14 +28,12 @@ import numpy as np
 from benches.environment import child_environment
 from benches.fuzzing.hostile import declared_bytes
 from benches.fuzzing.hostile_files import KEY, MAKERS
-from bodyseg_data.core.errors import BadConfig, BadLandmarks, BadMesh, BadSample, BadShard, BodysegError
-from bodyseg_data.core.kernels import VARIABLE
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.core.sample import Sample
-from bodyseg_data.meshes.landmarks.files import load_landmark_file
-from bodyseg_data.meshes.readers.files import read_mesh
-from bodyseg_data.shards.codecs import CODECS
-from bodyseg_data.shards.manifest import MANIFEST_NAME, read_manifest
+from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh, BadSample, BadShard, BodysegError
+from bodyseg_data.machine.kernels import VARIABLE
+from bodyseg_data.meshes import load_landmark_file, read_mesh
+from bodyseg_data.rigs import load_rig
+from bodyseg_data.samples import Sample
+from bodyseg_data.shards import CODECS, MANIFEST_NAME, read_manifest
 from bodyseg_data.shards.sample_codec import decode_sample
 from bodyseg_data.shards.tar import parse_members
 

@@ -16,8 +16,8 @@ from typing import Any, Final
 import zstandard
 from numpy.random import Generator
 
-from bodyseg_data.core.rigs.camera import MAX_SIDE
-from bodyseg_data.shards.codecs.png import SIGNATURE, read_chunks
+from bodyseg_data.rigs import MAX_SIDE
+from bodyseg_data.shards import SIGNATURE, read_chunks
 
 ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 _BYTES: Final = (0, 1, 2, 0x20, 0x7F, 0x80, 0xFE, 0xFF)

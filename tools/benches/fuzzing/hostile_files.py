@@ -14,15 +14,11 @@ import numpy as np
 from numpy.random import Generator
 
 from benches.fuzzing.hostile import hostile_image, hostile_json, hostile_png, hostile_tree, spoiled
-from bodyseg_data.core.parts import LANDMARKS
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.core.sample import Sample, SampleInfo
-from bodyseg_data.core.splits import SPLITS
-from bodyseg_data.shards.codecs import CODECS, CodecName
-from bodyseg_data.shards.descriptions import describe
-from bodyseg_data.shards.manifest import Manifest
-from bodyseg_data.shards.records import ShardRecord
-from bodyseg_data.shards.sample_codec import encode_sample
+from bodyseg_data.labels import LANDMARKS
+from bodyseg_data.rigs import load_rig
+from bodyseg_data.samples import SPLITS, Sample, SampleInfo
+from bodyseg_data.shards import CODECS, CodecName, Manifest, ShardRecord, encode_sample
+from bodyseg_data.shards.records import describe
 
 KEY: Final = "open-A-posture-00-d215-a040"
 """The key that hostile samples are read under."""
@@ -199,7 +195,7 @@ def _signed(tree: dict[str, Any]) -> dict[str, Any]:
 
 @lru_cache(maxsize=1)
 def _rig_text() -> str:
-    return (resources.files("bodyseg_data.core") / "rigs" / "paper.toml").read_text(encoding="utf-8")
+    return (resources.files("bodyseg_data.rigs") / "paper.toml").read_text(encoding="utf-8")
 
 
 _TOML: Final = ("true", "-1", "0", "1e308", "nan", "inf", '""', '"x"', "[]", "[1, 2]", "{}", "1979-05-27", "9" * 400)

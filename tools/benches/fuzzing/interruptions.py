@@ -22,14 +22,13 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.core.errors import BodysegError
-from bodyseg_data.core.views import View
-from bodyseg_data.packing.options import Packing
-from bodyseg_data.packing.pack import pack, render_run
-from bodyseg_data.packing.state import STATE_NAME
-from bodyseg_data.packing.writing import Rendered
-from bodyseg_data.shards.manifest import MANIFEST_NAME
+from bodyseg_data.bodies import BodyRef
+from bodyseg_data.core import BodysegError
+from bodyseg_data.packing import Packing, pack
+from bodyseg_data.packing.packer import render_run
+from bodyseg_data.packing.writing import STATE_NAME, Rendered
+from bodyseg_data.samples import View
+from bodyseg_data.shards import MANIFEST_NAME
 
 Trouble = Literal["killed", "disk full", "read-only", "folder gone"]
 TROUBLES: Final[tuple[Trouble, ...]] = ("killed", "disk full", "read-only", "folder gone")

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from bodyseg_model.networks.checkpoints import SHIPPED, Trained, load_network
-from bodyseg_model.networks.flip_average import FlipAverage
+from bodyseg_model.networks import FlipAverage, Trained, load_network
+from bodyseg_model.networks.checkpoints import SHIPPED
 
 
 def chosen_network(runs: Sequence[Path] = (), flip_average: bool = False) -> tuple[str, Trained]:

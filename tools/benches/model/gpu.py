@@ -30,20 +30,13 @@ from benches.model.networks.network_times import (
     time_cell,
     wait_for,
 )
-from bodyseg_data.core.errors import BadConfig, check_int
-from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_data.loading.image_set import Batch
-from bodyseg_data.loading.loader import loader
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.loading.workers import WorkerMethod
-from bodyseg_model.networks.checkpoints import SHIPPED, load_network
-from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.registry import build, parameters, predict
+from bodyseg_data.core import BadConfig, ProgressCallback, check_int, silent
+from bodyseg_data.loading import Batch, RangeImages, WorkerMethod, loader
+from bodyseg_model.networks import Network, build, load_network, predict
+from bodyseg_model.networks.checkpoints import SHIPPED
+from bodyseg_model.networks.registry import parameters
+from bodyseg_model.training import Metrics, RunFolder, RunOptions, Training, recipe_for
 from bodyseg_model.training.distributed import ProcessGroup
-from bodyseg_model.training.loop import RunOptions, Training
-from bodyseg_model.training.metrics import Metrics
-from bodyseg_model.training.recipes import recipe_for
-from bodyseg_model.training.run_folder import RunFolder
 
 COMPACT: Final = "compact"
 PAPERS: Final = "fcn_alexnet"

@@ -16,10 +16,9 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from benches.environment import child_environment
-from bodyseg_data.core.errors import BadConfig, check_int
-from bodyseg_data.core.kernels import VARIABLE
-from bodyseg_data.core.system.machine import processors
-from bodyseg_data.core.system.progress import ProgressCallback, silent
+from bodyseg_data.core import BadConfig, ProgressCallback, check_int, silent
+from bodyseg_data.machine import processors
+from bodyseg_data.machine.kernels import VARIABLE
 
 STEPS: Final = 60
 ROUNDS: Final = 3

@@ -22,11 +22,10 @@ from PIL import Image
 
 from benches.environment import child_environment
 from benches.model.sensor_fit.recordings import Scene, Scenes
-from bodyseg_data.artifacts.sensor_model import load_sensor_model
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.errors import BadConfig, check_int
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.core.system.progress import ProgressCallback, silent
+from bodyseg_data.artifacts import load_sensor_model
+from bodyseg_data.bodies import open_source
+from bodyseg_data.core import BadConfig, ProgressCallback, check_int, silent
+from bodyseg_data.rigs import load_rig
 
 DOCUMENT: Final = Path(__file__).parents[3] / "docs" / "tutorials" / "your_camera.md"
 

@@ -12,10 +12,8 @@ from benches.charts.drawing import Picture, draw
 from benches.charts.processors import figures_of, panels_of
 from benches.charts.report import described
 from benches.results.page import render_page
-from bodyseg_data.commands.options import option
-from bodyseg_data.commands.provenance import write_figures
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.files import make_folder, write_result
+from bodyseg_data.commands import option, write_figures
+from bodyseg_data.core import BadConfig, make_folder, write_result
 
 EXAMPLE = "tools/chart --in docs/results --out charts"
 

@@ -17,9 +17,8 @@ from benches.results.records import Records
 from benches.results.running import Runner, duration
 from benches.results.step import Graph, Places
 from benches.results.survey import Status, Survey, accept
-from bodyseg_data.commands.options import option
-from bodyseg_data.commands.provenance import provenance
-from bodyseg_data.core.errors import BadConfig, check_int
+from bodyseg_data.commands import option, provenance
+from bodyseg_data.core import BadConfig, check_int
 
 EXAMPLE = "tools/bench all --work ../work --data ../data --jobs 2"
 

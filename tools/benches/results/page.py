@@ -34,7 +34,7 @@ from benches.charts.processors import FOLDER, HEAD, by_processor
 from benches.charts.scales import thousands
 from benches.charts.stability_tables import FORMAT, tables
 from benches.results.outdated import outdated, stale_results
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import BadConfig
 
 _SOURCES: Final = "sources"
 _OUTDATED: Final = "outdated"

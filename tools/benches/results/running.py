@@ -17,10 +17,9 @@ from benches.environment import child_environment
 from benches.results.records import Records, record_of
 from benches.results.step import DATA, RESULTS, SHIPPED, Graph, Places, Step
 from benches.results.survey import Status, Survey
-from bodyseg_data.commands.provenance import provenance
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.files import write_result
-from bodyseg_model.networks.checkpoints import NETWORK
+from bodyseg_data.commands import provenance
+from bodyseg_data.core import BadConfig, write_result
+from bodyseg_model.networks import NETWORK
 from bodyseg_model.networks.checkpoints import SHIPPED as SHIPPED_FILE
 
 PROGRAMS: Final = {

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from benches.bench import BENCHES
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import BadConfig
 from bodyseg_model.commands.cli import COMMANDS
 
 Kind = Literal["set", "training", "results", "page"]

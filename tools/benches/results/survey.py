@@ -12,8 +12,8 @@ from benches.result_cache import code_digest, json_digest
 from benches.results.products import Products
 from benches.results.records import Record, Records, record_of
 from benches.results.step import SHIPPED, Graph, Places, Step
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.system.machine import hardware
+from bodyseg_data.core import BadConfig
+from bodyseg_data.machine import hardware
 
 State = Literal["fresh", "stale", "absent", "blocked"]
 """absent: made as it would be made today, but not in this work folder; needed only where a stale step reads it."""

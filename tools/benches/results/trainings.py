@@ -9,7 +9,7 @@ from typing import Final
 from benches.model.ablation.rows import ROWS, Source
 from benches.model.ablation.sensor_artifacts import ADDED
 from benches.results.step import SHIPPED, Step
-from bodyseg_data.artifacts.variants import VARIANTS
+from bodyseg_data.artifacts import VARIANTS
 
 SEEDS: Final = 3
 

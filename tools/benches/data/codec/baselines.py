@@ -15,10 +15,9 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from bodyseg_data.core.system.libraries import missing_library
+from bodyseg_data.machine import missing_library
 from bodyseg_data.shards.codecs.png import decode_png, encode_png
-from bodyseg_data.shards.codecs.runs import Box, bounding_box
-from bodyseg_data.shards.codecs.slopes import unzigzag, zigzag
+from bodyseg_data.shards.codecs.residuals import Box, bounding_box, unzigzag, zigzag
 
 Image = NDArray[Any]
 Encode = Callable[[Image, int], bytes]

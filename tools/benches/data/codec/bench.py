@@ -18,22 +18,19 @@ from benches.charts.fronts import pareto_front
 from benches.data.codec.baselines import Baseline, baselines
 from benches.environment import computed_by
 from benches.measuring import median_time, mixed
-from bodyseg_data.artifacts.occlusion import ShadowTest, shadow_test
-from bodyseg_data.artifacts.variants import VARIANTS, Augmentation
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.core.sample import Sample, steps
-from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.packing.coarsening import coarsened
-from bodyseg_data.packing.occluder_range import exact_range
-from bodyseg_data.packing.sampler import Sampler
+from bodyseg_data.artifacts import VARIANTS, Augmentation, ShadowTest
+from bodyseg_data.artifacts.occlusion import shadow_test
+from bodyseg_data.bodies import open_source
+from bodyseg_data.core import BadConfig, ProgressCallback, silent
+from bodyseg_data.packing import Sampler
+from bodyseg_data.packing.occluders import coarsened, exact_range
 from bodyseg_data.rendering import open_renderer
+from bodyseg_data.rigs import load_rig
+from bodyseg_data.samples import Sample, ViewGrid, steps
+from bodyseg_data.shards import encode_sample
 from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
-from bodyseg_data.shards.codecs.labels import join_labels
+from bodyseg_data.shards.codecs.codec import join_labels
 from bodyseg_data.shards.codecs.png import encode_png
-from bodyseg_data.shards.sample_codec import encode_sample
 
 DEFAULT: Final = "bsi, compiled"
 _IMAGES: Final = ("range", "labels", "projector")

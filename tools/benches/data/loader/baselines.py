@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 from torch.utils.data import DataLoader, Dataset, default_collate
 
 from benches.data.loader.pngs import Decode, by_pillow, png
-from bodyseg_data.artifacts.artifact import RangeImage
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.loading.image_set import Batch
-from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_data.artifacts import RangeImage
+from bodyseg_data.loading import Batch, RangeImages
+from bodyseg_data.rigs import load_rig
 
 STEP_M: Final = load_rig().range_step_m
 """One step of the images that are measured, metres: all are of the default rig."""

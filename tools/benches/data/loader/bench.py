@@ -38,18 +38,12 @@ from benches.data.loader.mds import Mds
 from benches.data.loader.passes import Passes, checksum_of, run_rounds
 from benches.data.loader.pngs import DECODERS, Decode, by_pillow, time_decoders
 from benches.measuring import evenly_spaced
-from bodyseg_data.artifacts.variants import VARIANTS, VariantName
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.system.machine import processors
-from bodyseg_data.core.system.progress import ProgressCallback, counter, silent
-from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.loading.image_set import Batch
-from bodyseg_data.loading.loader import loader
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.loading.transforms import Flip
-from bodyseg_data.packing.engines.engine import PROCESSES, open_engine
-from bodyseg_data.packing.options import Packing
-from bodyseg_data.packing.pack import pack
+from bodyseg_data.artifacts import VARIANTS, VariantName
+from bodyseg_data.core import BadConfig, ProgressCallback, counter, silent
+from bodyseg_data.loading import Batch, Flip, RangeImages, loader
+from bodyseg_data.machine import processors
+from bodyseg_data.packing import PROCESSES, Packing, open_engine, pack
+from bodyseg_data.samples import ViewGrid
 
 _BATCH: Final = 20
 _ROUNDS: Final = 7

@@ -20,7 +20,7 @@ from benches.data.loader.baselines import (
     torch_loader,
 )
 from benches.data.loader.pngs import Decode, by_pillow
-from bodyseg_data.loading.image_set import Batch
+from bodyseg_data.loading import Batch
 
 
 class HfParquet:

@@ -8,8 +8,8 @@ from typing import Any, Final
 
 from benches.data.loader.pngs import png
 from benches.measuring import evenly_spaced
-from bodyseg_data.artifacts.variants import VariantName
-from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_data.artifacts import VariantName
+from bodyseg_data.loading import RangeImages
 
 PNG_SAMPLES: Final = 60
 

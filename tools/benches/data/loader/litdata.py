@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from benches.data.loader.baselines import STEP_M, Premade, folder_bytes
-from bodyseg_data.loading.image_set import Batch
+from bodyseg_data.loading import Batch
 
 
 class LitData:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from benches.data.loader.baselines import Premade, allow_read_only, example, folder_bytes, torch_loader
-from bodyseg_data.loading.image_set import Batch
+from bodyseg_data.loading import Batch
 
 
 class Mds:

@@ -14,9 +14,9 @@ import numpy as np
 
 from benches.data.loader.baselines import STEP_M
 from benches.data.loader.processes import private_mb, processor_seconds
-from bodyseg_data.artifacts.artifact import RangeImage
-from bodyseg_data.core.errors import BadSample
-from bodyseg_data.loading.image_set import Batch
+from bodyseg_data.artifacts import RangeImage
+from bodyseg_data.core import BadSample
+from bodyseg_data.loading import Batch
 
 _SEED: Final = 0
 

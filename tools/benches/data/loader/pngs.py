@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benches.measuring import median_time
-from bodyseg_data.artifacts.artifact import RangeImage
-from bodyseg_data.core.errors import BadSample
+from bodyseg_data.artifacts import RangeImage
+from bodyseg_data.core import BadSample
 
 _ROUNDS: Final = 5
 

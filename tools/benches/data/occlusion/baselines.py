@@ -10,15 +10,10 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.occlusion import (
-    Floats,
-    ShadowTest,
-    four_texels,
-    framed,
-    reached,
-)
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.core.sample import FARTHEST_STEPS, SHADOW_THRESHOLDS
+from bodyseg_data.artifacts import Floats, ShadowTest, framed
+from bodyseg_data.artifacts.occlusion import four_texels, reached
+from bodyseg_data.rigs import load_rig
+from bodyseg_data.samples import FARTHEST_STEPS, SHADOW_THRESHOLDS
 
 Images = tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.bool_]]
 """Camera range, projector range, facing bit, as `ShadowTest.lit` takes them."""

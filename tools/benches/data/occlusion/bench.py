@@ -23,11 +23,10 @@ from benches.data.occlusion.views import (
     exact_views,
     with_baseline,
 )
-from bodyseg_data.artifacts.occlusion import ShadowTest
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.core.sample import SHADOW_THRESHOLDS
-from bodyseg_data.core.system.progress import ProgressCallback, silent
+from bodyseg_data.artifacts import ShadowTest
+from bodyseg_data.core import BadConfig, ProgressCallback, silent
+from bodyseg_data.rigs import load_rig
+from bodyseg_data.samples import SHADOW_THRESHOLDS
 
 _TIMED_EVERY: Final = 5  # one ordinary view in five is timed, and its bytes are counted
 

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.data.occlusion.baselines import Images
-from bodyseg_data.artifacts.loops.occlusion import find_runs, shadow_of
-from bodyseg_data.artifacts.loops.scratch import scratch_for
-from bodyseg_data.artifacts.occlusion import ShadowTest
-from bodyseg_data.core.kernels import compiled
-from bodyseg_data.core.sample import FARTHEST_STEPS
+from bodyseg_data.artifacts import ShadowTest
+from bodyseg_data.artifacts.scratch import scratch_for
+from bodyseg_data.artifacts.shadow_loops import find_runs, shadow_of
+from bodyseg_data.machine import compiled
+from bodyseg_data.samples import FARTHEST_STEPS
 
 _NONE: Final = np.float32(0)
 _HALF: Final = np.float32(0.5)

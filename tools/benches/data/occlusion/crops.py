@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from benches.data.occlusion.tallies import WORST_CROP, Foreground
 from benches.data.occlusion.views import GROUPS, SCALES, ExactView, bodies_of, exact_view, with_baseline
-from bodyseg_data.artifacts.occlusion import ShadowTest
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.core.views import View
-from bodyseg_data.drawing.style import new_chart, save_chart
+from bodyseg_data.artifacts import ShadowTest
+from bodyseg_data.bodies import open_source
+from bodyseg_data.drawing import new_chart, save_chart
 from bodyseg_data.rendering.embree import EmbreeRenderer
+from bodyseg_data.rigs import load_rig
+from bodyseg_data.samples import View
 
 _COLOURS: Final = {
     "background": (255, 255, 255),

@@ -10,7 +10,7 @@ from benches.charts.legends import legend_line, legend_mark
 from benches.charts.scales import thousands
 from benches.data.occlusion.baselines import DEFAULT
 from benches.data.occlusion.crops import draw_crops
-from bodyseg_data.drawing.style import new_chart, save_chart
+from bodyseg_data.drawing import new_chart, save_chart
 
 Row = dict[str, Any]
 Setting = tuple[Any, ...]

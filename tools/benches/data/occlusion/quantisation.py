@@ -17,13 +17,12 @@ from numpy.typing import NDArray
 from benches.data.occlusion.tallies import share
 from benches.data.occlusion.views import ExactView, exact_views, postures
 from benches.measuring import median_time
-from bodyseg_data.artifacts.losses import lost_grazing
-from bodyseg_data.artifacts.occlusion import ShadowTest
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.core.system.progress import ProgressCallback, silent
+from bodyseg_data.artifacts import ShadowTest
+from bodyseg_data.artifacts.lost_pixels import lost_grazing
+from bodyseg_data.core import BadConfig, ProgressCallback, silent
+from bodyseg_data.rigs import load_rig
 from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
-from bodyseg_data.shards.codecs.labels import join_labels
+from bodyseg_data.shards.codecs.codec import join_labels
 
 STEPS_MM: Final = (0.1, 0.25, 0.5, 1.0, 2.0)
 LIMIT: Final = 0.005

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from benches.data.occlusion.baselines import DEFAULT, STEP_M, Method, nearest_texel
 from benches.data.occlusion.views import ExactView
 from benches.measuring import median_time
-from bodyseg_data.artifacts.occlusion import Floats, ShadowTest, framed
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.sample import FARTHEST_STEPS
-from bodyseg_data.packing.coarsening import coarsened
+from bodyseg_data.artifacts import Floats, ShadowTest, framed
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.packing.occluders import coarsened
+from bodyseg_data.samples import FARTHEST_STEPS
 from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
-from bodyseg_data.shards.codecs.labels import join_labels, split_labels
+from bodyseg_data.shards.codecs.codec import join_labels, split_labels
 
 MASK_IMAGE: Final = "image by the codec"
 _ROUNDS: Final = 4

@@ -15,7 +15,7 @@ from benches.data.occlusion.baselines import DEFAULT, METHODS, NEAREST, Images, 
 from benches.data.occlusion.stored import MASK_IMAGE, Storage, StoredImage, exact_masks
 from benches.data.occlusion.views import CONTACT_M, GRAZING_DEG, GROUPS, ORDINARY, ExactView, Group, grown
 from benches.measuring import median_time
-from bodyseg_data.artifacts.occlusion import ShadowTest
+from bodyseg_data.artifacts import ShadowTest
 
 WORST_CROP: Final = 100, 80
 """Rows and columns of the window with the most errors that is looked for in every scene."""
@@ -134,7 +134,7 @@ class Compiled:
         self._forms: dict[Method, Mask] = {}
         if find_spec("numba") is not None:
             from benches.data.occlusion import compiled_nearest
-            from bodyseg_data.artifacts.loops import occlusion
+            from bodyseg_data.artifacts import shadow_loops as occlusion
 
             forms: dict[tuple[str, float], Mask] = {
                 (DEFAULT.family, DEFAULT.bias_mm): lambda test, images: occlusion.lit(test, *images),

@@ -11,16 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.measuring import mixed
-from bodyseg_data.bodies.source import Body, BodyRef
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.parts import PARTS
-from bodyseg_data.core.rig import PlacedCamera, Rig
-from bodyseg_data.core.sample import Sample, steps
-from bodyseg_data.core.views import View, ViewGrid
-from bodyseg_data.meshes.partition.borders import find_borders
-from bodyseg_data.meshes.partition.surface_parts import Partition
-from bodyseg_data.packing.sampler import Sampler, surface_points
+from bodyseg_data.bodies import Body, BodyRef, open_source
+from bodyseg_data.labels import PARTS
+from bodyseg_data.meshes import Partition
+from bodyseg_data.meshes.partitioning import find_borders
+from bodyseg_data.packing import Sampler, surface_points
 from bodyseg_data.rendering.embree import EmbreeRenderer
+from bodyseg_data.rigs import PlacedCamera, Rig
+from bodyseg_data.samples import Sample, View, ViewGrid, steps
 
 Mask = NDArray[np.bool_]
 

@@ -8,13 +8,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from benches.data.reading.manifests import cost_of_opening, fit
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.shards.cache.store import with_cache
-from bodyseg_data.shards.manifest import MANIFEST_NAME, read_manifest
+from bodyseg_data.core import BadConfig, ProgressCallback, silent
+from bodyseg_data.loading import RangeImages
+from bodyseg_data.shards import MANIFEST_NAME, RemoteFolder, RetryPolicy, read_manifest, with_cache
 from bodyseg_data.shards.records import check_bytes
-from bodyseg_data.shards.stores.remote import RemoteFolder, RetryPolicy
 
 RANKS: Final = 64
 RANKS_A_MACHINE: Final = (8, 64)

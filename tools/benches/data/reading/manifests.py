@@ -14,12 +14,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.shards.descriptions import Descriptions
+from bodyseg_data.loading import RangeImages
+from bodyseg_data.shards import MANIFEST_NAME, LocalFolder, Manifest, ShardRecord, record_to_json
 from bodyseg_data.shards.index import INDEX_NAME, IndexedShards, write_index
-from bodyseg_data.shards.manifest import MANIFEST_NAME, Manifest
-from bodyseg_data.shards.records import ShardRecord, record_to_json
-from bodyseg_data.shards.stores.store import LocalFolder
+from bodyseg_data.shards.records import Descriptions
 
 SHARD_SAMPLES: Final = 1080
 VIEWS: Final = 54

@@ -15,14 +15,14 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.core.errors import MissingLibrary
-from bodyseg_data.core.rig import PlacedCamera, Rig
-from bodyseg_data.core.views import View
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.packing.options import Packing
-from bodyseg_data.rendering import RENDERERS, open_renderer
-from bodyseg_data.rendering.renderer import Renderer
+from bodyseg_data.bodies import BodyRef
+from bodyseg_data.core import MissingLibrary
+from bodyseg_data.meshes import Mesh
+from bodyseg_data.packing import Packing
+from bodyseg_data.rendering import Renderer, open_renderer
+from bodyseg_data.rendering.registry import RENDERERS
+from bodyseg_data.rigs import PlacedCamera, Rig
+from bodyseg_data.samples import View
 
 PLAIN: Final = "pyrender as it comes"
 ROUNDS: Final = 3

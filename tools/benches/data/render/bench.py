@@ -22,16 +22,13 @@ import numpy as np
 from benches.data.render.alone import measure_renderers
 from benches.data.render.steps import measure_stages, measure_steps
 from benches.measuring import evenly_spaced
-from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_data.core.system.progress import ProgressCallback, counter, silent
-from bodyseg_data.core.views import View
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.packing.engines.engine import PROCESSES, open_engine
-from bodyseg_data.packing.options import Packing
-from bodyseg_data.packing.pack import pack, render_run
-from bodyseg_data.packing.sampler import Sampler
+from bodyseg_data.bodies import BodyRef
+from bodyseg_data.core import BadConfig, MissingLibrary, ProgressCallback, counter, silent
+from bodyseg_data.meshes import Mesh
+from bodyseg_data.packing import PROCESSES, Packing, Sampler, open_engine, pack
+from bodyseg_data.packing.packer import render_run
 from bodyseg_data.rendering import open_renderer
+from bodyseg_data.samples import View
 
 _WORKERS: Final = 2
 _ROUNDS: Final = 3

@@ -14,14 +14,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.core.system.libraries import missing_library
-from bodyseg_data.core.system.machine import processors
-from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.packing.engines.engine import open_engine
-from bodyseg_data.packing.options import Packing
-from bodyseg_data.packing.pack import pack, render_run
-from bodyseg_data.shards.manifest import MANIFEST_NAME
+from bodyseg_data.core import ProgressCallback, silent
+from bodyseg_data.machine import missing_library, processors
+from bodyseg_data.packing import Packing, open_engine, pack
+from bodyseg_data.packing.packer import render_run
+from bodyseg_data.samples import ViewGrid
+from bodyseg_data.shards import MANIFEST_NAME
 
 _VIEWS: Final = 54
 """Views of a body, and so of a job."""

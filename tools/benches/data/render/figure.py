@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.drawing.style import new_chart, save_chart
+from bodyseg_data.drawing import new_chart, save_chart
 
 _OURS: Final = "#1f5ac8"
 _PLAIN: Final = "#9a9aa2"

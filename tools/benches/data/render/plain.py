@@ -15,16 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.rig import PlacedCamera, Rig
-from bodyseg_data.core.sample import steps
-from bodyseg_data.core.views import View
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.packing.options import Packing
-from bodyseg_data.packing.sampler import sample_key
+from bodyseg_data.bodies import BodyRef
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.meshes import Mesh
+from bodyseg_data.packing import Packing, sample_key
+from bodyseg_data.rigs import PlacedCamera, Rig
+from bodyseg_data.samples import View, steps
 
-import_module("bodyseg_data.rendering.opengl")  # lets pyrender draw without a display, or says what is absent
+import_module("bodyseg_data.rendering.registry.opengl")  # lets pyrender draw without a display, or says what is absent
 pyrender: Any = import_module("pyrender")
 
 

@@ -9,16 +9,14 @@ from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.core.system.libraries import missing_library
-from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_data.core.views import View, ViewGrid
-from bodyseg_data.packing.engines.engine import open_engine
-from bodyseg_data.packing.options import Packing
-from bodyseg_data.packing.pack import pack, render_run
-from bodyseg_data.packing.sampler import sample_key
+from bodyseg_data.bodies import BodyRef
+from bodyseg_data.core import ProgressCallback, silent
+from bodyseg_data.machine import missing_library
+from bodyseg_data.packing import Packing, open_engine, pack, sample_key
+from bodyseg_data.packing.packer import render_run
 from bodyseg_data.packing.writing import Rendered
-from bodyseg_data.shards.manifest import MANIFEST_NAME
+from bodyseg_data.samples import View, ViewGrid
+from bodyseg_data.shards import MANIFEST_NAME
 
 _BODIES: Final = 8
 _WRITTEN_BODIES: Final = 80

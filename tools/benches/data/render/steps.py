@@ -19,23 +19,18 @@ from numpy.typing import NDArray
 
 from benches.data.codec.baselines import predicted
 from bodyseg_data.artifacts.occlusion import shadow_test
-from bodyseg_data.bodies.source import BodyRef, BodySource
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.rig import PlacedCamera, Rig
-from bodyseg_data.core.sample import steps
-from bodyseg_data.core.views import View
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.packing.occluder_range import occluder_range
-from bodyseg_data.packing.options import Packing
-from bodyseg_data.packing.sampler import Sampler, faces_towards, surface_points
-from bodyseg_data.rendering import open_renderer
+from bodyseg_data.bodies import BodyRef, BodySource
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.meshes import Mesh
+from bodyseg_data.packing import Packing, Sampler, faces_towards, surface_points
+from bodyseg_data.packing.occluders import occluder_range
+from bodyseg_data.rendering import RasterRenderer, Renderer, Surface, open_renderer
 from bodyseg_data.rendering.embree import EmbreeRenderer
-from bodyseg_data.rendering.raster import RasterRenderer
-from bodyseg_data.rendering.renderer import Renderer, Surface
+from bodyseg_data.rigs import PlacedCamera, Rig
+from bodyseg_data.samples import View, steps
+from bodyseg_data.shards import ShardWriter, encode_sample
 from bodyseg_data.shards.codecs.bodyseg_images import encode_images
-from bodyseg_data.shards.codecs.labels import join_labels
-from bodyseg_data.shards.sample_codec import encode_sample
-from bodyseg_data.shards.tar import ShardWriter
+from bodyseg_data.shards.codecs.codec import join_labels
 
 _FORMER_LEVEL: Final = 9
 _QUICK_LEVEL: Final = 1

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.parts import PART_COUNT
-from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.labels import PART_COUNT
+from bodyseg_data.meshes import Mesh
 
 
 def part_areas(mesh: Mesh, labels: NDArray[np.uint8]) -> NDArray[np.float64]:

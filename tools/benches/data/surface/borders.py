@@ -12,15 +12,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.source import Body
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.rig import Rig, load_rig
-from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_data.core.views import View, ViewGrid
-from bodyseg_data.meshes.partition.borders import find_borders
-from bodyseg_data.meshes.partition.surface_parts import Partition
-from bodyseg_data.packing.sampler import surface_points
+from bodyseg_data.bodies import Body, open_source
+from bodyseg_data.core import ProgressCallback, silent
+from bodyseg_data.meshes import Partition
+from bodyseg_data.meshes.partitioning import find_borders
+from bodyseg_data.packing import surface_points
 from bodyseg_data.rendering.embree import EmbreeRenderer
+from bodyseg_data.rigs import Rig, load_rig
+from bodyseg_data.samples import View, ViewGrid
 
 POSES: Final = ("a_pose", "deep_squat", "arms_crossed", "walk_contact")
 METHODS: Final = ("whole triangles", "nearest corner", "inside the triangle")

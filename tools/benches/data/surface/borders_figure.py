@@ -9,12 +9,12 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from benches.data.surface.borders import METHODS, labelled_pixels, landmark_fields
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.parts import BACKGROUND, colour_labels
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.core.views import View
-from bodyseg_data.drawing.style import INK, PAPER, font, save_picture
+from bodyseg_data.bodies import open_source
+from bodyseg_data.drawing import INK, PAPER, font, save_picture
+from bodyseg_data.labels import BACKGROUND, colour_labels
 from bodyseg_data.rendering.embree import EmbreeRenderer
+from bodyseg_data.rigs import load_rig
+from bodyseg_data.samples import View
 
 _POSE: Final = "a_pose"
 _VIEW: Final = View(215, 180)

@@ -13,9 +13,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.source import Body
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.topology import find_edges
+from bodyseg_data.bodies import Body
+from bodyseg_data.meshes import Mesh, find_edges
 
 Indices = NDArray[np.int64]
 

@@ -10,15 +10,14 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.source import Body
-from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.bodies import Body, open_source
 from bodyseg_data.bodies.sources.open_bodies import OpenBodies
-from bodyseg_data.core.parts import PARTS
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_data.core.views import View
-from bodyseg_data.packing.sampler import surface_points
+from bodyseg_data.core import ProgressCallback, silent
+from bodyseg_data.labels import PARTS
+from bodyseg_data.packing import surface_points
 from bodyseg_data.rendering.embree import EmbreeRenderer
+from bodyseg_data.rigs import load_rig
+from bodyseg_data.samples import View
 
 FRAMES: Final = 4
 """Frames of each motion, evenly."""

@@ -10,13 +10,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.source import Body, BodyRef
+from bodyseg_data.bodies import Body, BodyRef
 from bodyseg_data.bodies.sources.hard import HardBodies
 from bodyseg_data.bodies.sources.open_bodies import MadeBodies, OpenBodies
-from bodyseg_data.core.parts import LANDMARKS
-from bodyseg_data.core.system.libraries import missing_library
-from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.core import ProgressCallback, silent
+from bodyseg_data.labels import LANDMARKS
+from bodyseg_data.machine import missing_library
+from bodyseg_data.meshes import Mesh
 
 _OUTSIDE_M: Final = 1e-4  # how far off the skin rays start
 _SLIGHT_M: Final = 0.002  # skin that touches skin

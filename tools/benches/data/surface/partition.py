@@ -17,13 +17,11 @@ from numpy.typing import NDArray
 
 from benches.data.surface.broken_bodies import CASES, Broken, scan, sound
 from benches.data.surface.rival_geodesics import RIVALS, rivals_installed
-from bodyseg_data.bodies.source import Body
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.errors import Unanswerable
-from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.geodesics import FALLBACK_METHOD, GeodesicMethod, nearest_sources
-from bodyseg_data.meshes.partition.surface_parts import Partition, partition, partition_unmended
+from bodyseg_data.bodies import Body, open_source
+from bodyseg_data.core import ProgressCallback, Unanswerable, silent
+from bodyseg_data.meshes import GeodesicMethod, Mesh, Partition, partition
+from bodyseg_data.meshes.geodesics import FALLBACK_METHOD, nearest_sources
+from bodyseg_data.meshes.partitioning import partition_unmended
 from bodyseg_data.packing.options import evenly_sampled
 
 METHODS: Final[tuple[GeodesicMethod, ...]] = (*get_args(GeodesicMethod), *RIVALS)

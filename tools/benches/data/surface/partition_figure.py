@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from benches.charts.fronts import pareto_front
 from benches.charts.scales import thousands
-from bodyseg_data.drawing.style import new_chart, save_chart
+from bodyseg_data.drawing import new_chart, save_chart
 
 _NOTHING: Final = 0.0004  # where "no error" is drawn, since a log axis has no zero
 _MARKERS: Final = {"exact": "*", "unfolded": "o", "edges": "s", "marching": "^", "heat": "D"}

@@ -16,15 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.data.surface.areas import part_areas
-from bodyseg_data.bodies.landmark_fitting.fitted import Proposal
-from bodyseg_data.bodies.landmark_fitting.search import propose
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import LANDMARKS, PARTS
-from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import partition
-from bodyseg_data.meshes.pymeshlab_thread import with_pymeshlab
+from bodyseg_data.bodies import Proposal, open_source, propose
+from bodyseg_data.core import BadConfig, ProgressCallback, silent
+from bodyseg_data.labels import LANDMARKS, PARTS
+from bodyseg_data.meshes import Mesh, partition, with_pymeshlab
 
 OPEN: Final = (
     "person-007",

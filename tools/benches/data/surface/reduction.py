@@ -18,22 +18,18 @@ from numpy.typing import NDArray
 
 from benches.data.surface.broken_bodies import scan, sound
 from benches.measuring import median_time
-from bodyseg_data.bodies.source import Body, BodyRef
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_data.core.views import View, ViewGrid
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.borders import find_borders
-from bodyseg_data.meshes.partition.surface_parts import Partition, partition
-from bodyseg_data.meshes.pymeshlab_thread import with_pymeshlab
+from bodyseg_data.bodies import Body, BodyRef, open_source
+from bodyseg_data.core import BadConfig, ProgressCallback, silent
+from bodyseg_data.meshes import Mesh, Partition, partition, with_pymeshlab
+from bodyseg_data.meshes.partitioning import find_borders
+from bodyseg_data.packing import Packing, Sampler, faces_towards, surface_points
 from bodyseg_data.packing.mesh_reduction import PAYS_FROM, TOLERANCE_M, WITHIN, edges_collapsed, reduce
-from bodyseg_data.packing.options import Packing, evenly_sampled
-from bodyseg_data.packing.sampler import Sampler, faces_towards, surface_points
+from bodyseg_data.packing.options import evenly_sampled
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rendering.embree import EmbreeRenderer
-from bodyseg_data.shards.sample_codec import encode_sample
+from bodyseg_data.rigs import load_rig
+from bodyseg_data.samples import View, ViewGrid
+from bodyseg_data.shards import encode_sample
 
 SHARES: Final = (1.0, 0.75, 0.5, 0.25, 0.1, 0.05, 0.02)
 TOLERANCES_MM: Final = (0.1, 0.2, 0.5, 1.0)

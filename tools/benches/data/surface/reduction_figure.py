@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benches.charts.fronts import pareto_front
-from bodyseg_data.drawing.style import new_chart, save_chart
+from bodyseg_data.drawing import new_chart, save_chart
 
 _NOTHING: Final = 0.01  # mm; where "none" is drawn, since a log axis has no zero
 _TITLES: Final = {

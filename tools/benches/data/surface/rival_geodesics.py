@@ -15,16 +15,10 @@ import numpy as np
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
-from bodyseg_data.core.errors import Unanswerable
-from bodyseg_data.meshes.partition.geodesics import (
-    METHODS,
-    Floats,
-    GeodesicMethod,
-    Indices,
-    NearestSources,
-    refuse_unsupported,
-)
-from bodyseg_data.meshes.topology import components, find_edges
+from bodyseg_data.core import Unanswerable
+from bodyseg_data.meshes import GeodesicMethod, find_edges
+from bodyseg_data.meshes.geodesics import METHODS, Floats, Indices, NearestSources, refuse_unsupported
+from bodyseg_data.meshes.mesh import components
 
 
 @contextmanager

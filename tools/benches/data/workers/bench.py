@@ -24,14 +24,11 @@ from benches.data.loader.processes import processor_seconds
 from benches.data.workers import subject
 from benches.data.workers.memory import process_tree, tree_mb
 from benches.data.workers.subject import Pass, Setup
-from bodyseg_data.artifacts.variants import VariantName
-from bodyseg_data.core.errors import BadSample
-from bodyseg_data.core.system.progress import ProgressCallback, counter, silent
-from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.packing.engines.engine import PROCESSES, open_engine
-from bodyseg_data.packing.options import Packing
-from bodyseg_data.packing.pack import pack
+from bodyseg_data.artifacts import VariantName
+from bodyseg_data.core import BadSample, ProgressCallback, counter, silent
+from bodyseg_data.loading import RangeImages
+from bodyseg_data.packing import PROCESSES, Packing, open_engine, pack
+from bodyseg_data.samples import ViewGrid
 
 _BATCH: Final = 20
 _ROUNDS: Final = 7

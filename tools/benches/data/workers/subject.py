@@ -13,11 +13,9 @@ from typing import Any
 import torch
 
 from benches.data.loader.passes import checksum
-from bodyseg_data.artifacts.variants import VariantName
-from bodyseg_data.loading.loader import Loader, loader
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_data.loading.worker_processes import StartMethod
-from bodyseg_data.loading.workers import WorkerMethod
+from bodyseg_data.artifacts import VariantName
+from bodyseg_data.loading import Loader, RangeImages, WorkerMethod, loader
+from bodyseg_data.loading.workers import StartMethod
 
 
 @dataclass(frozen=True)
@@ -91,12 +89,9 @@ def train(pipe: Connection, packed: Path, setup: Setup, steps: int, batch: int) 
     """Train `compact` for some steps on one thread; send the median images a second, and share of time that waits for
     data, of all steps but the first two.
     """
-    from bodyseg_model.networks.registry import build
+    from bodyseg_model.networks import build
+    from bodyseg_model.training import Metrics, RunFolder, RunOptions, Training, recipe_for
     from bodyseg_model.training.distributed import ProcessGroup
-    from bodyseg_model.training.loop import RunOptions, Training
-    from bodyseg_model.training.metrics import Metrics
-    from bodyseg_model.training.recipes import recipe_for
-    from bodyseg_model.training.run_folder import RunFolder
 
     torch.set_num_threads(1)
     lines: list[Metrics] = []

@@ -34,13 +34,11 @@ from benches.model.ablation.runs import (
 )
 from benches.model.variants.runs import origin
 from benches.model.variants.scores import Evaluator
-from bodyseg_data.core.errors import BadConfig, check_int
-from bodyseg_data.core.system.progress import NotedProgress, silent
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.evaluation.report import over_seeds
-from bodyseg_model.networks.checkpoints import load_network
-from bodyseg_model.networks.network import Network
-from bodyseg_model.training.distributed import find_device
+from bodyseg_data.core import BadConfig, NotedProgress, check_int, silent
+from bodyseg_data.loading import RangeImages
+from bodyseg_model.evaluation import over_seeds
+from bodyseg_model.networks import Network, load_network
+from bodyseg_model.training import find_device
 
 _ACCURACY: Final = "average_per_class_accuracy"
 _MEASURES: Final = 4  # of costs, beside the conditions

@@ -10,12 +10,10 @@ from numpy.typing import NDArray
 
 from benches.model.ablation.sensor_artifacts import ADDED
 from benches.model.variants.scores import Condition
-from bodyseg_data.artifacts.artifact import RangeImage
-from bodyseg_data.artifacts.losses import SHAPES, lost
-from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.randomness import generator
-from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_data.artifacts import SHAPES, RangeImage, SensorModel, load_sensor_model, lost
+from bodyseg_data.core import generator
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.loading import RangeImages
 from bodyseg_model.evaluation.evaluation import fixed_artifacts
 
 STEPS_MM: Final = (1, 2, 4, 8)

@@ -19,19 +19,18 @@ from benches.measuring import evenly_spaced
 from benches.model.ablation.conditions import stepped, steps_of
 from benches.model.ablation.rows import BASE, ROW_OF_BASE, ROWS, AblationRow, Tree
 from benches.model.networks.network_times import Cell, summary, time_cell
-from bodyseg_data.bodies.source import BodyRef
+from bodyseg_data.bodies import BodyRef
 from bodyseg_data.bodies.sources.open_bodies import MadeBodies, OpenBodies
-from bodyseg_data.core.errors import MissingLibrary
-from bodyseg_data.core.rig import Rig
-from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.loading.image_set import metres
-from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_data.core import MissingLibrary
+from bodyseg_data.loading import RangeImages, metres
+from bodyseg_data.packing import Sampler
 from bodyseg_data.packing.options import evenly_sampled
-from bodyseg_data.packing.sampler import Sampler
 from bodyseg_data.rendering import open_renderer
+from bodyseg_data.rigs import Rig
+from bodyseg_data.samples import ViewGrid
 from bodyseg_data.shards.codecs.bodyseg_images import encode_images
-from bodyseg_data.shards.codecs.labels import join_labels
-from bodyseg_model.networks.registry import build
+from bodyseg_data.shards.codecs.codec import join_labels
+from bodyseg_model.networks import build
 
 ROUNDS: Final = 7
 SAMPLES: Final = 60

@@ -8,7 +8,7 @@ from typing import Any, Final
 from benches.charts.legends import legend_line
 from benches.charts.scales import thousands
 from benches.model.ablation.rows import BASE, LEAST_POINTS, NEAR_POINTS, Tree
-from bodyseg_data.drawing.style import new_chart, save_chart
+from bodyseg_data.drawing import new_chart, save_chart
 
 _GROUPS: Final = {
     "artifacts": "Artifacts",

@@ -14,11 +14,7 @@ from typing import Any, Final, Literal
 
 from benches.model.ablation.conditions import STEPS_MM
 from benches.model.ablation.sensor_artifacts import ADDED
-from bodyseg_data.artifacts.losses import Losses
-from bodyseg_data.artifacts.missing_data import MissingData
-from bodyseg_data.artifacts.noise import Noise
-from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
-from bodyseg_data.artifacts.variants import VariantName
+from bodyseg_data.artifacts import Losses, MissingData, Noise, SensorModel, VariantName, load_sensor_model
 
 Tree = dict[str, Any]
 Source = Literal["", "dressed", "bare"]

@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from benches.model.ablation.rows import BASE, ROW_OF_BASE, ROWS, AblationRow, Source, Tree
-from bodyseg_data.commands.options import last_name
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.views import split_key
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.networks.checkpoints import read_json
-from bodyseg_model.networks.registry import build
-from bodyseg_model.training.augmentation import GeometricAugmentation
-from bodyseg_model.training.recipes import PRESETS, Recipe
+from bodyseg_data.commands import last_name
+from bodyseg_data.core import BadConfig
+from bodyseg_data.loading import RangeImages
+from bodyseg_data.samples import split_key
+from bodyseg_model.networks import build, read_json
+from bodyseg_model.training import GeometricAugmentation, Recipe
+from bodyseg_model.training.recipes import PRESETS
 
 NETWORK: Final = "compact"
 

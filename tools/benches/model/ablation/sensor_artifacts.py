@@ -4,14 +4,9 @@ from __future__ import annotations
 
 from typing import Final
 
-from bodyseg_data.artifacts.artifact import Artifact
-from bodyseg_data.artifacts.lost_pixels.areas import PatchLoss, StripeLoss
-from bodyseg_data.artifacts.lost_pixels.surfaces import EdgeLoss, GrazingLoss
-from bodyseg_data.artifacts.range_errors.axial_noise import AxialNoise
-from bodyseg_data.artifacts.range_errors.lateral_noise import LateralNoise
-from bodyseg_data.artifacts.range_errors.mixed_pixels import MixedPixels
-from bodyseg_data.artifacts.range_errors.rounding import RangeRounding
-from bodyseg_data.artifacts.range_errors.stereo import DisparityRounding, StereoNoise
+from bodyseg_data.artifacts import Artifact, AxialNoise
+from bodyseg_data.artifacts.lost_pixels import EdgeLoss, GrazingLoss, PatchLoss, StripeLoss
+from bodyseg_data.artifacts.range_errors import DisparityRounding, LateralNoise, MixedPixels, RangeRounding, StereoNoise
 
 ADDED: Final[dict[str, Artifact]] = {
     "noise by range and incidence": AxialNoise(),

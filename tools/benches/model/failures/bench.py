@@ -15,12 +15,11 @@ from benches.model.chosen import chosen_network
 from benches.model.failures.causes import CAUSES
 from benches.model.failures.poses import KnownPoses, body_of, kind_of_pose, made_bodies
 from benches.model.failures.study import CROSSED, FailureCounts, Picture
-from bodyseg_data.bodies.anny.skeleton import Pose
-from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.core.errors import check_int
-from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.evaluation.evaluation import evaluate, open_images
+from bodyseg_data.bodies import BodyRef
+from bodyseg_data.bodies.skeleton import Pose
+from bodyseg_data.core import ProgressCallback, check_int, silent
+from bodyseg_data.loading import RangeImages
+from bodyseg_model.evaluation import evaluate, open_images
 
 Tree = dict[str, Any]
 

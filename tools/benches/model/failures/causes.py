@@ -13,13 +13,13 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.artifact import RangeImage
-from bodyseg_data.core.errors import MissingLibrary
-from bodyseg_data.core.labels.label_map import PARTS33
-from bodyseg_data.core.parts import BACKGROUND, MIRRORED_LABELS, PART_COUNT, PARTS
-from bodyseg_data.core.rig import Camera
-from bodyseg_data.core.sample import Sample
-from bodyseg_model.evaluation.scores import EDGES, KINDS, distance_bins, kinds_of
+from bodyseg_data.artifacts import RangeImage
+from bodyseg_data.core import MissingLibrary
+from bodyseg_data.labels import BACKGROUND, MIRRORED_LABELS, PART_COUNT, PARTS, PARTS33
+from bodyseg_data.rigs import Camera
+from bodyseg_data.samples import Sample
+from bodyseg_model.evaluation import KINDS, kinds_of
+from bodyseg_model.evaluation.scores import EDGES, distance_bins
 
 About = Literal["a place", "a mistake", "an image"]
 

@@ -11,14 +11,12 @@ from numpy.typing import NDArray
 
 from benches.data.surface.interpenetration import Skin
 from benches.model.failures.poses import directions
-from bodyseg_data.bodies.anny.skeleton import Pose
-from bodyseg_data.bodies.contacts.sampler import DEEPEST_M
-from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.bodies.sources.everyday import EverydayBodies
+from bodyseg_data.bodies import BodyRef
+from bodyseg_data.bodies.contact_poses import DEEPEST_M
+from bodyseg_data.bodies.skeleton import Pose
 from bodyseg_data.bodies.sources.hard import HardBodies
-from bodyseg_data.bodies.sources.open_bodies import OpenBodies
-from bodyseg_data.bodies.sources.wide import WideBodies
-from bodyseg_data.core.system.progress import ProgressCallback, silent
+from bodyseg_data.bodies.sources.open_bodies import EverydayBodies, OpenBodies, WideBodies
+from bodyseg_data.core import ProgressCallback, silent
 
 _NEAR_DEG: Final = 15
 _SEGMENTS: Final = 11  # of `directions`, those that point along segments

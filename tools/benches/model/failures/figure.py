@@ -12,10 +12,9 @@ from PIL import Image, ImageDraw
 from benches.model.failures.bench import Failures
 from benches.model.failures.causes import NAMES
 from benches.model.failures.study import VIEWS_A_BODY, Picture
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.parts import BACKGROUND, colour_labels
-from bodyseg_data.drawing.contact_sheet import colour_range
-from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, fitted, font, save_picture
+from bodyseg_data.core import BadConfig
+from bodyseg_data.drawing import FAINT, INK, PAPER, colour_range, draw_legend, fitted, font, save_picture
+from bodyseg_data.labels import BACKGROUND, colour_labels
 
 Tree = dict[str, Any]
 

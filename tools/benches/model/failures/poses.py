@@ -13,11 +13,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.anny.skeleton import Arm, Leg, Pose, Trunk, bone_rotations
-from bodyseg_data.bodies.source import BodyRef
-from bodyseg_data.bodies.sources import open_source
+from bodyseg_data.bodies import BodyRef, open_source
+from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, bone_rotations
 from bodyseg_data.bodies.sources.open_bodies import MadeBodies
-from bodyseg_data.core.views import split_key
+from bodyseg_data.samples import split_key
 
 POSE_KINDS: Final[dict[str, tuple[str, ...]]] = {
     "arms_crossed": ("arms_crossed", "hugging_oneself"),

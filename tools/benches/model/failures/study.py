@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from benches.model.failures.causes import CAUSES, NAMES, NEW_POSE_DEG, Prediction, holds
 from benches.model.failures.poses import POSE_KINDS, UNKNOWN, KnownPoses, Nearest, body_of, kind_of_pose, made_bodies
-from bodyseg_data.core.parts import BACKGROUND, LANDMARKS
-from bodyseg_data.core.sample import SampleInfo
-from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_data.labels import BACKGROUND, LANDMARKS
+from bodyseg_data.loading import RangeImages
+from bodyseg_data.samples import SampleInfo
+from bodyseg_model.evaluation import ConfusionMatrix, count_pairs, pairs_of
 from bodyseg_model.evaluation.evaluation import PredictedImage
-from bodyseg_model.evaluation.scores import ConfusionMatrix, count_pairs, pairs_of
 
 Tree = dict[str, Any]
 

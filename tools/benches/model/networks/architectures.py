@@ -22,15 +22,13 @@ from benches.model.networks.network import FILLED, TYPICAL
 from benches.model.networks.network_frames import as_batch, body_rectangle, stretched, typical_frames
 from benches.model.networks.network_times import BUDGET_S, MOST_ROUNDS, Cell, Task, operations, summary, time_cell
 from benches.model.variants.scores import TABLE, Evaluator
-from bodyseg_data.core.errors import BadConfig, check_int
-from bodyseg_data.core.system.machine import processors
-from bodyseg_data.core.system.progress import NotedProgress, silent
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.evaluation.evaluation import evaluate
-from bodyseg_model.evaluation.report import over_seeds, report
-from bodyseg_model.networks.network import Network
+from bodyseg_data.core import BadConfig, NotedProgress, check_int, silent
+from bodyseg_data.loading import RangeImages
+from bodyseg_data.machine import processors
+from bodyseg_model.evaluation import evaluate, over_seeds, report
+from bodyseg_model.networks import Network
 from bodyseg_model.networks.registry import parameters
-from bodyseg_model.training.distributed import find_device
+from bodyseg_model.training import find_device
 
 FOREST: Final = "forest"
 TITLES: Final = {

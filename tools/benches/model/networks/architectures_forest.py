@@ -19,15 +19,11 @@ import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
 from numpy.typing import NDArray
 
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_data.core.kernels import compiled
-from bodyseg_data.core.parts import BACKGROUND, PART_COUNT
-from bodyseg_data.core.randomness import generator
-from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_data.loading.image_set import metres
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.patches import check_range_images
+from bodyseg_data.core import BadConfig, MissingLibrary, ProgressCallback, generator, silent
+from bodyseg_data.labels import BACKGROUND, PART_COUNT
+from bodyseg_data.loading import RangeImages, metres
+from bodyseg_data.machine import compiled
+from bodyseg_model.networks import Network, check_range_images
 
 FAR_M: Final = np.float32(10.0)
 """Range where nothing was measured: "a large positive constant value", though one that float32 subtracts well."""

@@ -18,12 +18,11 @@ import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
 from torch import nn
 
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_data.core.parts import PART_COUNT
-from bodyseg_model.commands import train
-from bodyseg_model.commands.cli import main
-from bodyseg_model.networks.network import Network, check_classes
-from bodyseg_model.networks.patches import check_range_images, relief_of, shrunk
+from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_data.labels import PART_COUNT
+from bodyseg_model.commands import main, train
+from bodyseg_model.networks import Network, check_range_images
+from bodyseg_model.networks.network import check_classes, relief_of, shrunk
 from bodyseg_model.networks.registry import NETWORKS
 
 BASELINES: Final = {

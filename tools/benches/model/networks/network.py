@@ -28,13 +28,12 @@ from benches.model.networks.network_times import (
     summary,
     time_cell,
 )
-from bodyseg_data.core.errors import BadConfig, MissingLibrary
-from bodyseg_data.core.system.machine import processors
-from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_model.networks.checkpoints import SHIPPED, load_network, read_json
-from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.registry import NETWORKS, build, parameters
-from bodyseg_model.runtimes.backends import on_backend
+from bodyseg_data.core import BadConfig, MissingLibrary, ProgressCallback, silent
+from bodyseg_data.machine import processors
+from bodyseg_model.networks import Network, build, load_network, read_json
+from bodyseg_model.networks.checkpoints import SHIPPED
+from bodyseg_model.networks.registry import NETWORKS, parameters
+from bodyseg_model.runtimes import on_backend
 
 REFERENCE: Final = "compact"
 FILLED: Final = "filled"

@@ -7,12 +7,12 @@ import torch
 from numpy.typing import NDArray
 
 from benches.measuring import mixed
-from bodyseg_data.artifacts.variants import Augmentation
-from bodyseg_data.core.errors import check_int
-from bodyseg_data.core.views import ViewGrid
-from bodyseg_data.loading.image_set import metres
-from bodyseg_data.packing.options import Packing
-from bodyseg_data.packing.pack import render_run
+from bodyseg_data.artifacts import Augmentation
+from bodyseg_data.core import check_int
+from bodyseg_data.loading import metres
+from bodyseg_data.packing import Packing
+from bodyseg_data.packing.packer import render_run
+from bodyseg_data.samples import ViewGrid
 from bodyseg_data.shards.sample_codec import decode_sample
 
 SENSOR_SIZE = (1920, 988)

@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from torch.utils.flop_counter import FlopCounterMode
 
 from benches.model.networks.network_frames import as_batch
-from bodyseg_data.core.system.torch_threads import torch_threads
-from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.registry import device_of, predict
+from bodyseg_data.machine import torch_threads
+from bodyseg_model.networks import Network, device_of, predict
 
 Task = Literal["scores", "labels"]
 Precision = Literal["float32", "bfloat16"]

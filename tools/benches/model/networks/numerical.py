@@ -15,15 +15,13 @@ from typing import Any, Final
 import torch
 
 from benches.model.chosen import chosen_network
-from bodyseg_data.core.errors import BadConfig, check_int
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.system.progress import ProgressCallback, counter, silent
-from bodyseg_data.core.system.torch_threads import torch_threads
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.evaluation.scores import ConfusionMatrix
+from bodyseg_data.core import BadConfig, ProgressCallback, check_int, counter, silent
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.loading import RangeImages
+from bodyseg_data.machine import torch_threads
+from bodyseg_model.evaluation import ConfusionMatrix
+from bodyseg_model.networks import Network, device_of, predict
 from bodyseg_model.networks.checkpoints import half_weights
-from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.registry import device_of, predict
 
 BATCH_SIZES: Final = (2, 7, 16)
 

@@ -20,15 +20,12 @@ import torch
 from benches.model.chosen import chosen_network
 from benches.model.networks.network_frames import as_batch, stretched, typical_frames
 from benches.model.networks.network_times import warm_up
-from bodyseg_data.core.errors import MissingLibrary, check_int
-from bodyseg_data.core.system.machine import processors
-from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_data.core.system.torch_threads import torch_threads
-from bodyseg_model.evaluation.evaluation import evaluate, open_images
-from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.registry import build, predict
-from bodyseg_model.runtimes.backends import TORCH, on_backend
-from bodyseg_model.runtimes.runtime import Precision
+from bodyseg_data.core import MissingLibrary, ProgressCallback, check_int, silent
+from bodyseg_data.machine import processors, torch_threads
+from bodyseg_model.evaluation import evaluate, open_images
+from bodyseg_model.networks import Network, build, predict
+from bodyseg_model.runtimes import Precision, on_backend
+from bodyseg_model.runtimes.backends import TORCH
 
 REFERENCE: Final = "torch float32"
 PAPERS: Final = "fcn_alexnet torch float32"

@@ -17,21 +17,17 @@ from numpy.typing import NDArray
 
 from benches.measuring import evenly_spaced
 from benches.model.chosen import chosen_network
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.errors import check_int
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.rig import Camera, PlacedCamera, axes_at, load_rig
-from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.partition.surface_parts import Partition
-from bodyseg_data.packing.sampler import surface_points
-from bodyseg_data.rendering import open_renderer
-from bodyseg_data.rendering.renderer import Renderer
-from bodyseg_model.evaluation.scores import ConfusionMatrix
-from bodyseg_model.networks.checkpoints import Trained
-from bodyseg_model.networks.registry import predict
-from bodyseg_model.recordings.cameras import other_sensors
-from bodyseg_model.segmentation.views import view_body
+from bodyseg_data.bodies import open_source
+from bodyseg_data.core import ProgressCallback, check_int, silent
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.meshes import Mesh, Partition
+from bodyseg_data.packing import surface_points
+from bodyseg_data.rendering import Renderer, open_renderer
+from bodyseg_data.rigs import Camera, PlacedCamera, axes_at, load_rig
+from bodyseg_model.evaluation import ConfusionMatrix
+from bodyseg_model.networks import Trained, predict
+from bodyseg_model.recordings import other_sensors
+from bodyseg_model.segmentation import view_body
 
 Method = Literal["as it is", "scaled", "turned and scaled"]
 METHODS: Final[tuple[Method, ...]] = get_args(Method)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benches.charts.legends import legend_line
-from bodyseg_data.drawing.style import new_chart, save_chart
+from bodyseg_data.drawing import new_chart, save_chart
 
 Tree = dict[str, Any]
 

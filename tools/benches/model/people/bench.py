@@ -14,10 +14,9 @@ from benches.model.chosen import chosen_network
 from benches.model.people.bodies import annotated_bodies
 from benches.model.people.landmarks import fitted_to, measured, proposed, ways_to_place
 from benches.model.people.scores import VARIANTS, agreement, packed_views, scored
-from bodyseg_data.bodies.landmark_fitting.template import fitting_body
-from bodyseg_data.core.errors import check_int
-from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_data.core.system.torch_threads import torch_threads
+from bodyseg_data.bodies.fitting_body import fitting_body
+from bodyseg_data.core import ProgressCallback, check_int, silent
+from bodyseg_data.machine import torch_threads
 
 _POSES: Final = 10
 

@@ -10,13 +10,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.file_search import files_below, landmark_file, meshes_in
-from bodyseg_data.core.errors import BadConfig, check_int
-from bodyseg_data.meshes.landmarks.by_point import PointLandmarks, parse_points
-from bodyseg_data.meshes.landmarks.by_vertex import LANDMARKS_FORMAT, LandmarkSet, read_text
-from bodyseg_data.meshes.landmarks.files import load_landmark_file
-from bodyseg_data.meshes.mesh import Mesh
-from bodyseg_data.meshes.readers.files import read_mesh
+from bodyseg_data.bodies.mesh_bodies import files_below, landmark_file, meshes_in
+from bodyseg_data.core import BadConfig, check_int
+from bodyseg_data.meshes import LandmarkSet, Mesh, PointLandmarks, load_landmark_file, read_mesh
+from bodyseg_data.meshes.landmarks import LANDMARKS_FORMAT, parse_points, read_text
 
 TABLE_SUFFIX: Final = "_landmarks.json"
 """End of the name of a file that is one JSON table: landmark -> coordinates in metres, in the mesh's frame."""

@@ -17,13 +17,12 @@ from numpy.typing import NDArray
 from benches.data.surface.areas import part_areas
 from benches.model.people.bodies import Annotated
 from benches.model.people.intervals import interval, summed
-from bodyseg_data.bodies.landmark_fitting.fitted import FittedBody
-from bodyseg_data.bodies.landmark_fitting.search import fit_body
-from bodyseg_data.bodies.landmark_fitting.template import FittingBody
-from bodyseg_data.core.errors import BadLandmarks
-from bodyseg_data.core.parts import LANDMARKS, PARTS
-from bodyseg_data.meshes.landmarks.by_point import snap
-from bodyseg_data.meshes.partition.surface_parts import Partition, partition
+from bodyseg_data.bodies.fitting_body import FittingBody
+from bodyseg_data.bodies.landmark_proposal import FittedBody, fit_body
+from bodyseg_data.core import BadLandmarks
+from bodyseg_data.labels import LANDMARKS, PARTS
+from bodyseg_data.meshes import Partition, partition
+from bodyseg_data.meshes.landmarks import snap
 
 _MIRROR: Final = [part.mirror for part in PARTS]
 _ACROSS: Final = np.array([-1.0, 1.0, 1.0])

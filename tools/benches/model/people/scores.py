@@ -14,17 +14,16 @@ from numpy.typing import NDArray
 
 from benches.model.people.bodies import Annotated
 from benches.model.people.intervals import interval, summed
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.parts import LANDMARKS
-from bodyseg_data.core.system.progress import ProgressCallback
-from bodyseg_data.core.views import ViewGrid, split_key
-from bodyseg_data.meshes.landmarks.by_vertex import LANDMARKS_FORMAT
-from bodyseg_data.packing.options import Packing
-from bodyseg_data.packing.pack import pack
+from bodyseg_data.bodies import open_source
+from bodyseg_data.core import ProgressCallback
+from bodyseg_data.labels import LANDMARKS
+from bodyseg_data.meshes.landmarks import LANDMARKS_FORMAT
+from bodyseg_data.packing import Packing, pack
 from bodyseg_data.packing.sampler import body_key
-from bodyseg_model.evaluation.evaluation import Extra, PredictedImage, evaluate, open_images
-from bodyseg_model.evaluation.scores import ConfusionMatrix, count_pairs, pairs_of
-from bodyseg_model.networks.network import Network
+from bodyseg_data.samples import ViewGrid, split_key
+from bodyseg_model.evaluation import ConfusionMatrix, count_pairs, evaluate, open_images, pairs_of
+from bodyseg_model.evaluation.evaluation import Extra, PredictedImage
+from bodyseg_model.networks import Network
 
 VARIANTS: Final = ("all", "none")
 

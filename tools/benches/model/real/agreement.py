@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.model.real.recording import Frame
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.system.progress import ProgressCallback, silent
+from bodyseg_data.core import ProgressCallback, silent
+from bodyseg_data.labels import BACKGROUND
 
 ANGLES_DEG: Final = (15, 30, 45)
 """Upper ends of the ranges of the angle between two frames' optical axes; beyond the last they are not compared."""

@@ -21,15 +21,16 @@ from benches.model.real.fusion import VOXEL_M, FusedSurface, fitted, fuse, resid
 from benches.model.real.labels import Placements, frame_labels, load_placements, repeatability, surface_labels
 from benches.model.real.recording import BACKGROUND as PEOPLE
 from benches.model.real.recording import Frame, read_recording
-from bodyseg_data.core.errors import check_int
-from bodyseg_data.core.parts import BACKGROUND, LANDMARKS, MIRRORED_LABELS
-from bodyseg_data.core.rig import Camera
-from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_data.core.system.torch_threads import torch_threads
-from bodyseg_model.evaluation.scores import Confidences, ConfusionMatrix, count_kinds, pairs_of
-from bodyseg_model.networks.checkpoints import Trained
-from bodyseg_model.recordings.cameras import FrameCamera, assumed_sensors
-from bodyseg_model.segmentation.segmenter import Segmenter
+from bodyseg_data.core import ProgressCallback, check_int, silent
+from bodyseg_data.labels import BACKGROUND, LANDMARKS, MIRRORED_LABELS
+from bodyseg_data.machine import torch_threads
+from bodyseg_data.rigs import Camera
+from bodyseg_model.evaluation import ConfusionMatrix, pairs_of
+from bodyseg_model.evaluation.scores import Confidences, count_kinds
+from bodyseg_model.networks import Trained
+from bodyseg_model.recordings import FrameCamera
+from bodyseg_model.recordings.cameras import assumed_sensors
+from bodyseg_model.segmentation import Segmenter
 from bodyseg_model.sensor_fit.edges import ProjectorShadow, measure_shadow, probably_mirrored
 from bodyseg_model.sensor_fit.recording import MarkedFrame, MarkedRecording
 

@@ -9,8 +9,8 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from benches.model.real.bench import Results, Shown
-from bodyseg_data.drawing.style import FAINT, INK, PAPER, draw_legend, font, save_picture
-from bodyseg_model.segmentation.pictures import draw_overlay
+from bodyseg_data.drawing import FAINT, INK, PAPER, draw_legend, font, save_picture
+from bodyseg_model.segmentation import draw_overlay
 
 _HEADS: Final = ("true labels", "network")
 _MARGIN: Final = 14

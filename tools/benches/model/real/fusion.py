@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.model.real.recording import Floats, Frame
-from bodyseg_data.bodies.contacts.surface import vertex_normals
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import PlacedCamera
-from bodyseg_data.meshes.topology import components, face_components, find_edges
+from bodyseg_data.bodies.limb_reaching import vertex_normals
+from bodyseg_data.core import BadConfig
+from bodyseg_data.meshes import find_edges
+from bodyseg_data.meshes.mesh import components, face_components
+from bodyseg_data.rigs import PlacedCamera
 
 VOXEL_M: Final = 0.004
 

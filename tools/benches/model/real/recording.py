@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.measuring import evenly_spaced
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.rig import Camera, PlacedCamera
-from bodyseg_model.recordings.frames import find_frames, to_metres
-from bodyseg_model.segmentation.foreground import Background, find_bodies
+from bodyseg_data.core import BadConfig
+from bodyseg_data.rigs import Camera, PlacedCamera
+from bodyseg_model.recordings import find_frames, to_metres
+from bodyseg_model.segmentation import Background, find_bodies
 
 BACKGROUND: Final = Background()
 """The rule by which people are found: that of `bodyseg segment` by default."""

@@ -20,14 +20,14 @@ from benches.model.real.fusion import FusedSurface, fitted, fuse
 from benches.model.real.labels import ON_SURFACE_M, load_placements
 from benches.model.real.recording import BACKGROUND as PEOPLE
 from benches.model.real.recording import Frame, read_recording
-from bodyseg_data.core.errors import check_int
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_data.core.system.torch_threads import torch_threads
-from bodyseg_model.networks.checkpoints import Trained
-from bodyseg_model.segmentation.segmenter import Segmenter
-from bodyseg_model.segmentation.temporal.carried_labels import CarriedLabels, Carrying
-from bodyseg_model.stability.temporal import CARRIED, temporal
+from bodyseg_data.core import ProgressCallback, check_int, silent
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.machine import torch_threads
+from bodyseg_model.networks import Trained
+from bodyseg_model.segmentation import CarriedLabels, Segmenter
+from bodyseg_model.segmentation.carried_labels import Carrying
+from bodyseg_model.stability import temporal
+from bodyseg_model.stability.motion import CARRIED
 
 ALONE: Final = "alone"
 CARRIED_ALONG: Final = "parts"

@@ -26,19 +26,16 @@ from PIL import Image
 
 from benches.measuring import medians
 from benches.model.segment.live import live
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.rig import Camera, load_sensor
-from bodyseg_data.core.system.machine import computes_bfloat16, hardware
-from bodyseg_data.core.system.progress import ProgressCallback, silent
+from bodyseg_data.bodies import open_source
+from bodyseg_data.core import ProgressCallback, silent
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.machine import computes_bfloat16, hardware
+from bodyseg_data.rigs import Camera, load_sensor
 from bodyseg_model.commands import segment
-from bodyseg_model.networks.checkpoints import shipped_network
-from bodyseg_model.runtimes.backends import BackendName
-from bodyseg_model.runtimes.runtime import Precision
-from bodyseg_model.segmentation.frame_labeller import FrameLabeller
-from bodyseg_model.segmentation.person_score import shipped_score
+from bodyseg_model.networks import shipped_network
+from bodyseg_model.runtimes import BackendName, Precision
+from bodyseg_model.segmentation import FrameLabeller, Segmenter, shipped_score
 from bodyseg_model.segmentation.pictures import encode_picture
-from bodyseg_model.segmentation.segmenter import Segmenter
 from bodyseg_model.stability.rooms import LEAST_SEEN_M2, TEST_SEED, TEST_SOURCES, Counts, Room, Rooms
 
 _SQUARE: Final = 1024

@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core.rig import Camera
-from bodyseg_model.segmentation.frame_labeller import FrameLabeller
+from bodyseg_data.rigs import Camera
+from bodyseg_model.segmentation import FrameLabeller
 
 RATE: Final = 30.0
 """Frames a second of the sensor, as most range sensors give."""

@@ -16,14 +16,12 @@ import torch
 
 from benches.model.chosen import chosen_network
 from benches.model.segment.bench import cameras, made_rooms
-from bodyseg_data.core.errors import check_int
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.system.progress import ProgressCallback, counter, silent
-from bodyseg_data.core.system.torch_threads import torch_threads
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.registry import predict
-from bodyseg_model.segmentation.segmenter import Segmenter
+from bodyseg_data.core import ProgressCallback, check_int, counter, silent
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.loading import RangeImages
+from bodyseg_data.machine import torch_threads
+from bodyseg_model.networks import Network, predict
+from bodyseg_model.segmentation import Segmenter
 
 MARGINS: Final = (32, 64, 96, 128, None)
 """Empty pixels around a body; None: the whole image."""

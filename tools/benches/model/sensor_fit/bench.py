@@ -10,15 +10,13 @@ import numpy as np
 
 from benches.measuring import evenly_spaced
 from benches.model.sensor_fit.recordings import Scene, Scenes
-from bodyseg_data.artifacts import artifact_class
-from bodyseg_data.artifacts.sensor_model import SensorModel
-from bodyseg_data.bodies.sources import open_source
-from bodyseg_data.core.errors import check_int
-from bodyseg_data.core.rig import Rig, load_rig
-from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_model.recordings.cameras import FrameCamera
+from bodyseg_data.artifacts import SensorModel, artifact_class
+from bodyseg_data.bodies import open_source
+from bodyseg_data.core import ProgressCallback, check_int, silent
+from bodyseg_data.rigs import Rig, load_rig
+from bodyseg_model.recordings import FrameCamera
+from bodyseg_model.sensor_fit import fit_sensor
 from bodyseg_model.sensor_fit.finding import NEEDED, Finding
-from bodyseg_model.sensor_fit.fit import fit_sensor
 
 RIG: Final = "kinect_v1"
 STEP_MM: Final = 0.1

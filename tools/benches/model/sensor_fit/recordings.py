@@ -8,15 +8,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.sensor_model import SensorModel
-from bodyseg_data.artifacts.variants import Augmentation
-from bodyseg_data.bodies.source import Body
-from bodyseg_data.core.parts import BACKGROUND
-from bodyseg_data.core.rig import Rig
-from bodyseg_data.core.sample import Sample, SampleInfo, steps
-from bodyseg_data.core.views import View
-from bodyseg_data.packing.sampler import faces_towards, surface_points
+from bodyseg_data.artifacts import Augmentation, SensorModel
+from bodyseg_data.bodies import Body
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.packing import faces_towards, surface_points
 from bodyseg_data.rendering import open_renderer
+from bodyseg_data.rigs import Rig
+from bodyseg_data.samples import Sample, SampleInfo, View, steps
 from bodyseg_model.sensor_fit.recording import MarkedFrame, MarkedRecording
 
 DISTANCE_CM: Final = 200

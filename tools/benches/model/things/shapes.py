@@ -20,11 +20,10 @@ import torch.nn.functional as F  # noqa: N812  its name everywhere
 from numpy.typing import NDArray
 from torch import nn
 
-from bodyseg_data.core.errors import BadConfig
-from bodyseg_data.core.splits import Split
-from bodyseg_data.core.system.machine import processors
-from bodyseg_data.core.system.progress import ProgressCallback, silent
-from bodyseg_model.segmentation.foreground import Background, find_bodies
+from bodyseg_data.core import BadConfig, ProgressCallback, silent
+from bodyseg_data.machine import processors
+from bodyseg_data.samples import Split
+from bodyseg_model.segmentation import Background, find_bodies
 from bodyseg_model.segmentation.person_score import (
     FORMAT,
     MEASURES,

@@ -17,14 +17,13 @@ import torch
 from benches.model.variants.claims import ScoresOf, Tree, accuracies, claims
 from benches.model.variants.runs import NETWORK, Plan, Run, common_plan, origin, runs_in, train
 from benches.model.variants.scores import SWEEPS, SWEEPS_ALONE, TABLE, Condition, Evaluator, Sweep
-from bodyseg_data.artifacts.variants import VARIANTS, VariantName
-from bodyseg_data.core.errors import BadConfig, check_int
-from bodyseg_data.core.system.progress import NotedProgress, silent
-from bodyseg_model.evaluation.report import over_seeds
-from bodyseg_model.networks.checkpoints import load_network
-from bodyseg_model.networks.registry import build, parameters
-from bodyseg_model.training.distributed import ProcessGroup, find_device
-from bodyseg_model.training.metrics import Metrics
+from bodyseg_data.artifacts import VARIANTS, VariantName
+from bodyseg_data.core import BadConfig, NotedProgress, check_int, silent
+from bodyseg_model.evaluation import over_seeds
+from bodyseg_model.networks import build, load_network
+from bodyseg_model.networks.registry import parameters
+from bodyseg_model.training import Metrics, find_device
+from bodyseg_model.training.distributed import ProcessGroup
 
 _PASSES: Final = 3
 """Forward passes that take as long as training on one image: one forward, and a backward of about two."""

@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from benches.model.variants.scores import SWEEPS, SWEEPS_ALONE, TABLE, Condition, Sweep
-from bodyseg_data.artifacts.variants import VARIANTS, VariantName
-from bodyseg_model.evaluation.report import over_seeds
+from bodyseg_data.artifacts import VARIANTS, VariantName
+from bodyseg_model.evaluation import over_seeds
 
 Tree = dict[str, Any]
 ScoresOf = Callable[[VariantName, Condition], list[Tree]]

@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 
 from benches.charts.legends import legend_line
 from benches.charts.scales import thousands
-from bodyseg_data.drawing.style import new_chart, save_chart
+from bodyseg_data.drawing import new_chart, save_chart
 
 Tree = dict[str, Any]
 

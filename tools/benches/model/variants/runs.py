@@ -10,18 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.artifacts.variants import VARIANTS, VariantName
-from bodyseg_data.commands.options import last_name
-from bodyseg_data.commands.provenance import provenance
-from bodyseg_data.core.errors import BadConfig, check_int
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.networks.checkpoints import read_json
-from bodyseg_model.networks.registry import build
+from bodyseg_data.artifacts import VARIANTS, VariantName
+from bodyseg_data.commands import last_name, provenance
+from bodyseg_data.core import BadConfig, check_int
+from bodyseg_data.loading import RangeImages
+from bodyseg_model.networks import build, read_json
+from bodyseg_model.training import Recipe, Report, RunFolder, RunOptions, Training, recipe_for
 from bodyseg_model.training.distributed import ProcessGroup
-from bodyseg_model.training.loop import RunOptions, Training
-from bodyseg_model.training.metrics import Report
-from bodyseg_model.training.recipes import Recipe, recipe_for
-from bodyseg_model.training.run_folder import RunFolder
 
 NETWORK: Final = "compact"
 RUN_OPTIONS: Final = RunOptions()

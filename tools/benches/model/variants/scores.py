@@ -13,12 +13,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from benches.result_cache import ResultCache, network_identity
-from bodyseg_data.artifacts.variants import VARIANTS, VariantName
-from bodyseg_data.loading.range_images import RangeImages
-from bodyseg_model.evaluation.evaluation import EXTRAS, evaluate, open_images
-from bodyseg_model.evaluation.report import report
-from bodyseg_model.networks.network import Network
-from bodyseg_model.networks.registry import device_of
+from bodyseg_data.artifacts import VARIANTS, VariantName
+from bodyseg_data.loading import RangeImages
+from bodyseg_model.evaluation import evaluate, open_images, report
+from bodyseg_model.evaluation.evaluation import EXTRAS
+from bodyseg_model.networks import Network, device_of
 
 FILE: Final = "cached_results.json"
 """In a run's folder."""

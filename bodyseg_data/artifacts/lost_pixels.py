@@ -1,0 +1,364 @@
+"""Pixels lost together, as sensors lose them: whole patches, stripes, and surfaces seen at grazing angles.
+
+Missing data as in the paper (`missing_data.py`) is lost pixel by pixel. Here neighbouring pixels are lost: dark cloth
+that returns no light, bands of a body that moved between two fringe patterns, and flanks that lie almost along the
+camera's ray. Each function loses exactly the given share, to the nearest pixel, and a larger share of the same image
+and draws loses the same pixels and more.
+
+Pixels lost together: patches that return no light, and stripes of the projected code.
+
+Pixels lost for how the surface lies: seen at grazing incidence, or beside an edge.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from importlib import import_module
+from typing import Any, ClassVar, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
+from bodyseg_data.artifacts.noise import drawn_bits
+from bodyseg_data.artifacts.surface import Box, box_of, silhouettes, slants, widened
+from bodyseg_data.core import BadConfig, Draws, bounded, check_fields, units
+from bodyseg_data.labels import PARTS
+from bodyseg_data.machine import use_compiled
+from bodyseg_data.rigs import Camera, Rig
+
+SHAPES: Final = ("patches", "stripes", "grazing")
+
+MOST_PATCHES: Final = 4
+LONGEST: Final = 2.0
+"""How many times as long as wide a patch may be, or as wide as long."""
+FEWEST_STRIPES: Final = 2
+MOST_STRIPES: Final = 12
+
+
+@dataclass(frozen=True)
+class Losses(Artifact):
+    """Patches, stripes, grazing surfaces or nothing lost, each as likely; the paper has none of it.
+
+    most: the largest share of the foreground that is lost; each image's share is uniform from 0 to it.
+    """
+
+    name = "losses"
+    kind = "missing_data"
+    purposes = ("losses",)
+
+    most: float = bounded(0.0, 0, 1)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    def lost(
+        self, range_image: NDArray[np.uint16], camera: Camera, generator: np.random.Generator
+    ) -> NDArray[np.bool_]:
+        """Mark the pixels that one image loses, bool [H, W].
+
+        range_image: the clean one, uint16 [H, W], 0 is background. camera: the one that sees it. generator: draws the
+        shape, the share and the positions. Raises BadConfig for an image that is not the camera's.
+        """
+        chances = units(generator, 2)
+        shapes, share = (None, *SHAPES), self.most * float(chances[1])
+        shape = shapes[int(chances[0] * len(shapes))]
+        if shape is None:
+            return np.zeros(range_image.shape, np.bool_)
+        return lost(shape, range_image, share, camera, generator)
+
+    def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
+        """As `Artifact.apply`. Raises BadConfig for a sample that is not the rig's."""
+        image.range[self.lost(scene.sample.range, scene.rig.camera, draws.generator("losses"))] = 0
+
+
+def lost(
+    shape: str, range_image: NDArray[np.uint16], share: float, camera: Camera, generator: np.random.Generator
+) -> NDArray[np.bool_]:
+    """Mark the pixels lost in one of `SHAPES`, bool [H, W]; other arguments as of `lost_patches` and `lost_grazing`."""
+    if shape == "patches":
+        return lost_patches(range_image, share, generator)
+    if shape == "stripes":
+        return lost_stripes(range_image, share, generator)
+    if shape == "grazing":
+        return lost_grazing(range_image, share, camera)
+    raise BadConfig(f"pixels are lost in one of {', '.join(SHAPES)}, found {shape!r}")
+
+
+def lost_patches(range_image: NDArray[np.uint16], share: float, generator: np.random.Generator) -> NDArray[np.bool_]:
+    """Mark one to four ellipses around random pixels of the foreground, lost whole, bool [H, W].
+
+    range_image: uint16 [H, W], 0 is background. share: of the foreground, 0 to 1; the ellipses grow together until
+    they hold it. Raises BadConfig for another share.
+    """
+    _check_share(share)
+    box = box_of(range_image)
+    if box is None:
+        return np.zeros(range_image.shape, np.bool_)
+    inside = range_image[box]
+    pixels = np.flatnonzero(inside != 0)  # of bools: five times faster
+    count, *chances = units(generator, 1 + 3 * MOST_PATCHES)
+    down, along = [], []
+    for centre, length, size in np.reshape(chances, (MOST_PATCHES, 3))[: 1 + int(count * MOST_PATCHES)]:
+        row, column = divmod(int(pixels[int(centre * len(pixels))]), inside.shape[1])
+        half = np.exp2(size) * LONGEST ** (length - 0.5)  # of its height; its width is the other way round
+        other = np.exp2(size) / LONGEST ** (length - 0.5)
+        down.append((((np.arange(inside.shape[0]) - row) / half) ** 2).astype(np.float32))
+        along.append((((np.arange(inside.shape[1]) - column) / other) ** 2).astype(np.float32))
+    return _lose_first(range_image.shape, box, pixels, _least_sums(pixels, down, along), share)
+
+
+def _least_sums(
+    pixels: NDArray[np.intp], down: Sequence[NDArray[np.float32]], along: Sequence[NDArray[np.float32]]
+) -> NDArray[np.float32]:
+    """The least sum at each pixel, [N], of a `down` [h] at its row and of the `along` [w] at its column."""
+    if use_compiled():
+        values = np.empty(len(pixels), np.float32)
+        _loops().least_sums(pixels, len(along[0]), np.stack(down), np.stack(along), values)
+        return values
+    sums = (rows[:, None] + columns for rows, columns in zip(down, along, strict=True))
+    least: NDArray[np.float32] = reduce(np.minimum, sums)
+    return least.ravel()[pixels]
+
+
+def lost_stripes(range_image: NDArray[np.uint16], share: float, generator: np.random.Generator) -> NDArray[np.bool_]:
+    """Mark two to twelve horizontal bands of one width, evenly over the foreground's height, lost whole, bool [H, W].
+
+    As `lost_patches`; of a row that is lost in part, pixels are lost from the left.
+    """
+    _check_share(share)
+    lost = np.zeros(range_image.shape, np.bool_)
+    box = box_of(range_image)
+    if box is None:
+        return lost
+    inside = range_image[box] != 0
+    chances = units(generator, 2)
+    stripes = FEWEST_STRIPES + int(chances[0] * (MOST_STRIPES - FEWEST_STRIPES + 1))
+    rows = np.arange(inside.shape[0])
+    from_middle = np.abs((rows * stripes / inside.shape[0] + chances[1]) % 1 - 0.5)
+    order = np.argsort(from_middle, kind="stable")
+    pixels = inside.sum(axis=1)[order]
+    left = _rounded(share, int(pixels.sum()))
+    before = np.cumsum(pixels) - pixels
+    whole = before + pixels <= left
+    gone = lost[box]
+    gone[order[whole]] = inside[order[whole]]
+    if not whole.all():
+        last = int(np.argmin(whole))
+        gone[order[last], np.flatnonzero(inside[order[last]])[: left - int(before[last])]] = True
+    return lost
+
+
+def lost_grazing(range_image: NDArray[np.uint16], share: float, camera: Camera) -> NDArray[np.bool_]:
+    """Mark the pixels whose surface lies most nearly along the camera's ray, bool [H, W]; see `slants`.
+
+    As `lost_patches`. Raises BadConfig as well for an image that is not the camera's.
+    """
+    _check_share(share)
+    if range_image.shape != (camera.rows, camera.columns):
+        raise BadConfig(
+            f"a range image must be as large as its camera's, {camera.rows} x {camera.columns}, "
+            f"found {' x '.join(map(str, range_image.shape))}"
+        )
+    box = box_of(range_image)
+    if box is None:
+        return np.zeros(range_image.shape, np.bool_)
+    pixels = np.flatnonzero(range_image[box] != 0)
+    order = -slants(range_image, camera, box)
+    return _lose_first(range_image.shape, box, pixels, order.ravel()[pixels], share)
+
+
+def _lose_first(
+    shape: tuple[int, ...], box: Box, pixels: NDArray[np.intp], values: NDArray[np.float32], share: float
+) -> NDArray[np.bool_]:
+    """Mark the share of the foreground with the lowest values, bool [H, W]; of equal pixels the first ones.
+
+    pixels: those of the foreground, flat indices in the box, [N]; values: of each.
+    """
+    lost = np.zeros(shape, np.bool_)
+    count = _rounded(share, len(pixels))
+    if count:
+        limit = np.partition(values, count - 1)[count - 1]
+        if use_compiled():
+            _loops().mark_below(pixels, values, limit, count, lost[box])
+            return lost
+        gone = values < limit
+        gone[np.flatnonzero(values == limit)[: count - np.count_nonzero(gone)]] = True
+        rows, columns = np.divmod(pixels[gone], lost[box].shape[1])
+        lost[box][rows, columns] = True
+    return lost
+
+
+def _rounded(share: float, pixels: int) -> int:
+    return math.floor(share * pixels + 0.5)
+
+
+def _loops() -> Any:
+    """The compiled forms; they load numba, so not before they are used."""
+    return import_module("bodyseg_data.artifacts.sensor_loops")
+
+
+def _check_share(share: float) -> None:
+    if not 0 <= share <= 1:
+        raise BadConfig(f"the share of lost pixels must be from 0 to 1, found {share}")
+
+
+_LABELS: Final = {part.landmark: part.label for part in PARTS}
+
+
+@dataclass(frozen=True)
+class PatchLoss(Artifact):
+    """One to four patches lost whole, as dark cloth and hair are: a share of the body that is drawn once an image.
+
+    The share is uniform from `low` to `high`. parts: names of the parts that may be lost, as in `PARTS`; () for all.
+    With parts, the share is of their pixels.
+    """
+
+    name = "patch_loss"
+    kind = "missing_data"
+    purposes = ("patch share", "patch loss")
+    drawn: ClassVar[Mapping[str, str]] = {"patch_share": "{:.0%} in patches"}
+
+    low: float = bounded(0.0, 0, 1)
+    high: float = bounded(0.2, 0, 1)
+    parts: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        _check_order(self.low, self.high)
+        for part in self.parts:
+            if part not in _LABELS:
+                raise BadConfig(f"parts must be landmarks of the 33 parts, found {part!r}")
+
+    def draw(self, draws: Draws) -> dict[str, float]:
+        """As `Artifact.draw`: "patch_share", the share lost."""
+        return {"patch_share": _share(self.low, self.high, draws.chance("patch share"))}
+
+    def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
+        """As `Artifact.apply`."""
+        clean = scene.sample.range
+        if self.parts:
+            clean = np.where(np.isin(scene.sample.labels, [_LABELS[part] for part in self.parts]), clean, np.uint16(0))
+        lost = lost_patches(clean, image.drawn["patch_share"], draws.generator("patch loss"))
+        np.copyto(image.range, 0, where=lost)
+
+
+@dataclass(frozen=True)
+class StripeLoss(Artifact):
+    """Two to twelve parallel stripes lost whole: a share of the body that is drawn once an image, uniform from `low` to
+    `high`.
+
+    along: "rows" for bands across the image, "columns" for bands down it. None for lines of one code of the rig's
+    projector, at right angles to the line from camera to projector: columns for a projector beside the camera.
+    """
+
+    name = "stripe_loss"
+    kind = "missing_data"
+    purposes = ("stripe share", "stripe loss")
+    drawn: ClassVar[Mapping[str, str]] = {"stripe_share": "{:.0%} in stripes"}
+
+    low: float = bounded(0.0, 0, 1)
+    high: float = bounded(0.2, 0, 1)
+    along: Literal["rows", "columns"] | None = None
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        _check_order(self.low, self.high)
+
+    def draw(self, draws: Draws) -> dict[str, float]:
+        """As `Artifact.draw`: "stripe_share", the share lost."""
+        return {"stripe_share": _share(self.low, self.high, draws.chance("stripe share"))}
+
+    def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
+        """As `Artifact.apply`."""
+        clean, generator = scene.sample.range, draws.generator("stripe loss")
+        share = image.drawn["stripe_share"]
+        if (self.along or code_lines(scene.rig)) == "rows":
+            image.range[lost_stripes(clean, share, generator)] = 0
+        else:
+            image.range[lost_stripes(np.ascontiguousarray(clean.T), share, generator).T] = 0
+
+
+def code_lines(rig: Rig) -> Literal["rows", "columns"]:
+    """The direction in the camera's image that is nearest to lines of one code: at right angles to the baseline."""
+    x, y, _ = rig.camera.axes @ np.subtract(rig.projector.position_m, rig.camera.position_m)
+    return "columns" if abs(x) >= abs(y) else "rows"
+
+
+def _share(low: float, high: float, chance: float) -> float:
+    return low + (high - low) * chance
+
+
+def _check_order(low: float, high: float) -> None:
+    if low > high:
+        raise BadConfig(f"shares of lost pixels must satisfy low <= high, found low {low} and high {high}")
+
+
+@dataclass(frozen=True)
+class GrazingLoss(Artifact):
+    """Pixels whose surface is seen at more than `from_deg` from its normal, lost each with probability `share`.
+
+    from_deg: degrees, 0 facing the camera; the slopes of a range image end at 85 (`angles`).
+    """
+
+    name = "grazing_loss"
+    kind = "missing_data"
+    purposes = ("grazing loss",)
+
+    from_deg: float = bounded(75.0, 0, 85, below=True)
+    share: float = bounded(1.0, 0, 1)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
+        """As `Artifact.apply`."""
+        bits = drawn_bits(draws, "grazing loss", len(scene.pixels), np.uint16)
+        ranges, limit, steepest = image.range.reshape(-1), self.share * 65536, np.float32(math.radians(self.from_deg))
+        if use_compiled():
+            _surface_loops().lose_steep(
+                ranges, scene.pixels, bits, np.uint32(math.ceil(limit)), scene.incidence, steepest
+            )
+            return
+        lost = (bits < limit) & (scene.incidence > steepest)
+        ranges[scene.pixels[lost]] = 0
+
+
+@dataclass(frozen=True)
+class EdgeLoss(Artifact):
+    """Pixels at most `width_px` from where a surface ends, on either side of it, lost each with probability `share`.
+
+    width_px: rows and columns; 1 is the last pixel before the edge. A surface ends at background and where ranges of
+    neighbours differ by more than `jump_mm`.
+    """
+
+    name = "edge_loss"
+    kind = "missing_data"
+    purposes = ("edge loss",)
+
+    width_px: int = bounded(1, 1, 50)
+    share: float = bounded(0.5, 0, 1)
+    jump_mm: float = bounded(30.0, 0, 10_000, above=True)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
+        """As `Artifact.apply`."""
+        clean = scene.sample.range
+        edge = widened(silhouettes(clean, self.jump_mm / 1000 / scene.step_m), self.width_px - 1)
+        bits = drawn_bits(draws, "edge loss", len(scene.pixels), np.uint16)
+        ranges, limit, marked = image.range.reshape(-1), self.share * 65536, edge.reshape(-1)
+        if use_compiled():
+            _surface_loops().lose_marked(ranges, scene.pixels, bits, np.uint32(math.ceil(limit)), marked)
+            return
+        lost = (bits < limit) & marked[scene.pixels]
+        ranges[scene.pixels[lost]] = 0
+
+
+def _surface_loops() -> Any:
+    """The compiled forms; they load numba, so not before they are used."""
+    return import_module("bodyseg_data.artifacts.sensor_loops")

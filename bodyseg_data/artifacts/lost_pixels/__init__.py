@@ -1,1 +1,0 @@
-"""Pixels that sensors lose: in patches, in stripes, at grazing incidence, at edges."""

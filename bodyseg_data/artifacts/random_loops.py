@@ -1,0 +1,113 @@
+"""Philox's raw words, compiled: those that `np.random.Philox(key=...).random_raw` gives, in half the time.
+
+Salmon et al., "Parallel random numbers: as easy as 1, 2, 3" (2011), Philox4x64-10; constants are theirs.
+
+Standard normals from random words, compiled: the bits of `noise.normals`.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from importlib import import_module
+from typing import Any, Final
+
+import numpy as np
+from numba import types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from bodyseg_data.artifacts.constants import FIRST_SEGMENT, OFFSET_MASK, SEGMENT_SHIFT, SEGMENTS
+from bodyseg_data.artifacts.scratch import CHUNK
+from bodyseg_data.core import Stream
+from bodyseg_data.machine import compiled
+
+_llvm: Any = import_module("llvmlite.ir")  # has no types
+
+_MULTIPLIER_0: Final = np.uint64(0xD2E7470EE14C6C93)
+_MULTIPLIER_1: Final = np.uint64(0xCA5A826395121157)
+_WEYL_0: Final = np.uint64(0x9E3779B97F4A7C15)
+_WEYL_1: Final = np.uint64(0xBB67AE8584CAA73B)
+_NONE, _ONE, _WORDS = np.uint64(0), np.uint64(1), np.uint64(4)
+
+
+def _multiply(typing: Any, a: Any, b: Any) -> Any:
+    """The upper and lower 64 bits of a product: one instruction, which Python's arithmetic cannot ask for."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        wide, word = _llvm.IntType(128), _llvm.IntType(64)
+        product = builder.mul(*(builder.zext(argument, wide) for argument in arguments))
+        halves = builder.lshr(product, _llvm.Constant(wide, 64)), product
+        return context.make_tuple(builder, signature.return_type, [builder.trunc(half, word) for half in halves])
+
+    return types.UniTuple(types.uint64, 2)(types.uint64, types.uint64), generate
+
+
+_product: Any = intrinsic(_multiply)
+
+
+def _raw_words(key_0: Any, key_1: Any, first: Any, count: Any, words: Any) -> None:
+    """Write at least `count` words from number `first` on, a multiple of four; words: uint64, room for the next one."""
+    before = np.uint64(first // 4)
+    for block in range(np.uint64((count + 3) // 4)):
+        # NumPy counts before it draws, so its first block is number 1.
+        a, b, c, d = before + block + _ONE, _NONE, _NONE, _NONE
+        round_0, round_1 = key_0, key_1
+        for _ in range(10):
+            upper_0, lower_0 = _product(_MULTIPLIER_0, a)
+            upper_1, lower_1 = _product(_MULTIPLIER_1, c)
+            a, b, c, d = upper_1 ^ b ^ round_0, lower_1, upper_0 ^ d ^ round_1, lower_0
+            round_0 += _WEYL_0
+            round_1 += _WEYL_1
+        offset = _WORDS * block
+        words[offset] = a
+        words[offset + np.uint64(1)] = b
+        words[offset + np.uint64(2)] = c
+        words[offset + np.uint64(3)] = d
+
+
+raw_words: Any = compiled(_raw_words, "the compiled form of the artifacts")
+
+
+def bits_of(stream: Stream, count: int, kind: type[np.uint16] | type[np.uint32]) -> NDArray[Any]:
+    """One draw a pixel, as `randomness.pixel_draws`, [count]."""
+    words = np.empty(-(-count * np.dtype(kind).itemsize // 32) * 4, np.uint64)  # whole blocks of four words
+    raw_words(stream[0], stream[1], 0, len(words), words)
+    return words.view(kind)[:count]
+
+
+_HALF: Final = np.float32(0.5)
+_kernel = partial(compiled, feature="the compiled form of the artifacts")
+
+
+@_kernel
+def draw_normals(halves: Any, count: Any, segments: Any, segment_of: Any, normals: Any) -> None:
+    """As `noise.normals`; segment_of: int32, room for as many."""
+    for point in range(np.uint64(count)):
+        quantile = np.float32(np.int32(halves[point] & np.uint32(0x7FFFFFFF))) + _HALF
+        bits = np.float32(quantile).view(np.int32)
+        segment_of[point] = np.int32(bits >> SEGMENT_SHIFT) - np.int32(FIRST_SEGMENT)
+        normals[point] = np.float32(bits & np.int32(OFFSET_MASK))
+    constant, linear, bend = segments[0], segments[1], segments[2]
+    for point in range(np.uint64(count)):
+        segment, along = np.uint64(segment_of[point]), normals[point]
+        size = constant[segment] + along * (linear[segment] + along * bend[segment])
+        normals[point] = size if halves[point] >> np.uint32(31) else -size
+
+
+@_kernel
+def _fill(key_0: Any, key_1: Any, segments: Any, words: Any, segment_of: Any, normals: Any) -> None:
+    """Draw as many normals as the array has room for; words, segment_of: room for those of a chunk."""
+    halves = words.view(np.uint32)
+    first: Any = np.int64(0)
+    while first < normals.size:
+        count = min(np.int64(CHUNK), normals.size - first)
+        raw_words(key_0, key_1, first // 2, (count + 1) // 2, words)
+        draw_normals(halves, count, segments, segment_of, normals[first : first + count])
+        first += count
+
+
+def normals_of(stream: Stream, count: int) -> NDArray[np.float32]:
+    """`count` standard normals of a stream, float32 [N], as `noise.normals` makes of its 32-bit draws."""
+    drawn = np.empty(count, np.float32)
+    _fill(stream[0], stream[1], SEGMENTS, np.empty(CHUNK // 2, np.uint64), np.empty(CHUNK, np.int32), drawn)
+    return drawn

@@ -1,1 +1,0 @@
-"""Ranges that are wrong: noise that grows with range and incidence, rounding, pixels between two surfaces."""

@@ -1,1 +1,0 @@
-"""The open body model: people, skeleton and postures of Anny."""

@@ -1,1 +1,0 @@
-"""Clothes over the open body."""

@@ -1,0 +1,217 @@
+"""Pieces of the pages that cards are: lists, tables, and the lines of a header that name a licence.
+
+The dataset card of a set, README.md: a YAML header as Hugging Face's hub reads it, and a page for people.
+
+Cards that lie beside a set and describe another one.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+from bodyseg_data.cards.croissant import CROISSANT_NAME, DIGEST_PREFIX
+from bodyseg_data.cards.facts import (
+    LIMITS,
+    MEMBERS,
+    UNKNOWN_LICENCE,
+    Publication,
+    SetFacts,
+    bodies_text,
+    camera,
+    people_text,
+    summary_text,
+    terms_text,
+)
+from bodyseg_data.labels import PARTS
+from bodyseg_data.shards import CODECS, Store
+
+_HUB_LICENCES: Final = frozenset(
+    {"apache-2.0", "mit", "cc0-1.0", "cc-by-4.0", "cc-by-sa-4.0", "cc-by-nc-4.0", "cc-by-nc-sa-4.0", "cc-by-nd-4.0"}
+)
+"""Licences that the hub knows by these names; others are given as `other` with a name."""
+
+
+def licence_lines(licence: str) -> list[str]:
+    """Return the lines of a YAML header that state a licence."""
+    if licence == UNKNOWN_LICENCE or licence.lower() in _HUB_LICENCES:
+        return [f"license: {licence.lower()}"]
+    return ["license: other", f"license_name: {json.dumps(licence)}"]
+
+
+def bullets(lines: Iterable[str]) -> str:
+    """Return a list, one line each."""
+    return "\n".join(f"- {line}" for line in lines)
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table; a bar within a cell becomes a slash."""
+    cells = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(cell.replace('|', '/') for cell in row)} |" for row in cells)
+
+
+CARD_NAME: Final = "README.md"
+
+DIGEST_FIELD: Final = "bodyseg_manifest"
+"""Entry of the header: the digest of the manifest that the card describes."""
+
+_SIZE_CLASSES: Final = (
+    (10**3, "n<1K"),
+    (10**4, "1K<n<10K"),
+    (10**5, "10K<n<100K"),
+    (10**6, "100K<n<1M"),
+    (10**7, "1M<n<10M"),
+    (10**8, "10M<n<100M"),
+)
+
+
+def dataset_card(facts: SetFacts, publication: Publication) -> str:
+    """Return the text of a set's README.md."""
+    parts = [_header(facts, publication), f"# {publication.title}", summary_text(facts)]
+    parts += ["## Who the bodies are", bullets(bodies_text(facts))]
+    parts += [_made(facts), _splits(facts), _reading(facts), _labels()]
+    limits = [people_text(facts), *LIMITS]
+    parts += ["## Limits", bullets(limits), "## Licences", _licences(facts, publication)]
+    if facts.notes:
+        parts += ["## Notes on meshes", f"{len(facts.notes)} notes, listed by `bodyseg verify`."]
+    return "\n\n".join(parts) + "\n"
+
+
+def size_class(samples: int) -> str:
+    """Return the hub's name of a number of samples."""
+    return next((name for limit, name in _SIZE_CLASSES if samples < limit), "n>100M")
+
+
+def _header(facts: SetFacts, publication: Publication) -> str:
+    lines = [
+        "---",
+        f"pretty_name: {json.dumps(publication.title)}",
+        *licence_lines(publication.licence),
+        "task_categories:",
+        "- image-segmentation",
+        "tags:",
+        *(f"- {tag}" for tag in ("webdataset", "depth", "range-image", "body-part-segmentation")),
+        "size_categories:",
+        f"- {size_class(facts.samples)}",
+        "configs:",
+        "- config_name: default",
+        "  data_files:",
+    ]
+    for split in facts.splits:
+        lines += [f"  - split: {split}", f"    path: {split}-*.tar"]
+    return "\n".join([*lines, f"{DIGEST_FIELD}: {facts.digest}", "---"])
+
+
+def _made(facts: SetFacts) -> str:
+    rig = facts.rig
+    view = [f"{name.replace('_', ' ')}: {low} to {high}" for name, (low, high) in facts.views.items() if low or high]
+    rows = [
+        ("rendered by", f"`{facts.renderer}`"),
+        ("rig", f"`{rig.name}`, made for a distance of {rig.stand_off_m:g} m, baseline {rig.baseline_m:g} m"),
+        ("camera", camera(rig.camera)),
+        *(("projector", camera(projector)) for projector in rig.projectors),
+        ("step of stored range", f"{rig.range_step_mm:g} mm"),
+        ("views", "; ".join(view)),
+        ("format", f"{facts.format}, codec `{facts.codec}`"),
+        ("digest of the manifest", f"`{facts.digest}`"),
+    ]
+    return "## How it was made\n\n" + table(("", ""), rows)
+
+
+def _splits(facts: SetFacts) -> str:
+    rows = [
+        (
+            split,
+            str(counts.samples),
+            str(counts.bodies),
+            str(counts.subjects),
+            ", ".join(f"{subset} {samples}" for subset, samples in counts.samples_by_subset.items()),
+            f"{counts.shards}, {counts.size / 1e6:.1f} MB",
+        )
+        for split, counts in facts.splits.items()
+    ]
+    return "## Splits\n\n" + table(("split", "samples", "bodies", "people", "samples by subset", "shards"), rows)
+
+
+def _reading(facts: SetFacts) -> str:
+    members = [(f"`NAME.{member}`", MEMBERS[member]) for member in (*CODECS[facts.codec].members, "json")]
+    files = ", ".join(f'"{split}": "{split}-*.tar"' for split in facts.splits)
+    return "\n".join(
+        [
+            "## Reading",
+            "",
+            table(("member of a shard", "content"), members),
+            "",
+            "By the package that made it, with artifacts, every byte checked (`pip install bodyseg`):",
+            "",
+            "```python",
+            "from bodyseg_data import RangeImages",
+            "",
+            'images = RangeImages("FOLDER OR ADDRESS", variant="all", split="train")',
+            "```",
+            "",
+            "By Hugging Face's `datasets`, as stored, from the folder of the shards:",
+            "",
+            "```python",
+            "from datasets import load_dataset",
+            "",
+            f'samples = load_dataset("webdataset", data_files={{{files}}}, streaming=True)',
+            "```",
+            "",
+            "`croissant.json` describes the same files to readers of Croissant.",
+        ]
+    )
+
+
+def _labels() -> str:
+    rows = [(str(part.label), part.landmark, part.location, part.side) for part in PARTS]
+    return (
+        "## Labels\n\nA part is the surface nearest to one landmark; sides are the subject's own. 255 is background."
+        "\n\n" + table(("label", "landmark", "place", "side"), rows)
+    )
+
+
+def _licences(facts: SetFacts, publication: Publication) -> str:
+    stated = "not stated" if publication.licence == UNKNOWN_LICENCE else publication.licence
+    by = f", published by {publication.author}" if publication.author else ""
+    lines = [f"this set: {stated}{by}, {publication.published.isoformat()}", *terms_text(facts)]
+    return bullets(lines)
+
+
+CARD_NAMES: Final = (CROISSANT_NAME, CARD_NAME)
+
+_LARGEST_CARD: Final = 1 << 28
+_DIGEST_LINE: Final = re.compile(rf"^{DIGEST_FIELD}: ([0-9a-f]{{64}})$", re.MULTILINE)
+
+
+def stale_cards(store: Store, digest: str) -> list[str]:
+    """Return one line for each card of a set that names another digest of a manifest.
+
+    digest: of the set's manifest. A README.md that names none is somebody's own page, and no fault. Raises OSError or
+    Unreachable if a card cannot be read.
+    """
+    lines = []
+    for name in CARD_NAMES:
+        text = store.read_file(name, _LARGEST_CARD)
+        found = None if text is None else _digest_in(name, text.decode("utf-8", "replace"))
+        if found is not None and found != digest:
+            lines.append(
+                f"{name}: card of another set: manifest {found or 'not named'}, that of this set is {digest} "
+                f"(`bodyseg card` writes it anew)"
+            )
+    return lines
+
+
+def _digest_in(name: str, text: str) -> str | None:
+    """The manifest's digest that a card names; without one None for a README.md, "" for a Croissant file."""
+    if name == CARD_NAME:
+        match = _DIGEST_LINE.search(text)
+        return match[1] if match else None
+    try:
+        tree = json.loads(text)
+        identifier = tree.get("identifier") if isinstance(tree, dict) else None
+    except (ValueError, RecursionError):
+        identifier = None
+    return str(identifier or "").removeprefix(DIGEST_PREFIX)

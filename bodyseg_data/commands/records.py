@@ -1,0 +1,49 @@
+"""Provenance of figures: the command, commit and hardware stored with every result."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from pathlib import Path
+from typing import Any
+
+from bodyseg_data.core import BadConfig, write_result
+from bodyseg_data.machine import hardware
+
+
+def provenance(command: str) -> dict[str, str]:
+    """Return command, commit (of the checkout this package runs from, "unknown" outside one) and hardware.
+
+    Call it before the measurement begins.
+    """
+    return {"command": command, "commit": _commit(), "hardware": hardware()}
+
+
+def check_target(path: Path, option: str) -> None:
+    """Raise BadConfig unless the file that `option` gives can be written; to be called before the measurement."""
+    folder = path.absolute().parent
+    if path.is_dir() or not folder.is_dir():
+        raise BadConfig(f"{option} needs a file in a folder that is there, found {path}")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise BadConfig(f"{option} needs a folder that can be written, found {path}")
+
+
+def write_figures(path: Path, figures: dict[str, Any]) -> None:
+    """Write figures as JSON, atomically. Raises BadConfig if the file cannot be written."""
+    write_result(path, (json.dumps(figures, indent=1) + "\n").encode())
+
+
+def _commit() -> str:
+    here = Path(__file__).parent
+
+    def git(*words: str) -> str:
+        # Without optional locks: `git status` would write the index, and leave its lock behind if it is stopped.
+        command = ["git", "--no-optional-locks", "-C", str(here), *words]
+        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
+
+    try:
+        changed = "-changed" if git("status", "--porcelain", "--", str(here.parent)) else ""  # new files, too
+        return git("rev-parse", "--short=12", "HEAD") + changed
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"

@@ -1,1 +1,0 @@
-"""Label maps: fewer classes than the 33 parts."""

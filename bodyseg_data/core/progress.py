@@ -1,0 +1,45 @@
+"""Progress of long work, as the functions that do it report it.
+
+Time of the stages of a computation.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+ProgressCallback = Callable[[int, int], None]
+"""Function that is called with the amount of work done and the amount in all."""
+
+NotedProgress = Callable[[int, int, str], None]
+"""A `ProgressCallback` that is told in words, too, what was done."""
+
+
+def silent(done: int, total: int, note: str = "") -> None:
+    """Report no progress. note: words on what is being done, as some work gives them."""
+
+
+def counter(progress: ProgressCallback, total: int) -> Callable[..., None]:
+    """A function that counts one more piece of work as done, or as many as it is given, and reports how many are."""
+    done = 0
+
+    def advance(count: int = 1) -> None:
+        nonlocal done
+        done += count
+        progress(done, total)
+
+    return advance
+
+
+class Stopwatch:
+    """Sums the time of each stage: `with watch("network"): ...`. milliseconds: stage -> sum."""
+
+    def __init__(self, stages: Sequence[str]) -> None:
+        self.milliseconds = dict.fromkeys(stages, 0.0)
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.milliseconds[stage] += 1000 * (time.perf_counter() - start)

@@ -1,1 +1,0 @@
-"""The machine under this program: its hardware, its shared libraries."""

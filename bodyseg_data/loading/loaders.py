@@ -1,0 +1,286 @@
+"""Batches of range images, made by worker threads or processes and delivered without a copy."""
+
+from __future__ import annotations
+
+import os
+import weakref
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import torch
+
+from bodyseg_data.core import BadConfig, BodysegError, check_bool, check_int, with_text
+from bodyseg_data.loading.image_set import Batch, BatchOrder, ImageSet, Pass, Request, metres
+from bodyseg_data.loading.skipping import SKIPPABLE, OnError, SkipLedger, Skipped, checked_budget, checked_log
+from bodyseg_data.loading.slots import Slots
+from bodyseg_data.loading.workers import (
+    DEFAULT_WORKER_METHOD,
+    InlineWorkers,
+    ProcessWorkers,
+    StartMethod,
+    ThreadWorkers,
+    WorkerMethod,
+    Workers,
+    check_worker_method,
+)
+
+Fault = tuple[int, BodysegError]
+"""(index in the batch, error): returned by a worker and raised in the user's process."""
+
+_START_METHODS: Final = (None, "fork", "spawn", "forkserver")
+
+
+@dataclass(frozen=True)
+class LoaderOptions:
+    """Options of a loader that change none of its batches' bits; see `loader`."""
+
+    num_workers: int
+    prefetch_factor: int
+    metres: bool
+    pin_memory: bool
+    worker_method: WorkerMethod
+    start_method: StartMethod | None
+
+    def __post_init__(self) -> None:
+        check_int("num_workers", self.num_workers, 0)
+        check_int("prefetch_factor", self.prefetch_factor, 1)
+        check_bool("metres", self.metres)
+        check_bool("pin_memory", self.pin_memory)
+        check_worker_method(self.worker_method)
+        if self.start_method not in _START_METHODS:
+            raise BadConfig(f"start_method must be fork, spawn, forkserver or None, found {self.start_method!r}")
+        if self.start_method is not None and self.worker_method != "process":
+            raise BadConfig(
+                f"start_method is for worker_method='process', found {self.start_method!r} with {self.worker_method!r}"
+            )
+
+
+@dataclass(frozen=True)
+class _WorkerState:
+    """Workers and the memory that they fill. in_flight: slots of the batches requested so far, oldest first.
+
+    close: ends the workers. owner: id of the process that they belong to.
+    """
+
+    workers: Workers
+    slots: Slots
+    close: Callable[[], Any]
+    owner: int
+    in_flight: deque[int] = field(default_factory=deque)
+
+
+@dataclass(frozen=True)
+class _BatchMaker:
+    """Function that a worker runs: fills a slot with the images requested, in their order, and returns the faults.
+
+    A sample that cannot be read leaves no gap: the next one takes its row.
+    """
+
+    images: ImageSet
+    slots: Slots
+    metres: bool
+    strict: bool
+
+    def __call__(self, batch: tuple[int, list[Request]]) -> list[Fault]:
+        slot, requests = batch
+        ranges, labels = self.slots.arrays(slot)
+        steps = np.empty(ranges.shape[2:], np.uint16)
+        faults: list[Fault] = []
+        for number, (epoch, index) in enumerate(requests):
+            row = number - len(faults)
+            try:
+                self.images.write(index, epoch, steps if self.metres else ranges[row, 0], labels[row])
+            except BodysegError as error:
+                faults.append((number, with_text(error, str(error))))
+                if self.strict or not isinstance(error, SKIPPABLE):
+                    break  # this error ends the run, and every further sample might take as long to fail
+            else:
+                if self.metres:
+                    metres(steps, self.images.step_m, ranges[row, 0])
+        return faults
+
+
+class Loader:
+    """Iterates over batches, pass after pass; every pass is another epoch with another order and other draws.
+
+    The first pass is the images' `epoch`; `images.set_epoch(n)` makes the next pass epoch n. Use one loader for all
+    epochs: a new one starts at `images.epoch` and starts new workers. One pass runs at a time. A batch never changes
+    while a reference to it is held, except in a fork of this process. Workers end with the loader, or after an error.
+
+    order: assignment of samples to batches; see `BatchOrder`.
+    """
+
+    def __init__(self, images: ImageSet, order: BatchOrder, ledger: SkipLedger, options: LoaderOptions) -> None:
+        self.images, self.order = images, order
+        self._ledger, self._options = ledger, options
+        self._workers = min(options.num_workers, len(order))
+        self._prefetched = max(1, min(self._workers * options.prefetch_factor, len(order)))
+        self._passes = 0
+        self._state: _WorkerState | None = None
+
+    def __repr__(self) -> str:
+        order, workers = self.order, self._options.num_workers
+        return (
+            f"Loader({self.images!r}, batch_size={order.batch_size}, shuffle={order.shuffle}, "
+            f"batches={len(self)}, num_workers={workers}, worker_method={self._options.worker_method!r})"
+        )
+
+    def __len__(self) -> int:
+        """Number of batches in a whole pass, the same for every rank."""
+        return len(self.order)
+
+    @property
+    def epoch(self) -> int:
+        """The epoch of the next pass."""
+        return self.order.epoch
+
+    @property
+    def skipped(self) -> list[Skipped]:
+        """Samples left out so far, in the order of their batches."""
+        return self._ledger.skipped
+
+    def worker_peaks_mb(self) -> list[float | None]:
+        """The most memory that each worker process has had so far, MB; None where the system does not tell.
+
+        Empty for threads, which are in this process, and while no workers run.
+        """
+        return [] if self._state is None else self._state.workers.peaks_mb()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Progress so far as plain JSON: epoch, position, skipped samples, and the identity of the images."""
+        return {**self.order.state_dict(), "skipped": self._ledger.state()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Make the next pass continue behind the last batch that `state` counts as delivered.
+
+        Workers, world size and batch size may differ from the earlier run's. Raises BadConfig for a state of other
+        images.
+        """
+        self.order.load_state_dict(state)
+        self._ledger.load_state(state.get("skipped", []))
+
+    def __iter__(self) -> Iterator[Batch]:
+        plan = self.order.begin_pass()
+        self._passes += 1
+        this = self._passes
+        try:
+            state = self._idle_workers()
+            for number in range(min(self._prefetched, len(plan))):
+                _submit(state, plan, number)
+            for number in range(len(plan)):
+                batch = self._deliver(state, plan, number)
+                if number + self._prefetched < len(plan):
+                    _submit(state, plan, number + self._prefetched)
+                self.order.mark_delivered(number + 1)
+                yield batch
+                del batch  # otherwise its slot would stay lent while the next batch is waited for
+                if self._passes != this:
+                    raise BadConfig("a loader gives one pass at a time, and a newer one has begun: make another loader")
+                if state.owner != os.getpid():
+                    raise BadConfig("a pass goes on in the process that began it, not in a fork of it: begin another")
+            self.order.end_pass()
+        except GeneratorExit:
+            raise  # the next pass discards the batches in flight
+        except BaseException:
+            if self._passes == this and self._state is not None:
+                ending, self._state = self._state, None  # before closing, which may be interrupted, too
+                ending.close()
+            raise
+
+    def _idle_workers(self) -> _WorkerState:
+        """Return workers with no request pending, starting them if need be."""
+        if self._state is None or self._state.owner != os.getpid():
+            self._state = self._new_state()
+        in_flight = self._state.in_flight
+        while in_flight:  # requested by a pass that was left early
+            self._state.workers.discard()
+            self._state.slots.release(in_flight.popleft())
+        return self._state
+
+    def _new_state(self) -> _WorkerState:
+        options = self._options
+        slots = Slots(self._prefetched, self.order.largest, *self.images.shape, options.metres)
+        maker = _BatchMaker(self.images, slots, options.metres, self._ledger.strict)
+        for images in self.images.sets:
+            images.prepare()
+        workers = self._new_workers(maker)
+        return _WorkerState(workers, slots, weakref.finalize(self, workers.close), os.getpid())
+
+    def _new_workers(self, maker: _BatchMaker) -> Workers:
+        if not self._workers:
+            return InlineWorkers(maker)
+        if self._options.worker_method == "thread":
+            return ThreadWorkers(maker, self._workers)
+        return ProcessWorkers(maker, self._workers, self._options.start_method)
+
+    def _deliver(self, state: _WorkerState, plan: Pass, number: int) -> Batch:
+        faults: list[Fault] = state.workers.result()
+        slot = state.in_flight.popleft()
+        requests = plan.batch(number)
+        locations = [self.images.location(index) for _, index in requests]
+        for index, error in faults:
+            shard, key, offset = locations[index]
+            self._ledger.add(Skipped(plan.epoch, key, shard, offset, str(error)), error)
+        missing = {index for index, _ in faults}
+        keys = [key for index, (_, key, _) in enumerate(locations) if index not in missing]
+        epochs = [epoch for index, (epoch, _) in enumerate(requests) if index not in missing]
+        pin = self._options.pin_memory and torch.cuda.is_available()
+        ranges, labels = state.slots.lend(slot, len(keys), pin)
+        return {"range": ranges, "labels": labels, "key": keys, "epoch": epochs}
+
+
+def _submit(state: _WorkerState, plan: Pass, number: int) -> None:
+    slot = state.slots.acquire()
+    state.in_flight.append(slot)
+    state.workers.submit((slot, plan.batch(number)))
+
+
+def loader(
+    images: ImageSet,
+    batch_size: int,
+    num_workers: int = 0,
+    shuffle: bool | None = None,
+    drop_last: bool = False,
+    *,
+    rank: int | None = None,
+    world_size: int | None = None,
+    on_error: OnError = "stop",
+    skip_budget: float | None = None,
+    skip_log: str | Path | None = None,
+    metres: bool = True,
+    pin_memory: bool = False,
+    prefetch_factor: int = 2,
+    worker_method: WorkerMethod = DEFAULT_WORKER_METHOD,
+    start_method: StartMethod | None = None,
+) -> Loader:
+    """Return a loader of batches of `images`, made by `num_workers` workers (0: by the caller's thread); see `Batch`.
+
+    images: `RangeImages` or a `Mixture`. shuffle: None shuffles the train split only. drop_last: leave out the last
+    batch if it is not full.
+
+    rank, world_size: number of this process and of all processes; each gets the same number of batches of
+    `batch_size`. None takes them from torch.distributed, then from torchrun's RANK and WORLD_SIZE.
+
+    on_error: "stop" raises for a bad sample. "skip" leaves it out: its batch gets shorter, possibly empty; the number
+    of batches stays. skip_budget: the most samples that a pass of this rank may skip, as a number or as a share of the
+    set (a float below 1). skip_log: a file to which each skipped sample is appended as a line of JSON.
+
+    metres: False leaves ranges as uint16 in steps of `images.step_m`, half the bytes, for a GPU to convert. pin_memory:
+    deliver in page-locked memory, if CUDA is available. prefetch_factor: batches that each worker makes in advance, as
+    in PyTorch: `num_workers * prefetch_factor` in all, and none with `num_workers=0`, where a batch is made when it is
+    requested. worker_method: "thread" or "process"; threads call `images.write` at the same time. start_method: of
+    worker processes, "fork", "spawn" or "forkserver"; None is Python's default.
+
+    Raises BadConfig for an option out of its range.
+    """
+    if not isinstance(images, ImageSet):
+        raise BadConfig(f"images must be RangeImages or a Mixture, found {type(images).__name__}")
+    order = images.batches(batch_size, shuffle, drop_last, rank, world_size)
+    budget = checked_budget(on_error, skip_budget, len(images))
+    ledger = SkipLedger(budget, checked_log(on_error, skip_log))
+    options = LoaderOptions(num_workers, prefetch_factor, metres, pin_memory, worker_method, start_method)
+    return Loader(images, order, ledger, options)

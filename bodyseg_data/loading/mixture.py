@@ -1,0 +1,251 @@
+"""Mixture of several sets of shards with weights, read by the same loader as one set (docs/how-to/mixtures.md)."""
+
+from __future__ import annotations
+
+import bisect
+import itertools
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from torch.utils.data import Dataset
+
+from bodyseg_data.artifacts import RangeImage
+from bodyseg_data.core import BadConfig, BadShard, check_epoch, check_int, check_seed, permutation
+from bodyseg_data.labels import LabelMap
+from bodyseg_data.loading.image_set import BatchOrder, Request, Requests, check_index
+from bodyseg_data.loading.mixture_order import SetStream, Shares, Weight, read_schedule
+from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_data.samples import Sample
+
+Part = tuple[RangeImages, Weight] | tuple[RangeImages, Weight, ArrayLike]
+"""(images, weight) or (images, weight, sample weights) of one set of a mixture."""
+
+_AGREEING: Final = {
+    "shape": "images of one size",
+    "step_m": "one step of range",
+    "label_map": "one label map",
+}
+
+
+class Mixture(Dataset[dict[str, Any]]):
+    """Several sets as one: every epoch has `samples` samples, and each set gives its share of them. `len()` is exact.
+
+    sets: (images, weight) of each set, or (images, weight, sample weights). A weight is a number, or knots (epoch,
+    weight) with a straight line between them and constants outside. Sample weights, float [len(images)], say how often
+    samples come in comparison with each other. samples: in an epoch, None for the sum of the sets' lengths. seed: of
+    the order in which the sets are mixed; order within a set and all draws have the seed of its own images. epoch: the
+    first epoch.
+
+    Shares of an epoch are whole samples whose sum is exact, rounded over all epochs so far: with constant weights, a
+    set of K has given samples * weight / sum of weights for each epoch, to within (K - 1) / 2 samples however many
+    epochs have passed.
+
+    A set gives its samples pass after pass, each in another order, and goes on in an epoch where it stopped in the one
+    before. So over the epochs all its samples come equally often, or as their weights say; and the number of the pass
+    is the epoch of the draws, so that a set that is passed several times in one epoch has other draws each time. With
+    sample weights a sample comes in each pass floor or ceil of its expected number of times, always with other draws.
+
+    Indices are those of the stored samples, the sets one after the other. A sample alone, `mixture[i]`, is the one at
+    position i of the epoch last set, in the order of a loader.
+
+    Raises BadConfig for sets whose images differ in size, step or label map, for weights that are negative, not finite
+    or all 0 in some epoch, and for sample weights that do not fit.
+    """
+
+    def __init__(self, sets: Sequence[Part], samples: int | None = None, seed: int = 0, epoch: int = 0) -> None:
+        parts = _checked_parts(sets)
+        self.sets: tuple[RangeImages, ...] = tuple(part[0] for part in parts)
+        self.seed = check_seed(seed)
+        self._streams = [SetStream(part[0], *part[2:]) for part in parts]
+        self._starts = list(itertools.accumulate(map(len, self.sets), initial=0))
+        self._samples = self._starts[-1] if samples is None else check_int("samples", samples, 1)
+        self._shares = Shares([read_schedule(part[1]) for part in parts], self._samples)
+        self._held: tuple[int, bool, Requests] | None = None
+        self.epoch = 0
+        self.epochs_set = 0
+        self.set_epoch(epoch)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_held": None}  # workers get requests, and need no order
+
+    @property
+    def variant(self) -> str:
+        """Names of the sets' variants, each once."""
+        return ", ".join(dict.fromkeys(images.variant for images in self.sets))
+
+    @property
+    def split(self) -> str | None:
+        """The split of all sets; None if they have several."""
+        splits = {images.split for images in self.sets}
+        return splits.pop() if len(splits) == 1 else None
+
+    @property
+    def step_m(self) -> float:
+        """One step of uint16 range images, metres."""
+        return self.sets[0].step_m
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the images."""
+        return self.sets[0].shape
+
+    @property
+    def label_map(self) -> LabelMap:
+        """The sets' label map."""
+        return self.sets[0].label_map
+
+    @property
+    def keys(self) -> list[str]:
+        """Keys of all stored samples, the sets one after the other."""
+        return [key for images in self.sets for key in images.keys]
+
+    def set_epoch(self, epoch: int) -> None:
+        """Set the epoch of samples by position, and of a loader's next pass."""
+        self.epoch = check_epoch(epoch)
+        self.epochs_set += 1
+
+    def __len__(self) -> int:
+        return self._samples
+
+    def __repr__(self) -> str:
+        sets = ", ".join(
+            f"({images!r}, {weight.to_json()!r}{', sample weights' if stream.digest else ''})"
+            for images, weight, stream in zip(self.sets, self._shares.schedules, self._streams, strict=True)
+        )
+        return f"Mixture([{sets}], samples={len(self)}, seed={self.seed}, epoch={self.epoch})"
+
+    def counts(self, epoch: int) -> list[int]:
+        """Return the number of samples that each set gives to an epoch."""
+        before, after = self._shares.before(check_epoch(epoch)), self._shares.before(epoch + 1)
+        return [end - start for start, end in zip(before, after, strict=True)]
+
+    def requests(self, epoch: int, shuffle: bool = True) -> Requests:
+        """Samples of an epoch in the order of a pass: a function of the seeds and the epoch alone.
+
+        shuffle: False gives the sets one after the other, each in stored order. No other epoch is computed: the time is
+        the same for every epoch, but for a few microseconds for each epoch before the last knot of a schedule.
+        """
+        if self._held is None or self._held[:2] != (epoch, shuffle):
+            self._held = None
+            self._held = (epoch, shuffle, self._new_requests(check_epoch(epoch), shuffle))
+        return self._held[2]
+
+    def _new_requests(self, epoch: int, shuffle: bool) -> Requests:
+        starts, counts = self._shares.before(epoch), self.counts(epoch)
+        indices, epochs = np.empty(len(self), np.int64), np.empty(len(self), np.int64)
+        end = 0
+        for stream, start, count, offset in zip(self._streams, starts, counts, self._starts[:-1], strict=True):
+            given = stream.take(start, count, shuffle)
+            np.add(given.indices[:], offset, out=indices[end : end + count])
+            epochs[end : end + count] = given.epochs
+            end += count
+        if not shuffle:
+            return Requests(indices, epochs)
+        mixed = permutation(len(self), self.seed, epoch, "mixture")
+        return Requests(indices[mixed], epochs[mixed])
+
+    def evenly_sampled(self, count: int) -> NDArray[np.int64]:
+        """Return indices of about `count` samples that stand for the whole, int64 [M]: of each set as its share is.
+
+        The share is that of all epochs up to the last knot of a schedule.
+        """
+        given = self._shares.before(self._shares.constant_from + 1)
+        total = sum(given)
+        numbers = [max(1, round(count * each / total)) if each else 0 for each in given]
+        return np.concatenate(
+            [
+                stream.evenly_sampled(n) + offset
+                for stream, n, offset in zip(self._streams, numbers, self._starts, strict=False)
+            ]
+        )
+
+    def clean(self, index: int) -> Sample:
+        """Return the stored sample, without artifacts."""
+        images, within = self._where(index)
+        return images.clean(within)
+
+    def image(self, index: int, epoch: int) -> RangeImage:
+        """Return a stored sample with artifacts and transforms as its set draws them in `epoch`, as 16-bit arrays."""
+        images, within = self._where(index)
+        return images.image(within, epoch)
+
+    def write(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
+        """Write the arrays of `image` into given ones [H, W]. Raises BadShard, naming the set, for a bad sample."""
+        images, within = self._where(index)
+        try:
+            images.write(within, epoch, image, labels)
+        except BadShard as error:
+            raise BadShard(f"{images.path}/{error}") from error
+
+    def __getitem__(self, index: int | Request) -> dict[str, Any]:
+        """Return one sample: range float32 [1, H, W] in metres, labels uint8 [H, W], key.
+
+        index: a position in the epoch last set in this process, or (epoch of the draws, index) as `batches` yields.
+        """
+        if isinstance(index, tuple):
+            epoch, stored = index
+        else:
+            position = check_index(index, len(self))
+            ((epoch, stored),) = self.requests(self.epoch, self.split == "train").part(position, position + 1)
+        images, within = self._where(stored)
+        return images[epoch, within]
+
+    def location(self, index: int) -> tuple[str, str, int]:
+        """Return (path of the set and name of the shard, key, byte offset in the shard) of a stored sample."""
+        images, within = self._where(index)
+        shard, key, offset = images.location(within)
+        return f"{images.path}/{shard}", key, offset
+
+    def _where(self, index: int) -> tuple[RangeImages, int]:
+        """Return the set of a stored sample, and its index there."""
+        number = check_index(index, self._starts[-1])
+        which = bisect.bisect_right(self._starts, number) - 1
+        return self.sets[which], number - self._starts[which]
+
+    def batches(
+        self,
+        batch_size: int,
+        shuffle: bool | None = None,
+        drop_last: bool = False,
+        rank: int | None = None,
+        world_size: int | None = None,
+    ) -> BatchOrder:
+        """`batch_sampler` for torch's DataLoader or torchdata's StatefulDataLoader; options as for `loader`."""
+        return BatchOrder(self, batch_size, shuffle, drop_last, rank, world_size)
+
+    def identity(self) -> dict[str, Any]:
+        """Return all that batches depend on besides their order, as plain JSON."""
+        sets = zip(self.sets, self._shares.schedules, self._streams, strict=True)
+        return {
+            "mixture": [
+                {
+                    "weight": weight.to_json(),
+                    **({"sample_weights": stream.digest} if stream.digest else {}),
+                    **images.identity(),
+                }
+                for images, weight, stream in sets
+            ],
+            "seed": self.seed,
+        }
+
+
+def _checked_parts(sets: Any) -> list[tuple[Any, ...]]:
+    """Return the parts of a mixture, whose images agree in all that a batch needs. Raises BadConfig."""
+    if not isinstance(sets, Sequence) or isinstance(sets, str) or not sets:
+        raise BadConfig(f"a mixture needs a list of (images, weight), found {sets!r}")
+    for part in sets:
+        if not isinstance(part, tuple) or len(part) not in (2, 3):
+            raise BadConfig(
+                f"a set of a mixture must be (images, weight) or (images, weight, sample weights), found {part!r}"
+            )
+        if not isinstance(part[0], RangeImages):
+            raise BadConfig(f"a set of a mixture must be RangeImages, found {type(part[0]).__name__}")
+    first = sets[0][0]
+    for images, *_ in sets[1:]:
+        for name, what in _AGREEING.items():
+            one, other = getattr(first, name), getattr(images, name)
+            if one != other:
+                raise BadConfig(f"a mixture needs {what}: {first.path} has {one!r}, {images.path} has {other!r}")
+    return list(sets)

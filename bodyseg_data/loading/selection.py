@@ -1,0 +1,247 @@
+"""The samples of a set that a selection holds, in memory that grows with them only where single ones were chosen.
+
+The part of a set's train split to validate on: whole groups of bodies, chosen from the descriptions alone.
+
+docs/how-to/splits.md has the rule in words.
+
+Selection of a set's samples by shard, split, key and description, from the manifest alone.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import hashlib
+import math
+import re
+from bisect import bisect_right
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core import BadConfig
+from bodyseg_data.loading.conditions import BodyRow, Condition, SampleTable, parse_conditions, texts_of
+from bodyseg_data.samples import READ_SPLITS, SPLITS, ReadSplit, holds_postures
+from bodyseg_data.shards import Manifest
+
+
+@dataclass(frozen=True)
+class ChosenSamples:
+    """Samples of a set, in stored order.
+
+    shards: numbers of the shards that hold any. counts: chosen samples of each. within: uint32 [N], indices of the
+    chosen samples within their shards, shard by shard; None if all samples of these shards are chosen.
+    """
+
+    shards: tuple[int, ...]
+    counts: tuple[int, ...]
+    within: NDArray[np.uint32] | None = None
+
+    @classmethod
+    def marked(cls, numbers: Sequence[int], marks: Sequence[NDArray[np.bool_]]) -> ChosenSamples:
+        """Return the samples that are marked. marks: bool [M], of the samples of each of the shards `numbers`."""
+        chosen = [np.flatnonzero(each).astype(np.uint32) for each in marks]
+        held = [(number, own) for number, own in zip(numbers, chosen, strict=True) if len(own)]
+        within = np.concatenate([own for _, own in held]) if held else np.empty(0, np.uint32)
+        return cls(tuple(number for number, _ in held), tuple(len(own) for _, own in held), within)
+
+    def __len__(self) -> int:
+        return self._ends[-1] if self._ends else 0
+
+    def place(self, index: int) -> tuple[int, int]:
+        """Return (shard number, index within the shard) of a sample, `index` of all chosen ones."""
+        at = bisect_right(self._ends, index)
+        within = index - self._ends[at] + self.counts[at] if self.within is None else int(self.within[index])
+        return self.shards[at], within
+
+    def by_shard(self) -> Iterator[tuple[int, list[int]]]:
+        """Yield each shard's number and the indices of its chosen samples."""
+        for shard, count, end in zip(self.shards, self.counts, self._ends, strict=True):
+            yield shard, list(range(count)) if self.within is None else self.within[end - count : end].tolist()
+
+    @cached_property
+    def _ends(self) -> list[int]:
+        """Number of samples up to the end of each shard."""
+        return list(accumulate(self.counts))
+
+
+Group = tuple[str, ...]
+"""What the bodies of a group have in common: subset, subject and, where people are few, pose or mesh."""
+
+
+def check_val_share(share: Any) -> float:
+    """Return `share` as a float. Raises BadConfig unless it is a number of at least 0 and below 1."""
+    if isinstance(share, bool) or not isinstance(share, int | float | np.number) or not 0 <= share < 1:
+        raise BadConfig(f"val_share must be a number of at least 0 and below 1, found {share!r}")
+    return float(share)
+
+
+def mark_val(table: SampleTable, train: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
+    """Mark the samples of val, bool [N].
+
+    train: bool [N], the samples of the stored train split. share: of them, above 0. Raises BadConfig if they are one
+    group, which cannot be divided.
+    """
+    counts = np.bincount(table.body[train], minlength=len(table.bodies))
+    rows = [row for row, count in zip(table.bodies, counts, strict=True) if count]
+    group_of = groups(rows, share)
+    sizes = Counter[Group]()
+    for row, count in zip(table.bodies, counts.tolist(), strict=True):
+        if count:
+            sizes[group_of[row]] += count
+    if len(sizes) < 2:
+        raise BadConfig(f"val_share={share:g} divides train by people and motions, found {len(sizes)} group of them")
+    chosen = choose_groups(sizes, share)
+    return train & table.where_body(lambda row: group_of.get(row) in chosen)
+
+
+def groups(bodies: list[BodyRow], share: float) -> dict[BodyRow, Group]:
+    """Assign bodies to groups that are never divided.
+
+    A group is a person where the subset has enough people for the share, 1 / share or more; otherwise the person in
+    one pose, such as a whole motion; in the paper's subset A, where each mesh is a posture of its own, the mesh.
+    """
+    people = Counter(subset for subset, _ in {(subset, subject) for _, subset, subject, _, _ in bodies})
+    found: dict[BodyRow, Group] = {}
+    for row in bodies:
+        _, subset, subject, mesh, pose = row
+        within: Group = ()
+        if people[subset] < math.ceil(1 / share):
+            within = (mesh,) if holds_postures(subset) else (pose,)
+        found[row] = (subset, subject, *within)
+    return found
+
+
+def choose_groups(sizes: dict[Group, int], share: float) -> set[Group]:
+    """Choose groups that hold about a share of the samples, in every subset where they are small enough.
+
+    sizes: samples of each group. Subsets of the largest groups come first; what they have too few or too many is made
+    up for by the next ones, which give between half and twice their own share, and leave at least half of their own
+    rest. At least one group is chosen, and at least one left.
+    """
+    subsets: dict[str, list[Group]] = {}
+    for group in sizes:
+        subsets.setdefault(group[0], []).append(group)
+    chosen: set[Group] = set()
+    short = 0.0
+    for _, members in sorted(subsets.items(), key=lambda item: (-max(sizes[group] for group in item[1]), item[0])):
+        held = sum(sizes[group] for group in members)
+        own = share * held
+        taken = _choose(members, sizes, min(max(own + short, own / 2), 2 * own, (held + own) / 2))
+        short += own - sum(sizes[group] for group in taken)
+        chosen |= taken
+    smallest = {min(sizes, key=lambda group: (sizes[group], _hash(group)))}
+    return (chosen - smallest if len(chosen) == len(sizes) else chosen) or smallest
+
+
+def _choose(members: list[Group], sizes: dict[Group, int], due: float) -> set[Group]:
+    """Choose groups of one subset: in the order of a hash, those that fit, and one more if that is nearer to `due`."""
+    order = sorted(members, key=_hash)
+    chosen: set[Group] = set()
+    for group in order:
+        if sizes[group] <= due:
+            chosen.add(group)
+            due -= sizes[group]
+    others = [group for group in order if group not in chosen]
+    nearest = min(others, key=lambda group: abs(due - sizes[group]), default=None)
+    if nearest is not None and abs(due - sizes[nearest]) < due:
+        chosen.add(nearest)
+    return chosen
+
+
+def _hash(group: Group) -> bytes:
+    text = "\0".join(group)
+    return hashlib.blake2b(text.encode(errors="surrogatepass"), digest_size=16, person=b"bodyseg val").digest()
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Choice of samples of a set.
+
+    pattern: of the shards' names. split: "train", "val", "test", or None for train and test. only: patterns as for file
+    names; a sample's key must match one of them, if there are any. where: conditions, all of which a sample must meet.
+    val_share: share of train that is read as "val" and not as "train" (docs/how-to/splits.md).
+    """
+
+    pattern: str
+    split: ReadSplit | None
+    only: tuple[str, ...] = ()
+    where: tuple[Condition, ...] = ()
+    val_share: float = 0.0
+
+    @classmethod
+    def of(cls, pattern: str, split: Any, only: Any, where: Any, val_share: Any) -> Selection:
+        """Check the options of a user. only, where: one text or several. Raises BadConfig."""
+        if split is not None and split not in READ_SPLITS:
+            raise BadConfig(f"the split must be one of {', '.join(READ_SPLITS)} or None, found {split!r}")
+        share = check_val_share(val_share)
+        if split == "val" and not share:
+            raise BadConfig("the split 'val' is a share of train: give val_share, like 0.1")
+        return cls(pattern, split, texts_of("only", only), parse_conditions(where), share)
+
+    @property
+    def divides_train(self) -> bool:
+        """True if the split is a part of the stored train split, val or the rest."""
+        return bool(self.val_share) and self.split in ("train", "val")
+
+    def filters(self) -> dict[str, Any]:
+        """Return the options that are given, besides the split, as plain JSON."""
+        return {
+            **({"only": list(self.only)} if self.only else {}),
+            **({"where": [condition.text for condition in self.where]} if self.where else {}),
+            **({"val_share": self.val_share} if self.divides_train else {}),
+        }
+
+    def choose(self, manifest: Manifest, path: str) -> ChosenSamples:
+        """Choose the samples of a set. The index of one that has it is read only where single samples are chosen.
+
+        Raises BadConfig, naming `path`, if there is none, or if train cannot be divided.
+        """
+        stored = "train" if self.split == "val" else self.split
+        counts = {
+            number: len(shard)
+            for number, shard in enumerate(manifest.shards)
+            if stored in (None, shard.split) and (self.pattern == "*" or Path(shard.name).match(self.pattern))
+        }
+        chosen = ChosenSamples(tuple(counts), tuple(counts.values()))
+        if counts and (self.where or self.only or self.divides_train):
+            chosen = self._filtered(manifest, chosen.shards)
+        if not len(chosen):
+            held = ", ".join(f"{manifest.samples(name)} {name}" for name in SPLITS)
+            wanted = " ".join((self.pattern, *self.only, *(condition.text for condition in self.where)))
+            raise BadConfig(
+                f"{path} has no sample of split {self.split!r} that matches {wanted!r}; the set holds {held}"
+            )
+        return chosen
+
+    def _filtered(self, manifest: Manifest, numbers: Sequence[int]) -> ChosenSamples:
+        """Choose the samples of some shards whose keys and descriptions fit, one shard after the other."""
+        parts = self._parts_of_train(manifest) if self.divides_train else {}
+        patterns = [re.compile(fnmatch.translate(pattern)).match for pattern in self.only]
+        marks = []
+        for number in numbers:
+            shard = manifest.shards[number]
+            own = parts.get(number, np.ones(len(shard), np.bool_))
+            if self.where:
+                table = SampleTable.of([shard])
+                for condition in self.where:
+                    own &= condition.marks(table)
+            if patterns:
+                for sample in np.flatnonzero(own).tolist():
+                    own[sample] = any(match(shard.keys[sample]) for match in patterns)
+            marks.append(own)
+        return ChosenSamples.marked(numbers, marks)
+
+    def _parts_of_train(self, manifest: Manifest) -> dict[int, NDArray[np.bool_]]:
+        """Mark the samples of all shards of train that belong to the split: shard number -> bool [M]."""
+        train = [number for number, shard in enumerate(manifest.shards) if shard.split == "train"]
+        table = SampleTable.of(manifest.shards[number] for number in train)
+        val = mark_val(table, np.ones(len(table.body), np.bool_), self.val_share)
+        ends = np.cumsum([len(manifest.shards[number]) for number in train])
+        return dict(zip(train, np.split(val == (self.split == "val"), ends[:-1]), strict=True))

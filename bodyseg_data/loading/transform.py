@@ -1,0 +1,244 @@
+"""The samples that transforms receive and return: range, labels, and the camera that sees them.
+
+Protocol of a transform: one sample in, one sample out, in a worker, after the artifacts and before the label map.
+
+A transform is a frozen dataclass:
+
+    @dataclass(frozen=True)
+    class Nearer(Transform):
+        name = "nearer"
+        most_m: float = 2.5
+
+        def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
+            image.range[image.metres > self.most_m] = 0
+            return image
+
+or a function with these two arguments, which has no parameters and leaves images as large as they are.
+"""
+
+from __future__ import annotations
+
+import json
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import Field, asdict, dataclass, is_dataclass, replace
+from types import FunctionType
+from typing import Any, ClassVar, Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.artifacts import RangeImage, box_of
+from bodyseg_data.core import BadConfig, BadSample, BadTransform, Draws
+from bodyseg_data.labels import BACKGROUND, PART_COUNT
+from bodyseg_data.loading.image_set import metres
+from bodyseg_data.machine import SCRATCH
+from bodyseg_data.rigs import Camera
+from bodyseg_data.samples import Sample, SampleInfo
+
+Box = tuple[int, int, int, int]
+"""First row, end of the rows, first column, end of the columns."""
+
+
+@dataclass(frozen=True, repr=False)
+class CameraImage(RangeImage):
+    """A range image with artifacts, and the pinhole camera whose image it is; `dataclasses.replace` makes altered ones.
+
+    range: uint16 [H, W], steps of `step_m` along the optical axis, 0 where nothing was measured. labels: uint8 [H, W],
+    parts 0 to 32, 255 where there is none. step_m: one step, metres. focal_px: focal length in pixels. centre_px:
+    position (x, y) of the optical axis in image coordinates, in which pixel (row, column) covers x from column to
+    column + 1. sample: the stored one, for `info`; its arrays may have been used for this image.
+    """
+
+    step_m: float
+    focal_px: float
+    centre_px: tuple[float, float]
+    sample: Sample
+
+    @property
+    def info(self) -> SampleInfo:
+        """Origin of the sample, and the view it was rendered from: as stored, whatever transforms do."""
+        return self.sample.info
+
+    @property
+    def metres(self) -> NDArray[np.float32]:
+        """Ranges in metres, float32 [H, W], 0 where nothing was measured; see `image_set.metres`."""
+        return metres(self.range, self.step_m)
+
+    @property
+    def body_box(self) -> Box | None:
+        """The smallest box that holds all labelled pixels; None if there are none."""
+        return ends_of(self.labels != BACKGROUND)
+
+
+def with_camera(image: RangeImage, camera: Camera, step_m: float, sample: Sample) -> CameraImage:
+    """A range image of a stored sample with the camera of its rig."""
+    return CameraImage(
+        image.key, image.range, image.labels, image.drawn, step_m, camera.focal_px, camera.centre_px, sample
+    )
+
+
+def ends_of(mask: NDArray[Any]) -> Box | None:
+    """The smallest box that holds all of an image [H, W] that is not 0; None if nothing is."""
+    box = box_of(mask)
+    return None if box is None else (box[0].start, box[0].stop, box[1].start, box[1].stop)
+
+
+class Transform(Protocol):
+    """An alteration of samples. Implementations are frozen dataclasses, whose fields are parameters.
+
+    name: in `RangeImages.identity()` and in cards. version: of the code; goes up when the same parameters and draws
+    give other samples.
+    """
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+    name: ClassVar[str]
+    version: ClassVar[int] = 1
+
+    def shape(self, rows: int, columns: int) -> tuple[int, int]:
+        """Rows and columns of the images that come out, for those that go in."""
+        return rows, columns
+
+    def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
+        """Return the altered sample; arrays of `image` may be altered in place and returned.
+
+        image: ranges in steps, labels of the 33 parts, and the camera, which a transform that moves pixels keeps up to
+        date. random: a generator that belongs to (seed, epoch, key of the sample, name of the transform), so that the
+        draws depend on nothing else. Where the range returned is 0, the label becomes background. Raises BadSample for
+        a sample that should be left out (`on_error="skip"`); any other error ends the run as BadTransform.
+        """
+        ...
+
+
+Function = Callable[[CameraImage, np.random.Generator], CameraImage]
+"""A function that does what `Transform.__call__` does."""
+
+Transforms = Transform | Function | Sequence[Transform | Function]
+"""Transforms as users give them: one or several."""
+
+
+@dataclass(frozen=True)
+class FunctionTransform(Transform):
+    """A plain function as a transform, named after its module and its qualified name."""
+
+    function: Function
+
+    @property
+    def name(self) -> str:  # type: ignore[override]  # a class has one name, and functions have one each
+        """Module and qualified name of the function."""
+        return _name_of(self.function)
+
+    def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
+        """Call the function."""
+        return self.function(image, random)
+
+
+def _name_of(function: Function) -> str:
+    return f"{function.__module__}.{function.__qualname__}"
+
+
+def check_transforms(given: Transforms) -> tuple[Transform, ...]:
+    """Return one transform or several as a tuple, functions as `FunctionTransform`.
+
+    Raises BadConfig for anything else, a lambda, or a parameter that is no plain JSON.
+    """
+    found = tuple(given) if isinstance(given, Sequence) else (given,)
+    checked = tuple(_checked(each) for each in found)
+    transforms_to_json(checked)
+    return checked
+
+
+def _checked(given: Any) -> Transform:
+    if isinstance(given, FunctionType):
+        if given.__name__ == "<lambda>":
+            raise BadConfig(f"a transform must have a name: use a function of a module, found {_name_of(given)}")
+        return FunctionTransform(given)
+    parameters = getattr(given, "__dataclass_params__", None)
+    if isinstance(given, type) or not callable(given) or not isinstance(getattr(given, "name", None), str):
+        raise BadConfig(f"a transform must be a function, or a dataclass derived from Transform, found {given!r}")
+    if not is_dataclass(given) or parameters is None or not parameters.frozen:
+        raise BadConfig(f"a transform must be a frozen dataclass, found {type(given).__name__}")
+    return cast(Transform, given)
+
+
+def transforms_to_json(transforms: Sequence[Transform]) -> list[dict[str, Any]]:
+    """Name, version and parameters of each transform, as plain JSON. Raises BadConfig for other parameters."""
+    return [{"name": each.name, "version": each.version, **_parameters(each)} for each in transforms]
+
+
+def _parameters(transform: Transform) -> dict[str, Any]:
+    if isinstance(transform, FunctionTransform):
+        return {}
+    try:
+        found: dict[str, Any] = json.loads(json.dumps(asdict(transform), allow_nan=False))
+    except (TypeError, ValueError) as error:
+        raise BadConfig(f"transform {transform.name!r}: a parameter must be plain JSON: {error}") from error
+    return found
+
+
+def transformed_shape(transforms: Sequence[Transform], rows: int, columns: int) -> tuple[int, int]:
+    """Rows and columns that transforms make of an image in their order. Raises BadConfig for no whole numbers."""
+    for each in transforms:
+        found = each.shape(rows, columns)
+        if not isinstance(found, tuple) or [type(side) for side in found] != [int, int] or min(found) < 1:
+            raise BadConfig(f"transform {each.name!r}: 'shape' must give two whole numbers above 0, found {found!r}")
+        rows, columns = found
+    return rows, columns
+
+
+def transform_image(image: CameraImage, transforms: Sequence[Transform], draws: Draws) -> CameraImage:
+    """Apply transforms in their order; the draws of the n-th of one name are its own.
+
+    Raises BadSample if a transform does; BadTransform, with the traceback as a note, for any other error in one, and
+    for a result that is no sample of the declared shape. Messages begin with the key.
+    """
+    counts: dict[str, int] = {}
+    for each in transforms:
+        count = counts[each.name] = counts.get(each.name, 0) + 1
+        purpose = f"transform {each.name}" if count == 1 else f"transform {each.name} {count}"
+        shape = each.shape(*image.range.shape)
+        image = _checked_image(_called(each, image, draws.generator(purpose)), image.key, each.name, shape)
+    return image
+
+
+def _called(transform: Transform, image: CameraImage, random: np.random.Generator) -> Any:
+    where = f"{image.key}: transform {transform.name!r}"
+    try:
+        return transform(image, random)
+    except BadSample as error:
+        raise BadSample(f"{where}: {error}") from error
+    except Exception as error:  # whatever the user's code raises
+        failed = BadTransform(f"{where}: {' '.join(f'{type(error).__name__}: {error}'.split())}")
+        failed.add_note("".join(traceback.format_exception(error)))
+        raise failed from error
+
+
+def _checked_image(found: Any, key: str, name: str, shape: tuple[int, int]) -> CameraImage:
+    where = f"{key}: transform {name!r}"
+    if not isinstance(found, CameraImage):
+        raise BadTransform(f"{where} must return a CameraImage, found {type(found).__name__}")
+    if found.key != key:
+        raise BadTransform(f"{where} must keep the key, found {found.key!r}")
+    for what, array, kind in (("range", found.range, np.uint16), ("labels", found.labels, np.uint8)):
+        if not isinstance(array, np.ndarray) or array.dtype != kind or array.shape != shape:
+            shown = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+            raise BadTransform(f"{where} must return {what} as {kind.__name__} {shape}, found {shown}")
+    ranges, labels = _contiguous(found.range), found.labels
+    above = np.subtract(
+        labels, np.uint8(PART_COUNT), out=SCRATCH.empty(shape, np.uint8)
+    )  # parts wrap around to what is larger than background
+    if above.min() < BACKGROUND - PART_COUNT:
+        parts = f"0 to {PART_COUNT - 1} or {BACKGROUND}"
+        raise BadTransform(f"{where} must return labels {parts}, found {above.min() + PART_COUNT}")
+    lost = np.equal(ranges, 0, out=SCRATCH.empty(shape, np.bool_)).view(np.uint8)
+    np.negative(lost, out=lost)  # all bits, which are background's
+    return replace(found, range=ranges, labels=np.bitwise_or(labels, lost, out=above))
+
+
+def _contiguous(array: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """The array, or a copy of it if its pixels do not lie one after the other in reading order."""
+    if array.flags.c_contiguous:
+        return array
+    found: NDArray[np.uint16] = SCRATCH.empty(array.shape, np.uint16)
+    found[...] = array
+    return found

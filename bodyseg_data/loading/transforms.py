@@ -1,0 +1,344 @@
+"""Checks of the parameters of transforms.
+
+Images at other pixels: each takes its value from the nearest one, so that none lies between two surfaces.
+
+Crop: a window of the image, in pixels as they are.
+
+Crop to the body: the window that holds it, scaled to one size.
+
+Horizontal flip: the mirror image, with the left and right of the body exchanged.
+
+Roll: the camera turned about its optical axis.
+
+Zoom: the camera moved along its optical axis, or its focal length changed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core import BadConfig, check_bool, check_int, unit
+from bodyseg_data.labels import BACKGROUND, MIRRORED_LABELS, looked_up
+from bodyseg_data.loading.transform import Box, CameraImage, Transform, ends_of
+from bodyseg_data.machine import SCRATCH
+from bodyseg_data.rigs import MAX_SIDE
+from bodyseg_data.samples import FARTHEST_STEPS
+
+
+def check_number(transform: str, field: str, value: Any, low: float, high: float) -> None:
+    """Raise BadConfig unless a parameter is a number from `low` to `high`."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        raise BadConfig(f"transform {transform!r}: {field} must be a number from {low:g} to {high:g}, found {value!r}")
+
+
+def check_size(transform: str, rows: Any, columns: Any) -> None:
+    """Raise BadConfig unless rows and columns are whole numbers that the sides of an image may have."""
+    for field, value in (("rows", rows), ("columns", columns)):
+        if check_int(f"transform {transform!r}: {field}", value, 1) > MAX_SIDE:
+            raise BadConfig(f"transform {transform!r}: {field} must be at most {MAX_SIDE}, found {value!r}")
+
+
+def take_grid(
+    image: CameraImage, rows: NDArray[np.floating[Any]], columns: NDArray[np.floating[Any]], **camera: Any
+) -> CameraImage:
+    """The image with the pixels that hold the points (columns[j], rows[i]), in image coordinates; outside: background.
+
+    rows, columns: increasing, float64 [H], [W]. camera: fields of the camera that change.
+    """
+    ranges, labels = background(len(rows), len(columns))
+    box = ends_of(image.range)
+    if box is not None:
+        down, along = _within(np.floor(rows), *box[:2]), _within(np.floor(columns), *box[2:])
+        below, across = rows[down].astype(np.intp), columns[along].astype(np.intp)
+        ranges[down, along] = image.range.take(below, axis=0).take(across, axis=1)
+        labels[down, along] = image.labels.take(below, axis=0).take(across, axis=1)
+    return replace(image, range=ranges, labels=labels, **camera)
+
+
+def _within(places: NDArray[np.floating[Any]], first: int, end: int) -> slice:
+    """The stretch of increasing `places` that lie from `first` to below `end`."""
+    return slice(*np.searchsorted(places, (first, end)).tolist())
+
+
+def background(rows: int, columns: int) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
+    """Range and labels of an image in which nothing was measured."""
+    ranges, labels = SCRATCH.empty((rows, columns), np.uint16), SCRATCH.empty((rows, columns), np.uint8)
+    ranges.fill(0)
+    labels.fill(BACKGROUND)
+    return ranges, labels
+
+
+def take_window(image: CameraImage, top: int, left: int, rows: int, columns: int) -> CameraImage:
+    """A window of the image, in pixels as they are; what lies outside is background."""
+    (height, width), (x, y) = image.range.shape, image.centre_px
+    centre_px = (x - left, y - top)
+    if 0 <= top <= height - rows and 0 <= left <= width - columns:
+        window = slice(top, top + rows), slice(left, left + columns)
+        return replace(image, range=image.range[window], labels=image.labels[window], centre_px=centre_px)
+    ranges, labels = background(rows, columns)
+    first, end = max(top, 0), min(top + rows, height)
+    start, stop = max(left, 0), min(left + columns, width)
+    if first < end and start < stop:
+        ranges[first - top : end - top, start - left : stop - left] = image.range[first:end, start:stop]
+        labels[first - top : end - top, start - left : stop - left] = image.labels[first:end, start:stop]
+    return replace(image, range=ranges, labels=labels, centre_px=centre_px)
+
+
+_BITS: Final = 20
+"""Bits of a pixel's fraction to which `take_turned` rounds positions, so that sums of them are exact."""
+
+
+_ROWS: Final = 128
+"""Rows that `take_turned` makes at once, so that what it computes for them stays in the cache."""
+
+
+def take_turned(image: CameraImage, cos: float, sin: float) -> CameraImage:
+    """The image turned about its optical axis: a point (x, y) about it takes the place (cos x + sin y, cos y - sin x).
+
+    What leaves the image is lost; what comes into it is background.
+    """
+    height, width = image.range.shape
+    ranges, labels = background(height, width)
+    box = ends_of(image.range)
+    if box is not None:
+        x, y = image.centre_px
+        corners = [(column - x, row - y) for row in box[:2] for column in box[2:]]
+        down = _span([cos * below - sin * across + y for across, below in corners], height)
+        along = _span([cos * across + sin * below + x for across, below in corners], width)
+        across = np.arange(along.start, along.stop) + 0.5 - x  # of the pixels' centres, from the axis
+        for first in range(down.start, down.stop, _ROWS):
+            rows = slice(first, min(first + _ROWS, down.stop))
+            below = np.arange(rows.start, rows.stop) + 0.5 - y
+            from_rows, from_columns = _sums(cos * below + y, sin * across), _sums(x - sin * below, cos * across)
+            places, inside = _sources(from_rows, from_columns, box, width)
+            ranges[rows, along] = image.range.take(places, mode="clip") * inside
+            labels[rows, along] = image.labels.take(places, mode="clip") | (inside.view(np.uint8) - np.uint8(1))
+    return replace(image, range=ranges, labels=labels)
+
+
+def _span(places: list[float], size: int) -> slice:
+    """The pixels of a side that reach from the least to the greatest of `places`."""
+    low, high = (int(np.clip(end, 0, size)) for end in (np.floor(min(places)), np.ceil(max(places))))
+    return slice(low, high)
+
+
+def _sources(
+    rows: NDArray[np.intp], columns: NDArray[np.intp], box: Box, width: int
+) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Flat indices of pixels, and which of them lie in the box; those of others may be out of range."""
+    inside: NDArray[np.bool_] = (rows - box[0]).view(np.uintp) < np.uintp(box[1] - box[0])  # below 0 is large
+    inside &= (columns - box[2]).view(np.uintp) < np.uintp(box[3] - box[2])
+    rows *= width
+    rows += columns
+    return rows, inside
+
+
+def _sums(down: NDArray[np.floating[Any]], along: NDArray[np.floating[Any]]) -> NDArray[np.intp]:
+    """Whole pixels of down[i] + along[j], rounded down, [H, W]."""
+    fixed = (np.rint(2.0**_BITS * each).astype(np.intp) for each in (down, along))
+    found: NDArray[np.intp] = np.add.outer(*fixed)
+    found >>= _BITS
+    return found
+
+
+Place = Literal["axis", "body", "anywhere"]
+
+_PLACES: Final = ("axis", "body", "anywhere")
+
+
+@dataclass(frozen=True)
+class Crop(Transform):
+    """A window of `rows` x `columns` pixels, unscaled; what lies outside of the image is background.
+
+    at: "axis" centres it on the optical axis, at which bodies are rendered. "body" centres it on the box of the
+    labelled pixels, and on the axis if there are none; the box is that of the image with artifacts, so that the windows
+    of two variants may differ by pixels lost at the body's outline. "anywhere" draws its place inside the image,
+    uniformly; along a side longer than the image's, the place of the image inside the window. Ranges stay as they are.
+    Raises BadConfig for a size or a place out of range.
+    """
+
+    name = "crop"
+    rows: int
+    columns: int
+    at: Place = "axis"
+
+    def __post_init__(self) -> None:
+        check_size(self.name, self.rows, self.columns)
+        if self.at not in _PLACES:
+            raise BadConfig(f"transform 'crop': at must be one of {', '.join(_PLACES)}, found {self.at!r}")
+
+    def shape(self, rows: int, columns: int) -> tuple[int, int]:
+        """See `Transform`: the window's."""
+        return self.rows, self.columns
+
+    def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
+        """See `Transform`."""
+        if self.at == "anywhere":
+            height, width = image.range.shape
+            top, left = _anywhere(unit(random), height - self.rows), _anywhere(unit(random), width - self.columns)
+        else:
+            x, y = image.centre_px
+            if self.at == "body" and (box := image.body_box) is not None:
+                x, y = (box[2] + box[3]) / 2, (box[0] + box[1]) / 2
+            top, left = round(y - self.rows / 2), round(x - self.columns / 2)
+        return take_window(image, top, left, self.rows, self.columns)
+
+
+def _anywhere(drawn: float, spare: int) -> int:
+    """A first pixel, from 0 to `spare`, the pixels that the image has more than the window; both may be negative."""
+    place = int(drawn * (abs(spare) + 1))
+    return place if spare >= 0 else -place
+
+
+@dataclass(frozen=True)
+class BodyCrop(Transform):
+    """The smallest window that holds the body with a margin, scaled to `rows` x `columns` pixels.
+
+    margin: width of the border around the box of the labelled pixels, as a share of the box's height and width, 0 to 1.
+    The window has the sides' ratio of the result, and the box's centre; outside of the image it holds background. Of
+    an image without labels it holds all. Pixels take the value of the nearest one; ranges stay as they are, and the
+    focal length in pixels grows with the scale. The box is that of the image with artifacts, so that the windows of two
+    variants may differ slightly. Raises BadConfig for a size or a margin out of range.
+    """
+
+    name = "body_crop"
+    rows: int
+    columns: int
+    margin: float = 0.1
+
+    def __post_init__(self) -> None:
+        check_size(self.name, self.rows, self.columns)
+        check_number(self.name, "margin", self.margin, 0, 1)
+
+    def shape(self, rows: int, columns: int) -> tuple[int, int]:
+        """See `Transform`: that of the result."""
+        return self.rows, self.columns
+
+    def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
+        """See `Transform`."""
+        top, bottom, left, right = image.body_box or (0, image.range.shape[0], 0, image.range.shape[1])
+        larger = 1 + 2 * self.margin
+        scale = min(self.rows / (larger * (bottom - top)), self.columns / (larger * (right - left)))
+        first_row = (top + bottom) / 2 - self.rows / scale / 2
+        first_column = (left + right) / 2 - self.columns / scale / 2
+        x, y = image.centre_px
+        return take_grid(
+            image,
+            first_row + (np.arange(self.rows) + 0.5) / scale,
+            first_column + (np.arange(self.columns) + 0.5) / scale,
+            focal_px=image.focal_px * scale,
+            centre_px=((x - first_column) * scale, (y - first_row) * scale),
+        )
+
+
+@dataclass(frozen=True)
+class Flip(Transform):
+    """The image mirrored, left and right columns exchanged, and so the labels of left and right parts (`Part.mirror`).
+
+    share: of the samples that are mirrored, 0 to 1; each is drawn. The body seen is then the mirror image of the one
+    rendered. Shadows of the projector lie on the other side, as of a rig whose projector stands there. Raises BadConfig
+    for a share out of range.
+    """
+
+    name = "flip"
+    share: float = 0.5
+
+    def __post_init__(self) -> None:
+        check_number(self.name, "share", self.share, 0, 1)
+
+    def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
+        """See `Transform`."""
+        if unit(random) >= self.share:
+            return image
+        ranges, (x, y) = SCRATCH.empty(image.range.shape, np.uint16), image.centre_px
+        ranges[...] = image.range[:, ::-1]
+        return replace(
+            image,
+            range=ranges,
+            labels=looked_up(image.labels[:, ::-1], MIRRORED_LABELS),
+            centre_px=(image.range.shape[1] - x, y),
+        )
+
+
+@dataclass(frozen=True)
+class Roll(Transform):
+    """The image as the camera takes it turned about its optical axis; what leaves the image is lost.
+
+    largest_deg: largest angle either way, degrees, 0 to 180; the angle is drawn uniformly. Positive angles turn the
+    camera clockwise as seen from behind it (`View.roll_deg`) and the body in the image the other way. Ranges are along
+    the axis and stay as they are. Pixels take the value of the nearest one. Noise and shadows turn with the image, as
+    if the projector were turned, too. Raises BadConfig for an angle out of range.
+    """
+
+    name = "roll"
+    largest_deg: float = 15.0
+
+    def __post_init__(self) -> None:
+        check_number(self.name, "largest_deg", self.largest_deg, 0, 180)
+
+    def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
+        """See `Transform`."""
+        angle = self.largest_deg * (2 * unit(random) - 1)
+        return turned(image, angle) if angle else image
+
+
+def turned(image: CameraImage, angle_deg: float) -> CameraImage:
+    """The image as a camera takes it that is turned by an angle about its axis, degrees, clockwise from behind."""
+    return take_turned(image, math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg)))
+
+
+_FARTHEST: Final = int(FARTHEST_STEPS)
+
+
+@dataclass(frozen=True)
+class Zoom(Transform):
+    """The image magnified about the optical axis; pixels take the value of the nearest one.
+
+    largest: largest magnification, 1 to 4; it is drawn from 1 / largest to largest, its logarithm uniformly.
+
+    moves_camera: True moves the camera along its axis to or from a body at distance d: magnification m takes it to
+    d / m, and every range changes by d / m - d, rounded to steps, so that the body keeps its size and its depth. The
+    whole image is magnified as the body's centre is, which leaves out that nearer parts grow more: a point p metres in
+    front of the centre would grow by (d - p) / (d / m - p) instead of m. d is that of the view, so all variants of a
+    sample get the same. False changes the focal length: ranges stay, and the magnification is exact.
+
+    Noise and lost pixels are magnified with the image, not drawn for the new distance. Raises BadConfig for a
+    magnification out of range.
+    """
+
+    name = "zoom"
+    largest: float = 1.25
+    moves_camera: bool = True
+
+    def __post_init__(self) -> None:
+        check_number(self.name, "largest", self.largest, 1, 4)
+        moves_camera = check_bool("transform 'zoom': moves_camera", self.moves_camera)
+        object.__setattr__(self, "moves_camera", moves_camera)  # NumPy's bool is no JSON
+
+    def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
+        """See `Transform`."""
+        return magnified(image, self.largest ** (2 * unit(random) - 1), self.moves_camera)
+
+
+def magnified(image: CameraImage, by: float, moves_camera: bool) -> CameraImage:
+    """The image magnified about the optical axis, by a camera that moves or by its focal length; see `Zoom`."""
+    (height, width), (x, y) = image.range.shape, image.centre_px
+    rows, columns = (np.arange(height) + 0.5 - y) / by + y, (np.arange(width) + 0.5 - x) / by + x
+    if not moves_camera:
+        return take_grid(image, rows, columns, focal_px=image.focal_px * by)
+    found = take_grid(image, rows, columns)
+    distance_m = image.info.distance_cm / 100
+    return replace(found, range=_farther(found.range, round((distance_m / by - distance_m) / image.step_m)))
+
+
+def _farther(ranges: NDArray[np.uint16], steps: int) -> NDArray[np.uint16]:
+    """Ranges with `steps` added, which may be negative; 0 stays 0, and so becomes what 16 bits do not hold."""
+    change = min(abs(steps), _FARTHEST)
+    moved: NDArray[np.uint16] = ranges + np.uint16(change) if steps > 0 else ranges - np.uint16(change)
+    moved *= (ranges != 0) & (ranges <= _FARTHEST - change if steps > 0 else ranges > change)
+    return moved

@@ -1,0 +1,167 @@
+"""Hardware that this process runs on.
+
+Memory of processes: the most they had, in one unit on every system, and whether they keep what is freed.
+
+Memory for arrays that live briefly, used again: fresh memory costs a page fault for every 4 kB written.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import math
+import mmap
+import os
+import platform
+import re
+import sys
+import weakref
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+_TRADE_MARK: Final = re.compile(r"\((?:R|TM)\)")
+_MATRICES: Final = "amx_tile"
+"""The flag of processors that multiply matrices in 16 and 8 bits by AMX, which decides how fast a runtime is there."""
+
+
+_BFLOAT16: Final = frozenset({"amx_bf16", "avx512_bf16"})
+"""The flags of processors with instructions for bfloat16; others compute it by way of float32, slower than that."""
+
+
+def processors() -> int:
+    """Return the number of processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def hardware() -> str:
+    """Describe processors and memory in one line: "2 cores of Intel Xeon Processor with AMX (x86_64), 24 GiB"."""
+    about = _lines("/proc/cpuinfo")
+    names = [line.partition(":")[2] for line in about if line.startswith("model name")]
+    name = " ".join(_TRADE_MARK.sub("", names[0] if names else platform.processor()).split())
+    if _MATRICES in _flags(about):
+        name += " with AMX"
+    kilobytes = [int(line.split()[1]) for line in _lines("/proc/meminfo") if line.startswith("MemTotal")]
+    memory = f", {kilobytes[0] / 1024**2:.0f} GiB" if kilobytes else ""
+    return f"{processors()} cores of {name} ({platform.machine()}){memory}"
+
+
+def computes_bfloat16() -> bool:
+    """True on a processor that is known to have instructions for bfloat16, as Linux names them."""
+    return not _BFLOAT16.isdisjoint(_flags(_lines("/proc/cpuinfo")))
+
+
+def _flags(about: Sequence[str]) -> frozenset[str]:
+    """Flags of the first processor. about: lines of /proc/cpuinfo."""
+    return frozenset(next((line.split()[2:] for line in about if line.startswith("flags")), ()))
+
+
+def _lines(path: str) -> list[str]:
+    try:
+        return Path(path).read_text().splitlines()
+    except OSError:
+        return []
+
+
+with contextlib.suppress(ImportError):  # not on Windows
+    import resource
+
+
+_TRIM_THRESHOLD: Final = (-1, 1 << 28)
+_MMAP_THRESHOLD: Final = (-3, 1 << 25)
+"""Numbers of glibc's mallopt, and bytes: free memory that is kept, and an array that has a mapping of its own. The
+greatest of the second is 32 MB."""
+
+
+def keep_freed_memory() -> None:
+    """Let glibc's malloc keep up to 256 MB of what is freed, for arrays that come again with every frame.
+
+    Else large arrays are given back to the system and fetched anew, at a page fault for every 4 kB. The user's own
+    settings of malloc are left as they are; other libraries of C know no such thing, and nothing is done.
+    """
+    chosen = ("MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_", "GLIBC_TUNABLES")
+    if platform.libc_ver()[0] == "glibc" and not any(name in os.environ for name in chosen):
+        mallopt = ctypes.CDLL(None).mallopt
+        for number, value in (_TRIM_THRESHOLD, _MMAP_THRESHOLD):
+            mallopt(number, value)
+
+
+def peak_mb(process: int | None = None) -> float | None:
+    """Return the most memory that a process has had resident at once, in MB (1 000 000 bytes).
+
+    process: number of another process of this machine, None for this one. None is returned where the system does not
+    tell: for a process that has ended, and other processes on systems without /proc.
+    """
+    kilobytes = _high_water_kib("self" if process is None else str(process))
+    if kilobytes is not None:
+        return round(kilobytes * 1024 / 1e6, 1)
+    if process is not None or "resource" not in globals():
+        return None
+    # Bytes on macOS, KiB elsewhere. On Linux a process inherits its parent's, so /proc comes first.
+    unit = 1 if sys.platform == "darwin" else 1024
+    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6, 1)
+
+
+def _high_water_kib(process: str) -> int | None:
+    """The entry VmHWM of Linux's /proc, KiB."""
+    try:
+        lines = Path("/proc", process, "status").read_text().splitlines()
+    except OSError:
+        return None
+    for line in lines:
+        if line.startswith("VmHWM:"):
+            return int(line.split()[1])
+    return None
+
+
+_KEPT_BYTES: Final = 2**26
+"""The most memory that is kept: for 60 items of 640 x 329 pixels."""
+
+
+class ReusedMemory:
+    """Gives out arrays; the memory of one is used again when neither it nor a view or tensor of it is left.
+
+    Arrays beyond 64 MB in all have memory of their own. Threads may use it at once. Copies of the object, in forks and
+    by pickle, have other memory.
+    """
+
+    def __init__(self) -> None:
+        self._clear()
+
+    def _clear(self) -> None:
+        self._owner = os.getpid()
+        self._free: dict[int, list[mmap.mmap]] = {}
+        self._kept = 0
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self._clear()
+
+    def empty(self, shape: tuple[int, ...], kind: type[np.generic]) -> NDArray[Any]:
+        """Return a contiguous array of any content."""
+        if self._owner != os.getpid():
+            self._clear()
+        size = math.prod(shape) * np.dtype(kind).itemsize
+        free = self._free.setdefault(size, [])
+        try:
+            memory = free.pop()
+        except IndexError:
+            if self._kept + size > _KEPT_BYTES or not size:
+                return np.empty(shape, kind)
+            self._kept += size
+            memory = mmap.mmap(-1, size)
+        # Its base is no array, so that views and tensors of it keep exactly this object alive.
+        found: NDArray[Any] = np.ndarray(shape, kind, memory)
+        weakref.finalize(found, free.append, memory).atexit = False
+        return found
+
+
+SCRATCH: Final = ReusedMemory()
+"""That of this process."""

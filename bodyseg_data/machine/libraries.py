@@ -1,0 +1,131 @@
+"""Errors for missing packages and shared libraries that name what to install.
+
+Some optional packages (pyrender, pymeshlab) load shared libraries that pip does not install. The errors they raise
+without them differ from package to package and rarely name the system's package.
+
+Streams of deflate, as PNG files hold them: by isal where it is installed (`bodyseg[fast]`), else by zlib.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+import re
+import sys
+import zlib
+from collections.abc import Iterable
+from functools import cache
+from importlib import import_module
+from typing import Any, Final
+
+from bodyseg_data.core import MissingLibrary
+
+DEBIAN_PACKAGES: Final = {
+    "EGL": "libegl1",
+    "GL": "libgl1",
+    "GLU": "libglu1-mesa",
+    "GLX": "libglx0",
+    "GLdispatch": "libglvnd0",
+    "OSMesa": "libosmesa6",
+    "OpenGL": "libopengl0",
+    "X11": "libx11-6",
+    "gomp": "libgomp1",
+    "stdc++": "libstdc++6",
+    "xcb": "libxcb1",
+    "z": "zlib1g",
+}
+"""Name of a shared library, without "lib" and ".so", -> its package in Debian and Ubuntu."""
+
+SOFTWARE_DRIVER: Final = "libgl1-mesa-dri"
+"""Package of a driver that renders without a graphics card."""
+
+_IN_MESSAGE: Final = re.compile(
+    r'lib([\w+-]+?)\.so|Library "([\w+-]+)" not found|(?<![\w.+-])([A-Za-z]\w*): cannot open'
+)
+
+
+def missing_library(
+    feature: str, error: BaseException, needs: Iterable[str] = (), extra: str = "render"
+) -> MissingLibrary:
+    """Return the error to raise when `feature` cannot be imported because of `error`.
+
+    error: ImportError, OSError or AttributeError of the import. needs: names of shared libraries that the feature
+    loads. Each is loaded as a test, because the error may not name the missing one: without libGL, PyOpenGL raises an
+    AttributeError of None. extra: of this project, which installs the package.
+    """
+    cause = " ".join(str(error).split()) or type(error).__name__
+    if isinstance(error, ModuleNotFoundError):
+        package = (error.name or "").partition(".")[0]
+        return MissingLibrary(f"{feature} needs the package {package!r}: pip install 'bodyseg[{extra}]' ({cause})")
+    names = dict.fromkeys([*needs, *_named_in(error)])
+    absent = [name for name in names if not can_load(name)]
+    if absent:
+        return MissingLibrary(f"{_needs(feature, absent)} ({cause})")
+    return MissingLibrary(f"{feature} cannot be loaded: {cause}")
+
+
+def require_libraries(feature: str, needs: Iterable[str]) -> None:
+    """Raise MissingLibrary if a shared library of `needs` is absent; on Linux only, since names differ elsewhere.
+
+    For packages whose import succeeds without a library that they need later.
+    """
+    absent = [name for name in needs if not can_load(name)] if sys.platform.startswith("linux") else []
+    if absent:
+        raise MissingLibrary(_needs(feature, absent))
+
+
+def can_load(name: str) -> bool:
+    """Load a shared library as a test; `name` as in "GL" for libGL."""
+    try:
+        ctypes.CDLL(ctypes.util.find_library(name) or f"lib{name}.so")
+    except OSError:
+        return False
+    return True
+
+
+def _named_in(error: BaseException) -> list[str]:
+    """List the libraries named in the messages of an error and of its causes."""
+    names: dict[str, None] = {}
+    link: BaseException | None = error
+    while link is not None:
+        for match in _IN_MESSAGE.finditer(str(link)):
+            names[next(group for group in match.groups() if group)] = None
+        link = link.__cause__ or link.__context__
+    return list(names)
+
+
+def _needs(feature: str, absent: list[str]) -> str:
+    libraries = " and ".join(f"lib{name}" for name in absent)
+    packages = [DEBIAN_PACKAGES[name] for name in absent if name in DEBIAN_PACKAGES]
+    remedy = f"apt-get install {' '.join(packages)}" if packages else "install it with the system's package manager"
+    return f"{feature} needs {libraries}: {remedy}"
+
+
+def compress(data: Any, level: int) -> bytes:
+    """Compress bytes into zlib's format. level: 0 to 3.
+
+    isal and zlib write other streams of the same content, and isal may write another one when it is called again: so
+    what must have the same bytes every time, like shards, is compressed elsewhere.
+    """
+    packed: bytes = library().compress(data, level)
+    return packed
+
+
+def decompress(packed: bytes, size: int) -> bytes:
+    """Decompress zlib's format to exactly `size` bytes, however many more there are. Raises ValueError."""
+    try:
+        data: bytes = library().decompressobj().decompress(packed, size)
+    except library().error as error:
+        raise ValueError(f"its pixels cannot be decompressed: {error}") from error
+    if len(data) != size:
+        raise ValueError(f"its pixels must be {size} bytes, found {len(data)}")
+    return data
+
+
+@cache
+def library() -> Any:
+    """The module that compresses: isal's, whose functions and errors are those of zlib, or zlib."""
+    try:
+        return import_module("isal.isal_zlib")
+    except ImportError:
+        return zlib

@@ -1,0 +1,372 @@
+"""Landmarks by vertex: the vertex at each of the 33 landmarks, for all meshes of one topology.
+
+A set is a JSON file:
+
+    {"format": "bodyseg landmarks 1", "topology": "<which meshes, in words>", "vertex_count": 13718,
+     "face_count": 27420, "landmarks": {"Sellion": 132, ..., "Lt. Digit II": 13101}}
+
+with each of the 33 names of `parts.LANDMARKS` once, in any order, and vertex indices from 0; other names are ignored.
+Two landmarks may share a vertex, as where hands touch (`coincident`). Meshes with the same vertex order, whatever their
+pose and shape, share one set. Landmarks by coordinate are in `by_point`.
+
+Nearest points of a surface.
+
+Landmarks by coordinate: 33 points near a surface, projected onto it.
+
+Their files are JSON, like those of landmarks by vertex (`by_vertex`), with points instead of vertices:
+
+    {"format": "bodyseg landmarks 1", "units": "mm", "points": {"Sellion": [12.1, 1630.0, 98.4], ...}}
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core import BadLandmarks, refuse_special
+from bodyseg_data.labels import LANDMARKS, PART_COUNT
+from bodyseg_data.machine import missing_library
+from bodyseg_data.meshes.coincident import separate
+from bodyseg_data.meshes.mesh import Mesh
+
+LANDMARKS_FORMAT: Final = "bodyseg landmarks 1"
+_KEYS: Final = ("format", "topology", "vertex_count", "face_count", "landmarks")
+
+
+@dataclass(frozen=True)
+class LandmarkSet:
+    """The landmarks of one topology, constructed by `load_landmarks` and `parse_landmarks`, which check all fields.
+
+    source: file or name it was read from, for messages. topology: description of its meshes. vertex_count, face_count:
+    of those meshes. vertices: index of each landmark's vertex, in the order of `parts.LANDMARKS`. ignored: other names
+    in the file.
+    """
+
+    source: str
+    topology: str
+    vertex_count: int
+    face_count: int
+    vertices: tuple[int, ...]
+    ignored: tuple[str, ...] = ()
+
+    def for_mesh(self, mesh: Mesh) -> NDArray[np.int64]:
+        """Vertices of the landmarks on `mesh`, int64 [33], in the order of `parts.PARTS`; two may be the same.
+
+        Raises BadLandmarks, naming set and mesh, if the mesh has another number of vertices or faces, or if no face
+        uses the vertex of a landmark.
+        """
+        found = (len(mesh.vertices), len(mesh.faces))
+        if found != (self.vertex_count, self.face_count):
+            raise BadLandmarks(
+                f"landmarks {self.source} are for meshes of {self.vertex_count} vertices and {self.face_count} faces "
+                f"({self.topology}), found {found[0]} and {found[1]} in mesh {mesh.name}: "
+                "this mesh needs landmarks of its own"
+            )
+        vertices = np.array(self.vertices, np.int64)
+        loose = np.flatnonzero(~np.isin(vertices, mesh.faces))
+        if len(loose):
+            raise BadLandmarks(
+                f"landmarks {self.source}: {LANDMARKS[loose[0]]!r} must lie on the surface, found vertex "
+                f"{vertices[loose[0]]}, which no face of mesh {mesh.name} uses"
+            )
+        return vertices
+
+    def to_json(self) -> str:
+        """Serialise the set as the JSON text that `load_landmarks` reads."""
+        tree = {
+            "format": LANDMARKS_FORMAT,
+            "topology": self.topology,
+            "vertex_count": self.vertex_count,
+            "face_count": self.face_count,
+            "landmarks": dict(zip(LANDMARKS, self.vertices, strict=True)),
+        }
+        return json.dumps(tree, indent=2, ensure_ascii=False) + "\n"
+
+
+def load_landmarks(name_or_path: str | Path) -> LandmarkSet:
+    """Read a landmark set by the name of one that ships with the package ("open", "mit_I"), or from a .json file.
+
+    Raises BadLandmarks, naming the file and, where there is one, the landmark at fault.
+    """
+    path = Path(name_or_path)
+    if path.suffix != ".json":
+        folder = resources.files(__package__) / "landmark_sets"
+        names = sorted(entry.name.removesuffix(".json") for entry in folder.iterdir() if entry.name.endswith(".json"))
+        if str(name_or_path) not in names:
+            raise BadLandmarks(
+                f"no landmark set is called {str(name_or_path)!r}: give {', '.join(names)} or the path of a .json file"
+            )
+        text = (folder / f"{name_or_path}.json").read_text(encoding="utf-8")
+    else:
+        text = read_text(path)
+    return parse_landmarks(text, str(name_or_path))
+
+
+def read_text(path: Path) -> str:
+    """Read a landmark file in UTF-8. Raises BadLandmarks."""
+    try:
+        refuse_special(path)
+        return path.read_text(encoding="utf-8-sig")  # some editors write a byte-order mark
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadLandmarks(f"cannot read the landmark file {path}: {error}") from error
+
+
+def parse_landmarks(text: str, source: str) -> LandmarkSet:
+    """Parse a landmark set from JSON text; `source` names it in messages. Raises BadLandmarks."""
+    where = f"landmarks {source}"
+    tree = json_table(text, source)
+    check_keys(tree, _KEYS, where)
+    if not isinstance(tree["topology"], str):
+        raise BadLandmarks(f"{where}: 'topology' must be text, found {tree['topology']!r}")
+    vertex_count = _whole(tree["vertex_count"], 1, None, f"{where}: 'vertex_count'")
+    face_count = _whole(tree["face_count"], 1, None, f"{where}: 'face_count'")
+    table = tree["landmarks"]
+    if not isinstance(table, dict):
+        raise BadLandmarks(f"{where}: 'landmarks' must map names to vertices, found {table!r}")
+    ignored = check_landmark_names(list(table), where)
+    return LandmarkSet(
+        source, tree["topology"], vertex_count, face_count, _vertices(table, vertex_count, where), ignored
+    )
+
+
+def _vertices(table: dict[str, Any], vertex_count: int, where: str) -> tuple[int, ...]:
+    vertices = [_whole(table[name], 0, vertex_count - 1, f"{where}: the vertex of {name!r}") for name in LANDMARKS]
+    vertex, count = Counter(vertices).most_common(1)[0]
+    if count > 2:
+        names = ", ".join(repr(name) for name, each in zip(LANDMARKS, vertices, strict=True) if each == vertex)
+        raise BadLandmarks(f"{where}: at most two landmarks may share a vertex, found {names} at {vertex}")
+    return tuple(vertices)
+
+
+def check_landmark_names(found: list[str], where: str) -> tuple[str, ...]:
+    """Return the names that are not among the 33. Raises BadLandmarks, naming each of the 33 that is missing and what
+    it may have been misspelt as.
+    """
+    others = [name for name in found if name not in LANDMARKS]
+    missing = []
+    for name in LANDMARKS:
+        if name not in found:
+            close = difflib.get_close_matches(name, others, 1)
+            missing.append(repr(name) + (f" (misspelt as {close[0]!r}?)" if close else ""))
+    if missing:
+        raise BadLandmarks(f"{where}: landmark {', '.join(missing)} is missing")
+    return tuple(others)
+
+
+def json_table(text: str, source: str) -> dict[str, Any]:
+    """Parse the JSON object of a landmark file and check its format. Raises BadLandmarks."""
+    where = f"landmarks {source}"
+    try:
+        tree = json.loads(text, object_pairs_hook=lambda pairs: _without_doubles(pairs, where))
+    except (ValueError, RecursionError) as error:  # RecursionError: brackets nested beyond reason
+        raise BadLandmarks(f"{where} is not JSON: {error}") from error
+    if not isinstance(tree, dict) or tree.get("format") != LANDMARKS_FORMAT:
+        raise BadLandmarks(f"{where}: 'format' must be {LANDMARKS_FORMAT!r}")
+    return tree
+
+
+def check_keys(tree: dict[str, Any], wanted: tuple[str, ...], where: str) -> None:
+    """Raise BadLandmarks unless the keys of a landmark file are those `wanted`."""
+    unknown = [key for key in tree if key not in wanted]
+    if unknown:
+        raise BadLandmarks(f"{where}: unknown key {', '.join(map(repr, unknown))}")
+    missing = [key for key in wanted if key not in tree]
+    if missing:
+        raise BadLandmarks(f"{where}: key {', '.join(map(repr, missing))} is missing")
+
+
+def _whole(value: Any, low: int, high: int | None, what: str) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or value < low or (high is not None and value > high):
+        span = f"at least {low}" if high is None else f"{low} to {high}"
+        raise BadLandmarks(f"{what} must be a whole number, {span}, found {value!r}")
+    return value
+
+
+def _without_doubles(pairs: list[tuple[str, Any]], where: str) -> dict[str, Any]:
+    """Raise BadLandmarks for repeated keys, of which `json` would silently keep the last."""
+    tree: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in tree:
+            raise BadLandmarks(f"{where}: {key!r} is given twice")
+        tree[key] = value
+    return tree
+
+
+def nearest_corner(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32], points: NDArray[np.float64], feature: str
+) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """Find the triangle nearest to each of `points` [P, 3]: its corner nearest to the point, int32 [P], and the
+    distance from the point to the triangle, float64 [P], metres.
+
+    vertices: [V, 3], metres. faces: [F, 3], none of zero area. feature: the feature that the message names.
+    Raises MissingLibrary without trimesh, rtree or scipy.
+    """
+    try:
+        import rtree  # noqa: F401  trimesh imports it late and reports its absence in other words
+        import trimesh
+        from scipy.spatial import KDTree
+    except ImportError as error:
+        raise missing_library(feature, error) from error
+    # No point is farther from the surface than from its nearest vertex, so only triangles within that distance of the
+    # points' bounding box can be nearest: for eyes in a head a few hundred instead of all.
+    reach = KDTree(vertices[np.unique(faces)]).query(points)[0].max() + 1e-9  # rounding must not lose the nearest
+    corners = vertices[faces]
+    low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
+    faces = faces[((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)).all(axis=1)]
+    surface = trimesh.Trimesh(vertices, faces, process=False)
+    _, distance, triangle = trimesh.proximity.closest_point(surface, points)
+    candidates = faces[triangle]
+    away = np.linalg.norm(vertices[candidates] - points[:, None], axis=2)
+    nearest: NDArray[np.int32] = candidates[np.arange(len(points)), away.argmin(axis=1)]
+    return nearest, np.asarray(distance, np.float64)
+
+
+def farthest_from(vertices: NDArray[np.float64], points: NDArray[np.float64], feature: str) -> float:
+    """The largest distance of `points` [P, 3] to their nearest vertices [V, 3], metres: that to a surface of these
+    vertices is no larger. feature: the feature that the message of MissingLibrary, raised without scipy, names.
+    """
+    try:
+        from scipy.spatial import KDTree
+    except ImportError as error:
+        raise missing_library(feature, error) from error
+    return float(KDTree(vertices).query(points)[0].max())
+
+
+FARTHEST_M: Final = 0.03
+"""Largest accepted distance of a landmark from the surface, metres.
+
+Markers on the skin and a scan's surface differ by millimetres; hair, clothes and holes in a scan add centimetres. A
+landmark farther away belongs to another body, unit or frame.
+"""
+
+METRES: Final[Mapping[str, float]] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+"""Metres in a unit of length."""
+
+_POINT_KEYS: Final = ("format", "units", "points")
+_FEATURE: Final = "putting landmarks onto a surface"
+
+
+@dataclass(frozen=True)
+class SnappedLandmarks:
+    """Landmarks projected onto a surface. vertices: int64 [33], of the triangle nearest to each point the nearest
+    corner, or a free vertex beside it where two landmarks have the same (`separate`). distance_m: float64 [33], from
+    each point to the surface, metres. Both in the order of `parts.PARTS`. notes: lines on landmarks that moved.
+    """
+
+    vertices: NDArray[np.int64]
+    distance_m: NDArray[np.float64]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class PointLandmarks:
+    """The landmarks of one body in space. source: file they were read from, for messages.
+
+    points: float64 [33, 3] in the order of `parts.LANDMARKS`, metres, in the frame of the file they came from, which is
+    not always that of the mesh (`transformed`). ignored: other names in the file. Raises BadLandmarks unless they are
+    33 finite points.
+    """
+
+    source: str
+    points: NDArray[np.float64]
+    ignored: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        points: NDArray[np.float64] = np.array(self.points, np.float64)
+        if points.shape != (PART_COUNT, 3):
+            raise BadLandmarks(f"landmarks {self.source}: there must be {PART_COUNT} points, found {points.shape}")
+        bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+        if len(bad):
+            found = points[bad[0]].tolist()
+            raise BadLandmarks(f"landmarks {self.source}: {LANDMARKS[bad[0]]!r} must be finite, found {found}")
+        points.flags.writeable = False
+        object.__setattr__(self, "points", points)
+
+    def transformed(self, scale: float, rotation: NDArray[np.float64]) -> PointLandmarks:
+        """The same landmarks, scaled and then rotated by `rotation` [3, 3], as the mesh was to reach the body frame."""
+        return replace(self, points=self.points @ rotation.T * scale)
+
+    def for_mesh(self, mesh: Mesh) -> SnappedLandmarks:
+        """Project the landmarks onto the surface of `mesh`, whose frame the points must be in.
+
+        Raises BadLandmarks, naming the landmark, for one farther than `FARTHEST_M` from the surface, three in one
+        place, and one on another piece of the surface than most; MissingLibrary without trimesh, rtree or scipy.
+        """
+        where = f"landmarks {self.source} on mesh {mesh.name}"
+        vertices, distance = snap(mesh, self.points)
+        worst = int(distance.argmax())
+        if distance[worst] > FARTHEST_M:
+            others = int((distance > FARTHEST_M).sum()) - 1
+            raise BadLandmarks(
+                f"{where}: a landmark must lie within {100 * FARTHEST_M:g} cm of the surface, found "
+                f"{LANDMARKS[worst]!r} {100 * distance[worst]:.1f} cm off it at "
+                f"{np.round(self.points[worst], 4).tolist()}"
+                + (f", and {others} more beyond {100 * FARTHEST_M:g} cm" if others else "")
+            )
+        vertices, notes = separate(mesh, vertices, self.points, where)
+        piece = mesh.pieces(_FEATURE)[vertices]
+        body = np.bincount(piece).argmax()
+        if (piece != body).any():
+            stray = int(np.flatnonzero(piece != body)[0])
+            raise BadLandmarks(
+                f"{where}: landmarks must lie on one piece of the surface, found {LANDMARKS[stray]!r} at vertex "
+                f"{vertices[stray]} of another piece than the one that holds {(piece == body).sum()} of them"
+            )
+        return SnappedLandmarks(vertices, distance, notes)
+
+    def to_landmark_set(self, mesh: Mesh, topology: str) -> tuple[LandmarkSet, SnappedLandmarks]:
+        """Convert to landmarks by vertex, for all meshes with the vertex order of `mesh`; also returns the projection.
+
+        topology: description of those meshes. Raises the errors of `for_mesh`.
+        """
+        snapped = self.for_mesh(mesh)
+        counts = len(mesh.vertices), len(mesh.faces)
+        vertices = tuple(snapped.vertices.tolist())
+        return LandmarkSet(self.source, topology, *counts, vertices, self.ignored), snapped
+
+
+def snap(mesh: Mesh, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Find the triangle nearest to each of `points` [N, 3]: its corner nearest to the point, int64 [N], and the
+    distance from the point to the triangle, float64 [N], metres.
+
+    Raises MissingLibrary without trimesh, rtree or scipy.
+    """
+    faces = mesh.faces[(mesh.normals != 0).any(axis=1)]  # a triangle without area has no nearest point
+    vertices, distance = nearest_corner(mesh.vertices, faces, points, _FEATURE)
+    return vertices.astype(np.int64), distance
+
+
+def parse_points(text: str, source: str) -> PointLandmarks:
+    """Parse landmarks by coordinate from JSON text; `source` names it in messages. Raises BadLandmarks."""
+    where = f"landmarks {source}"
+    tree = json_table(text, source)
+    check_keys(tree, _POINT_KEYS, where)
+    units, table = tree["units"], tree["points"]
+    if not isinstance(units, str) or units not in METRES:
+        raise BadLandmarks(f"{where}: 'units' must be one of {', '.join(METRES)}, found {units!r}")
+    if not isinstance(table, dict):
+        raise BadLandmarks(f"{where}: 'points' must map names to coordinates, found {table!r}")
+    ignored = check_landmark_names(list(table), where)
+    points = [_point(table[name], f"{where}: the point of {name!r}") for name in LANDMARKS]
+    return PointLandmarks(source, np.array(points) * METRES[units], ignored)
+
+
+def _point(value: Any, what: str) -> list[float]:
+    if (
+        not isinstance(value, list)
+        or len(value) != 3
+        or any(isinstance(number, bool) or not isinstance(number, int | float) for number in value)
+        or not all(abs(number) < 1e9 and math.isfinite(number) for number in value)
+    ):
+        raise BadLandmarks(f"{what} must be three finite numbers, found {value!r}")
+    return [float(number) for number in value]

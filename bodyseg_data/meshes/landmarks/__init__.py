@@ -1,1 +1,0 @@
-"""The 33 landmarks of a mesh: by vertex, by coordinate, or from files of the CAESAR survey."""

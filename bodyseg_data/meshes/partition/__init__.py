@@ -1,1 +1,0 @@
-"""Geodesic distances from landmarks, and the partition of the surface into parts."""

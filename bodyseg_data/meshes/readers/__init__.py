@@ -1,1 +1,0 @@
-"""Meshes from files, in the file's order."""

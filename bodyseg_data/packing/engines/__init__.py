@@ -1,1 +1,0 @@
-"""Engines that a packing runs on: processes of this machine, or a Dask cluster."""

@@ -1,0 +1,143 @@
+"""The executor of a packing's jobs.
+
+Results of jobs in the order in which they were asked for, with a bounded number under way.
+
+Peak memory of the workers of an executor, which each job's result brings along.
+
+Processes of this machine.
+"""
+
+from __future__ import annotations
+
+import itertools
+import multiprocessing
+import os
+import signal
+import socket
+import threading
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import Executor, Future, InvalidStateError, ProcessPoolExecutor
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from bodyseg_data.machine import peak_mb, processors, signals_held
+
+
+@dataclass(frozen=True)
+class Engine:
+    """An executor of jobs. workers: how many to keep busy. note: one line for the user, or None."""
+
+    executor: Executor
+    workers: int
+    note: str | None = None
+
+
+Result = TypeVar("Result")
+
+
+def ordered(jobs: Iterable[Callable[[], Future[Result]]], workers: int) -> Generator[Result, None, None]:
+    """The results of jobs, in order. jobs: each submits one. workers: how many to keep busy; memory stays flat.
+
+    The first goes alone: a source may fill a cache on first use, which several workers would do at once. Closing the
+    generator cancels the jobs that have not begun.
+    """
+    submissions = iter(jobs)
+    waiting: deque[Future[Result]] = deque()
+    try:
+        for submit in itertools.islice(submissions, 1):
+            yield submit().result()
+        for submit in submissions:
+            waiting.append(submit())
+            if len(waiting) > 2 * max(workers, 1):
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    finally:
+        for future in waiting:
+            future.cancel()
+
+
+class MeasuringExecutor(Executor):
+    """Runs jobs on another executor, and keeps the most memory of each worker. It does not own that executor.
+
+    workers_mb: worker (host and process) -> its peak after its last finished job, MB; None where the system does not
+    tell. In the order of their first results.
+    """
+
+    def __init__(self, executor: Executor) -> None:
+        self._executor = executor
+        self.workers_mb: dict[str, float | None] = {}
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Queue a job; its future has its own result."""
+        result: Future[Any] = Future()
+
+        def finish(measured: Future[Any]) -> None:
+            with suppress(InvalidStateError):  # cancelled meanwhile
+                if measured.cancelled():
+                    result.cancel()
+                elif (error := measured.exception()) is not None:
+                    result.set_exception(error)
+                else:
+                    found, worker, peak = measured.result()
+                    self.workers_mb[worker] = peak
+                    result.set_result(found)
+
+        self._executor.submit(_measured, fn, args, kwargs).add_done_callback(finish)
+        return result
+
+
+def _measured(fn: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[Any, str, float | None]:
+    """In a worker: a job's result, the worker's name, and the most memory that it has had so far."""
+    found = fn(*args, **kwargs)
+    return found, f"{socket.gethostname()}:{os.getpid()}", peak_mb()
+
+
+@contextmanager
+def processes(workers: int | None) -> Iterator[Engine]:
+    """`workers` processes, or one a processor; after an error they are killed instead of waited for."""
+    count = processors() if workers is None else workers
+    # One thread of linear algebra a worker: with one worker a processor, more only get in each other's way.
+    for library in ("OPENBLAS", "OMP", "MKL"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    # Fresh processes, not forks: a fork of a process that has used threads, or drawn with OpenGL, can deadlock.
+    context = multiprocessing.get_context("spawn")
+    others = set(multiprocessing.active_children())
+    executor = _Workers(count, mp_context=context, initializer=_end_with_parent)
+    try:
+        yield Engine(executor, count)
+    except BaseException:
+        # No result under way will be used: the user need not wait for it.
+        for worker in set(multiprocessing.active_children()) - others:
+            worker.kill()
+        raise
+    finally:
+        executor.shutdown(wait=True, cancel_futures=True)
+
+
+class _Workers(ProcessPoolExecutor):
+    """Processes that Ctrl-C on a terminal does not reach: it goes to this one, which ends them."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        # Workers are started in here. They start with the signals blocked that are blocked now; and a signal that
+        # came between starting one and initialising it would leave it behind, with a traceback of its own.
+        with signals_held():
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            try:
+                return super().submit(fn, *args, **kwargs)
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _end_with_parent() -> None:
+    """Make a worker end when the process that started it is gone, however it went."""
+    parent = multiprocessing.parent_process()
+
+    def wait() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()

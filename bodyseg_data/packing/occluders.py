@@ -1,0 +1,212 @@
+"""The projector's range with as few bits as the shadows need.
+
+The shadow test (`artifacts/occlusion.py`) compares four texels with one another, and each of them, or their
+interpolation, with a point's range. Any texels with the same outcomes give the same shadow. So each texel gets bounds
+within which no pixel's answer can change, whatever the others do within theirs; a texel that may be empty is emptied,
+any other becomes the multiple of the largest power of two that its bounds hold, which is the same number over large
+areas. Then the test itself is run on both images, and where answers differ, the exact ranges come back.
+
+The projector's stored range: only texels that can shade a pixel which the camera sees.
+
+The shadow test (`artifacts/occlusion.py`) reads four texels for each camera pixel whose surface faces the projector;
+only those are rendered. If none of the four lies in front of the point by more than the gap that the test
+allows, the test answers "lit" whether they are there or empty. So a texel is kept only if a pixel reads it that has
+such a texel among its four; the test then gives the same bits as from a whole image. What is kept is rounded as far
+as no answer changes (`coarsening.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.artifacts import Floats, ShadowTest, framed
+from bodyseg_data.samples import FARTHEST_STEPS
+
+COARSEST_STEP: Final = 1024
+"""Ranges are rounded to multiples of at most this many steps: larger ones save nothing more."""
+
+_EMPTY: Final = 65535  # as the test sees it: one step less than 0, behind every point
+_MARGIN: Final = 1  # the test computes in single precision, which is off by far less than a step
+
+Range = NDArray[np.uint16]
+Ints = NDArray[np.int32]
+
+
+def coarsened(test: ShadowTest, image: Range, x: Floats, y: Floats, away: Floats) -> Range:
+    """An image, uint16 [Hp, Wp], with which light reaches the same of the given points (`ShadowTest.reached`) as with
+    `image`, in the steps of the test's rig.
+    """
+    texels = texel_indices(image.shape, x, y)
+    read = np.flatnonzero(_any(image.ravel()[texels] > 0))  # the others read nothing, now or then
+    texels, points = texels[:, read], (x[read], y[read], away[read])
+    answers = test.reached(image, *points)
+    coarse = _simplest(image, *texel_bounds(test, image, texels, points, answers))
+    while len(wrong := np.flatnonzero(test.reached(coarse, *points) != answers)):
+        coarse.ravel()[texels[:, wrong]] = image.ravel()[texels[:, wrong]]
+    return coarse
+
+
+def _any(four: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    answer: NDArray[np.bool_] = four[0] | four[1] | four[2] | four[3]
+    return answer
+
+
+def texel_indices(shape: tuple[int, ...], x: Floats, y: Floats) -> NDArray[np.intp]:
+    """Flat indices [4, N] of the four texels around points, in the order of `four_texels`; the border is repeated."""
+    left, top = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
+    rows = [np.clip(top + below, 0, shape[0] - 1) * shape[1] for below in (0, 1)]
+    columns = [np.clip(left + beside, 0, shape[1] - 1) for beside in (0, 1)]
+    return np.stack([row + column for row in rows for column in columns])
+
+
+def texel_bounds(
+    test: ShadowTest,
+    image: Range,
+    texels: NDArray[np.intp],
+    points: tuple[Floats, Floats, Floats],
+    lit: NDArray[np.bool_],
+) -> tuple[Ints, Ints]:
+    """The least and the greatest value of every texel, flat [Hp * Wp], less one step as in the test, if all texels that
+    may be empty are emptied.
+
+    A point stays lit if all its texels are at most the gap before it. That bounds from below only, so it is tried for
+    every lit point first, also where texels are empty; but texels that shade another point are bounded from above, too.
+    Where the two bounds conflict, a lit point keeps its texels as they are, which bounds them from above, and other lit
+    points may conflict with that in turn.
+    """
+    ranges = (image.ravel()[texels] - np.uint16(1)).astype(np.int32)  # wraps round where it is empty
+    away = np.minimum(points[2] - np.float32(1), FARTHEST_STEPS)
+    enough = np.ceil(away).astype(np.int32) - int(test.gap_steps) + _MARGIN
+    lowest, highest = np.zeros(image.size, np.int32), np.full(image.size, _EMPTY, np.int32)
+    hard = np.flatnonzero(~lit | _any(ranges < enough))
+    read, needed = texels[:, hard], enough[hard]
+    low, high = _as_they_are(test, ranges[:, hard], (points[0][hard], points[1][hard], away[hard]), lit[hard])
+    kept = ~lit[hard]
+    left = ~kept
+    while kept.any():
+        np.minimum.at(highest, read[:, kept].ravel(), high[:, kept].ravel())
+        moved = np.zeros(image.size, np.bool_)
+        moved[read[:, kept]] = True
+        asked = np.flatnonzero(left & _any(moved[read]))
+        kept[:] = False
+        kept[asked[_any(highest[read[:, asked]] < needed[asked])]] = True
+        left &= ~kept
+    low[:, left] = needed[left]
+    np.maximum.at(lowest, read.ravel(), low.ravel())
+    easy = np.flatnonzero(_any(highest[texels] < _EMPTY))
+    easy = easy[lit[easy] & ~_any(ranges[:, easy] < enough[easy])]
+    for texel in texels[:, easy]:
+        np.maximum.at(lowest, texel, enough[easy])  # not all four at once: numpy 2.4 mixes up what it repeats
+    return lowest, highest
+
+
+def _as_they_are(
+    test: ShadowTest, ranges: Ints, points: tuple[Floats, Floats, Floats], lit: NDArray[np.bool_]
+) -> tuple[Ints, Ints]:
+    """Bounds [4, N] around the texels [4, N] of each point that keep its answer.
+
+    points: x, y, and their range as in the test, less one step.
+    """
+    gap, edge = int(test.gap_steps), int(test.edge_steps)
+    nearest, farthest = ranges.min(axis=0), ranges.max(axis=0)
+    limit = np.ceil(points[2]).astype(np.int32) - edge
+    # An edge: each texel stays on its side of the limit, and two of them far enough from each other.
+    behind = ranges >= limit
+    low = np.where(behind, np.minimum(ranges, limit + _MARGIN), 0)
+    high = np.where(behind, _EMPTY, np.maximum(ranges, limit - 1 - _MARGIN))
+    between = np.clip(limit - 1 - _MARGIN, nearest, np.maximum(farthest - edge, nearest))
+    high = np.where(ranges == nearest, np.minimum(high, between), high)
+    low = np.where(ranges == farthest, np.maximum(low, between + edge), low)
+    # One surface: it stays one, and on its side of the point.
+    x, y = points[0] - np.floor(points[0]), points[1] - np.floor(points[1])
+    upper, lower = ranges[0] + x * (ranges[1] - ranges[0]), ranges[2] + x * (ranges[3] - ranges[2])
+    spare = np.abs(upper + y * (lower - upper) - (points[2] - gap)) - _MARGIN
+    flat = (edge - 1 - (farthest - nearest)) // 2
+    tight = np.minimum(np.maximum(spare, 0).astype(np.int32), flat)
+    one = np.flatnonzero(farthest - nearest < edge)
+    low[:, one] = (ranges - np.where(lit, tight, flat))[:, one]
+    high[:, one] = np.minimum(ranges + np.where(lit, flat, tight), _EMPTY)[:, one]
+    # All so far in front that it is dark either way.
+    dark = np.flatnonzero(farthest < limit - _MARGIN)
+    low[:, dark], high[:, dark] = 0, (limit - 1 - _MARGIN)[dark]
+    return low, high
+
+
+def _simplest(image: Range, lowest: Ints, highest: Ints) -> Range:
+    """The roundest numbers within the bounds, of those the nearest to the ranges; empty where the bounds hold that."""
+    indices = np.flatnonzero(highest < _EMPTY)
+    exact = image.ravel()[indices].astype(np.int32)
+    low, high = lowest[indices] + 1, highest[indices] + 1  # stored ranges are one step more than the test's
+    chosen, step = exact.copy(), COARSEST_STEP
+    missing = np.ones(len(indices), np.bool_)
+    while step > 1:
+        rounded = np.clip((exact + step // 2) // step * step, -(-low // step) * step, high // step * step)
+        fits = missing & (rounded >= low) & (rounded <= high)
+        chosen[fits] = rounded[fits]
+        missing &= ~fits
+        step //= 2
+    chosen[missing] = np.clip(exact, low, high)[missing]
+    coarse: Range = np.zeros(image.shape, np.uint16)
+    coarse.ravel()[indices] = chosen
+    return coarse
+
+
+_SIGHT_MARGIN: Final = np.float32(1)  # the test interpolates in single precision, which is off by far less than a step
+
+Ranges = Callable[[NDArray[np.intp]], NDArray[np.uint16]]
+"""Texels [N], row * columns + column, ascending -> projector ranges, uint16 [N], in steps."""
+
+
+def occluder_range(
+    test: ShadowTest, camera_range: NDArray[np.uint16], faces_projector: NDArray[np.bool_], ranges: Ranges
+) -> NDArray[np.uint16]:
+    """The projector's range where it shades a view, as coarse as the shadows permit, 0 elsewhere, uint16 [Hp, Wp], in
+    steps. The shadow test gives the same bits from it as from the whole exact image. Arguments as `exact_range`'s.
+    """
+    image, *points = exact_range(test, camera_range, faces_projector, ranges)
+    return coarsened(test, image, *points)
+
+
+def exact_range(
+    test: ShadowTest, camera_range: NDArray[np.uint16], faces_projector: NDArray[np.bool_], ranges: Ranges
+) -> tuple[NDArray[np.uint16], Floats, Floats, Floats]:
+    """The projector's exact range where it can shade, 0 elsewhere, and the points that it may shade (`reached`).
+
+    camera_range: uint16 [H, W], in steps. faces_projector: bool [H, W], False on background. ranges: called once, for
+    the texels that the shadow test reads.
+    """
+    projector = test.rig.projector
+    image = np.zeros((projector.rows, projector.columns), np.uint16)
+    _, x, y, away = test.project(camera_range, np.flatnonzero(faces_projector))
+    width = projector.columns + 2
+    start = (np.floor(y).astype(np.int32) + 1) * np.int32(width) + np.floor(x).astype(np.int32) + np.int32(1)
+    start = start.astype(np.intp)
+    read = np.flatnonzero(_footprint(start, image.shape))
+    image.ravel()[read] = ranges(read)
+
+    texels = framed(image).ravel()
+    nearest = texels.take(start)
+    for shift in (1, width, width + 1):
+        np.minimum(nearest, texels[shift:].take(start), out=nearest)
+    behind = np.minimum(away - np.float32(1), FARTHEST_STEPS) - nearest
+    image[~_footprint(start[behind > test.gap_steps - _SIGHT_MARGIN], image.shape)] = 0
+    return image, x, y, away
+
+
+def _footprint(start: NDArray[np.intp], shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """The texels that points read, bool [Hp, Wp]; start: upper left ones, as flat indices into the framed image."""
+    rows, columns = shape
+    read = np.zeros((rows + 2, columns + 2), np.bool_)
+    read.ravel()[start] = True
+    read[:, 1:] |= read[:, :-1]
+    read[1:] |= read[:-1]
+    # The frame repeats the image's border.
+    read[1] |= read[0]
+    read[-2] |= read[-1]
+    read[:, 1] |= read[:, 0]
+    read[:, -2] |= read[:, -1]
+    return read[1:-1, 1:-1]

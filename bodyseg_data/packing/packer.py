@@ -1,0 +1,200 @@
+"""From bodies to shards, over any `concurrent.futures.Executor`; restartable; the same bytes however it is run.
+
+Work goes out mesh by mesh and comes back as encoded samples; one process writes all shards in their fixed order. So
+the bytes depend neither on the number of workers nor on a restart, and workers need no shared disk. While a packing
+runs, `OUT/.packing/` holds its plan, a lock, the shard being written and a record of every finished one. The manifest
+is written last; then the folder goes. Meshes that are left out (`skipping`) are left out of the cut into shards, so the
+samples are those of a source without them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections.abc import Sequence
+from concurrent.futures import BrokenExecutor, Executor, Future
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from bodyseg_data.bodies import BodyRef, collapsed
+from bodyseg_data.core import BadConfig, BodysegError, ProgressCallback, silent
+from bodyseg_data.packing.mesh_reduction import reduced_body
+from bodyseg_data.packing.options import PACKING_VERSION, Packing, forget_sources
+from bodyseg_data.packing.sampler import Sampler
+from bodyseg_data.packing.skipping import STOP, OnFaults, SkipList, find_faults
+from bodyseg_data.packing.writing import (
+    Rendered,
+    check_folder,
+    claimed,
+    cut,
+    cut_again,
+    forget_shard,
+    record_skips,
+    stored_skips,
+    write_shards,
+)
+from bodyseg_data.rendering import open_renderer
+from bodyseg_data.samples import SHADOW_THRESHOLDS, SPLITS, View
+from bodyseg_data.shards import (
+    MANIFEST_FORMAT,
+    MANIFEST_NAME,
+    Manifest,
+    SkippedMesh,
+    encode_sample,
+    read_manifest,
+    write_manifest,
+)
+
+
+def plan(packing: Packing) -> dict[str, Any]:
+    """Counts per subset and split, without reading or rendering any mesh; plain JSON.
+
+    "missing" is there if the source is not complete: the bodies that a complete one would have, runs of names in one.
+    """
+    bodies = packing.bodies()
+    subsets: dict[str, dict[str, int]] = {}
+    for body in bodies:
+        subset = subsets.setdefault(body.subset, {"meshes": 0, "views": 0, **dict.fromkeys(SPLITS, 0)})
+        subset["meshes"] += 1
+        subset["views"] += len(packing.views)
+        subset[body.split] += len(packing.views)
+    totals = {name: sum(subset[name] for subset in subsets.values()) for name in ("meshes", "views", *SPLITS)}
+    counts = {"source": packing.source, **totals, "views_per_mesh": len(packing.views), "subsets": subsets}
+    missing = collapsed(packing.opened().missing())
+    return {**counts, "missing": missing} if missing else counts
+
+
+def _describe(packing: Packing, bodies: Sequence[BodyRef], faulty: Sequence[str]) -> dict[str, Any]:
+    """Everything that shapes the bytes, as plain JSON; a restart compares it. faulty: meshes that the check found."""
+    described = {
+        "format": MANIFEST_FORMAT,
+        "version": PACKING_VERSION,
+        "source": packing.source,
+        "meshes": [asdict(body) for body in bodies],
+        "fingerprint": packing.opened().fingerprint(bodies),
+        "units": packing.units,
+        "up": packing.up,
+        "geodesics": packing.geodesics,
+        "tolerance_mm": packing.tolerance_mm,
+        "pymeshlab": packing.pymeshlab,
+        "views": packing.views.described(),
+        "rig": packing.rig.to_json(),
+        "shadow_thresholds": asdict(SHADOW_THRESHOLDS),
+        "renderer": packing.renderer,
+        "codec": packing.codec,
+        "shards": [shard.name for shard in cut(packing, bodies)],
+        "shard_samples": packing.shard_samples,
+        **({"skipped": list(faulty)} if faulty else {}),
+        **({} if packing.things == "none" else {"things": packing.things}),
+    }
+    return dict(json.loads(json.dumps(described)))  # tuples as lists, to compare with what was stored
+
+
+def _digest(description: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
+
+
+def _unchanged(packing: Packing, bodies: Sequence[BodyRef], out: Path) -> dict[str, Any] | None:
+    """The description of a packing whose whole set `out` holds, of these files as they are; None for any other.
+
+    The bytes of such files were found without fault when the set was packed, so they need no second check. A set
+    without some meshes is checked again.
+    """
+    if packing.path is None or not (out / MANIFEST_NAME).exists():
+        return None
+    try:
+        manifest = read_manifest(out)
+        description = None if manifest.skipped else _describe(packing, bodies, ())
+    except BodysegError:
+        return None  # the check and the claim of the folder say what is wrong
+    return description if description is not None and manifest.plan == _digest(description) else None
+
+
+def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...], plan: str = "") -> Rendered:
+    """One unit of work, in whichever process: one body, rendered, labelled and encoded from some views.
+
+    plan: digest of what is packed, files included: a process that outlives a packing reads changed files again.
+    """
+    source = packing.opened(plan)
+    seen_from = packing.rig, min(packing.views.distances_cm), packing.views.pitches_deg
+    built = reduced_body(source.build(body), packing.tolerance_mm, *seen_from, packing.pymeshlab)
+    parts = built.partition(packing.geodesics)
+    renderer = open_renderer(packing.renderer, built.mesh)
+    try:
+        sampler = Sampler(renderer, packing.rig, built.mesh, parts, source.name, body, packing.things)
+        samples = (sampler.take(view) for view in views)
+        notes = (*built.notes, *(() if parts.note is None else (parts.note,)))
+        return Rendered([(sample.key, encode_sample(sample, packing.codec)) for sample in samples], notes)
+    finally:
+        renderer.close()
+
+
+def pack(
+    packing: Packing,
+    out: Path,
+    executor: Executor,
+    workers: int,
+    progress: ProgressCallback = silent,
+    on_faults: OnFaults = STOP,
+) -> Manifest:
+    """Pack into the folder `out` and return its manifest; carries on where an interrupted packing stopped.
+
+    executor: runs `check_run` and `render_run`; workers: how many of its workers to keep busy. on_faults: for meshes
+    that cannot be packed. Raises BadConfig if `out` holds something else or another packing is at work there,
+    FaultyMeshes for meshes that cannot be packed, all that the check before rendering finds, or that are more than may
+    be left out; BadMesh, BadLandmarks or BadSample for one that fails later. After an error, finished shards stay and
+    the same call carries on from them; the caller cancels the jobs that the executor has not begun. In a finished set,
+    shards that are missing or altered are made again; its meshes are not checked again while their files are unchanged.
+    """
+    forget_sources()
+    check_folder(out)
+    bodies = packing.bodies()
+    skips = SkipList(on_faults, len(bodies), packing.path)
+    try:
+        description = _unchanged(packing, bodies, out)
+        if description is None:
+            skips.add(find_faults(packing, bodies, executor, workers, on_faults.progress))
+        faulty = list(skips.reasons)
+        if description is None:
+            description = _describe(packing, [body for body in bodies if body.mesh not in faulty], faulty)
+        digest = _digest(description)
+
+        def render(body: BodyRef, views: tuple[View, ...]) -> Future[Rendered]:
+            return executor.submit(render_run, packing, body, views, digest)
+
+        with claimed(out, description, digest) as state:
+            late = stored_skips(out, state, faulty)
+            skips.add(late)
+            record_skips(state, late)
+            while True:
+                shards = cut(packing, [body for body in bodies if body.mesh not in skips.reasons])
+                found, records = write_shards(packing, shards, (out, state), render, workers, progress)
+                if found is None:
+                    break
+                body, error = found
+                if skips.strict:
+                    raise error
+                skips.add({body.mesh: str(error)})
+                for shard in cut_again(shards, body):
+                    forget_shard(out, state, shard.name)
+                late[body.mesh] = skips.reasons[body.mesh]
+                record_skips(state, late)
+            manifest = Manifest(
+                rig=packing.rig,
+                codec=packing.codec,
+                source=packing.source,
+                renderer=packing.renderer,
+                plan=digest,
+                shards=tuple(records[shard.name] for shard in shards),
+                skipped=tuple(SkippedMesh(mesh, reason) for mesh, reason in skips.reasons.items()),
+            )
+            manifest = read_manifest(out) if (out / MANIFEST_NAME).exists() else write_manifest(manifest, out)
+            shutil.rmtree(state)
+    except BrokenExecutor as error:
+        killed = f"a worker process was killed (out of memory?) while packing {out}"
+        raise BadConfig(f"{killed}: the same command carries on") from error
+    except OSError as error:
+        raise BadConfig(f"cannot write shards in {out}: {error.strerror or error}") from error
+    return manifest

@@ -1,0 +1,271 @@
+"""Lens distortion by the Brown-Conrady model, with OpenCV's coefficients in OpenCV's order.
+
+D. C. Brown, "Decentering distortion of lenses", Photogrammetric Engineering 32(3), 1966; the form is that of OpenCV's
+`calibrateCamera` with five coefficients (https://docs.opencv.org/4.x/d9/d0c/group__calib3d.html). For a point (x, y, 1)
+of the camera's frame and r^2 = x^2 + y^2, the lens draws it at
+
+    x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)
+    y' = y (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y^2) + 2 p2 x y
+
+Cameras and projectors of rigs, and their poses; axes as in `core.rig`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core import BadConfig, Table, check_fields
+
+MODEL: Final = "brown_conrady"
+
+_LARGEST: Final = 1e6
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Distortion:
+    """Coefficients of the model, without unit: radial k1, k2, k3, tangential p1, p2. Raises BadConfig beyond 1e6."""
+
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        for name, value in asdict(self).items():
+            if not abs(value) <= _LARGEST:
+                raise BadConfig(f"a coefficient of distortion must be at most {_LARGEST:g}, found {name} = {value:g}")
+
+    def apply(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+        """Return where the lens draws directions (x, y, 1), at z = 1; all float64 of one shape."""
+        squared = x * x + y * y
+        radial = 1 + squared * (self.k1 + squared * (self.k2 + squared * self.k3))
+        return (
+            x * radial + 2 * self.p1 * x * y + self.p2 * (squared + 2 * x * x),
+            y * radial + self.p1 * (squared + 2 * y * y) + 2 * self.p2 * x * y,
+        )
+
+    def is_one_to_one(self, x: Floats, y: Floats) -> bool:
+        """True if the lens keeps the order of neighbouring directions (x, y, 1) everywhere in a lattice.
+
+        That is where the derivative of `apply`, a matrix of two by two, has a positive determinant and trace.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            squared = x * x + y * y
+            radial = 1 + squared * (self.k1 + squared * (self.k2 + squared * self.k3))
+            growth = 2 * (self.k1 + squared * (2 * self.k2 + squared * 3 * self.k3))  # of radial, along x by x
+            mixed = x * y * growth + 2 * (self.p1 * x + self.p2 * y)
+            along_x = radial + x * x * growth + 2 * self.p1 * y + 6 * self.p2 * x
+            along_y = radial + y * y * growth + 6 * self.p1 * y + 2 * self.p2 * x
+            determinant, trace = along_x * along_y - mixed * mixed, along_x + along_y
+        return bool(((determinant > 0) & (trace > 0)).all())
+
+    def to_json(self) -> dict[str, Any]:
+        """Model and coefficients as plain JSON, as in a rig file."""
+        return {"model": MODEL, **asdict(self)}
+
+
+def distortion_from_table(table: Table) -> Distortion:
+    """Read what `Distortion.to_json` gives; a coefficient that is left out is 0. Raises BadConfig."""
+    model = table.text("model")
+    if model != MODEL:
+        raise BadConfig(f"{table.where}: 'model' must be {MODEL!r}, found {model!r}")
+    names = Distortion.__dataclass_fields__
+    coefficients = {name: table.number(name) for name in names if table.has(name)}
+    table.finish()
+    try:
+        return Distortion(**coefficients)
+    except BadConfig as error:
+        raise BadConfig(f"{table.where}: {error}") from None
+
+
+MAX_SIDE: Final = 8192
+"""Longest side of an image, pixels."""
+
+_MAX_FOCAL_PX: Final = 1e6
+_MAX_DISTANCE_M: Final = 100.0
+_MAX_ROLL_DEG: Final = 180.0
+_LEAST_ACROSS: Final = 1e-6
+_CHECKED: Final = 65  # nodes a side at which distortion is checked
+
+Vector = tuple[float, float, float]
+
+_UP: Final = (0.0, -1.0, 0.0)  # of a rig's frame, whose y points down
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera or, with light going the other way, a projector.
+
+    rows, columns: image size in pixels. focal_px: focal length in pixels (square pixels). centre_px: principal
+    point (x, y) in image coordinates. position_m: optical centre in the rig's frame. aims_at_m: the point of the
+    rig's frame on the optical axis. up: a direction of the rig's frame; without roll the image's x axis is at right
+    angles to it, and it points up in the image. roll_deg: rotation about the optical axis, -180 to 180, clockwise as
+    seen from behind the camera; what is seen turns the other way. distortion: of the frames that the camera takes; all
+    else here, and all that is rendered, is of the ideal image without it. Raises BadConfig for a value out of range.
+    """
+
+    rows: int
+    columns: int
+    focal_px: float
+    centre_px: tuple[float, float]
+    position_m: Vector
+    aims_at_m: Vector
+    up: Vector = _UP
+    roll_deg: float = 0.0
+    distortion: Distortion | None = None
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if not (1 <= self.rows <= MAX_SIDE and 1 <= self.columns <= MAX_SIDE):
+            raise BadConfig(f"an image side must be 1 to {MAX_SIDE} pixels, found {self.rows} x {self.columns}")
+        if not 0 < self.focal_px <= _MAX_FOCAL_PX:
+            raise BadConfig(
+                f"a focal length must be positive, at most {_MAX_FOCAL_PX:g} px, found {self.focal_px:g} px"
+            )
+        if not all(abs(number) <= _MAX_DISTANCE_M for number in (*self.position_m, *self.aims_at_m)):
+            raise BadConfig(
+                f"a camera's position and aim must lie within {_MAX_DISTANCE_M:g} m, found {self.position_m}, "
+                f"{self.aims_at_m}"
+            )
+        if not all(abs(number) <= _MAX_FOCAL_PX for number in self.centre_px):
+            raise BadConfig(f"a principal point must lie near the image, found {self.centre_px}")
+        if not all(abs(number) <= _MAX_DISTANCE_M for number in self.up):
+            raise BadConfig(f"a camera's 'up' must have components of at most {_MAX_DISTANCE_M:g}, found {self.up}")
+        if not abs(self.roll_deg) <= _MAX_ROLL_DEG:
+            raise BadConfig(f"a camera's roll must be -180 to 180 degrees, found {self.roll_deg:g}")
+        axis = np.subtract(self.aims_at_m, self.position_m)
+        if not np.linalg.norm(np.cross(self.up, axis)) >= _LEAST_ACROSS:
+            raise BadConfig(
+                f"a camera must not look straight up or down, along its 'up', found an axis of {axis.tolist()} "
+                f"and up {list(self.up)}"
+            )
+        if self.distortion is not None and not self.distortion.is_one_to_one(*self._image_plane(_CHECKED)):
+            raise BadConfig(f"lens distortion must not fold the image over, found {self.distortion}")
+
+    @property
+    def axes(self) -> NDArray[np.float64]:
+        """Rows are this camera's x, y and z axes in the rig's frame, [3, 3]: local = axes @ (point - position)."""
+        forward = np.subtract(self.aims_at_m, self.position_m)
+        forward = forward / np.linalg.norm(forward)
+        right = np.cross(0.0 - np.array(self.up), forward)  # 0 - 0 has no sign
+        right /= np.linalg.norm(right)
+        return rolled(np.stack([right, np.cross(forward, right), forward]), self.roll_deg)
+
+    def pixel_rays(self) -> NDArray[np.float64]:
+        """Directions through all pixel centres in this camera's own frame, [rows, columns, 3], scaled to z = 1.
+
+        With that scale the parameter of a point on the ray *is* its range.
+        """
+        rays = np.ones((self.rows, self.columns, 3))
+        rays[..., 0] = (np.arange(self.columns) + 0.5 - self.centre_px[0]) / self.focal_px
+        rays[..., 1] = ((np.arange(self.rows) + 0.5 - self.centre_px[1]) / self.focal_px)[:, None]
+        return rays
+
+    def _image_plane(self, nodes: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Coordinates x and y, at z = 1, of a lattice that spans the image, each float64 [nodes, nodes]."""
+        across = (np.linspace(0, self.columns, nodes) - self.centre_px[0]) / self.focal_px
+        down = (np.linspace(0, self.rows, nodes) - self.centre_px[1]) / self.focal_px
+        x, y = np.meshgrid(across, down)
+        return x, y
+
+    def to_json(self) -> dict[str, Any]:
+        """The camera as plain JSON; `up`, roll and distortion only where they are not the default."""
+        tree = asdict(self)
+        for field, default in (("up", _UP), ("roll_deg", 0.0), ("distortion", None)):
+            if getattr(self, field) == default:
+                del tree[field]
+        if self.distortion is not None:
+            tree["distortion"] = self.distortion.to_json()
+        return tree
+
+    def scaled(self, factor: int) -> Camera:
+        """The same view with `factor` times as many pixels a side. Raises BadConfig for a factor below 1."""
+        if factor < 1:
+            raise BadConfig(f"an image is refined by a whole factor of at least 1, found {factor}")
+        return replace(
+            self,
+            rows=self.rows * factor,
+            columns=self.columns * factor,
+            focal_px=self.focal_px * factor,
+            centre_px=(self.centre_px[0] * factor, self.centre_px[1] * factor),
+        )
+
+
+@dataclass(frozen=True)
+class PlacedCamera:
+    """A camera in a body's frame: `axes` [3, 3] (rows: its x, y, z), `position` [3], both float64."""
+
+    camera: Camera
+    axes: NDArray[np.float64]
+    position: NDArray[np.float64]
+
+    def to_local(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points of the body's frame [..., 3] in this camera's frame, metres."""
+        return (points - self.position) @ self.axes.T
+
+    def to_body(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points of this camera's frame [..., 3] in the body's frame, metres."""
+        return points @ self.axes + self.position
+
+    def project(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Image coordinates [..., 2] (x, y) and range [...] of points [..., 3] in front of the camera."""
+        local = self.to_local(points)
+        return local[..., :2] / local[..., 2:] * self.camera.focal_px + self.camera.centre_px, local[..., 2]
+
+
+def axes_at(azimuth_deg: int, pitch_deg: float = 0.0) -> NDArray[np.float64]:
+    """Axes [3, 3], rows x, y, z in the body's frame, of a camera without roll that looks at the body from an azimuth.
+
+    pitch_deg: angle of the optical axis above the horizontal; negative looks down.
+    """
+    turn = math.radians(azimuth_deg)
+    right, back = [math.cos(turn), 0.0, -math.sin(turn)], np.array([math.sin(turn), 0.0, math.cos(turn)])
+    axes = np.array([right, [0.0, -1.0, 0.0], -back])
+    if not pitch_deg:
+        return axes
+    _, down, forward = axes
+    cos, sin = math.cos(math.radians(pitch_deg)), math.sin(math.radians(pitch_deg))
+    return np.array([right, cos * down + sin * forward, cos * forward - sin * down])
+
+
+def rolled(axes: NDArray[np.float64], roll_deg: float) -> NDArray[np.float64]:
+    """Axes [3, 3] of a camera turned about its optical axis, clockwise as seen from behind it."""
+    if not roll_deg:
+        return axes
+    right, down, forward = axes
+    cos, sin = math.cos(math.radians(roll_deg)), math.sin(math.radians(roll_deg))
+    return np.array([cos * right + sin * down, cos * down - sin * right, forward])
+
+
+def camera_from_table(table: Table, posed: bool, lens: bool = False) -> Camera:
+    """Read a [camera] or [projector] table. Raises BadConfig, naming the table, for anything missing or out of range.
+
+    posed: whether it must say where the device is, else its frame is the rig's. lens: whether it may hold distortion.
+    """
+    rows, columns = table.whole("rows"), table.whole("columns")
+    if table.has("focal_px"):
+        focal_px = table.positive("focal_px")
+    else:
+        focal_px = table.positive("focal_length_mm") / table.positive("pixel_pitch_um") * 1000
+    # The middle of the image unless a calibration says otherwise.
+    centre = table.numbers("centre_px", 2) if table.has("centre_px") else (columns / 2, rows / 2)
+    position, aim = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+    if posed or table.has("position_m") or table.has("aims_at_m"):
+        position, aim = table.numbers("position_m", 3), table.numbers("aims_at_m", 3)
+    up = table.numbers("up", 3) if table.has("up") else _UP
+    roll_deg = table.number("roll_deg") if table.has("roll_deg") else 0.0
+    distortion = distortion_from_table(table.table("distortion")) if lens and table.has("distortion") else None
+    table.finish()
+    try:
+        return Camera(rows, columns, focal_px, centre, position, aim, up, roll_deg, distortion)
+    except BadConfig as error:
+        raise BadConfig(f"{table.where}: {error}") from None

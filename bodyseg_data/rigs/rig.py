@@ -1,0 +1,280 @@
+"""Cameras and structured-light rigs: frozen, validated, read from TOML files; those in `rigs/` have names.
+
+Axes follow the field's camera convention: x right, y down, z forward, in metres. Pixel (row r, column c) covers
+[c, c + 1) × [r, r + 1) in image coordinates, so its centre is at (c + 0.5, r + 0.5). *Range* is the z coordinate in
+the frame of the device that sees it (distance along the optical axis), not the length of the ray.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+from dataclasses import asdict, dataclass, replace
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core import BadConfig, Table, check_fields, toml_names, toml_text, toml_tree
+from bodyseg_data.rigs.camera import MAX_SIDE, Camera, PlacedCamera, axes_at, camera_from_table, rolled
+from bodyseg_data.samples import View
+
+__all__ = [
+    "PAPER",
+    "RIG_FORMAT",
+    "Camera",
+    "PlacedCamera",
+    "Rig",
+    "Sensor",
+    "axes_at",
+    "load_rig",
+    "load_sensor",
+    "parse_rig",
+    "parse_sensor",
+    "rig_from_json",
+    "rig_names",
+]
+
+RIG_FORMAT: Final = "bodyseg rig 1"
+PAPER: Final = "paper"
+"""The default rig."""
+_FOLDER: Final = resources.files(__package__)
+
+RANGE_STEP_MM: Final = 0.1
+"""The step of stored ranges where a rig does not say, millimetres."""
+FINEST_STEP_MM: Final = 0.01
+COARSEST_STEP_MM: Final = 10.0
+BODY_REACH_M: Final = 0.5
+"""Depth of a body behind its centre with which a step is checked, metres; ranges beyond 16 bits fail when rendered."""
+
+_MAX_STEPS: Final = 65535
+_NAME: Final = re.compile(r"[A-Za-z0-9_+.-]{1,40}")
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A structured-light rig: a camera and a projector, or two. The rig's frame is the camera's if that has no pose.
+
+    stand_off_m: the distance for which the rig is made, metres; bodies in other sensors' frames are resampled to it.
+    range_step_mm: one step of its stored ranges, millimetres, 0.01 to 10. second_projector: with it, shadow is where
+    neither projector lights; its image has as many columns as the first's. Raises BadConfig for values out of range.
+    """
+
+    name: str
+    stand_off_m: float
+    camera: Camera
+    projector: Camera
+    range_step_mm: float = RANGE_STEP_MM
+    second_projector: Camera | None = None
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        _check_name(self.name)
+        if not (math.isfinite(self.stand_off_m) and self.stand_off_m > 0):
+            raise BadConfig(f"a rig's stand-off must be positive, found {self.stand_off_m} m")
+        for projector in self.projectors:
+            if projector.distortion is not None:
+                raise BadConfig(f"a projector has no lens distortion, found {projector.distortion}")
+        self._check_stacking()
+        if not FINEST_STEP_MM <= self.range_step_mm <= COARSEST_STEP_MM:
+            raise BadConfig(
+                f"'range_step_mm' must be {FINEST_STEP_MM:g} to {COARSEST_STEP_MM:g}, found {self.range_step_mm:g}"
+            )
+        self.check_reach(self.stand_off_m)
+
+    @property
+    def range_step_m(self) -> float:
+        """One step of the rig's uint16 range images, metres: range in metres = steps * range_step_m."""
+        return self.range_step_mm / 1000
+
+    @property
+    def projectors(self) -> tuple[Camera, ...]:
+        """The one or two projectors, the first one first."""
+        return (self.projector,) if self.second_projector is None else (self.projector, self.second_projector)
+
+    @property
+    def projector_shape(self) -> tuple[int, int]:
+        """Rows and columns of a sample's projector range: that of all projectors, one below the other."""
+        return sum(projector.rows for projector in self.projectors), self.projector.columns
+
+    def by_projector(self) -> tuple[Rig, ...]:
+        """A rig with one projector for each of this rig's, in order."""
+        if self.second_projector is None:
+            return (self,)
+        return tuple(replace(self, projector=projector, second_projector=None) for projector in self.projectors)
+
+    def _check_stacking(self) -> None:
+        """Raise BadConfig unless the projectors' images can be stored as one."""
+        if len({projector.columns for projector in self.projectors}) > 1:
+            found = " and ".join(str(projector.columns) for projector in self.projectors)
+            raise BadConfig(f"the images of two projectors must have equally many columns, found {found}")
+        if self.projector_shape[0] > MAX_SIDE:
+            raise BadConfig(
+                f"the images of two projectors must have at most {MAX_SIDE} rows together, "
+                f"found {self.projector_shape[0]}"
+            )
+
+    def check_reach(self, distance_m: float) -> None:
+        """Raise BadConfig unless 16 bits hold the ranges of a body that far away on the camera's axis, metres.
+
+        All devices must reach `BODY_REACH_M` behind its centre.
+        """
+        centre = np.asarray(self.camera.position_m) + distance_m * self.camera.axes[2]
+        away = (float(projector.axes[2] @ (centre - projector.position_m)) for projector in self.projectors)
+        needed, reach = max(distance_m, *away) + BODY_REACH_M, _MAX_STEPS * self.range_step_m
+        if needed > reach:
+            raise BadConfig(
+                f"{_MAX_STEPS} steps of 'range_step_mm' must reach {BODY_REACH_M:g} m behind a body {distance_m:g} m "
+                f"away, {needed:.4g} m: found {self.range_step_mm:g} mm, which reach {reach:.4g} m"
+            )
+
+    @property
+    def baseline_m(self) -> float:
+        """Distance between the optical centres of camera and first projector, metres."""
+        return math.dist(self.camera.position_m, self.projector.position_m)
+
+    def placed(self, centre: NDArray[np.float64], view: View) -> tuple[PlacedCamera, PlacedCamera]:
+        """Camera and first projector in the frame of a body whose bounding box is centred on `centre` [3].
+
+        The rig moves and the body stays, so that whatever was built for the body's mesh serves all its views. The
+        camera gets the pose that `View` describes and its own roll besides, the projector the same place beside it.
+        Body frame: x to the subject's left, y up, z to the front, metres.
+        """
+        aim = np.asarray(centre, np.float64)
+        if view.height_cm:
+            aim = np.add(aim, (0.0, view.height_cm / 100, 0.0))
+        upright = axes_at(view.azimuth_deg, view.pitch_deg)
+        camera_axes = rolled(upright, view.roll_deg + self.camera.roll_deg)
+        camera_position = aim - view.distance_cm / 100 * camera_axes[2]
+        # Axes of the rig in the body's frame, such that the camera gets exactly the pose above.
+        rig_axes = self.camera.axes.T @ camera_axes
+        rig_origin = camera_position - np.asarray(self.camera.position_m) @ rig_axes
+        projector_axes = self.projector.axes @ rig_axes
+        projector_position = np.asarray(self.projector.position_m) @ rig_axes + rig_origin
+        return (
+            PlacedCamera(self.camera, camera_axes, camera_position),
+            PlacedCamera(self.projector, projector_axes, projector_position),
+        )
+
+    def camera_to_projector(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Rotation [3, 3] and translation [3] with projector_point = rotation @ camera_point + translation.
+
+        The projector is the first one.
+        """
+        rotation = self.projector.axes @ self.camera.axes.T
+        offset = np.subtract(self.camera.position_m, self.projector.position_m)
+        return rotation, self.projector.axes @ offset
+
+    def with_projector_scale(self, factor: int) -> Rig:
+        """The same rig with projector-view images of `factor` times as many pixels a side."""
+        second = None if self.second_projector is None else self.second_projector.scaled(factor)
+        return replace(self, projector=self.projector.scaled(factor), second_projector=second)
+
+    def to_json(self) -> dict[str, Any]:
+        """The rig as plain JSON, for manifests; a second projector only where there is one."""
+        tree = {"format": RIG_FORMAT, **asdict(self)}
+        tree |= {"camera": self.camera.to_json(), "projector": self.projector.to_json()}
+        if self.second_projector is None:
+            del tree["second_projector"]
+        else:
+            tree["second_projector"] = self.second_projector.to_json()
+        return tree
+
+    @property
+    def digest(self) -> str:
+        """A short hash of everything that shapes an image."""
+        return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """The content of a rig file: a camera, with or without the projectors that make a rig of it.
+
+    title: the sensor's name in prose. rig: None for a camera alone. assumed_for_size: whether frames of the camera's
+    image size are taken to be this sensor's where nobody names a camera.
+    """
+
+    name: str
+    title: str
+    camera: Camera
+    rig: Rig | None
+    assumed_for_size: bool
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        _check_name(self.name)
+
+
+def rig_names() -> tuple[str, ...]:
+    """Names of the rig files that ship with the package, in alphabetical order."""
+    return toml_names(_FOLDER)
+
+
+def load_rig(name_or_path: str | Path = PAPER) -> Rig:
+    """Read a rig by the name of one that ships with the package, or from a TOML file (docs/how-to/rig.md).
+
+    Raises BadConfig, naming file and key, for anything missing, unknown or out of range, and for a camera alone.
+    """
+    return parse_rig(toml_text("rig", name_or_path, _FOLDER), str(name_or_path))
+
+
+def load_sensor(name_or_path: str | Path = PAPER) -> Sensor:
+    """Read a rig file as `load_rig`, with or without a projector. Raises BadConfig."""
+    return parse_sensor(toml_text("rig", name_or_path, _FOLDER), str(name_or_path))
+
+
+def parse_rig(text: str, where: str) -> Rig:
+    """Parse a rig from TOML text; `where` names its origin in messages. Raises BadConfig as `load_rig`."""
+    rig = parse_sensor(text, where).rig
+    if rig is None:
+        raise BadConfig(f"rig {where} is a camera alone: rendering for it needs 'stand_off_m' and [projector]")
+    return rig
+
+
+def parse_sensor(text: str, where: str) -> Sensor:
+    """Parse a rig file's text, with or without a projector; `where` names its origin in messages. Raises BadConfig."""
+    table = Table(toml_tree(text, f"rig {where}", RIG_FORMAT), f"rig {where}")
+    name = table.text("name")
+    title = table.text("title") if table.has("title") else name
+    assumed = table.flag("assumed_for_size") if table.has("assumed_for_size") else False
+    camera, lighting = camera_from_table(table.table("camera"), posed=False, lens=True), None
+    if any(map(table.has, ("projector", "second_projector", "stand_off_m", "range_step_mm"))):
+        stand_off = table.number("stand_off_m")
+        projector = camera_from_table(table.table("projector"), posed=True)
+        lighting = stand_off, projector, _range_step_mm(table), _second_projector(table)
+    table.finish()
+    try:
+        rig = None if lighting is None else Rig(name, lighting[0], camera, *lighting[1:])
+        return Sensor(name, title, camera, rig, assumed)
+    except BadConfig as error:
+        raise BadConfig(f"rig {where}: {error}") from None
+
+
+def rig_from_json(tree: Any) -> Rig:
+    """Rebuild a rig from what `Rig.to_json` gave. Raises BadConfig."""
+    if not isinstance(tree, dict) or tree.get("format") != RIG_FORMAT:
+        raise BadConfig(f"a stored rig's 'format' must be {RIG_FORMAT!r}")
+    table = Table({key: value for key, value in tree.items() if key != "format"}, "a stored rig")
+    name, stand_off = table.text("name"), table.number("stand_off_m")
+    camera = camera_from_table(table.table("camera"), posed=True, lens=True)
+    projector = camera_from_table(table.table("projector"), posed=True)
+    step_mm, second = _range_step_mm(table), _second_projector(table)
+    table.finish()
+    return Rig(name, stand_off, camera, projector, step_mm, second)
+
+
+def _range_step_mm(table: Table) -> float:
+    return table.number("range_step_mm") if table.has("range_step_mm") else RANGE_STEP_MM
+
+
+def _second_projector(table: Table) -> Camera | None:
+    return camera_from_table(table.table("second_projector"), posed=True) if table.has("second_projector") else None
+
+
+def _check_name(name: str) -> None:
+    if not _NAME.fullmatch(name):
+        raise BadConfig(f"a rig's name must be one plain word of at most 40 letters, found {name[:60]!r}")

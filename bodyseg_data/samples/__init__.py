@@ -1,0 +1,40 @@
+"""One clean sample: its images, key, view and split."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bodyseg_data.core import lazy_door
+
+if TYPE_CHECKING:
+    from bodyseg_data.samples.sample import (
+        FARTHEST_STEPS,
+        HELD,
+        READ_SPLITS,
+        SHADOW_THRESHOLDS,
+        SPLITS,
+        Occupancy,
+        ReadSplit,
+        Sample,
+        SampleInfo,
+        Split,
+        check_key,
+        holds_postures,
+        info_from_json,
+        motion_of,
+        shape_of,
+        split_by_motion,
+        split_by_order,
+        steps,
+    )
+    from bodyseg_data.samples.views import View, ViewGrid, parse_choice, split_key
+
+__getattr__, __all__ = lazy_door(
+    __name__,
+    {
+        "sample": "FARTHEST_STEPS HELD READ_SPLITS SHADOW_THRESHOLDS SPLITS Occupancy ReadSplit Sample SampleInfo "
+        "Split check_key holds_postures info_from_json motion_of shape_of split_by_motion split_by_order "
+        "steps",
+        "views": "View ViewGrid parse_choice split_key",
+    },
+)

@@ -1,0 +1,252 @@
+"""Train/test protocol of the paper (section 3.5): split by mesh, so that no mesh has views in both.
+
+Splits are stored in shards. The split "val" is not: it is chosen out of train while reading (docs/how-to/splits.md).
+
+| subset          | train                           | test               |
+| --------------- | ------------------------------- | ------------------ |
+| A, 71 postures  | the first 57                    | the remaining 14   |
+| B, 4 motions    | crane, march, squat             | jumping            |
+| C, 4 motions    | bouncing, handstand, march      | squat              |
+| people, 583     | the first 467                   | the remaining 116  |
+
+One clean sample: what is stored, before any artifact.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict, dataclass
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core import BadSample
+from bodyseg_data.labels import BACKGROUND, PART_COUNT
+from bodyseg_data.samples.views import View
+
+Split = Literal["train", "test"]
+SPLITS: Final[tuple[Split, ...]] = ("train", "test")
+
+ReadSplit = Literal["train", "val", "test"]
+READ_SPLITS: Final[tuple[ReadSplit, ...]] = ("train", "val", "test")
+"""The splits that a set can be read by."""
+
+_FIRST_FOR_TRAINING: Final = {"A": 57, "people": 467}
+_MOTION_FOR_TESTING: Final = {"B": "jumping", "C": "squat"}
+
+
+def split_by_order(subset: Literal["A", "people"], index: int) -> Split:
+    """Return the split of mesh number `index`, counted from 0 over the whole subset."""
+    return "train" if index < _FIRST_FOR_TRAINING[subset] else "test"
+
+
+def split_by_motion(subset: Literal["B", "C"], motion: str) -> Split:
+    """Return the split of all frames of a motion sequence."""
+    return "test" if motion == _MOTION_FOR_TESTING[subset] else "train"
+
+
+def motion_of(subset: str, pose: str) -> str:
+    """Return the motion whose frame a body is: its pose in the subsets B and C, "" in others, which hold postures."""
+    return pose if subset in _MOTION_FOR_TESTING else ""
+
+
+def holds_postures(subset: str) -> bool:
+    """Return whether every mesh of one of the paper's subsets is a posture of its own, not a frame of a motion."""
+    return subset in _FIRST_FOR_TRAINING
+
+
+FARTHEST_STEPS: Final = np.float32(65535)
+"""The largest range that a stored image can hold, in steps; the length of a step is the rig's (`Rig.range_step_m`)."""
+
+_KEY = re.compile(r"[A-Za-z0-9_+-]{1,80}")  # no dots: readers of plain tars split names at the first one
+
+
+@dataclass(frozen=True)
+class ShadowThresholds:
+    """The thresholds of the shadow test that the stored projector range is made for.
+
+    With these, and only with these, that range gives the same shadows as the exact one; so they belong to the format of
+    shards (docs/reference/shard_format.md), and packing and the shadow test read them here.
+
+    surface_gap_m: how far behind the surface that the projector sees a point may lie and still belong to it.
+    edge_m: the difference in range from which on neighbouring texels show two surfaces and not one.
+    """
+
+    surface_gap_m: float = 0.006
+    edge_m: float = 0.020
+
+    def gap_steps(self, step_m: float) -> np.float32:
+        """`surface_gap_m` in steps of a stored range, whole, at least 1; step_m: one step, metres."""
+        return np.float32(max(1, round(self.surface_gap_m / step_m)))
+
+    def edge_steps(self, step_m: float) -> np.float32:
+        """`edge_m` in steps of a stored range, whole, at least 1; step_m: one step, metres."""
+        return np.float32(max(1, round(self.edge_m / step_m)))
+
+
+SHADOW_THRESHOLDS: Final = ShadowThresholds()
+"""The thresholds of the format of shards."""
+
+
+HELD: Final = "held"
+"""Value of `SampleInfo.things` for a body that holds or wears a thing and has none around it."""
+
+_OPTIONAL: Final = frozenset({"pitch_deg", "roll_deg", "height_cm", "things", "hidden_pct"})
+
+
+@dataclass(frozen=True)
+class SampleInfo:
+    """The origin of a sample. source: "open", "mit"; subset: the paper's group; split: "train" or "test".
+
+    distance_cm, azimuth_deg, pitch_deg, roll_deg, height_cm: of its `View`. things: "before", "behind" or "both" where
+    things stand around the body (docs/reference/things.md), `HELD` where it only holds one, else ""; hidden_pct:
+    percent of the body's pixels that things around it hide.
+    """
+
+    source: str
+    subset: str
+    subject: str
+    mesh: str
+    pose: str
+    distance_cm: int
+    azimuth_deg: int
+    split: Split
+    pitch_deg: int = 0
+    roll_deg: int = 0
+    height_cm: int = 0
+    things: str = ""
+    hidden_pct: int = 0
+
+    @property
+    def view(self) -> View:
+        """The view that the sample was rendered from."""
+        return View(self.distance_cm, self.azimuth_deg, self.pitch_deg, self.roll_deg, self.height_cm)
+
+    def to_json(self) -> dict[str, Any]:
+        """Convert to a JSON object; pitch, roll, height, things and what they hide only where there are any."""
+        return {name: value for name, value in asdict(self).items() if value or name not in _OPTIONAL}
+
+
+_NUMBERS: Final = ("_cm", "_deg", "_pct")
+_KINDS: Final = {name: int if name.endswith(_NUMBERS) else str for name in SampleInfo.__dataclass_fields__}
+_REQUIRED: Final = _KINDS.keys() - _OPTIONAL
+
+
+@dataclass(frozen=True)
+class Occupancy:
+    """Flat indices of the pixels that hold anything, as decoding found them; None: not found.
+
+    edges: int32 [2 N], in reading order: where foreground begins, ends, begins ...; texels: int32 [N], ascending, where
+    the projector's range is not 0. Compiled loops rely on both: a sample whose images are changed must drop them.
+    """
+
+    edges: NDArray[np.int32] | None
+    texels: NDArray[np.int32] | None
+
+
+@dataclass(frozen=True, repr=False)
+class Sample:
+    """A clean rendering of one body from one view.
+
+    range: uint16 [H, W], the camera's range in the rig's steps along its optical axis; 0 is background.
+    projector_range: uint16 [Hp, Wp], the same for the projector; None if it was not read. Of a rig with two projectors,
+    the second's rows follow the first's.
+    labels: uint8 [H, W], part 0..32, 255 where range is 0, and on things, of samples that have some (`info.things`).
+    faces_projector: bool [H, W], whether the surface seen is turned towards the projector (lit unless something
+    stands between); False on background.
+    occupancy: only of samples decoded into given arrays.
+    faces_second: as faces_projector, for a rig's second projector; None of a rig with one.
+    """
+
+    key: str
+    range: NDArray[np.uint16]
+    projector_range: NDArray[np.uint16] | None
+    labels: NDArray[np.uint8]
+    faces_projector: NDArray[np.bool_]
+    info: SampleInfo
+    occupancy: Occupancy | None = None
+    faces_second: NDArray[np.bool_] | None = None
+
+    def __repr__(self) -> str:
+        projector = "no" if self.projector_range is None else shape_of(self.projector_range)
+        return f"Sample({self.key!r}, camera {shape_of(self.range)}, projector {projector}, {self.info})"
+
+    def occluder_range(self) -> NDArray[np.uint16]:
+        """The projector's range. Raises BadSample if it was not read."""
+        if self.projector_range is None:
+            raise BadSample(f"{self.key}: the projector's range is needed, the sample was read without it")
+        return self.projector_range
+
+    def check(self) -> None:
+        """Raise BadSample, naming the key, if the arrays break a rule of the format."""
+        check_key(self.key)
+        kinds = {
+            "range": np.uint16,
+            "projector_range": np.uint16,
+            "labels": np.uint8,
+            "faces_projector": np.bool_,
+            "faces_second": np.bool_,
+        }
+        for field, kind in kinds.items():
+            array = getattr(self, field)
+            if array is None and field in ("projector_range", "faces_second"):
+                continue
+            if array.dtype != kind or array.ndim != 2 or not array.size:
+                raise BadSample(
+                    f"{self.key}: {field} must be a 2D image of {kind.__name__}, found {array.dtype} {array.shape}"
+                )
+        masks = [mask for mask in (self.faces_projector, self.faces_second) if mask is not None]
+        shapes = [self.range.shape, self.labels.shape, *(mask.shape for mask in masks)]
+        if len(set(shapes)) > 1:
+            found = ", ".join(map(str, shapes))
+            raise BadSample(f"{self.key}: range, labels and facing must have one shape, found {found}")
+        background = self.range == 0
+        unlabelled = self.labels == BACKGROUND
+        if not (np.array_equal(background, unlabelled) or (self.info.things and unlabelled[background].all())):
+            besides = "wherever range is 0" if self.info.things else "exactly where range is 0"
+            raise BadSample(f"{self.key}: labels must be {BACKGROUND} {besides}")
+        if (self.labels[~unlabelled] >= PART_COUNT).any():
+            raise BadSample(f"{self.key}: labels must be 0 to {PART_COUNT - 1}, found {self.labels[~unlabelled].max()}")
+        if any((mask & background).any() for mask in masks):
+            raise BadSample(f"{self.key}: background cannot face the projector")
+
+
+def shape_of(image: NDArray[Any]) -> str:
+    """The size of an image in words, "640 x 329"."""
+    return " x ".join(map(str, image.shape))
+
+
+def check_key(key: str) -> None:
+    """Raise BadSample unless `key` can name a sample in a tar: letters, digits, _, + and -, at most 80."""
+    if not _KEY.fullmatch(key):
+        raise BadSample(f"a sample key must be 1 to 80 letters, digits, '_', '+' or '-', found {key!r}")
+
+
+def steps(range_m: NDArray[np.floating[Any]], step_m: float, where: str) -> NDArray[np.uint16]:
+    """Ranges in metres, 0 for background, as uint16 steps rounded to nearest; of foreground, none becomes 0.
+
+    step_m: one step, metres (`Rig.range_step_m`). where: origin of the ranges, for the message. Raises BadSample for a
+    range below 0 or beyond 65535 steps.
+    """
+    rounded = np.rint(np.asarray(range_m, np.float64) / step_m)
+    fits = (rounded >= 0) & (rounded <= 65535)  # False for NaN too
+    if not fits.all():
+        reach = f"{65535 * step_m:.5g} m, 65535 steps of {1e3 * step_m:g} mm"
+        raise BadSample(f"{where}: a range must be 0 to {reach}, found {range_m[~fits][0]:.5g} m")
+    foreground = np.asarray(range_m) > 0
+    return np.where(foreground, np.maximum(rounded, 1), 0).astype(np.uint16)
+
+
+def info_from_json(tree: Any, key: str) -> SampleInfo:
+    """Check and read a sample's description. Raises BadSample."""
+    if not isinstance(tree, dict) or (tree.keys() != _REQUIRED and tree.keys() | _OPTIONAL != _KINDS.keys()):
+        raise BadSample(
+            f"{key}: the description must have exactly {sorted(_REQUIRED)}, and may have {sorted(_OPTIONAL)}"
+        )
+    for field, value in tree.items():
+        if type(value) is not _KINDS[field]:
+            raise BadSample(f"{key}: {field!r} must be {_KINDS[field].__name__}, found {value!r}")
+    if tree["split"] not in SPLITS:
+        raise BadSample(f"{key}: 'split' must be one of {', '.join(SPLITS)}, found {tree['split']!r}")
+    return SampleInfo(**tree)

@@ -1,0 +1,354 @@
+"""Folder of complete downloaded shards: named by content, of bounded size, shared by processes.
+
+A partial download is `SHA256.SIZE.part`, a complete shard `SHA256.tar`; other files in the folder are not touched. The
+size in a part's name reserves its space. The process that writes a part holds a lock on it, which the operating system
+releases if the process is killed.
+
+Store of a remote set that caches shards on this machine as far as there is room.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import os
+import re
+import time
+import warnings
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+from bodyseg_data.core import BadConfig, BadShard
+from bodyseg_data.shards.index import IndexedShards
+from bodyseg_data.shards.manifest import Manifest
+from bodyseg_data.shards.records import CheckedFile, check_bytes
+from bodyseg_data.shards.remote import RemoteFolder
+from bodyseg_data.shards.store import READ_ATTEMPTS, Store
+
+DEFAULT_CACHE_BYTES: Final = 20 * 10**9
+"""Default size limit, bytes: room for about 300 000 samples."""
+
+IN_USE_S: Final = 60.0
+"""Seconds since its last read during which a shard is not evicted, so that two sets do not evict each other's."""
+
+_NAME: Final = re.compile(r"[0-9a-f]{64}(?:\.tar|\.([0-9]{1,15})\.part)")
+_POLL_S: Final = 0.05
+
+
+def default_folder() -> Path:
+    """The folder `bodyseg` in XDG_CACHE_HOME or ~/.cache; a relative XDG_CACHE_HOME is ignored, as XDG requires."""
+    chosen = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    return (chosen if chosen.is_absolute() else Path.home() / ".cache") / "bodyseg"
+
+
+@dataclass(frozen=True)
+class _Entry:
+    path: Path
+    used: float
+    size: int
+
+
+@dataclass(frozen=True)
+class ShardCache:
+    """Cache of at most `limit` bytes of shards in `folder`; shards read within `in_use_s` seconds are not evicted.
+
+    All methods raise OSError for errors of the disk.
+    """
+
+    folder: Path
+    limit: int
+    in_use_s: float = IN_USE_S
+
+    def path(self, record: CheckedFile) -> Path:
+        """Path of the complete shard, present or not."""
+        return self.folder / f"{record.sha256}.tar"
+
+    def part(self, record: CheckedFile) -> Path:
+        """Path of the shard during its download."""
+        return self.folder / f"{record.sha256}.{record.size}.part"
+
+    def read(self, record: CheckedFile, offset: int, length: int) -> bytes | None:
+        """Read bytes of a shard and mark it as used; None if the complete shard is not in the cache."""
+        try:
+            with self.path(record).open("rb", buffering=0) as file:
+                if time.time() - os.fstat(file.fileno()).st_mtime > self.in_use_s / 4:
+                    with contextlib.suppress(OSError):  # the file of another user
+                        os.utime(file.fileno())
+                return os.pread(file.fileno(), length, offset)
+        except FileNotFoundError:
+            return None
+
+    @contextlib.contextmanager
+    def claim(self, record: CheckedFile) -> Iterator[int | None]:
+        """Open and lock the part file, as a descriptor, for the download of the shard.
+
+        Waits while another process downloads it. None if the shard is complete by then or there is no room for it.
+        """
+        handle = self._wait_for_part(record)
+        try:
+            yield handle
+        finally:
+            if handle is not None:
+                # A process forked meanwhile holds the same lock, and closing would not release it.
+                fcntl.flock(handle, fcntl.LOCK_UN)
+                os.close(handle)
+
+    def finish(self, record: CheckedFile) -> None:
+        """Turn the claimed part, now complete, into the shard."""
+        self.part(record).replace(self.path(record))
+
+    def used_bytes(self) -> int:
+        """Bytes taken by shards; partial downloads count in full."""
+        return sum(entry.size for entry in self._entries())
+
+    def _wait_for_part(self, record: CheckedFile) -> int | None:
+        while not self.path(record).exists():
+            handle = self._open_part(record)
+            if handle is None:
+                return None
+            locked = _try_lock(handle) and is_same_file(handle, self.part(record))
+            if locked and not self.path(record).exists():
+                return handle
+            if locked:  # finished between the check and the opening, which created a new part
+                self.part(record).unlink()
+            os.close(handle)
+            time.sleep(_POLL_S)
+        return None
+
+    def _open_part(self, record: CheckedFile) -> int | None:
+        """Open the part file, created if there is room; None if there is not."""
+        part = self.part(record)
+        with contextlib.suppress(FileNotFoundError):
+            return os.open(part, os.O_RDWR | os.O_CLOEXEC)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        guard = os.open(self.folder / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        try:
+            fcntl.flock(guard, fcntl.LOCK_EX)
+            if not self._make_room(record.size):
+                return None
+            return os.open(part, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        finally:
+            fcntl.flock(guard, fcntl.LOCK_UN)
+            os.close(guard)
+
+    def _make_room(self, size: int) -> bool:
+        """Evict the least recently used shards; evict none and return False if that would not free `size` bytes."""
+        entries = self._entries()
+        excess = sum(entry.size for entry in entries) + size - self.limit
+        victims = []
+        for entry in sorted(entries, key=lambda entry: entry.used):
+            if excess <= 0 or time.time() - entry.used < self.in_use_s:
+                break
+            victims.append(entry)
+            excess -= entry.size
+        if excess > 0:
+            return False
+        return all(_evict(entry.path) for entry in victims)
+
+    def _entries(self) -> list[_Entry]:
+        entries = []
+        with os.scandir(self.folder) as found:
+            for file in found:
+                match = _NAME.fullmatch(file.name)
+                if match is not None:
+                    with contextlib.suppress(FileNotFoundError):  # finished or evicted meanwhile
+                        status = file.stat(follow_symlinks=False)
+                        size = int(match[1]) if match[1] else status.st_size
+                        entries.append(_Entry(Path(file.path), status.st_mtime, size))
+        return entries
+
+
+def _evict(path: Path) -> bool:
+    """Remove a shard; False if it is a part that a process is writing."""
+    try:
+        handle = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return True
+    try:
+        if not _try_lock(handle):
+            return False
+        if is_same_file(handle, path):
+            path.unlink(missing_ok=True)
+        return True
+    finally:
+        fcntl.flock(handle, fcntl.LOCK_UN)
+        os.close(handle)
+
+
+def _try_lock(handle: int) -> bool:
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def is_same_file(handle: int, path: Path) -> bool:
+    """Test that `path` still names the opened file, which may have been renamed or evicted meanwhile."""
+    try:
+        return os.path.samestat(os.fstat(handle), path.stat())
+    except FileNotFoundError:
+        return False
+
+
+class CachedStore:
+    """Store that downloads complete shards to the cache and reads their samples there.
+
+    The first of the `records`, in stored order, that fit into the cache's limit are cached; samples of the others are
+    read by byte range. The choice never changes, so no shard is downloaded again and again.
+    """
+
+    def __init__(self, remote: RemoteFolder, records: Iterable[CheckedFile], cache: ShardCache) -> None:
+        self._remote, self._cache = remote, cache
+        self._records = {record.name: record for record in records}
+        self._to_cache = set()
+        room = cache.limit
+        for record in self._records.values():
+            room -= record.size
+            if room < 0:
+                break
+            self._to_cache.add(record.name)
+
+    @property
+    def name(self) -> str:
+        """The address, for messages."""
+        return self._remote.name
+
+    def read(self, name: str, offset: int, length: int) -> bytes:
+        """See `Store.read`."""
+        record = self._records[name]
+        data = self._from_cache(record, offset, length)
+        if data is None and name in self._to_cache and self._ensure_cached(record):
+            data = self._from_cache(record, offset, length)
+        return self._remote.read(name, offset, length) if data is None else data
+
+    def read_file(self, name: str, limit: int) -> bytes | None:
+        """See `Store.read_file`."""
+        return self._remote.read_file(name, limit)
+
+    def size(self, name: str) -> int:
+        """See `Store.size`."""
+        return self._remote.size(name)
+
+    def prepare_reread(self, name: str) -> bool:
+        """See `Store.prepare_reread`. A cached shard with a wrong hash is removed, to be downloaded again."""
+        path = self._cache.path(self._records[name])
+        try:
+            with path.open("rb") as file:
+                spoiled = hashlib.file_digest(file, "sha256").hexdigest() != self._records[name].sha256
+                if spoiled and is_same_file(file.fileno(), path):  # else another process has replaced it meanwhile
+                    path.unlink(missing_ok=True)
+        except OSError:
+            return True
+        return spoiled
+
+    def _from_cache(self, record: CheckedFile, offset: int, length: int) -> bytes | None:
+        try:
+            return self._cache.read(record, offset, length)
+        except OSError as error:
+            self._disable_cache(error)
+            return None
+
+    def _ensure_cached(self, record: CheckedFile) -> bool:
+        """Download the shard unless it is cached; False if it cannot be cached."""
+        try:
+            with self._cache.claim(record) as handle:
+                if handle is not None:
+                    self._fill(record, handle)
+            return self._cache.path(record).exists()
+        except OSError as error:
+            self._disable_cache(error)
+            return False
+
+    def _fill(self, record: CheckedFile, handle: int) -> None:
+        try:
+            problem = self._fetch(record, handle)
+            if problem is None:
+                self._cache.finish(record)
+            else:
+                # Its other samples may be intact: each is checked when it is read.
+                self._to_cache.discard(record.name)
+                _warn(
+                    f"{self.name}: {problem} (fetched {READ_ATTEMPTS} times): this shard is not kept, but read by range"
+                )
+        except OSError:
+            with contextlib.suppress(OSError):
+                os.ftruncate(handle, 0)  # leave a full disk as it was
+            raise
+
+    def _fetch(self, record: CheckedFile, handle: int) -> str | None:
+        """Continue the download of the part file until its hash is right; otherwise return the problem."""
+        problem = None
+        os.ftruncate(handle, min(os.fstat(handle).st_size, record.size))
+        for _ in range(READ_ATTEMPTS):
+            fetched = os.lseek(handle, 0, os.SEEK_END)
+            with os.fdopen(handle, "wb", closefd=False) as file:
+                self._remote.fetch(record.name, fetched, record.size, file.write)
+            found = _find_altered(record, handle)
+            if found is None:
+                os.fsync(handle)
+                return None
+            sound, problem = found
+            os.ftruncate(handle, sound)
+        return problem
+
+    def _disable_cache(self, error: OSError) -> None:
+        """Stop caching, with a warning: a full disk must not end a run, so shards are read by byte range."""
+        self._to_cache.clear()
+        _warn(f"{self._cache.folder}: {error.strerror or error}: shards are no longer kept there, but read by range")
+
+
+def with_cache(store: Store, records: Iterable[CheckedFile], folder: str | Path | None, limit: int | None) -> Store:
+    """Add a cache to a remote store; a local store, and any with `limit` 0, is returned unchanged.
+
+    folder: default `default_folder()`. limit: bytes, default DEFAULT_CACHE_BYTES. Raises BadConfig.
+    """
+    if not isinstance(store, RemoteFolder):
+        if folder is not None or limit is not None:
+            raise BadConfig(f"cache and cache_bytes are for remote sets, found them given for {store.name}")
+        return store
+    if limit is not None and (isinstance(limit, bool) or not isinstance(limit, int) or limit < 0):
+        raise BadConfig(f"cache_bytes must be a whole number of bytes, 0 for no cache, found {limit!r}")
+    if limit == 0:
+        return store
+    cache = ShardCache(default_folder() if folder is None else Path(folder), limit or DEFAULT_CACHE_BYTES)
+    try:
+        cache.folder.mkdir(parents=True, exist_ok=True)
+        problem = None if os.access(cache.folder, os.W_OK | os.X_OK) else "cannot be written"
+    except OSError as error:
+        problem = error.strerror or str(error)
+    if problem is not None:
+        raise BadConfig(f"{cache.folder}: the cache's folder {problem}; give another cache, or cache_bytes=0 for none")
+    return CachedStore(store, records, cache)
+
+
+def with_kept_index(manifest: Manifest, store: Store, folder: str | Path | None, limit: int | None) -> Manifest:
+    """Return the manifest, read from `store`, with its index, if it has one, kept in the cache as `with_cache`."""
+    if not isinstance(manifest.shards, IndexedShards):
+        return manifest
+    kept = with_cache(store, [manifest.shards.table], folder, limit)
+    return replace(manifest, shards=manifest.shards.kept_in(kept))
+
+
+def _warn(text: str) -> None:
+    warnings.warn(text, RuntimeWarning, stacklevel=3)
+
+
+def _find_altered(record: CheckedFile, handle: int) -> tuple[int, str] | None:
+    """Find the offset of the first altered bytes of a file and the problem; None if the hash is right."""
+    with os.fdopen(handle, "rb", closefd=False) as file:
+        file.seek(0)
+        found = hashlib.file_digest(file, "sha256").hexdigest()
+        if found == record.sha256:
+            return None
+        file.seek(0)
+        for index in range(len(record)):
+            _, offset, length, _ = record.entry(index)
+            try:
+                check_bytes(file.read(length), record, index)
+            except BadShard as error:
+                return offset, str(error)
+        return file.tell(), f"{record.name}: altered: SHA-256 {record.sha256} expected, found {found}"

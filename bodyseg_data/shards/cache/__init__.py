@@ -1,1 +1,0 @@
-"""Cache of remote shards in a folder of bounded size."""

@@ -1,0 +1,222 @@
+"""Run-length encoding of images, in reading order across the ends of rows.
+
+Two sequences: the value of each run and its length in pixels. Lengths are bytes; 255 marks a longer run, whose length
+follows among the escapes.
+
+Lossless encoding of ranges as residuals of the surface's slope.
+
+Surfaces are locally planar: the step from a pixel to the next one in its row nearly equals the step in the row above.
+The labels define the foreground, so there is one number for each of its pixels and none for background. All arithmetic
+is modulo 65536. For foreground pixels inside the box, in reading order across the ends of rows:
+
+    the first pixel of a foreground run stores its range, as the difference from the previous first pixel;
+    any other stores the difference between its step from its left neighbour and the last such step higher up in its
+    column, 0 without one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.shards.codecs.codec import split_labels
+
+ESCAPE: Final = 255
+"""The byte that marks a number above 254; the number follows among the escapes."""
+
+Image = NDArray[Any]
+Bytes = NDArray[np.uint8]
+
+
+class Box(NamedTuple):
+    """The stored part of an image, in pixels; all outside is background."""
+
+    top: int
+    left: int
+    height: int
+    width: int
+
+    def crop(self, image: Image) -> Image:
+        """View of that part of `image`."""
+        return image[self.top : self.top + self.height, self.left : self.left + self.width]
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Runs of equal pixels. values: uint8 or uint16 [N]. lengths: int64 [N], pixels, at least 1."""
+
+    values: NDArray[Any]
+    lengths: NDArray[np.int64]
+
+    def write_into(self, image: Image, box: Box) -> NDArray[np.int32]:
+        """Write the pixels, as many as the box has, into the box of `image`, [H, W], zeros.
+
+        Returns the flat indices of the pixels other than 0, ascending.
+        """
+        box.crop(image)[:] = np.repeat(self.values, self.lengths).reshape(box.height, box.width)
+        return np.flatnonzero(image != 0).astype(np.int32)  # of booleans it is several times as fast
+
+
+def bounding_box(used: NDArray[np.bool_]) -> Box:
+    """Bounding box of the True pixels of `used` [H, W]; an empty one at 0, 0 without any."""
+    rows, columns = np.flatnonzero(used.any(axis=1)), np.flatnonzero(used.any(axis=0))
+    if not len(rows):
+        return Box(0, 0, 0, 0)
+    top, left = int(rows[0]), int(columns[0])
+    return Box(top, left, int(rows[-1]) - top + 1, int(columns[-1]) - left + 1)
+
+
+def find_runs(crop: Image) -> Runs:
+    """Find the runs of an image."""
+    flat = crop.ravel()
+    starts = np.flatnonzero(np.concatenate([[True] * min(1, len(flat)), flat[1:] != flat[:-1]]))
+    return Runs(flat[starts], np.diff(starts, append=len(flat)))
+
+
+def escape_large(numbers: NDArray[Any], kind: type[np.unsignedinteger[Any]]) -> tuple[Bytes, Bytes]:
+    """Encode numbers [N] as one byte each, and those above 254 also as byte planes of type `kind`."""
+    large = numbers[numbers >= ESCAPE].astype(kind)
+    return np.minimum(numbers, ESCAPE).astype(np.uint8), to_byte_planes(large)
+
+
+def unescape(low: Bytes, escapes: Bytes, kind: type[np.unsignedinteger[Any]]) -> NDArray[Any]:
+    """Decode the numbers of `escape_large`, [N] of type `kind`. Raises ValueError for a wrong number of escapes."""
+    escaped_at, large = find_escapes(low, escapes, kind)
+    numbers = low.astype(kind)
+    numbers[escaped_at] = large
+    return numbers
+
+
+def find_escapes(
+    low: Bytes, escapes: Bytes, kind: type[np.unsignedinteger[Any]]
+) -> tuple[NDArray[np.intp], NDArray[Any]]:
+    """Indices and values of the escaped numbers. Raises ValueError for a wrong number of escapes."""
+    escaped_at, large = np.flatnonzero(low == ESCAPE), from_byte_planes(escapes, kind)
+    if len(escaped_at) != len(large):
+        raise ValueError(f"{len(escaped_at)} numbers are escaped, found {len(large)}")
+    return escaped_at, large
+
+
+def to_byte_planes(numbers: NDArray[Any]) -> Bytes:
+    """Encode unsigned numbers [N] as byte planes: all lowest bytes first, since the upper ones are nearly constant."""
+    little = numbers.astype(numbers.dtype.newbyteorder("<"))
+    return np.ascontiguousarray(little.view(np.uint8).reshape(len(numbers), numbers.itemsize).T).ravel()
+
+
+def from_byte_planes(stored: Bytes, kind: type[np.unsignedinteger[Any]]) -> NDArray[Any]:
+    """Decode byte planes to numbers of type `kind`, the inverse of `to_byte_planes`."""
+    little = np.dtype(kind).newbyteorder("<")
+    return (
+        np.ascontiguousarray(stored.reshape(little.itemsize, len(stored) // little.itemsize).T)
+        .view(little)
+        .ravel()
+        .astype(kind)
+    )
+
+
+def checked_lengths(low: Bytes, escapes: Bytes, box: Box) -> NDArray[np.int64]:
+    """Decode lengths of runs. Raises ValueError unless they fill the box exactly."""
+    lengths: NDArray[np.int64] = unescape(low, escapes, np.uint32).astype(np.int64)
+    if lengths.sum() != box.height * box.width or (len(lengths) and lengths.min() < 1):
+        raise ValueError(f"runs of {lengths.sum()} pixels do not fill {box.height} x {box.width}")
+    return lengths
+
+
+Range = NDArray[np.uint16]
+_BACKGROUND: Final = int(BACKGROUND)
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """Encoded ranges. firsts: of each foreground run, zigzag, as byte planes. steps: one zigzag byte for each other
+    pixel. escapes: of steps above 254 (`runs.escape_large`).
+    """
+
+    firsts: Bytes
+    steps: Bytes
+    escapes: Bytes
+
+
+def zigzag(change: Range) -> Range:
+    """Encode differences modulo 65536 so that small ones become small numbers: 0, -1, 1, -2, ... -> 0, 1, 2, 3, ..."""
+    signed = change.view(np.int16)
+    coded: Range = ((signed << 1) ^ (signed >> 15)).view(np.uint16)
+    return coded
+
+
+def unzigzag(coded: Range) -> Range:
+    """Decode differences, the inverse of `zigzag`."""
+    change: Range = (coded >> np.uint16(1)) ^ (np.uint16(0) - (coded & np.uint16(1)))
+    return change
+
+
+def foreground_runs(runs: Runs) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Offsets in the flat box and lengths, pixels, [K] each, of foreground runs in order; runs: of label bytes."""
+    body = np.concatenate([[False], runs.values != _BACKGROUND, [False]])
+    ends = np.concatenate([[0], np.cumsum(runs.lengths)])
+    edges = ends[np.flatnonzero(body[1:] != body[:-1])]
+    return edges[::2], edges[1::2] - edges[::2]
+
+
+def encode_slopes(crop: Range, runs: Runs) -> Slopes:
+    """Encode `crop`, the ranges in the box, 0 exactly where `runs`, those of its label bytes, are background."""
+    flat = np.ascontiguousarray(crop).ravel()
+    starts, _ = foreground_runs(runs)
+    change = np.diff(flat, prepend=np.uint16(0))
+    inner = flat > 0
+    inner[starts] = False
+    # In column order, the last step above is the previous one.
+    columns, rows = np.nonzero(inner.reshape(crop.shape).T)
+    index = rows * crop.shape[1] + columns
+    step = change[index]
+    above = np.zeros_like(step)
+    above[1:] = np.where(columns[1:] == columns[:-1], step[:-1], 0)
+    coded = np.zeros_like(flat)
+    coded[index] = zigzag(step - above)
+    firsts = to_byte_planes(zigzag(np.diff(flat[starts], prepend=np.uint16(0))))
+    return Slopes(firsts, *escape_large(coded[inner], np.uint16))
+
+
+def decode_slopes(runs: Runs, slopes: Slopes, box: Box, image: Range, labels: Bytes, facing: NDArray[np.bool_]) -> None:
+    """Decode range, labels and facing into images [H, W], whatever they hold.
+
+    runs: of label bytes, filling the box. Raises ValueError if the labels require another number of values.
+    """
+    starts, lengths = foreground_runs(runs)
+    if len(slopes.firsts) != 2 * len(starts) or len(slopes.steps) != lengths.sum() - len(starts):
+        raise ValueError(
+            f"{len(starts)} stretches of {lengths.sum()} pixels of body, found {len(slopes.firsts) // 2} first "
+            f"ranges and {len(slopes.steps)} others"
+        )
+    firsts = np.cumsum(unzigzag(from_byte_planes(slopes.firsts, np.uint16)), dtype=np.uint16)
+    steps = unzigzag(unescape(slopes.steps, slopes.escapes, np.uint16))
+    image.fill(0)
+    labels.fill(BACKGROUND)
+    facing.fill(False)
+    stored = np.repeat(runs.values, runs.lengths).reshape(box.height, box.width)
+    box.crop(labels)[:], box.crop(facing)[:] = split_labels(stored)
+    body = stored != BACKGROUND
+    np.multiply(_ranges(firsts, steps, starts, body), body, out=box.crop(image))
+
+
+def _ranges(firsts: Range, steps: Range, starts: NDArray[np.int64], body: NDArray[np.bool_]) -> Range:
+    """Ranges in the box, arbitrary on background."""
+    inner = body.ravel().copy()
+    inner[starts] = False
+    crop: Range = np.zeros(body.shape, np.uint16)
+    flat = crop.ravel()
+    flat[inner] = steps
+    np.cumsum(crop, axis=0, dtype=np.uint16, out=crop)
+    # One cumulative sum over all: the first pixel of a run gets the difference that makes the sum its range.
+    flat[starts] = 0
+    if len(starts):
+        gone = np.add.reduceat(flat, starts, dtype=np.uint16)
+        flat[: starts[0]] = 0
+        flat[starts] = np.diff(firsts, prepend=np.uint16(0))
+        flat[starts[1:]] -= gone[:-1]
+    np.cumsum(flat, dtype=np.uint16, out=flat)
+    return crop

@@ -1,0 +1,271 @@
+"""Store of a set at an address: retries resume where an attempt broke off, and messages hold no secrets.
+
+Parsing of the path or address of a set into its store and the pattern of the chosen shards.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import random
+import re
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, TypeVar
+from urllib.parse import parse_qsl, unquote, urlsplit
+
+from bodyseg_data.core import BadConfig, MissingLibrary, Unreachable, check_int
+from bodyseg_data.shards.manifest import MANIFEST_NAME
+from bodyseg_data.shards.store import LocalFolder, Store
+from bodyseg_data.shards.transport import FileMissing, PermanentFailure, TransientFailure, open_transport
+
+_SHORTEST_SECRET: Final = 4
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class RetryPolicy:
+    """Limits of retries and timeouts for a remote set.
+
+    tries: consecutive failed attempts before giving up. total_s: longest duration of consecutive failures, seconds.
+    stall_s: seconds without a byte after which a connection counts as broken. first_wait_s: pause after the first
+    failure, seconds; each further pause is twice as long. A random factor of 0.5 to 1 shortens pauses, so that many
+    processes do not retry at once. progress_bytes: an attempt that received as many starts a new count of failures; a
+    server that cuts every connection earlier can give files of at most `tries` times as many bytes.
+
+    Raises BadConfig.
+    """
+
+    tries: int = 6
+    total_s: float = 300.0
+    stall_s: float = 30.0
+    first_wait_s: float = 0.5
+    progress_bytes: int = 1 << 16
+
+    def __post_init__(self) -> None:
+        for name in ("tries", "progress_bytes"):
+            check_int(f"RetryPolicy: {name}", getattr(self, name), 1)
+        for name in ("total_s", "stall_s", "first_wait_s"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+                raise BadConfig(f"RetryPolicy: {name} must be a positive number of seconds, found {value!r}")
+
+
+class RemoteFolder:
+    """Store of a set at an address. It may be forked, pickled and used by several threads.
+
+    url: of the folder; the query of an http address is sent with every file. options: for the fsspec filesystem, such
+    as key, secret and endpoint_url; messages show neither these nor the user and query of the address.
+
+    Raises BadConfig for an address or options that fsspec does not accept, MissingLibrary without a required package.
+    """
+
+    def __init__(self, url: str, options: Mapping[str, Any], retry_policy: RetryPolicy) -> None:
+        protocol, _, rest = url.partition("://")
+        rest, mark, query = rest.partition("?") if protocol in ("http", "https") else (rest, "", "")
+        self._base, self._query = f"{protocol}://{rest.rstrip('/')}", mark + query
+        self._retry_policy = retry_policy
+        try:
+            self._secrets = sorted(_secrets(url, options), key=len, reverse=True)
+        except ValueError as error:
+            raise BadConfig(f"not an address: {error}") from None
+        self.name = re.sub(r"(?<=://)[^/@]*@", "", self._base)
+        try:
+            self._transport = open_transport(self._base, options, retry_policy.stall_s, retry_policy.total_s)
+        except MissingLibrary:
+            raise
+        except Exception as error:  # filesystems raise errors of their own
+            raise BadConfig(f"{self.name}: {self._scrub(str(error))}") from None
+
+    def read(self, name: str, offset: int, length: int) -> bytes:
+        """Read bytes `offset` to `offset + length` of a file. Raises Unreachable."""
+        data = bytearray()
+        self._fetch(name, offset, offset + length, data.extend, allow_whole_file=False)
+        return bytes(data)
+
+    def fetch(self, name: str, start: int, stop: int, sink: Callable[[bytes], object]) -> None:
+        """Pass bytes `start` to `stop` of a file to `sink`, in chunks, once and in order. Raises Unreachable."""
+        self._fetch(name, start, stop, sink, allow_whole_file=True)
+
+    def read_file(self, name: str, limit: int) -> bytes | None:
+        """Read a whole file of at most `limit` bytes; None if it does not exist. Raises Unreachable."""
+        try:
+            return self._with_retries(name, lambda address: self._transport.read_file(address, limit))
+        except FileMissing:
+            return None
+
+    def size(self, name: str) -> int:
+        """Size of a file, bytes. Raises Unreachable."""
+        try:
+            return self._with_retries(name, self._transport.size)
+        except FileMissing as error:
+            raise self._unreachable(name, error) from None
+
+    def find_size(self, name: str) -> int | None:
+        """Size of a file, bytes; None if it does not exist. Raises Unreachable."""
+        try:
+            return self._with_retries(name, self._transport.size)
+        except FileMissing:
+            return None
+
+    def write_file(self, name: str, path: Path) -> None:
+        """Upload a local file. Raises Unreachable, also for an address that cannot be written."""
+        self._write(name, lambda address: self._transport.put(address, path))
+
+    def write_bytes(self, name: str, data: bytes) -> None:
+        """Upload a small file. Raises Unreachable, also for an address that cannot be written."""
+        self._write(name, lambda address: self._transport.put(address, data))
+
+    def remove(self, name: str) -> None:
+        """Remove a file, which may be missing. Raises Unreachable."""
+        with contextlib.suppress(FileMissing):
+            self._with_retries(name, self._transport.remove)
+
+    def _write(self, name: str, attempt: Callable[[str], None]) -> None:
+        try:
+            self._with_retries(name, attempt)
+        except FileMissing as error:  # such as a bucket that does not exist
+            raise self._unreachable(name, error) from None
+
+    def prepare_reread(self, name: str) -> bool:
+        """See `Store.prepare_reread`: a network may have altered the bytes."""
+        return True
+
+    def _fetch(self, name: str, start: int, stop: int, sink: Callable[[bytes], object], allow_whole_file: bool) -> None:
+        streak = _FailureStreak(self._retry_policy)
+        while start < stop:
+            attempt_start = start
+            try:
+                with closing(self._chunks(name, start, stop, allow_whole_file)) as chunks:
+                    for chunk in chunks:
+                        sink(chunk)
+                        start += len(chunk)
+            except TransientFailure as failure:
+                self._wait_or_give_up(streak, failure, name, start - attempt_start)
+            except PermanentFailure as error:
+                raise self._unreachable(name, error) from None
+
+    def _chunks(self, name: str, start: int, stop: int, allow_whole_file: bool) -> Any:
+        return self._transport.chunks(f"{self._base}/{name}{self._query}", start, stop, allow_whole_file)
+
+    def _with_retries(self, name: str, attempt: Callable[[str], Result]) -> Result:
+        streak = _FailureStreak(self._retry_policy)
+        while True:
+            try:
+                return attempt(f"{self._base}/{name}{self._query}")
+            except TransientFailure as failure:
+                self._wait_or_give_up(streak, failure, name, 0)
+            except FileMissing:
+                raise
+            except PermanentFailure as error:
+                raise self._unreachable(name, error) from None
+
+    def _wait_or_give_up(self, streak: _FailureStreak, failure: TransientFailure, name: str, received: int) -> None:
+        wait = streak.wait_after(failure, received)
+        if wait is None:
+            raise self._unreachable(name, failure, f" ({streak.failures} attempts)") from None
+        time.sleep(wait)
+
+    def _unreachable(self, name: str, error: Exception, note: str = "") -> Unreachable:
+        return Unreachable(f"{self.name}/{name}: {self._scrub(str(error))}{note}")
+
+    def _scrub(self, text: str) -> str:
+        """Reduce a message to one line without secrets."""
+        for secret in self._secrets:
+            text = text.replace(secret, "***")
+        text = re.sub(r"(?<=://)[^/@\s]*@", "", text)
+        return " ".join(re.sub(r"(://[^\s?]*)\?\S*", r"\1", text).split())
+
+
+class _FailureStreak:
+    """Consecutive failures since the last attempt with progress."""
+
+    def __init__(self, retry_policy: RetryPolicy) -> None:
+        self._retry_policy = retry_policy
+        self.failures = 0
+        self._since = 0.0
+
+    def wait_after(self, failure: TransientFailure, received: int) -> float | None:
+        """Seconds to wait before the next attempt, None to give up. received: bytes that the failed attempt gave."""
+        if received >= self._retry_policy.progress_bytes or not self.failures:
+            self.failures, self._since = 0, time.monotonic()
+        self.failures += 1
+        if self.failures >= self._retry_policy.tries:
+            return None
+        # SystemRandom: the draws on which data depend are not affected, and forked processes wait differently.
+        pause = self._retry_policy.first_wait_s * 2 ** (self.failures - 1) * random.SystemRandom().uniform(0.5, 1.0)
+        wait = max(pause, failure.wait_s)
+        return wait if time.monotonic() - self._since + wait <= self._retry_policy.total_s else None
+
+
+def _secrets(url: str, options: Mapping[str, Any]) -> set[str]:
+    parts = urlsplit(url)
+    known = {parts.username or "", parts.password or "", parts.query}
+    known.update(value for _, value in parse_qsl(parts.query))
+    known.update(_texts(options))
+    known.update([unquote(text) for text in known])
+    return {text for text in known if len(text) >= _SHORTEST_SECRET and "://" not in text}
+
+
+def _texts(value: Any) -> Iterator[str]:
+    if isinstance(value, Mapping):
+        for entry in value.values():
+            yield from _texts(entry)
+    elif isinstance(value, list | tuple):
+        for entry in value:
+            yield from _texts(entry)
+    elif isinstance(value, str):
+        yield value
+    elif isinstance(value, bytes):
+        yield value.decode("utf-8", "replace")
+
+
+_ADDRESS: Final = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://(.*)", re.DOTALL)
+
+
+def open_store(
+    path: str, options: Mapping[str, Any] | None = None, retry_policy: RetryPolicy | None = None
+) -> tuple[Store, str]:
+    """Open the store of a set; also returns the pattern that the names of its chosen shards match.
+
+    path: a folder, its manifest.json, one of its shards, or a glob of shards ("shards/train-*.tar"), local or at an
+    address of a protocol that fsspec supports (https://, s3://, ...). In http addresses `?` begins a query.
+    options, retry_policy: for remote sets only; see `RemoteFolder`.
+
+    Raises BadConfig, MissingLibrary.
+    """
+    address = _ADDRESS.fullmatch(path)
+    if address is not None and address[1].lower() != "file":
+        folder, pattern = _split_address(address[1].lower(), address[2])
+        return RemoteFolder(folder, options or {}, retry_policy or RetryPolicy()), pattern
+    if options or retry_policy is not None:
+        raise BadConfig(f"storage_options and retry_policy are for remote sets, found them given for {path!r}")
+    if address is None:
+        local_path = Path(path)
+    elif address[2].startswith("/"):
+        local_path = Path(unquote(address[2]))
+    else:
+        raise BadConfig(f"a file:// address has a path from the root on, like file:///data/shards, found {path!r}")
+    chosen = None if local_path.is_dir() else _pattern(local_path.name, "*?[")  # a folder may have any name
+    return LocalFolder(local_path if chosen is None else local_path.parent), chosen or "*"
+
+
+def _split_address(protocol: str, rest: str) -> tuple[str, str]:
+    """Split an address into that of the folder and the pattern."""
+    mark = query = ""
+    if protocol in ("http", "https"):
+        rest, mark, query = rest.partition("?")
+    parent, slash, last = rest.rpartition("/")
+    pattern = _pattern(last, "*[" if protocol in ("http", "https") else "*?[") if slash else None
+    return f"{protocol}://{rest if pattern is None else parent}{mark}{query}", pattern or "*"
+
+
+def _pattern(name: str, marks: str) -> str | None:
+    """Pattern of shards in the last part of a path; None if that is a folder. marks: characters that begin a glob."""
+    if name == MANIFEST_NAME:
+        return "*"
+    return name if name.endswith(".tar") or any(mark in name for mark in marks) else None

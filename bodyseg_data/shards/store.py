@@ -1,0 +1,107 @@
+"""Stores: access to the files of a set, in a local folder or at an address."""
+
+from __future__ import annotations
+
+import io
+import os
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+from bodyseg_data.core import BadConfig, contents
+
+READ_ATTEMPTS: Final = 3
+"""Number of reads before altered bytes count as the content of the file."""
+
+_BUFFER_BYTES: Final = 4 << 20
+
+
+class Store(Protocol):
+    """Reader of the files of one set. It may be forked, pickled and used by several threads.
+
+    All methods raise OSError for errors of local files, Unreachable for errors of a network.
+    """
+
+    @property
+    def name(self) -> str:
+        """Path or address, for messages; without secrets."""
+
+    def read(self, name: str, offset: int, length: int) -> bytes:
+        """Read `length` bytes of a file from `offset` on; fewer at its end."""
+
+    def read_file(self, name: str, limit: int) -> bytes | None:
+        """Read a whole file of at most `limit` bytes; None if it does not exist."""
+
+    def size(self, name: str) -> int:
+        """Size of a file, bytes."""
+
+    def prepare_reread(self, name: str) -> bool:
+        """Prepare to read a file again whose bytes were wrong; False if the same bytes would come."""
+
+
+def store_at(where: Path | Store) -> Store:
+    """Open a local folder as a store; a store is returned unchanged."""
+    return LocalFolder(where) if isinstance(where, Path) else where
+
+
+class LocalFolder:
+    """Store of a local folder. Each read opens its file, so processes share no descriptor."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._root = path.absolute()  # the working directory may change, or be another in a worker
+        self._prefix = f"{self._root}{os.sep}"  # joining paths takes longer than opening a file
+
+    @property
+    def name(self) -> str:
+        """The path, as it was given."""
+        return str(self.path)
+
+    def read(self, name: str, offset: int, length: int) -> bytes:
+        """See `Store.read`."""
+        # Without O_NONBLOCK, opening a pipe waits for a writer; files ignore the flag.
+        file = os.open(self._prefix + name, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        try:
+            return os.pread(file, length, offset)
+        finally:
+            os.close(file)
+
+    def read_file(self, name: str, limit: int) -> bytes | None:
+        """See `Store.read_file`. Raises BadConfig if the folder does not exist."""
+        try:
+            data = contents(self._root / name, packed=False, limit=limit)
+        except (FileNotFoundError, NotADirectoryError):
+            if not self._root.is_dir():
+                raise BadConfig(f"no such folder: {self.path}") from None
+            return None
+        if data is None:
+            raise OSError(f"at most {limit} bytes are read, found more")
+        return data
+
+    def size(self, name: str) -> int:
+        """See `Store.size`."""
+        return (self._root / name).stat().st_size
+
+    def prepare_reread(self, name: str) -> bool:
+        """See `Store.prepare_reread`: a disk gives the same bytes again."""
+        return False
+
+
+def open_file(store: Store, name: str) -> io.BufferedReader:
+    """Open a file of a set for sequential reading. Opening and reading raise OSError or Unreachable."""
+    return io.BufferedReader(_StoreFile(store, name), _BUFFER_BYTES)
+
+
+class _StoreFile(io.RawIOBase):
+    """Unbuffered sequential reader of a store's file."""
+
+    def __init__(self, store: Store, name: str) -> None:
+        self._store, self._name, self._size, self._position = store, name, store.size(name), 0
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        data = self._store.read(self._name, self._position, min(len(buffer), self._size - self._position))
+        buffer[: len(data)] = data
+        self._position += len(data)
+        return len(data)

@@ -1,1 +1,0 @@
-"""Stores: a folder of this machine, or an address."""

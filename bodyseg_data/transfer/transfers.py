@@ -1,0 +1,304 @@
+"""Bundles: the files of a set or a network that are copied together, with their checksums.
+
+Targets of a transfer: a local folder, into which downloads resume, and an address, to which files are uploaded.
+
+One transfer: what is already there is kept, all else is copied and checked, the index comes last.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, Protocol
+
+from bodyseg_data.cards import CARD_NAMES
+from bodyseg_data.core import BadConfig, BadShard, sync, write_atomically
+from bodyseg_data.shards import (
+    LARGEST_MANIFEST,
+    MANIFEST_NAME,
+    READ_ATTEMPTS,
+    CheckedFile,
+    LocalFolder,
+    Manifest,
+    RemoteFolder,
+    Store,
+    open_file,
+    read_manifest,
+)
+
+
+@dataclass(frozen=True)
+class SharedFile:
+    """A file of a bundle. size: bytes. sha256: hexadecimal."""
+
+    name: str
+    size: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """Files that are copied together.
+
+    files: large ones. pages: small ones, name -> content. index, index_bytes: name and content of the file that names
+    the others; it is written last, so that a copy which has it is whole.
+    """
+
+    files: tuple[SharedFile, ...]
+    index: str
+    index_bytes: bytes
+    pages: Mapping[str, bytes] = field(default_factory=dict)
+
+    @property
+    def size(self) -> int:
+        """Bytes of the large files."""
+        return sum(file.size for file in self.files)
+
+    @property
+    def names(self) -> set[str]:
+        """Names of all files."""
+        return {self.index, *self.pages, *(file.name for file in self.files)}
+
+
+def set_bundle(store: Store) -> Bundle:
+    """Return the bundle of a set: index, shards, cards, manifest. Raises as `read_manifest`."""
+    manifest = read_manifest(store)
+    return Bundle(
+        tuple(SharedFile(file.name, file.size, file.sha256) for file in _large_files(manifest)),
+        MANIFEST_NAME,
+        read_page(store, MANIFEST_NAME),
+        pages_of(store, CARD_NAMES),
+    )
+
+
+def _large_files(manifest: Manifest) -> Iterator[CheckedFile]:
+    """Yield the index of a set that has one, and its shards."""
+    yield from () if manifest.index is None else (manifest.index,)
+    yield from manifest.shards
+
+
+def read_page(store: Store, name: str) -> bytes:
+    """Read a small file. Raises BadShard if it is missing."""
+    data = store.read_file(name, LARGEST_MANIFEST)
+    if data is None:
+        raise BadShard(f"{store.name}/{name} is missing")
+    return data
+
+
+def pages_of(store: Store, names: tuple[str, ...]) -> dict[str, bytes]:
+    """Read those of the small files `names` that a store holds."""
+    found = {name: store.read_file(name, LARGEST_MANIFEST) for name in names}
+    return {name: data for name, data in found.items() if data is not None}
+
+
+def superseded(store: Store, bundle: Bundle) -> list[str]:
+    """Return names of files of the set in `store` that a bundle which takes its place has not."""
+    try:
+        held = [file.name for file in _large_files(read_manifest(store))]
+    except BadShard:  # a network, or a set of another format: what it holds is not known
+        held = []
+    cards = pages_of(store, CARD_NAMES) if bundle.index == MANIFEST_NAME else {}
+    return [name for name in (*held, *cards) if name not in bundle.names]
+
+
+def sha256_of(store: Store, name: str) -> str:
+    """Read a file of a store and return its SHA-256, in hexadecimal. Raises OSError or Unreachable."""
+    with open_file(store, name) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+_BLOCK_BYTES: Final = 4 << 20
+
+Report = Callable[[int], None]
+"""Receiver of numbers of bytes that have just been copied."""
+
+
+class Target(Protocol):
+    """Receiver of a bundle. All methods raise OSError for local files, Unreachable for a network."""
+
+    @property
+    def store(self) -> Store:
+        """The files that the target holds."""
+
+    def holds(self, file: SharedFile, sizes_only: bool) -> bool:
+        """Return whether the target has a file of this size and, unless `sizes_only`, of this SHA-256."""
+
+    def receive(self, file: SharedFile, report: Report, sizes_only: bool) -> None:
+        """Copy a file from the source and check it. Raises BadShard if its bytes are not those expected."""
+
+    def write(self, name: str, data: bytes) -> None:
+        """Write a small file at once or not at all."""
+
+    def remove(self, name: str) -> None:
+        """Remove a file, which may be missing."""
+
+
+class LocalTarget:
+    """A local folder, made if it is missing. A file is called `.NAME.part` until it is complete and checked."""
+
+    def __init__(self, folder: Path, source: Store) -> None:
+        self._folder, self._source = folder, source
+        folder.mkdir(parents=True, exist_ok=True)
+        self.store: Store = LocalFolder(folder)
+
+    def holds(self, file: SharedFile, sizes_only: bool) -> bool:
+        """See `Target.holds`."""
+        path = self._folder / file.name
+        if not path.is_file() or path.stat().st_size != file.size:
+            return False
+        return sizes_only or sha256_of(self.store, file.name) == file.sha256
+
+    def receive(self, file: SharedFile, report: Report, sizes_only: bool) -> None:
+        """See `Target.receive`: continues a part that an interrupted transfer left. The SHA-256 is always checked."""
+        part = self._folder / f".{file.name}.part"
+        with part.open("r+b" if part.exists() else "w+b") as held:
+            try:
+                fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise BadConfig(f"{part}: another transfer writes this file") from None
+            held.truncate(min(os.fstat(held.fileno()).st_size, file.size))
+            resumed = held.seek(0, os.SEEK_END)
+            report(resumed)
+            for attempt in range(1, READ_ATTEMPTS + 1):
+
+                def keep(chunk: bytes) -> None:
+                    held.write(chunk)
+                    report(len(chunk))
+
+                _fetch(self._source, file.name, held.seek(0, os.SEEK_END), file.size, keep)
+                held.seek(0)
+                found = hashlib.file_digest(held, "sha256").hexdigest()
+                if found == file.sha256:
+                    break
+                report(-held.seek(0, os.SEEK_END))
+                held.truncate(0)
+                # The part that was there may be of another file: that says nothing about the source.
+                again, resumed = resumed > 0 or self._source.prepare_reread(file.name), 0
+                if attempt == READ_ATTEMPTS or not again:
+                    part.unlink()
+                    raise BadShard(_altered(f"{self._source.name}/{file.name}", file, found))
+            held.flush()
+            os.fsync(held.fileno())
+            part.replace(self._folder / file.name)
+        sync(self._folder)
+
+    def write(self, name: str, data: bytes) -> None:
+        """See `Target.write`."""
+        write_atomically(self._folder / name, data)
+
+    def remove(self, name: str) -> None:
+        """See `Target.remove`."""
+        (self._folder / name).unlink(missing_ok=True)
+
+
+class RemoteTarget:
+    """A folder at an address, filled from a local one. Files are sent whole, and again if one was interrupted."""
+
+    def __init__(self, remote: RemoteFolder, folder: Path) -> None:
+        self._remote, self._folder = remote, folder
+        self.store: Store = remote
+
+    def holds(self, file: SharedFile, sizes_only: bool) -> bool:
+        """See `Target.holds`; the bytes are read back from the address."""
+        if self._remote.find_size(file.name) != file.size:
+            return False
+        return sizes_only or sha256_of(self._remote, file.name) == file.sha256
+
+    def receive(self, file: SharedFile, report: Report, sizes_only: bool) -> None:
+        """See `Target.receive`: the local bytes are checked before, those at the address after."""
+        path = self._folder / file.name
+        found = sha256_of(LocalFolder(self._folder), file.name)
+        if found != file.sha256:
+            raise BadShard(_altered(str(path), file, found))
+        self._remote.write_file(file.name, path)
+        if not self.holds(file, sizes_only):
+            raise BadShard(f"{self._remote.name}/{file.name}: the bytes that arrived are not those that were sent")
+        report(file.size)
+
+    def write(self, name: str, data: bytes) -> None:
+        """See `Target.write`."""
+        self._remote.write_bytes(name, data)
+
+    def remove(self, name: str) -> None:
+        """See `Target.remove`."""
+        self._remote.remove(name)
+
+
+def _altered(name: str, file: SharedFile, found: str) -> str:
+    return f"{name}: altered: SHA-256 {file.sha256} expected, found {found}"
+
+
+def _fetch(source: Store, name: str, start: int, stop: int, sink: Callable[[bytes], None]) -> None:
+    """Pass bytes `start` to `stop` of a file to `sink`; of a local file that is shorter, those that it has."""
+    if isinstance(source, RemoteFolder):
+        source.fetch(name, start, stop, sink)
+        return
+    while start < stop:
+        chunk = source.read(name, start, min(_BLOCK_BYTES, stop - start))
+        if not chunk:
+            return
+        sink(chunk)
+        start += len(chunk)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Counts of a transfer's large files. copied_bytes: of those that were not there already."""
+
+    files: int
+    kept: int
+    copied_bytes: int
+
+
+def transfer(
+    bundle: Bundle,
+    target: Target,
+    report: Callable[[int], None],
+    replace: bool = False,
+    sizes_only: bool = False,
+) -> Outcome:
+    """Copy a bundle to a target. Interrupted at any point, it leaves a target that the same call completes.
+
+    report: receives the bytes of the large files that are done so far. replace: a target that holds another bundle
+    gets this one; its index is removed first, then the files that the new one has not. sizes_only: files at the target
+    are compared by size alone.
+
+    While files are missing or wrong the target has no index, so it is never read as whole. Raises BadConfig for a
+    target that holds another bundle without `replace`, BadShard for bytes that are not those of their checksum, OSError
+    or Unreachable.
+    """
+    held = target.store.read_file(bundle.index, LARGEST_MANIFEST)
+    other = held is not None and held != bundle.index_bytes
+    if other and not replace:
+        raise BadConfig(f"{target.store.name} holds another {bundle.index}: choose another place, or --replace it")
+    obsolete = superseded(target.store, bundle) if other else []
+    done = 0
+    missing = []
+    for file in bundle.files:
+        if target.holds(file, sizes_only):
+            done += file.size
+            report(done)
+        else:
+            missing.append(file)
+    if held is not None and (other or missing):
+        target.remove(bundle.index)
+    for name in obsolete:
+        target.remove(name)
+    kept = len(bundle.files) - len(missing)
+
+    def add(copied: int) -> None:
+        nonlocal done
+        done += copied
+        report(done)
+
+    for file in missing:
+        target.receive(file, add, sizes_only)
+    for name, data in bundle.pages.items():
+        target.write(name, data)
+    if held is None or other or missing:
+        target.write(bundle.index, bundle.index_bytes)
+    return Outcome(len(bundle.files), kept, sum(file.size for file in missing))

@@ -1,0 +1,372 @@
+"""MCAP files (https://mcap.dev/spec), chunked or not, with an index or without.
+
+Single files of ROS 2 bags in SQLite (.db3), those of RealSense's SDK among them.
+
+ROS 1 bags, and those of RealSense's SDK, which are such.
+
+ROS 2 bags: folders of files in SQLite (.db3) or MCAP beside a metadata.yaml.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import sqlite3
+import struct
+import zlib
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Iterator
+from itertools import accumulate, islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple
+from urllib.parse import quote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_model.recordings.bag_messages import (
+    LARGEST_MESSAGE,
+    MOST_MESSAGES,
+    Bag,
+    Encoding,
+    Topic,
+    as_times,
+    bag_recording,
+    decompressed,
+    missing,
+)
+from bodyseg_model.recordings.recording import StoredRecording
+
+if TYPE_CHECKING:
+    from mcap.records import Channel, Schema
+    from rosbags.interfaces import Connection
+
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+
+_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _INDEX = 2, 3, 4, 5, 6, 7
+_RECORD: Final = struct.Struct("<BQ")
+_MESSAGE_START: Final = struct.Struct("<HIQQ")
+_PLAIN: Final = -1
+_ENCODINGS: Final[dict[str, Encoding]] = {"cdr": "cdr", "ros1": "ros1"}
+
+
+def open_mcap(path: Path, topic: str | None, step_m: float | None) -> StoredRecording:
+    """Open an MCAP file with messages of ROS 1 or 2. Raises BadConfig, MissingLibrary."""
+    return bag_recording(path, McapBag(path), topic, step_m)
+
+
+class _Location(NamedTuple):
+    """A message's record: in the chunk at byte `chunk` of the file, or in the file itself (`_PLAIN`), from `offset`."""
+
+    time_ns: int
+    chunk: int
+    offset: int
+
+
+class McapBag:
+    """Messages of an MCAP file. Records are listed by their headers; one decompressed chunk at a time is in memory.
+
+    Raises BadConfig for a file that is damaged or cut off, MissingLibrary.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._channels: dict[int, Channel] = {}
+        self._schemas: dict[int, Schema] = {}
+        self._held: tuple[int, bytes] = (_PLAIN, b"")
+        locations: dict[int, list[_Location]] = {}
+        try:
+            with path.open("rb") as file:
+                self._list(file, locations)
+            self._locations = self._by_topic(locations)
+        except MissingLibrary:
+            raise
+        except Exception as error:  # a damaged file raises what the parser likes
+            raise BadConfig(
+                f"{path} must be a whole MCAP file: {str(error) or type(error).__name__} (`mcap recover` mends a "
+                "recording that was cut off)"
+            ) from error
+        self.topics = list(self._locations)
+
+    def _by_topic(self, locations: dict[int, list[_Location]]) -> dict[Topic, list[_Location]]:
+        """Join the messages of a topic's channels, in the order of time."""
+        joined: dict[tuple[str, str, Encoding], list[_Location]] = {}
+        for number, found in locations.items():
+            channel = self._channels.get(number)
+            schema = self._schemas.get(channel.schema_id) if channel is not None else None
+            if channel is not None and schema is not None and channel.message_encoding in _ENCODINGS:
+                kind = schema.name if "/msg/" in schema.name else schema.name.replace("/", "/msg/", 1)
+                joined.setdefault((channel.topic, kind, _ENCODINGS[channel.message_encoding]), []).extend(found)
+        by_topic = {}
+        for name, found in sorted(joined.items()):
+            found.sort()
+            by_topic[Topic(*name, as_times([location.time_ns for location in found]))] = found
+        return by_topic
+
+    def read(self, topic: Topic, index: int) -> bytes:
+        """Read message `index` of a topic."""
+        location = self._locations[topic][index]
+        try:
+            if location.chunk == _PLAIN:
+                with self._path.open("rb") as file:
+                    return _record(file, location.offset, _MESSAGE)[_MESSAGE_START.size :]
+            if self._held[0] != location.chunk:
+                self._held = (_PLAIN, b"")  # not two chunks at once
+                with self._path.open("rb") as file:
+                    self._held = location.chunk, _chunk(file, location.chunk)
+            return _record(io.BytesIO(self._held[1]), location.offset, _MESSAGE)[_MESSAGE_START.size :]
+        except Exception as error:  # as above
+            raise BadConfig(f"the message cannot be read: {str(error) or type(error).__name__}") from error
+
+    def _list(self, file: BinaryIO, locations: dict[int, list[_Location]]) -> None:
+        """List where messages lie, by channel: by the index behind each chunk, or else by its own records."""
+        if file.read(len(MAGIC)) != MAGIC:
+            raise ValueError("its first bytes are others")
+        chunk, indexed, whole = _PLAIN, True, False
+        for opcode, offset in _records(file, len(MAGIC)):
+            if opcode == _INDEX:
+                data = _record(file, offset, _INDEX)
+                entries = np.frombuffer(data, "<u8", offset=6, count=min((len(data) - 6) // 16 * 2, 2 * MOST_MESSAGES))
+                number = int.from_bytes(data[:2], "little")
+                locations.setdefault(number, []).extend(
+                    _Location(int(time), chunk, int(start)) for time, start in entries.reshape(-1, 2)
+                )
+                indexed = True
+                if number not in self._channels:
+                    self._scan(_chunk(file, chunk), None, chunk)
+            elif opcode in (_SCHEMA, _CHANNEL):
+                self._define(opcode, _record(file, offset, opcode))
+            else:
+                if not indexed:
+                    self._scan(_chunk(file, chunk), locations, chunk)
+                    indexed = True
+                if opcode == _CHUNK:
+                    chunk, indexed = offset, False
+                elif opcode == _MESSAGE:
+                    file.seek(offset + _RECORD.size)
+                    number, _, time, _ = _MESSAGE_START.unpack(file.read(_MESSAGE_START.size))
+                    locations.setdefault(number, []).append(_Location(time, _PLAIN, offset))
+                elif opcode == _FOOTER:
+                    whole = True
+                    break
+        if not whole:
+            raise ValueError("it ends before its footer")
+
+    def _scan(self, data: bytes, locations: dict[int, list[_Location]] | None, chunk: int) -> None:
+        """Note the schemas and channels of a chunk, and where `locations` is given its messages as well."""
+        file = io.BytesIO(data)
+        for opcode, offset in _records(file, 0):
+            if opcode in (_SCHEMA, _CHANNEL):
+                self._define(opcode, _record(file, offset, opcode))
+            elif opcode == _MESSAGE and locations is not None:
+                number, _, time, _ = _MESSAGE_START.unpack_from(data, offset + _RECORD.size)
+                locations.setdefault(number, []).append(_Location(time, chunk, offset))
+
+    def _define(self, opcode: int, data: bytes) -> None:
+        try:
+            from mcap.data_stream import ReadDataStream
+            from mcap.records import Channel, Schema
+        except ImportError as error:
+            raise missing(error) from error
+        stream = ReadDataStream(io.BytesIO(data))
+        if opcode == _SCHEMA:
+            schema = Schema.read(stream)
+            self._schemas[schema.id] = schema
+        else:
+            channel = Channel.read(stream)
+            self._channels[channel.id] = channel
+
+
+def _records(file: BinaryIO, start: int) -> Iterator[tuple[int, int]]:
+    """Yield the kind and location of every record from byte `start` on, by their headers. Raises ValueError."""
+    size = file.seek(0, io.SEEK_END)
+    offset = start
+    while offset + _RECORD.size <= size:
+        file.seek(offset)
+        opcode, length = _RECORD.unpack(file.read(_RECORD.size))
+        if offset + _RECORD.size + length > size:
+            raise ValueError(f"it is cut off at byte {offset}")
+        yield opcode, offset
+        offset += _RECORD.size + length
+
+
+def _record(file: BinaryIO, offset: int, kind: int) -> bytes:
+    """Read the content of the record at a byte. Raises ValueError for another kind, or one that is cut off."""
+    file.seek(offset)
+    opcode, length = _RECORD.unpack(file.read(_RECORD.size))
+    if opcode != kind or length > LARGEST_MESSAGE:
+        raise ValueError(f"a record at byte {offset} is of kind {opcode} and has {length} bytes")
+    data = file.read(length)
+    if len(data) != length:
+        raise ValueError(f"a record at byte {offset} is cut off")
+    return data
+
+
+def _chunk(file: BinaryIO, offset: int) -> bytes:
+    """Read the chunk at a byte, decompressed. Raises ValueError, also for a wrong checksum."""
+    try:
+        from mcap.data_stream import ReadDataStream
+        from mcap.records import Chunk
+    except ImportError as error:
+        raise missing(error) from error
+    chunk = Chunk.read(ReadDataStream(io.BytesIO(_record(file, offset, _CHUNK))))
+    data = decompressed(chunk.data) if chunk.compression else chunk.data
+    if len(data) != chunk.uncompressed_size:
+        raise ValueError(f"a chunk must have {chunk.uncompressed_size} bytes, found {len(data)}")
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        raise ValueError(f"the checksum of the chunk at byte {offset} must be {chunk.uncompressed_crc:08x}")
+    return data
+
+
+def open_sqlite(path: Path, topic: str | None, step_m: float | None) -> StoredRecording:
+    """Open a .db3 file. Raises BadConfig, MissingLibrary."""
+    return bag_recording(path, SqliteBag(path), topic, step_m)
+
+
+class SqliteBag:
+    """Messages of a .db3 file by its tables `topics` and `messages`. Raises BadConfig for another file."""
+
+    def __init__(self, path: Path) -> None:
+        # A file without a log of writes beside it changes no more; then SQLite needs to make no file of its own.
+        rest = "" if path.with_name(f"{path.name}-wal").exists() else "&immutable=1"
+        uri = f"file:{quote(str(path.absolute()))}?mode=ro{rest}"
+        try:
+            self._base = sqlite3.connect(uri, uri=True, check_same_thread=False)
+        except sqlite3.Error as error:
+            raise BadConfig(f"cannot read {path}: {error}") from error
+        self._rows: dict[Topic, list[int]] = {}
+        try:
+            self._base.execute("PRAGMA trusted_schema=OFF")
+            tables = self._base.execute("SELECT name FROM sqlite_master WHERE type='table'").fetchall()
+            if not {("topics",), ("messages",)} <= set(tables):
+                raise ValueError("tables 'topics' and 'messages' are missing")
+            for number, name, kind, form in self._base.execute(
+                "SELECT id, name, type, serialization_format FROM topics ORDER BY name"
+            ).fetchmany(10_000):
+                rows = self._base.execute(
+                    "SELECT timestamp, id FROM messages WHERE topic_id=? ORDER BY timestamp, id", (number,)
+                ).fetchmany(MOST_MESSAGES)
+                if form == "cdr":
+                    topic = Topic(str(name), str(kind), "cdr", as_times([int(time) for time, _ in rows]))
+                    self._rows[topic] = [int(row) for _, row in rows]
+        except (sqlite3.Error, ValueError, TypeError, OverflowError) as error:
+            self._base.close()
+            raise BadConfig(f"{path} must be a whole file of a ROS 2 bag: {error}") from error
+        self.topics = list(self._rows)
+
+    def __del__(self) -> None:
+        if hasattr(self, "_base"):
+            self._base.close()
+
+    def read(self, topic: Topic, index: int) -> bytes:
+        """Read message `index` of a topic, decompressed if single messages are compressed."""
+        try:
+            row = self._base.execute(
+                "SELECT data FROM messages WHERE id=? AND length(data)<=?", (self._rows[topic][index], LARGEST_MESSAGE)
+            ).fetchone()
+            if row is None or not isinstance(row[0], bytes):
+                raise ValueError(f"it is missing, or has more than {LARGEST_MESSAGE} bytes")
+            return decompressed(row[0])
+        except Exception as error:  # damaged pages and compressed data raise what their libraries like
+            raise BadConfig(f"the message cannot be read: {error}") from error
+
+
+def open_ros1(path: Path, topic: str | None, step_m: float | None) -> StoredRecording:
+    """Open a ROS 1 bag of format 2.0. Raises BadConfig, MissingLibrary."""
+    return bag_recording(path, _Ros1Bag(path), topic, step_m)
+
+
+class _Ros1Bag:
+    """Messages of a ROS 1 bag by its index; one chunk of it at a time is in memory."""
+
+    def __init__(self, path: Path) -> None:
+        try:
+            from rosbags.rosbag1 import Reader
+        except ImportError as error:
+            raise missing(error) from error
+        self._stream: tuple[Topic, int, Iterator[Any]] | None = None
+        self._connections: dict[str, list[Connection]] = {}
+        self._reader = Reader(path)
+        try:
+            self._reader.open()
+            for position, chunk in self._reader.chunks.items():
+                if chunk.datasize > LARGEST_MESSAGE:
+                    raise ValueError(f"a chunk must have at most {LARGEST_MESSAGE} bytes, found {chunk.datasize}")
+                self._reader.chunks[position] = chunk._replace(decompressor=decompressed)
+            for connection in self._reader.connections:
+                self._connections.setdefault(connection.topic, []).append(connection)
+            self.topics = [self._topic(name) for name in sorted(self._connections)]
+        except Exception as error:  # a damaged bag raises what the reader likes
+            raise BadConfig(
+                f"{path} must be a whole ROS 1 bag with an index: {error or type(error).__name__} (`rosbag reindex` "
+                "mends a recording that was cut off)"
+            ) from error
+
+    def __del__(self) -> None:
+        with contextlib.suppress(Exception):  # it may never have been opened
+            self._reader.close()
+
+    def read(self, topic: Topic, index: int) -> bytes:
+        """Read message `index` of a topic: the next one of the stream that is open, or else by its time."""
+        try:
+            if self._stream is None or self._stream[:2] != (topic, index):
+                time = int(topic.times_ns[index])
+                messages = self._reader.messages(self._connections[topic.name], start=time)
+                same = bisect_left(topic.times_ns, time)
+                self._stream = topic, index, islice(messages, index - same, None)
+            stream, self._stream = self._stream[2], None
+            _, _, data = next(stream)
+            self._stream = topic, index + 1, stream
+        except Exception as error:  # as above
+            raise BadConfig(f"the message cannot be read: {str(error) or type(error).__name__}") from error
+        return bytes(data)
+
+    def _topic(self, name: str) -> Topic:
+        connections = self._connections[name]
+        times = sorted(entry.time for each in connections for entry in self._reader.indexes[each.id])
+        return Topic(name, connections[0].msgtype, "ros1", as_times(times))
+
+
+_STORAGE: Final[dict[str, Callable[[Path], Bag]]] = {".db3": SqliteBag, ".mcap": McapBag}
+_PACKED: Final = (".zstd", ".zst")
+
+
+def open_ros2(path: Path, topic: str | None, step_m: float | None) -> StoredRecording:
+    """Open the folder of a ROS 2 bag, whose files are read one after another. Raises BadConfig, MissingLibrary."""
+    files = sorted(path.iterdir(), key=lambda file: (len(file.name), file.name))
+    parts = [file for file in files if file.suffix.lower() in _STORAGE]
+    packed = [file for file in files if file.suffix.lower() in _PACKED]
+    if packed:
+        raise BadConfig(f"files of a bag must be decompressed first, by `zstd -d`: {packed[0]}")
+    if not parts:
+        raise BadConfig(f"a ROS 2 bag must hold .db3 or .mcap files, found none in {path}")
+    return bag_recording(path, _Joined([_STORAGE[file.suffix.lower()](file) for file in parts]), topic, step_m)
+
+
+class _Joined:
+    """Files of one bag, the messages of a topic one after another."""
+
+    def __init__(self, parts: list[Bag]) -> None:
+        homes: dict[tuple[str, str], list[tuple[Bag, Topic]]] = {}
+        for part in parts:
+            for topic in part.topics:
+                homes.setdefault((topic.name, topic.kind), []).append((part, topic))
+        self._homes = {
+            Topic(name, kind, homes[name, kind][0][1].encoding, _joined(homes[name, kind])): homes[name, kind]
+            for name, kind in sorted(homes)
+        }
+        self.topics = list(self._homes)
+
+    def read(self, topic: Topic, index: int) -> bytes:
+        """Read message `index` of a topic."""
+        homes = self._homes[topic]
+        ends = [*accumulate(len(of_part.times_ns) for _, of_part in homes)]
+        number = bisect_right(ends, index)
+        part, of_part = homes[number]
+        return part.read(of_part, index - ends[number] + len(of_part.times_ns))
+
+
+def _joined(homes: list[tuple[Bag, Topic]]) -> NDArray[np.int64]:
+    return np.concatenate([topic.times_ns for _, topic in homes])

@@ -1,0 +1,388 @@
+"""Messages of a bag: its topics, where each message lies, and the decoding of those of images and cameras.
+
+Decompression of pieces of bags, up to a limit of bytes whatever they claim.
+
+Range images in messages: 16UC1, mono16, 32FC1, PNG, and the transport compressedDepth.
+
+compressedDepth (https://github.com/ros-perception/image_transport_plugins): 12 bytes, an int32 and the float32 A and B,
+then a 16-bit PNG. Of 16UC1 the PNG holds the steps; of 32FC1 it holds v = A / range + B, rounded, range in metres, 0
+where nothing was measured.
+
+Cameras in messages: the CameraInfo beside a topic of images.
+
+The recording in a bag: its topic of range images, their times, camera and unit.
+"""
+
+from __future__ import annotations
+
+import bz2
+import math
+import struct
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
+
+import numpy as np
+import zstandard
+from numpy.typing import NDArray
+
+from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_data.machine import missing_library
+from bodyseg_data.rigs import Distortion
+from bodyseg_model.recordings.cameras import Intrinsics
+from bodyseg_model.recordings.frame_files import parse_frame
+from bodyseg_model.recordings.recording import LARGEST_SIDE, FrameSource, Stamp, StoredRecording, stored_recording
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+
+Encoding = Literal["ros1", "cdr"]
+
+IMAGE: Final = "sensor_msgs/msg/Image"
+COMPRESSED: Final = "sensor_msgs/msg/CompressedImage"
+CAMERA_INFO: Final = "sensor_msgs/msg/CameraInfo"
+FLOAT32: Final = "std_msgs/msg/Float32"
+
+LARGEST_MESSAGE: Final = 1 << 28
+"""The most bytes of a message, or of a compressed piece of a bag that holds messages."""
+
+MOST_MESSAGES: Final = 1 << 24
+"""The most messages that a bag may list."""
+
+
+@dataclass(frozen=True, eq=False)
+class Topic:
+    """Messages of one topic. kind: their type as ROS 2 names it. times_ns: int64 [N], when
+    each was recorded, ascending.
+    """
+
+    name: str
+    kind: str
+    encoding: Encoding
+    times_ns: NDArray[np.int64]
+
+
+class Bag(Protocol):
+    """A file or folder of messages, which are read by topic and number."""
+
+    @property
+    def topics(self) -> Sequence[Topic]:
+        """All topics, in alphabetical order."""
+
+    def read(self, topic: Topic, index: int) -> bytes:
+        """Read message `index` of a topic. Raises BadConfig if it cannot be read."""
+
+
+def missing(error: ImportError) -> MissingLibrary:
+    """Return the line for a package that reading bags needs."""
+    return missing_library("reading and writing bags", error, extra="recordings")
+
+
+def as_times(times_ns: Sequence[int]) -> NDArray[np.int64]:
+    """Return times in nanoseconds as an array, int64 [N]. Raises ValueError or OverflowError for others."""
+    if len(times_ns) > MOST_MESSAGES:
+        raise ValueError(f"a topic must have at most {MOST_MESSAGES} messages, found {len(times_ns)}")
+    return np.array(times_ns, np.int64).reshape(-1)
+
+
+@cache
+def typestore(encoding: Encoding) -> Typestore:
+    """Return the message types of ROS 1 Noetic or ROS 2 Humble. Raises MissingLibrary."""
+    try:
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise missing(error) from error
+    return get_typestore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_HUMBLE)
+
+
+def decode(bag: Bag, topic: Topic, index: int) -> Any:
+    """Read and decode message `index` of a topic. Raises BadConfig."""
+    data = bag.read(topic, index)
+    store = typestore(topic.encoding)
+    try:
+        if topic.encoding == "ros1":
+            return store.deserialize_ros1(data, topic.kind)
+        return store.deserialize_cdr(data, topic.kind)
+    except Exception as error:  # bytes of strangers: the decoder raises what it likes
+        raise BadConfig(f"the message is no {topic.kind}: {error}") from error
+
+
+_BZ2: Final = b"BZh"
+_LZ4: Final = b"\x04\x22\x4d\x18"
+_PIECE: Final = 1 << 16
+_ZSTD: Final = b"\x28\xb5\x2f\xfd"
+
+
+def decompressed(data: bytes) -> bytes:
+    """Decompress bzip2, LZ4 frames or zstd, told by their first bytes; others are returned as they are.
+
+    Records of a plain chunk cannot begin so: they would be larger than any chunk. Raises ValueError for more than
+    `LARGEST_MESSAGE` bytes, MissingLibrary, and what the libraries raise for damaged data.
+    """
+    if data.startswith(_BZ2):
+        bzip2 = bz2.BZ2Decompressor()
+        return _joined(data, bzip2.decompress, lambda: bzip2.eof or bzip2.needs_input)
+    if data.startswith(_LZ4):
+        try:
+            from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
+        except ImportError as error:
+            raise missing(error) from error
+        lz4 = LZ4FrameDecompressor()
+        return _joined(data, lz4.decompress, lambda: lz4.eof or lz4.needs_input)
+    if data.startswith(_ZSTD):
+        with zstandard.ZstdDecompressor().stream_reader(data) as reader:
+            done = False
+
+            def read(_: bytes, size: int) -> bytes:
+                nonlocal done
+                piece = reader.read(size)
+                done = not piece
+                return piece
+
+            return _joined(b"", read, lambda: done)
+    return bytes(data)
+
+
+def _joined(data: bytes, decompress: Callable[[bytes, int], bytes], done: Callable[[], bool]) -> bytes:
+    """Decompress in pieces, because libraries allocate all that they may return. Raises ValueError beyond the limit."""
+    pieces = [decompress(data, _PIECE)]
+    size = len(pieces[0])
+    while not done() and size <= LARGEST_MESSAGE:
+        pieces.append(decompress(b"", _PIECE))
+        size += len(pieces[-1])
+    if size > LARGEST_MESSAGE:
+        raise ValueError(f"a piece must have at most {LARGEST_MESSAGE} bytes")
+    return b"".join(pieces)
+
+
+_STEPS: Final = ("16UC1", "mono16")
+_METRES: Final = "32FC1"
+_HEADER: Final = struct.Struct("<iff")
+
+ENCODINGS: Final = (*_STEPS, _METRES)
+"""Encodings of pixels that range images have."""
+
+
+def encoding(message: Any, kind: str) -> str:
+    """Return the encoding of an image message's pixels, such as "16UC1" or "rgb8"."""
+    if kind == IMAGE:
+        return str(message.encoding)
+    return str(message.format).partition(";")[0].strip()
+
+
+def is_range_image(message: Any, kind: str) -> bool:
+    """True for an image message whose pixels may be ranges."""
+    return encoding(message, kind) in ENCODINGS
+
+
+def is_floating(message: Any, kind: str) -> bool:
+    """True for an image message whose pixels are metres in floating point."""
+    return encoding(message, kind) == _METRES
+
+
+def pixels(message: Any, kind: str) -> NDArray[Any]:
+    """Decode an image message: uint16 or float32 [H, W], steps or metres. Raises BadConfig."""
+    return _compressed(message) if kind == COMPRESSED else _plain(message)
+
+
+def stamp(message: Any) -> Stamp:
+    """Return time and coordinate frame of a message's header."""
+    time = message.header.stamp
+    return Stamp(int(time.sec) * 10**9 + int(time.nanosec), str(message.header.frame_id))
+
+
+def _plain(message: Any) -> NDArray[Any]:
+    if message.encoding not in ENCODINGS:
+        raise BadConfig(f"an image must have one of the encodings {', '.join(ENCODINGS)}, found {message.encoding!r}")
+    kind = np.dtype(np.float32 if message.encoding == _METRES else np.uint16)
+    kind = kind.newbyteorder(">" if message.is_bigendian else "<")
+    rows, columns, step = int(message.height), int(message.width), int(message.step)
+    if not (1 <= rows <= LARGEST_SIDE and 1 <= columns <= LARGEST_SIDE):
+        raise BadConfig(f"an image's side must be 1 to {LARGEST_SIDE} pixels, found {rows} x {columns}")
+    data = np.asarray(message.data, np.uint8)
+    if step < columns * kind.itemsize or len(data) != rows * step:
+        raise BadConfig(
+            f"an image of {rows} x {columns} {message.encoding} in rows of {step} bytes cannot have {len(data)} bytes"
+        )
+    row = data.reshape(rows, step)[:, : columns * kind.itemsize]
+    return np.ascontiguousarray(row).view(kind).astype(kind.newbyteorder("="))
+
+
+def _compressed(message: Any) -> NDArray[Any]:
+    data, text = bytes(message.data), str(message.format)
+    found = encoding(message, COMPRESSED)
+    if found not in ENCODINGS:
+        raise BadConfig(f"an image must have one of the encodings {', '.join(ENCODINGS)}, found {text!r}")
+    if "compressedDepth" not in text:
+        if found == _METRES or "png" not in text:
+            raise BadConfig(f"a compressed image must be a 16-bit PNG or compressedDepth, found {text!r}")
+        return parse_frame(data, f"format {text!r}")
+    if "rvl" in text.lower():
+        raise BadConfig(f"compressedDepth must be in PNG, found {text!r}")
+    if len(data) < _HEADER.size:
+        raise BadConfig(f"compressedDepth must begin with {_HEADER.size} bytes of header, found {len(data)} in all")
+    _, a, b = _HEADER.unpack_from(data)
+    stored = parse_frame(data[_HEADER.size :], f"format {text!r}")
+    if found != _METRES:
+        return stored
+    if not (math.isfinite(a) and math.isfinite(b) and a > 0):
+        raise BadConfig(f"compressedDepth of 32FC1 must have finite A above 0 and B, found {a:g} and {b:g}")
+    with np.errstate(divide="ignore", invalid="ignore"):
+        metres = np.float32(a) / (stored.astype(np.float32) - np.float32(b))
+    metres[stored == 0] = 0
+    return metres
+
+
+_TRANSPORTS: Final = ("compressedDepth", "compressed")
+_MODEL: Final = "plumb_bob"
+
+
+def camera_beside(bag: Bag, topic: Topic, where: str) -> Intrinsics | None:
+    """Read the camera of a topic of images from the first CameraInfo beside it; None if there is none.
+
+    That is `camera_info` in the topic's namespace, or in `info/` as RealSense's recordings have it. Of a rectified
+    image ("image_rect"), the camera is that of the projection matrix, without distortion. Raises BadConfig for
+    distortion of another model than plumb_bob, and for a camera of binned or cut images.
+    """
+    parts = [part for part in topic.name.split("/") if part]
+    if parts and parts[-1] in _TRANSPORTS:
+        del parts[-1]
+    names = {"/".join(["", *parts[:-1], "camera_info"]), "/".join(["", *parts[:-2], "info", "camera_info"])}
+    info = next((each for each in bag.topics if each.name in names and each.kind == CAMERA_INFO), None)
+    if info is None or not len(info.times_ns):
+        return None
+    named = f"{where}: {info.name}"
+    try:
+        message = decode(bag, info, 0)
+    except BadConfig as error:
+        raise BadConfig(f"{named}: {error}") from error
+    return camera_of(message, named, rectified=bool(parts) and parts[-1].startswith("image_rect"))
+
+
+def camera_of(message: Any, where: str, rectified: bool) -> Intrinsics | None:
+    """Return the camera in a CameraInfo of ROS 1 or 2, None for one that is not calibrated.
+
+    rectified: its images are, so their camera is that of the projection matrix. where: name in messages. Raises
+    BadConfig as `camera_beside`.
+    """
+    region = message.roi
+    if max(message.binning_x, message.binning_y) > 1 or region.x_offset or region.y_offset:
+        raise BadConfig(f"{where}: images must be neither binned nor cut: give --focal or --rig")
+    # ROS 1 has capitals.
+    matrix, projection, given = (_numbers(message, name) for name in "kpd")
+    if rectified and projection[0] > 0:
+        fx, fy, cx, cy = projection[0], projection[5], projection[2], projection[6]
+        given = []
+    else:
+        fx, fy, cx, cy = matrix[0], matrix[4], matrix[2], matrix[5]
+    if fx == 0:  # not calibrated
+        return None
+    if not (fx > 0 and fy > 0):
+        raise BadConfig(f"{where}: focal lengths must be above 0, found {fx:g} and {fy:g}")
+    distortion = None
+    if any(given):
+        if message.distortion_model != _MODEL or len(given) not in (4, 5):
+            raise BadConfig(
+                f"{where}: distortion must be {_MODEL}, of 4 or 5 coefficients, found {message.distortion_model!r} of "
+                f"{len(given)}: undistort the recording, or give --focal or --rig"
+            )
+        distortion = Distortion(*given)
+    size = (int(message.height), int(message.width)) if message.height and message.width else None
+    return Intrinsics(fx, fy, cx, cy, distortion, size, where)
+
+
+def _numbers(message: Any, name: str) -> Sequence[float]:
+    values = getattr(message, name) if hasattr(message, name) else getattr(message, name.upper())
+    return [float(value) for value in values]
+
+
+_KINDS: Final = (IMAGE, COMPRESSED)
+_UNITS_TOPIC: Final = "option/Depth_Units/value"
+_LONGEST_LIST: Final = 12
+
+
+def bag_recording(path: Path, bag: Bag, topic: str | None, step_m: float | None) -> StoredRecording:
+    """Return the range images of a bag as a recording: those of `topic`, or of the only topic that has any.
+
+    Raises BadConfig, listing the topics, for another topic, none, or several.
+    """
+    images = [each for each in bag.topics if each.kind in _KINDS and len(each.times_ns)]
+    if topic is not None:
+        chosen = [each for each in images if each.name == topic or each.name == f"/{topic}"]
+        if not chosen:
+            raise BadConfig(f"--topic must be a topic of images, one of {_listed(images)}, found {topic!r}: {path}")
+    else:
+        chosen = [each for each in images if _has_ranges(bag, each)]
+        if not chosen:
+            raise BadConfig(f"a recording must have a topic of range images, found {_listed(images)}: {path}")
+        if len(chosen) > 1:
+            raise BadConfig(f"several topics have range images, choose one by --topic: {_listed(chosen)} ({path})")
+    (found,) = chosen[:1]
+    first = _first(bag, found)
+    floating = first is not None and is_floating(first, found.kind)
+    return stored_recording(
+        path,
+        _Images(bag, found, floating),
+        [time / 1e9 for time in found.times_ns],
+        floating,
+        step_m,
+        _stored_step(bag, found),
+        camera_beside(bag, found, str(path)),
+        found.name,
+    )
+
+
+class _Images(FrameSource):
+    """Images of one topic. The last message stays decoded, since its header is often read after its pixels."""
+
+    def __init__(self, bag: Bag, topic: Topic, floating: bool) -> None:
+        self._bag, self._topic, self._floating = bag, topic, floating
+        self._last: tuple[int, Any] | None = None
+
+    def read(self, index: int) -> NDArray[Any]:
+        image = pixels(self._message(index), self._topic.kind)
+        if (image.dtype.kind == "f") != self._floating:
+            raise BadConfig(f"all images of a topic must be of the first one's encoding, found {image.dtype}")
+        return image
+
+    def stamp(self, index: int) -> Stamp:
+        return stamp(self._message(index))
+
+    def _message(self, index: int) -> Any:
+        if self._last is None or self._last[0] != index:
+            self._last = None  # not two messages at once
+            self._last = index, decode(self._bag, self._topic, index)
+        return self._last[1]
+
+
+def _has_ranges(bag: Bag, topic: Topic) -> bool:
+    first = _first(bag, topic)
+    return first is not None and is_range_image(first, topic.kind)
+
+
+def _first(bag: Bag, topic: Topic) -> Any:
+    """The first of the first ten messages that can be read, or None."""
+    for index in range(min(10, len(topic.times_ns))):
+        try:
+            return decode(bag, topic, index)
+        except BadConfig:
+            continue
+    return None
+
+
+def _stored_step(bag: Bag, topic: Topic) -> float | None:
+    """Metres a step as RealSense's recordings hold it, beside the sensor; None elsewhere."""
+    sensor = topic.name.split("/")[:3]
+    name = "/".join([*sensor, _UNITS_TOPIC])
+    units = next((each for each in bag.topics if each.name == name and each.kind == FLOAT32), None)
+    value = _first(bag, units) if units is not None else None
+    return float(value.data) if value is not None and 1e-6 <= value.data <= 0.1 else None
+
+
+def _listed(topics: list[Topic]) -> str:
+    names = [topic.name for topic in topics]
+    more = f" and {len(names) - _LONGEST_LIST} more" if len(names) > _LONGEST_LIST else ""
+    return (", ".join(names[:_LONGEST_LIST]) or "none") + more

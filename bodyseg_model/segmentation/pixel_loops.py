@@ -1,0 +1,156 @@
+"""Resampling of a body, compiled, for `views.py`, which describes the mapping, a `Turn`.
+
+pixels: ascending flat indices of the frame; rows, columns: int [N], of these. All ranges are finite and in front of
+the view, so that no point is outside the box that is computed.
+
+The painting of overlays, compiled, for `pictures.py`, which describes the colours.
+
+flat: ranges of a frame, float32 [N], metres. shading: `pictures.Shading`. table: uint8 [M, 3], `pictures._table`.
+picture: sRGB uint8 [N, 3].
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from math import floor
+from typing import Any, Final
+
+import numpy as np
+
+from bodyseg_data.machine import compiled
+
+_LEAST_AHEAD: Final = 1e-9
+"""Least range before the rotation, for a range of 1 after it: directions beside or behind the frame's camera are mapped
+far outside the frame."""
+
+_kernel = partial(compiled, feature="labelling frames", extra="segment")
+
+
+@_kernel
+def list_pixels(flat: Any, pixels: Any, width: Any, centre: Any, rows: Any, columns: Any, depths: Any) -> Any:
+    """Write rows, columns and ranges of pixels, int [N] twice and float64 [N].
+
+    Returns the least and greatest of their distances from the optical axis, to the right, times the focal length, and
+    their first and last column. centre: column of the principal point.
+    """
+    row, row_end = 0, width
+    least, greatest, first, last = np.inf, -np.inf, width, -1
+    for i in range(pixels.size):
+        pixel = pixels[i]
+        while pixel >= row_end:
+            row += 1
+            row_end += width
+        rows[i], columns[i], depths[i] = row, pixel - row_end + width, np.float64(flat[pixel])
+        side = (np.float64(columns[i]) + 0.5 - centre) * depths[i]
+        least, greatest = min(least, side), max(greatest, side)
+        first, last = min(first, columns[i]), max(last, columns[i])
+    return least, greatest, first, last
+
+
+@_kernel
+def map_to_view(rows: Any, columns: Any, mapping: Any, down: Any, across: Any) -> Any:
+    """Write the points of the view's image plane that pixels' centres are mapped to, float64 [N] each; returns the
+    least and greatest of `down` and of `across`.
+    """
+    side = mapping.sign * mapping.view_focal
+    top = left = np.inf
+    bottom = right = -np.inf
+    for i in range(columns.size):
+        x = (np.float64(columns[i]) + 0.5 - mapping.camera_x) / mapping.camera_focal
+        y = (np.float64(rows[i]) + 0.5 - mapping.camera_y) / mapping.camera_focal
+        ahead = x * mapping.sine + mapping.cosine
+        down[i] = mapping.view_y + mapping.view_focal * y / ahead
+        across[i] = mapping.view_x + side * (x * mapping.cosine - mapping.sine) / ahead
+        top, bottom = min(top, down[i]), max(bottom, down[i])
+        left, right = min(left, across[i]), max(right, across[i])
+    return top, bottom, left, right
+
+
+@_kernel
+def pick_ranges(own: Any, corner: Any, mapping: Any, start: Any, box: Any) -> None:
+    """Write into `box`, float64 [h, w], whose first pixel of the view is `start`, the value of the frame's pixel that
+    contains its centre. own: float64, the part of the frame that begins at `corner`, with a border of zeros.
+    """
+    last_row, last_column = own.shape[0] - 1, own.shape[1] - 1
+    ahead, column_of = np.empty(box.shape[1]), np.empty(box.shape[1], np.intp)
+    for i in range(box.shape[1]):
+        x = (np.float64(start[1] + i) + 0.5 - mapping.view_x) / mapping.view_focal * mapping.sign
+        ahead[i] = max(mapping.cosine - x * mapping.sine, _LEAST_AHEAD)
+        across = mapping.camera_focal * (x * mapping.cosine + mapping.sine) / ahead[i]
+        column_of[i] = min(max(floor(mapping.camera_x + across) - corner[1], 0), last_column)
+    for row in range(box.shape[0]):
+        y = mapping.camera_focal * ((np.float64(start[0] + row) + 0.5 - mapping.view_y) / mapping.view_focal)
+        for i in range(box.shape[1]):
+            down = floor(mapping.camera_y + y / ahead[i]) - corner[0]
+            box[row, i] = own[min(max(down, 0), last_row), column_of[i]]
+
+
+@_kernel
+def fill_lost(down: Any, across: Any, start: Any, ranges: Any, box: Any, corner: Any, width: Any, pixels: Any) -> None:
+    """Write the pixel of the view that each point is in into `pixels`, int [N], row * width + column, from `corner` on.
+
+    A pixel of `box`, which begins at `start`, that is 0 though points are in it gets the range of the one nearest to
+    its centre, the last of equals.
+    """
+    flat, columns = box.ravel(), box.shape[1]
+    cells = np.empty(pixels.size, np.intp)
+    lost = 0
+    for i in range(cells.size):
+        row, column = floor(down[i]), floor(across[i])
+        pixels[i] = (row - corner[0]) * width + column - corner[1]
+        cells[i] = (row - start[0]) * columns + column - start[1]
+        lost += flat[cells[i]] == 0
+    if lost == 0:
+        return
+    nearest = np.full(flat.size, np.inf)
+    chosen = np.full(flat.size, -1)
+    for i in range(cells.size):
+        cell = cells[i]
+        if flat[cell] == 0:
+            right, below = across[i] - floor(across[i]) - 0.5, down[i] - floor(down[i]) - 0.5
+            distance = right * right + below * below
+            if distance <= nearest[cell]:
+                nearest[cell], chosen[cell] = distance, i
+    for i in range(cells.size):
+        if chosen[cells[i]] == i:
+            flat[cells[i]] = ranges[i]
+
+
+@_kernel
+def move_ranges(box: Any, shift: Any, nearest: Any, farthest: Any, view: Any) -> None:
+    """Write the ranges of `box` that are not 0, moved by `shift` and limited, into `view`, float32 of the same size."""
+    for row in range(box.shape[0]):
+        for i in range(box.shape[1]):
+            if box[row, i] > 0:
+                view[row, i] = np.float32(min(max(box[row, i] + shift, nearest), farthest))
+
+
+_picture_kernel = partial(compiled, feature="overlays", extra="segment")
+
+
+@_picture_kernel
+def _shade(range_m: Any, shading: Any) -> Any:
+    last = np.float32(shading.shades - 1)
+    return np.intp(min(max((range_m - shading.near) * shading.scale + np.float32(0.5), np.float32(0)), last))
+
+
+@_picture_kernel
+def paint_room(flat: Any, shading: Any, table: Any, picture: Any) -> None:
+    """Paint the room: its measured pixels in the first shades of the table, others in the last."""
+    nothing = table.shape[0] - 1
+    for i in range(flat.size):
+        colour = _shade(flat[i], shading) if 0 < flat[i] < np.inf else nothing
+        for channel in range(3):
+            picture[i, channel] = table[colour, channel]
+
+
+@_picture_kernel
+def paint_body(flat: Any, labels: Any, pixels: Any, shading: Any, classes: Any, table: Any, picture: Any) -> None:
+    """Paint a body's measured pixels in the shades of their labels, uint8 [N]; all labels from `classes` on alike."""
+    for i in range(pixels.size):
+        pixel = pixels[i]
+        if 0 < flat[pixel] < np.inf:
+            group = min(np.intp(labels[pixel]), classes)
+            colour = (1 + group) * shading.shades + _shade(flat[pixel], shading)
+            for channel in range(3):
+                picture[pixel, channel] = table[colour, channel]

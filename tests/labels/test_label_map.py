@@ -1,0 +1,225 @@
+"""Label maps: the 33 parts joined to classes, in files, in colours, in the mirror."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import (
+    BACKGROUND,
+    LANDMARKS,
+    MIRRORED_LABELS,
+    PARTS,
+    PARTS33,
+    LabelMap,
+    label_map_from_json,
+    label_map_names,
+    load_label_map,
+)
+from bodyseg_data.labels.label_map import COLOURS, luma
+
+RIGHT = tuple(part.landmark for part in PARTS if part.side == "right")
+LEFT = tuple(part.landmark for part in PARTS if part.side == "left")
+MIDDLE = tuple(part.landmark for part in PARTS if part.side == "middle")
+ARMS = LabelMap("arms", (("arms", ("Rt. Olecranon", "Lt. Olecranon", "Rt. Dactylion", "Lt. Dactylion")),))
+SIDES = LabelMap("sides", (("left", LEFT), ("middle", MIDDLE), ("right", RIGHT)))
+CROSSED = LabelMap("crossed", (("a", ("Rt. Olecranon", "Lt. PSIS")), ("b", ("Lt. Olecranon", "Rt. PSIS"))))
+
+
+def test_the_maps_that_ship_cover_every_part_once() -> None:
+    assert label_map_names() == ("parts33", "itop15", "limbs14")
+    for name, count in (("parts33", 33), ("itop15", 15), ("limbs14", 14)):
+        label_map = load_label_map(name)
+        assert label_map.name == name and len(label_map) == len(label_map.names) == count
+        assert sorted(part.label for parts in label_map.parts for part in parts) == list(range(33))
+        assert repr(label_map) == f"LabelMap({name!r}, {count} classes)"
+    assert load_label_map("itop15").names == (
+        "head", "neck", "right_shoulder", "left_shoulder", "right_elbow", "left_elbow", "right_hand", "left_hand",
+        "torso", "right_hip", "left_hip", "right_knee", "left_knee", "right_foot", "left_foot",
+    )  # fmt: skip
+
+
+def test_a_table_gives_every_part_its_class_and_all_else_the_background() -> None:
+    table = load_label_map("limbs14").table
+    assert table.dtype == np.uint8 and table.shape == (256,)
+    assert table[[0, 1, 2, 9, 15, 16, 31, 32]].tolist() == [0, 0, 0, 1, 2, 3, 12, 13]
+    assert (table[33:] == BACKGROUND).all()
+    assert (PARTS33.table[:33] == np.arange(33)).all()
+    left_out = np.setdiff1d(np.arange(256), [LANDMARKS.index(each) for each in ARMS.classes[0][1]])
+    assert (ARMS.table[left_out] == BACKGROUND).all()
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (3, 5), (16, 8), (13, 29)])
+@pytest.mark.parametrize("label_map", [load_label_map("limbs14"), ARMS])
+@pytest.mark.usefixtures("either_form")
+def test_classes_are_written_in_place(label_map: LabelMap, shape: tuple[int, int]) -> None:
+    random = np.random.default_rng(0)
+    for share in (0.0, 0.3, 1.0):
+        batch = np.full((3, *shape), 7, np.uint8)  # images within a batch begin at any byte
+        labels = batch[1]
+        labels[:] = np.where(random.random(shape) < share, random.integers(0, 33, shape), BACKGROUND)
+        expected = label_map.table[labels]
+        label_map.write(labels)
+        np.testing.assert_array_equal(labels, expected)
+        assert (batch[[0, 2]] == 7).all()
+
+
+def test_known_edges_give_the_same_classes() -> None:
+    random = np.random.default_rng(1)
+    foreground = random.random((9, 31)) < 0.6
+    labels = np.where(foreground, random.integers(0, 33, foreground.shape), BACKGROUND).astype(np.uint8)
+    edges = np.flatnonzero(np.diff(foreground.ravel().astype(np.int8), prepend=0, append=0)).astype(np.int32)
+    expected = load_label_map("itop15").table[labels]
+    load_label_map("itop15").write(labels, edges)
+    np.testing.assert_array_equal(labels, expected)
+
+
+@pytest.mark.parametrize("label_map", [PARTS33, *map(load_label_map, ("itop15", "limbs14")), ARMS, SIDES, CROSSED])
+def test_mirroring_and_joining_may_change_places(label_map: LabelMap) -> None:
+    np.testing.assert_array_equal(label_map.mirrored[label_map.table], label_map.table[MIRRORED_LABELS])
+    np.testing.assert_array_equal(label_map.mirrored[label_map.mirrored], np.arange(256))
+    for name, side, mirrored in zip(label_map.names, label_map.sides, label_map.mirrored, strict=False):
+        assert (side == "middle") == (label_map.names[mirrored] == name)
+        if name.startswith(("right", "left", "Rt.", "Lt.")):
+            assert side == {"r": "right", "R": "right", "l": "left", "L": "left"}[name[0]]
+
+
+def test_sides_of_classes() -> None:
+    assert ARMS.sides == ("middle",) and ARMS.mirrored[0] == 0
+    assert SIDES.sides == ("left", "middle", "right") and SIDES.mirrored[:3].tolist() == [2, 1, 0]
+    assert CROSSED.sides == ("right", "left"), "both have parts of either side: the first is called the right one"
+
+
+@pytest.mark.parametrize("label_map", [*map(load_label_map, ("itop15", "limbs14")), SIDES])
+def test_colours_differ_also_without_colour(label_map: LabelMap) -> None:
+    colours = label_map.colours
+    assert colours.dtype == np.uint8 and colours.shape == (len(label_map), 3)
+    apart = np.linalg.norm(colours[:, None].astype(float) - colours[None], axis=-1)
+    assert apart[np.triu_indices(len(colours), 1)].min() > 60
+    grey = luma(colours)
+    assert np.diff(np.sort(grey)).min() > 0.9 * 155 / len(colours)
+    for label, side in enumerate(label_map.sides):
+        if side == "right":
+            assert grey[label_map.mirrored[label]] - grey[label] > 60, "left is lighter than right"
+
+
+def test_the_33_parts_keep_their_colours() -> None:
+    assert PARTS33.colours is COLOURS
+    assert LabelMap("mine", PARTS33.classes).colours is COLOURS
+
+
+def test_classes_are_joined_to_coarser_ones() -> None:
+    limbs = load_label_map("limbs14")
+    joined = PARTS33.joined_to(limbs)
+    np.testing.assert_array_equal(joined, limbs.table)
+    halves = LabelMap(
+        "halves",
+        (
+            ("above", tuple(each for name, parts in limbs.classes[:8] for each in parts)),
+            ("below", tuple(each for name, parts in limbs.classes[8:] for each in parts)),
+        ),
+    )
+    assert limbs.joined_to(halves)[:14].tolist() == [0] * 8 + [1] * 6
+    np.testing.assert_array_equal(limbs.joined_to(halves)[limbs.table], halves.table)
+    with pytest.raises(BadConfig, match="labels 'limbs14' cannot be joined to 'itop15', which splits .*'trunk'"):
+        limbs.joined_to(load_label_map("itop15"))
+    with pytest.raises(BadConfig, match="labels 'parts33' cannot be joined to 'arms', in which .*'Sellion' has no"):
+        PARTS33.joined_to(ARMS)
+
+
+@pytest.mark.parametrize(
+    ("classes", "message"),
+    [
+        ((), "there must be 1 to 33 classes, found none"),
+        ((("a", ("Sellion",)), ("a", ("Nuchale",))), "a class is named once, found 'a' twice"),
+        ((("a", ("Sellion",)), ("b", ("Sellion",))), "a landmark is named once, found 'Sellion' twice"),
+        ((("a", ("Nose",)),), "'Nose' is none of the 33 landmarks"),
+        ((("a", ("Sellion",)), ("b", ())), "the class 'b' must have a landmark, found none"),
+        ((("a", ("Rt. Olecranon",)),), "the mirror image of the class 'a' must be one class"),
+        (
+            (("a", ("Rt. Olecranon", "Rt. Dactylion")), ("b", ("Lt. Olecranon",)), ("c", ("Lt. Dactylion",))),
+            "the mirror image of the class 'a' must be one class",
+        ),
+        ((("a", ("Sellion", "Rt. ASIS")), ("b", ("Lt. ASIS",))), "the mirror image of the class 'a' must be one class"),
+    ],
+)
+def test_maps_that_are_none(classes: Any, message: str) -> None:
+    with pytest.raises(BadConfig, match=f"^labels 'mine': {message}$"):
+        LabelMap("mine", classes)
+
+
+@pytest.mark.parametrize("label_map", [PARTS33, load_label_map("limbs14"), SIDES, CROSSED])
+def test_a_map_comes_back_from_json_in_its_order(label_map: LabelMap) -> None:
+    assert label_map_from_json(label_map.to_json(), "a card") == label_map
+    turned = LabelMap(label_map.name, label_map.classes[::-1])
+    assert turned.to_json() != label_map.to_json(), "labels follow from the order"
+
+
+@pytest.mark.parametrize(
+    ("tree", "message"),
+    [
+        ([], "a card: labels must be an object, found list"),
+        ({}, "a card: text 'name' is missing"),
+        ({"name": "x", "classes": {"a": ["Sellion"]}}, "a card: 'classes' must be a list, found dict"),
+        ({"name": "x", "classes": ["a"]}, "a card, a class: labels must be an object, found str"),
+        ({"name": "x", "classes": [{"landmarks": ["Sellion"]}]}, "a card, a class: text 'name' is missing"),
+        (
+            {"name": "x", "classes": [{"name": "a"}]},
+            "a card: the class 'a' must be a list of landmarks, found None",
+        ),
+        (
+            {"name": "x", "classes": [{"name": "a", "landmarks": [1]}]},
+            r"a card: the class 'a' must be a list of landmarks, found \[1\]",
+        ),
+        ({"name": "x", "classes": []}, "a card: labels 'x': there must be 1 to 33 classes, found none"),
+    ],
+)
+def test_json_that_is_no_map(tree: Any, message: str) -> None:
+    with pytest.raises(BadConfig, match=f"^{message}$"):
+        label_map_from_json(tree, "a card")
+
+
+GOOD = 'format = "bodyseg labels 1"\nname = "mine"\n[classes]\n'
+
+
+def test_a_map_is_read_from_a_file(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(f'{GOOD}"lower arms" = ["Rt. Olecranon", "Lt. Olecranon"]\nface = ["Sellion"]\n')
+    found = load_label_map(file)
+    assert found == load_label_map(str(file)) == load_label_map(found)
+    assert found.classes == (("lower arms", ("Rt. Olecranon", "Lt. Olecranon")), ("face", ("Sellion",)))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("=", "label map FILE is not TOML: "),
+        ('name = "x"', "label map FILE: 'format' must be 'bodyseg labels 1'"),
+        ('format = "bodyseg labels 1"\nname = "x"', r"label map FILE: the table \[classes\] is missing"),
+        ('format = "bodyseg labels 1"\n[classes]\na = ["Sellion"]', "label map FILE: text 'name' is missing"),
+        (f'colour = "red"\n{GOOD}a = ["Sellion"]', "label map FILE: unknown 'colour'"),
+        (f"{GOOD}a = 3", "label map FILE: the class 'a' must be a list of landmarks, found 3"),
+        (f'{GOOD}a = ["Nose"]', "label map FILE: labels 'mine': 'Nose' is none of the 33 landmarks"),
+    ],
+)
+def test_files_that_are_no_map_get_one_line(tmp_path: Path, text: str, message: str) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(text)
+    with pytest.raises(BadConfig, match=f"^{message.replace('FILE', str(file))}") as caught:
+        load_label_map(file)
+    assert "\n" not in str(caught.value)
+
+
+def test_names_that_no_map_has(tmp_path: Path) -> None:
+    with pytest.raises(
+        BadConfig, match=r"no label map is called 'limbs': give one of parts33, itop15, limbs14 or the path of a \.toml"
+    ):
+        load_label_map("limbs")
+    with pytest.raises(BadConfig, match="cannot read the label map file"):
+        load_label_map(tmp_path / "nowhere.toml")
+    with pytest.raises(BadConfig, match="labels must be a LabelMap, a name, or the path of a .toml file, found 14"):
+        load_label_map(14)  # type: ignore[arg-type]

@@ -1,0 +1,244 @@
+"""Compiled loops: which form is chosen, and that no machine code but that of the present source is ever run."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numba
+import pytest
+
+from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_data.machine import kernels
+
+LOOPS = """
+import limits
+from limits import LIMIT
+from inner import inner
+from bodyseg_data.core.kernels import compiled
+
+def _outer(count):
+    total = 0
+    for number in range(count):
+        total += inner(number) * LIMIT
+    return total + 1000
+
+outer = compiled(_outer, "a test")
+"""
+INNER = """from bodyseg_data.machine.kernels import compiled
+def _inner(x):
+    return x + 3
+inner = compiled(_inner, 'a test')
+"""
+LIMITS = "LIMIT = 2\n"
+
+
+@pytest.fixture
+def sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Loops in three files: the outermost, one it calls, and a constant."""
+    folder = tmp_path / "sources"
+    folder.mkdir()
+    for name, text in (("outer", LOOPS), ("inner", INNER), ("limits", LIMITS)):
+        (folder / f"{name}.py").write_text(text)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.syspath_prepend(folder)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    return folder
+
+
+def answer(folder: Path) -> int:
+    """What the loops answer for 3 to a process that loads them anew."""
+
+    def load(name: str) -> ModuleType:
+        spec = importlib.util.spec_from_file_location(name, folder / f"{name}.py")
+        assert spec is not None and spec.loader is not None
+        sys.modules[name] = module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module
+
+    try:
+        for name in ("limits", "inner"):
+            load(name)
+        return int(load("outer").outer(3))
+    finally:
+        for name in ("limits", "inner", "outer"):
+            sys.modules.pop(name, None)
+
+
+def kept(tmp_path: Path) -> set[Path]:
+    return set((tmp_path / "cache").rglob("*.nbc"))
+
+
+def test_machine_code_is_kept_and_found_again(sources: Path, tmp_path: Path) -> None:
+    assert answer(sources) == 1000 + 2 * (3 + 4 + 5)
+    files = kept(tmp_path)
+    assert files and all(file.is_relative_to(tmp_path / "cache" / "bodyseg" / "kernels") for file in files)
+    stamps = {file: file.stat().st_mtime_ns for file in files}
+    assert answer(sources) == 1024
+    assert {file: file.stat().st_mtime_ns for file in kept(tmp_path)} == stamps
+    assert not list(sources.rglob("*.nbi")), "nothing is written beside the source"
+    assert numba.config.CACHE_DIR == ""
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "expected"),
+    [
+        ("outer", "1000", "2000", 2024),
+        ("inner", "x + 3", "x + 4", 1030),
+        ("limits", "LIMIT = 2", "LIMIT = 3", 1036),
+    ],
+)
+def test_changed_source_is_never_answered_by_old_code(
+    sources: Path, name: str, old: str, new: str, expected: int
+) -> None:
+    """Of the same length and date, too, as reproducible installations make files."""
+    assert answer(sources) == 1024
+    file = sources / f"{name}.py"
+    before = file.stat()
+    file.write_text(file.read_text().replace(old, new))
+    os.utime(file, ns=(before.st_atime_ns, before.st_mtime_ns))
+    assert file.stat().st_size == before.st_size
+    assert answer(sources) == expected
+
+
+def test_numba_alone_would_have_answered_with_old_code(sources: Path) -> None:
+    """Why `kernels` keeps a folder for every state of the source."""
+    plain = "import numba\ndef compiled(loops, feature):\n    return numba.njit(loops, cache=True)\n"
+    (sources / "plain.py").write_text(plain)
+    for name in ("outer", "inner"):
+        file = sources / f"{name}.py"
+        file.write_text(file.read_text().replace("bodyseg_data.machine.kernels", "plain"))
+    assert answer(sources) == 1024
+    (sources / "limits.py").write_text("LIMIT = 3\n")
+    assert answer(sources) == 1024, "this version of numba sees it: `kernels` may become simpler"
+
+
+def test_another_processor_or_setting_has_other_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    def loops(x: int) -> int:
+        return x
+
+    digests = {kernels._digest(loops, numba)}
+    monkeypatch.setenv("NUMBA_OPT", "1")
+    digests.add(kernels._digest(loops, numba))
+    monkeypatch.setattr("llvmlite.binding.get_host_cpu_name", lambda: "another")
+    digests.add(kernels._digest(loops, numba))
+    monkeypatch.setattr(numba, "__version__", "another")
+    digests.add(kernels._digest(loops, numba))
+    assert len(digests) == 4
+
+
+@pytest.mark.parametrize("where", ["a file", "no home", "no room for a file", "no room for its bytes"])
+def test_without_a_folder_that_can_be_written_loops_still_run(
+    where: str, sources: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    if where == "a file":
+        (tmp_path / "cache").write_text("")
+    elif where == "no home":
+        monkeypatch.delenv("XDG_CACHE_HOME")
+        monkeypatch.setattr(Path, "expanduser", _no_home)
+    elif where == "no room for a file":
+        monkeypatch.setattr(kernels.tempfile, "TemporaryFile", _no_room)
+    else:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (512, before[1]))
+    try:
+        assert answer(sources) == 1024
+        assert not kept(tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def _no_home(path: Path) -> Path:
+    raise RuntimeError("Could not determine home directory.")
+
+
+def _no_room(**where: Any) -> None:
+    raise OSError(28, "No space left on device")
+
+
+def test_a_folder_may_be_named(sources: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "named"))
+    assert answer(sources) == 1024
+    assert list((tmp_path / "named").rglob("*.nbc")) and not kept(tmp_path)
+    assert str(tmp_path / "named") == numba.config.CACHE_DIR
+
+
+def test_processes_that_start_at_once_agree(sources: Path, tmp_path: Path) -> None:
+    environment = os.environ | {"PYTHONPATH": str(sources)}
+    command = [sys.executable, "-c", "from outer import outer; print(outer(3))"]
+    running = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    assert [process.communicate(timeout=100)[0].strip() for process in running] == ["1024"] * 2
+    assert len({file.parent for file in kept(tmp_path)}) == 2, "one folder for each function"
+    assert not list((tmp_path / "cache").rglob("*.tmp.*"))
+    assert answer(sources) == 1024
+
+
+@pytest.fixture
+def asked_anew() -> Iterator[None]:
+    kernels.use_compiled.cache_clear()
+    yield
+    kernels.use_compiled.cache_clear()
+
+
+@pytest.mark.usefixtures("asked_anew")
+@pytest.mark.parametrize(("choice", "expected"), [(None, True), ("auto", True), ("compiled", True), ("numpy", False)])
+def test_the_environment_chooses(choice: str | None, expected: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(kernels.VARIABLE, raising=False)
+    if choice is not None:
+        monkeypatch.setenv(kernels.VARIABLE, choice)
+    assert kernels.use_compiled() is expected
+
+
+@pytest.mark.usefixtures("asked_anew")
+def test_an_unknown_choice_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(kernels.VARIABLE, "fast")
+    with pytest.raises(BadConfig, match="BODYSEG_KERNELS .*found 'fast'"):
+        kernels.use_compiled()
+
+
+@pytest.mark.usefixtures("asked_anew")
+def test_without_numba_the_plain_form_runs_unless_the_compiled_one_is_demanded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(kernels.VARIABLE, raising=False)
+    monkeypatch.setitem(sys.modules, "numba", None)  # as one that is there and cannot be imported
+    assert kernels.use_compiled() is False
+    kernels.use_compiled.cache_clear()
+    monkeypatch.setenv(kernels.VARIABLE, "compiled")
+    with pytest.raises(MissingLibrary, match=r"^BODYSEG_KERNELS=compiled needs the package 'numba'"):
+        kernels.use_compiled()
+    with pytest.raises(MissingLibrary, match="the raster renderer needs the package 'numba'"):
+        kernels.compiled(lambda x: x, "the raster renderer")
+
+
+@pytest.mark.usefixtures("asked_anew")
+def test_a_process_without_numba_makes_the_same_images_and_loads_no_compiler(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = """
+import sys
+sys.modules["numba"] = None
+import numpy as np
+from bodyseg_data.core.rig import load_rig
+from bodyseg_data.core.sample import Sample
+from bodyseg_data.artifacts.variants import VARIANTS, Augmentation
+shape = load_rig().camera.rows, load_rig().camera.columns
+wall = np.full(shape, 25_000, np.uint16)
+sample = Sample("k", wall, wall, np.zeros(shape, np.uint8), wall > 0, None)
+for name in VARIANTS:
+    augmentation = Augmentation(load_rig(), name)
+    augmentation.prepare()
+    print(int(augmentation(sample).range.astype(np.int64).sum()))
+assert "llvmlite" not in sys.modules
+"""
+    monkeypatch.delenv(kernels.VARIABLE, raising=False)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100)
+    assert done.returncode == 0, done.stderr
+    exec("\n".join(line for line in code.split("\n") if not line.startswith(("sys.m", "assert"))), {})
+    assert kernels.use_compiled() and done.stdout == capsys.readouterr().out

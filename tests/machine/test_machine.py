@@ -1,0 +1,37 @@
+"""The line that describes a machine beside its results."""
+
+from __future__ import annotations
+
+import pytest
+
+from bodyseg_data.machine import computes_bfloat16, hardware
+from bodyseg_data.machine import host as machine
+
+
+@pytest.mark.parametrize(
+    ("name", "flags", "shown"),
+    [
+        ("Intel(R) Xeon(R) Processor", "fpu amx_bf16 amx_tile", "Intel Xeon Processor with AMX"),
+        ("Intel(R) Core(TM) i7-8650U CPU @ 1.90GHz", "fpu avx2", "Intel Core i7-8650U CPU @ 1.90GHz"),
+        ("AMD EPYC", "fpu avx512_vnni", "AMD EPYC"),
+    ],
+)
+def test_a_processor_is_named_without_trade_marks_and_with_amx(
+    name: str, flags: str, shown: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    about = [f"model name\t: {name}", f"flags\t\t: {flags}"]
+    files = {"/proc/cpuinfo": about + about, "/proc/meminfo": ["MemTotal:       25165824 kB"]}
+    monkeypatch.setattr(machine, "_lines", lambda path: files[path])
+    monkeypatch.setattr(machine, "processors", lambda: 2)
+    monkeypatch.setattr(machine.platform, "machine", lambda: "x86_64")
+    assert hardware() == f"2 cores of {shown} (x86_64), 24 GiB"
+
+
+@pytest.mark.parametrize(
+    ("flags", "expected"), [("fpu amx_bf16", True), ("fpu avx512_bf16 avx512_vnni", True), ("fpu avx512_vnni", False)]
+)
+def test_bfloat16_is_known_by_flags(flags: str, expected: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(machine, "_lines", lambda path: ["processor\t: 0", f"flags\t\t: {flags}"])
+    assert computes_bfloat16() is expected
+    monkeypatch.setattr(machine, "_lines", lambda path: [])
+    assert computes_bfloat16() is False

@@ -1,0 +1,97 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from samples import GOOD
+
+from bodyseg_data.core import BadSample
+from bodyseg_data.samples import SHADOW_THRESHOLDS, Sample, check_key, info_from_json, shape_of, steps
+from bodyseg_data.samples.sample import ShadowThresholds
+
+
+def test_a_good_sample_passes() -> None:
+    GOOD.check()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda s: replace(s, key="a.b"), "a sample key must be"),
+        (lambda s: replace(s, range=s.range.astype(np.int32)), "range must be a 2D image of uint16, found int32"),
+        (lambda s: replace(s, labels=s.labels[0]), r"labels must be a 2D image of uint8, found uint8 \(2,\)"),
+        (lambda s: replace(s, projector_range=s.projector_range[:0]), r"projector_range must be .*\(0, 2\)"),
+        (lambda s: replace(s, labels=s.labels[:1]), "must have one shape"),
+        (lambda s: replace(s, labels=np.full_like(s.labels, 3)), "labels must be 255 exactly where range is 0"),
+        (lambda s: replace(s, range=np.ones_like(s.range)), "labels must be 255 exactly where range is 0"),
+        (lambda s: replace(s, labels=s.labels + np.uint8(33) * (s.range > 1)), "labels must be 0 to 32, found 38"),
+        (lambda s: replace(s, faces_projector=s.range == 0), "background cannot face the projector"),
+        (lambda s: replace(s, faces_second=s.range == 0), "background cannot face the projector"),
+        (lambda s: replace(s, faces_second=s.range[:1] > 0), r"must have one shape, found .*\(1, 2\)$"),
+        (lambda s: replace(s, faces_second=s.labels), "faces_second must be a 2D image of bool, found uint8"),
+    ],
+)
+def test_broken_samples_are_refused(change: Callable[[Sample], Sample], message: str) -> None:
+    with pytest.raises(BadSample, match=message):
+        change(GOOD).check()
+
+
+def test_a_thing_has_a_range_and_no_label() -> None:
+    labels = np.array([[255, 0], [255, 5]], np.uint8)
+    among_things = replace(GOOD, labels=labels, info=replace(GOOD.info, things="before", hidden_pct=12))
+    among_things.check()
+    with pytest.raises(BadSample, match="labels must be 255 exactly where range is 0"):
+        replace(among_things, info=GOOD.info).check()
+    with pytest.raises(BadSample, match="labels must be 255 wherever range is 0"):
+        replace(among_things, labels=np.array([[3, 0], [255, 5]], np.uint8)).check()
+    with pytest.raises(BadSample, match="labels must be 0 to 32, found 62"):
+        replace(among_things, labels=np.array([[255, 0], [62, 5]], np.uint8)).check()
+
+
+def test_things_are_described_only_where_there_are_some() -> None:
+    assert not {"things", "hidden_pct"} & set(GOOD.info.to_json())
+    info = replace(GOOD.info, things="both", hidden_pct=7)
+    assert info.to_json() == {**GOOD.info.to_json(), "things": "both", "hidden_pct": 7}
+    assert info_from_json(info.to_json(), "k") == info
+    with pytest.raises(BadSample, match="k: 'hidden_pct' must be int, found '7'"):
+        info_from_json({**info.to_json(), "hidden_pct": "7"}, "k")
+
+
+@pytest.mark.parametrize("key", ["", "a.b", "a/b", "../a", "a b", "ä", "x" * 81, "a\n"])
+def test_keys_that_readers_of_tars_would_split_are_refused(key: str) -> None:
+    with pytest.raises(BadSample, match="a sample key must be"):
+        check_key(key)
+
+
+def test_ranges_become_steps() -> None:
+    metres = np.array([0.0, 2.15, 2.15004, 2.15006, 0.00001, 6.5535])
+    assert steps(metres, 1e-4, "x").tolist() == [0, 21500, 21500, 21501, 1, 65535]
+    assert steps(metres, 1e-3, "x").tolist() == [0, 2150, 2150, 2150, 1, 6553]
+    assert steps(np.array([65.5354]), 1e-3, "x").tolist() == [65535]
+
+
+@pytest.mark.parametrize("metres", [6.55356, -0.1, float("nan"), float("inf")])
+def test_ranges_that_do_not_fit_are_refused_and_never_wrap_around(metres: float) -> None:
+    images: NDArray[np.float32] = np.array([[1.0, metres]], np.float32)
+    with pytest.raises(BadSample, match="x: a range must be 0 to 6.5535 m, 65535 steps of 0.1 mm, found"):
+        steps(images, 1e-4, "x")
+
+
+def test_thresholds_are_counted_in_stored_steps() -> None:
+    for step_mm, expected in ((0.1, (60, 200)), (0.25, (24, 80)), (1, (6, 20)), (2, (3, 10)), (10, (1, 2))):
+        step_m = step_mm / 1000
+        assert (SHADOW_THRESHOLDS.gap_steps(step_m), SHADOW_THRESHOLDS.edge_steps(step_m)) == expected
+    other = ShadowThresholds(surface_gap_m=0.00126, edge_m=0.1)
+    gap, edge = other.gap_steps(1e-4), other.edge_steps(1e-4)
+    assert (gap, edge) == (13, 1000)
+    assert gap.dtype == edge.dtype == np.float32
+    assert ShadowThresholds(0.001, 0.002).gap_steps(0.01) == ShadowThresholds(0.001, 0.002).edge_steps(0.01) == 1
+
+
+def test_a_sample_is_shown_in_a_line() -> None:
+    assert repr(GOOD) == f"Sample('{GOOD.key}', camera 2 x 2, projector 1 x 2, {GOOD.info})"
+    assert repr(replace(GOOD, projector_range=None)) == f"Sample('{GOOD.key}', camera 2 x 2, projector no, {GOOD.info})"
+    assert shape_of(np.zeros((3, 4))) == "3 x 4"
