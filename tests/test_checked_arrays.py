@@ -92,7 +92,7 @@ def test_the_projects_own_promises_are_checked() -> None:
         colour_labels(np.zeros((1, 2, 3), np.uint8))
     with pytest.raises(BrokenPromise, match=r"add_noise: draws must be uint32 \[N\], found uint64 \(3,\)"):
         add_noise(np.ones(3, np.uint16), np.float32(1), np.ones(3, np.uint64))  # type: ignore[arg-type]
-    project: dict[str, Any] = {"Surface": Surface, "__name__": "bodyseg_data.rendering.registry.made_up"}
+    project: dict[str, Any] = {"Surface": Surface, "__name__": "bodyseg_data.rendering.made_up"}
     exec("def see(range, face): return Surface(range, face)", project)
     ranges = np.zeros((2, 3), np.float32)
     assert project["see"](ranges, np.zeros((2, 3), np.int32)).range is ranges

@@ -475,7 +475,7 @@ def test_real_clothed_frames_are_within_one_percent_of_exact_shadow_rays(mit_fol
 
 def test_the_shadow_test_imports_no_renderer_and_no_compiler() -> None:
     code = (
-        "import sys; from bodyseg_data.artifacts.registry.occlusion import ShadowTest; "
+        "import sys; from bodyseg_data.artifacts.occlusion import ShadowTest; "
         "heavy = {'embreex', 'pyrender', 'numba', 'trimesh', 'scipy', 'matplotlib', 'anny'} & set(sys.modules); "
         "sys.exit(','.join(heavy) or None)"
     )

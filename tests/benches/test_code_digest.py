@@ -104,8 +104,8 @@ class OtherWords(ast.NodeTransformer):
 @pytest.mark.parametrize(
     ("file", "stale"),
     [
-        ("bodyseg_data/core/rigs/paper.toml", {"scores", "stability"}),
-        ("bodyseg_data/meshes/landmarks/sets/open.json", {"stability"}),
+        ("bodyseg_data/rigs/paper.toml", {"scores", "stability"}),
+        ("bodyseg_data/meshes/landmark_sets/open.json", {"stability"}),
     ],
 )
 def test_data_that_code_reads_counts(file: str, stale: set[str], changed_by: ChangedBy) -> None:
@@ -115,7 +115,7 @@ def test_data_that_code_reads_counts(file: str, stale: set[str], changed_by: Cha
 @pytest.mark.parametrize(
     ("module", "stale"),
     [
-        ("bodyseg_data.artifacts.registry.missing_data", {"scores", "stability"}),
+        ("bodyseg_data.artifacts.missing_data", {"scores", "stability"}),
         ("bodyseg_data.artifacts.lost_pixels", {"scores", "stability"}),
         ("bodyseg_data.artifacts.fused_loops", {"scores", "stability"}),  # by `import_module` in a function
         ("bodyseg_data.loading.range_images", {"scores", "stability"}),
@@ -224,9 +224,17 @@ def test_modules_may_import_each_other(tmp_path: Path) -> None:
     assert tree.digest(["house.a"]) != other.digest(["house.a"])
 
 
-def test_names_that_a_package_loads_later_count(copied: SourceTree) -> None:
-    found = copied.imported_by(["bodyseg_data.labels.label_map"])
-    assert {"bodyseg_data", "bodyseg_data.loading.range_images", "bodyseg_data.loading.loaders"} <= set(found)
+def test_names_are_followed_through_doors_and_no_others_of_a_room(copied: SourceTree) -> None:
+    """`from bodyseg_data import loader` goes through the package's door and the room's."""
+    found = set(copied.imported_by(["bodyseg_model.training.loop"]))
+    assert {"bodyseg_data", "bodyseg_data.loading", "bodyseg_data.loading.loaders"} <= found
+    assert "bodyseg_data.packing.packer" not in found
+    few = set(copied.imported_by(["bodyseg_data.labels.label_map"]))
+    assert "bodyseg_data.core.errors" in few and "bodyseg_data.core.randomness" not in few
+
+
+def test_what_a_door_names_changes_no_result(changed_by: ChangedBy) -> None:
+    assert changed_by({"bodyseg_data/core/__init__.py": lambda text: text.replace("BadMesh ", "")}) == set()
 
 
 def test_files_are_those_beside_the_package_that_is_named(tmp_path: Path) -> None:
@@ -249,7 +257,7 @@ def test_a_module_outside_packages_can_be_asked_about(tmp_path: Path, monkeypatc
     assert code_digest("alone") == tree.digest(["alone"])
 
 
-@pytest.mark.parametrize("name", ["bodyseg_model.nowhere", "nowhere", "sys", "bodyseg_data.artifacts.registry.sensors"])
+@pytest.mark.parametrize("name", ["bodyseg_model.nowhere", "nowhere", "sys", "bodyseg_data.artifacts.sensors"])
 def test_a_module_without_a_source_is_refused(name: str) -> None:
     with pytest.raises(BadConfig, match=f"the module '{name}' has no source"):
         code_digest(name)

@@ -101,7 +101,9 @@ class SourceTree:
 
         Imports anywhere in a module count, also in functions. So does a string that is the full name of a module, with
         or without `:attribute`. In a module that calls `import_module` with a computed name, a string also counts if it
-        names a module of the same package, or if it ends with a dot and is the prefix of a package's modules.
+        names a module of the same package, or if it ends with a dot and is the prefix of a package's modules. A name
+        that is imported from a door (`lazy_door`) is followed to the module that the door gives it from, and to no
+        other of the door's room.
 
         Raises BadConfig for one of `modules` that has no source here, or a source that cannot be parsed.
         """
@@ -150,10 +152,16 @@ class SourceTree:
             if file is not None and file.name == "__init__.py":
                 yield from (f"{name}{each.stem}" for each in file.parent.iterdir() if each != file)
             return
-        while name and self._file(name) is None:
-            name = name.rpartition(".")[0]
-        if name:
-            yield name
+        attribute = ""
+        while name and (file := self._file(name)) is None:
+            name, _, attribute = name.rpartition(".")
+        if not name:
+            return
+        yield name
+        if attribute and file is not None and file.name == "__init__.py":
+            home = _read(_contents(file), name).door.get(attribute)
+            if home is not None:
+                yield from self._resolve(home)
 
     def _data_files(self, sources: Iterable[_Source]) -> Iterator[tuple[str, Path]]:
         """Name and path of every data file that `sources` name with `files(PACKAGE)`; Python files are not data."""
@@ -180,12 +188,15 @@ class _Source:
 
 @dataclass(frozen=True)
 class _Read:
-    """Facts of a module's text alone. syntax, data: as in `_Source`. imported, mentioned: full names; see below."""
+    """Facts of a module's text alone. syntax, data: as in `_Source`. imported, mentioned: full names; see below. door:
+    name -> full name, of a package whose names are imported when they are used.
+    """
 
     syntax: str
     imported: frozenset[str]
     mentioned: frozenset[str]
     data: frozenset[tuple[str, str]]
+    door: Mapping[str, str]
 
 
 @cache
@@ -193,13 +204,26 @@ def _read(text: bytes, package: str) -> _Read:
     """Read a module of `package`, once in a process whichever tree it is in. Raises SyntaxError or ValueError."""
     tree = ast.parse(text)
     _drop_docstrings(tree)
+    door = _door(tree)
+    if door:  # which names it has changes no result
+        return _Read("", frozenset(), frozenset(), frozenset(), door)
     nodes = list(ast.walk(tree))
     return _Read(
         syntax=_hash(ast.dump(tree).encode()),
         imported=frozenset(_imported(nodes, package)),
         mentioned=frozenset(_mentioned(nodes, package)),
         data=frozenset(_data(nodes, package)),
+        door={},
     )
+
+
+def _door(tree: ast.Module) -> dict[str, str]:
+    """Name -> full name of what a package imports when it is used: what it tells type checkers beside `lazy_door`."""
+    if not any(_called(node) == "lazy_door" for node in ast.walk(tree)):
+        return {}
+    guarded = [each for node in tree.body if isinstance(node, ast.If) for each in node.body]
+    imports = [each for each in guarded if isinstance(each, ast.ImportFrom)]
+    return {alias.name: f"{each.module}.{alias.name}" for each in imports for alias in each.names}
 
 
 @cache

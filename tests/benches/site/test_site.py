@@ -45,7 +45,7 @@ def test_the_lists_of_an_overview_are_the_order_of_pages() -> None:
     [
         ("[a](../CONTRIBUTING.md#rules)", "[a](generated/contributing.md#rules)"),
         ("[a](../../CHANGELOG.md)", "[a](../generated/changelog.md)"),
-        ("[the rig](../bodyseg_data/core/rigs/paper.toml), [b](b.md)", "the rig, [b](b.md)"),
+        ("[the rig](../bodyseg_data/rigs/paper.toml), [b](b.md)", "the rig, [b](b.md)"),
     ],
 )
 def test_links_out_of_docs_lead_to_pages_of_the_site(before: str, after: str) -> None:

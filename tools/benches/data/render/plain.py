@@ -22,7 +22,7 @@ from bodyseg_data.packing import Packing, sample_key
 from bodyseg_data.rigs import PlacedCamera, Rig
 from bodyseg_data.samples import View, steps
 
-import_module("bodyseg_data.rendering.registry.opengl")  # lets pyrender draw without a display, or says what is absent
+import_module("bodyseg_data.rendering.opengl")  # lets pyrender draw without a display, or says what is absent
 pyrender: Any = import_module("pyrender")
 
 
