@@ -175,11 +175,11 @@ def test_names_of_nothing_are_found() -> None:
 See `bodyseg_data/loading/nowhere.py`, `nowhere.py`, `Loader.nothing`, `Loader.state_dict()`,
 `bodyseg_data.loading.Loader.nothing`, `tools/nothing`,
 [a page](nowhere.md), [a heading](#two-headings), and tools/bench nothing. There are `bodyseg_data/loading/loaders.py`,
-`loader.py`, `bodyseg_data.loading.Loader.state_dict`, `bodyseg_data.RangeImages`, `tools/shard --plan`,
+`loaders.py`, `bodyseg_data.loading.Loader.state_dict`, `bodyseg_data.RangeImages`, `tools/shard --plan`,
 [a page](glossary.md#glossary), [a heading](#one-heading) and `tools/bench codec`.
 
 ```python
-from bodyseg_data.loading.loader import Loader, Nothing
+from bodyseg_data.loading.loaders import Loader, Nothing
 ```
 """
     assert wrong_names(text, DOCS) == [

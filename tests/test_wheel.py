@@ -23,8 +23,8 @@ found = {}
 exec(lines, found)
 keys = [key for batch in found["batches"] for key in batch["key"]]
 assert len(keys) == len(set(keys)) == len(found["images"]) == 36
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.meshes.landmarks.by_vertex import load_landmarks
+from bodyseg_data.rigs.rig import load_rig
+from bodyseg_data.meshes.landmarks import load_landmarks
 from bodyseg_model.networks.checkpoints import shipped_network
 load_rig("paper"), load_landmarks("open"), shipped_network()
 try:

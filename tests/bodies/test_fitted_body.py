@@ -16,7 +16,7 @@ from bodyseg_data.bodies.body_fit import (  # noqa: E402
 )
 from bodyseg_data.bodies.fitting_body import (  # noqa: E402
     FittingBody,
-    Points,
+    SurfacePoints,
     fitting_body,
 )
 from bodyseg_data.bodies.landmark_proposal import POOR_M, FittedBody, gap_m  # noqa: E402
@@ -92,8 +92,8 @@ def test_lengths_move_what_hangs_from_a_segment_and_nothing_else(body: FittingBo
 def test_a_gap_is_that_of_the_farthest_hundredth() -> None:
     line = np.stack([np.arange(1001.0), np.zeros(1001), np.zeros(1001)], axis=1)
 
-    def points(positions: np.ndarray) -> Points:
-        return Points(positions, np.zeros_like(positions), np.ones(len(positions)))
+    def points(positions: np.ndarray) -> SurfacePoints:
+        return SurfacePoints(positions, np.zeros_like(positions), np.ones(len(positions)))
 
     own = line.copy()
     assert gap_m(points(line), points(own)) == 0

@@ -22,7 +22,7 @@ LOOPS = """
 import limits
 from limits import LIMIT
 from inner import inner
-from bodyseg_data.core.kernels import compiled
+from bodyseg_data.machine.kernels import compiled
 
 def _outer(count):
     total = 0
@@ -225,8 +225,8 @@ def test_a_process_without_numba_makes_the_same_images_and_loads_no_compiler(
 import sys
 sys.modules["numba"] = None
 import numpy as np
-from bodyseg_data.core.rig import load_rig
-from bodyseg_data.core.sample import Sample
+from bodyseg_data.rigs.rig import load_rig
+from bodyseg_data.samples.sample import Sample
 from bodyseg_data.artifacts.variants import VARIANTS, Augmentation
 shape = load_rig().camera.rows, load_rig().camera.columns
 wall = np.full(shape, 25_000, np.uint16)

@@ -238,8 +238,9 @@ def test_workers_that_would_give_other_bytes_are_named(
     nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ours = tuple((name, "0.1" if name == "embreex" else version) for name, version in workers.installed())
+    found = workers.expected
     with monkeypatch.context() as patch:
-        patch.setattr(cluster, "expected", lambda packing: replace(workers.expected(packing), installed=ours))
+        patch.setattr(cluster, "expected", lambda packing: replace(found(packing), installed=ours))
         with (
             pytest.raises(BadConfig, match=r"^worker tcp://127.0.0.1:\d+ has embreex .* has 0\.1: "),
             open_engine(nodes.engine, None, PACKING),

@@ -27,7 +27,7 @@ from pathlib import Path
 
 import embreex, numba, pytest, scipy.sparse  # once for both: what knows nothing of thresholds
 
-from bodyseg_data.core import sample
+from bodyseg_data.samples import sample
 
 name, out = sys.argv[1], Path(sys.argv[3])
 other = os.fork()
@@ -43,11 +43,11 @@ from plain_views import take_whole_frames
 from shapes import figure
 from test_sampler import REF, RIG, check_against_whole_frames, halves
 from bodyseg_data.artifacts import occlusion
-from bodyseg_data.artifacts.loops import occlusion as occlusion_compiled
-from bodyseg_data.core.rig import Camera, Rig
-from bodyseg_data.core.views import View, ViewGrid
+from bodyseg_data.artifacts import shadow_loops as occlusion_compiled
+from bodyseg_data.rigs.rig import Camera, Rig
+from bodyseg_data.samples.views import View, ViewGrid
 from bodyseg_data.packing import options, pack
-from bodyseg_data.packing.occluder_range import occluder_range
+from bodyseg_data.packing.occluders import occluder_range
 
 device = Camera(6, 8, 10.0, (4.0, 3.0), (0.0, 0.0, 0.0), (0.0, 0.0, 2.0))
 test = occlusion.ShadowTest(Rig("one", 2.0, device, device))

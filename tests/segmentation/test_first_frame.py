@@ -7,7 +7,7 @@ import sys
 
 PROGRAM = """
 import numpy as np, torch
-from bodyseg_data.core.rig import load_sensor
+from bodyseg_data.rigs.rig import load_sensor
 from bodyseg_model.networks.checkpoints import shipped_network
 from bodyseg_model.segmentation.person_score import shipped_score
 from bodyseg_model.segmentation.segmenter import Segmenter
@@ -16,9 +16,9 @@ torch.set_num_threads(2)
 camera, trained = load_sensor("kinect_v1").camera, shipped_network()
 segment = Segmenter(trained.network, camera, rig=trained.rig, people=shipped_score())
 segment.prepare()
-from bodyseg_model.segmentation import surface_loops, view_loops
+from bodyseg_model.segmentation import pixel_loops, surface_loops
 
-modules = surface_loops, view_loops
+modules = surface_loops, pixel_loops
 loops = {f"{module.__name__}.{name}": loop for module in modules for name, loop in vars(module).items()
          if hasattr(loop, "nopython_signatures")}
 before = {name: len(loop.nopython_signatures) for name, loop in loops.items()}

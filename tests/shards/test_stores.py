@@ -414,8 +414,8 @@ def test_threads_fetch_each_shard_once(web: WebServer, manifest: Manifest, tmp_p
 READER = """
 import sys
 from pathlib import Path
-from bodyseg_data.shards.stores.addresses import open_store
-from bodyseg_data.shards.cache.store import with_cache
+from bodyseg_data.shards.remote import open_store
+from bodyseg_data.shards.cache import with_cache
 from bodyseg_data.shards.manifest import read_manifest
 store, _ = open_store(sys.argv[1])
 manifest = read_manifest(store)
