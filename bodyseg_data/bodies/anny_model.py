@@ -34,6 +34,11 @@ if TYPE_CHECKING:
 BODY_FROM_ANNY: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 """From Anny's axes (x left, -y front, z up) to the body frame."""
 
+Floats = NDArray[np.float64]
+
+_DECIMALS: Final = 6
+_CROWN_M: Final = 0.06  # generous: the highest and lowest vertices of people differ by far less in height
+
 
 def no_anny(error: ImportError) -> MissingLibrary:
     """Return the error to raise where Anny cannot be imported."""
@@ -151,9 +156,6 @@ def _cache_faults() -> Iterator[None]:
         ) from error
 
 
-Floats = NDArray[np.float64]
-
-
 @dataclass(frozen=True)
 class Posable:
     """A person's skeleton in its reference pose, and the surface as it was modelled; metres, body frame.
@@ -208,10 +210,6 @@ class Posable:
         moved: Floats = np.einsum("vij,vj->vi", blended, self.modelled)
         moved += np.einsum("vk,vki->vi", self.weights, shifts[self.skin])
         return moved
-
-
-_DECIMALS: Final = 6
-_CROWN_M: Final = 0.06  # generous: the highest and lowest vertices of people differ by far less in height
 
 
 @dataclass(frozen=True)

@@ -91,6 +91,22 @@ _RELAXED: Final[Ranges] = {
     "wrist": (-10, 15),
 }  # fmt: skip
 
+DEEPEST_M: Final = 0.012
+"""Depth of skin in skin beyond which a pose is rejected."""
+
+_MISS_M: Final = 0.02  # of a foot or hand from its place
+_PRESSED_M: Final = 0.01  # by which flesh gives way on the floor
+_BELOW_M: Final = 0.015  # below the floor, beyond which a pose is rejected
+_ATTEMPTS: Final = 40
+_ARM_TRIES: Final = 8
+_SAME_KIND: Final = 4  # tries, before an arm is given another kind of task
+_ALIKE: Final = 0.4  # chance that both arms, or legs with one task, have the same angles where they can
+_CENTRE: Final = 0.8  # of the way from pelvis to chest is above the feet of those who keep their balance
+_STRETCHED: Final = 0.985  # of a leg's length, the most between hip and sole
+_KNEE_M: Final = 0.03  # from a knee's centre to the floor under it
+_PAIRS: Final = 10
+_SHOULDER_M: Final = 0.05  # by which shoulder and hip may be below the floor that the trunk lies on
+
 
 @dataclass(frozen=True)
 class ArmSurroundings:
@@ -202,23 +218,6 @@ def _in_the_air(body: ArmSurroundings, draws: np.random.Generator) -> ArmTask:
     own = body.places.on("palm", body.side)
     goal = Goal(int(own[len(own) // 2]), body.chest + body.chest_turn @ reach, ALL_AXES)
     return ArmTask("in the air", [goal], uniform(draws, 0, 1), tuple(_PRESETS.values()), ARM)
-
-
-DEEPEST_M: Final = 0.012
-"""Depth of skin in skin beyond which a pose is rejected."""
-
-_MISS_M: Final = 0.02  # of a foot or hand from its place
-_PRESSED_M: Final = 0.01  # by which flesh gives way on the floor
-_BELOW_M: Final = 0.015  # below the floor, beyond which a pose is rejected
-_ATTEMPTS: Final = 40
-_ARM_TRIES: Final = 8
-_SAME_KIND: Final = 4  # tries, before an arm is given another kind of task
-_ALIKE: Final = 0.4  # chance that both arms, or legs with one task, have the same angles where they can
-_CENTRE: Final = 0.8  # of the way from pelvis to chest is above the feet of those who keep their balance
-_STRETCHED: Final = 0.985  # of a leg's length, the most between hip and sole
-_KNEE_M: Final = 0.03  # from a knee's centre to the floor under it
-_PAIRS: Final = 10
-_SHOULDER_M: Final = 0.05  # by which shoulder and hip may be below the floor that the trunk lies on
 
 
 @dataclass(frozen=True)

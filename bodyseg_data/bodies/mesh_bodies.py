@@ -50,6 +50,13 @@ from bodyseg_data.meshes import (
 LANDMARK_SUFFIXES: Final = (".json", ".lnd", ".lnd.gz")
 """Suffixes of landmark files; of several files for one mesh, the first in this order is read."""
 
+Surface = tuple[NDArray[np.float64], NDArray[np.int32]]
+
+_MOST_TRIED: Final = 12  # bodies of a group, evenly spaced, of which an upright one is sought
+_FAULTS_NAMED: Final = 3
+_REMEDY: Final = "; --pymeshlab repairs most scans"
+_IN_METRES: Final = (700.0, 1700.0)  # bodies are a little larger than their landmarks' extent
+
 
 def given_landmarks(path: Path, landmarks: Path | None) -> tuple[Path | None, Path]:
     """Return the landmark file given for all meshes, or None, and the folder to search for others.
@@ -116,14 +123,6 @@ def landmark_file(folders: Sequence[Path], stem: str) -> Path | None:
         ),
         None,
     )
-
-
-Surface = tuple[NDArray[np.float64], NDArray[np.int32]]
-
-_MOST_TRIED: Final = 12  # bodies of a group, evenly spaced, of which an upright one is sought
-_FAULTS_NAMED: Final = 3
-_REMEDY: Final = "; --pymeshlab repairs most scans"
-_IN_METRES: Final = (700.0, 1700.0)  # bodies are a little larger than their landmarks' extent
 
 
 @dataclass(frozen=True)

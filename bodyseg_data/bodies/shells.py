@@ -29,6 +29,30 @@ Mask = NDArray[np.bool_]
 
 _ARM: Final = ("upperarm", "lowerarm", "wrist", "metacarpal", "finger")
 
+_SETTLED_M: Final = 0.006  # above the floor, within which lies what would hang lower
+
+Indices = NDArray[np.int64]
+
+_SIZES: Final[dict[str, tuple[float, float]]] = {"bun": (0.02, 0.07), "long": (0.1, 0.7)}
+
+_BEGIN_M: Final = 0.03  # over which hair gets its full thickness behind the hairline
+_FOREHEAD_M: Final = 0.055  # of the hairline above the bridge of the nose
+_NAPE_M: Final = 0.015  # of the hairline below the lowest point of the occipital bone
+_LEVELS: Final = 12
+_AROUND: Final = 24
+_STEP_M: Final = 0.015
+_STRANDS: Final = 44
+_ROOTS_UP: Final = 0.3  # slope of the directions to the roots above the middle of the skull
+_THICK_M: Final = 0.012  # at the roots, half as much at the ends
+_CLEAR_M: Final = 0.004  # of the strands from the skin
+_INERTIA: Final = 0.72  # of a strand's direction from step to step, against its weight
+_WAVES_M: Final = 0.004
+
+_SLICE_M: Final = 0.012
+_BAND_M: Final = 0.018  # to each side of a slice
+_FLAT_M: Final = 0.03  # above the ground at rest, below which skin is on the sole
+_COLUMNS: Final = 40
+
 
 @dataclass(frozen=True)
 class MovedPart:
@@ -84,11 +108,6 @@ class Wearer:
     def head(self) -> MovedPart:
         """The head's motion."""
         return self.frame(self.of("head"))
-
-
-_SETTLED_M: Final = 0.006  # above the floor, within which lies what would hang lower
-
-Indices = NDArray[np.int64]
 
 
 def shell(outside: Floats, thickness: Floats | float, around: bool) -> Solid:
@@ -188,22 +207,6 @@ class Hair:
                 raise BadConfig(
                     f"the {name} of {self.kind} hair must be {low:g} to {high:g}, found {getattr(self, name)!r}"
                 )
-
-
-_SIZES: Final[dict[str, tuple[float, float]]] = {"bun": (0.02, 0.07), "long": (0.1, 0.7)}
-
-_BEGIN_M: Final = 0.03  # over which hair gets its full thickness behind the hairline
-_FOREHEAD_M: Final = 0.055  # of the hairline above the bridge of the nose
-_NAPE_M: Final = 0.015  # of the hairline below the lowest point of the occipital bone
-_LEVELS: Final = 12
-_AROUND: Final = 24
-_STEP_M: Final = 0.015
-_STRANDS: Final = 44
-_ROOTS_UP: Final = 0.3  # slope of the directions to the roots above the middle of the skull
-_THICK_M: Final = 0.012  # at the roots, half as much at the ends
-_CLEAR_M: Final = 0.004  # of the strands from the skin
-_INERTIA: Final = 0.72  # of a strand's direction from step to step, against its weight
-_WAVES_M: Final = 0.004
 
 
 def scalp(wearer: Wearer, hair: Hair) -> Floats:
@@ -316,12 +319,6 @@ class Shoes:
         for name, high in (("upper_m", 0.02), ("sole_m", 0.05)):
             if not 0.002 <= getattr(self, name) <= high:
                 raise BadConfig(f"the {name} of shoes must be 0.002 to {high:g}, found {getattr(self, name)!r}")
-
-
-_SLICE_M: Final = 0.012
-_BAND_M: Final = 0.018  # to each side of a slice
-_FLAT_M: Final = 0.03  # above the ground at rest, below which skin is on the sole
-_COLUMNS: Final = 40
 
 
 def shoe(wearer: Wearer, shoes: Shoes, side: Side) -> Solid:

@@ -29,6 +29,8 @@ from bodyseg_data.samples import Split
 _NUMBERED: Final = re.compile(r"(.*?)(\d+)(\D*)", re.DOTALL)
 _HASH_LETTERS: Final = 10
 
+Entry = TypeVar("Entry")
+
 
 def key_name(path: str, longest: int) -> str:
     """Turn a file's relative path, with / between folders, into part of a sample key: letters, digits, _, + and -.
@@ -79,9 +81,6 @@ class MeshOptions:
 
 
 DEFAULTS: Final = MeshOptions()
-
-
-Entry = TypeVar("Entry")
 
 
 @dataclass(frozen=True)

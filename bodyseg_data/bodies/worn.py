@@ -24,6 +24,44 @@ from bodyseg_data.meshes import Solid, cuboid, turned_solid
 
 Floats = NDArray[np.float64]
 
+_RANGES: Final[dict[str, tuple[float, float]]] = {
+    "top": (0, 1),
+    "length": (0.1, 1),
+    "loose_m": (0.005, 0.08),
+    "flare": (0, 0.8),
+    "girth_m": (1, 4),
+    "fold_m": (0.05, 0.3),
+    "fold_depth_m": (0, 0.05),
+    "open_deg": (0, 40),
+}
+
+_LEVEL_M: Final = 0.025  # between rings
+_BAND_M: Final = 0.035  # to each side of a ring, whose skin it encloses: longer than the skin's edges
+_RAISED_M: Final = 0.12  # to each side, of the skin that a ring passes
+_COLUMNS: Final = 96
+_LEAST_M: Final = 0.006  # of the cloth from the hull
+_THICK_M: Final = 0.003
+_HANG: Final = 0.9  # difference of the distance below and above a level limb, as a share
+_SHRINK: Final = 0.5  # metres a metre by which cloth that does not hang comes back to the body
+_STEEPEST: Final = 1.0  # tilt of a ring, where one leg is ahead of the other
+_FOLDING_M: Final = 0.3  # below the hips, over which folds become as deep as at the hem
+_ALONG: Final = np.array([0.0, 0.4, 1.0, 0.4])  # share of each of the fold patterns' directions: lengthwise most
+_SOFT: Final = (2.0, 0.8)  # standard deviation, in rows and columns, by which folds are smoothed
+_LEFT_OVER: Final = 0.6  # of the length below the crotch, the least that a drape which rides up may keep
+
+Kind = Literal["bag", "bottle", "stick", "box", "backpack"]
+
+IN_HAND: Final[dict[Kind, float]] = {"bag": 0.35, "bottle": 0.25, "box": 0.25, "stick": 0.15}
+"""Weights of the kinds that a hand holds."""
+
+_FISTS: Final[dict[Kind, float]] = {"bag": 0.8, "bottle": 0.6, "stick": 0.85, "box": 0.15}
+_OVERLAP: Final = 12  # vertices of the rest of the body that may be inside a thing: cloth and flesh give way
+_UP: Final = np.array([0.0, 1.0, 0.0])
+_HOLLOW_M: Final = 0.012  # from a palm's skin to what its closed fingers hold
+_STRAP_M: Final = 0.012
+_ROUND: Final = 32
+_HIGHEST_M: Final = 2.4  # of body and thing together: no mesh is larger
+
 
 @dataclass(frozen=True)
 class Drape:
@@ -51,32 +89,6 @@ class Drape:
         for name, (low, high) in _RANGES.items():
             if not low <= getattr(self, name) <= high:
                 raise BadConfig(f"a drape's {name} must be {low:g} to {high:g}, found {getattr(self, name)!r}")
-
-
-_RANGES: Final[dict[str, tuple[float, float]]] = {
-    "top": (0, 1),
-    "length": (0.1, 1),
-    "loose_m": (0.005, 0.08),
-    "flare": (0, 0.8),
-    "girth_m": (1, 4),
-    "fold_m": (0.05, 0.3),
-    "fold_depth_m": (0, 0.05),
-    "open_deg": (0, 40),
-}
-
-_LEVEL_M: Final = 0.025  # between rings
-_BAND_M: Final = 0.035  # to each side of a ring, whose skin it encloses: longer than the skin's edges
-_RAISED_M: Final = 0.12  # to each side, of the skin that a ring passes
-_COLUMNS: Final = 96
-_LEAST_M: Final = 0.006  # of the cloth from the hull
-_THICK_M: Final = 0.003
-_HANG: Final = 0.9  # difference of the distance below and above a level limb, as a share
-_SHRINK: Final = 0.5  # metres a metre by which cloth that does not hang comes back to the body
-_STEEPEST: Final = 1.0  # tilt of a ring, where one leg is ahead of the other
-_FOLDING_M: Final = 0.3  # below the hips, over which folds become as deep as at the hem
-_ALONG: Final = np.array([0.0, 0.4, 1.0, 0.4])  # share of each of the fold patterns' directions: lengthwise most
-_SOFT: Final = (2.0, 0.8)  # standard deviation, in rows and columns, by which folds are smoothed
-_LEFT_OVER: Final = 0.6  # of the length below the crotch, the least that a drape which rides up may keep
 
 
 def draped(wearer: Wearer, drape: Drape) -> Solid | None:
@@ -208,12 +220,6 @@ def _opened(loop: Floats, half_rad: Floats) -> Floats:
     return np.array(rows)
 
 
-Kind = Literal["bag", "bottle", "stick", "box", "backpack"]
-
-IN_HAND: Final[dict[Kind, float]] = {"bag": 0.35, "bottle": 0.25, "box": 0.25, "stick": 0.15}
-"""Weights of the kinds that a hand holds."""
-
-
 @dataclass(frozen=True)
 class Held:
     """A thing that is held or worn. side: of the hand; a backpack has none to say. size: 0 smallest to 1 largest.
@@ -231,15 +237,6 @@ class Held:
                 f"a held thing must be one of {', '.join(get_args(Kind))} with a size from 0 to 1, "
                 f"found {self.kind!r}, {self.size!r}"
             )
-
-
-_FISTS: Final[dict[Kind, float]] = {"bag": 0.8, "bottle": 0.6, "stick": 0.85, "box": 0.15}
-_OVERLAP: Final = 12  # vertices of the rest of the body that may be inside a thing: cloth and flesh give way
-_UP: Final = np.array([0.0, 1.0, 0.0])
-_HOLLOW_M: Final = 0.012  # from a palm's skin to what its closed fingers hold
-_STRAP_M: Final = 0.012
-_ROUND: Final = 32
-_HIGHEST_M: Final = 2.4  # of body and thing together: no mesh is larger
 
 
 def held_thing(wearer: Wearer, held: Held) -> list[Solid]:

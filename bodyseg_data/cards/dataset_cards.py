@@ -33,6 +33,25 @@ _HUB_LICENCES: Final = frozenset(
 )
 """Licences that the hub knows by these names; others are given as `other` with a name."""
 
+CARD_NAME: Final = "README.md"
+
+DIGEST_FIELD: Final = "bodyseg_manifest"
+"""Entry of the header: the digest of the manifest that the card describes."""
+
+_SIZE_CLASSES: Final = (
+    (10**3, "n<1K"),
+    (10**4, "1K<n<10K"),
+    (10**5, "10K<n<100K"),
+    (10**6, "100K<n<1M"),
+    (10**7, "1M<n<10M"),
+    (10**8, "10M<n<100M"),
+)
+
+CARD_NAMES: Final = (CROISSANT_NAME, CARD_NAME)
+
+_LARGEST_CARD: Final = 1 << 28
+_DIGEST_LINE: Final = re.compile(rf"^{DIGEST_FIELD}: ([0-9a-f]{{64}})$", re.MULTILINE)
+
 
 def licence_lines(licence: str) -> list[str]:
     """Return the lines of a YAML header that state a licence."""
@@ -50,21 +69,6 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return a table; a bar within a cell becomes a slash."""
     cells = [head, ["---"] * len(head), *rows]
     return "\n".join(f"| {' | '.join(cell.replace('|', '/') for cell in row)} |" for row in cells)
-
-
-CARD_NAME: Final = "README.md"
-
-DIGEST_FIELD: Final = "bodyseg_manifest"
-"""Entry of the header: the digest of the manifest that the card describes."""
-
-_SIZE_CLASSES: Final = (
-    (10**3, "n<1K"),
-    (10**4, "1K<n<10K"),
-    (10**5, "10K<n<100K"),
-    (10**6, "100K<n<1M"),
-    (10**7, "1M<n<10M"),
-    (10**8, "10M<n<100M"),
-)
 
 
 def dataset_card(facts: SetFacts, publication: Publication) -> str:
@@ -178,12 +182,6 @@ def _licences(facts: SetFacts, publication: Publication) -> str:
     by = f", published by {publication.author}" if publication.author else ""
     lines = [f"this set: {stated}{by}, {publication.published.isoformat()}", *terms_text(facts)]
     return bullets(lines)
-
-
-CARD_NAMES: Final = (CROISSANT_NAME, CARD_NAME)
-
-_LARGEST_CARD: Final = 1 << 28
-_DIGEST_LINE: Final = re.compile(rf"^{DIGEST_FIELD}: ([0-9a-f]{{64}})$", re.MULTILINE)
 
 
 def stale_cards(store: Store, digest: str) -> list[str]:

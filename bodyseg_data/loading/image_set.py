@@ -30,6 +30,11 @@ from bodyseg_data.samples import Sample
 Request = tuple[int, int]
 """(epoch, index) of a sample: with its epoch, so that workers kept over several epochs need no other message."""
 
+STATE_FORMAT: Final = "bodyseg loader 1"
+
+_PROGRESS: Final = frozenset({"format", "epoch", "position", "skipped"})
+"""Fields of a state besides its identity."""
+
 
 @dataclass(frozen=True)
 class Requests:
@@ -157,12 +162,6 @@ def _scale(steps: Any, step_m: Any, out: Any) -> None:
 @lru_cache(maxsize=1)
 def _compiled_scale() -> Any:
     return compiled(_scale, "converting ranges in a compiled loop")
-
-
-STATE_FORMAT: Final = "bodyseg loader 1"
-
-_PROGRESS: Final = frozenset({"format", "epoch", "position", "skipped"})
-"""Fields of a state besides its identity."""
 
 
 def find_rank(rank: int | None = None, world_size: int | None = None) -> tuple[int, int]:

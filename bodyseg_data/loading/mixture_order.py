@@ -30,6 +30,9 @@ _BITS: Final = 53
 _HALF: Final = 1 << (_BITS - 1)
 _LAST_KNOT: Final = 100_000
 
+_STREAM_BITS: Final = 61
+"""Bits of the sum of all sample weights as integers."""
+
 
 @dataclass(frozen=True)
 class Schedule:
@@ -131,10 +134,6 @@ class Shares:
             left -= whole - given[number]
             given[number] = whole
         given[-1] += left
-
-
-_STREAM_BITS: Final = 61
-"""Bits of the sum of all sample weights as integers."""
 
 
 class SetStream:

@@ -30,6 +30,9 @@ from bodyseg_data.loading.conditions import BodyRow, Condition, SampleTable, par
 from bodyseg_data.samples import READ_SPLITS, SPLITS, ReadSplit, holds_postures
 from bodyseg_data.shards import Manifest
 
+Group = tuple[str, ...]
+"""What the bodies of a group have in common: subset, subject and, where people are few, pose or mesh."""
+
 
 @dataclass(frozen=True)
 class ChosenSamples:
@@ -69,10 +72,6 @@ class ChosenSamples:
     def _ends(self) -> list[int]:
         """Number of samples up to the end of each shard."""
         return list(accumulate(self.counts))
-
-
-Group = tuple[str, ...]
-"""What the bodies of a group have in common: subset, subject and, where people are few, pose or mesh."""
 
 
 def check_val_share(share: Any) -> float:

@@ -34,6 +34,14 @@ from bodyseg_data.core import BadConfig
 SPARE: Final = 3
 """Batches that a user may hold at once without a copy: the current one, the one before it, and one more."""
 
+_MOST: Final = 8
+"""Batches of one kind that a worker keeps memory for; any beyond them are left to PyTorch."""
+
+_Reduced = tuple[Callable[..., torch.Tensor], tuple[Any, ...]]
+
+_memories: dict[int, list[_SharedMemory]] = {}
+"""Bytes of an item -> the memory of this worker's batches of such items."""
+
 
 class Slots:
     """`in_flight` + SPARE slots of one batch each.
@@ -128,12 +136,6 @@ def _anonymous_file(size: int) -> int:
             file = os.dup(temporary.fileno())
     os.ftruncate(file, size)
     return file
-
-
-_MOST: Final = 8
-"""Batches of one kind that a worker keeps memory for; any beyond them are left to PyTorch."""
-
-_Reduced = tuple[Callable[..., torch.Tensor], tuple[Any, ...]]
 
 
 class _SharedMemory:
@@ -244,9 +246,6 @@ def _reduce_item(tensor: ItemTensor) -> _Reduced:
 default_collate_fn_map[ItemTensor] = _stacked
 ForkingPickler.register(BatchTensor, _reduce)
 ForkingPickler.register(ItemTensor, _reduce_item)
-
-_memories: dict[int, list[_SharedMemory]] = {}
-"""Bytes of an item -> the memory of this worker's batches of such items."""
 
 
 def empty_batch(count: int, shape: tuple[int, ...], kind: np.dtype[Any]) -> BatchTensor | None:

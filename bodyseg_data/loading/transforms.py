@@ -29,6 +29,18 @@ from bodyseg_data.machine import SCRATCH
 from bodyseg_data.rigs import MAX_SIDE
 from bodyseg_data.samples import FARTHEST_STEPS
 
+_BITS: Final = 20
+"""Bits of a pixel's fraction to which `take_turned` rounds positions, so that sums of them are exact."""
+
+_ROWS: Final = 128
+"""Rows that `take_turned` makes at once, so that what it computes for them stays in the cache."""
+
+Place = Literal["axis", "body", "anywhere"]
+
+_PLACES: Final = ("axis", "body", "anywhere")
+
+_FARTHEST: Final = int(FARTHEST_STEPS)
+
 
 def check_number(transform: str, field: str, value: Any, low: float, high: float) -> None:
     """Raise BadConfig unless a parameter is a number from `low` to `high`."""
@@ -89,14 +101,6 @@ def take_window(image: CameraImage, top: int, left: int, rows: int, columns: int
     return replace(image, range=ranges, labels=labels, centre_px=centre_px)
 
 
-_BITS: Final = 20
-"""Bits of a pixel's fraction to which `take_turned` rounds positions, so that sums of them are exact."""
-
-
-_ROWS: Final = 128
-"""Rows that `take_turned` makes at once, so that what it computes for them stays in the cache."""
-
-
 def take_turned(image: CameraImage, cos: float, sin: float) -> CameraImage:
     """The image turned about its optical axis: a point (x, y) about it takes the place (cos x + sin y, cos y - sin x).
 
@@ -144,11 +148,6 @@ def _sums(down: NDArray[np.floating[Any]], along: NDArray[np.floating[Any]]) -> 
     found: NDArray[np.intp] = np.add.outer(*fixed)
     found >>= _BITS
     return found
-
-
-Place = Literal["axis", "body", "anywhere"]
-
-_PLACES: Final = ("axis", "body", "anywhere")
 
 
 @dataclass(frozen=True)
@@ -290,9 +289,6 @@ class Roll(Transform):
 def turned(image: CameraImage, angle_deg: float) -> CameraImage:
     """The image as a camera takes it that is turned by an angle about its axis, degrees, clockwise from behind."""
     return take_turned(image, math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg)))
-
-
-_FARTHEST: Final = int(FARTHEST_STEPS)
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,18 @@ _WORKER_METHODS: Final[tuple[WorkerMethod, ...]] = ("process", "thread")
 END_TIMEOUT_S: Final = 5.0
 """Time for a worker to finish its request after it was told to end, seconds."""
 
+_Answers = SimpleQueue[tuple[int, Any]]
+_Requests = SimpleQueue[tuple[Any, _Answers] | None]
+"""Requests, each with the queue that its (number of the worker, result) goes to; None ends the thread that takes it."""
+
+StartMethod = Literal["fork", "spawn", "forkserver"]
+
+_END: Final = "end"
+"""Last request: ends the worker."""
+
+_POLL_S: Final = 1.0
+"""Interval at which each side checks that the other is alive, seconds, in case the pipe does not show it."""
+
 
 def check_worker_method(method: str) -> None:
     """Raise BadConfig unless `method` is one."""
@@ -117,11 +129,6 @@ def checked_result(found: Any, worker: str) -> Any:
     raise error
 
 
-_Answers = SimpleQueue[tuple[int, Any]]
-_Requests = SimpleQueue[tuple[Any, _Answers] | None]
-"""Requests, each with the queue that its (number of the worker, result) goes to; None ends the thread that takes it."""
-
-
 class ThreadWorkers:
     """`count` threads, started at once, that take requests from one queue; results come in the order of the requests.
 
@@ -194,15 +201,6 @@ def _serve(work: Callable[[Any], Any], number: int, requests: _Requests) -> None
         found = handle(work, request)
         answer.put((number, found))
         del task, request, answer, found  # or they would live until the next request
-
-
-StartMethod = Literal["fork", "spawn", "forkserver"]
-
-_END: Final = "end"
-"""Last request: ends the worker."""
-
-_POLL_S: Final = 1.0
-"""Interval at which each side checks that the other is alive, seconds, in case the pipe does not show it."""
 
 
 class ProcessWorkers:

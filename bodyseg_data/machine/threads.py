@@ -21,6 +21,9 @@ from typing import Final, TypeVar
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
+ENDING: Final = (signal.SIGINT, signal.SIGTERM)
+"""Signals that ask a command to end."""
+
 
 def pieces(count: int, parts: int) -> list[tuple[int, int]]:
     """Divide 0 .. count into `parts` runs of nearly equal length, each (first, behind the last)."""
@@ -84,10 +87,6 @@ def torch_threads(count: int) -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
-
-
-ENDING: Final = (signal.SIGINT, signal.SIGTERM)
-"""Signals that ask a command to end."""
 
 
 @contextmanager

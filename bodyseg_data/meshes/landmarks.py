@@ -42,6 +42,19 @@ from bodyseg_data.meshes.mesh import Mesh
 LANDMARKS_FORMAT: Final = "bodyseg landmarks 1"
 _KEYS: Final = ("format", "topology", "vertex_count", "face_count", "landmarks")
 
+FARTHEST_M: Final = 0.03
+"""Largest accepted distance of a landmark from the surface, metres.
+
+Markers on the skin and a scan's surface differ by millimetres; hair, clothes and holes in a scan add centimetres. A
+landmark farther away belongs to another body, unit or frame.
+"""
+
+METRES: Final[Mapping[str, float]] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+"""Metres in a unit of length."""
+
+_POINT_KEYS: Final = ("format", "units", "points")
+_FEATURE: Final = "putting landmarks onto a surface"
+
 
 @dataclass(frozen=True)
 class LandmarkSet:
@@ -240,20 +253,6 @@ def farthest_from(vertices: NDArray[np.float64], points: NDArray[np.float64], fe
     except ImportError as error:
         raise missing_library(feature, error) from error
     return float(KDTree(vertices).query(points)[0].max())
-
-
-FARTHEST_M: Final = 0.03
-"""Largest accepted distance of a landmark from the surface, metres.
-
-Markers on the skin and a scan's surface differ by millimetres; hair, clothes and holes in a scan add centimetres. A
-landmark farther away belongs to another body, unit or frame.
-"""
-
-METRES: Final[Mapping[str, float]] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
-"""Metres in a unit of length."""
-
-_POINT_KEYS: Final = ("format", "units", "points")
-_FEATURE: Final = "putting landmarks onto a surface"
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,11 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadMesh
 from bodyseg_data.machine import missing_library
 
+HEIGHT_RANGE_M: Final = (0.5, 2.5)
+"""A body's largest extent must lie in this range, which catches millimetres, centimetres and inches."""
+
+_SLIGHT_VOLUME_M3: Final = 1e-5  # a hundredth of a litre: a flat piece, like an eyelid, may enclose as little as that
+
 
 @dataclass(frozen=True)
 class Edges:
@@ -93,13 +98,6 @@ def components(count: int, pairs: NDArray[np.integer[Any]], feature: str) -> NDA
     links = coo_array((np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     component: NDArray[np.int32] = connected_components(links, directed=False)[1]
     return component
-
-
-HEIGHT_RANGE_M: Final = (0.5, 2.5)
-"""A body's largest extent must lie in this range, which catches millimetres, centimetres and inches."""
-
-
-_SLIGHT_VOLUME_M3: Final = 1e-5  # a hundredth of a litre: a flat piece, like an eyelid, may enclose as little as that
 
 
 @dataclass(frozen=True)

@@ -48,6 +48,14 @@ _LONGEST_HEADER: Final = 1 << 16
 Vertices = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
+MESH_SUFFIXES: Final = (".ply", ".obj", ".off", ".ply.gz", ".obj.gz", ".off.gz")
+"""Suffixes of mesh files, in upper or lower case; of several files of one mesh, the first in this order is read."""
+
+LARGEST_BYTES: Final = 1 << 28
+"""Largest size of a mesh file, also after unpacking: a scan of a million triangles has a tenth of it."""
+
+_OFF_HEADER: Final = re.compile(r"(?:ST)?C?N?OFF\b|OFF(?=\d)")
+
 
 @dataclass(frozen=True)
 class _Property:
@@ -298,15 +306,6 @@ class _BinaryRows:
                     found.append(list(struct.unpack_from(form, self._data, self._position)))
                 self._position += length * size
         return found
-
-
-MESH_SUFFIXES: Final = (".ply", ".obj", ".off", ".ply.gz", ".obj.gz", ".off.gz")
-"""Suffixes of mesh files, in upper or lower case; of several files of one mesh, the first in this order is read."""
-
-LARGEST_BYTES: Final = 1 << 28
-"""Largest size of a mesh file, also after unpacking: a scan of a million triangles has a tenth of it."""
-
-_OFF_HEADER: Final = re.compile(r"(?:ST)?C?N?OFF\b|OFF(?=\d)")
 
 
 def read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

@@ -29,6 +29,8 @@ from bodyseg_data.meshes.solids import SurfacePiece, label_pieces
 _ROUNDS: Final = 4  # triangles by which distances are extended across a border
 _PARTS: Final = 64  # above the number of parts: encodes (vertex, part) as one number
 
+_FEATURE: Final = "partitioning a body"
+
 
 @dataclass(frozen=True)
 class Borders:
@@ -142,9 +144,6 @@ def _beyond_edge(
     straight = both & (depth >= 0) & (crossing >= 0) & (crossing <= length)
     result: NDArray[np.float64] = np.where(straight, np.hypot(tip_x - source_x, tip_y + source_y), sides)
     return result
-
-
-_FEATURE: Final = "partitioning a body"
 
 
 @dataclass(frozen=True)

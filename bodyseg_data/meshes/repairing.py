@@ -40,6 +40,11 @@ _Result = TypeVar("_Result")
 _SHARED_LIBRARIES: Final = (("torch", "lib/libgomp.so.1"), ("openvino", "libs/libtbb.so.12"))
 """Libraries that pymeshlab brings, too, by the same name: the linker takes whichever was loaded first for everybody."""
 
+SAME_POINT_M: Final = 1e-6
+"""Distance in metres below which vertices are joined: far below a scanner's resolution, above rounding in files."""
+
+_FEATURE: Final = "mesh repair"
+
 
 def with_pymeshlab(feature: str, work: Callable[[Any], _Result]) -> _Result:
     """Call `work` with the module pymeshlab, in the thread for it; return what it returns, raise what it raises.
@@ -126,12 +131,6 @@ def _renew_worker() -> None:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_renew_worker)
-
-
-SAME_POINT_M: Final = 1e-6
-"""Distance in metres below which vertices are joined: far below a scanner's resolution, above rounding in files."""
-
-_FEATURE: Final = "mesh repair"
 
 
 def repair(

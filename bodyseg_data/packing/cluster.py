@@ -54,6 +54,12 @@ _SHAPE_BYTES: Final = (
 
 _SEEN_BODIES: Final = 8
 
+# A body model, torch's number of threads and OpenGL are a process's, not a thread's.
+_one_at_a_time = threading.RLock()
+
+CONNECT_TIMEOUT_S: Final = 5.0
+"""The time that a scheduler may take to answer, and a first worker to appear."""
+
 
 @dataclass(frozen=True)
 class Expected:
@@ -124,10 +130,6 @@ def _built(packing: Packing) -> str:
     return "no body can be built"
 
 
-# A body model, torch's number of threads and OpenGL are a process's, not a thread's.
-_one_at_a_time = threading.RLock()
-
-
 def fault(wanted: Expected) -> str | None:
     """The reason why this worker would not give the same bytes, or None."""
     with _one_at_a_time:
@@ -170,10 +172,6 @@ def job(wanted: Expected, function: Callable[..., Any], arguments: tuple[Any, ..
             return function(*arguments)
         except BodysegError as error:
             return error
-
-
-CONNECT_TIMEOUT_S: Final = 5.0
-"""The time that a scheduler may take to answer, and a first worker to appear."""
 
 
 @contextmanager

@@ -24,6 +24,8 @@ from typing import Any, TypeVar
 
 from bodyseg_data.machine import peak_mb, processors, signals_held
 
+Result = TypeVar("Result")
+
 
 @dataclass(frozen=True)
 class Engine:
@@ -32,9 +34,6 @@ class Engine:
     executor: Executor
     workers: int
     note: str | None = None
-
-
-Result = TypeVar("Result")
 
 
 def ordered(jobs: Iterable[Callable[[], Future[Result]]], workers: int) -> Generator[Result, None, None]:

@@ -35,6 +35,11 @@ _MARGIN: Final = 1  # the test computes in single precision, which is off by far
 Range = NDArray[np.uint16]
 Ints = NDArray[np.int32]
 
+_SIGHT_MARGIN: Final = np.float32(1)  # the test interpolates in single precision, which is off by far less than a step
+
+Ranges = Callable[[NDArray[np.intp]], NDArray[np.uint16]]
+"""Texels [N], row * columns + column, ascending -> projector ranges, uint16 [N], in steps."""
+
 
 def coarsened(test: ShadowTest, image: Range, x: Floats, y: Floats, away: Floats) -> Range:
     """An image, uint16 [Hp, Wp], with which light reaches the same of the given points (`ShadowTest.reached`) as with
@@ -153,12 +158,6 @@ def _simplest(image: Range, lowest: Ints, highest: Ints) -> Range:
     coarse: Range = np.zeros(image.shape, np.uint16)
     coarse.ravel()[indices] = chosen
     return coarse
-
-
-_SIGHT_MARGIN: Final = np.float32(1)  # the test interpolates in single precision, which is off by far less than a step
-
-Ranges = Callable[[NDArray[np.intp]], NDArray[np.uint16]]
-"""Texels [N], row * columns + column, ascending -> projector ranges, uint16 [N], in steps."""
 
 
 def occluder_range(

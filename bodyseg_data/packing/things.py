@@ -27,6 +27,26 @@ from bodyseg_data.samples import FARTHEST_STEPS, View
 
 _MOST_DRAWS: Final = 1024
 
+ThingsPlace = Literal["none", "before", "behind", "both"]
+"""Places of things: between camera and body, behind or beside the body, or both."""
+
+LEAST_HIDDEN: Final = 0.05
+"""Least share of a body that things before it hide, unless no draw reaches it."""
+MOST_HIDDEN: Final = 0.6
+"""Greatest share of a body's pixels that things hide, from the camera or from every projector: a thing right before the
+projector would leave the whole image without range.
+"""
+
+BEFORE: Final = ("plank", "box", "table", "chair", "bed", "machine", "bin", "plant", "lamp")
+"""Kinds of things before a body."""
+BEHIND: Final = ("box", "table", "chair", "bed", "machine", "bin", "plant", "lamp")
+"""Kinds of things behind a body and beside it."""
+
+ATTEMPTS: Final = 16
+"""Draws until as much is hidden as asked for."""
+_NEAREST_M: Final = 0.5  # of the camera to a thing
+_GAP_M: Final = 0.05  # between a body and a thing, at least
+
 
 class Numbers:
     """Random numbers of one stream, one after another, at most 1024."""
@@ -148,27 +168,6 @@ def _legs(numbers: Numbers, width: float, depth: float, height: float) -> list[S
     thick = numbers.between(0.03, 0.08)
     away = (width - thick) / 2, (depth - thick) / 2
     return [cuboid((thick, height, thick), (x * away[0], height / 2, z * away[1])) for x in (-1, 1) for z in (-1, 1)]
-
-
-ThingsPlace = Literal["none", "before", "behind", "both"]
-"""Places of things: between camera and body, behind or beside the body, or both."""
-
-LEAST_HIDDEN: Final = 0.05
-"""Least share of a body that things before it hide, unless no draw reaches it."""
-MOST_HIDDEN: Final = 0.6
-"""Greatest share of a body's pixels that things hide, from the camera or from every projector: a thing right before the
-projector would leave the whole image without range.
-"""
-
-BEFORE: Final = ("plank", "box", "table", "chair", "bed", "machine", "bin", "plant", "lamp")
-"""Kinds of things before a body."""
-BEHIND: Final = ("box", "table", "chair", "bed", "machine", "bin", "plant", "lamp")
-"""Kinds of things behind a body and beside it."""
-
-ATTEMPTS: Final = 16
-"""Draws until as much is hidden as asked for."""
-_NEAREST_M: Final = 0.5  # of the camera to a thing
-_GAP_M: Final = 0.05  # between a body and a thing, at least
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,19 @@ _LARGEST: Final = 1e6
 
 Floats = NDArray[np.float64]
 
+MAX_SIDE: Final = 8192
+"""Longest side of an image, pixels."""
+
+_MAX_FOCAL_PX: Final = 1e6
+_MAX_DISTANCE_M: Final = 100.0
+_MAX_ROLL_DEG: Final = 180.0
+_LEAST_ACROSS: Final = 1e-6
+_CHECKED: Final = 65  # nodes a side at which distortion is checked
+
+Vector = tuple[float, float, float]
+
+_UP: Final = (0.0, -1.0, 0.0)  # of a rig's frame, whose y points down
+
 
 @dataclass(frozen=True)
 class Distortion:
@@ -85,20 +98,6 @@ def distortion_from_table(table: Table) -> Distortion:
         return Distortion(**coefficients)
     except BadConfig as error:
         raise BadConfig(f"{table.where}: {error}") from None
-
-
-MAX_SIDE: Final = 8192
-"""Longest side of an image, pixels."""
-
-_MAX_FOCAL_PX: Final = 1e6
-_MAX_DISTANCE_M: Final = 100.0
-_MAX_ROLL_DEG: Final = 180.0
-_LEAST_ACROSS: Final = 1e-6
-_CHECKED: Final = 65  # nodes a side at which distortion is checked
-
-Vector = tuple[float, float, float]
-
-_UP: Final = (0.0, -1.0, 0.0)  # of a rig's frame, whose y points down
 
 
 @dataclass(frozen=True)

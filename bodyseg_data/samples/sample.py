@@ -35,6 +35,14 @@ READ_SPLITS: Final[tuple[ReadSplit, ...]] = ("train", "val", "test")
 _FIRST_FOR_TRAINING: Final = {"A": 57, "people": 467}
 _MOTION_FOR_TESTING: Final = {"B": "jumping", "C": "squat"}
 
+FARTHEST_STEPS: Final = np.float32(65535)
+"""The largest range that a stored image can hold, in steps; the length of a step is the rig's (`Rig.range_step_m`)."""
+
+_KEY = re.compile(r"[A-Za-z0-9_+-]{1,80}")  # no dots: readers of plain tars split names at the first one
+
+HELD: Final = "held"
+"""Value of `SampleInfo.things` for a body that holds or wears a thing and has none around it."""
+
 
 def split_by_order(subset: Literal["A", "people"], index: int) -> Split:
     """Return the split of mesh number `index`, counted from 0 over the whole subset."""
@@ -54,12 +62,6 @@ def motion_of(subset: str, pose: str) -> str:
 def holds_postures(subset: str) -> bool:
     """Return whether every mesh of one of the paper's subsets is a posture of its own, not a frame of a motion."""
     return subset in _FIRST_FOR_TRAINING
-
-
-FARTHEST_STEPS: Final = np.float32(65535)
-"""The largest range that a stored image can hold, in steps; the length of a step is the rig's (`Rig.range_step_m`)."""
-
-_KEY = re.compile(r"[A-Za-z0-9_+-]{1,80}")  # no dots: readers of plain tars split names at the first one
 
 
 @dataclass(frozen=True)
@@ -88,9 +90,6 @@ class ShadowThresholds:
 SHADOW_THRESHOLDS: Final = ShadowThresholds()
 """The thresholds of the format of shards."""
 
-
-HELD: Final = "held"
-"""Value of `SampleInfo.things` for a body that holds or wears a thing and has none around it."""
 
 _OPTIONAL: Final = frozenset({"pitch_deg", "roll_deg", "height_cm", "things", "hidden_pct"})
 

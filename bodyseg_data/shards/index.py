@@ -54,6 +54,18 @@ _TEXT_FIELDS: Final = {"bodies", "stems", "tails", "notes"}
 _VIEW_MARK: Final = "-d"
 """Begins the part of a key that names the view."""
 
+_KINDS: Final = tuple(map(np.dtype, ("u1", "<u2", "<u4")))
+
+INDEX_NAME: Final = "samples.index"
+
+HELD_PIECES: Final = 512
+"""Pieces that a process holds, those read last: 13 kB each where shards have 1080 samples."""
+
+FETCHED_PIECES: Final = 64
+"""Pieces that a reader of a remote set fetches one by one before it fetches the whole file into the cache."""
+
+_TEXTS: Final = ("name", "split", "sha256")
+
 
 def encode_piece(record: ShardRecord) -> bytes:
     """Encode a shard's record, without its name, split, size and hash. Raises BadShard if it would be too large."""
@@ -155,9 +167,6 @@ class Piece:
         return int.from_bytes(self._data[start : start + kind.itemsize], "little")
 
 
-_KINDS: Final = tuple(map(np.dtype, ("u1", "<u2", "<u4")))
-
-
 def _kind(rows: int) -> np.dtype[Any]:
     """The type of numbers of a table's rows: as many bytes as they need, 1, 2 or 4."""
     return _KINDS[(rows > 1 << 8) + (rows > 1 << 16)]
@@ -188,15 +197,6 @@ def _checked_text(data: bytes, where: str) -> dict[str, Any]:
     return text
 
 
-INDEX_NAME: Final = "samples.index"
-
-HELD_PIECES: Final = 512
-"""Pieces that a process holds, those read last: 13 kB each where shards have 1080 samples."""
-
-FETCHED_PIECES: Final = 64
-"""Pieces that a reader of a remote set fetches one by one before it fetches the whole file into the cache."""
-
-_TEXTS: Final = ("name", "split", "sha256")
 _NUMBERS: Final = {
     "samples": (1, LARGEST_PIECE),
     "size": (0, LARGEST_SHARD),

@@ -26,6 +26,8 @@ _SHORTEST_SECRET: Final = 4
 
 Result = TypeVar("Result")
 
+_ADDRESS: Final = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://(.*)", re.DOTALL)
+
 
 @dataclass(frozen=True)
 class RetryPolicy:
@@ -222,9 +224,6 @@ def _texts(value: Any) -> Iterator[str]:
         yield value
     elif isinstance(value, bytes):
         yield value.decode("utf-8", "replace")
-
-
-_ADDRESS: Final = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://(.*)", re.DOTALL)
 
 
 def open_store(

@@ -30,6 +30,11 @@ from bodyseg_data.shards import (
     read_manifest,
 )
 
+_BLOCK_BYTES: Final = 4 << 20
+
+Report = Callable[[int], None]
+"""Receiver of numbers of bytes that have just been copied."""
+
 
 @dataclass(frozen=True)
 class SharedFile:
@@ -109,12 +114,6 @@ def sha256_of(store: Store, name: str) -> str:
     """Read a file of a store and return its SHA-256, in hexadecimal. Raises OSError or Unreachable."""
     with open_file(store, name) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-_BLOCK_BYTES: Final = 4 << 20
-
-Report = Callable[[int], None]
-"""Receiver of numbers of bytes that have just been copied."""
 
 
 class Target(Protocol):

@@ -44,6 +44,17 @@ FAR_OFF: Final = 1.5
 
 _SAME: Final = 1.01
 
+Tree = dict[str, Any]
+
+PAPERS_THRESHOLD: Final = 0.7
+"""Confidence below which the paper drops pixels (section 4.1)."""
+
+PAPERS_SUBSETS: Final = ("A", "B", "C", "people")
+
+_THRESHOLDS: Final = (0.0, 0.5, 0.6, PAPERS_THRESHOLD, 0.8, 0.9)
+_CURVE_POINTS: Final = 100
+_DECIMALS: Final = 5
+
 
 @dataclass(frozen=True)
 class RigFit:
@@ -126,18 +137,6 @@ def _pixels_a_metre(rig: Rig) -> float:
 
 def _size(rig: Rig) -> tuple[int, int]:
     return rig.camera.rows, rig.camera.columns
-
-
-Tree = dict[str, Any]
-
-PAPERS_THRESHOLD: Final = 0.7
-"""Confidence below which the paper drops pixels (section 4.1)."""
-
-PAPERS_SUBSETS: Final = ("A", "B", "C", "people")
-
-_THRESHOLDS: Final = (0.0, 0.5, 0.6, PAPERS_THRESHOLD, 0.8, 0.9)
-_CURVE_POINTS: Final = 100
-_DECIMALS: Final = 5
 
 
 def report(evaluation: Evaluation) -> Tree:

@@ -50,6 +50,17 @@ _LAYER: Final = {"fc6": "conv6", "fc7": "conv7"}
 Arrays = dict[str, tuple[NDArray[np.float32], NDArray[np.float32]]]
 Field = tuple[int, int | memoryview]
 
+STRIDE: Final = 32
+_PADDING: Final = 100
+_KERNEL: Final = 2 * STRIDE - 1
+
+# Pixel m of conv7 sees the image around 32 m + 13: in the image's pixels, conv1 puts it at 4 m + 5 - 100, each of the
+# three poolings doubles it and adds one of its own pixels, conv6 adds two and a half. Upfeat puts it at 32 m + 31.
+_CROP: Final = 18
+
+RANGE_SCALE: Final = 50.0
+"""Factor on ranges in metres: a person at 2.5 m is then as bright as the images AlexNet was trained on."""
+
 
 def import_alexnet(network: nn.Module, path: Path) -> None:
     """Fill conv1 to conv7 of `network`, a `FcnAlexnet`, from the AlexNet in the file `path` (.onnx or .caffemodel).
@@ -208,18 +219,6 @@ def _floats(value: memoryview) -> NDArray[np.float32]:
     if len(value) % 4:
         raise _NotProtobufError(f"32-bit numbers in {len(value)} bytes")
     return np.frombuffer(value, "<f4")
-
-
-STRIDE: Final = 32
-_PADDING: Final = 100
-_KERNEL: Final = 2 * STRIDE - 1
-
-# Pixel m of conv7 sees the image around 32 m + 13: in the image's pixels, conv1 puts it at 4 m + 5 - 100, each of the
-# three poolings doubles it and adds one of its own pixels, conv6 adds two and a half. Upfeat puts it at 32 m + 31.
-_CROP: Final = 18
-
-RANGE_SCALE: Final = 50.0
-"""Factor on ranges in metres: a person at 2.5 m is then as bright as the images AlexNet was trained on."""
 
 
 class FcnAlexnet(Network):

@@ -51,6 +51,8 @@ _MESSAGE_START: Final = struct.Struct("<HIQQ")
 _PLAIN: Final = -1
 _ENCODINGS: Final[dict[str, Encoding]] = {"cdr": "cdr", "ros1": "ros1"}
 
+_PACKED: Final = (".zstd", ".zst")
+
 
 def open_mcap(path: Path, topic: str | None, step_m: float | None) -> StoredRecording:
     """Open an MCAP file with messages of ROS 1 or 2. Raises BadConfig, MissingLibrary."""
@@ -330,7 +332,6 @@ class _Ros1Bag:
 
 
 _STORAGE: Final[dict[str, Callable[[Path], Bag]]] = {".db3": SqliteBag, ".mcap": McapBag}
-_PACKED: Final = (".zstd", ".zst")
 
 
 def open_ros2(path: Path, topic: str | None, step_m: float | None) -> StoredRecording:

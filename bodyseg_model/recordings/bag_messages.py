@@ -52,6 +52,25 @@ LARGEST_MESSAGE: Final = 1 << 28
 MOST_MESSAGES: Final = 1 << 24
 """The most messages that a bag may list."""
 
+_BZ2: Final = b"BZh"
+_LZ4: Final = b"\x04\x22\x4d\x18"
+_PIECE: Final = 1 << 16
+_ZSTD: Final = b"\x28\xb5\x2f\xfd"
+
+_STEPS: Final = ("16UC1", "mono16")
+_METRES: Final = "32FC1"
+_HEADER: Final = struct.Struct("<iff")
+
+ENCODINGS: Final = (*_STEPS, _METRES)
+"""Encodings of pixels that range images have."""
+
+_TRANSPORTS: Final = ("compressedDepth", "compressed")
+_MODEL: Final = "plumb_bob"
+
+_KINDS: Final = (IMAGE, COMPRESSED)
+_UNITS_TOPIC: Final = "option/Depth_Units/value"
+_LONGEST_LIST: Final = 12
+
 
 @dataclass(frozen=True, eq=False)
 class Topic:
@@ -110,12 +129,6 @@ def decode(bag: Bag, topic: Topic, index: int) -> Any:
         raise BadConfig(f"the message is no {topic.kind}: {error}") from error
 
 
-_BZ2: Final = b"BZh"
-_LZ4: Final = b"\x04\x22\x4d\x18"
-_PIECE: Final = 1 << 16
-_ZSTD: Final = b"\x28\xb5\x2f\xfd"
-
-
 def decompressed(data: bytes) -> bytes:
     """Decompress bzip2, LZ4 frames or zstd, told by their first bytes; others are returned as they are.
 
@@ -156,14 +169,6 @@ def _joined(data: bytes, decompress: Callable[[bytes, int], bytes], done: Callab
     if size > LARGEST_MESSAGE:
         raise ValueError(f"a piece must have at most {LARGEST_MESSAGE} bytes")
     return b"".join(pieces)
-
-
-_STEPS: Final = ("16UC1", "mono16")
-_METRES: Final = "32FC1"
-_HEADER: Final = struct.Struct("<iff")
-
-ENCODINGS: Final = (*_STEPS, _METRES)
-"""Encodings of pixels that range images have."""
 
 
 def encoding(message: Any, kind: str) -> str:
@@ -236,10 +241,6 @@ def _compressed(message: Any) -> NDArray[Any]:
     return metres
 
 
-_TRANSPORTS: Final = ("compressedDepth", "compressed")
-_MODEL: Final = "plumb_bob"
-
-
 def camera_beside(bag: Bag, topic: Topic, where: str) -> Intrinsics | None:
     """Read the camera of a topic of images from the first CameraInfo beside it; None if there is none.
 
@@ -297,11 +298,6 @@ def camera_of(message: Any, where: str, rectified: bool) -> Intrinsics | None:
 def _numbers(message: Any, name: str) -> Sequence[float]:
     values = getattr(message, name) if hasattr(message, name) else getattr(message, name.upper())
     return [float(value) for value in values]
-
-
-_KINDS: Final = (IMAGE, COMPRESSED)
-_UNITS_TOPIC: Final = "option/Depth_Units/value"
-_LONGEST_LIST: Final = 12
 
 
 def bag_recording(path: Path, bag: Bag, topic: str | None, step_m: float | None) -> StoredRecording:

@@ -20,6 +20,8 @@ from bodyseg_model.recordings.recording import LARGEST_SIDE
 _KINDS: Final = {0: "grey", 2: "RGB", 3: "palette", 4: "grey with alpha", 6: "RGB with alpha"}
 _NEEDED: Final = (b"IHDR", b"IDAT", b"IEND")
 
+_LARGEST_HEADER: Final = 1 << 14
+
 
 def parse_frame(data: bytes, where: str) -> NDArray[np.uint16]:
     """Decode the pixels of a 16-bit grey PNG, uint16 [H, W]. Raises BadConfig; `where` names the frame in its message.
@@ -48,9 +50,6 @@ def parse_frame(data: bytes, where: str) -> NDArray[np.uint16]:
     except ValueError as error:
         raise BadConfig(f"{where} is {error}") from error
     return image
-
-
-_LARGEST_HEADER: Final = 1 << 14
 
 
 @dataclass(frozen=True)

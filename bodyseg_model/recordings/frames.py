@@ -26,6 +26,18 @@ _NAME: Final = re.compile(r"[\w+()-][\w+(). -]{0,99}")
 
 _NO_NAMES: Final = ("/", ".", "..")
 
+RECORDINGS_HELP: Final = "16-bit grey PNGs, folders or tars of them, or recordings: bags, MCAP, NPY, NPZ, TIFF, MKV"
+"""Help of commands' argument for frames."""
+
+UNITS_HELP: Final = "size of one step of a frame: mm, 0.1mm, cm ... (default: the recording's, or mm)"
+"""Help of `--units`, whose text `metres_a_step` reads."""
+
+_LARGEST_FILE: Final = 1 << 28
+_UNIT: Final = re.compile(r"([0-9]+(?:\.[0-9]+)?|\.[0-9]+)? ?(mm|cm|m)")
+_METRES: Final = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+_STEPS_M: Final = (1e-6, 0.1)
+_SATURATED: Final = 65535
+
 
 def result_names(frames: Sequence[Frame]) -> list[str]:
     """Names of the results of frames, without suffix: their files' own ("1"), unless two of them are equal.
@@ -105,19 +117,6 @@ def first_readable(frames: Sequence[Frame], skipping: Skipping) -> Frame:
         if skipping.read(frame) is not None:
             return frame
     raise BadConfig(f"at least one frame must be readable, found none: {skipping.skipped[-1]['error']}")
-
-
-RECORDINGS_HELP: Final = "16-bit grey PNGs, folders or tars of them, or recordings: bags, MCAP, NPY, NPZ, TIFF, MKV"
-"""Help of commands' argument for frames."""
-
-UNITS_HELP: Final = "size of one step of a frame: mm, 0.1mm, cm ... (default: the recording's, or mm)"
-"""Help of `--units`, whose text `metres_a_step` reads."""
-
-_LARGEST_FILE: Final = 1 << 28
-_UNIT: Final = re.compile(r"([0-9]+(?:\.[0-9]+)?|\.[0-9]+)? ?(mm|cm|m)")
-_METRES: Final = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
-_STEPS_M: Final = (1e-6, 0.1)
-_SATURATED: Final = 65535
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,26 @@ from bodyseg_model.runtimes.onnx_files import SUFFIX, read_onnx, to_onnx
 from bodyseg_model.runtimes.runtime import OnnxRuntime, OpenVino, Precision, Runtime, RuntimeNetwork, check_precision
 from bodyseg_model.training import find_device
 
+TORCH: Final = "torch"
+OF_FILES: Final = "onnxruntime"
+"""The backend of an ONNX file for which none is named."""
+
+RUNTIMES: Final[dict[str, type[Runtime]]] = {"onnxruntime": OnnxRuntime, "openvino": OpenVino}
+"""Name -> class, which imports its library when it is used."""
+
+BACKEND_HELP: Final = (
+    "what computes the network (default: torch; of an .onnx file, onnxruntime); on a processor, openvino takes 0.7 to "
+    "0.8 times as long as torch, in bfloat16 0.4 to 0.6 times"
+)
+FLIP_HELP: Final = (
+    "label the mirror image, too, and average: 0.9 points more on real people, 1.5 to 2 times the network's time"
+)
+PRECISION_HELP: Final = "arithmetic of the network (default: float32)"
+QUICK_PRECISION_HELP: Final = (
+    "arithmetic of the network (default: bfloat16 on a processor with instructions for it, else float32; of an .onnx "
+    "file, float32)"
+)
+
 
 def folded(network: Network) -> Network:
     """A copy of a network in evaluation mode that computes each convolution and the batch normalisation after it as one
@@ -78,26 +98,6 @@ class Bfloat16(Network):
         with torch.autocast(device_of(self.network).type, torch.bfloat16):
             return self.network.scores(range_m)
 
-
-TORCH: Final = "torch"
-OF_FILES: Final = "onnxruntime"
-"""The backend of an ONNX file for which none is named."""
-
-RUNTIMES: Final[dict[str, type[Runtime]]] = {"onnxruntime": OnnxRuntime, "openvino": OpenVino}
-"""Name -> class, which imports its library when it is used."""
-
-BACKEND_HELP: Final = (
-    "what computes the network (default: torch; of an .onnx file, onnxruntime); on a processor, openvino takes 0.7 to "
-    "0.8 times as long as torch, in bfloat16 0.4 to 0.6 times"
-)
-FLIP_HELP: Final = (
-    "label the mirror image, too, and average: 0.9 points more on real people, 1.5 to 2 times the network's time"
-)
-PRECISION_HELP: Final = "arithmetic of the network (default: float32)"
-QUICK_PRECISION_HELP: Final = (
-    "arithmetic of the network (default: bfloat16 on a processor with instructions for it, else float32; of an .onnx "
-    "file, float32)"
-)
 
 if TYPE_CHECKING:
     BackendName = str

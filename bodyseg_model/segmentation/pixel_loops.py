@@ -25,6 +25,8 @@ far outside the frame."""
 
 _kernel = partial(compiled, feature="labelling frames", extra="segment")
 
+_picture_kernel = partial(compiled, feature="overlays", extra="segment")
+
 
 @_kernel
 def list_pixels(flat: Any, pixels: Any, width: Any, centre: Any, rows: Any, columns: Any, depths: Any) -> Any:
@@ -123,9 +125,6 @@ def move_ranges(box: Any, shift: Any, nearest: Any, farthest: Any, view: Any) ->
         for i in range(box.shape[1]):
             if box[row, i] > 0:
                 view[row, i] = np.float32(min(max(box[row, i] + shift, nearest), farthest))
-
-
-_picture_kernel = partial(compiled, feature="overlays", extra="segment")
 
 
 @_picture_kernel

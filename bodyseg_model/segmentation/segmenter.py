@@ -30,6 +30,8 @@ _END: Final = object()
 
 Item = TypeVar("Item")
 
+STAGES: Final = ("background", "shape", "resample", "network", "back", "video")
+
 
 def read_ahead(items: Iterable[Item]) -> Generator[Item, None, None]:
     """Yield items in their order; one thread makes the next while the caller works on this one, and no more than that.
@@ -43,9 +45,6 @@ def read_ahead(items: Iterable[Item]) -> Generator[Item, None, None]:
         while (item := coming.result()) is not _END:
             coming = thread.submit(next, remaining, _END)
             yield item  # type: ignore[misc]  # all but _END
-
-
-STAGES: Final = ("background", "shape", "resample", "network", "back", "video")
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,8 @@ from bodyseg_model.segmentation.segmenter import LabelledBody, Segmentation, Thi
 STILL_M: Final = 0.02
 """A pixel whose range changed by less, metres, is taken to see the same point of the body."""
 
+STAGES: Final = ("read", *SEGMENTER_STAGES, "write")
+
 
 @dataclass(frozen=True)
 class Flicker:
@@ -65,9 +67,6 @@ def flicker(
 
 def _share(part: int, whole: int) -> float | None:
     return round(part / whole, 5) if whole else None
-
-
-STAGES: Final = ("read", *SEGMENTER_STAGES, "write")
 
 
 class SequenceSummary:

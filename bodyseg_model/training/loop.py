@@ -47,6 +47,9 @@ from bodyseg_model.training.recipes import (
 )
 from bodyseg_model.training.validation import Metrics, MetricsWindow, Report, Validation
 
+_OPTIMISER: Final = "optimiser."
+"""Prefix of the optimiser's tensors in a checkpoint."""
+
 
 def open_data(
     addresses: Sequence[str],
@@ -68,10 +71,6 @@ def open_data(
         return sets[0]
     parts = zip(sets, weights or [len(images) for images in sets], strict=True)
     return Mixture([(images, float(weight)) for images, weight in parts], samples, seed)
-
-
-_OPTIMISER: Final = "optimiser."
-"""Prefix of the optimiser's tensors in a checkpoint."""
 
 
 @dataclass(frozen=True)

@@ -87,6 +87,8 @@ _FOLLOWS: Final[dict[str, tuple[str, ...]]] = {
 _ABSENT: Final = object()
 _SHOWN: Final = 3
 
+FORMAT: Final = "bodyseg run 1"
+
 
 def training_plan(
     name: str,
@@ -214,9 +216,6 @@ def _shown(path: Keys, value: Any) -> str:
     if path == ("recipe", "bf16"):
         return "bfloat16" if value else "float32"
     return json.dumps(value)
-
-
-FORMAT: Final = "bodyseg run 1"
 
 
 class Best(NamedTuple):

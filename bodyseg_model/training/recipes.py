@@ -21,6 +21,17 @@ from bodyseg_data.core import BadConfig, check_fields
 from bodyseg_model.networks import Network
 from bodyseg_model.training.augmentation import GeometricAugmentation
 
+_BOUNDS: Final = (
+    ("learning_rate", 1e-9, 10),
+    ("layer_decay", 1e-6, 1),
+    ("momentum", 0, 0.9999),
+    ("weight_decay", 0, 1),
+    ("warmup", 0, 1),
+    ("clip", 0, 1e6),
+    ("balance", 0, 1),
+    ("ema", 0, 0.999999),
+)
+
 
 @dataclass(frozen=True)
 class Recipe:
@@ -101,17 +112,6 @@ class Recipe:
         """Learning rates of `layers` layers as shares of the last one's, deepest first (`layer_decay`)."""
         return [self.layer_decay ** (1 - at / max(1, layers - 1)) for at in range(layers)]
 
-
-_BOUNDS: Final = (
-    ("learning_rate", 1e-9, 10),
-    ("layer_decay", 1e-6, 1),
-    ("momentum", 0, 0.9999),
-    ("weight_decay", 0, 1),
-    ("warmup", 0, 1),
-    ("clip", 0, 1e6),
-    ("balance", 0, 1),
-    ("ema", 0, 0.999999),
-)
 
 PRESETS: Final[dict[str, Recipe]] = {
     # Section 3.5 of the paper; one image a pass and twenty passes a step is how it accumulates gradients.

@@ -19,6 +19,9 @@ from bodyseg_model.evaluation import ConfusionMatrix, Evaluation, Scores, evalua
 from bodyseg_model.networks import CheckpointName, Network
 from bodyseg_model.training.distributed import ProcessGroup
 
+DEFAULT_EVERY: Final = 500
+"""Steps between two validations."""
+
 
 @dataclass(frozen=True)
 class Metrics:
@@ -93,10 +96,6 @@ class MetricsWindow:
             round(self._images * self._processes.world_size / seconds, 2),
             round(self._waited / seconds, 4),
         )
-
-
-DEFAULT_EVERY: Final = 500
-"""Steps between two validations."""
 
 
 @dataclass(frozen=True)

@@ -48,6 +48,21 @@ _HEAD: Final = 26
 _NOTE: Final = 30
 _MOST_ROWS: Final = 420
 
+Viewpoint = Literal["points", "sensor", "camera"]
+VIEWPOINTS: Final[tuple[Viewpoint, ...]] = get_args(Viewpoint)
+"""What a window can look at: the points, the sensor with them, and both as the sensor's camera sees them."""
+
+_DIRECTIONS: Final = {"points": (0.42, 0.16, 0.9), "sensor": (1.0, 0.35, 0.5), "camera": (0.0, 0.0, 1.0)}
+_AROUND: Final = 1.35
+"""A window takes in so many times what it looks at."""
+
+_GAP_M: Final = 0.01
+_NAME_M: Final = 0.13
+"""Distance of a device and its name."""
+
+_OPENCV: Final = np.diag([1.0, -1.0, -1.0])
+"""Axes of a camera that looks along -z, rows: to its right, down, forward."""
+
 
 @dataclass(frozen=True)
 class Panel:
@@ -175,22 +190,6 @@ def sheet_of(picture: NDArray[np.uint8], view: NDArray[np.uint8], facts: Sequenc
     seen = Image.fromarray(np.ascontiguousarray(view))
     sheet.paste(seen.resize((width, picture.shape[0]), Image.Resampling.LANCZOS), (picture.shape[1], top))
     return sheet
-
-
-Viewpoint = Literal["points", "sensor", "camera"]
-VIEWPOINTS: Final[tuple[Viewpoint, ...]] = get_args(Viewpoint)
-"""What a window can look at: the points, the sensor with them, and both as the sensor's camera sees them."""
-
-_DIRECTIONS: Final = {"points": (0.42, 0.16, 0.9), "sensor": (1.0, 0.35, 0.5), "camera": (0.0, 0.0, 1.0)}
-_AROUND: Final = 1.35
-"""A window takes in so many times what it looks at."""
-
-_GAP_M: Final = 0.01
-_NAME_M: Final = 0.13
-"""Distance of a device and its name."""
-
-_OPENCV: Final = np.diag([1.0, -1.0, -1.0])
-"""Axes of a camera that looks along -z, rows: to its right, down, forward."""
 
 
 @dataclass(frozen=True)

@@ -65,6 +65,8 @@ _NOTHING: Final = Points(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8
 _KEPT: Final = 32
 _ROOM_STEP: Final = 3
 
+_DRAWING_S: Final = 60.0
+
 
 @dataclass(frozen=True)
 class ShownFrame:
@@ -208,9 +210,6 @@ def _counted(found: Segmentation) -> str:
 def _change_image(changes: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Changes in their colours, sRGB uint8 [H, W, 3]; changes: uint8 [H, W]."""
     return colour_labels(changes, EMPTY, np.array([colour for _, colour in FLICKER_LEGEND], np.uint8))
-
-
-_DRAWING_S: Final = 60.0
 
 
 class RecordingPage:

@@ -49,6 +49,33 @@ SCAPE_MESHES: Final = tuple(f"mesh{number:03d}.ply" for number in NUMBERS)
 
 _SCAPE_STEM: Final = re.compile(r"mesh(\d{1,6})", re.IGNORECASE)
 
+SEQUENCES: Final[dict[Literal["B", "C"], dict[str, int]]] = {
+    "B": {"I_crane": 175, "I_jumping": 150, "I_march": 250, "I_squat": 250},
+    "C": {"D_bouncing": 175, "D_handstand": 175, "D_march": 250, "D_squat": 250},
+}
+"""Frames of every sequence, by subject."""
+
+MIT_MESHES: Final = tuple(
+    f"{sequence}/meshes/mesh_{number:04d}.obj"
+    for sequences in SEQUENCES.values()
+    for sequence, frames in sequences.items()
+    for number in range(frames)
+)
+"""Files of a complete copy."""
+
+_SHIPPED: Final = {"B": "mit_I"}
+_MIT_STEM: Final = re.compile(r"mesh_(\d{4,6})")
+
+SUBJECTS: Final = 583
+
+CAESAR_MESHES: Final = tuple(f"subject {number:03d}" for number in range(1, SUBJECTS + 1))
+"""Subjects of a complete copy; the paper does not name them."""
+
+_SITTING: Final = re.compile(r"(.*\d)[bc]")
+_LONGEST: Final = 28  # of a subject's name, which is twice in a sample key
+
+_Opened = Callable[[Path, Path | None, MeshOptions], BodySource]
+
 
 class ScapeBodies(MeshBodies):
     """Postures found in a folder, by number. Raises BadConfig if there are none."""
@@ -75,24 +102,6 @@ class ScapeBodies(MeshBodies):
         }
         missing = [name for number, name in zip(NUMBERS, SCAPE_MESHES, strict=True) if number not in found]
         super().__init__(files, missing, options)
-
-
-SEQUENCES: Final[dict[Literal["B", "C"], dict[str, int]]] = {
-    "B": {"I_crane": 175, "I_jumping": 150, "I_march": 250, "I_squat": 250},
-    "C": {"D_bouncing": 175, "D_handstand": 175, "D_march": 250, "D_squat": 250},
-}
-"""Frames of every sequence, by subject."""
-
-MIT_MESHES: Final = tuple(
-    f"{sequence}/meshes/mesh_{number:04d}.obj"
-    for sequences in SEQUENCES.values()
-    for sequence, frames in sequences.items()
-    for number in range(frames)
-)
-"""Files of a complete copy."""
-
-_SHIPPED: Final = {"B": "mit_I"}
-_MIT_STEM: Final = re.compile(r"mesh_(\d{4,6})")
 
 
 class MitBodies(MeshBodies):
@@ -145,15 +154,6 @@ def _frames(folder: Path, count: int) -> dict[int, Path]:
     """Return number -> file of the frames in a folder, without numbers that the complete sequence lacks."""
     matches = [(_MIT_STEM.fullmatch(stem), file) for stem, file in meshes_in(folder).items()]
     return {int(match[1]): file for match, file in matches if match and int(match[1]) < count}
-
-
-SUBJECTS: Final = 583
-
-CAESAR_MESHES: Final = tuple(f"subject {number:03d}" for number in range(1, SUBJECTS + 1))
-"""Subjects of a complete copy; the paper does not name them."""
-
-_SITTING: Final = re.compile(r"(.*\d)[bc]")
-_LONGEST: Final = 28  # of a subject's name, which is twice in a sample key
 
 
 class CaesarBodies(MeshBodies):
@@ -234,8 +234,6 @@ def _by_name(root: Path, stem_of: Callable[[str], str | None]) -> dict[str, list
             found.setdefault(stem.lower(), []).append(file)
     return found
 
-
-_Opened = Callable[[Path, Path | None, MeshOptions], BodySource]
 
 _PARTS: Final[dict[str, tuple[_Opened, tuple[str, ...]]]] = {
     "scape": (ScapeBodies, SCAPE_MESHES),

@@ -23,6 +23,9 @@ SECOND_FACING_BIT: Final = 0x80
 THING: Final = 62
 """Stored part of pixels that see a thing, read as 255; with both facing bits it still differs from background."""
 
+OutputArrays = tuple[NDArray[np.uint16], NDArray[np.uint8]]
+"""Arrays for range and labels, uint16 and uint8 [H, W], contiguous."""
+
 
 def mark_things(labels: NDArray[np.uint8], range_image: NDArray[np.uint16]) -> NDArray[np.uint8]:
     """Labels with `THING` for 255 wherever something was measured, in an array of their own, uint8 [H, W]."""
@@ -58,10 +61,6 @@ def take_second_facing(labels: NDArray[np.uint8]) -> NDArray[np.bool_]:
     labels -= facing.view(np.uint8) * np.uint8(SECOND_FACING_BIT)
     labels[labels == THING] = BACKGROUND
     return facing
-
-
-OutputArrays = tuple[NDArray[np.uint16], NDArray[np.uint8]]
-"""Arrays for range and labels, uint16 and uint8 [H, W], contiguous."""
 
 
 class DecodedImages(NamedTuple):

@@ -31,6 +31,9 @@ ESCAPE: Final = 255
 Image = NDArray[Any]
 Bytes = NDArray[np.uint8]
 
+Range = NDArray[np.uint16]
+_BACKGROUND: Final = int(BACKGROUND)
+
 
 class Box(NamedTuple):
     """The stored part of an image, in pixels; all outside is background."""
@@ -124,10 +127,6 @@ def checked_lengths(low: Bytes, escapes: Bytes, box: Box) -> NDArray[np.int64]:
     if lengths.sum() != box.height * box.width or (len(lengths) and lengths.min() < 1):
         raise ValueError(f"runs of {lengths.sum()} pixels do not fill {box.height} x {box.width}")
     return lengths
-
-
-Range = NDArray[np.uint16]
-_BACKGROUND: Final = int(BACKGROUND)
 
 
 @dataclass(frozen=True)
