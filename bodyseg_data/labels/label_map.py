@@ -1,13 +1,8 @@
-"""The 33 body parts: one table of their names, order, sides, mirror images and colours.
+"""The 33 body parts, their colours, and label maps that join them to fewer classes, as other data sets name them.
 
 A part is the surface nearest to one anatomical landmark. Landmark names are spelled as the CAESAR survey spells
-them; a part's index in `PARTS` is its label. "Rt." and "Lt." are the subject's own right and left.
-
-Labels replaced by a table, byte by byte.
-
-Colours of classes: hues for pairs, the left one of a pair lighter, and every class another grey.
-
-Label maps: the 33 parts joined to fewer classes, as other data sets and applications name them.
+them; a part's index in `PARTS` is its label. "Rt." and "Lt." are the subject's own right and left. Colours are hues for
+pairs, the left one of a pair lighter, and every class another grey.
 """
 
 from __future__ import annotations

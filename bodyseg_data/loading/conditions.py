@@ -1,6 +1,6 @@
-"""The descriptions of all samples of a set as arrays, made from its records without opening a shard.
+"""Conditions on the descriptions of samples, like "distance_cm<=255", "subject=B,C" or "azimuth_deg=-90..90".
 
-Conditions on the descriptions of samples, like "distance_cm<=255", "subject=B,C" or "azimuth_deg=-90..90".
+They are asked of a table of the descriptions, made from a set's records without opening a shard.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
-"""Protocol of the images that a loader reads, of one set of shards or of a mixture; and the batches it delivers.
+"""The images that a loader reads, of one set of shards or of a mixture, and their assignment to batches.
 
-Assignment of samples to batches: a function of set, seed, epoch, world size and batch size, and of nothing else.
-
-All ranks share one order an epoch. It is cut into global batches of world_size x batch_size samples, and each global
-batch into consecutive parts, one a rank. So the ranks' batches put together are the batches of one process, and a
-position in an epoch is a number of samples, valid for any number of workers or ranks and any batch size.
+Batches are a function of set, seed, epoch, world size and batch size, and of nothing else. All ranks share one order an
+epoch. It is cut into global batches of world_size x batch_size samples, and each global batch into consecutive parts,
+one a rank. So the ranks' batches put together are the batches of one process, and a position in an epoch is a number of
+samples, valid for any number of workers or ranks and any batch size.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
 """Shared memory into which workers write whole batches, reused as soon as no reference to a batch is left.
 
-No pixel is copied or sent between processes, and after the first few batches nothing is allocated and no page is
-touched for the first time. The memory has no name, so that nothing is left behind; a small /dev/shm does not limit it.
+`Slots` are the memory of `Loader`. No pixel is copied or sent between processes, and after the first few batches
+nothing is allocated and no page is touched for the first time. The memory has no name, so that nothing is left behind;
+a small /dev/shm does not limit it.
 
-Samples for PyTorch's own DataLoader, and batches of them in shared memory that a worker uses again.
-
-DataLoader's workers take new shared memory for every batch, and to write to it for the first time takes longer than to
-make the images. Here a worker keeps the memory of its batches. The last byte says whether a batch is in use: the worker
-sets it when it sends the batch, and the process that receives it clears it when no tensor or view of it is left.
+`item_tensor` and `empty_batch` serve PyTorch's own DataLoader, whose workers take new shared memory for every batch,
+and to write to it for the first time takes longer than to make the images. Here a worker keeps the memory of its
+batches. The last byte says whether a batch is in use: the worker sets it when it sends the batch, and the process that
+receives it clears it when no tensor or view of it is left.
 """
 
 from __future__ import annotations
@@ -195,6 +195,9 @@ class BatchTensor(_Plain):
     """A batch in a worker's shared memory."""
 
     memory: _SharedMemory
+
+
+# Batches of PyTorch's own DataLoader.
 
 
 def item_tensor(array: NDArray[Any]) -> torch.Tensor:

@@ -1,10 +1,8 @@
-"""The interface of a loader's workers, and the form of it that needs neither processes nor threads.
+"""Workers of a loader: processes, threads of this process, or neither.
 
-Worker threads of this process: they start at once, share all memory, and run side by side where the GIL is released.
-
-Reading, checksums, zstd and the compiled loops release it; the Python code between them takes turns.
-
-Worker processes that handle requests in turn, each over its own pipe: no semaphore, thread or named resource.
+Threads start at once, share all memory, and run side by side where the GIL is released: by reading, checksums, zstd and
+the compiled loops; the Python code between them takes turns. Processes handle requests in turn, each over its own pipe:
+no semaphore, thread or named resource.
 """
 
 from __future__ import annotations
@@ -29,6 +27,7 @@ from bodyseg_data.core import BadConfig, WorkerLost
 from bodyseg_data.machine import peak_mb
 
 WorkerMethod = Literal["process", "thread"]
+StartMethod = Literal["fork", "spawn", "forkserver"]
 
 DEFAULT_WORKER_METHOD: Final[WorkerMethod] = "thread"
 """Chosen by measurement: docs/results/loading_speed.md."""
@@ -41,8 +40,6 @@ END_TIMEOUT_S: Final = 5.0
 _Answers = SimpleQueue[tuple[int, Any]]
 _Requests = SimpleQueue[tuple[Any, _Answers] | None]
 """Requests, each with the queue that its (number of the worker, result) goes to; None ends the thread that takes it."""
-
-StartMethod = Literal["fork", "spawn", "forkserver"]
 
 _END: Final = "end"
 """Last request: ends the worker."""
@@ -145,7 +142,10 @@ class ThreadWorkers:
             for number in range(count):
                 # A daemon: the end of the interpreter would wait for any other before it runs `close`.
                 thread = threading.Thread(
-                    target=_serve, args=(work, number, self._requests), name=f"bodyseg-worker-{number}", daemon=True
+                    target=_serve_thread,
+                    args=(work, number, self._requests),
+                    name=f"bodyseg-worker-{number}",
+                    daemon=True,
                 )
                 thread.start()
                 self._threads.append(thread)
@@ -194,7 +194,7 @@ class ThreadWorkers:
         self._answers.clear()
 
 
-def _serve(work: Callable[[Any], Any], number: int, requests: _Requests) -> None:
+def _serve_thread(work: Callable[[Any], Any], number: int, requests: _Requests) -> None:
     """Handle requests in a thread until it takes None."""
     while (task := requests.get()) is not None:
         request, answer = task

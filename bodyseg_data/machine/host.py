@@ -1,8 +1,6 @@
-"""Hardware that this process runs on.
+"""The hardware that this process runs on, the memory that it had, and memory that is used again.
 
-Memory of processes: the most they had, in one unit on every system, and whether they keep what is freed.
-
-Memory for arrays that live briefly, used again: fresh memory costs a page fault for every 4 kB written.
+Fresh memory costs a page fault for every 4 kB written.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""Errors for missing packages and shared libraries that name what to install.
+"""Optional packages and shared libraries: errors that name what to install, and the quickest library for deflate.
 
 Some optional packages (pyrender, pymeshlab) load shared libraries that pip does not install. The errors they raise
-without them differ from package to package and rarely name the system's package.
-
-Streams of deflate, as PNG files hold them: by isal where it is installed (`bodyseg[fast]`), else by zlib.
+without them differ from package to package and rarely name the system's package. Streams of deflate, as PNG files hold
+them, are made by isal where it is installed (`bodyseg[fast]`), else by zlib.
 """
 
 from __future__ import annotations

@@ -1,6 +1,4 @@
-"""Arrays of triangle meshes: their checks, edges and connected components.
-
-The immutable triangle mesh of one body, checked once when it is constructed.
+"""The immutable triangle mesh of one body, checked once when it is constructed, and its edges and components.
 
 Body frame: x to the subject's left, y up, z to the front; metres.
 """

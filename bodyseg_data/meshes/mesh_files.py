@@ -1,12 +1,11 @@
-"""Reader of vertices and faces from PLY files, in text or binary of either byte order.
-
-A header lists elements, each with a count and its properties; the rows follow in that order. Properties may be lists,
-so rows may differ in length; rows of equal length, as in nearly all files (triangles only), are read in one call.
-
-Triangle meshes from .ply, .obj and .off files, each also with .gz behind it, in the order of the file.
+"""Triangle meshes from .ply, .obj and .off files, each also with .gz behind it, in the order of the file.
 
 Landmarks name vertices by index, so no vertex may be merged, split at a texture seam or left out. General mesh
 libraries do one of these, or trust the counts in a header.
+
+A .ply file is text or binary of either byte order. Its header lists elements, each with a count and its properties; the
+rows follow in that order. Properties may be lists, so rows may differ in length; rows of equal length, as in nearly all
+files (triangles only), are read in one call.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Descriptions of a shard's samples in the manifest: tables of bodies and views, and two row numbers a sample.
+"""Records of shards: place, checksum and description of each sample, and reads that are checked against them.
 
-Records of shards: place, checksum and description of each sample; and reads that are checked against them.
+Descriptions stand in the manifest as tables of bodies and views, and two numbers of rows a sample.
 """
 
 from __future__ import annotations

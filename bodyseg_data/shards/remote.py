@@ -1,6 +1,6 @@
-"""Store of a set at an address: retries resume where an attempt broke off, and messages hold no secrets.
+"""The store of a set at an address: retries resume where an attempt broke off, and messages hold no secrets.
 
-Parsing of the path or address of a set into its store and the pattern of the chosen shards.
+`open_store` opens a set at a path or an address.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""Filesystems of fsspec, opened by every process, and where needed by every thread, for itself.
+"""Single attempts to download and upload bytes through fsspec: HTTP as a stream, other protocols in blocks.
 
-Single attempts to download bytes through fsspec: HTTP as a stream, other protocols in blocks.
-
-No event loop, session or socket is shared across a fork: every process opens its own filesystem on first use.
+No event loop, session or socket is shared across a fork: every process, and where needed every thread, opens its own
+filesystem on first use.
 """
 
 from __future__ import annotations

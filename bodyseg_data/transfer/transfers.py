@@ -1,8 +1,7 @@
-"""Bundles: the files of a set or a network that are copied together, with their checksums.
+"""Transfer of a set or a network: what is already there is kept, all else is copied and checked, the index comes last.
 
-Targets of a transfer: a local folder, into which downloads resume, and an address, to which files are uploaded.
-
-One transfer: what is already there is kept, all else is copied and checked, the index comes last.
+A bundle is the files that are copied together, with their checksums. A target is a local folder, into which downloads
+resume, or an address, to which files are uploaded.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""The label byte: 255 for background; else the part in bits 0 to 5, and bit 6 set if it faces the projector.
+"""The protocol of a codec, the images of a sample as members of a tar and back, and the label byte that codecs store.
 
+A label byte is 255 for background; else bits 0 to 5 hold the part, and bit 6 is set if the surface faces the projector.
 A thing, which has a range and no label, is stored as part 62. Bit 7 is set if the surface faces the second projector,
 of a rig that has one.
-
-The protocol of a codec: the images of a sample as members of a tar, and back.
 """
 
 from __future__ import annotations
@@ -92,7 +91,7 @@ class ImageCodec(Protocol):
     ) -> dict[str, bytes]:
         """Encode as members: name -> bytes. camera [H, W] and projector [Hp, Wp]: ranges, steps, 0 background.
 
-        labels: label bytes [H, W] (`labels.join_labels`). Raises ValueError for images that the codec cannot hold.
+        labels: label bytes [H, W] (`join_labels`). Raises ValueError for images that the codec cannot hold.
         """
 
     def decode(self, members: Mapping[str, bytes], projector: bool, out: OutputArrays | None) -> DecodedImages:
