@@ -1,6 +1,6 @@
-"""Tasks of an arm: a place on the body, the other hand, the floor, the seat, the air before the body, or none.
+"""Everyday poses of one person: a stance, then each arm sent to a place, rejected where skin meets skin.
 
-Sampler of everyday poses of one person: a stance, then each arm sent to a place, rejected where skin meets skin.
+An arm goes to a place on the body, the other hand, the floor, the seat, the air before the body, or none.
 """
 
 from __future__ import annotations

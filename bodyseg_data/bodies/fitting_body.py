@@ -1,14 +1,11 @@
-"""Points of a surface with their normals and mean geodesic distances, as landmark fitting matches them.
-
-Lengths of limbs and trunk as further shapes of the fitted body: people differ in them more than the open body's do.
-
-A segment runs from the head of one bone to that of another; what hangs from it moves along with its end.
-
-Differentiable model of the open body: a few parameters to points, normals and landmarks, with gradients.
+"""Differentiable model of the open body: a few parameters to points, normals and landmarks, with gradients.
 
 Anny's own forward pass would take a hundred times as long. Here shapes are principal components of people, with a
-standard deviation of 1 each; joints turn as in `bodies.anny.skeleton`; skin follows bones as in Anny (linear blend
-skinning). All in the body frame, metres, float64.
+standard deviation of 1 each, and lengths of limbs and trunk, in which people differ more than the open body's do: what
+hangs from a segment, from the head of one bone to that of another, moves along with its end. Joints turn as in
+`skeleton`; skin follows bones as in Anny (linear blend skinning). All in the body frame, metres, float64.
+
+Surfaces are matched by points with their normals and mean geodesic distances.
 """
 
 from __future__ import annotations

@@ -1,6 +1,4 @@
-"""The open body fitted to a mesh: its landmarks on the mesh, and points of the mesh carried back to the open body.
-
-Search for the 33 landmarks of a new body, by fitting the open body to it.
+"""Search for the 33 landmarks of a new body, by fitting the open body to it.
 
 Every posture, turned to face every direction, is placed on the surface by centre and size; the best starts of each
 direction are refined, then tried with other arms and legs; the best fit is refined once more and its landmarks are

@@ -1,13 +1,8 @@
-"""Ranges of the joints, and draws within ranges.
-
-One arm or leg of a person: the positions of points of its skin as functions of its joint angles.
-
-The skin as an obstacle: distances of points from it, and how deep limbs go into the rest of the body.
-
-Inverse kinematics of one limb: joint angles that bring points of its skin to goals, within the joints' ranges.
+"""Inverse kinematics of one limb: joint angles that bring points of its skin to goals, within the joints' ranges.
 
 Damped least squares (Levenberg-Marquardt) on the residuals of goals, of points that would go into the body or below the
 floor, and, weakly, of the distance from a preferred posture, which settles what the goals leave open.
+The skin is an obstacle: distances of points from it tell how deep limbs go into the rest of the body.
 """
 
 from __future__ import annotations

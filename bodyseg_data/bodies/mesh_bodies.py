@@ -1,6 +1,4 @@
-"""Search for mesh files and landmark files on disk, in a fixed order.
-
-Base of all sources that read mesh files: makes a body of a mesh file and its landmarks.
+"""Base of all sources that read mesh files: finds the files, and makes a body of a mesh file and its landmarks.
 
 Meshes that share a topology share one landmark file; by vertex, or by coordinate on the first of them. Meshes of one
 group share one alignment, found from its first upright body, so that a motion keeps one frame of reference throughout.

@@ -1,6 +1,6 @@
-"""Outfits: the extent, looseness and folds of each garment.
+"""Outfits: the extent, looseness and folds of each garment, and how they are cut to a person.
 
-Fitting an outfit to a person: the vertices that each garment covers and the distance of the cloth from them.
+A cut says which vertices each garment covers and how far the cloth is from them.
 """
 
 from __future__ import annotations

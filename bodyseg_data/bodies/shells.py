@@ -1,10 +1,7 @@
-"""The posed person that garments, hair, shoes and things are made for.
+"""Hair, shoes, and the closed surfaces of cloth and hair, made for a posed person.
 
-Closed surfaces made of grids of points: cloth and hair with two sides, and solids of rings.
-
-Hair: a bun on a head, or long hair that falls over neck, shoulders and back.
-
-Shoes: a closed solid around each foot, with a sole.
+Surfaces are made of grids of points: with two sides, or solids of rings. Hair is a bun on a head, or long hair that
+falls over neck, shoulders and back; a shoe is a closed solid around each foot, with a sole.
 """
 
 from __future__ import annotations
@@ -110,6 +107,9 @@ class Wearer:
         return self.frame(self.of("head"))
 
 
+# Surfaces of grids.
+
+
 def shell(outside: Floats, thickness: Floats | float, around: bool) -> Solid:
     """Make a closed surface of a sheet and its other side.
 
@@ -182,6 +182,9 @@ def _quads(grid: Indices) -> Indices:
     """Two triangles for each mesh of a grid of indices [K, J], normals along row step x column step: [N, 3]."""
     a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
     return np.concatenate([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)]).reshape(-1, 3)
+
+
+# Hair.
 
 
 @dataclass(frozen=True)
@@ -303,6 +306,9 @@ def _fallen(wearer: Wearer, hair: Hair, roots: Floats, way: Floats) -> Floats:
         strands.append(strands[-1] + step * np.minimum(_STEP_M / lengths, 1))
         ways = step / lengths
     return np.array(strands)
+
+
+# Shoes.
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,11 @@
-"""Sparse linear operators on a triangle mesh, used to compute cloth.
-
-Subdivision of long edges where a mesh is too coarse for the folds of cloth.
-
-Fold patterns of cloth: waves on the surface of a person at rest, one pattern for each direction of compression.
-
-Clothes over the open body: the surface of a dressed person in any pose, on the body's own vertices.
+"""Clothes over the open body: the surface of a dressed person in any pose, on the body's own vertices.
 
 A wardrobe cuts an outfit to a person once. Worn in a pose, the cloth is the body's surface, smoothed so that details of
 the body do not show, moved outwards by the width of the garment, more below a limb than above, and folded: deepest
 where the pose shortens the surface. `docs/reference/clothes.md` lists what is modelled and what is not.
+
+Cloth is computed by sparse linear operators on the mesh, whose long edges are divided where it is too coarse for folds.
+Folds are waves on the surface of the person at rest, one pattern for each direction of compression.
 """
 
 from __future__ import annotations

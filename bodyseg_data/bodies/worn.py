@@ -1,10 +1,8 @@
-"""Skirts, dresses' lower halves and coats: cloth around trunk and both legs, which falls from where it is widest.
+"""Drapes and things: skirts and coats around trunk and both legs; a bag, bottle, stick, box or backpack.
 
 The body's surface moved outwards cannot join two legs. A drape is a tube of rings instead: at every height of the
 person at rest, the convex hull of the trunk or of both legs as they are posed, no narrower than the ring above as far
-as the cloth hangs.
-
-Things in a hand or on the back: bag, bottle, stick, box, backpack. They have a range and no label.
+as the cloth hangs. Things have a range and no label.
 """
 
 from __future__ import annotations
@@ -61,6 +59,9 @@ _HOLLOW_M: Final = 0.012  # from a palm's skin to what its closed fingers hold
 _STRAP_M: Final = 0.012
 _ROUND: Final = 32
 _HIGHEST_M: Final = 2.4  # of body and thing together: no mesh is larger
+
+
+# Drapes.
 
 
 @dataclass(frozen=True)
@@ -218,6 +219,9 @@ def _opened(loop: Floats, half_rad: Floats) -> Floats:
         numbers = np.arange(_COLUMNS)
         rows.append(np.stack([np.interp(at, numbers, ring[:, axis], period=_COLUMNS) for axis in range(3)], axis=1))
     return np.array(rows)
+
+
+# Things.
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,6 @@
-"""Origins of bodies, for cards: who the bodies of each source are, and under which terms their data stand.
+"""Facts that a set's cards tell: those counted from its manifest, the origins of its bodies, and a publisher's own.
 
-Facts of a set that its cards tell, all counted from the manifest.
-
-Facts that a publisher adds to cards, and sentences that both cards of a set use.
+An origin says who the bodies of a source are, and under which terms their data stand.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Window of range images: the rows and columns that a picture shows, where bodies are small in them.
+"""Contact sheet: the stored images of several samples and their five variants, side by side.
 
-Contact sheet: the stored images of several samples and their five variants, side by side.
+Where bodies are small in the images, it shows the window of rows and columns that holds them.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
-"""Jobs on a worker of a cluster, and the check before them that the worker would give the same bytes.
-
-A running Dask cluster.
+"""A running Dask cluster as the executor of a packing's jobs.
 
 Only jobs and results cross Dask's connections: a job is a packing, a body's name and views; a result is encoded
 samples. Dask runs a job again when its worker dies, and jobs give the same bytes wherever they run, so a set is the
-same whichever workers there were.
+same whichever workers there were. Before its jobs, a worker is checked: it must give the same bytes as this machine.
 """
 
 from __future__ import annotations

@@ -1,11 +1,4 @@
-"""The executor of a packing's jobs.
-
-Results of jobs in the order in which they were asked for, with a bounded number under way.
-
-Peak memory of the workers of an executor, which each job's result brings along.
-
-Processes of this machine.
-"""
+"""Jobs of a packing: the executor that runs them, their results in order, and the peak memory of its workers."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ import os, sys, threading
 sys.path[:0] = {paths!r}
 import numpy as np
 from shapes import ball
-from bodyseg_data.meshes import pymeshlab_thread
+from bodyseg_data.meshes import repairing as pymeshlab_thread
 from bodyseg_data.meshes.repair import repair
 
 def ended(*works):

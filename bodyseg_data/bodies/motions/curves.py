@@ -1,6 +1,6 @@
-"""Smooth curves through key values in time, the basis of every motion.
+"""What every motion is made of: smooth curves through key values in time, and inverse kinematics of the legs.
 
-Inverse kinematics of the legs: joint angles from the positions of pelvis and soles.
+Joint angles of the legs follow from the positions of pelvis and soles.
 """
 
 from __future__ import annotations
