@@ -1,10 +1,8 @@
-"""MCAP files (https://mcap.dev/spec), chunked or not, with an index or without.
+"""Bags in their four kinds of files, each as a `Bag` of topics and messages.
 
-Single files of ROS 2 bags in SQLite (.db3), those of RealSense's SDK among them.
-
-ROS 1 bags, and those of RealSense's SDK, which are such.
-
-ROS 2 bags: folders of files in SQLite (.db3) or MCAP beside a metadata.yaml.
+ROS 1 bags, and those of RealSense's SDK, which are such; single files of ROS 2 in SQLite (.db3), the SDK's among them;
+MCAP files (https://mcap.dev/spec), chunked or not, with an index or without; and ROS 2 bags, folders of such files
+beside a metadata.yaml.
 """
 
 from __future__ import annotations

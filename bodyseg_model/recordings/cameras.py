@@ -1,7 +1,4 @@
-"""The camera of a sequence of frames: named, given by its numbers, or assumed from the frames' size.
-
-Camera matrix and lens distortion of frames, in OpenCV's terms.
-"""
+"""The camera of a sequence of frames: named, given by numbers in OpenCV's terms, or assumed from the frames' size."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Decoding of a frame: a 16-bit grey PNG, and one clear line for anything else.
+"""Files of frames: a 16-bit grey PNG, or one clear line for anything else, and the entries of a tar.
 
-Listing of a tar's entries and their offsets, from its headers alone; nothing is extracted.
+A tar's entries and their offsets are listed from its headers alone; nothing is extracted.
 """
 
 from __future__ import annotations

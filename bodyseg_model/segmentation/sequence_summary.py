@@ -1,9 +1,8 @@
-"""Label flicker: pixels whose label changes from one frame to the next, without compensation for motion.
+"""Summary of a labelled sequence: bodies, confidence, time and flicker, for each frame and in all; plain JSON.
 
-A pixel is compared with the same pixel of the next frame, so labels also change where the body moves. Pixels whose
-range hardly changed are counted separately: few of them change for that reason.
-
-Summary of a labelled sequence: bodies, confidence, time and flicker, for each frame and in all; plain JSON.
+Flicker is the pixels whose label changes from one frame to the next, without compensation for motion. A pixel is
+compared with the same pixel of the next frame, so labels also change where the body moves. Pixels whose range hardly
+changed are counted separately: few of them change for that reason.
 """
 
 from __future__ import annotations

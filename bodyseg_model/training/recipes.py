@@ -1,8 +1,7 @@
 """Recipes: all hyperparameters of a training in one frozen dataclass, with a preset for each kind of network.
 
-A recipe's optimiser, and its state as tensors with names.
-
-Exponential moving average (EMA) of a network's weights over the steps of a training.
+A recipe's optimiser, its state as tensors with names, and the exponential moving average (EMA) of a network's weights
+over the steps of a training.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Metrics of a training, over the steps between two lines of its log.
-
-Validation: scores on images that a training does not train on, at fixed steps, and what follows from them.
-"""
+"""Validation, scores at fixed steps on images that a training does not train on, and metrics of the steps between."""
 
 from __future__ import annotations
 

@@ -1,9 +1,7 @@
-"""Pictures of a page: panels of one size with captions, in lines.
+"""What a page shows at one moment: pictures, panels of one size with captions, and points and devices in space.
 
-Points and devices in the space of the page, and a drawing: all that a page shows at one moment.
-
-x is to the right and y up as the sensor's camera looks, z towards it. Units are metres. Of a set, the origin is the
-body's middle, which stands upright; of a recording, it is the camera.
+In space, x is to the right and y up as the sensor's camera looks, z towards it. Units are metres. Of a set, the origin
+is the body's middle, which stands upright; of a recording, it is the camera.
 """
 
 from __future__ import annotations
@@ -62,6 +60,9 @@ _NAME_M: Final = 0.13
 
 _OPENCV: Final = np.diag([1.0, -1.0, -1.0])
 """Axes of a camera that looks along -z, rows: to its right, down, forward."""
+
+
+# Pictures.
 
 
 @dataclass(frozen=True)
@@ -190,6 +191,9 @@ def sheet_of(picture: NDArray[np.uint8], view: NDArray[np.uint8], facts: Sequenc
     seen = Image.fromarray(np.ascontiguousarray(view))
     sheet.paste(seen.resize((width, picture.shape[0]), Image.Resampling.LANCZOS), (picture.shape[1], top))
     return sheet
+
+
+# Space.
 
 
 @dataclass(frozen=True)

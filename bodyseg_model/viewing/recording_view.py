@@ -1,7 +1,4 @@
-"""Drawing of the page of a recording: a frame with the labels that the network gives its people.
-
-The controls of a recording's page: play, pause, and the choice of a frame.
-"""
+"""The page of a recording: a frame with the labels that the network gives its people, and its controls."""
 
 from __future__ import annotations
 
