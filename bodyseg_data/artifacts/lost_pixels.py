@@ -12,15 +12,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
-from importlib import import_module
-from typing import Any, ClassVar, Final, Literal
+from typing import ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.noise import drawn_bits
-from bodyseg_data.artifacts.surface import Box, box_of, silhouettes, slants, widened
+from bodyseg_data.artifacts.surface import Box, box_of, compiled_forms, silhouettes, slants, widened
 from bodyseg_data.core import BadConfig, Draws, bounded, check_fields, units
 from bodyseg_data.labels import PARTS
 from bodyseg_data.machine import use_compiled
@@ -115,7 +114,7 @@ def _least_sums(
     """The least sum at each pixel, [N], of a `down` [h] at its row and of the `along` [w] at its column."""
     if use_compiled():
         values = np.empty(len(pixels), np.float32)
-        _loops().least_sums(pixels, len(along[0]), np.stack(down), np.stack(along), values)
+        compiled_forms().least_sums(pixels, len(along[0]), np.stack(down), np.stack(along), values)
         return values
     sums = (rows[:, None] + columns for rows, columns in zip(down, along, strict=True))
     least: NDArray[np.float32] = reduce(np.minimum, sums)
@@ -270,7 +269,9 @@ class GrazingLoss(Artifact):
         bits = drawn_bits(draws, "grazing loss", len(scene.pixels), np.uint16)
         ranges, limit, steepest = image.range.reshape(-1), self.share * 65536, np.float32(math.radians(self.from_deg))
         if use_compiled():
-            _loops().lose_steep(ranges, scene.pixels, bits, np.uint32(math.ceil(limit)), scene.incidence, steepest)
+            compiled_forms().lose_steep(
+                ranges, scene.pixels, bits, np.uint32(math.ceil(limit)), scene.incidence, steepest
+            )
             return
         lost = (bits < limit) & (scene.incidence > steepest)
         ranges[scene.pixels[lost]] = 0
@@ -302,7 +303,7 @@ class EdgeLoss(Artifact):
         bits = drawn_bits(draws, "edge loss", len(scene.pixels), np.uint16)
         ranges, limit, marked = image.range.reshape(-1), self.share * 65536, edge.reshape(-1)
         if use_compiled():
-            _loops().lose_marked(ranges, scene.pixels, bits, np.uint32(math.ceil(limit)), marked)
+            compiled_forms().lose_marked(ranges, scene.pixels, bits, np.uint32(math.ceil(limit)), marked)
             return
         lost = (bits < limit) & marked[scene.pixels]
         ranges[scene.pixels[lost]] = 0
@@ -320,7 +321,7 @@ def _lose_first(
     if count:
         limit = np.partition(values, count - 1)[count - 1]
         if use_compiled():
-            _loops().mark_below(pixels, values, limit, count, lost[box])
+            compiled_forms().mark_below(pixels, values, limit, count, lost[box])
             return lost
         gone = values < limit
         gone[np.flatnonzero(values == limit)[: count - np.count_nonzero(gone)]] = True
@@ -345,8 +346,3 @@ def _check_share(share: float) -> None:
 def _check_order(low: float, high: float) -> None:
     if low > high:
         raise BadConfig(f"shares of lost pixels must satisfy low <= high, found low {low} and high {high}")
-
-
-def _loops() -> Any:
-    """The compiled forms; they load numba, so not before they are used."""
-    return import_module("bodyseg_data.artifacts.sensor_loops")

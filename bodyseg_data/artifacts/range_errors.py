@@ -9,15 +9,14 @@ between two surfaces, and sensors round what they write. Stereo and structured l
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.noise import as_range, drawn_bits, drawn_normals
-from bodyseg_data.artifacts.surface import grazing, widened
+from bodyseg_data.artifacts.surface import compiled_forms, grazing, widened
 from bodyseg_data.core import BadConfig, Draws, bounded, check_fields, one_of
 from bodyseg_data.machine import use_compiled
 from bodyseg_data.rigs import Rig
@@ -58,7 +57,7 @@ class AxialNoise(Artifact):
         if use_compiled():
             terms = tuple(map(np.float32, (self.constant_mm, self.quadratic_mm, self.from_m, self.grazing_mm)))
             compiled = np.empty_like(range_m)
-            _loops().axial_sigma(range_m, angle, terms, round(2 * self.grazing_power), compiled)
+            compiled_forms().axial_sigma(range_m, angle, terms, round(2 * self.grazing_power), compiled)
             return compiled
         away = range_m - np.float32(self.from_m)
         root = np.sqrt(range_m)
@@ -111,7 +110,7 @@ class LateralNoise(Artifact):
                 (np.float32(self.constant_px), np.float32(self.grazing_px)),
             )
             given = flat, clean.shape[1], pixels, scene.incidence, terms, normals
-            _loops().beside(
+            compiled_forms().beside(
                 image.range.reshape(-1), image.labels.reshape(-1), *given, np.empty((2, len(pixels)), np.uint16)
             )
             return
@@ -156,7 +155,7 @@ class MixedPixels(Artifact):
         if use_compiled():
             flat, steps = image.range.reshape(-1), np.ascontiguousarray(scene.sample.range).reshape(-1)
             limits = self.share * 65536, behind, self.jump_mm, scene.step_m
-            _loops().mix(flat, steps, image.range.shape[1], scene.pixels, bits, *limits)
+            compiled_forms().mix(flat, steps, image.range.shape[1], scene.pixels, bits, *limits)
             return
         clean = scene.sample.range.astype(np.int64)
         seen = np.pad(np.where(clean > 0, clean, behind), 1)
@@ -189,7 +188,7 @@ class RangeRounding(Artifact):
         steps = self.step_mm / 1000 / scene.step_m
         ranges = image.range.reshape(-1)
         if use_compiled():
-            _loops().round_ranges(ranges, steps)
+            compiled_forms().round_ranges(ranges, steps)
             return
         pixels = np.flatnonzero(ranges)
         ranges[pixels] = as_range(np.maximum(np.rint(ranges[pixels] / steps), 1) * steps)
@@ -248,7 +247,7 @@ class DisparityRounding(Artifact):
         scale = focal_baseline(scene.rig, self.focal_px, self.baseline_m) / self.step_px / scene.step_m
         ranges = image.range.reshape(-1)
         if use_compiled():
-            _loops().round_disparities(ranges, scale)
+            compiled_forms().round_disparities(ranges, scale)
             return
         pixels = np.flatnonzero(ranges)
         disparity: NDArray[np.float64] = np.rint(scale / ranges[pixels])
@@ -270,7 +269,7 @@ def add_gaussian(image: RangeImage, scene: Scene, draws: Draws, purpose: str, si
     ranges, pixels = image.range.reshape(-1), scene.pixels
     normals = drawn_normals(draws, purpose, len(pixels))
     if use_compiled():
-        _loops().add_gaussian(ranges, pixels, normals, sigma_m, np.float32(scene.step_m))
+        compiled_forms().add_gaussian(ranges, pixels, normals, sigma_m, np.float32(scene.step_m))
         return
     before = ranges[pixels]
     steps = normals * (sigma_m / np.float32(scene.step_m))
@@ -283,8 +282,3 @@ def focal_baseline(rig: Rig, focal_px: float | None, baseline_m: float | None) -
     if scale == 0:
         raise BadConfig(f"rig {rig.name} has no baseline: give the sensor's as 'baseline_m'")
     return scale
-
-
-def _loops() -> Any:
-    """The compiled forms; they load numba, so not before they are used."""
-    return import_module("bodyseg_data.artifacts.sensor_loops")

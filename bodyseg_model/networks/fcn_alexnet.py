@@ -8,7 +8,7 @@ and a bilinear kernel of 63 = 2 * 32 - 1 belongs to 32: upfeat has a stride of 3
 padding: as in Caffe's FCN-AlexNet, conv1 is padded by 100, so that images of any size get scores, which are cropped.
 
 Training may start from AlexNet's published weights, in a file that the user has: `import_alexnet` reads
-`bvlc_alexnet.caffemodel` (either of Caffe's layer formats) or as `bvlcalexnet-12.onnx` of the ONNX model zoo. Both are
+`bvlc_alexnet.caffemodel` (either of Caffe's layer formats) or `bvlcalexnet-12.onnx` of the ONNX model zoo. Both are
 Protocol Buffers, of which a few fields are read; nothing in the file is run.
 """
 
