@@ -32,8 +32,6 @@ _MARGIN: Final = 1  # the test computes in single precision, which is off by far
 Range = NDArray[np.uint16]
 Ints = NDArray[np.int32]
 
-_SIGHT_MARGIN: Final = np.float32(1)  # the test interpolates in single precision, which is off by far less than a step
-
 Ranges = Callable[[NDArray[np.intp]], NDArray[np.uint16]]
 """Texels [N], row * columns + column, ascending -> projector ranges, uint16 [N], in steps."""
 
@@ -70,7 +68,7 @@ def exact_range(
     for shift in (1, width, width + 1):
         np.minimum(nearest, texels[shift:].take(start), out=nearest)
     behind = np.minimum(away - np.float32(1), FARTHEST_STEPS) - nearest
-    image[~_footprint(start[behind > test.gap_steps - _SIGHT_MARGIN], image.shape)] = 0
+    image[~_footprint(start[behind > test.gap_steps - _MARGIN], image.shape)] = 0
     return image, x, y, away
 
 

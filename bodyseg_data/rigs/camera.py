@@ -23,7 +23,7 @@ from bodyseg_data.core import BadConfig, Table, check_fields
 
 MODEL: Final = "brown_conrady"
 
-_LARGEST: Final = 1e6
+_LARGEST_COEFFICIENT: Final = 1e6
 
 Floats = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ _MAX_FOCAL_PX: Final = 1e6
 _MAX_DISTANCE_M: Final = 100.0
 _MAX_ROLL_DEG: Final = 180.0
 _LEAST_ACROSS: Final = 1e-6
-_CHECKED: Final = 65  # nodes a side at which distortion is checked
+_CHECKED_NODES: Final = 65  # nodes a side at which distortion is checked
 
 Vector = tuple[float, float, float]
 
@@ -88,7 +88,7 @@ class Camera:
                 f"a camera must not look straight up or down, along its 'up', found an axis of {axis.tolist()} "
                 f"and up {list(self.up)}"
             )
-        if self.distortion is not None and not self.distortion.is_one_to_one(*self._image_plane(_CHECKED)):
+        if self.distortion is not None and not self.distortion.is_one_to_one(*self._image_plane(_CHECKED_NODES)):
             raise BadConfig(f"lens distortion must not fold the image over, found {self.distortion}")
 
     @property
@@ -199,8 +199,10 @@ class Distortion:
     def __post_init__(self) -> None:
         check_fields(self)
         for name, value in asdict(self).items():
-            if not abs(value) <= _LARGEST:
-                raise BadConfig(f"a coefficient of distortion must be at most {_LARGEST:g}, found {name} = {value:g}")
+            if not abs(value) <= _LARGEST_COEFFICIENT:
+                raise BadConfig(
+                    f"a coefficient of distortion must be at most {_LARGEST_COEFFICIENT:g}, found {name} = {value:g}"
+                )
 
     def apply(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         """Return where the lens draws directions (x, y, 1), at z = 1; all float64 of one shape."""

@@ -104,7 +104,7 @@ def bag_recording(path: Path, bag: Bag, topic: str | None, step_m: float | None)
         if len(chosen) > 1:
             raise BadConfig(f"several topics have range images, choose one by --topic: {_listed(chosen)} ({path})")
     (found,) = chosen[:1]
-    first = _first(bag, found)
+    first = _first_message(bag, found)
     floating = first is not None and is_floating(first, found.kind)
     return stored_recording(
         path,
@@ -142,11 +142,11 @@ class _Images(FrameSource):
 
 
 def _has_ranges(bag: Bag, topic: Topic) -> bool:
-    first = _first(bag, topic)
+    first = _first_message(bag, topic)
     return first is not None and is_range_image(first, topic.kind)
 
 
-def _first(bag: Bag, topic: Topic) -> Any:
+def _first_message(bag: Bag, topic: Topic) -> Any:
     """The first of the first ten messages that can be read, or None."""
     for index in range(min(10, len(topic.times_ns))):
         try:
@@ -161,7 +161,7 @@ def _stored_step(bag: Bag, topic: Topic) -> float | None:
     sensor = topic.name.split("/")[:3]
     name = "/".join([*sensor, _UNITS_TOPIC])
     units = next((each for each in bag.topics if each.name == name and each.kind == FLOAT32), None)
-    value = _first(bag, units) if units is not None else None
+    value = _first_message(bag, units) if units is not None else None
     return float(value.data) if value is not None and 1e-6 <= value.data <= 0.1 else None
 
 
@@ -213,14 +213,14 @@ def decompressed(data: bytes) -> bytes:
     """
     if data.startswith(_BZ2):
         bzip2 = bz2.BZ2Decompressor()
-        return _joined(data, bzip2.decompress, lambda: bzip2.eof or bzip2.needs_input)
+        return _decompressed_pieces(data, bzip2.decompress, lambda: bzip2.eof or bzip2.needs_input)
     if data.startswith(_LZ4):
         try:
             from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
         except ImportError as error:
             raise missing(error) from error
         lz4 = LZ4FrameDecompressor()
-        return _joined(data, lz4.decompress, lambda: lz4.eof or lz4.needs_input)
+        return _decompressed_pieces(data, lz4.decompress, lambda: lz4.eof or lz4.needs_input)
     if data.startswith(_ZSTD):
         with zstandard.ZstdDecompressor().stream_reader(data) as reader:
             done = False
@@ -231,11 +231,11 @@ def decompressed(data: bytes) -> bytes:
                 done = not piece
                 return piece
 
-            return _joined(b"", read, lambda: done)
+            return _decompressed_pieces(b"", read, lambda: done)
     return bytes(data)
 
 
-def _joined(data: bytes, decompress: Callable[[bytes, int], bytes], done: Callable[[], bool]) -> bytes:
+def _decompressed_pieces(data: bytes, decompress: Callable[[bytes, int], bytes], done: Callable[[], bool]) -> bytes:
     """Decompress in pieces, because libraries allocate all that they may return. Raises ValueError beyond the limit."""
     pieces = [decompress(data, _PIECE)]
     size = len(pieces[0])
@@ -266,7 +266,7 @@ def is_floating(message: Any, kind: str) -> bool:
 
 def pixels(message: Any, kind: str) -> NDArray[Any]:
     """Decode an image message: uint16 or float32 [H, W], steps or metres. Raises BadConfig."""
-    return _compressed(message) if kind == COMPRESSED else _plain(message)
+    return _compressed_image(message) if kind == COMPRESSED else _plain_image(message)
 
 
 def stamp(message: Any) -> Stamp:
@@ -275,7 +275,7 @@ def stamp(message: Any) -> Stamp:
     return Stamp(int(time.sec) * 10**9 + int(time.nanosec), str(message.header.frame_id))
 
 
-def _plain(message: Any) -> NDArray[Any]:
+def _plain_image(message: Any) -> NDArray[Any]:
     if message.encoding not in ENCODINGS:
         raise BadConfig(f"an image must have one of the encodings {', '.join(ENCODINGS)}, found {message.encoding!r}")
     kind = np.dtype(np.float32 if message.encoding == _METRES else np.uint16)
@@ -292,7 +292,7 @@ def _plain(message: Any) -> NDArray[Any]:
     return np.ascontiguousarray(row).view(kind).astype(kind.newbyteorder("="))
 
 
-def _compressed(message: Any) -> NDArray[Any]:
+def _compressed_image(message: Any) -> NDArray[Any]:
     data, text = bytes(message.data), str(message.format)
     found = encoding(message, COMPRESSED)
     if found not in ENCODINGS:
