@@ -1,13 +1,9 @@
-"""Pixels lost together, as sensors lose them: whole patches, stripes, and surfaces seen at grazing angles.
+"""Pixels lost together, as sensors lose them: patches, stripes, and surfaces that lie along the ray or end there.
 
 Missing data as in the paper (`missing_data.py`) is lost pixel by pixel. Here neighbouring pixels are lost: dark cloth
 that returns no light, bands of a body that moved between two fringe patterns, and flanks that lie almost along the
-camera's ray. Each function loses exactly the given share, to the nearest pixel, and a larger share of the same image
-and draws loses the same pixels and more.
-
-Pixels lost together: patches that return no light, and stripes of the projected code.
-
-Pixels lost for how the surface lies: seen at grazing incidence, or beside an edge.
+camera's ray. `lost` and the functions it calls lose exactly the given share, to the nearest pixel, and a larger share
+of the same image and draws loses the same pixels and more.
 """
 
 from __future__ import annotations
@@ -16,15 +12,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
-from importlib import import_module
-from typing import Any, ClassVar, Final, Literal
+from typing import ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.noise import drawn_bits
-from bodyseg_data.artifacts.surface import Box, box_of, silhouettes, slants, widened
+from bodyseg_data.artifacts.surface import Box, box_of, compiled_forms, silhouettes, slants, widened
 from bodyseg_data.core import BadConfig, Draws, bounded, check_fields, units
 from bodyseg_data.labels import PARTS
 from bodyseg_data.machine import use_compiled
@@ -37,6 +32,8 @@ LONGEST: Final = 2.0
 """How many times as long as wide a patch may be, or as wide as long."""
 FEWEST_STRIPES: Final = 2
 MOST_STRIPES: Final = 12
+
+_LABELS: Final = {part.landmark: part.label for part in PARTS}
 
 
 @dataclass(frozen=True)
@@ -117,7 +114,7 @@ def _least_sums(
     """The least sum at each pixel, [N], of a `down` [h] at its row and of the `along` [w] at its column."""
     if use_compiled():
         values = np.empty(len(pixels), np.float32)
-        _loops().least_sums(pixels, len(along[0]), np.stack(down), np.stack(along), values)
+        compiled_forms().least_sums(pixels, len(along[0]), np.stack(down), np.stack(along), values)
         return values
     sums = (rows[:, None] + columns for rows, columns in zip(down, along, strict=True))
     least: NDArray[np.float32] = reduce(np.minimum, sums)
@@ -169,44 +166,6 @@ def lost_grazing(range_image: NDArray[np.uint16], share: float, camera: Camera) 
     pixels = np.flatnonzero(range_image[box] != 0)
     order = -slants(range_image, camera, box)
     return _lose_first(range_image.shape, box, pixels, order.ravel()[pixels], share)
-
-
-def _lose_first(
-    shape: tuple[int, ...], box: Box, pixels: NDArray[np.intp], values: NDArray[np.float32], share: float
-) -> NDArray[np.bool_]:
-    """Mark the share of the foreground with the lowest values, bool [H, W]; of equal pixels the first ones.
-
-    pixels: those of the foreground, flat indices in the box, [N]; values: of each.
-    """
-    lost = np.zeros(shape, np.bool_)
-    count = _rounded(share, len(pixels))
-    if count:
-        limit = np.partition(values, count - 1)[count - 1]
-        if use_compiled():
-            _loops().mark_below(pixels, values, limit, count, lost[box])
-            return lost
-        gone = values < limit
-        gone[np.flatnonzero(values == limit)[: count - np.count_nonzero(gone)]] = True
-        rows, columns = np.divmod(pixels[gone], lost[box].shape[1])
-        lost[box][rows, columns] = True
-    return lost
-
-
-def _rounded(share: float, pixels: int) -> int:
-    return math.floor(share * pixels + 0.5)
-
-
-def _loops() -> Any:
-    """The compiled forms; they load numba, so not before they are used."""
-    return import_module("bodyseg_data.artifacts.sensor_loops")
-
-
-def _check_share(share: float) -> None:
-    if not 0 <= share <= 1:
-        raise BadConfig(f"the share of lost pixels must be from 0 to 1, found {share}")
-
-
-_LABELS: Final = {part.landmark: part.label for part in PARTS}
 
 
 @dataclass(frozen=True)
@@ -288,15 +247,6 @@ def code_lines(rig: Rig) -> Literal["rows", "columns"]:
     return "columns" if abs(x) >= abs(y) else "rows"
 
 
-def _share(low: float, high: float, chance: float) -> float:
-    return low + (high - low) * chance
-
-
-def _check_order(low: float, high: float) -> None:
-    if low > high:
-        raise BadConfig(f"shares of lost pixels must satisfy low <= high, found low {low} and high {high}")
-
-
 @dataclass(frozen=True)
 class GrazingLoss(Artifact):
     """Pixels whose surface is seen at more than `from_deg` from its normal, lost each with probability `share`.
@@ -319,7 +269,7 @@ class GrazingLoss(Artifact):
         bits = drawn_bits(draws, "grazing loss", len(scene.pixels), np.uint16)
         ranges, limit, steepest = image.range.reshape(-1), self.share * 65536, np.float32(math.radians(self.from_deg))
         if use_compiled():
-            _surface_loops().lose_steep(
+            compiled_forms().lose_steep(
                 ranges, scene.pixels, bits, np.uint32(math.ceil(limit)), scene.incidence, steepest
             )
             return
@@ -353,12 +303,46 @@ class EdgeLoss(Artifact):
         bits = drawn_bits(draws, "edge loss", len(scene.pixels), np.uint16)
         ranges, limit, marked = image.range.reshape(-1), self.share * 65536, edge.reshape(-1)
         if use_compiled():
-            _surface_loops().lose_marked(ranges, scene.pixels, bits, np.uint32(math.ceil(limit)), marked)
+            compiled_forms().lose_marked(ranges, scene.pixels, bits, np.uint32(math.ceil(limit)), marked)
             return
         lost = (bits < limit) & marked[scene.pixels]
         ranges[scene.pixels[lost]] = 0
 
 
-def _surface_loops() -> Any:
-    """The compiled forms; they load numba, so not before they are used."""
-    return import_module("bodyseg_data.artifacts.sensor_loops")
+def _lose_first(
+    shape: tuple[int, ...], box: Box, pixels: NDArray[np.intp], values: NDArray[np.float32], share: float
+) -> NDArray[np.bool_]:
+    """Mark the share of the foreground with the lowest values, bool [H, W]; of equal pixels the first ones.
+
+    pixels: those of the foreground, flat indices in the box, [N]; values: of each.
+    """
+    lost = np.zeros(shape, np.bool_)
+    count = _rounded(share, len(pixels))
+    if count:
+        limit = np.partition(values, count - 1)[count - 1]
+        if use_compiled():
+            compiled_forms().mark_below(pixels, values, limit, count, lost[box])
+            return lost
+        gone = values < limit
+        gone[np.flatnonzero(values == limit)[: count - np.count_nonzero(gone)]] = True
+        rows, columns = np.divmod(pixels[gone], lost[box].shape[1])
+        lost[box][rows, columns] = True
+    return lost
+
+
+def _rounded(share: float, pixels: int) -> int:
+    return math.floor(share * pixels + 0.5)
+
+
+def _share(low: float, high: float, chance: float) -> float:
+    return low + (high - low) * chance
+
+
+def _check_share(share: float) -> None:
+    if not 0 <= share <= 1:
+        raise BadConfig(f"the share of lost pixels must be from 0 to 1, found {share}")
+
+
+def _check_order(low: float, high: float) -> None:
+    if low > high:
+        raise BadConfig(f"shares of lost pixels must satisfy low <= high, found low {low} and high {high}")

@@ -1,8 +1,7 @@
-"""Philox's raw words, compiled: those that `np.random.Philox(key=...).random_raw` gives, in half the time.
+"""Random words and standard normals, compiled: the bits of NumPy's Philox and of `noise.normals`.
 
-Salmon et al., "Parallel random numbers: as easy as 1, 2, 3" (2011), Philox4x64-10; constants are theirs.
-
-Standard normals from random words, compiled: the bits of `noise.normals`.
+The words are those that `np.random.Philox(key=...).random_raw` gives, in half the time: Philox4x64-10 of Salmon et al.,
+"Parallel random numbers: as easy as 1, 2, 3" (2011), with their constants.
 """
 
 from __future__ import annotations
@@ -29,6 +28,9 @@ _WEYL_0: Final = np.uint64(0x9E3779B97F4A7C15)
 _WEYL_1: Final = np.uint64(0xBB67AE8584CAA73B)
 _NONE, _ONE, _WORDS = np.uint64(0), np.uint64(1), np.uint64(4)
 
+_HALF: Final = np.float32(0.5)
+_kernel = partial(compiled, feature="the compiled form of the artifacts")
+
 
 def _multiply(typing: Any, a: Any, b: Any) -> Any:
     """The upper and lower 64 bits of a product: one instruction, which Python's arithmetic cannot ask for."""
@@ -45,7 +47,8 @@ def _multiply(typing: Any, a: Any, b: Any) -> Any:
 _product: Any = intrinsic(_multiply)
 
 
-def _raw_words(key_0: Any, key_1: Any, first: Any, count: Any, words: Any) -> None:
+@_kernel
+def raw_words(key_0: Any, key_1: Any, first: Any, count: Any, words: Any) -> None:
     """Write at least `count` words from number `first` on, a multiple of four; words: uint64, room for the next one."""
     before = np.uint64(first // 4)
     for block in range(np.uint64((count + 3) // 4)):
@@ -65,18 +68,11 @@ def _raw_words(key_0: Any, key_1: Any, first: Any, count: Any, words: Any) -> No
         words[offset + np.uint64(3)] = d
 
 
-raw_words: Any = compiled(_raw_words, "the compiled form of the artifacts")
-
-
 def bits_of(stream: Stream, count: int, kind: type[np.uint16] | type[np.uint32]) -> NDArray[Any]:
     """One draw a pixel, as `randomness.pixel_draws`, [count]."""
     words = np.empty(-(-count * np.dtype(kind).itemsize // 32) * 4, np.uint64)  # whole blocks of four words
     raw_words(stream[0], stream[1], 0, len(words), words)
     return words.view(kind)[:count]
-
-
-_HALF: Final = np.float32(0.5)
-_kernel = partial(compiled, feature="the compiled form of the artifacts")
 
 
 @_kernel

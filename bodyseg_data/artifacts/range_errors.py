@@ -1,64 +1,31 @@
-"""Gaussian errors with a standard deviation for each pixel.
+"""Errors of single ranges, as sensors make them: noise, mixed pixels and rounding.
 
-Axial noise: Gaussian along the optical axis, stronger far away and at grazing incidence.
+Axial noise grows with range and angle of incidence, lateral noise makes silhouettes ragged, mixed (flying) pixels lie
+between two surfaces, and sensors round what they write. Stereo and structured light measure disparities, in pixels:
 
-Lateral noise: pixels that show the surface a little beside them, so that silhouettes are ragged.
-
-Mixed (flying) pixels: at silhouettes a time-of-flight pixel sees two surfaces and reports a range between them.
-
-Ranges rounded to whole steps, as sensors write them.
-
-Errors of triangulation: noise and rounding of the disparity, from which stereo and structured light get the range.
-
-disparity = focal length * baseline / range, pixels.
+    disparity = focal length * baseline / range
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.noise import as_range, drawn_bits, drawn_normals
-from bodyseg_data.artifacts.surface import grazing, widened
+from bodyseg_data.artifacts.surface import compiled_forms, grazing, widened
 from bodyseg_data.core import BadConfig, Draws, bounded, check_fields, one_of
 from bodyseg_data.machine import use_compiled
 from bodyseg_data.rigs import Rig
 
-
-def clean_metres(scene: Scene) -> NDArray[np.float32]:
-    """The clean range of each of the scene's pixels, metres, [N]."""
-    steps = scene.sample.range.reshape(-1)[scene.pixels]
-    return steps.astype(np.float32) * np.float32(scene.step_m)
-
-
-def add_gaussian(image: RangeImage, scene: Scene, draws: Draws, purpose: str, sigma_m: NDArray[np.float32]) -> None:
-    """Add Gaussian noise to the image's range in place, but for lost pixels.
-
-    sigma_m: of each of the scene's pixels, metres, [N]. Rounds to the nearest step and stays within 1 .. 65535, as
-    `noise.add_noise`.
-    """
-    ranges, pixels = image.range.reshape(-1), scene.pixels
-    normals = drawn_normals(draws, purpose, len(pixels))
-    if use_compiled():
-        loops().add_gaussian(ranges, pixels, normals, sigma_m, np.float32(scene.step_m))
-        return
-    before = ranges[pixels]
-    steps = normals * (sigma_m / np.float32(scene.step_m))
-    ranges[pixels] = np.where(before > 0, as_range(before.astype(np.float32) + steps), 0)
-
-
-def loops() -> Any:
-    """The compiled forms; they load numba, so not before they are used."""
-    return import_module("bodyseg_data.artifacts.sensor_loops")
-
-
 POWERS: Final = (-0.5, 0.0, 0.5, 1.0, 1.5, 2.0)
 """Powers of the range that the grazing term may have: roots and products give the same bits on every machine."""
+
+REACH: Final = 3
+"""Rows and columns around the body, pixels, in which background may show it."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +57,7 @@ class AxialNoise(Artifact):
         if use_compiled():
             terms = tuple(map(np.float32, (self.constant_mm, self.quadratic_mm, self.from_m, self.grazing_mm)))
             compiled = np.empty_like(range_m)
-            loops().axial_sigma(range_m, angle, terms, round(2 * self.grazing_power), compiled)
+            compiled_forms().axial_sigma(range_m, angle, terms, round(2 * self.grazing_power), compiled)
             return compiled
         away = range_m - np.float32(self.from_m)
         root = np.sqrt(range_m)
@@ -105,10 +72,6 @@ class AxialNoise(Artifact):
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         """As `Artifact.apply`."""
         add_gaussian(image, scene, draws, "axial noise", self.sigma_m(clean_metres(scene), scene.incidence))
-
-
-REACH: Final = 3
-"""Rows and columns around the body, pixels, in which background may show it."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +110,7 @@ class LateralNoise(Artifact):
                 (np.float32(self.constant_px), np.float32(self.grazing_px)),
             )
             given = flat, clean.shape[1], pixels, scene.incidence, terms, normals
-            loops().beside(
+            compiled_forms().beside(
                 image.range.reshape(-1), image.labels.reshape(-1), *given, np.empty((2, len(pixels)), np.uint16)
             )
             return
@@ -192,7 +155,7 @@ class MixedPixels(Artifact):
         if use_compiled():
             flat, steps = image.range.reshape(-1), np.ascontiguousarray(scene.sample.range).reshape(-1)
             limits = self.share * 65536, behind, self.jump_mm, scene.step_m
-            loops().mix(flat, steps, image.range.shape[1], scene.pixels, bits, *limits)
+            compiled_forms().mix(flat, steps, image.range.shape[1], scene.pixels, bits, *limits)
             return
         clean = scene.sample.range.astype(np.int64)
         seen = np.pad(np.where(clean > 0, clean, behind), 1)
@@ -225,7 +188,7 @@ class RangeRounding(Artifact):
         steps = self.step_mm / 1000 / scene.step_m
         ranges = image.range.reshape(-1)
         if use_compiled():
-            loops().round_ranges(ranges, steps)
+            compiled_forms().round_ranges(ranges, steps)
             return
         pixels = np.flatnonzero(ranges)
         ranges[pixels] = as_range(np.maximum(np.rint(ranges[pixels] / steps), 1) * steps)
@@ -284,11 +247,33 @@ class DisparityRounding(Artifact):
         scale = focal_baseline(scene.rig, self.focal_px, self.baseline_m) / self.step_px / scene.step_m
         ranges = image.range.reshape(-1)
         if use_compiled():
-            loops().round_disparities(ranges, scale)
+            compiled_forms().round_disparities(ranges, scale)
             return
         pixels = np.flatnonzero(ranges)
         disparity: NDArray[np.float64] = np.rint(scale / ranges[pixels])
         ranges[pixels] = np.where(disparity > 0, as_range(scale / np.maximum(disparity, 1)), 0)
+
+
+def clean_metres(scene: Scene) -> NDArray[np.float32]:
+    """The clean range of each of the scene's pixels, metres, [N]."""
+    steps = scene.sample.range.reshape(-1)[scene.pixels]
+    return steps.astype(np.float32) * np.float32(scene.step_m)
+
+
+def add_gaussian(image: RangeImage, scene: Scene, draws: Draws, purpose: str, sigma_m: NDArray[np.float32]) -> None:
+    """Add Gaussian noise to the image's range in place, but for lost pixels.
+
+    sigma_m: of each of the scene's pixels, metres, [N]. Rounds to the nearest step and stays within 1 .. 65535, as
+    `noise.add_noise`.
+    """
+    ranges, pixels = image.range.reshape(-1), scene.pixels
+    normals = drawn_normals(draws, purpose, len(pixels))
+    if use_compiled():
+        compiled_forms().add_gaussian(ranges, pixels, normals, sigma_m, np.float32(scene.step_m))
+        return
+    before = ranges[pixels]
+    steps = normals * (sigma_m / np.float32(scene.step_m))
+    ranges[pixels] = np.where(before > 0, as_range(before.astype(np.float32) + steps), 0)
 
 
 def focal_baseline(rig: Rig, focal_px: float | None, baseline_m: float | None) -> float:

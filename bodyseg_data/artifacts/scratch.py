@@ -12,8 +12,7 @@ CHUNK: Final = 2048
 """How many foreground pixels the loops handle at a time: what they need then stays in the first cache."""
 
 BLOCK: Final = 32
-"""How many of them, at most, share the bounds of their texels (`bounds.bound_pieces`)."""
-
+"""How many of them, at most, share the bounds of their texels (`shadow_loops.bound_pieces`)."""
 
 ROOM: Final = CHUNK + BLOCK
 """The distance of rows in flat arrays of numbers of points: the compiler takes a whole block at once, also the last."""

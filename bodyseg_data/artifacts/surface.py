@@ -84,7 +84,7 @@ def incidence(range_image: NDArray[np.uint16], camera: Camera, pixels: NDArray[n
     range_image: clean, uint16 [H, W], 0 is background. pixels: flat indices of the foreground in reading order, [N].
     """
     if use_compiled():
-        found: NDArray[np.float32] = _loops().incidence(range_image, camera, pixels)
+        found: NDArray[np.float32] = compiled_forms().incidence(range_image, camera, pixels)
         return found
     box = box_of(range_image)
     if box is None:
@@ -109,7 +109,7 @@ def silhouettes(range_image: NDArray[np.uint16], jump: float) -> NDArray[np.bool
     the image's border is none.
     """
     if use_compiled():
-        found: NDArray[np.bool_] = _loops().silhouettes(range_image, jump)
+        found: NDArray[np.bool_] = compiled_forms().silhouettes(range_image, jump)
         return found
     z = range_image.astype(np.int32)
     marked = np.zeros(z.shape, np.bool_)
@@ -127,7 +127,7 @@ def silhouettes(range_image: NDArray[np.uint16], jump: float) -> NDArray[np.bool
 def widened(marked: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
     """Mark all pixels at most `pixels` rows and columns away from a marked one, [H, W]."""
     if use_compiled():
-        compiled: NDArray[np.bool_] = _loops().widened(marked, pixels)
+        compiled: NDArray[np.bool_] = compiled_forms().widened(marked, pixels)
         return compiled
     found = marked.copy()
     for _ in range(pixels):
@@ -140,6 +140,6 @@ def widened(marked: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
     return found
 
 
-def _loops() -> Any:
+def compiled_forms() -> Any:
     """The compiled forms; they load numba, so not before they are used."""
     return import_module("bodyseg_data.artifacts.sensor_loops")

@@ -1,8 +1,7 @@
-"""Access to the body model Anny: its axes, loading, and errors of its cache.
+"""The body model Anny, evaluated for one body at a time: surfaces of figures, and people to be posed in NumPy.
 
-A person's surface and skeleton, posed by linear skinning in NumPy in a few milliseconds.
-
-The body model Anny, evaluated for one body at a time: surfaces of figures, and people to be posed in NumPy.
+A person's surface and skeleton are posed by linear skinning in a few milliseconds. Anny keeps its parsed data in a
+cache, whose faults are one clear line here.
 """
 
 from __future__ import annotations
@@ -33,6 +32,11 @@ if TYPE_CHECKING:
 
 BODY_FROM_ANNY: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 """From Anny's axes (x left, -y front, z up) to the body frame."""
+
+Floats = NDArray[np.float64]
+
+_DECIMALS: Final = 6
+_CROWN_M: Final = 0.06  # generous: the highest and lowest vertices of people differ by far less in height
 
 
 def no_anny(error: ImportError) -> MissingLibrary:
@@ -151,9 +155,6 @@ def _cache_faults() -> Iterator[None]:
         ) from error
 
 
-Floats = NDArray[np.float64]
-
-
 @dataclass(frozen=True)
 class Posable:
     """A person's skeleton in its reference pose, and the surface as it was modelled; metres, body frame.
@@ -208,10 +209,6 @@ class Posable:
         moved: Floats = np.einsum("vij,vj->vi", blended, self.modelled)
         moved += np.einsum("vk,vki->vi", self.weights, shifts[self.skin])
         return moved
-
-
-_DECIMALS: Final = 6
-_CROWN_M: Final = 0.06  # generous: the highest and lowest vertices of people differ by far less in height
 
 
 @dataclass(frozen=True)

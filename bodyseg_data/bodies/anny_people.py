@@ -1,8 +1,7 @@
-"""583 different people: the body parameters of each, computed from the person's number alone.
+"""583 different people, computed from their numbers alone, and the 71 postures of one person.
 
-List of the 71 postures of one person: key postures, their mirror images, and blends of pairs.
-
-The last 14 are for testing: they come from key postures that no training posture uses.
+Postures are key postures, their mirror images, and blends of pairs. The last 14 are for testing: they come from key
+postures that no training posture uses.
 """
 
 from __future__ import annotations

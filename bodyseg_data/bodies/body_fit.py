@@ -1,9 +1,9 @@
-"""Arms and legs to try for a fitted body: a grid over the ranges of shoulder, elbow, hip, knee and ankle.
-
-Fitting the open body to a surface: gradient steps from a start, and the distance that remains.
+"""Fitting the open body to a surface: gradient steps from a start, and the distance that remains.
 
 A point's match is the nearest one in (position, reach x normal, reach x mean geodesic distance). So a chest is not
 matched with a back, nor a hand with a hip.
+
+Arms and legs to try are a grid over the ranges of shoulder, elbow, hip, knee and ankle.
 """
 
 from __future__ import annotations

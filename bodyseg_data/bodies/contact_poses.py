@@ -1,6 +1,6 @@
-"""Tasks of an arm: a place on the body, the other hand, the floor, the seat, the air before the body, or none.
+"""Everyday poses of one person: a stance, then each arm sent to a place, rejected where skin meets skin.
 
-Sampler of everyday poses of one person: a stance, then each arm sent to a place, rejected where skin meets skin.
+An arm goes to a place on the body, the other hand, the floor, the seat, the air before the body, or none.
 """
 
 from __future__ import annotations
@@ -90,6 +90,22 @@ _RELAXED: Final[Ranges] = {
     "flex": (-20, 30), "abduct": (6, 24), "twist": (-25, 10), "elbow": (5, 50), "supinate": (-40, 20),
     "wrist": (-10, 15),
 }  # fmt: skip
+
+DEEPEST_M: Final = 0.012
+"""Depth of skin in skin beyond which a pose is rejected."""
+
+_MISS_M: Final = 0.02  # of a foot or hand from its place
+_PRESSED_M: Final = 0.01  # by which flesh gives way on the floor
+_BELOW_M: Final = 0.015  # below the floor, beyond which a pose is rejected
+_ATTEMPTS: Final = 40
+_ARM_TRIES: Final = 8
+_SAME_KIND: Final = 4  # tries, before an arm is given another kind of task
+_ALIKE: Final = 0.4  # chance that both arms, or legs with one task, have the same angles where they can
+_CENTRE: Final = 0.8  # of the way from pelvis to chest is above the feet of those who keep their balance
+_STRETCHED: Final = 0.985  # of a leg's length, the most between hip and sole
+_KNEE_M: Final = 0.03  # from a knee's centre to the floor under it
+_PAIRS: Final = 10
+_SHOULDER_M: Final = 0.05  # by which shoulder and hip may be below the floor that the trunk lies on
 
 
 @dataclass(frozen=True)
@@ -202,23 +218,6 @@ def _in_the_air(body: ArmSurroundings, draws: np.random.Generator) -> ArmTask:
     own = body.places.on("palm", body.side)
     goal = Goal(int(own[len(own) // 2]), body.chest + body.chest_turn @ reach, ALL_AXES)
     return ArmTask("in the air", [goal], uniform(draws, 0, 1), tuple(_PRESETS.values()), ARM)
-
-
-DEEPEST_M: Final = 0.012
-"""Depth of skin in skin beyond which a pose is rejected."""
-
-_MISS_M: Final = 0.02  # of a foot or hand from its place
-_PRESSED_M: Final = 0.01  # by which flesh gives way on the floor
-_BELOW_M: Final = 0.015  # below the floor, beyond which a pose is rejected
-_ATTEMPTS: Final = 40
-_ARM_TRIES: Final = 8
-_SAME_KIND: Final = 4  # tries, before an arm is given another kind of task
-_ALIKE: Final = 0.4  # chance that both arms, or legs with one task, have the same angles where they can
-_CENTRE: Final = 0.8  # of the way from pelvis to chest is above the feet of those who keep their balance
-_STRETCHED: Final = 0.985  # of a leg's length, the most between hip and sole
-_KNEE_M: Final = 0.03  # from a knee's centre to the floor under it
-_PAIRS: Final = 10
-_SHOULDER_M: Final = 0.05  # by which shoulder and hip may be below the floor that the trunk lies on
 
 
 @dataclass(frozen=True)

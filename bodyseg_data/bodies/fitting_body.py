@@ -1,14 +1,11 @@
-"""Points of a surface with their normals and mean geodesic distances, as landmark fitting matches them.
-
-Lengths of limbs and trunk as further shapes of the fitted body: people differ in them more than the open body's do.
-
-A segment runs from the head of one bone to that of another; what hangs from it moves along with its end.
-
-Differentiable model of the open body: a few parameters to points, normals and landmarks, with gradients.
+"""Differentiable model of the open body: a few parameters to points, normals and landmarks, with gradients.
 
 Anny's own forward pass would take a hundred times as long. Here shapes are principal components of people, with a
-standard deviation of 1 each; joints turn as in `bodies.anny.skeleton`; skin follows bones as in Anny (linear blend
-skinning). All in the body frame, metres, float64.
+standard deviation of 1 each, and lengths of limbs and trunk, in which people differ more than the open body's do: what
+hangs from a segment, from the head of one bone to that of another, moves along with its end. Joints turn as in
+`skeleton`; skin follows bones as in Anny (linear blend skinning). All in the body frame, metres, float64.
+
+Surfaces are matched by points with their normals and mean geodesic distances.
 """
 
 from __future__ import annotations
@@ -30,6 +27,27 @@ FEATURE: Final = "proposing landmarks"
 
 _CELL_M: Final = 0.01  # finer details change no distance across a body, and doubled vertices and cracks close
 _SOURCES: Final = 24
+
+Tensor = torch.Tensor
+
+_SEGMENTS: Final = (
+    ("spine05", "neck01", 0.05),
+    ("neck01", "head", 0.15),
+    ("clavicle", "upperarm01", 0.08),
+    ("upperarm01", "lowerarm01", 0.06),
+    ("lowerarm01", "wrist", 0.06),
+    ("wrist", "finger3-3", 0.08),
+    ("upperleg01", "lowerleg01", 0.05),
+    ("lowerleg01", "foot", 0.05),
+    ("foot", "toe3-1", 0.08),
+)
+"""First bone, bone at the end, both without the side, and the standard deviation as a share of the length."""
+
+_PEOPLE: Final = 96
+_SHAPES: Final = 14
+_POINTS: Final = 2400
+
+_CURL: Final = ((1, 1.08), (2, 1.31), (3, 0.79))  # as in a fist, radians
 
 
 @dataclass(frozen=True)
@@ -104,22 +122,6 @@ def farthest(points: NDArray[np.float64], count: int) -> NDArray[np.int64]:
     return chosen
 
 
-Tensor = torch.Tensor
-
-_SEGMENTS: Final = (
-    ("spine05", "neck01", 0.05),
-    ("neck01", "head", 0.15),
-    ("clavicle", "upperarm01", 0.08),
-    ("upperarm01", "lowerarm01", 0.06),
-    ("lowerarm01", "wrist", 0.06),
-    ("wrist", "finger3-3", 0.08),
-    ("upperleg01", "lowerleg01", 0.05),
-    ("lowerleg01", "foot", 0.05),
-    ("foot", "toe3-1", 0.08),
-)
-"""First bone, bone at the end, both without the side, and the standard deviation as a share of the length."""
-
-
 def length_shapes(
     bones: Mapping[str, int], parents: Sequence[int], heads: Tensor, weights: Tensor, rest: Tensor
 ) -> tuple[Tensor, Tensor]:
@@ -163,11 +165,6 @@ def _between(parents: Sequence[int], first: int, last: int) -> set[int]:
         bone = parents[bone]
         chain.add(bone)
     return chain
-
-
-_PEOPLE: Final = 96
-_SHAPES: Final = 14
-_POINTS: Final = 2400
 
 
 @dataclass(frozen=True)
@@ -386,9 +383,6 @@ def _joints(bones: Mapping[str, int], heads: Tensor) -> Joints:
         free({f"lowerleg01.{side}": 1}, 0.06, eye[1:])
         free({f"foot.{side}": 1}, 0.25)
     return Joints(torch.stack(turns), torch.tensor(deviation, dtype=torch.float64))
-
-
-_CURL: Final = ((1, 1.08), (2, 1.31), (3, 0.79))  # as in a fist, radians
 
 
 def _unit(vector: Tensor) -> Tensor:

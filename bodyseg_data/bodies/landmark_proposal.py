@@ -1,6 +1,4 @@
-"""The open body fitted to a mesh: its landmarks on the mesh, and points of the mesh carried back to the open body.
-
-Search for the 33 landmarks of a new body, by fitting the open body to it.
+"""Search for the 33 landmarks of a new body, by fitting the open body to it.
 
 Every posture, turned to face every direction, is placed on the surface by centre and size; the best starts of each
 direction are refined, then tried with other arms and legs; the best fit is refined once more and its landmarks are
@@ -43,6 +41,34 @@ POOR_M: Final = 0.045
 
 _GAP_SHARE: Final = 0.99
 _NORMAL_REACH_M: Final = 0.06  # a surface turned by a right angle counts as 1.4 times this away from a landmark
+
+UPRIGHT: Final = (np.eye(3),)
+"""Tilts of the body's frame to try for a mesh that is upright: none."""
+
+_TURNS: Final = 12  # directions to face that are tried, evenly around
+_STARTS: Final = 16
+_STARTS_FACING: Final = 2  # at most so many that face one direction
+_CANDIDATES: Final = 3
+_CANDIDATE_SHARE: Final = 1.25  # of the best one's distance: worse candidates are dropped
+_FINALISTS: Final = 2
+_APART_DEG: Final = 60.0  # smallest angle between the trunks of two candidates
+_LIMB_TRIES: Final = 2
+_LIMB_APART_M: Final = 0.15  # smallest distance between the hands or feet of two tries
+_FINE_POINTS: Final = 4000
+_POINTS: Final = 1000
+_ROUGH_POINTS: Final = 500
+_CLOSE_IN: Final[tuple[Stage, ...]] = ((40, 0.20, 0.03), (40, 0.10, 0.02))
+_SETTLE: Final[tuple[Stage, ...]] = ((40, 0.10, 0.02), (40, 0.05, 0.012))
+_TRY: Final[tuple[Stage, ...]] = ((30, 0.20, 0.03), (30, 0.10, 0.02))
+_FINISH: Final[tuple[Stage, ...]] = ((60, 0.10, 0.015), (80, 0.05, 0.012))
+
+_LIMBS: Final = (("leg", "L"), ("leg", "R"), ("arm", "LR"), ("arm", "L"), ("arm", "R"))
+"""Limbs to try others for, in turn; hands before the body may be crossed in a fit, and only both arms undo that."""
+
+_BONES: Final = {
+    "arm": ("clavicle", "shoulder", "upperarm", "lowerarm", "wrist", "finger", "metacarpal"),
+    "leg": ("upperleg", "lowerleg", "foot", "toe"),
+}
 
 
 @dataclass(frozen=True)
@@ -146,35 +172,6 @@ def _on_surface(
         chosen.append(next(vertex for vertex in candidates if vertex not in chosen))
     vertices = np.array(chosen, np.int64)
     return vertices, np.linalg.norm(mesh.vertices[vertices] - positions, axis=1)
-
-
-UPRIGHT: Final = (np.eye(3),)
-"""Tilts of the body's frame to try for a mesh that is upright: none."""
-
-_TURNS: Final = 12  # directions to face that are tried, evenly around
-_STARTS: Final = 16
-_STARTS_FACING: Final = 2  # at most so many that face one direction
-_CANDIDATES: Final = 3
-_CANDIDATE_SHARE: Final = 1.25  # of the best one's distance: worse candidates are dropped
-_FINALISTS: Final = 2
-_APART_DEG: Final = 60.0  # smallest angle between the trunks of two candidates
-_LIMB_TRIES: Final = 2
-_LIMB_APART_M: Final = 0.15  # smallest distance between the hands or feet of two tries
-_FINE_POINTS: Final = 4000
-_POINTS: Final = 1000
-_ROUGH_POINTS: Final = 500
-_CLOSE_IN: Final[tuple[Stage, ...]] = ((40, 0.20, 0.03), (40, 0.10, 0.02))
-_SETTLE: Final[tuple[Stage, ...]] = ((40, 0.10, 0.02), (40, 0.05, 0.012))
-_TRY: Final[tuple[Stage, ...]] = ((30, 0.20, 0.03), (30, 0.10, 0.02))
-_FINISH: Final[tuple[Stage, ...]] = ((60, 0.10, 0.015), (80, 0.05, 0.012))
-
-_LIMBS: Final = (("leg", "L"), ("leg", "R"), ("arm", "LR"), ("arm", "L"), ("arm", "R"))
-"""Limbs to try others for, in turn; hands before the body may be crossed in a fit, and only both arms undo that."""
-
-_BONES: Final = {
-    "arm": ("clavicle", "shoulder", "upperarm", "lowerarm", "wrist", "finger", "metacarpal"),
-    "leg": ("upperleg", "lowerleg", "foot", "toe"),
-}
 
 
 def propose(mesh: Mesh, tilts: Sequence[NDArray[np.float64]] = UPRIGHT) -> Proposal:

@@ -1,13 +1,8 @@
-"""Ranges of the joints, and draws within ranges.
-
-One arm or leg of a person: the positions of points of its skin as functions of its joint angles.
-
-The skin as an obstacle: distances of points from it, and how deep limbs go into the rest of the body.
-
-Inverse kinematics of one limb: joint angles that bring points of its skin to goals, within the joints' ranges.
+"""Inverse kinematics of one limb: joint angles that bring points of its skin to goals, within the joints' ranges.
 
 Damped least squares (Levenberg-Marquardt) on the residuals of goals, of points that would go into the body or below the
 floor, and, weakly, of the distance from a preferred posture, which settles what the goals leave open.
+The skin is an obstacle: distances of points from it tell how deep limbs go into the rest of the body.
 """
 
 from __future__ import annotations
@@ -45,6 +40,38 @@ CROSSED_TWIST: Final = (-40.0, 75.0)
 MOST_RAISED: Final = 185.0
 """Sum of an arm's flexion and abduction beyond which the shoulder would have to turn over."""
 
+Floats = NDArray[np.float64]
+Side = Literal["L", "R"]
+
+_MIRROR: Final = np.diag([-1.0, 1.0, 1.0])
+_ARM_BONES: Final = ("clavicle", "shoulder01", "upperarm01", "upperarm02", "lowerarm01", "lowerarm02", "wrist")
+_FINGERS: Final = tuple(
+    bone
+    for finger in range(1, 6)
+    for bone in (f"metacarpal{finger}", *(f"finger{finger}-{part}" for part in (1, 2, 3)))
+)
+_LEG_BONES: Final = ("upperleg01", "upperleg02", "lowerleg01", "lowerleg02", "foot")
+_TOES: Final = tuple(f"toe{toe}-{part}" for toe in range(1, 6) for part in (1, 2, 3))
+_TORSO_BONES: Final = 2  # clavicle and shoulder01, whose skin is the trunk's
+_PROBES: Final = 40
+
+_REACH_M: Final = 0.2  # beyond this, a point's distance is of no interest
+
+GAP_M: Final = 0.004
+"""Gap between skin and skin that touch, and between skin and floor, metres."""
+
+ALL_AXES: Final = np.ones(3)
+"""Axes of a goal that matters alike in all directions."""
+
+_NEAR_M: Final = 0.01  # a point this far from its goal counts as much as one residual
+_FACING: Final = 1.2  # weight of skin that lies flat on its goal
+_PREFERRED_DEG: Final = 90.0  # so far from the preferred posture counts as much as a point 1 cm from its goal
+_RAISED_DEG: Final = 10.0
+_RESTING: Final = 0.7  # weight of the height above the floor of what rests on it, as flesh gives way there
+_ROUNDS: Final = 14
+_STEP_DEG: Final = 0.5
+_DONE: Final = 1e-3  # relative gain of a round below which the search ends
+
 
 def within(ranges: Ranges, draws: np.random.Generator) -> dict[str, Any]:
     """Draw every value uniformly within its range."""
@@ -70,22 +97,6 @@ def chosen(weights: dict[Name, float], draws: np.random.Generator) -> Name:
     """Draw a name with a chance in proportion to its weight."""
     sums = np.cumsum([*weights.values()])
     return [*weights][int(np.searchsorted(sums, draws.random() * sums[-1], side="right"))]
-
-
-Floats = NDArray[np.float64]
-Side = Literal["L", "R"]
-
-_MIRROR: Final = np.diag([-1.0, 1.0, 1.0])
-_ARM_BONES: Final = ("clavicle", "shoulder01", "upperarm01", "upperarm02", "lowerarm01", "lowerarm02", "wrist")
-_FINGERS: Final = tuple(
-    bone
-    for finger in range(1, 6)
-    for bone in (f"metacarpal{finger}", *(f"finger{finger}-{part}" for part in (1, 2, 3)))
-)
-_LEG_BONES: Final = ("upperleg01", "upperleg02", "lowerleg01", "lowerleg02", "foot")
-_TOES: Final = tuple(f"toe{toe}-{part}" for toe in range(1, 6) for part in (1, 2, 3))
-_TORSO_BONES: Final = 2  # clavicle and shoulder01, whose skin is the trunk's
-_PROBES: Final = 40
 
 
 @dataclass(frozen=True)
@@ -209,9 +220,6 @@ def other(side: Side) -> Side:
     return "R" if side == "L" else "L"
 
 
-_REACH_M: Final = 0.2  # beyond this, a point's distance is of no interest
-
-
 class PosedSkin:
     """Part of a posed surface. Distances are those to the tangent plane at the nearest vertex."""
 
@@ -254,22 +262,6 @@ def deepest_m(vertices: Floats, normals: Floats, limbs: list[Limb], solid: NDArr
         heights = PosedSkin(vertices, normals, solid & ~limb.vertices).heights(vertices[limb.far])
         deepest = max(deepest, -float(heights.min()))
     return deepest
-
-
-GAP_M: Final = 0.004
-"""Gap between skin and skin that touch, and between skin and floor, metres."""
-
-ALL_AXES: Final = np.ones(3)
-"""Axes of a goal that matters alike in all directions."""
-
-_NEAR_M: Final = 0.01  # a point this far from its goal counts as much as one residual
-_FACING: Final = 1.2  # weight of skin that lies flat on its goal
-_PREFERRED_DEG: Final = 90.0  # so far from the preferred posture counts as much as a point 1 cm from its goal
-_RAISED_DEG: Final = 10.0
-_RESTING: Final = 0.7  # weight of the height above the floor of what rests on it, as flesh gives way there
-_ROUNDS: Final = 14
-_STEP_DEG: Final = 0.5
-_DONE: Final = 1e-3  # relative gain of a round below which the search ends
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,4 @@
-"""Search for mesh files and landmark files on disk, in a fixed order.
-
-Base of all sources that read mesh files: makes a body of a mesh file and its landmarks.
+"""Base of all sources that read mesh files: finds the files, and makes a body of a mesh file and its landmarks.
 
 Meshes that share a topology share one landmark file; by vertex, or by coordinate on the first of them. Meshes of one
 group share one alignment, found from its first upright body, so that a motion keeps one frame of reference throughout.
@@ -49,6 +47,13 @@ from bodyseg_data.meshes import (
 
 LANDMARK_SUFFIXES: Final = (".json", ".lnd", ".lnd.gz")
 """Suffixes of landmark files; of several files for one mesh, the first in this order is read."""
+
+Surface = tuple[NDArray[np.float64], NDArray[np.int32]]
+
+_MOST_TRIED: Final = 12  # bodies of a group, evenly spaced, of which an upright one is sought
+_FAULTS_NAMED: Final = 3
+_REMEDY: Final = "; --pymeshlab repairs most scans"
+_IN_METRES: Final = (700.0, 1700.0)  # bodies are a little larger than their landmarks' extent
 
 
 def given_landmarks(path: Path, landmarks: Path | None) -> tuple[Path | None, Path]:
@@ -116,14 +121,6 @@ def landmark_file(folders: Sequence[Path], stem: str) -> Path | None:
         ),
         None,
     )
-
-
-Surface = tuple[NDArray[np.float64], NDArray[np.int32]]
-
-_MOST_TRIED: Final = 12  # bodies of a group, evenly spaced, of which an upright one is sought
-_FAULTS_NAMED: Final = 3
-_REMEDY: Final = "; --pymeshlab repairs most scans"
-_IN_METRES: Final = (700.0, 1700.0)  # bodies are a little larger than their landmarks' extent
 
 
 @dataclass(frozen=True)

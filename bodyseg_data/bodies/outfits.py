@@ -1,6 +1,6 @@
-"""Outfits: the extent, looseness and folds of each garment.
+"""Outfits: the extent, looseness and folds of each garment, and how they are cut to a person.
 
-Fitting an outfit to a person: the vertices that each garment covers and the distance of the cloth from them.
+A cut says which vertices each garment covers and how far the cloth is from them.
 """
 
 from __future__ import annotations
@@ -13,6 +13,63 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, check_seed
 from bodyseg_data.meshes import find_edges
+
+_GATHERED: Final = 0.25  # share of loose outfits with bands
+_SEEDS: Final = 1_000_000
+
+_RANGES: Final[dict[str, tuple[float, float]]] = {
+    "sleeve": (0.15, 1),
+    "hem": (0, 0.8),  # farther down, a top would have to join the legs
+    "leg": (0.2, 1),
+    "top_loose_m": (0, 0.06),
+    "leg_loose_m": (0, 0.06),
+    "fold_m": (0.04, 0.3),
+    "slack": (0, 0.2),
+    "crumple": (0, 0.4),
+}
+
+_LOOSE: Final[dict[str, tuple[float, float]]] = {
+    "sleeve": (0.3, 1.0), "hem": (0.4, 0.8), "leg": (0.25, 1.0), "top_loose_m": (0.01, 0.05),
+    "leg_loose_m": (0.008, 0.045), "top_taper": (0.0, 0.06), "sleeve_taper": (0.0, 0.04), "leg_taper": (0.0, 0.2),
+    "fold_m": (0.06, 0.16),
+    "slack": (0.04, 0.12), "crumple": (0.03, 0.18),
+}  # fmt: skip
+
+_CLOSE: Final[dict[str, tuple[float, float]]] = _LOOSE | {
+    "top_loose_m": (0.0, 0.004), "leg_loose_m": (0.0, 0.004), "top_taper": (0.35, 0.8), "sleeve_taper": (0.35, 0.8),
+    "leg_taper": (0.35, 0.8), "slack": (0.0, 0.03), "crumple": (0.0, 0.05),
+}  # fmt: skip
+
+Floats = NDArray[np.float64]
+
+_BAND_M: Final = 0.05  # over which a band at hem or wrist pulls the cloth in
+_END_M: Final = 0.16  # over which cloth gathers above the end of a sleeve or a trouser leg
+_SLICE_M: Final = 0.025
+_SECTORS: Final = 20
+_NEIGHBOURS: Final = 6
+_TUCK_M: Final = 0.006  # distance below a hem at which the cloth beneath it begins
+_MOST_TUCKED: Final = 0.75
+_SEAT_M: Final = 0.15  # below a top's hem, over which trousers widen from lying under it
+
+_MEASURED_AT: Final = {
+    "face": 132,
+    "throat": 1522,
+    "nape": 858,
+    "Rt. hip": 4302,
+    "Lt. hip": 10915,
+    "Rt. armpit": 3770,
+    "Lt. armpit": 10420,
+    "Rt. shoulder": 1557,
+    "Lt. shoulder": 8219,
+    "Rt. wrist": 3535,
+    "Lt. wrist": 10187,
+    "Rt. fingertip": 2103,
+    "Lt. fingertip": 8755,
+    "Rt. ankle": 4810,
+    "Lt. ankle": 11412,
+}
+"""Vertices of the open body from which clothes are cut. They are no landmarks: where these are placed changes labels,
+and must not change what people wear."""
 
 
 @dataclass(frozen=True)
@@ -51,20 +108,6 @@ class Outfit:
                 raise BadConfig(f"an outfit's {field.name} must be {low:g} to {high:g}, found {value!r}")
 
 
-_GATHERED: Final = 0.25  # share of loose outfits with bands
-_SEEDS: Final = 1_000_000
-
-_RANGES: Final[dict[str, tuple[float, float]]] = {
-    "sleeve": (0.15, 1),
-    "hem": (0, 0.8),  # farther down, a top would have to join the legs
-    "leg": (0.2, 1),
-    "top_loose_m": (0, 0.06),
-    "leg_loose_m": (0, 0.06),
-    "fold_m": (0.04, 0.3),
-    "slack": (0, 0.2),
-    "crumple": (0, 0.4),
-}
-
 OUTFITS: Final[dict[str, Outfit]] = {
     # A loose T-shirt that hangs over wide, long trousers.
     "B": Outfit(
@@ -89,19 +132,6 @@ OUTFITS: Final[dict[str, Outfit]] = {
 }  # fmt: skip
 """Outfits by name. "B" and "C" are for the subjects of those names."""
 
-_LOOSE: Final[dict[str, tuple[float, float]]] = {
-    "sleeve": (0.3, 1.0), "hem": (0.4, 0.8), "leg": (0.25, 1.0), "top_loose_m": (0.01, 0.05),
-    "leg_loose_m": (0.008, 0.045), "top_taper": (0.0, 0.06), "sleeve_taper": (0.0, 0.04), "leg_taper": (0.0, 0.2),
-    "fold_m": (0.06, 0.16),
-    "slack": (0.04, 0.12), "crumple": (0.03, 0.18),
-}  # fmt: skip
-
-
-_CLOSE: Final[dict[str, tuple[float, float]]] = _LOOSE | {
-    "top_loose_m": (0.0, 0.004), "leg_loose_m": (0.0, 0.004), "top_taper": (0.35, 0.8), "sleeve_taper": (0.35, 0.8),
-    "leg_taper": (0.35, 0.8), "slack": (0.0, 0.03), "crumple": (0.0, 0.05),
-}  # fmt: skip
-
 
 def drawn_outfit(draws: np.random.Generator, close: bool) -> Outfit:
     """Draw a top and trousers: loose shirts, jumpers, wide trousers, shorts; close: the same close to the body."""
@@ -109,38 +139,6 @@ def drawn_outfit(draws: np.random.Generator, close: bool) -> Outfit:
     values = {name: round(low + (high - low) * float(draws.random()), 4) for name, (low, high) in ranges.items()}
     gathered, seed = bool(draws.random() < _GATHERED), int(draws.random() * _SEEDS)
     return Outfit(**values, gathered=gathered, seed=seed)
-
-
-Floats = NDArray[np.float64]
-
-_BAND_M: Final = 0.05  # over which a band at hem or wrist pulls the cloth in
-_END_M: Final = 0.16  # over which cloth gathers above the end of a sleeve or a trouser leg
-_SLICE_M: Final = 0.025
-_SECTORS: Final = 20
-_NEIGHBOURS: Final = 6
-_TUCK_M: Final = 0.006  # distance below a hem at which the cloth beneath it begins
-_MOST_TUCKED: Final = 0.75
-_SEAT_M: Final = 0.15  # below a top's hem, over which trousers widen from lying under it
-
-_MEASURED_AT: Final = {
-    "face": 132,
-    "throat": 1522,
-    "nape": 858,
-    "Rt. hip": 4302,
-    "Lt. hip": 10915,
-    "Rt. armpit": 3770,
-    "Lt. armpit": 10420,
-    "Rt. shoulder": 1557,
-    "Lt. shoulder": 8219,
-    "Rt. wrist": 3535,
-    "Lt. wrist": 10187,
-    "Rt. fingertip": 2103,
-    "Lt. fingertip": 8755,
-    "Rt. ankle": 4810,
-    "Lt. ankle": 11412,
-}
-"""Vertices of the open body from which clothes are cut. They are no landmarks: where these are placed changes labels,
-and must not change what people wear."""
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,7 @@
-"""The posed person that garments, hair, shoes and things are made for.
+"""Hair, shoes, and the closed surfaces of cloth and hair, made for a posed person.
 
-Closed surfaces made of grids of points: cloth and hair with two sides, and solids of rings.
-
-Hair: a bun on a head, or long hair that falls over neck, shoulders and back.
-
-Shoes: a closed solid around each foot, with a sole.
+Surfaces are made of grids of points: with two sides, or solids of rings. Hair is a bun on a head, or long hair that
+falls over neck, shoulders and back; a shoe is a closed solid around each foot, with a sole.
 """
 
 from __future__ import annotations
@@ -28,6 +25,30 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _ARM: Final = ("upperarm", "lowerarm", "wrist", "metacarpal", "finger")
+
+_SETTLED_M: Final = 0.006  # above the floor, within which lies what would hang lower
+
+Indices = NDArray[np.int64]
+
+_HAIR_SIZES: Final[dict[str, tuple[float, float]]] = {"bun": (0.02, 0.07), "long": (0.1, 0.7)}
+
+_BEGIN_M: Final = 0.03  # over which hair gets its full thickness behind the hairline
+_FOREHEAD_M: Final = 0.055  # of the hairline above the bridge of the nose
+_NAPE_M: Final = 0.015  # of the hairline below the lowest point of the occipital bone
+_BUN_LEVELS: Final = 12
+_BUN_COLUMNS: Final = 24
+_STRAND_STEP_M: Final = 0.015
+_STRANDS: Final = 44
+_ROOTS_UP: Final = 0.3  # slope of the directions to the roots above the middle of the skull
+_HAIR_THICK_M: Final = 0.012  # at the roots, half as much at the ends
+_CLEAR_M: Final = 0.004  # of the strands from the skin
+_INERTIA: Final = 0.72  # of a strand's direction from step to step, against its weight
+_WAVES_M: Final = 0.004
+
+_SHOE_SLICE_M: Final = 0.012
+_SHOE_BAND_M: Final = 0.018  # to each side of a slice
+_SOLE_FLAT_M: Final = 0.03  # above the ground at rest, below which skin is on the sole
+_SHOE_COLUMNS: Final = 40
 
 
 @dataclass(frozen=True)
@@ -86,9 +107,7 @@ class Wearer:
         return self.frame(self.of("head"))
 
 
-_SETTLED_M: Final = 0.006  # above the floor, within which lies what would hang lower
-
-Indices = NDArray[np.int64]
+# Surfaces of grids.
 
 
 def shell(outside: Floats, thickness: Floats | float, around: bool) -> Solid:
@@ -165,6 +184,9 @@ def _quads(grid: Indices) -> Indices:
     return np.concatenate([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)]).reshape(-1, 3)
 
 
+# Hair.
+
+
 @dataclass(frozen=True)
 class Hair:
     """Hair of a person. kind: "bun" or "long". volume_m: thickness over the scalp, metres. size_m: radius of the bun,
@@ -181,29 +203,13 @@ class Hair:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.kind not in _SIZES:
-            raise BadConfig(f"hair must be {' or '.join(_SIZES)}, found {self.kind!r}")
-        for name, (low, high) in {"volume_m": (0, 0.03), "size_m": _SIZES[self.kind], "height": (0, 1)}.items():
+        if self.kind not in _HAIR_SIZES:
+            raise BadConfig(f"hair must be {' or '.join(_HAIR_SIZES)}, found {self.kind!r}")
+        for name, (low, high) in {"volume_m": (0, 0.03), "size_m": _HAIR_SIZES[self.kind], "height": (0, 1)}.items():
             if not low <= getattr(self, name) <= high:
                 raise BadConfig(
                     f"the {name} of {self.kind} hair must be {low:g} to {high:g}, found {getattr(self, name)!r}"
                 )
-
-
-_SIZES: Final[dict[str, tuple[float, float]]] = {"bun": (0.02, 0.07), "long": (0.1, 0.7)}
-
-_BEGIN_M: Final = 0.03  # over which hair gets its full thickness behind the hairline
-_FOREHEAD_M: Final = 0.055  # of the hairline above the bridge of the nose
-_NAPE_M: Final = 0.015  # of the hairline below the lowest point of the occipital bone
-_LEVELS: Final = 12
-_AROUND: Final = 24
-_STEP_M: Final = 0.015
-_STRANDS: Final = 44
-_ROOTS_UP: Final = 0.3  # slope of the directions to the roots above the middle of the skull
-_THICK_M: Final = 0.012  # at the roots, half as much at the ends
-_CLEAR_M: Final = 0.004  # of the strands from the skin
-_INERTIA: Final = 0.72  # of a strand's direction from step to step, against its weight
-_WAVES_M: Final = 0.004
 
 
 def scalp(wearer: Wearer, hair: Hair) -> Floats:
@@ -233,13 +239,13 @@ def bun(wearer: Wearer, hair: Hair) -> Solid:
     lengths = np.linalg.norm(ways, axis=1)
     reach = lengths[ways @ out > 0.94 * lengths].max()
     up = np.array([0.0, np.cos(angle), np.sin(angle)])
-    polar = np.pi * (np.arange(_LEVELS) + 0.5) / _LEVELS
-    around = -2 * np.pi * np.arange(_AROUND) / _AROUND
+    polar = np.pi * (np.arange(_BUN_LEVELS) + 0.5) / _BUN_LEVELS
+    around = -2 * np.pi * np.arange(_BUN_COLUMNS) / _BUN_COLUMNS
     local = np.stack(
         [
             np.outer(np.sin(polar), np.cos(around)),
             np.outer(np.sin(polar), np.sin(around)),
-            np.outer(np.cos(polar), np.ones(_AROUND)),
+            np.outer(np.cos(polar), np.ones(_BUN_COLUMNS)),
         ],
         axis=2,
     )  # fmt: skip
@@ -266,14 +272,14 @@ def long_hair(wearer: Wearer, hair: Hair) -> Solid:
     offsets = points - centre
     lengths = np.linalg.norm(offsets, axis=1)
     reach = np.where(ways @ offsets.T > 0.94 * lengths, lengths, 0).max(axis=1)
-    roots = wearer.head(centre + (reach + hair.volume_m - _THICK_M)[:, None] * ways)
+    roots = wearer.head(centre + (reach + hair.volume_m - _HAIR_THICK_M)[:, None] * ways)
     sheet = _fallen(wearer, hair, roots, wearer.head.turn @ np.array([0.0, -1.0, 0.0]))
     sheet = gaussian_filter(sheet, (1.0, 1.5, 0.0), mode="nearest")
     share = np.linspace(0, 1, len(sheet))[:, None]
     draws = generator(hair.seed, 0, "open/hair", "strands")
     waves = gaussian_filter(draws.standard_normal(sheet.shape[:2]), (8.0, 1.0), mode="nearest")
     waves *= _WAVES_M / max(float(waves.std()), 1e-9)
-    thick = _THICK_M * (1 - 0.5 * share) + np.clip(waves, -_THICK_M / 3, _THICK_M)
+    thick = _HAIR_THICK_M * (1 - 0.5 * share) + np.clip(waves, -_HAIR_THICK_M / 3, _HAIR_THICK_M)
     outside = sheet + thick[..., None] * grid_normals(sheet, around=False)
     strands = shell(outside, thick, around=False)
     return Solid(settled(strands.vertices, wearer.floor), strands.faces)
@@ -288,18 +294,21 @@ def _fallen(wearer: Wearer, hair: Hair, roots: Floats, way: Floats) -> Floats:
     tree = cKDTree(skin)
     ways = np.tile(way, (len(roots), 1))
     strands = [roots]
-    for _ in range(max(2, round(hair.size_m / _STEP_M))):
+    for _ in range(max(2, round(hair.size_m / _STRAND_STEP_M))):
         ways = _INERTIA * ways + (1 - _INERTIA) * np.array([0.0, -1.0, 0.0])
-        moved = strands[-1] + _STEP_M * ways / np.linalg.norm(ways, axis=1, keepdims=True)
+        moved = strands[-1] + _STRAND_STEP_M * ways / np.linalg.norm(ways, axis=1, keepdims=True)
         nearest = tree.query(moved)[1]
         height = np.einsum("ij,ij->i", moved - skin[nearest], normals[nearest])
         moved += np.maximum(_CLEAR_M - height, 0)[:, None] * normals[nearest]
         moved[:, 1] = np.maximum(moved[:, 1], wearer.floor + _CLEAR_M)
         step = moved - strands[-1]
         lengths = np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-6)
-        strands.append(strands[-1] + step * np.minimum(_STEP_M / lengths, 1))
+        strands.append(strands[-1] + step * np.minimum(_STRAND_STEP_M / lengths, 1))
         ways = step / lengths
     return np.array(strands)
+
+
+# Shoes.
 
 
 @dataclass(frozen=True)
@@ -318,12 +327,6 @@ class Shoes:
                 raise BadConfig(f"the {name} of shoes must be 0.002 to {high:g}, found {getattr(self, name)!r}")
 
 
-_SLICE_M: Final = 0.012
-_BAND_M: Final = 0.018  # to each side of a slice
-_FLAT_M: Final = 0.03  # above the ground at rest, below which skin is on the sole
-_COLUMNS: Final = 40
-
-
 def shoe(wearer: Wearer, shoes: Shoes, side: Side) -> Solid:
     """The shoe of one foot: convex slices from heel to toes, so that toes do not show."""
     from scipy.ndimage import gaussian_filter1d
@@ -333,7 +336,7 @@ def shoe(wearer: Wearer, shoes: Shoes, side: Side) -> Solid:
     frame = wearer.frame(foot)
     foot &= wearer.rest[:, 1] < ankle
     rest = (wearer.points[foot] - frame.shift) @ frame.turn
-    flat = rest[wearer.rest[foot][:, 1] < wearer.rest[foot][:, 1].min() + _FLAT_M]
+    flat = rest[wearer.rest[foot][:, 1] < wearer.rest[foot][:, 1].min() + _SOLE_FLAT_M]
     points = np.concatenate([rest, flat - np.array([0, shoes.sole_m, 0])])
     toes = rest[rest[:, 2] > np.quantile(rest[:, 2], 0.9)].mean(axis=0)
     heel = rest[rest[:, 2] < np.quantile(rest[:, 2], 0.1)].mean(axis=0)
@@ -341,12 +344,12 @@ def shoe(wearer: Wearer, shoes: Shoes, side: Side) -> Solid:
     axes = np.stack([np.cross([0.0, 1.0, 0.0], ahead), [0.0, 1.0, 0.0], ahead])
     local = points @ axes.T
     low, high = local[:, 2].min(), local[:, 2].max()
-    angles = np.arange(_COLUMNS) * (2 * np.pi / _COLUMNS)
+    angles = np.arange(_SHOE_COLUMNS) * (2 * np.pi / _SHOE_COLUMNS)
     ways = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    slices = np.arange(low + _BAND_M / 2, high, _SLICE_M)
+    slices = np.arange(low + _SHOE_BAND_M / 2, high, _SHOE_SLICE_M)
     centres, radii = [], []
     for at in slices:
-        section = local[np.abs(local[:, 2] - at) < _BAND_M, :2]
+        section = local[np.abs(local[:, 2] - at) < _SHOE_BAND_M, :2]
         centres.append((section.min(axis=0) + section.max(axis=0)) / 2)
         radii.append(hull_radius(section - centres[-1], ways) + shoes.upper_m)
     along = np.concatenate([[low - shoes.upper_m], slices, [high + shoes.upper_m]])

@@ -1,11 +1,7 @@
-"""File names as parts of sample keys, and lists of them in messages.
-
-Options of the sources that read mesh files; importing them is quick.
-
-Protocol of the sources of bodies, and the list of bodies that each of them keeps.
+"""Protocol of the sources of bodies, and the list of bodies that each of them keeps.
 
 A source lists its bodies cheaply and in a fixed order, and builds each one on demand, the same bits every time. Every
-process opens its own.
+process opens its own. Importing this file is quick.
 """
 
 from __future__ import annotations
@@ -28,6 +24,8 @@ from bodyseg_data.samples import Split
 
 _NUMBERED: Final = re.compile(r"(.*?)(\d+)(\D*)", re.DOTALL)
 _HASH_LETTERS: Final = 10
+
+Entry = TypeVar("Entry")
 
 
 def key_name(path: str, longest: int) -> str:
@@ -79,9 +77,6 @@ class MeshOptions:
 
 
 DEFAULTS: Final = MeshOptions()
-
-
-Entry = TypeVar("Entry")
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,4 @@
-"""Places on a person's skin by name: where contacts are, and the points of limbs that make them.
-
-Stances: ranges of the trunk, and what each leg does.
-"""
+"""Stances: ranges of the trunk, what each leg does, and the places on a person's skin that contacts name."""
 
 from __future__ import annotations
 

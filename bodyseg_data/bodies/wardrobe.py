@@ -1,14 +1,11 @@
-"""Sparse linear operators on a triangle mesh, used to compute cloth.
-
-Subdivision of long edges where a mesh is too coarse for the folds of cloth.
-
-Fold patterns of cloth: waves on the surface of a person at rest, one pattern for each direction of compression.
-
-Clothes over the open body: the surface of a dressed person in any pose, on the body's own vertices.
+"""Clothes over the open body: the surface of a dressed person in any pose, on the body's own vertices.
 
 A wardrobe cuts an outfit to a person once. Worn in a pose, the cloth is the body's surface, smoothed so that details of
 the body do not show, moved outwards by the width of the garment, more below a limb than above, and folded: deepest
 where the pose shortens the surface. `docs/reference/clothes.md` lists what is modelled and what is not.
+
+Cloth is computed by sparse linear operators on the mesh, whose long edges are divided where it is too coarse for folds.
+Folds are waves on the surface of the person at rest, one pattern for each direction of compression.
 """
 
 from __future__ import annotations
@@ -24,6 +21,31 @@ from bodyseg_data.meshes import find_edges, load_landmarks
 
 Floats = NDArray[np.float64]
 Faces = NDArray[np.int64]
+
+DIRECTIONS: Final = (0.0, 0.25 * np.pi, 0.5 * np.pi, 0.75 * np.pi)
+"""Angles from the garment's axis across which the patterns wave: rings, two diagonals, lengthwise folds."""
+
+_ACROSS: Final = 0.55  # half-widths of a kernel, in wavelengths: across its waves, along them, through the body
+_ALONG: Final = 2.8
+_THROUGH: Final = 0.8
+_REACH: Final = 5.0  # wavelengths, beyond which a kernel has faded
+_OVERLAP: Final = 2.5  # kernels over each point
+_WAVE_SPREAD: Final = 0.25  # standard deviation of a kernel's log wavelength, and of its angle in radians
+_QUIET: Final = 0.3  # energy, compared with one kernel's, below which the surface is smooth
+
+FINE_M: Final = 0.022
+"""Longest edge that still carries the folds: half the shortest wavelength. Finer meshes come from `Refinement`."""
+
+_THICKNESS_M: Final = 0.004  # of cloth: its smallest distance from the skin
+_SMOOTH_M: Final = 0.03  # detail of the body much smaller than this does not show through
+_DIFFUSION_M: Final = 0.035  # over which the width of a garment is evened out
+_HANG: Final = 0.9  # difference of the distance below and above a level limb, as a share
+_MOST_SHORTENED: Final = 0.25  # beyond, cloth slides along the body instead of folding deeper
+_DEEPEST_M: Final = 0.022
+_AT_REST: Final = np.array([0.1, 0.6, 1.0, 0.6])  # share of an outfit's slack that folds across each of DIRECTIONS
+_AT_ENDS: Final = np.array([1.0, 0.5, 0.2, 0.5])  # and of its crumple
+_SMOOTHINGS: Final = 3  # of normals over neighbouring vertices, or flat triangles would show through wide cloth
+_DECIMALS: Final = 6  # to the micrometre, as the body
 
 
 class Smoother:
@@ -174,18 +196,6 @@ def _split(
     return edges.ends[long], np.concatenate(new).astype(np.int32)
 
 
-DIRECTIONS: Final = (0.0, 0.25 * np.pi, 0.5 * np.pi, 0.75 * np.pi)
-"""Angles from the garment's axis across which the patterns wave: rings, two diagonals, lengthwise folds."""
-
-_ACROSS: Final = 0.55  # half-widths of a kernel, in wavelengths: across its waves, along them, through the body
-_ALONG: Final = 2.8
-_THROUGH: Final = 0.8
-_REACH: Final = 5.0  # wavelengths, beyond which a kernel has faded
-_OVERLAP: Final = 2.5  # kernels over each point
-_WAVE_SPREAD: Final = 0.25  # standard deviation of a kernel's log wavelength, and of its angle in radians
-_QUIET: Final = 0.3  # energy, compared with one kernel's, below which the surface is smooth
-
-
 def fold_patterns(points: Floats, normals: Floats, axes: Floats, areas: Floats, wave_m: float, seed: int) -> Floats:
     """Make Gabor noise on a surface (Lagae et al. 2009), a pattern for each of DIRECTIONS: float64 [N, 4], -1 to 1.
 
@@ -219,21 +229,6 @@ def fold_patterns(points: Floats, normals: Floats, axes: Floats, areas: Floats, 
 def _ridged(waves: Floats) -> Floats:
     """Turn waves into the narrow ridges and wide valleys of folded cloth, with a mean near 0."""
     return (np.exp(1.43 * waves) - 1.9) / 2.2
-
-
-FINE_M: Final = 0.022
-"""Longest edge that still carries the folds: half the shortest wavelength. Finer meshes come from `Refinement`."""
-
-_THICKNESS_M: Final = 0.004  # of cloth: its smallest distance from the skin
-_SMOOTH_M: Final = 0.03  # detail of the body much smaller than this does not show through
-_DIFFUSION_M: Final = 0.035  # over which the width of a garment is evened out
-_HANG: Final = 0.9  # difference of the distance below and above a level limb, as a share
-_MOST_SHORTENED: Final = 0.25  # beyond, cloth slides along the body instead of folding deeper
-_DEEPEST_M: Final = 0.022
-_AT_REST: Final = np.array([0.1, 0.6, 1.0, 0.6])  # share of an outfit's slack that folds across each of DIRECTIONS
-_AT_ENDS: Final = np.array([1.0, 0.5, 0.2, 0.5])  # and of its crumple
-_SMOOTHINGS: Final = 3  # of normals over neighbouring vertices, or flat triangles would show through wide cloth
-_DECIMALS: Final = 6  # to the micrometre, as the body
 
 
 class Wardrobe:

@@ -1,10 +1,8 @@
-"""Skirts, dresses' lower halves and coats: cloth around trunk and both legs, which falls from where it is widest.
+"""Drapes and things: skirts and coats around trunk and both legs; a bag, bottle, stick, box or backpack.
 
 The body's surface moved outwards cannot join two legs. A drape is a tube of rings instead: at every height of the
 person at rest, the convex hull of the trunk or of both legs as they are posed, no narrower than the ring above as far
-as the cloth hangs.
-
-Things in a hand or on the back: bag, bottle, stick, box, backpack. They have a range and no label.
+as the cloth hangs. Things have a range and no label.
 """
 
 from __future__ import annotations
@@ -23,6 +21,47 @@ from bodyseg_data.core import BadConfig, check_seed
 from bodyseg_data.meshes import Solid, cuboid, turned_solid
 
 Floats = NDArray[np.float64]
+
+_DRAPE_RANGES: Final[dict[str, tuple[float, float]]] = {
+    "top": (0, 1),
+    "length": (0.1, 1),
+    "loose_m": (0.005, 0.08),
+    "flare": (0, 0.8),
+    "girth_m": (1, 4),
+    "fold_m": (0.05, 0.3),
+    "fold_depth_m": (0, 0.05),
+    "open_deg": (0, 40),
+}
+
+_RING_STEP_M: Final = 0.025  # between rings
+_BAND_M: Final = 0.035  # to each side of a ring, whose skin it encloses: longer than the skin's edges
+_RAISED_M: Final = 0.12  # to each side, of the skin that a ring passes
+_DRAPE_COLUMNS: Final = 96
+_LEAST_AWAY_M: Final = 0.006  # of the cloth from the hull
+_CLOTH_M: Final = 0.003
+_HANG: Final = 0.9  # difference of the distance below and above a level limb, as a share
+_SHRINK: Final = 0.5  # metres a metre by which cloth that does not hang comes back to the body
+_STEEPEST: Final = 1.0  # tilt of a ring, where one leg is ahead of the other
+_FOLDING_M: Final = 0.3  # below the hips, over which folds become as deep as at the hem
+_ALONG: Final = np.array([0.0, 0.4, 1.0, 0.4])  # share of each of the fold patterns' directions: lengthwise most
+_SOFT: Final = (2.0, 0.8)  # standard deviation, in rows and columns, by which folds are smoothed
+_LEFT_OVER: Final = 0.6  # of the length below the crotch, the least that a drape which rides up may keep
+
+Kind = Literal["bag", "bottle", "stick", "box", "backpack"]
+
+IN_HAND: Final[dict[Kind, float]] = {"bag": 0.35, "bottle": 0.25, "box": 0.25, "stick": 0.15}
+"""Weights of the kinds that a hand holds."""
+
+_FISTS: Final[dict[Kind, float]] = {"bag": 0.8, "bottle": 0.6, "stick": 0.85, "box": 0.15}
+_MOST_INSIDE: Final = 12  # vertices of the rest of the body that may be inside a thing: cloth and flesh give way
+_UP: Final = np.array([0.0, 1.0, 0.0])
+_HOLLOW_M: Final = 0.012  # from a palm's skin to what its closed fingers hold
+_STRAP_M: Final = 0.012
+_ROUND_COLUMNS: Final = 32
+_HIGHEST_M: Final = 2.4  # of body and thing together: no mesh is larger
+
+
+# Drapes.
 
 
 @dataclass(frozen=True)
@@ -48,35 +87,9 @@ class Drape:
 
     def __post_init__(self) -> None:
         check_seed(self.seed)
-        for name, (low, high) in _RANGES.items():
+        for name, (low, high) in _DRAPE_RANGES.items():
             if not low <= getattr(self, name) <= high:
                 raise BadConfig(f"a drape's {name} must be {low:g} to {high:g}, found {getattr(self, name)!r}")
-
-
-_RANGES: Final[dict[str, tuple[float, float]]] = {
-    "top": (0, 1),
-    "length": (0.1, 1),
-    "loose_m": (0.005, 0.08),
-    "flare": (0, 0.8),
-    "girth_m": (1, 4),
-    "fold_m": (0.05, 0.3),
-    "fold_depth_m": (0, 0.05),
-    "open_deg": (0, 40),
-}
-
-_LEVEL_M: Final = 0.025  # between rings
-_BAND_M: Final = 0.035  # to each side of a ring, whose skin it encloses: longer than the skin's edges
-_RAISED_M: Final = 0.12  # to each side, of the skin that a ring passes
-_COLUMNS: Final = 96
-_LEAST_M: Final = 0.006  # of the cloth from the hull
-_THICK_M: Final = 0.003
-_HANG: Final = 0.9  # difference of the distance below and above a level limb, as a share
-_SHRINK: Final = 0.5  # metres a metre by which cloth that does not hang comes back to the body
-_STEEPEST: Final = 1.0  # tilt of a ring, where one leg is ahead of the other
-_FOLDING_M: Final = 0.3  # below the hips, over which folds become as deep as at the hem
-_ALONG: Final = np.array([0.0, 0.4, 1.0, 0.4])  # share of each of the fold patterns' directions: lengthwise most
-_SOFT: Final = (2.0, 0.8)  # standard deviation, in rows and columns, by which folds are smoothed
-_LEFT_OVER: Final = 0.6  # of the length below the crotch, the least that a drape which rides up may keep
 
 
 def draped(wearer: Wearer, drape: Drape) -> Solid | None:
@@ -89,7 +102,7 @@ def draped(wearer: Wearer, drape: Drape) -> Solid | None:
     middle = wearer.solid & (np.abs(wearer.rest[:, 0]) < 0.012) & (wearer.rest[:, 1] > 0.3 * hip)
     crotch = float(wearer.rest[middle, 1].min())
     start, end = hip + drape.top * (armpit - hip), crotch + drape.length * (ankle - crotch)
-    heights = np.arange(start, end, -_LEVEL_M)
+    heights = np.arange(start, end, -_RING_STEP_M)
     rings = _Rings(wearer, heights)
     loop, girths = rings.hung(drape)
     below = np.maximum(crotch - heights, 0)
@@ -98,10 +111,10 @@ def draped(wearer: Wearer, drape: Drape) -> Solid | None:
     if kept < len(heights) and below[kept - 1] < _LEFT_OVER * (crotch - end):
         return None
     depth = np.clip((hip - heights[:kept]) / _FOLDING_M, 0, 1)
-    loop = rings.loop(np.maximum(loop[:kept] + depth[:, None] * _folds(drape, kept), rings.body[:kept] + _LEAST_M))
+    loop = rings.loop(np.maximum(loop[:kept] + depth[:, None] * _folds(drape, kept), rings.body[:kept] + _LEAST_AWAY_M))
     if drape.open_deg:
         loop = _opened(loop, np.radians(drape.open_deg) * (0.3 + 0.7 * np.linspace(0, 1, kept)))
-    cloth = shell(loop, _THICK_M, around=not drape.open_deg)
+    cloth = shell(loop, _CLOTH_M, around=not drape.open_deg)
     cloth = Solid(settled(cloth.vertices, wearer.floor), cloth.faces)
     return cloth if cloth.volume > 0 else None
 
@@ -121,7 +134,7 @@ class _Rings:
         axes = gaussian_filter1d(np.gradient(self.centres, axis=0), 2.0, axis=0, mode="nearest")
         self.axes: Floats = axes / np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), 1e-9)
         self._turns(wearer)
-        angles = np.arange(_COLUMNS) * (2 * np.pi / _COLUMNS)
+        angles = np.arange(_DRAPE_COLUMNS) * (2 * np.pi / _DRAPE_COLUMNS)
         self._ways: Floats = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         local = [(points - centre) @ frame.T for centre, frame in zip(self.centres, self.frames, strict=True)]
         tilts = [
@@ -132,7 +145,7 @@ class _Rings:
         hulls = []
         for at, ring, tilt, height in zip(local, near, self._tilts, heights, strict=True):
             # Of a raised leg, other skin than that of its own height is beside the ring, too.
-            beside = (np.abs(at[:, 2] - at[:, :2] @ tilt) < _LEVEL_M) & (np.abs(rest[:, 1] - height) < _RAISED_M)
+            beside = (np.abs(at[:, 2] - at[:, :2] @ tilt) < _RING_STEP_M) & (np.abs(rest[:, 1] - height) < _RAISED_M)
             hulls.append(hull_radius(at[ring | beside, :2], self._ways))
         self.body: Floats = np.array(hulls)
 
@@ -160,15 +173,15 @@ class _Rings:
         from scipy.ndimage import gaussian_filter
 
         outwards = np.einsum("jc,kcd->kjd", self._ways, self.frames[:, :2])
-        ease = np.maximum(drape.loose_m * (1 - _HANG * outwards[..., 1]), _LEAST_M)
+        ease = np.maximum(drape.loose_m * (1 - _HANG * outwards[..., 1]), _LEAST_AWAY_M)
         radii = self.body + ease
         falls = np.clip(-self.axes[:, 1], 0, 1)
         for level in range(1, len(radii)):
             above = self.loop(radii[level - 1 : level], level - 1)[0]
-            widened = _LEVEL_M * (drape.flare * falls[level] - _SHRINK * (1 - falls[level]))
+            widened = _RING_STEP_M * (drape.flare * falls[level] - _SHRINK * (1 - falls[level]))
             radii[level] = np.maximum(radii[level], self._radius(above, level) + widened)
-        radii = np.maximum(gaussian_filter(radii, (1.0, 1.0), mode=("nearest", "wrap")), self.body + _LEAST_M)
-        loops = self.loop(self.body + _LEAST_M)
+        radii = np.maximum(gaussian_filter(radii, (1.0, 1.0), mode=("nearest", "wrap")), self.body + _LEAST_AWAY_M)
+        loops = self.loop(self.body + _LEAST_AWAY_M)
         return radii, np.linalg.norm(np.roll(loops, -1, axis=1) - loops, axis=2).sum(axis=1)
 
     def _radius(self, loop: Floats, level: int) -> Floats:
@@ -185,33 +198,32 @@ def _folds(drape: Drape, rows: int) -> Floats:
     from scipy.ndimage import gaussian_filter
 
     radius = drape.girth_m / (2 * np.pi)
-    angles, down = np.arange(_COLUMNS) * (2 * np.pi / _COLUMNS), np.arange(rows) * -_LEVEL_M
-    ways = np.stack([np.cos(angles), np.zeros(_COLUMNS), -np.sin(angles)], axis=1)
+    angles, down = np.arange(_DRAPE_COLUMNS) * (2 * np.pi / _DRAPE_COLUMNS), np.arange(rows) * -_RING_STEP_M
+    ways = np.stack([np.cos(angles), np.zeros(_DRAPE_COLUMNS), -np.sin(angles)], axis=1)
     normals = np.tile(ways, (rows, 1))
-    points = normals * radius + np.repeat(down, _COLUMNS)[:, None] * [0.0, 1.0, 0.0]
+    points = normals * radius + np.repeat(down, _DRAPE_COLUMNS)[:, None] * [0.0, 1.0, 0.0]
     axes = np.tile([0.0, -1.0, 0.0], (len(points), 1))
-    areas = np.full(len(points), _LEVEL_M * drape.girth_m / _COLUMNS)
+    areas = np.full(len(points), _RING_STEP_M * drape.girth_m / _DRAPE_COLUMNS)
     patterns = fold_patterns(points, normals, axes, areas, drape.fold_m, drape.seed)
-    folds = gaussian_filter((patterns @ _ALONG).reshape(rows, _COLUMNS), _SOFT, mode=("nearest", "wrap"))
+    folds = gaussian_filter((patterns @ _ALONG).reshape(rows, _DRAPE_COLUMNS), _SOFT, mode=("nearest", "wrap"))
     return np.asarray(drape.fold_depth_m * np.clip(folds, -1, 1), np.float64)
 
 
 def _opened(loop: Floats, half_rad: Floats) -> Floats:
     """The loop [K, J, 3] cut open in front: columns closer together, from `half_rad` [K] on one side to the other."""
-    front = 0.75 * _COLUMNS  # of the columns, whose angle begins on the left and passes the back
-    shares = np.linspace(0, 1, _COLUMNS)
+    front = 0.75 * _DRAPE_COLUMNS  # of the columns, whose angle begins on the left and passes the back
+    shares = np.linspace(0, 1, _DRAPE_COLUMNS)
     rows = []
-    for ring, half in zip(loop, half_rad * (_COLUMNS / (2 * np.pi)), strict=True):
-        at = front + half + shares * (_COLUMNS - 2 * half)
-        numbers = np.arange(_COLUMNS)
-        rows.append(np.stack([np.interp(at, numbers, ring[:, axis], period=_COLUMNS) for axis in range(3)], axis=1))
+    for ring, half in zip(loop, half_rad * (_DRAPE_COLUMNS / (2 * np.pi)), strict=True):
+        at = front + half + shares * (_DRAPE_COLUMNS - 2 * half)
+        numbers = np.arange(_DRAPE_COLUMNS)
+        rows.append(
+            np.stack([np.interp(at, numbers, ring[:, axis], period=_DRAPE_COLUMNS) for axis in range(3)], axis=1)
+        )
     return np.array(rows)
 
 
-Kind = Literal["bag", "bottle", "stick", "box", "backpack"]
-
-IN_HAND: Final[dict[Kind, float]] = {"bag": 0.35, "bottle": 0.25, "box": 0.25, "stick": 0.15}
-"""Weights of the kinds that a hand holds."""
+# Things.
 
 
 @dataclass(frozen=True)
@@ -233,15 +245,6 @@ class Held:
             )
 
 
-_FISTS: Final[dict[Kind, float]] = {"bag": 0.8, "bottle": 0.6, "stick": 0.85, "box": 0.15}
-_OVERLAP: Final = 12  # vertices of the rest of the body that may be inside a thing: cloth and flesh give way
-_UP: Final = np.array([0.0, 1.0, 0.0])
-_HOLLOW_M: Final = 0.012  # from a palm's skin to what its closed fingers hold
-_STRAP_M: Final = 0.012
-_ROUND: Final = 32
-_HIGHEST_M: Final = 2.4  # of body and thing together: no mesh is larger
-
-
 def held_thing(wearer: Wearer, held: Held) -> list[Solid]:
     """The closed surfaces of a thing in a hand or on the back; none where the floor or the body leaves no room."""
     if held.kind == "backpack":
@@ -254,7 +257,7 @@ def held_thing(wearer: Wearer, held: Held) -> list[Solid]:
     if points[:, 1].min() < wearer.floor or np.ptp(both, axis=0).max() > _HIGHEST_M:
         return []
     others = wearer.points[wearer.solid & ~own]
-    return [] if sum(_inside(piece, others) for piece in pieces) > _OVERLAP else pieces
+    return [] if sum(_inside(piece, others) for piece in pieces) > _MOST_INSIDE else pieces
 
 
 def gripping(pose: Pose, held: Held) -> Pose:
@@ -337,13 +340,13 @@ _MAKERS: Final = {"bag": _bag, "bottle": _bottle, "stick": _stick, "box": _box}
 
 def padded(size_m: tuple[float, float, float]) -> Solid:
     """A block with rounded edges around the origin, as a filled bag is. size_m: [3], metres."""
-    angles = np.arange(_ROUND) * (-2 * np.pi / _ROUND)
+    angles = np.arange(_ROUND_COLUMNS) * (-2 * np.pi / _ROUND_COLUMNS)
     outline = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     outline /= (np.abs(outline) ** 4).sum(axis=1, keepdims=True) ** 0.25
     profile = [(0.7, 0.5), (0.9, 0.47), (1.0, 0.38), (1.0, 0.0), (1.0, -0.4), (0.92, -0.48), (0.75, -0.5)]
     flat = np.array([[wide, 1.0, wide] for wide, _ in profile])[:, None]
     levels = np.array([[0.0, up, 0.0] for _, up in profile])[:, None]
-    rings = np.stack([outline[:, 0] / 2, np.zeros(_ROUND), outline[:, 1] / 2], axis=1)[None] * flat + levels
+    rings = np.stack([outline[:, 0] / 2, np.zeros(_ROUND_COLUMNS), outline[:, 1] / 2], axis=1)[None] * flat + levels
     return ringed(rings * np.asarray(size_m))
 
 

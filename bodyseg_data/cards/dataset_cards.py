@@ -1,8 +1,6 @@
-"""Pieces of the pages that cards are: lists, tables, and the lines of a header that name a licence.
+"""The dataset card of a set, README.md: a YAML header as Hugging Face's hub reads it, and a page for people.
 
-The dataset card of a set, README.md: a YAML header as Hugging Face's hub reads it, and a page for people.
-
-Cards that lie beside a set and describe another one.
+`stale_cards` finds cards that lie beside a set and describe another one.
 """
 
 from __future__ import annotations
@@ -33,25 +31,6 @@ _HUB_LICENCES: Final = frozenset(
 )
 """Licences that the hub knows by these names; others are given as `other` with a name."""
 
-
-def licence_lines(licence: str) -> list[str]:
-    """Return the lines of a YAML header that state a licence."""
-    if licence == UNKNOWN_LICENCE or licence.lower() in _HUB_LICENCES:
-        return [f"license: {licence.lower()}"]
-    return ["license: other", f"license_name: {json.dumps(licence)}"]
-
-
-def bullets(lines: Iterable[str]) -> str:
-    """Return a list, one line each."""
-    return "\n".join(f"- {line}" for line in lines)
-
-
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table; a bar within a cell becomes a slash."""
-    cells = [head, ["---"] * len(head), *rows]
-    return "\n".join(f"| {' | '.join(cell.replace('|', '/') for cell in row)} |" for row in cells)
-
-
 CARD_NAME: Final = "README.md"
 
 DIGEST_FIELD: Final = "bodyseg_manifest"
@@ -65,6 +44,11 @@ _SIZE_CLASSES: Final = (
     (10**7, "1M<n<10M"),
     (10**8, "10M<n<100M"),
 )
+
+CARD_NAMES: Final = (CROISSANT_NAME, CARD_NAME)
+
+_LARGEST_CARD: Final = 1 << 28
+_DIGEST_LINE: Final = re.compile(rf"^{DIGEST_FIELD}: ([0-9a-f]{{64}})$", re.MULTILINE)
 
 
 def dataset_card(facts: SetFacts, publication: Publication) -> str:
@@ -180,12 +164,6 @@ def _licences(facts: SetFacts, publication: Publication) -> str:
     return bullets(lines)
 
 
-CARD_NAMES: Final = (CROISSANT_NAME, CARD_NAME)
-
-_LARGEST_CARD: Final = 1 << 28
-_DIGEST_LINE: Final = re.compile(rf"^{DIGEST_FIELD}: ([0-9a-f]{{64}})$", re.MULTILINE)
-
-
 def stale_cards(store: Store, digest: str) -> list[str]:
     """Return one line for each card of a set that names another digest of a manifest.
 
@@ -215,3 +193,21 @@ def _digest_in(name: str, text: str) -> str | None:
     except (ValueError, RecursionError):
         identifier = None
     return str(identifier or "").removeprefix(DIGEST_PREFIX)
+
+
+def licence_lines(licence: str) -> list[str]:
+    """Return the lines of a YAML header that state a licence."""
+    if licence == UNKNOWN_LICENCE or licence.lower() in _HUB_LICENCES:
+        return [f"license: {licence.lower()}"]
+    return ["license: other", f"license_name: {json.dumps(licence)}"]
+
+
+def bullets(lines: Iterable[str]) -> str:
+    """Return a list, one line each."""
+    return "\n".join(f"- {line}" for line in lines)
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table; a bar within a cell becomes a slash."""
+    cells = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(cell.replace('|', '/') for cell in row)} |" for row in cells)

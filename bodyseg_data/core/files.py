@@ -1,6 +1,4 @@
-"""Atomic writes, and reads of untrusted files up to a limit of bytes.
-
-TOML files that ship or that users write, and their tables, read key by key.
+"""Files: atomic writes, reads of untrusted files up to a limit of bytes, and TOML tables read key by key.
 
 A file or key that is missing, wrong or unknown is one clear line.
 """

@@ -1,7 +1,4 @@
-"""Progress of long work, as the functions that do it report it.
-
-Time of the stages of a computation.
-"""
+"""Progress of long work, as the functions that do it report it, and the time of its stages."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Window of range images: the rows and columns that a picture shows, where bodies are small in them.
+"""Contact sheet: the stored images of several samples and their five variants, side by side.
 
-Contact sheet: the stored images of several samples and their five variants, side by side.
+Where bodies are small in the images, it shows the window of rows and columns that holds them.
 """
 
 from __future__ import annotations
@@ -25,6 +25,20 @@ Window = tuple[slice, slice]
 _MARGIN: Final = 0.08  # of the longer side of what is measured, around it
 _MOST_CROPPED: Final = 0.4  # images stay whole where the window would keep more of them than this share
 
+_EMPTY: Final = (24, 26, 32)
+"""Colour of pixels without a range."""
+
+_GAP: Final = 6
+_CAPTION: Final = 20
+_NOTE: Final = 18
+_PANEL_ROWS: Final = 320
+_PANEL_COLUMNS: Final = 480
+
+# Near to far: light to dark as well as warm to cold, so that it also reads in grey.
+_RAMP: Final = np.array(
+    [[255, 247, 200], [254, 217, 128], [247, 164, 86], [226, 104, 84], [178, 62, 104], [116, 46, 118], [66, 40, 104]]
+)
+
 
 def window_of(images: Sequence[NDArray[Any]]) -> Window:
     """Return rows and columns of all pixels where any of the images [H, W] is above 0, with a margin.
@@ -41,21 +55,6 @@ def window_of(images: Sequence[NDArray[Any]]) -> Window:
     margin = round(_MARGIN * max(int(span[-1] - span[0]) for span in spans))
     rows, columns = (slice(max(0, int(span[0]) - margin), int(span[-1]) + margin + 1) for span in spans)
     return (rows, columns) if measured[rows, columns].size < _MOST_CROPPED * measured.size else whole
-
-
-_EMPTY: Final = (24, 26, 32)
-"""Colour of pixels without a range."""
-
-_GAP: Final = 6
-_CAPTION: Final = 20
-_NOTE: Final = 18
-_PANEL_ROWS: Final = 320
-_PANEL_COLUMNS: Final = 480
-
-# Near to far: light to dark as well as warm to cold, so that it also reads in grey.
-_RAMP: Final = np.array(
-    [[255, 247, 200], [254, 217, 128], [247, 164, 86], [226, 104, 84], [178, 62, 104], [116, 46, 118], [66, 40, 104]]
-)
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,8 @@
-"""The 33 body parts: one table of their names, order, sides, mirror images and colours.
+"""The 33 body parts, their colours, and label maps that join them to fewer classes, as other data sets name them.
 
 A part is the surface nearest to one anatomical landmark. Landmark names are spelled as the CAESAR survey spells
-them; a part's index in `PARTS` is its label. "Rt." and "Lt." are the subject's own right and left.
-
-Labels replaced by a table, byte by byte.
-
-Colours of classes: hues for pairs, the left one of a pair lighter, and every class another grey.
-
-Label maps: the 33 parts joined to fewer classes, as other data sets and applications name them.
+them; a part's index in `PARTS` is its label. "Rt." and "Lt." are the subject's own right and left. Colours are hues for
+pairs, the left one of a pair lighter, and every class another grey.
 """
 
 from __future__ import annotations
@@ -31,6 +26,23 @@ Face = Literal["front", "back", "both"]
 
 BACKGROUND: Final = 255
 """The label of a pixel that sees no body; ignored by every loss and score."""
+
+_PAIR_HUES: Final = (2, 10, 5, 12, 8, 4, 11, 7, 0, 3, 9, 6, 1)
+
+_DARKEST: Final = 70.0
+_LIGHTEST: Final = 225.0
+_STRONG: Final = 0.9
+_PALE: Final = 0.4
+"""Saturation of pairs, and of classes of the middle."""
+
+_ORDER: Final = ("right", "middle", "left")
+_GOLDEN: Final = 0.6180339887
+_ROOT: Final = 0.4142135624
+_LUMA: Final = np.array([0.299, 0.587, 0.114])  # of Rec. ITU-R BT.601
+
+LABEL_MAP_FORMAT: Final = "bodyseg labels 1"
+
+_FOLDER: Final = resources.files(__package__)
 
 
 @dataclass(frozen=True)
@@ -94,9 +106,6 @@ MIRRORED_LABELS: Final[NDArray[np.uint8]] = np.array(
 """Label -> label in the mirror image (`Part.mirror`), uint8 [256]; `BACKGROUND` and other values stay as they are."""
 
 
-_PAIR_HUES: Final = (2, 10, 5, 12, 8, 4, 11, 7, 0, 3, 9, 6, 1)
-
-
 def _part_colours() -> NDArray[np.uint8]:
     """Colours of the parts, sRGB, uint8 [33, 3].
 
@@ -143,18 +152,6 @@ def looked_up(labels: NDArray[np.uint8], table: NDArray[np.uint8]) -> NDArray[np
     """
     found = bytearray(np.ascontiguousarray(labels)).translate(table.tobytes())
     return np.frombuffer(found, np.uint8).reshape(labels.shape)
-
-
-_DARKEST: Final = 70.0
-_LIGHTEST: Final = 225.0
-_STRONG: Final = 0.9
-_PALE: Final = 0.4
-"""Saturation of pairs, and of classes of the middle."""
-
-_ORDER: Final = ("right", "middle", "left")
-_GOLDEN: Final = 0.6180339887
-_ROOT: Final = 0.4142135624
-_LUMA: Final = np.array([0.299, 0.587, 0.114])  # of Rec. ITU-R BT.601
 
 
 def luma(colours: NDArray[np.uint8]) -> NDArray[np.float64]:
@@ -208,11 +205,6 @@ def _of_grey(hue: float, saturation: float, grey: float) -> NDArray[np.uint8]:
             high = middle
     colour: NDArray[np.uint8] = np.rint(255 * np.asarray(colorsys.hls_to_rgb(hue, low, saturation))).astype(np.uint8)
     return colour
-
-
-LABEL_MAP_FORMAT: Final = "bodyseg labels 1"
-
-_FOLDER: Final = resources.files(__package__)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
-"""The descriptions of all samples of a set as arrays, made from its records without opening a shard.
+"""Conditions on the descriptions of samples, like "distance_cm<=255", "subject=B,C" or "azimuth_deg=-90..90".
 
-Conditions on the descriptions of samples, like "distance_cm<=255", "subject=B,C" or "azimuth_deg=-90..90".
+They are asked of a table of the descriptions, made from a set's records without opening a shard.
 """
 
 from __future__ import annotations
@@ -26,6 +26,21 @@ BodyRow = tuple[str, ...]
 
 ViewRow = tuple[int, ...]
 """Row of `bodyseg_data.shards.VIEW_FIELDS`."""
+
+FIELDS: Final = (*BODY_FIELDS, "motion", *VIEW_FIELDS)
+"""The fields that conditions may name."""
+
+_ORDERS: Final[dict[str, Callable[[float, float], bool]]] = {
+    "<=": operator.le,
+    ">=": operator.ge,
+    "<": operator.lt,
+    ">": operator.gt,
+}
+_CONDITION: Final = re.compile(r"\s*(\w+)\s*(<=|>=|!=|=|<|>)(.*)", re.DOTALL)
+_NUMBER: Final = r"[+-]?[0-9]{1,6}(?:\.[0-9]{1,6})?"
+_RANGE: Final = re.compile(rf"({_NUMBER})(?:\.\.({_NUMBER}))?")
+_FULL_TURN_DEG: Final = 360
+_FORM: Final = "FIELD, one of = != < <= > >=, and values, like 'distance_cm<=255'"
 
 
 @dataclass(frozen=True)
@@ -74,22 +89,6 @@ class _Joined(Generic[Row]):
     def numbers(self) -> NDArray[np.int32]:
         """Numbers of the samples' rows in the joined table, int32 [N]."""
         return np.concatenate(self._parts)
-
-
-FIELDS: Final = (*BODY_FIELDS, "motion", *VIEW_FIELDS)
-"""The fields that conditions may name."""
-
-_ORDERS: Final[dict[str, Callable[[float, float], bool]]] = {
-    "<=": operator.le,
-    ">=": operator.ge,
-    "<": operator.lt,
-    ">": operator.gt,
-}
-_CONDITION: Final = re.compile(r"\s*(\w+)\s*(<=|>=|!=|=|<|>)(.*)", re.DOTALL)
-_NUMBER: Final = r"[+-]?[0-9]{1,6}(?:\.[0-9]{1,6})?"
-_RANGE: Final = re.compile(rf"({_NUMBER})(?:\.\.({_NUMBER}))?")
-_FULL_TURN_DEG: Final = 360
-_FORM: Final = "FIELD, one of = != < <= > >=, and values, like 'distance_cm<=255'"
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,9 @@
-"""Protocol of the images that a loader reads, of one set of shards or of a mixture; and the batches it delivers.
+"""The images that a loader reads, of one set of shards or of a mixture, and their assignment to batches.
 
-Assignment of samples to batches: a function of set, seed, epoch, world size and batch size, and of nothing else.
-
-All ranks share one order an epoch. It is cut into global batches of world_size x batch_size samples, and each global
-batch into consecutive parts, one a rank. So the ranks' batches put together are the batches of one process, and a
-position in an epoch is a number of samples, valid for any number of workers or ranks and any batch size.
+Batches are a function of set, seed, epoch, world size and batch size, and of nothing else. All ranks share one order an
+epoch. It is cut into global batches of world_size x batch_size samples, and each global batch into consecutive parts,
+one a rank. So the ranks' batches put together are the batches of one process, and a position in an epoch is a number of
+samples, valid for any number of workers or ranks and any batch size.
 """
 
 from __future__ import annotations
@@ -29,6 +28,11 @@ from bodyseg_data.samples import Sample
 
 Request = tuple[int, int]
 """(epoch, index) of a sample: with its epoch, so that workers kept over several epochs need no other message."""
+
+STATE_FORMAT: Final = "bodyseg loader 1"
+
+_PROGRESS: Final = frozenset({"format", "epoch", "position", "skipped"})
+"""Fields of a state besides its identity."""
 
 
 @dataclass(frozen=True)
@@ -157,12 +161,6 @@ def _scale(steps: Any, step_m: Any, out: Any) -> None:
 @lru_cache(maxsize=1)
 def _compiled_scale() -> Any:
     return compiled(_scale, "converting ranges in a compiled loop")
-
-
-STATE_FORMAT: Final = "bodyseg loader 1"
-
-_PROGRESS: Final = frozenset({"format", "epoch", "position", "skipped"})
-"""Fields of a state besides its identity."""
 
 
 def find_rank(rank: int | None = None, world_size: int | None = None) -> tuple[int, int]:

@@ -1,11 +1,9 @@
-"""Shares of sets in the epochs of a mixture, in whole samples.
+"""The samples of a mixture's epochs: how many each set gives, and in which order.
 
 The sets are served one after the other: each gets its share of what those before it left, and the last one gets the
 rest. A share is rounded over all epochs so far, not in each epoch anew: what a set lacks in one epoch, it gets in the
 next. All of it is integer arithmetic, so an epoch gets the same numbers on every machine and in whatever order epochs
-are asked for.
-
-Order in which one set of a mixture gives its samples: pass after pass, each in an order of its own.
+are asked for. A set gives its samples pass after pass, each in an order of its own.
 """
 
 from __future__ import annotations
@@ -29,6 +27,9 @@ Weight = float | Sequence[tuple[int, float]]
 _BITS: Final = 53
 _HALF: Final = 1 << (_BITS - 1)
 _LAST_KNOT: Final = 100_000
+
+_UNIT_BITS: Final = 61
+"""Bits of the sum of all sample weights as integers."""
 
 
 @dataclass(frozen=True)
@@ -133,10 +134,6 @@ class Shares:
         given[-1] += left
 
 
-_STREAM_BITS: Final = 61
-"""Bits of the sum of all sample weights as integers."""
-
-
 class SetStream:
     """Endless sequence of one set's samples: passes of `len(images)` samples each.
 
@@ -237,7 +234,7 @@ def _checked_units(sample_weights: ArrayLike, images: RangeImages) -> NDArray[np
         raise BadConfig(
             f"sample weights must be finite, at least 0 and not all 0, found {weights.min():g} to {weights.max():g}"
         )
-    scaled = np.ldexp(weights / weights.max(), _STREAM_BITS - len(weights).bit_length())
+    scaled = np.ldexp(weights / weights.max(), _UNIT_BITS - len(weights).bit_length())
     units: NDArray[np.int64] = np.rint(scaled).astype(np.int64)
     units[(units == 0) & (weights > 0)] = 1
     return units

@@ -1,10 +1,7 @@
-"""The samples of a set that a selection holds, in memory that grows with them only where single ones were chosen.
+"""Selection of a set's samples by shard, split, key and description, from the manifest alone.
 
-The part of a set's train split to validate on: whole groups of bodies, chosen from the descriptions alone.
-
-docs/how-to/splits.md has the rule in words.
-
-Selection of a set's samples by shard, split, key and description, from the manifest alone.
+`mark_val` divides the train split: whole groups of bodies are left to validate on (docs/how-to/splits.md has the rule).
+The chosen samples take memory that grows with them only where single ones were chosen.
 """
 
 from __future__ import annotations
@@ -30,134 +27,8 @@ from bodyseg_data.loading.conditions import BodyRow, Condition, SampleTable, par
 from bodyseg_data.samples import READ_SPLITS, SPLITS, ReadSplit, holds_postures
 from bodyseg_data.shards import Manifest
 
-
-@dataclass(frozen=True)
-class ChosenSamples:
-    """Samples of a set, in stored order.
-
-    shards: numbers of the shards that hold any. counts: chosen samples of each. within: uint32 [N], indices of the
-    chosen samples within their shards, shard by shard; None if all samples of these shards are chosen.
-    """
-
-    shards: tuple[int, ...]
-    counts: tuple[int, ...]
-    within: NDArray[np.uint32] | None = None
-
-    @classmethod
-    def marked(cls, numbers: Sequence[int], marks: Sequence[NDArray[np.bool_]]) -> ChosenSamples:
-        """Return the samples that are marked. marks: bool [M], of the samples of each of the shards `numbers`."""
-        chosen = [np.flatnonzero(each).astype(np.uint32) for each in marks]
-        held = [(number, own) for number, own in zip(numbers, chosen, strict=True) if len(own)]
-        within = np.concatenate([own for _, own in held]) if held else np.empty(0, np.uint32)
-        return cls(tuple(number for number, _ in held), tuple(len(own) for _, own in held), within)
-
-    def __len__(self) -> int:
-        return self._ends[-1] if self._ends else 0
-
-    def place(self, index: int) -> tuple[int, int]:
-        """Return (shard number, index within the shard) of a sample, `index` of all chosen ones."""
-        at = bisect_right(self._ends, index)
-        within = index - self._ends[at] + self.counts[at] if self.within is None else int(self.within[index])
-        return self.shards[at], within
-
-    def by_shard(self) -> Iterator[tuple[int, list[int]]]:
-        """Yield each shard's number and the indices of its chosen samples."""
-        for shard, count, end in zip(self.shards, self.counts, self._ends, strict=True):
-            yield shard, list(range(count)) if self.within is None else self.within[end - count : end].tolist()
-
-    @cached_property
-    def _ends(self) -> list[int]:
-        """Number of samples up to the end of each shard."""
-        return list(accumulate(self.counts))
-
-
 Group = tuple[str, ...]
 """What the bodies of a group have in common: subset, subject and, where people are few, pose or mesh."""
-
-
-def check_val_share(share: Any) -> float:
-    """Return `share` as a float. Raises BadConfig unless it is a number of at least 0 and below 1."""
-    if isinstance(share, bool) or not isinstance(share, int | float | np.number) or not 0 <= share < 1:
-        raise BadConfig(f"val_share must be a number of at least 0 and below 1, found {share!r}")
-    return float(share)
-
-
-def mark_val(table: SampleTable, train: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
-    """Mark the samples of val, bool [N].
-
-    train: bool [N], the samples of the stored train split. share: of them, above 0. Raises BadConfig if they are one
-    group, which cannot be divided.
-    """
-    counts = np.bincount(table.body[train], minlength=len(table.bodies))
-    rows = [row for row, count in zip(table.bodies, counts, strict=True) if count]
-    group_of = groups(rows, share)
-    sizes = Counter[Group]()
-    for row, count in zip(table.bodies, counts.tolist(), strict=True):
-        if count:
-            sizes[group_of[row]] += count
-    if len(sizes) < 2:
-        raise BadConfig(f"val_share={share:g} divides train by people and motions, found {len(sizes)} group of them")
-    chosen = choose_groups(sizes, share)
-    return train & table.where_body(lambda row: group_of.get(row) in chosen)
-
-
-def groups(bodies: list[BodyRow], share: float) -> dict[BodyRow, Group]:
-    """Assign bodies to groups that are never divided.
-
-    A group is a person where the subset has enough people for the share, 1 / share or more; otherwise the person in
-    one pose, such as a whole motion; in the paper's subset A, where each mesh is a posture of its own, the mesh.
-    """
-    people = Counter(subset for subset, _ in {(subset, subject) for _, subset, subject, _, _ in bodies})
-    found: dict[BodyRow, Group] = {}
-    for row in bodies:
-        _, subset, subject, mesh, pose = row
-        within: Group = ()
-        if people[subset] < math.ceil(1 / share):
-            within = (mesh,) if holds_postures(subset) else (pose,)
-        found[row] = (subset, subject, *within)
-    return found
-
-
-def choose_groups(sizes: dict[Group, int], share: float) -> set[Group]:
-    """Choose groups that hold about a share of the samples, in every subset where they are small enough.
-
-    sizes: samples of each group. Subsets of the largest groups come first; what they have too few or too many is made
-    up for by the next ones, which give between half and twice their own share, and leave at least half of their own
-    rest. At least one group is chosen, and at least one left.
-    """
-    subsets: dict[str, list[Group]] = {}
-    for group in sizes:
-        subsets.setdefault(group[0], []).append(group)
-    chosen: set[Group] = set()
-    short = 0.0
-    for _, members in sorted(subsets.items(), key=lambda item: (-max(sizes[group] for group in item[1]), item[0])):
-        held = sum(sizes[group] for group in members)
-        own = share * held
-        taken = _choose(members, sizes, min(max(own + short, own / 2), 2 * own, (held + own) / 2))
-        short += own - sum(sizes[group] for group in taken)
-        chosen |= taken
-    smallest = {min(sizes, key=lambda group: (sizes[group], _hash(group)))}
-    return (chosen - smallest if len(chosen) == len(sizes) else chosen) or smallest
-
-
-def _choose(members: list[Group], sizes: dict[Group, int], due: float) -> set[Group]:
-    """Choose groups of one subset: in the order of a hash, those that fit, and one more if that is nearer to `due`."""
-    order = sorted(members, key=_hash)
-    chosen: set[Group] = set()
-    for group in order:
-        if sizes[group] <= due:
-            chosen.add(group)
-            due -= sizes[group]
-    others = [group for group in order if group not in chosen]
-    nearest = min(others, key=lambda group: abs(due - sizes[group]), default=None)
-    if nearest is not None and abs(due - sizes[nearest]) < due:
-        chosen.add(nearest)
-    return chosen
-
-
-def _hash(group: Group) -> bytes:
-    text = "\0".join(group)
-    return hashlib.blake2b(text.encode(errors="surrogatepass"), digest_size=16, person=b"bodyseg val").digest()
 
 
 @dataclass(frozen=True)
@@ -245,3 +116,128 @@ class Selection:
         val = mark_val(table, np.ones(len(table.body), np.bool_), self.val_share)
         ends = np.cumsum([len(manifest.shards[number]) for number in train])
         return dict(zip(train, np.split(val == (self.split == "val"), ends[:-1]), strict=True))
+
+
+@dataclass(frozen=True)
+class ChosenSamples:
+    """Samples of a set, in stored order.
+
+    shards: numbers of the shards that hold any. counts: chosen samples of each. within: uint32 [N], indices of the
+    chosen samples within their shards, shard by shard; None if all samples of these shards are chosen.
+    """
+
+    shards: tuple[int, ...]
+    counts: tuple[int, ...]
+    within: NDArray[np.uint32] | None = None
+
+    @classmethod
+    def marked(cls, numbers: Sequence[int], marks: Sequence[NDArray[np.bool_]]) -> ChosenSamples:
+        """Return the samples that are marked. marks: bool [M], of the samples of each of the shards `numbers`."""
+        chosen = [np.flatnonzero(each).astype(np.uint32) for each in marks]
+        held = [(number, own) for number, own in zip(numbers, chosen, strict=True) if len(own)]
+        within = np.concatenate([own for _, own in held]) if held else np.empty(0, np.uint32)
+        return cls(tuple(number for number, _ in held), tuple(len(own) for _, own in held), within)
+
+    def __len__(self) -> int:
+        return self._ends[-1] if self._ends else 0
+
+    def place(self, index: int) -> tuple[int, int]:
+        """Return (shard number, index within the shard) of a sample, `index` of all chosen ones."""
+        at = bisect_right(self._ends, index)
+        within = index - self._ends[at] + self.counts[at] if self.within is None else int(self.within[index])
+        return self.shards[at], within
+
+    def by_shard(self) -> Iterator[tuple[int, list[int]]]:
+        """Yield each shard's number and the indices of its chosen samples."""
+        for shard, count, end in zip(self.shards, self.counts, self._ends, strict=True):
+            yield shard, list(range(count)) if self.within is None else self.within[end - count : end].tolist()
+
+    @cached_property
+    def _ends(self) -> list[int]:
+        """Number of samples up to the end of each shard."""
+        return list(accumulate(self.counts))
+
+
+def check_val_share(share: Any) -> float:
+    """Return `share` as a float. Raises BadConfig unless it is a number of at least 0 and below 1."""
+    if isinstance(share, bool) or not isinstance(share, int | float | np.number) or not 0 <= share < 1:
+        raise BadConfig(f"val_share must be a number of at least 0 and below 1, found {share!r}")
+    return float(share)
+
+
+def mark_val(table: SampleTable, train: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
+    """Mark the samples of val, bool [N].
+
+    train: bool [N], the samples of the stored train split. share: of them, above 0. Raises BadConfig if they are one
+    group, which cannot be divided.
+    """
+    counts = np.bincount(table.body[train], minlength=len(table.bodies))
+    rows = [row for row, count in zip(table.bodies, counts, strict=True) if count]
+    group_of = groups(rows, share)
+    sizes = Counter[Group]()
+    for row, count in zip(table.bodies, counts.tolist(), strict=True):
+        if count:
+            sizes[group_of[row]] += count
+    if len(sizes) < 2:
+        raise BadConfig(f"val_share={share:g} divides train by people and motions, found {len(sizes)} group of them")
+    chosen = choose_groups(sizes, share)
+    return train & table.where_body(lambda row: group_of.get(row) in chosen)
+
+
+def groups(bodies: list[BodyRow], share: float) -> dict[BodyRow, Group]:
+    """Assign bodies to groups that are never divided.
+
+    A group is a person where the subset has enough people for the share, 1 / share or more; otherwise the person in
+    one pose, such as a whole motion; in the paper's subset A, where each mesh is a posture of its own, the mesh.
+    """
+    people = Counter(subset for subset, _ in {(subset, subject) for _, subset, subject, _, _ in bodies})
+    found: dict[BodyRow, Group] = {}
+    for row in bodies:
+        _, subset, subject, mesh, pose = row
+        within: Group = ()
+        if people[subset] < math.ceil(1 / share):
+            within = (mesh,) if holds_postures(subset) else (pose,)
+        found[row] = (subset, subject, *within)
+    return found
+
+
+def choose_groups(sizes: dict[Group, int], share: float) -> set[Group]:
+    """Choose groups that hold about a share of the samples, in every subset where they are small enough.
+
+    sizes: samples of each group. Subsets of the largest groups come first; what they have too few or too many is made
+    up for by the next ones, which give between half and twice their own share, and leave at least half of their own
+    rest. At least one group is chosen, and at least one left.
+    """
+    subsets: dict[str, list[Group]] = {}
+    for group in sizes:
+        subsets.setdefault(group[0], []).append(group)
+    chosen: set[Group] = set()
+    short = 0.0
+    for _, members in sorted(subsets.items(), key=lambda item: (-max(sizes[group] for group in item[1]), item[0])):
+        held = sum(sizes[group] for group in members)
+        own = share * held
+        taken = _choose(members, sizes, min(max(own + short, own / 2), 2 * own, (held + own) / 2))
+        short += own - sum(sizes[group] for group in taken)
+        chosen |= taken
+    smallest = {min(sizes, key=lambda group: (sizes[group], _hash(group)))}
+    return (chosen - smallest if len(chosen) == len(sizes) else chosen) or smallest
+
+
+def _choose(members: list[Group], sizes: dict[Group, int], due: float) -> set[Group]:
+    """Choose groups of one subset: in the order of a hash, those that fit, and one more if that is nearer to `due`."""
+    order = sorted(members, key=_hash)
+    chosen: set[Group] = set()
+    for group in order:
+        if sizes[group] <= due:
+            chosen.add(group)
+            due -= sizes[group]
+    others = [group for group in order if group not in chosen]
+    nearest = min(others, key=lambda group: abs(due - sizes[group]), default=None)
+    if nearest is not None and abs(due - sizes[nearest]) < due:
+        chosen.add(nearest)
+    return chosen
+
+
+def _hash(group: Group) -> bytes:
+    text = "\0".join(group)
+    return hashlib.blake2b(text.encode(errors="surrogatepass"), digest_size=16, person=b"bodyseg val").digest()

@@ -1,13 +1,13 @@
 """Shared memory into which workers write whole batches, reused as soon as no reference to a batch is left.
 
-No pixel is copied or sent between processes, and after the first few batches nothing is allocated and no page is
-touched for the first time. The memory has no name, so that nothing is left behind; a small /dev/shm does not limit it.
+`Slots` are the memory of `Loader`. No pixel is copied or sent between processes, and after the first few batches
+nothing is allocated and no page is touched for the first time. The memory has no name, so that nothing is left behind;
+a small /dev/shm does not limit it.
 
-Samples for PyTorch's own DataLoader, and batches of them in shared memory that a worker uses again.
-
-DataLoader's workers take new shared memory for every batch, and to write to it for the first time takes longer than to
-make the images. Here a worker keeps the memory of its batches. The last byte says whether a batch is in use: the worker
-sets it when it sends the batch, and the process that receives it clears it when no tensor or view of it is left.
+`item_tensor` and `empty_batch` serve PyTorch's own DataLoader, whose workers take new shared memory for every batch,
+and to write to it for the first time takes longer than to make the images. Here a worker keeps the memory of its
+batches. The last byte says whether a batch is in use: the worker sets it when it sends the batch, and the process that
+receives it clears it when no tensor or view of it is left.
 """
 
 from __future__ import annotations
@@ -33,6 +33,14 @@ from bodyseg_data.core import BadConfig
 
 SPARE: Final = 3
 """Batches that a user may hold at once without a copy: the current one, the one before it, and one more."""
+
+_MOST: Final = 8
+"""Batches of one kind that a worker keeps memory for; any beyond them are left to PyTorch."""
+
+_Reduced = tuple[Callable[..., torch.Tensor], tuple[Any, ...]]
+
+_memories: dict[int, list[_SharedMemory]] = {}
+"""Bytes of an item -> the memory of this worker's batches of such items."""
 
 
 class Slots:
@@ -130,12 +138,6 @@ def _anonymous_file(size: int) -> int:
     return file
 
 
-_MOST: Final = 8
-"""Batches of one kind that a worker keeps memory for; any beyond them are left to PyTorch."""
-
-_Reduced = tuple[Callable[..., torch.Tensor], tuple[Any, ...]]
-
-
 class _SharedMemory:
     """Shared memory for one batch at a time."""
 
@@ -195,6 +197,9 @@ class BatchTensor(_Plain):
     memory: _SharedMemory
 
 
+# Batches of PyTorch's own DataLoader.
+
+
 def item_tensor(array: NDArray[Any]) -> torch.Tensor:
     """Return an array as a tensor, uncopied: an `ItemTensor` in a worker, else a plain one."""
     tensor = torch.from_numpy(array)
@@ -244,9 +249,6 @@ def _reduce_item(tensor: ItemTensor) -> _Reduced:
 default_collate_fn_map[ItemTensor] = _stacked
 ForkingPickler.register(BatchTensor, _reduce)
 ForkingPickler.register(ItemTensor, _reduce_item)
-
-_memories: dict[int, list[_SharedMemory]] = {}
-"""Bytes of an item -> the memory of this worker's batches of such items."""
 
 
 def empty_batch(count: int, shape: tuple[int, ...], kind: np.dtype[Any]) -> BatchTensor | None:

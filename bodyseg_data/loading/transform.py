@@ -1,6 +1,4 @@
-"""The samples that transforms receive and return: range, labels, and the camera that sees them.
-
-Protocol of a transform: one sample in, one sample out, in a worker, after the artifacts and before the label map.
+"""Protocol of a transform: one sample in, one sample out, in a worker, after the artifacts and before the label map.
 
 A transform is a frozen dataclass:
 

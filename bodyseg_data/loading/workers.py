@@ -1,10 +1,8 @@
-"""The interface of a loader's workers, and the form of it that needs neither processes nor threads.
+"""Workers of a loader: processes, threads of this process, or neither.
 
-Worker threads of this process: they start at once, share all memory, and run side by side where the GIL is released.
-
-Reading, checksums, zstd and the compiled loops release it; the Python code between them takes turns.
-
-Worker processes that handle requests in turn, each over its own pipe: no semaphore, thread or named resource.
+Threads start at once, share all memory, and run side by side where the GIL is released: by reading, checksums, zstd and
+the compiled loops; the Python code between them takes turns. Processes handle requests in turn, each over its own pipe:
+no semaphore, thread or named resource.
 """
 
 from __future__ import annotations
@@ -29,6 +27,7 @@ from bodyseg_data.core import BadConfig, WorkerLost
 from bodyseg_data.machine import peak_mb
 
 WorkerMethod = Literal["process", "thread"]
+StartMethod = Literal["fork", "spawn", "forkserver"]
 
 DEFAULT_WORKER_METHOD: Final[WorkerMethod] = "thread"
 """Chosen by measurement: docs/results/loading_speed.md."""
@@ -37,6 +36,16 @@ _WORKER_METHODS: Final[tuple[WorkerMethod, ...]] = ("process", "thread")
 
 END_TIMEOUT_S: Final = 5.0
 """Time for a worker to finish its request after it was told to end, seconds."""
+
+_Answers = SimpleQueue[tuple[int, Any]]
+_Requests = SimpleQueue[tuple[Any, _Answers] | None]
+"""Requests, each with the queue that its (number of the worker, result) goes to; None ends the thread that takes it."""
+
+_END: Final = "end"
+"""Last request: ends the worker."""
+
+_POLL_S: Final = 1.0
+"""Interval at which each side checks that the other is alive, seconds, in case the pipe does not show it."""
 
 
 def check_worker_method(method: str) -> None:
@@ -117,11 +126,6 @@ def checked_result(found: Any, worker: str) -> Any:
     raise error
 
 
-_Answers = SimpleQueue[tuple[int, Any]]
-_Requests = SimpleQueue[tuple[Any, _Answers] | None]
-"""Requests, each with the queue that its (number of the worker, result) goes to; None ends the thread that takes it."""
-
-
 class ThreadWorkers:
     """`count` threads, started at once, that take requests from one queue; results come in the order of the requests.
 
@@ -138,7 +142,10 @@ class ThreadWorkers:
             for number in range(count):
                 # A daemon: the end of the interpreter would wait for any other before it runs `close`.
                 thread = threading.Thread(
-                    target=_serve, args=(work, number, self._requests), name=f"bodyseg-worker-{number}", daemon=True
+                    target=_serve_thread,
+                    args=(work, number, self._requests),
+                    name=f"bodyseg-worker-{number}",
+                    daemon=True,
                 )
                 thread.start()
                 self._threads.append(thread)
@@ -187,22 +194,13 @@ class ThreadWorkers:
         self._answers.clear()
 
 
-def _serve(work: Callable[[Any], Any], number: int, requests: _Requests) -> None:
+def _serve_thread(work: Callable[[Any], Any], number: int, requests: _Requests) -> None:
     """Handle requests in a thread until it takes None."""
     while (task := requests.get()) is not None:
         request, answer = task
         found = handle(work, request)
         answer.put((number, found))
         del task, request, answer, found  # or they would live until the next request
-
-
-StartMethod = Literal["fork", "spawn", "forkserver"]
-
-_END: Final = "end"
-"""Last request: ends the worker."""
-
-_POLL_S: Final = 1.0
-"""Interval at which each side checks that the other is alive, seconds, in case the pipe does not show it."""
 
 
 class ProcessWorkers:

@@ -1,8 +1,6 @@
-"""Hardware that this process runs on.
+"""The hardware that this process runs on, the memory that it had, and memory that is used again.
 
-Memory of processes: the most they had, in one unit on every system, and whether they keep what is freed.
-
-Memory for arrays that live briefly, used again: fresh memory costs a page fault for every 4 kB written.
+Fresh memory costs a page fault for every 4 kB written.
 """
 
 from __future__ import annotations
@@ -30,6 +28,14 @@ _MATRICES: Final = "amx_tile"
 
 _BFLOAT16: Final = frozenset({"amx_bf16", "avx512_bf16"})
 """The flags of processors with instructions for bfloat16; others compute it by way of float32, slower than that."""
+
+_TRIM_THRESHOLD: Final = (-1, 1 << 28)
+_MMAP_THRESHOLD: Final = (-3, 1 << 25)
+"""Numbers of glibc's mallopt, and bytes: free memory that is kept, and an array that has a mapping of its own. The
+greatest of the second is 32 MB."""
+
+_KEPT_BYTES: Final = 2**26
+"""The most memory that is kept: for 60 items of 640 x 329 pixels."""
 
 
 def processors() -> int:
@@ -72,12 +78,6 @@ with contextlib.suppress(ImportError):  # not on Windows
     import resource
 
 
-_TRIM_THRESHOLD: Final = (-1, 1 << 28)
-_MMAP_THRESHOLD: Final = (-3, 1 << 25)
-"""Numbers of glibc's mallopt, and bytes: free memory that is kept, and an array that has a mapping of its own. The
-greatest of the second is 32 MB."""
-
-
 def keep_freed_memory() -> None:
     """Let glibc's malloc keep up to 256 MB of what is freed, for arrays that come again with every frame.
 
@@ -117,10 +117,6 @@ def _high_water_kib(process: str) -> int | None:
         if line.startswith("VmHWM:"):
             return int(line.split()[1])
     return None
-
-
-_KEPT_BYTES: Final = 2**26
-"""The most memory that is kept: for 60 items of 640 x 329 pixels."""
 
 
 class ReusedMemory:

@@ -1,9 +1,8 @@
-"""Errors for missing packages and shared libraries that name what to install.
+"""Optional packages and shared libraries: errors that name what to install, and the quickest library for deflate.
 
 Some optional packages (pyrender, pymeshlab) load shared libraries that pip does not install. The errors they raise
-without them differ from package to package and rarely name the system's package.
-
-Streams of deflate, as PNG files hold them: by isal where it is installed (`bodyseg[fast]`), else by zlib.
+without them differ from package to package and rarely name the system's package. Streams of deflate, as PNG files hold
+them, are made by isal where it is installed (`bodyseg[fast]`), else by zlib.
 """
 
 from __future__ import annotations
@@ -107,15 +106,15 @@ def compress(data: Any, level: int) -> bytes:
     isal and zlib write other streams of the same content, and isal may write another one when it is called again: so
     what must have the same bytes every time, like shards, is compressed elsewhere.
     """
-    packed: bytes = library().compress(data, level)
+    packed: bytes = deflate_library().compress(data, level)
     return packed
 
 
 def decompress(packed: bytes, size: int) -> bytes:
     """Decompress zlib's format to exactly `size` bytes, however many more there are. Raises ValueError."""
     try:
-        data: bytes = library().decompressobj().decompress(packed, size)
-    except library().error as error:
+        data: bytes = deflate_library().decompressobj().decompress(packed, size)
+    except deflate_library().error as error:
         raise ValueError(f"its pixels cannot be decompressed: {error}") from error
     if len(data) != size:
         raise ValueError(f"its pixels must be {size} bytes, found {len(data)}")
@@ -123,7 +122,7 @@ def decompress(packed: bytes, size: int) -> bytes:
 
 
 @cache
-def library() -> Any:
+def deflate_library() -> Any:
     """The module that compresses: isal's, whose functions and errors are those of zlib, or zlib."""
     try:
         return import_module("isal.isal_zlib")

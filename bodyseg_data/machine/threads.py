@@ -1,8 +1,6 @@
-"""Loops over many elements, divided among threads: compiled ones run side by side, as they leave Python's lock.
+"""Threads of this process: work divided among them, those of torch, and signals put off until they have finished.
 
-Threads in which torch computes: their number, on which the bits of its sums depend, and how they wait.
-
-Signals that end a command, put off while something must not be left half done.
+Compiled loops run side by side, as they leave Python's lock. The bits of torch's sums depend on its number of threads.
 """
 
 from __future__ import annotations
@@ -20,6 +18,9 @@ from typing import Final, TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+ENDING: Final = (signal.SIGINT, signal.SIGTERM)
+"""Signals that ask a command to end."""
 
 
 def pieces(count: int, parts: int) -> list[tuple[int, int]]:
@@ -84,10 +85,6 @@ def torch_threads(count: int) -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
-
-
-ENDING: Final = (signal.SIGINT, signal.SIGTERM)
-"""Signals that ask a command to end."""
 
 
 @contextmanager

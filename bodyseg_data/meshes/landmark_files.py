@@ -1,5 +1,6 @@
-"""Landmark files of the CAESAR survey (.lnd): rows of numbers and names, typed by hand, some names truncated.
+"""Readers of landmark files of all kinds: JSON by vertex or by coordinate, and the CAESAR survey's .lnd.
 
+A .lnd file holds rows of numbers and names, typed by hand, some names truncated.
 The rows stand between a line that begins with "AUX =" and one that begins with "END =". Each holds some numbers, the
 last three of which are x, y, z in millimetres, and a name, which may hold blanks or begin with a digit:
 
@@ -8,8 +9,6 @@ last three of which are x, y, z in millimetres, and a name, which may hold blank
 A name is recognised if it is one of the survey's 73 in full, regardless of case, blanks and punctuation, or a prefix
 of only one of them, or differs from one by a letter or two and from all others of its side by clearly more. Sides and
 numbers, like the "V" of a finger, must be exact.
-
-Reader of all kinds of landmark files: JSON by vertex, JSON by coordinate, and CAESAR's .lnd.
 """
 
 from __future__ import annotations

@@ -1,21 +1,14 @@
-"""Landmarks by vertex: the vertex at each of the 33 landmarks, for all meshes of one topology.
+"""The 33 landmarks of bodies: by vertex, for all meshes of one topology, or by coordinate, for one body.
 
-A set is a JSON file:
+Both are read from JSON files:
 
     {"format": "bodyseg landmarks 1", "topology": "<which meshes, in words>", "vertex_count": 13718,
      "face_count": 27420, "landmarks": {"Sellion": 132, ..., "Lt. Digit II": 13101}}
-
-with each of the 33 names of `parts.LANDMARKS` once, in any order, and vertex indices from 0; other names are ignored.
-Two landmarks may share a vertex, as where hands touch (`coincident`). Meshes with the same vertex order, whatever their
-pose and shape, share one set. Landmarks by coordinate are in `by_point`.
-
-Nearest points of a surface.
-
-Landmarks by coordinate: 33 points near a surface, projected onto it.
-
-Their files are JSON, like those of landmarks by vertex (`by_vertex`), with points instead of vertices:
-
     {"format": "bodyseg landmarks 1", "units": "mm", "points": {"Sellion": [12.1, 1630.0, 98.4], ...}}
+
+with each of the 33 names of `LANDMARKS` once, in any order, and vertex indices from 0; other names are ignored. Two
+landmarks may share a vertex, as where hands touch (`coincident`). Meshes with the same vertex order, whatever their
+pose and shape, share one set. Points lie near a surface, onto which they are projected.
 """
 
 from __future__ import annotations
@@ -40,7 +33,20 @@ from bodyseg_data.meshes.coincident import separate
 from bodyseg_data.meshes.mesh import Mesh
 
 LANDMARKS_FORMAT: Final = "bodyseg landmarks 1"
-_KEYS: Final = ("format", "topology", "vertex_count", "face_count", "landmarks")
+_SET_KEYS: Final = ("format", "topology", "vertex_count", "face_count", "landmarks")
+
+FARTHEST_M: Final = 0.03
+"""Largest accepted distance of a landmark from the surface, metres.
+
+Markers on the skin and a scan's surface differ by millimetres; hair, clothes and holes in a scan add centimetres. A
+landmark farther away belongs to another body, unit or frame.
+"""
+
+METRES: Final[Mapping[str, float]] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+"""Metres in a unit of length."""
+
+_POINT_KEYS: Final = ("format", "units", "points")
+_FEATURE: Final = "putting landmarks onto a surface"
 
 
 @dataclass(frozen=True)
@@ -48,7 +54,7 @@ class LandmarkSet:
     """The landmarks of one topology, constructed by `load_landmarks` and `parse_landmarks`, which check all fields.
 
     source: file or name it was read from, for messages. topology: description of its meshes. vertex_count, face_count:
-    of those meshes. vertices: index of each landmark's vertex, in the order of `parts.LANDMARKS`. ignored: other names
+    of those meshes. vertices: index of each landmark's vertex, in the order of `LANDMARKS`. ignored: other names
     in the file.
     """
 
@@ -60,7 +66,7 @@ class LandmarkSet:
     ignored: tuple[str, ...] = ()
 
     def for_mesh(self, mesh: Mesh) -> NDArray[np.int64]:
-        """Vertices of the landmarks on `mesh`, int64 [33], in the order of `parts.PARTS`; two may be the same.
+        """Vertices of the landmarks on `mesh`, int64 [33], in the order of `PARTS`; two may be the same.
 
         Raises BadLandmarks, naming set and mesh, if the mesh has another number of vertices or faces, or if no face
         uses the vertex of a landmark.
@@ -112,20 +118,11 @@ def load_landmarks(name_or_path: str | Path) -> LandmarkSet:
     return parse_landmarks(text, str(name_or_path))
 
 
-def read_text(path: Path) -> str:
-    """Read a landmark file in UTF-8. Raises BadLandmarks."""
-    try:
-        refuse_special(path)
-        return path.read_text(encoding="utf-8-sig")  # some editors write a byte-order mark
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadLandmarks(f"cannot read the landmark file {path}: {error}") from error
-
-
 def parse_landmarks(text: str, source: str) -> LandmarkSet:
     """Parse a landmark set from JSON text; `source` names it in messages. Raises BadLandmarks."""
     where = f"landmarks {source}"
     tree = json_table(text, source)
-    check_keys(tree, _KEYS, where)
+    check_keys(tree, _SET_KEYS, where)
     if not isinstance(tree["topology"], str):
         raise BadLandmarks(f"{where}: 'topology' must be text, found {tree['topology']!r}")
     vertex_count = _whole(tree["vertex_count"], 1, None, f"{where}: 'vertex_count'")
@@ -139,128 +136,11 @@ def parse_landmarks(text: str, source: str) -> LandmarkSet:
     )
 
 
-def _vertices(table: dict[str, Any], vertex_count: int, where: str) -> tuple[int, ...]:
-    vertices = [_whole(table[name], 0, vertex_count - 1, f"{where}: the vertex of {name!r}") for name in LANDMARKS]
-    vertex, count = Counter(vertices).most_common(1)[0]
-    if count > 2:
-        names = ", ".join(repr(name) for name, each in zip(LANDMARKS, vertices, strict=True) if each == vertex)
-        raise BadLandmarks(f"{where}: at most two landmarks may share a vertex, found {names} at {vertex}")
-    return tuple(vertices)
-
-
-def check_landmark_names(found: list[str], where: str) -> tuple[str, ...]:
-    """Return the names that are not among the 33. Raises BadLandmarks, naming each of the 33 that is missing and what
-    it may have been misspelt as.
-    """
-    others = [name for name in found if name not in LANDMARKS]
-    missing = []
-    for name in LANDMARKS:
-        if name not in found:
-            close = difflib.get_close_matches(name, others, 1)
-            missing.append(repr(name) + (f" (misspelt as {close[0]!r}?)" if close else ""))
-    if missing:
-        raise BadLandmarks(f"{where}: landmark {', '.join(missing)} is missing")
-    return tuple(others)
-
-
-def json_table(text: str, source: str) -> dict[str, Any]:
-    """Parse the JSON object of a landmark file and check its format. Raises BadLandmarks."""
-    where = f"landmarks {source}"
-    try:
-        tree = json.loads(text, object_pairs_hook=lambda pairs: _without_doubles(pairs, where))
-    except (ValueError, RecursionError) as error:  # RecursionError: brackets nested beyond reason
-        raise BadLandmarks(f"{where} is not JSON: {error}") from error
-    if not isinstance(tree, dict) or tree.get("format") != LANDMARKS_FORMAT:
-        raise BadLandmarks(f"{where}: 'format' must be {LANDMARKS_FORMAT!r}")
-    return tree
-
-
-def check_keys(tree: dict[str, Any], wanted: tuple[str, ...], where: str) -> None:
-    """Raise BadLandmarks unless the keys of a landmark file are those `wanted`."""
-    unknown = [key for key in tree if key not in wanted]
-    if unknown:
-        raise BadLandmarks(f"{where}: unknown key {', '.join(map(repr, unknown))}")
-    missing = [key for key in wanted if key not in tree]
-    if missing:
-        raise BadLandmarks(f"{where}: key {', '.join(map(repr, missing))} is missing")
-
-
-def _whole(value: Any, low: int, high: int | None, what: str) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or value < low or (high is not None and value > high):
-        span = f"at least {low}" if high is None else f"{low} to {high}"
-        raise BadLandmarks(f"{what} must be a whole number, {span}, found {value!r}")
-    return value
-
-
-def _without_doubles(pairs: list[tuple[str, Any]], where: str) -> dict[str, Any]:
-    """Raise BadLandmarks for repeated keys, of which `json` would silently keep the last."""
-    tree: dict[str, Any] = {}
-    for key, value in pairs:
-        if key in tree:
-            raise BadLandmarks(f"{where}: {key!r} is given twice")
-        tree[key] = value
-    return tree
-
-
-def nearest_corner(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32], points: NDArray[np.float64], feature: str
-) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """Find the triangle nearest to each of `points` [P, 3]: its corner nearest to the point, int32 [P], and the
-    distance from the point to the triangle, float64 [P], metres.
-
-    vertices: [V, 3], metres. faces: [F, 3], none of zero area. feature: the feature that the message names.
-    Raises MissingLibrary without trimesh, rtree or scipy.
-    """
-    try:
-        import rtree  # noqa: F401  trimesh imports it late and reports its absence in other words
-        import trimesh
-        from scipy.spatial import KDTree
-    except ImportError as error:
-        raise missing_library(feature, error) from error
-    # No point is farther from the surface than from its nearest vertex, so only triangles within that distance of the
-    # points' bounding box can be nearest: for eyes in a head a few hundred instead of all.
-    reach = KDTree(vertices[np.unique(faces)]).query(points)[0].max() + 1e-9  # rounding must not lose the nearest
-    corners = vertices[faces]
-    low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
-    faces = faces[((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)).all(axis=1)]
-    surface = trimesh.Trimesh(vertices, faces, process=False)
-    _, distance, triangle = trimesh.proximity.closest_point(surface, points)
-    candidates = faces[triangle]
-    away = np.linalg.norm(vertices[candidates] - points[:, None], axis=2)
-    nearest: NDArray[np.int32] = candidates[np.arange(len(points)), away.argmin(axis=1)]
-    return nearest, np.asarray(distance, np.float64)
-
-
-def farthest_from(vertices: NDArray[np.float64], points: NDArray[np.float64], feature: str) -> float:
-    """The largest distance of `points` [P, 3] to their nearest vertices [V, 3], metres: that to a surface of these
-    vertices is no larger. feature: the feature that the message of MissingLibrary, raised without scipy, names.
-    """
-    try:
-        from scipy.spatial import KDTree
-    except ImportError as error:
-        raise missing_library(feature, error) from error
-    return float(KDTree(vertices).query(points)[0].max())
-
-
-FARTHEST_M: Final = 0.03
-"""Largest accepted distance of a landmark from the surface, metres.
-
-Markers on the skin and a scan's surface differ by millimetres; hair, clothes and holes in a scan add centimetres. A
-landmark farther away belongs to another body, unit or frame.
-"""
-
-METRES: Final[Mapping[str, float]] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
-"""Metres in a unit of length."""
-
-_POINT_KEYS: Final = ("format", "units", "points")
-_FEATURE: Final = "putting landmarks onto a surface"
-
-
 @dataclass(frozen=True)
 class SnappedLandmarks:
     """Landmarks projected onto a surface. vertices: int64 [33], of the triangle nearest to each point the nearest
     corner, or a free vertex beside it where two landmarks have the same (`separate`). distance_m: float64 [33], from
-    each point to the surface, metres. Both in the order of `parts.PARTS`. notes: lines on landmarks that moved.
+    each point to the surface, metres. Both in the order of `PARTS`. notes: lines on landmarks that moved.
     """
 
     vertices: NDArray[np.int64]
@@ -272,7 +152,7 @@ class SnappedLandmarks:
 class PointLandmarks:
     """The landmarks of one body in space. source: file they were read from, for messages.
 
-    points: float64 [33, 3] in the order of `parts.LANDMARKS`, metres, in the frame of the file they came from, which is
+    points: float64 [33, 3] in the order of `LANDMARKS`, metres, in the frame of the file they came from, which is
     not always that of the mesh (`transformed`). ignored: other names in the file. Raises BadLandmarks unless they are
     33 finite points.
     """
@@ -361,6 +241,61 @@ def parse_points(text: str, source: str) -> PointLandmarks:
     return PointLandmarks(source, np.array(points) * METRES[units], ignored)
 
 
+def read_text(path: Path) -> str:
+    """Read a landmark file in UTF-8. Raises BadLandmarks."""
+    try:
+        refuse_special(path)
+        return path.read_text(encoding="utf-8-sig")  # some editors write a byte-order mark
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadLandmarks(f"cannot read the landmark file {path}: {error}") from error
+
+
+def json_table(text: str, source: str) -> dict[str, Any]:
+    """Parse the JSON object of a landmark file and check its format. Raises BadLandmarks."""
+    where = f"landmarks {source}"
+    try:
+        tree = json.loads(text, object_pairs_hook=lambda pairs: _without_doubles(pairs, where))
+    except (ValueError, RecursionError) as error:  # RecursionError: brackets nested beyond reason
+        raise BadLandmarks(f"{where} is not JSON: {error}") from error
+    if not isinstance(tree, dict) or tree.get("format") != LANDMARKS_FORMAT:
+        raise BadLandmarks(f"{where}: 'format' must be {LANDMARKS_FORMAT!r}")
+    return tree
+
+
+def check_keys(tree: dict[str, Any], wanted: tuple[str, ...], where: str) -> None:
+    """Raise BadLandmarks unless the keys of a landmark file are those `wanted`."""
+    unknown = [key for key in tree if key not in wanted]
+    if unknown:
+        raise BadLandmarks(f"{where}: unknown key {', '.join(map(repr, unknown))}")
+    missing = [key for key in wanted if key not in tree]
+    if missing:
+        raise BadLandmarks(f"{where}: key {', '.join(map(repr, missing))} is missing")
+
+
+def check_landmark_names(found: list[str], where: str) -> tuple[str, ...]:
+    """Return the names that are not among the 33. Raises BadLandmarks, naming each of the 33 that is missing and what
+    it may have been misspelt as.
+    """
+    others = [name for name in found if name not in LANDMARKS]
+    missing = []
+    for name in LANDMARKS:
+        if name not in found:
+            close = difflib.get_close_matches(name, others, 1)
+            missing.append(repr(name) + (f" (misspelt as {close[0]!r}?)" if close else ""))
+    if missing:
+        raise BadLandmarks(f"{where}: landmark {', '.join(missing)} is missing")
+    return tuple(others)
+
+
+def _vertices(table: dict[str, Any], vertex_count: int, where: str) -> tuple[int, ...]:
+    vertices = [_whole(table[name], 0, vertex_count - 1, f"{where}: the vertex of {name!r}") for name in LANDMARKS]
+    vertex, count = Counter(vertices).most_common(1)[0]
+    if count > 2:
+        names = ", ".join(repr(name) for name, each in zip(LANDMARKS, vertices, strict=True) if each == vertex)
+        raise BadLandmarks(f"{where}: at most two landmarks may share a vertex, found {names} at {vertex}")
+    return tuple(vertices)
+
+
 def _point(value: Any, what: str) -> list[float]:
     if (
         not isinstance(value, list)
@@ -370,3 +305,60 @@ def _point(value: Any, what: str) -> list[float]:
     ):
         raise BadLandmarks(f"{what} must be three finite numbers, found {value!r}")
     return [float(number) for number in value]
+
+
+def _whole(value: Any, low: int, high: int | None, what: str) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or value < low or (high is not None and value > high):
+        span = f"at least {low}" if high is None else f"{low} to {high}"
+        raise BadLandmarks(f"{what} must be a whole number, {span}, found {value!r}")
+    return value
+
+
+def _without_doubles(pairs: list[tuple[str, Any]], where: str) -> dict[str, Any]:
+    """Raise BadLandmarks for repeated keys, of which `json` would silently keep the last."""
+    tree: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in tree:
+            raise BadLandmarks(f"{where}: {key!r} is given twice")
+        tree[key] = value
+    return tree
+
+
+def nearest_corner(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32], points: NDArray[np.float64], feature: str
+) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """Find the triangle nearest to each of `points` [P, 3]: its corner nearest to the point, int32 [P], and the
+    distance from the point to the triangle, float64 [P], metres.
+
+    vertices: [V, 3], metres. faces: [F, 3], none of zero area. feature: the feature that the message names.
+    Raises MissingLibrary without trimesh, rtree or scipy.
+    """
+    try:
+        import rtree  # noqa: F401  trimesh imports it late and reports its absence in other words
+        import trimesh
+        from scipy.spatial import KDTree
+    except ImportError as error:
+        raise missing_library(feature, error) from error
+    # No point is farther from the surface than from its nearest vertex, so only triangles within that distance of the
+    # points' bounding box can be nearest: for eyes in a head a few hundred instead of all.
+    reach = KDTree(vertices[np.unique(faces)]).query(points)[0].max() + 1e-9  # rounding must not lose the nearest
+    corners = vertices[faces]
+    low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
+    faces = faces[((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)).all(axis=1)]
+    surface = trimesh.Trimesh(vertices, faces, process=False)
+    _, distance, triangle = trimesh.proximity.closest_point(surface, points)
+    candidates = faces[triangle]
+    away = np.linalg.norm(vertices[candidates] - points[:, None], axis=2)
+    nearest: NDArray[np.int32] = candidates[np.arange(len(points)), away.argmin(axis=1)]
+    return nearest, np.asarray(distance, np.float64)
+
+
+def farthest_from(vertices: NDArray[np.float64], points: NDArray[np.float64], feature: str) -> float:
+    """The largest distance of `points` [P, 3] to their nearest vertices [V, 3], metres: that to a surface of these
+    vertices is no larger. feature: the feature that the message of MissingLibrary, raised without scipy, names.
+    """
+    try:
+        from scipy.spatial import KDTree
+    except ImportError as error:
+        raise missing_library(feature, error) from error
+    return float(KDTree(vertices).query(points)[0].max())

@@ -1,6 +1,6 @@
 """Removal of defects that prevent or distort distances along a surface; vertex indices do not change.
 
-`meshes.repair` makes a clean mesh of a scan and renumbers its vertices. Here the mesh stays as it is, so landmarks by
+`repair` makes a clean mesh of a scan and renumbers its vertices. Here the mesh stays as it is, so landmarks by
 vertex stay valid, and only the faces along which distances are measured are mended.
 """
 

@@ -1,6 +1,4 @@
-"""Arrays of triangle meshes: their checks, edges and connected components.
-
-The immutable triangle mesh of one body, checked once when it is constructed.
+"""The immutable triangle mesh of one body, checked once when it is constructed, and its edges and components.
 
 Body frame: x to the subject's left, y up, z to the front; metres.
 """
@@ -16,6 +14,11 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadMesh
 from bodyseg_data.machine import missing_library
+
+HEIGHT_RANGE_M: Final = (0.5, 2.5)
+"""A body's largest extent must lie in this range, which catches millimetres, centimetres and inches."""
+
+_SLIGHT_VOLUME_M3: Final = 1e-5  # a hundredth of a litre: a flat piece, like an eyelid, may enclose as little as that
 
 
 @dataclass(frozen=True)
@@ -93,13 +96,6 @@ def components(count: int, pairs: NDArray[np.integer[Any]], feature: str) -> NDA
     links = coo_array((np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     component: NDArray[np.int32] = connected_components(links, directed=False)[1]
     return component
-
-
-HEIGHT_RANGE_M: Final = (0.5, 2.5)
-"""A body's largest extent must lie in this range, which catches millimetres, centimetres and inches."""
-
-
-_SLIGHT_VOLUME_M3: Final = 1e-5  # a hundredth of a litre: a flat piece, like an eyelid, may enclose as little as that
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,11 @@
-"""Reader of vertices and faces from PLY files, in text or binary of either byte order.
-
-A header lists elements, each with a count and its properties; the rows follow in that order. Properties may be lists,
-so rows may differ in length; rows of equal length, as in nearly all files (triangles only), are read in one call.
-
-Triangle meshes from .ply, .obj and .off files, each also with .gz behind it, in the order of the file.
+"""Triangle meshes from .ply, .obj and .off files, each also with .gz behind it, in the order of the file.
 
 Landmarks name vertices by index, so no vertex may be merged, split at a texture seam or left out. General mesh
 libraries do one of these, or trust the counts in a header.
+
+A .ply file is text or binary of either byte order. Its header lists elements, each with a count and its properties; the
+rows follow in that order. Properties may be lists, so rows may differ in length; rows of equal length, as in nearly all
+files (triangles only), are read in one call.
 """
 
 from __future__ import annotations
@@ -47,6 +46,14 @@ _LONGEST_HEADER: Final = 1 << 16
 
 Vertices = NDArray[np.float64]
 Faces = NDArray[np.int64]
+
+MESH_SUFFIXES: Final = (".ply", ".obj", ".off", ".ply.gz", ".obj.gz", ".off.gz")
+"""Suffixes of mesh files, in upper or lower case; of several files of one mesh, the first in this order is read."""
+
+LARGEST_BYTES: Final = 1 << 28
+"""Largest size of a mesh file, also after unpacking: a scan of a million triangles has a tenth of it."""
+
+_OFF_HEADER: Final = re.compile(r"(?:ST)?C?N?OFF\b|OFF(?=\d)")
 
 
 @dataclass(frozen=True)
@@ -298,15 +305,6 @@ class _BinaryRows:
                     found.append(list(struct.unpack_from(form, self._data, self._position)))
                 self._position += length * size
         return found
-
-
-MESH_SUFFIXES: Final = (".ply", ".obj", ".off", ".ply.gz", ".obj.gz", ".off.gz")
-"""Suffixes of mesh files, in upper or lower case; of several files of one mesh, the first in this order is read."""
-
-LARGEST_BYTES: Final = 1 << 28
-"""Largest size of a mesh file, also after unpacking: a scan of a million triangles has a tenth of it."""
-
-_OFF_HEADER: Final = re.compile(r"(?:ST)?C?N?OFF\b|OFF(?=\d)")
 
 
 def read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

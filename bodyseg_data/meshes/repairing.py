@@ -1,4 +1,7 @@
-"""The one thread in which pymeshlab is imported and works, whoever asks.
+"""Repair of raw scans with pymeshlab, in the one thread in which it is imported and works, whoever asks.
+
+A scan may consist of unconnected triangles, have duplicate, degenerate or inverted faces, and edges that three faces
+share. A renderer draws these, but geodesics, normals and the checks of `Mesh` fail or go wrong.
 
 Two faults of pymeshlab 2025.7 damage the heap. Loaded in a thread that ends before the process does, it leaves Qt data
 of a dead thread behind, which the end of the process follows. Its decimation releases the interpreter's lock and is not
@@ -6,11 +9,6 @@ reentrant, so two threads at once write into each other's mesh. One daemon threa
 and never ends, has neither.
 
 Its licence is GPL-3.0, so it is imported only where a user chose it: by `--pymeshlab`, or `--tolerance-mm` above 0.
-
-Repair of raw scans with pymeshlab.
-
-A scan may consist of unconnected triangles, have duplicate, degenerate or inverted faces, and edges that three faces
-share. A renderer draws these, but geodesics, normals and the checks of `Mesh` fail or go wrong.
 """
 
 from __future__ import annotations
@@ -39,6 +37,34 @@ _Result = TypeVar("_Result")
 
 _SHARED_LIBRARIES: Final = (("torch", "lib/libgomp.so.1"), ("openvino", "libs/libtbb.so.12"))
 """Libraries that pymeshlab brings, too, by the same name: the linker takes whichever was loaded first for everybody."""
+
+SAME_POINT_M: Final = 1e-6
+"""Distance in metres below which vertices are joined: far below a scanner's resolution, above rounding in files."""
+
+_FEATURE: Final = "mesh repair"
+
+
+def repair(
+    name: str, vertices: NDArray[np.float64], faces: NDArray[Any]
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Repair a surface for `Mesh` and geodesics: returns vertices float64 [V, 3], metres, and faces int32 [F, 3].
+
+    name: of the mesh, for messages. vertices: float [V, 3], metres. faces: int [F, 3].
+    Steps, in this order: join coincident vertices; remove degenerate and duplicate faces; at edges of more than two
+    faces remove the smallest; separate pieces that meet in a single vertex; orient neighbouring faces alike and each
+    connected piece outwards; remove vertices that no face uses. Holes are not filled.
+
+    Vertex indices change: landmarks by vertex are invalid afterwards, landmarks by coordinates stay valid.
+    Raises BadMesh for a surface that cannot be repaired (no face left, coordinates that are not finite, faces with
+    missing vertices, a one-sided surface), MissingLibrary without pymeshlab or the system libraries it loads.
+    """
+    vertices, faces = _used_part(name, np.asarray(vertices, np.float64), np.asarray(faces))
+    vertices, faces = with_pymeshlab(_FEATURE, lambda pymeshlab: _filtered(pymeshlab, name, vertices, faces))
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    clashes = len(edges) - len(np.unique(edges, axis=0))  # neighbours of one orientation cross an edge in opposite ways
+    if clashes:
+        raise BadMesh(f"mesh {name} cannot be repaired: it has one side only, found {clashes} edges where faces clash")
+    return vertices, _outward(vertices, faces)
 
 
 def with_pymeshlab(feature: str, work: Callable[[Any], _Result]) -> _Result:
@@ -126,35 +152,6 @@ def _renew_worker() -> None:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_renew_worker)
-
-
-SAME_POINT_M: Final = 1e-6
-"""Distance in metres below which vertices are joined: far below a scanner's resolution, above rounding in files."""
-
-_FEATURE: Final = "mesh repair"
-
-
-def repair(
-    name: str, vertices: NDArray[np.float64], faces: NDArray[Any]
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Repair a surface for `Mesh` and geodesics: returns vertices float64 [V, 3], metres, and faces int32 [F, 3].
-
-    name: of the mesh, for messages. vertices: float [V, 3], metres. faces: int [F, 3].
-    Steps, in this order: join coincident vertices; remove degenerate and duplicate faces; at edges of more than two
-    faces remove the smallest; separate pieces that meet in a single vertex; orient neighbouring faces alike and each
-    connected piece outwards; remove vertices that no face uses. Holes are not filled.
-
-    Vertex indices change: landmarks by vertex are invalid afterwards, landmarks by coordinates stay valid.
-    Raises BadMesh for a surface that cannot be repaired (no face left, coordinates that are not finite, faces with
-    missing vertices, a one-sided surface), MissingLibrary without pymeshlab or the system libraries it loads.
-    """
-    vertices, faces = _used_part(name, np.asarray(vertices, np.float64), np.asarray(faces))
-    vertices, faces = with_pymeshlab(_FEATURE, lambda pymeshlab: _filtered(pymeshlab, name, vertices, faces))
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    clashes = len(edges) - len(np.unique(edges, axis=0))  # neighbours of one orientation cross an edge in opposite ways
-    if clashes:
-        raise BadMesh(f"mesh {name} cannot be repaired: it has one side only, found {clashes} edges where faces clash")
-    return vertices, _outward(vertices, faces)
 
 
 def _filtered(

@@ -1,6 +1,4 @@
-"""Closed surfaces of simple things: cuboids and turned solids, moved, turned and joined.
-
-Pieces of a mesh that lie over a body without being its surface: skirts, coats, hair, shoes, and held things.
+"""Closed surfaces of simple things, and pieces of a mesh that lie over a body: skirts, coats, hair, shoes, held things.
 
 Distances along the surface do not reach such a piece, and a piece that joins both legs has no distances of its own. A
 point of it gets the label of the body beneath: of the nearest vertex that belongs to one of the parts that the piece

@@ -1,10 +1,8 @@
-"""Jobs on a worker of a cluster, and the check before them that the worker would give the same bytes.
-
-A running Dask cluster.
+"""A running Dask cluster as the executor of a packing's jobs.
 
 Only jobs and results cross Dask's connections: a job is a packing, a body's name and views; a result is encoded
 samples. Dask runs a job again when its worker dies, and jobs give the same bytes wherever they run, so a set is the
-same whichever workers there were.
+same whichever workers there were. Before its jobs, a worker is checked: it must give the same bytes as this machine.
 """
 
 from __future__ import annotations
@@ -53,6 +51,12 @@ _SHAPE_BYTES: Final = (
 """The packages that a sample's bytes can depend on."""
 
 _SEEN_BODIES: Final = 8
+
+# A body model, torch's number of threads and OpenGL are a process's, not a thread's.
+_one_at_a_time = threading.RLock()
+
+CONNECT_TIMEOUT_S: Final = 5.0
+"""The time that a scheduler may take to answer, and a first worker to appear."""
 
 
 @dataclass(frozen=True)
@@ -124,10 +128,6 @@ def _built(packing: Packing) -> str:
     return "no body can be built"
 
 
-# A body model, torch's number of threads and OpenGL are a process's, not a thread's.
-_one_at_a_time = threading.RLock()
-
-
 def fault(wanted: Expected) -> str | None:
     """The reason why this worker would not give the same bytes, or None."""
     with _one_at_a_time:
@@ -170,10 +170,6 @@ def job(wanted: Expected, function: Callable[..., Any], arguments: tuple[Any, ..
             return function(*arguments)
         except BodysegError as error:
             return error
-
-
-CONNECT_TIMEOUT_S: Final = 5.0
-"""The time that a scheduler may take to answer, and a first worker to appear."""
 
 
 @contextmanager

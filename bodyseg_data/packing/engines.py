@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import Final
 
 from bodyseg_data.core import BadConfig
-from bodyseg_data.packing.jobs import Engine
+from bodyseg_data.packing.jobs import Engine, processes
 from bodyseg_data.packing.options import Packing
 
 PROCESSES: Final = "processes"
@@ -29,8 +29,6 @@ def open_engine(name: str, workers: int | None, packing: Packing) -> Iterator[En
     if workers is not None and workers < 1:
         raise BadConfig(f"packing needs at least one worker, found {workers}")
     if address is None:
-        from bodyseg_data.packing.jobs import processes
-
         with processes(workers) as engine:
             yield engine
     else:

@@ -1,11 +1,4 @@
-"""The executor of a packing's jobs.
-
-Results of jobs in the order in which they were asked for, with a bounded number under way.
-
-Peak memory of the workers of an executor, which each job's result brings along.
-
-Processes of this machine.
-"""
+"""Jobs of a packing: the executor that runs them, their results in order, and the peak memory of its workers."""
 
 from __future__ import annotations
 
@@ -24,6 +17,8 @@ from typing import Any, TypeVar
 
 from bodyseg_data.machine import peak_mb, processors, signals_held
 
+Result = TypeVar("Result")
+
 
 @dataclass(frozen=True)
 class Engine:
@@ -32,9 +27,6 @@ class Engine:
     executor: Executor
     workers: int
     note: str | None = None
-
-
-Result = TypeVar("Result")
 
 
 def ordered(jobs: Iterable[Callable[[], Future[Result]]], workers: int) -> Generator[Result, None, None]:

@@ -1,6 +1,6 @@
 """Meshes that cannot be packed: all are named at once, or left out, up to a budget, each of them recorded.
 
-The check of all files of a source before the first view is rendered.
+`find_faults` checks all files of a source before the first view is rendered.
 """
 
 from __future__ import annotations

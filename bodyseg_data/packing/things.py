@@ -1,12 +1,9 @@
-"""Furniture and machines made of cuboids and turned solids: the things that stand around people in a room.
-
-Every thing is drawn from a sequence of raw random words, whose bits NumPy guarantees as it does not those of its
-distributions. Its own frame: x to the right, y up, z away from the viewer; it stands on y = 0, around x = z = 0.
-
-Things around a body: drawn by the sample's key, placed before or behind the body, seen by camera and projector.
+"""Things around a body: furniture drawn by the sample's key, placed before or behind it, seen by camera and projector.
 
 A thing has no label. What is drawn depends on the key, the body's extent and the view alone, so that a set with things
-has the same bytes however it is packed.
+has the same bytes however it is packed: every thing is drawn from a sequence of raw random words, whose bits NumPy
+guarantees as it does not those of its distributions. Things are cuboids and turned solids, each in its own frame: x to
+the right, y up, z away from the viewer; it stands on y = 0, around x = z = 0.
 """
 
 from __future__ import annotations
@@ -26,6 +23,29 @@ from bodyseg_data.rigs import PlacedCamera, axes_at
 from bodyseg_data.samples import FARTHEST_STEPS, View
 
 _MOST_DRAWS: Final = 1024
+
+ThingsPlace = Literal["none", "before", "behind", "both"]
+"""Places of things: between camera and body, behind or beside the body, or both."""
+
+LEAST_HIDDEN: Final = 0.05
+"""Least share of a body that things before it hide, unless no draw reaches it."""
+MOST_HIDDEN: Final = 0.6
+"""Greatest share of a body's pixels that things hide, from the camera or from every projector: a thing right before the
+projector would leave the whole image without range.
+"""
+
+BEFORE: Final = ("plank", "box", "table", "chair", "bed", "machine", "bin", "plant", "lamp")
+"""Kinds of things before a body."""
+BEHIND: Final = ("box", "table", "chair", "bed", "machine", "bin", "plant", "lamp")
+"""Kinds of things behind a body and beside it."""
+
+ATTEMPTS: Final = 16
+"""Draws until as much is hidden as asked for."""
+_NEAREST_M: Final = 0.5  # of the camera to a thing
+_GAP_M: Final = 0.05  # between a body and a thing, at least
+
+
+# Furniture and machines.
 
 
 class Numbers:
@@ -150,25 +170,7 @@ def _legs(numbers: Numbers, width: float, depth: float, height: float) -> list[S
     return [cuboid((thick, height, thick), (x * away[0], height / 2, z * away[1])) for x in (-1, 1) for z in (-1, 1)]
 
 
-ThingsPlace = Literal["none", "before", "behind", "both"]
-"""Places of things: between camera and body, behind or beside the body, or both."""
-
-LEAST_HIDDEN: Final = 0.05
-"""Least share of a body that things before it hide, unless no draw reaches it."""
-MOST_HIDDEN: Final = 0.6
-"""Greatest share of a body's pixels that things hide, from the camera or from every projector: a thing right before the
-projector would leave the whole image without range.
-"""
-
-BEFORE: Final = ("plank", "box", "table", "chair", "bed", "machine", "bin", "plant", "lamp")
-"""Kinds of things before a body."""
-BEHIND: Final = ("box", "table", "chair", "bed", "machine", "bin", "plant", "lamp")
-"""Kinds of things behind a body and beside it."""
-
-ATTEMPTS: Final = 16
-"""Draws until as much is hidden as asked for."""
-_NEAREST_M: Final = 0.5  # of the camera to a thing
-_GAP_M: Final = 0.05  # between a body and a thing, at least
+# Their places.
 
 
 @dataclass(frozen=True)

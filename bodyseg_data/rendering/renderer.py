@@ -1,13 +1,11 @@
-"""Bounds of the pixels that a mesh can cover: rays are cast through these only.
-
-Every triangle lies inside the bounding box of its three corners' pixels. All boxes are filled at once, in blocks of
-pixels: each adds and subtracts 1 at its four corners, and two cumulative sums fill it (the inverse of a summed-area
-table, Crow 1984).
-
-The interface of renderers: range and triangle at every pixel of a camera.
+"""The interface of renderers, range and triangle at every pixel of a camera, and the pixels that a mesh can cover.
 
 A renderer is constructed once for a mesh and renders it for many placed cameras. It gives geometry only; labels,
 facing and stored integers are computed from that by the same code for every renderer (`packing/sampler.py`).
+
+Rays are cast through the pixels of a mesh's outline only. Every triangle lies inside the bounding box of its three
+corners' pixels. All boxes are filled at once, in blocks of pixels: each adds and subtracts 1 at its four corners, and
+two cumulative sums fill it (the inverse of a summed-area table, Crow 1984).
 """
 
 from __future__ import annotations
@@ -25,6 +23,44 @@ BLOCK_PX: Final = 2
 """Side of a block. Smaller blocks fit the outline better, larger ones are faster (docs/explanation/renderers.md)."""
 
 _NEAR_PLANE_M: Final = 1e-3
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The visible surface at each pixel of a camera.
+
+    range: float32 [H, W], metres along the optical axis, 0 where there is no body.
+    face: int32 [H, W], index of the visible triangle, -1 where there is no body.
+    """
+
+    range: NDArray[np.float32]
+    face: NDArray[np.int32]
+
+
+class Triangles(Protocol):
+    """Triangles in a body's frame. vertices: float64 [V, 3], metres. faces: int32 [F, 3], vertex indices."""
+
+    @property
+    def vertices(self) -> NDArray[np.float64]: ...
+
+    @property
+    def faces(self) -> NDArray[np.int32]: ...
+
+
+class Renderer(Protocol):
+    """Renderer of one mesh. Rays go through pixel centres; no smoothing, no sampling within a pixel."""
+
+    def render(self, camera: PlacedCamera) -> Surface:
+        """Render the mesh for `camera`, which must be outside the body."""
+
+    def ranges(self, camera: PlacedCamera, pixels: NDArray[np.intp]) -> NDArray[np.float32]:
+        """Ranges that `render` gives at some pixels only, float32 [N], metres.
+
+        pixels: int [N], row * columns + column, ascending.
+        """
+
+    def close(self) -> None:
+        """Release the renderer's resources. Safe to call twice."""
 
 
 class Outline:
@@ -66,41 +102,3 @@ class Outline:
         first = np.maximum(low, 0) // np.int16(self._block)
         last = np.minimum(high + np.int16(1), size - 1) // np.int16(self._block)
         return first.astype(np.intp), last.astype(np.intp) + 1
-
-
-@dataclass(frozen=True)
-class Surface:
-    """The visible surface at each pixel of a camera.
-
-    range: float32 [H, W], metres along the optical axis, 0 where there is no body.
-    face: int32 [H, W], index of the visible triangle, -1 where there is no body.
-    """
-
-    range: NDArray[np.float32]
-    face: NDArray[np.int32]
-
-
-class Triangles(Protocol):
-    """Triangles in a body's frame. vertices: float64 [V, 3], metres. faces: int32 [F, 3], vertex indices."""
-
-    @property
-    def vertices(self) -> NDArray[np.float64]: ...
-
-    @property
-    def faces(self) -> NDArray[np.int32]: ...
-
-
-class Renderer(Protocol):
-    """Renderer of one mesh. Rays go through pixel centres; no smoothing, no sampling within a pixel."""
-
-    def render(self, camera: PlacedCamera) -> Surface:
-        """Render the mesh for `camera`, which must be outside the body."""
-
-    def ranges(self, camera: PlacedCamera, pixels: NDArray[np.intp]) -> NDArray[np.float32]:
-        """Ranges that `render` gives at some pixels only, float32 [N], metres.
-
-        pixels: int [N], row * columns + column, ascending.
-        """
-
-    def close(self) -> None:
-        """Release the renderer's resources. Safe to call twice."""

@@ -1,4 +1,6 @@
-"""Train/test protocol of the paper (section 3.5): split by mesh, so that no mesh has views in both.
+"""One clean sample: what is stored, before any artifact; and its split by the paper's protocol.
+
+That protocol (section 3.5) splits by mesh, so that no mesh has views in both.
 
 Splits are stored in shards. The split "val" is not: it is chosen out of train while reading (docs/how-to/splits.md).
 
@@ -8,8 +10,6 @@ Splits are stored in shards. The split "val" is not: it is chosen out of train w
 | B, 4 motions    | crane, march, squat             | jumping            |
 | C, 4 motions    | bouncing, handstand, march      | squat              |
 | people, 583     | the first 467                   | the remaining 116  |
-
-One clean sample: what is stored, before any artifact.
 """
 
 from __future__ import annotations
@@ -35,31 +35,13 @@ READ_SPLITS: Final[tuple[ReadSplit, ...]] = ("train", "val", "test")
 _FIRST_FOR_TRAINING: Final = {"A": 57, "people": 467}
 _MOTION_FOR_TESTING: Final = {"B": "jumping", "C": "squat"}
 
-
-def split_by_order(subset: Literal["A", "people"], index: int) -> Split:
-    """Return the split of mesh number `index`, counted from 0 over the whole subset."""
-    return "train" if index < _FIRST_FOR_TRAINING[subset] else "test"
-
-
-def split_by_motion(subset: Literal["B", "C"], motion: str) -> Split:
-    """Return the split of all frames of a motion sequence."""
-    return "test" if motion == _MOTION_FOR_TESTING[subset] else "train"
-
-
-def motion_of(subset: str, pose: str) -> str:
-    """Return the motion whose frame a body is: its pose in the subsets B and C, "" in others, which hold postures."""
-    return pose if subset in _MOTION_FOR_TESTING else ""
-
-
-def holds_postures(subset: str) -> bool:
-    """Return whether every mesh of one of the paper's subsets is a posture of its own, not a frame of a motion."""
-    return subset in _FIRST_FOR_TRAINING
-
-
 FARTHEST_STEPS: Final = np.float32(65535)
 """The largest range that a stored image can hold, in steps; the length of a step is the rig's (`Rig.range_step_m`)."""
 
 _KEY = re.compile(r"[A-Za-z0-9_+-]{1,80}")  # no dots: readers of plain tars split names at the first one
+
+HELD: Final = "held"
+"""Value of `SampleInfo.things` for a body that holds or wears a thing and has none around it."""
 
 
 @dataclass(frozen=True)
@@ -88,9 +70,6 @@ class ShadowThresholds:
 SHADOW_THRESHOLDS: Final = ShadowThresholds()
 """The thresholds of the format of shards."""
 
-
-HELD: Final = "held"
-"""Value of `SampleInfo.things` for a body that holds or wears a thing and has none around it."""
 
 _OPTIONAL: Final = frozenset({"pitch_deg", "roll_deg", "height_cm", "things", "hidden_pct"})
 
@@ -250,3 +229,23 @@ def info_from_json(tree: Any, key: str) -> SampleInfo:
     if tree["split"] not in SPLITS:
         raise BadSample(f"{key}: 'split' must be one of {', '.join(SPLITS)}, found {tree['split']!r}")
     return SampleInfo(**tree)
+
+
+def split_by_order(subset: Literal["A", "people"], index: int) -> Split:
+    """Return the split of mesh number `index`, counted from 0 over the whole subset."""
+    return "train" if index < _FIRST_FOR_TRAINING[subset] else "test"
+
+
+def split_by_motion(subset: Literal["B", "C"], motion: str) -> Split:
+    """Return the split of all frames of a motion sequence."""
+    return "test" if motion == _MOTION_FOR_TESTING[subset] else "train"
+
+
+def motion_of(subset: str, pose: str) -> str:
+    """Return the motion whose frame a body is: its pose in the subsets B and C, "" in others, which hold postures."""
+    return pose if subset in _MOTION_FOR_TESTING else ""
+
+
+def holds_postures(subset: str) -> bool:
+    """Return whether every mesh of one of the paper's subsets is a posture of its own, not a frame of a motion."""
+    return subset in _FIRST_FOR_TRAINING

@@ -1,10 +1,8 @@
-"""Folder of complete downloaded shards: named by content, of bounded size, shared by processes.
+"""The cache of a remote set: complete shards in a folder, named by content, of bounded size, shared by processes.
 
 A partial download is `SHA256.SIZE.part`, a complete shard `SHA256.tar`; other files in the folder are not touched. The
 size in a part's name reserves its space. The process that writes a part holds a lock on it, which the operating system
 releases if the process is killed.
-
-Store of a remote set that caches shards on this machine as far as there is room.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Descriptions of a shard's samples in the manifest: tables of bodies and views, and two row numbers a sample.
+"""Records of shards: place, checksum and description of each sample, and reads that are checked against them.
 
-Records of shards: place, checksum and description of each sample; and reads that are checked against them.
+Descriptions stand in the manifest as tables of bodies and views, and two numbers of rows a sample.
 """
 
 from __future__ import annotations
@@ -27,6 +27,20 @@ DESCRIPTION_FIELDS: Final = ("bodies", "views", "body", "view")
 
 LARGEST_VALUE: Final = 32_767
 """Largest number, without its sign, that a row of the table of views may hold."""
+
+BLOCK: Final = 512
+"""Bytes of a block of a tar; samples are whole blocks."""
+
+LARGEST_SAMPLE: Final = 1 << 30
+"""Largest size of a sample in its shard, bytes."""
+
+LARGEST_SHARD: Final = 1 << 40
+"""Largest size of a shard, bytes."""
+
+_COLUMNS: Final = ("keys", "offsets", "lengths", "crc32")
+_RECORD_FIELDS: Final = {"samples", "name", "split", "size", "sha256", "notes", *_COLUMNS, *DESCRIPTION_FIELDS}
+_SHARD_NAME: Final = re.compile(r"[a-z]+-[0-9]{5}\.tar")
+_SHA256: Final = re.compile(r"[0-9a-f]{64}")
 
 
 @dataclass(frozen=True)
@@ -111,21 +125,6 @@ def difference(stored: SampleInfo, listed: SampleInfo) -> str | None:
         if own != other:
             return f"{field!r} is {own!r}, in the manifest {other!r}"
     return None
-
-
-BLOCK: Final = 512
-"""Bytes of a block of a tar; samples are whole blocks."""
-
-LARGEST_SAMPLE: Final = 1 << 30
-"""Largest size of a sample in its shard, bytes."""
-
-LARGEST_SHARD: Final = 1 << 40
-"""Largest size of a shard, bytes."""
-
-_COLUMNS: Final = ("keys", "offsets", "lengths", "crc32")
-_RECORD_FIELDS: Final = {"samples", "name", "split", "size", "sha256", "notes", *_COLUMNS, *DESCRIPTION_FIELDS}
-_SHARD_NAME: Final = re.compile(r"[a-z]+-[0-9]{5}\.tar")
-_SHA256: Final = re.compile(r"[0-9a-f]{64}")
 
 
 class Entry(NamedTuple):

@@ -1,6 +1,6 @@
-"""Store of a set at an address: retries resume where an attempt broke off, and messages hold no secrets.
+"""The store of a set at an address: retries resume where an attempt broke off, and messages hold no secrets.
 
-Parsing of the path or address of a set into its store and the pattern of the chosen shards.
+`open_store` opens a set at a path or an address.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ from bodyseg_data.shards.transport import FileMissing, PermanentFailure, Transie
 _SHORTEST_SECRET: Final = 4
 
 Result = TypeVar("Result")
+
+_ADDRESS: Final = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://(.*)", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -222,9 +224,6 @@ def _texts(value: Any) -> Iterator[str]:
         yield value
     elif isinstance(value, bytes):
         yield value.decode("utf-8", "replace")
-
-
-_ADDRESS: Final = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://(.*)", re.DOTALL)
 
 
 def open_store(

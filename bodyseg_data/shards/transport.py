@@ -1,8 +1,7 @@
-"""Filesystems of fsspec, opened by every process, and where needed by every thread, for itself.
+"""Single attempts to download and upload bytes through fsspec: HTTP as a stream, other protocols in blocks.
 
-Single attempts to download bytes through fsspec: HTTP as a stream, other protocols in blocks.
-
-No event loop, session or socket is shared across a fork: every process opens its own filesystem on first use.
+No event loop, session or socket is shared across a fork: every process, and where needed every thread, opens its own
+filesystem on first use.
 """
 
 from __future__ import annotations
@@ -28,6 +27,20 @@ _FILESYSTEMS: dict[tuple[int, str, int], Any] = {}
 
 A fork keeps but never uses its parent's: closing it would affect the parent.
 """
+
+_CHUNK_BYTES: Final = 1 << 20
+_CHUNK_S: Final = 0.2
+_BLOCK_BYTES: Final = 4 << 20
+"""Size of requests to filesystems that give no partial ranges: the most that a broken connection loses."""
+
+_TRANSIENT_STATUSES: Final = frozenset({408, 425, 429, 500, 502, 503, 504})
+_PERMANENT_ERRORS: Final = (PermissionError, IsADirectoryError, ValueError, TypeError, NotImplementedError)
+_PERMANENT_ERROR_NAMES: Final = frozenset(
+    {"NoCredentialsError", "PartialCredentialsError", "ProfileNotFound", "ParamValidationError"}
+)
+_PERMANENT_ERRNOS: Final = frozenset({errno.EINVAL, errno.ENOSYS})
+_LISTINGS: Final = frozenset({"use_listings_cache", "listings_expiry_time", "max_paths"})
+_CONTENT_RANGE: Final = re.compile(r"bytes ([0-9]{1,19})-([0-9]{1,19})/([0-9]{1,19}|\*)")
 
 
 class Filesystem:
@@ -71,21 +84,6 @@ class Filesystem:
 def _forget(token: str) -> None:
     for key in [key for key in _FILESYSTEMS if key[:2] == (os.getpid(), token)]:
         del _FILESYSTEMS[key]
-
-
-_CHUNK_BYTES: Final = 1 << 20
-_CHUNK_S: Final = 0.2
-_BLOCK_BYTES: Final = 4 << 20
-"""Size of requests to filesystems that give no partial ranges: the most that a broken connection loses."""
-
-_TRANSIENT_STATUSES: Final = frozenset({408, 425, 429, 500, 502, 503, 504})
-_PERMANENT_ERRORS: Final = (PermissionError, IsADirectoryError, ValueError, TypeError, NotImplementedError)
-_PERMANENT_ERROR_NAMES: Final = frozenset(
-    {"NoCredentialsError", "PartialCredentialsError", "ProfileNotFound", "ParamValidationError"}
-)
-_PERMANENT_ERRNOS: Final = frozenset({errno.EINVAL, errno.ENOSYS})
-_LISTINGS: Final = frozenset({"use_listings_cache", "listings_expiry_time", "max_paths"})
-_CONTENT_RANGE: Final = re.compile(r"bytes ([0-9]{1,19})-([0-9]{1,19})/([0-9]{1,19}|\*)")
 
 
 class TransientFailure(Exception):

@@ -1,8 +1,7 @@
-"""Bundles: the files of a set or a network that are copied together, with their checksums.
+"""Transfer of a set or a network: what is already there is kept, all else is copied and checked, the index comes last.
 
-Targets of a transfer: a local folder, into which downloads resume, and an address, to which files are uploaded.
-
-One transfer: what is already there is kept, all else is copied and checked, the index comes last.
+A bundle is the files that are copied together, with their checksums. A target is a local folder, into which downloads
+resume, or an address, to which files are uploaded.
 """
 
 from __future__ import annotations
@@ -29,6 +28,11 @@ from bodyseg_data.shards import (
     open_file,
     read_manifest,
 )
+
+_BLOCK_BYTES: Final = 4 << 20
+
+Report = Callable[[int], None]
+"""Receiver of numbers of bytes that have just been copied."""
 
 
 @dataclass(frozen=True)
@@ -109,12 +113,6 @@ def sha256_of(store: Store, name: str) -> str:
     """Read a file of a store and return its SHA-256, in hexadecimal. Raises OSError or Unreachable."""
     with open_file(store, name) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-_BLOCK_BYTES: Final = 4 << 20
-
-Report = Callable[[int], None]
-"""Receiver of numbers of bytes that have just been copied."""
 
 
 class Target(Protocol):

@@ -56,7 +56,7 @@ class CompactSettings:
 class Compact(Network):
     """Range images -> scores of the classes, for images of any size.
 
-    The input has two channels (`patches.relief_of`): each pixel's range less the mean over the body, and whether it was
+    The input has two channels (`network.relief_of`): each pixel's range less the mean over the body, and whether it was
     measured. The distance itself does not enter, so a person may stand anywhere; the size in pixels does.
     """
 

@@ -1,15 +1,12 @@
-"""Range images as networks see them: checked, centred, averaged, and cut into the patches that `compact` reads.
-
-In PyTorch's operations, which GPUs need, every step of cutting, from centring to laying out, passes over all pixels of
-all images. `patch_loops` pass over them twice, image by image, to the same bits: 0.4 instead of 1.1 ms an image of
-640 x 329 pixels, of some 7 that a network in bfloat16 takes.
-
-Base class of every network: its scores, and the properties on which training, prediction and files depend.
+"""Base class of every network, the mean over an image and its mirror image, and range images as networks see them.
 
 A new network is one file in this folder with a subclass of `Network`, and one entry of `registry.NETWORKS`. The
 subclass defines `scores`, and overrides the attributes and methods in which it differs from the defaults here.
 
-The mean of a network's answers to an image and to its mirror image: more accurate, in up to twice the time.
+Networks see images checked, centred, averaged, and cut into the patches that `compact` reads. In PyTorch's operations,
+which GPUs need, every step of cutting, from centring to laying out, passes over all pixels of all images. `patch_loops`
+pass over them twice, image by image, to the same bits: 0.4 instead of 1.1 ms an image of 640 x 329 pixels, of some 7
+that a network in bfloat16 takes.
 """
 
 from __future__ import annotations
@@ -31,6 +28,115 @@ from bodyseg_data.machine import use_compiled
 
 RELIEF: Final = 2.0
 """Factor of centred ranges: they are a few decimetres, and layers learn best from numbers near one."""
+
+
+class Network(nn.Module, ABC):
+    """Range images -> scores of classes, by default the 33 parts.
+
+    settings: arguments of the constructor as plain JSON, with which `registry.build` makes the same network again.
+    classes: their number C; it is among the settings unless it is 33. Raises BadConfig unless it is 1 to 255.
+    """
+
+    output_stride: int = 1
+    """Pixels of the image along each side between two neighbouring scores of `scores`."""
+
+    together: bool = True
+    """Whether images of one size are quicker together than one by one: not where a new number of them costs time."""
+
+    default_recipe: ClassVar[str] = "compact"
+    """Key of `training.recipes.PRESETS`: the recipe of a training that names none."""
+
+    def __init__(self, settings: Mapping[str, Any] | None = None, classes: int = PART_COUNT) -> None:
+        super().__init__()
+        self.classes = check_classes(classes)
+        self.settings = {**(settings or {}), **({} if classes == PART_COUNT else {"classes": classes})}
+
+    @classmethod
+    def from_settings(cls, settings: Mapping[str, Any]) -> Self:
+        """Make a network with new weights from `settings`, read from JSON. Raises TypeError for an unknown name."""
+        return cls(**settings)
+
+    @abstractmethod
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+        """Compute scores (logits), float [B, C, ceil(H / output_stride), ceil(W / output_stride)].
+
+        range_m: float [B, 1, H, W], metres, 0 = nothing measured. Score (i, j) belongs to the point ((i + 1/2)
+        output_stride, (j + 1/2) output_stride) of the image, in pixels from its corner. Raises BadConfig for any other
+        shape (`check_range_images`).
+        """
+
+    def scores_at(self, range_m: torch.Tensor, rows: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
+        """Compute scores at some pixels only, float [B, C, h, w]; for networks whose output stride is 1.
+
+        rows: int64 [h]; columns: int64 [w]. A network overrides this where that is cheaper than all of `scores`.
+        """
+        return self.scores(range_m)[:, :, rows][..., columns]
+
+    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
+        """Compute scores of every pixel, float [B, C, H, W], interpolated between those of `scores`; see there."""
+        scores = self.scores(range_m)
+        if self.output_stride == 1:
+            return scores
+        rows, columns = range_m.shape[2:]
+        full = F.interpolate(scores, scale_factor=self.output_stride, mode="bilinear", align_corners=False)
+        return full[:, :, :rows, :columns]
+
+    def load_pretrained(self, path: Path) -> None:
+        """Fill layers from a file of published weights. By default a network reads none: raises BadConfig."""
+        raise BadConfig(f"{type(self).__name__} starts from a run's folder or a .safetensors file, found {path}")
+
+    def extra_repr(self) -> str:
+        """Settings, for `repr`."""
+        return ", ".join(f"{name}={value!r}" for name, value in self.settings.items())
+
+
+def check_classes(classes: int) -> int:
+    """Return the number of a network's classes. Raises BadConfig unless it is 1 to 255: labels are bytes."""
+    count = check_int("classes", classes, 1)
+    if count > BACKGROUND:
+        raise BadConfig(f"classes must be at most {BACKGROUND}, found {count}")
+    return count
+
+
+def check_label_map(network: Network, label_map: LabelMap) -> None:
+    """Raise BadConfig unless a network has as many classes as a label map."""
+    if network.classes != len(label_map):
+        raise BadConfig(
+            f"the network must have the {len(label_map)} classes of labels {label_map.name!r}, found {network.classes}"
+        )
+
+
+class FlipAverage(Network):
+    """A network whose scores are the mean of those of an image and those of its mirror image, mirrored back with left
+    and right classes exchanged: so an image and its mirror image get the same labels, but for the side.
+
+    network: in evaluation mode. label_map: its classes, by default the 33 parts. Raises BadConfig unless the network
+    has as many.
+    """
+
+    def __init__(self, network: Network, label_map: LabelMap = PARTS33) -> None:
+        check_label_map(network, label_map)
+        super().__init__(network.settings, network.classes)
+        self.output_stride, self.together = network.output_stride, network.together
+        self.network, self.label_map = network, label_map
+        opposite = torch.from_numpy(label_map.mirrored[: network.classes].astype(np.int64))
+        self._opposite: torch.Tensor
+        self.register_buffer("_opposite", opposite, persistent=False)
+        self.train(network.training)
+
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+        """Compute scores; see `Network.scores`."""
+        check_range_images(range_m)
+        # Whole strides, so that points of scores fall on one another when they are mirrored.
+        seen = F.pad(range_m, (0, -range_m.shape[3] % self.output_stride))
+        if self.together:
+            own, mirrored = self.network.scores(torch.cat([seen, seen.flip(3)])).chunk(2)
+        else:
+            own, mirrored = (self.network.scores(image) for image in (seen, seen.flip(3)))
+        return (own + mirrored.flip(3)[:, self._opposite]) / 2
+
+
+# Range images as networks see them.
 
 
 def check_range_images(range_m: torch.Tensor) -> None:
@@ -125,109 +231,3 @@ def _unshuffled(x: torch.Tensor, side: int) -> torch.Tensor:
     batch, channels, rows, columns = x.shape
     parts = x.reshape(batch, channels, rows // side, side, columns // side, side).permute(0, 2, 4, 1, 3, 5)
     return parts.reshape(batch, rows // side, columns // side, channels * side**2).permute(0, 3, 1, 2)
-
-
-class Network(nn.Module, ABC):
-    """Range images -> scores of classes, by default the 33 parts.
-
-    settings: arguments of the constructor as plain JSON, with which `registry.build` makes the same network again.
-    classes: their number C; it is among the settings unless it is 33. Raises BadConfig unless it is 1 to 255.
-    """
-
-    output_stride: int = 1
-    """Pixels of the image along each side between two neighbouring scores of `scores`."""
-
-    together: bool = True
-    """Whether images of one size are quicker together than one by one: not where a new number of them costs time."""
-
-    default_recipe: ClassVar[str] = "compact"
-    """Key of `training.recipes.PRESETS`: the recipe of a training that names none."""
-
-    def __init__(self, settings: Mapping[str, Any] | None = None, classes: int = PART_COUNT) -> None:
-        super().__init__()
-        self.classes = check_classes(classes)
-        self.settings = {**(settings or {}), **({} if classes == PART_COUNT else {"classes": classes})}
-
-    @classmethod
-    def from_settings(cls, settings: Mapping[str, Any]) -> Self:
-        """Make a network with new weights from `settings`, read from JSON. Raises TypeError for an unknown name."""
-        return cls(**settings)
-
-    @abstractmethod
-    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
-        """Compute scores (logits), float [B, C, ceil(H / output_stride), ceil(W / output_stride)].
-
-        range_m: float [B, 1, H, W], metres, 0 = nothing measured. Score (i, j) belongs to the point ((i + 1/2)
-        output_stride, (j + 1/2) output_stride) of the image, in pixels from its corner. Raises BadConfig for any other
-        shape (`patches.check_range_images`).
-        """
-
-    def scores_at(self, range_m: torch.Tensor, rows: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
-        """Compute scores at some pixels only, float [B, C, h, w]; for networks whose output stride is 1.
-
-        rows: int64 [h]; columns: int64 [w]. A network overrides this where that is cheaper than all of `scores`.
-        """
-        return self.scores(range_m)[:, :, rows][..., columns]
-
-    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
-        """Compute scores of every pixel, float [B, C, H, W], interpolated between those of `scores`; see there."""
-        scores = self.scores(range_m)
-        if self.output_stride == 1:
-            return scores
-        rows, columns = range_m.shape[2:]
-        full = F.interpolate(scores, scale_factor=self.output_stride, mode="bilinear", align_corners=False)
-        return full[:, :, :rows, :columns]
-
-    def load_pretrained(self, path: Path) -> None:
-        """Fill layers from a file of published weights. By default a network reads none: raises BadConfig."""
-        raise BadConfig(f"{type(self).__name__} starts from a run's folder or a .safetensors file, found {path}")
-
-    def extra_repr(self) -> str:
-        """Settings, for `repr`."""
-        return ", ".join(f"{name}={value!r}" for name, value in self.settings.items())
-
-
-def check_classes(classes: int) -> int:
-    """Return the number of a network's classes. Raises BadConfig unless it is 1 to 255: labels are bytes."""
-    count = check_int("classes", classes, 1)
-    if count > BACKGROUND:
-        raise BadConfig(f"classes must be at most {BACKGROUND}, found {count}")
-    return count
-
-
-def check_label_map(network: Network, label_map: LabelMap) -> None:
-    """Raise BadConfig unless a network has as many classes as a label map."""
-    if network.classes != len(label_map):
-        raise BadConfig(
-            f"the network must have the {len(label_map)} classes of labels {label_map.name!r}, found {network.classes}"
-        )
-
-
-class FlipAverage(Network):
-    """A network whose scores are the mean of those of an image and those of its mirror image, mirrored back with left
-    and right classes exchanged: so an image and its mirror image get the same labels, but for the side.
-
-    network: in evaluation mode. label_map: its classes, by default the 33 parts. Raises BadConfig unless the network
-    has as many.
-    """
-
-    def __init__(self, network: Network, label_map: LabelMap = PARTS33) -> None:
-        check_label_map(network, label_map)
-        super().__init__(network.settings, network.classes)
-        self.output_stride, self.together = network.output_stride, network.together
-        self.network, self.label_map = network, label_map
-        opposite = torch.from_numpy(label_map.mirrored[: network.classes].astype(np.int64))
-        self._opposite: torch.Tensor
-        self.register_buffer("_opposite", opposite, persistent=False)
-        self.train(network.training)
-
-    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
-        """Compute scores; see `Network.scores`."""
-        check_range_images(range_m)
-        # Whole strides, so that points of scores fall on one another when they are mirrored.
-        seen = F.pad(range_m, (0, -range_m.shape[3] % self.output_stride))
-        if self.together:
-            own, mirrored = self.network.scores(torch.cat([seen, seen.flip(3)])).chunk(2)
-        else:
-            own, mirrored = (self.network.scores(image) for image in (seen, seen.flip(3)))
-        return (own + mirrored.flip(3)[:, self._opposite]) / 2

@@ -1,4 +1,4 @@
-"""Patches of range images and bits of bfloat16, compiled: the bits of `patches.patches_of` in PyTorch's operations."""
+"""Patches of range images and bits of bfloat16, compiled: the bits of `network.patches_of` in PyTorch's operations."""
 
 from __future__ import annotations
 

@@ -1,10 +1,8 @@
-"""MCAP files (https://mcap.dev/spec), chunked or not, with an index or without.
+"""Bags in their four kinds of files, each as a `Bag` of topics and messages.
 
-Single files of ROS 2 bags in SQLite (.db3), those of RealSense's SDK among them.
-
-ROS 1 bags, and those of RealSense's SDK, which are such.
-
-ROS 2 bags: folders of files in SQLite (.db3) or MCAP beside a metadata.yaml.
+ROS 1 bags, and those of RealSense's SDK, which are such; single files of ROS 2 in SQLite (.db3), the SDK's among them;
+MCAP files (https://mcap.dev/spec), chunked or not, with an index or without; and ROS 2 bags, folders of such files
+beside a metadata.yaml.
 """
 
 from __future__ import annotations
@@ -46,10 +44,12 @@ if TYPE_CHECKING:
 MAGIC: Final = b"\x89MCAP0\r\n"
 
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _INDEX = 2, 3, 4, 5, 6, 7
-_RECORD: Final = struct.Struct("<BQ")
+_MCAP_RECORD: Final = struct.Struct("<BQ")
 _MESSAGE_START: Final = struct.Struct("<HIQQ")
 _PLAIN: Final = -1
 _ENCODINGS: Final[dict[str, Encoding]] = {"cdr": "cdr", "ros1": "ros1"}
+
+_PACKED: Final = (".zstd", ".zst")
 
 
 def open_mcap(path: Path, topic: str | None, step_m: float | None) -> StoredRecording:
@@ -57,7 +57,7 @@ def open_mcap(path: Path, topic: str | None, step_m: float | None) -> StoredReco
     return bag_recording(path, McapBag(path), topic, step_m)
 
 
-class _Location(NamedTuple):
+class _McapPlace(NamedTuple):
     """A message's record: in the chunk at byte `chunk` of the file, or in the file itself (`_PLAIN`), from `offset`."""
 
     time_ns: int
@@ -76,7 +76,7 @@ class McapBag:
         self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
         self._held: tuple[int, bytes] = (_PLAIN, b"")
-        locations: dict[int, list[_Location]] = {}
+        locations: dict[int, list[_McapPlace]] = {}
         try:
             with path.open("rb") as file:
                 self._list(file, locations)
@@ -90,9 +90,9 @@ class McapBag:
             ) from error
         self.topics = list(self._locations)
 
-    def _by_topic(self, locations: dict[int, list[_Location]]) -> dict[Topic, list[_Location]]:
+    def _by_topic(self, locations: dict[int, list[_McapPlace]]) -> dict[Topic, list[_McapPlace]]:
         """Join the messages of a topic's channels, in the order of time."""
-        joined: dict[tuple[str, str, Encoding], list[_Location]] = {}
+        joined: dict[tuple[str, str, Encoding], list[_McapPlace]] = {}
         for number, found in locations.items():
             channel = self._channels.get(number)
             schema = self._schemas.get(channel.schema_id) if channel is not None else None
@@ -111,58 +111,58 @@ class McapBag:
         try:
             if location.chunk == _PLAIN:
                 with self._path.open("rb") as file:
-                    return _record(file, location.offset, _MESSAGE)[_MESSAGE_START.size :]
+                    return _mcap_record(file, location.offset, _MESSAGE)[_MESSAGE_START.size :]
             if self._held[0] != location.chunk:
                 self._held = (_PLAIN, b"")  # not two chunks at once
                 with self._path.open("rb") as file:
-                    self._held = location.chunk, _chunk(file, location.chunk)
-            return _record(io.BytesIO(self._held[1]), location.offset, _MESSAGE)[_MESSAGE_START.size :]
+                    self._held = location.chunk, _mcap_chunk(file, location.chunk)
+            return _mcap_record(io.BytesIO(self._held[1]), location.offset, _MESSAGE)[_MESSAGE_START.size :]
         except Exception as error:  # as above
             raise BadConfig(f"the message cannot be read: {str(error) or type(error).__name__}") from error
 
-    def _list(self, file: BinaryIO, locations: dict[int, list[_Location]]) -> None:
+    def _list(self, file: BinaryIO, locations: dict[int, list[_McapPlace]]) -> None:
         """List where messages lie, by channel: by the index behind each chunk, or else by its own records."""
         if file.read(len(MAGIC)) != MAGIC:
             raise ValueError("its first bytes are others")
         chunk, indexed, whole = _PLAIN, True, False
-        for opcode, offset in _records(file, len(MAGIC)):
+        for opcode, offset in _mcap_records(file, len(MAGIC)):
             if opcode == _INDEX:
-                data = _record(file, offset, _INDEX)
+                data = _mcap_record(file, offset, _INDEX)
                 entries = np.frombuffer(data, "<u8", offset=6, count=min((len(data) - 6) // 16 * 2, 2 * MOST_MESSAGES))
                 number = int.from_bytes(data[:2], "little")
                 locations.setdefault(number, []).extend(
-                    _Location(int(time), chunk, int(start)) for time, start in entries.reshape(-1, 2)
+                    _McapPlace(int(time), chunk, int(start)) for time, start in entries.reshape(-1, 2)
                 )
                 indexed = True
                 if number not in self._channels:
-                    self._scan(_chunk(file, chunk), None, chunk)
+                    self._scan(_mcap_chunk(file, chunk), None, chunk)
             elif opcode in (_SCHEMA, _CHANNEL):
-                self._define(opcode, _record(file, offset, opcode))
+                self._define(opcode, _mcap_record(file, offset, opcode))
             else:
                 if not indexed:
-                    self._scan(_chunk(file, chunk), locations, chunk)
+                    self._scan(_mcap_chunk(file, chunk), locations, chunk)
                     indexed = True
                 if opcode == _CHUNK:
                     chunk, indexed = offset, False
                 elif opcode == _MESSAGE:
-                    file.seek(offset + _RECORD.size)
+                    file.seek(offset + _MCAP_RECORD.size)
                     number, _, time, _ = _MESSAGE_START.unpack(file.read(_MESSAGE_START.size))
-                    locations.setdefault(number, []).append(_Location(time, _PLAIN, offset))
+                    locations.setdefault(number, []).append(_McapPlace(time, _PLAIN, offset))
                 elif opcode == _FOOTER:
                     whole = True
                     break
         if not whole:
             raise ValueError("it ends before its footer")
 
-    def _scan(self, data: bytes, locations: dict[int, list[_Location]] | None, chunk: int) -> None:
+    def _scan(self, data: bytes, locations: dict[int, list[_McapPlace]] | None, chunk: int) -> None:
         """Note the schemas and channels of a chunk, and where `locations` is given its messages as well."""
         file = io.BytesIO(data)
-        for opcode, offset in _records(file, 0):
+        for opcode, offset in _mcap_records(file, 0):
             if opcode in (_SCHEMA, _CHANNEL):
-                self._define(opcode, _record(file, offset, opcode))
+                self._define(opcode, _mcap_record(file, offset, opcode))
             elif opcode == _MESSAGE and locations is not None:
-                number, _, time, _ = _MESSAGE_START.unpack_from(data, offset + _RECORD.size)
-                locations.setdefault(number, []).append(_Location(time, chunk, offset))
+                number, _, time, _ = _MESSAGE_START.unpack_from(data, offset + _MCAP_RECORD.size)
+                locations.setdefault(number, []).append(_McapPlace(time, chunk, offset))
 
     def _define(self, opcode: int, data: bytes) -> None:
         try:
@@ -179,23 +179,23 @@ class McapBag:
             self._channels[channel.id] = channel
 
 
-def _records(file: BinaryIO, start: int) -> Iterator[tuple[int, int]]:
+def _mcap_records(file: BinaryIO, start: int) -> Iterator[tuple[int, int]]:
     """Yield the kind and location of every record from byte `start` on, by their headers. Raises ValueError."""
     size = file.seek(0, io.SEEK_END)
     offset = start
-    while offset + _RECORD.size <= size:
+    while offset + _MCAP_RECORD.size <= size:
         file.seek(offset)
-        opcode, length = _RECORD.unpack(file.read(_RECORD.size))
-        if offset + _RECORD.size + length > size:
+        opcode, length = _MCAP_RECORD.unpack(file.read(_MCAP_RECORD.size))
+        if offset + _MCAP_RECORD.size + length > size:
             raise ValueError(f"it is cut off at byte {offset}")
         yield opcode, offset
-        offset += _RECORD.size + length
+        offset += _MCAP_RECORD.size + length
 
 
-def _record(file: BinaryIO, offset: int, kind: int) -> bytes:
+def _mcap_record(file: BinaryIO, offset: int, kind: int) -> bytes:
     """Read the content of the record at a byte. Raises ValueError for another kind, or one that is cut off."""
     file.seek(offset)
-    opcode, length = _RECORD.unpack(file.read(_RECORD.size))
+    opcode, length = _MCAP_RECORD.unpack(file.read(_MCAP_RECORD.size))
     if opcode != kind or length > LARGEST_MESSAGE:
         raise ValueError(f"a record at byte {offset} is of kind {opcode} and has {length} bytes")
     data = file.read(length)
@@ -204,14 +204,14 @@ def _record(file: BinaryIO, offset: int, kind: int) -> bytes:
     return data
 
 
-def _chunk(file: BinaryIO, offset: int) -> bytes:
+def _mcap_chunk(file: BinaryIO, offset: int) -> bytes:
     """Read the chunk at a byte, decompressed. Raises ValueError, also for a wrong checksum."""
     try:
         from mcap.data_stream import ReadDataStream
         from mcap.records import Chunk
     except ImportError as error:
         raise missing(error) from error
-    chunk = Chunk.read(ReadDataStream(io.BytesIO(_record(file, offset, _CHUNK))))
+    chunk = Chunk.read(ReadDataStream(io.BytesIO(_mcap_record(file, offset, _CHUNK))))
     data = decompressed(chunk.data) if chunk.compression else chunk.data
     if len(data) != chunk.uncompressed_size:
         raise ValueError(f"a chunk must have {chunk.uncompressed_size} bytes, found {len(data)}")
@@ -329,23 +329,22 @@ class _Ros1Bag:
         return Topic(name, connections[0].msgtype, "ros1", as_times(times))
 
 
-_STORAGE: Final[dict[str, Callable[[Path], Bag]]] = {".db3": SqliteBag, ".mcap": McapBag}
-_PACKED: Final = (".zstd", ".zst")
+_ROS2_STORAGE: Final[dict[str, Callable[[Path], Bag]]] = {".db3": SqliteBag, ".mcap": McapBag}
 
 
 def open_ros2(path: Path, topic: str | None, step_m: float | None) -> StoredRecording:
     """Open the folder of a ROS 2 bag, whose files are read one after another. Raises BadConfig, MissingLibrary."""
     files = sorted(path.iterdir(), key=lambda file: (len(file.name), file.name))
-    parts = [file for file in files if file.suffix.lower() in _STORAGE]
+    parts = [file for file in files if file.suffix.lower() in _ROS2_STORAGE]
     packed = [file for file in files if file.suffix.lower() in _PACKED]
     if packed:
         raise BadConfig(f"files of a bag must be decompressed first, by `zstd -d`: {packed[0]}")
     if not parts:
         raise BadConfig(f"a ROS 2 bag must hold .db3 or .mcap files, found none in {path}")
-    return bag_recording(path, _Joined([_STORAGE[file.suffix.lower()](file) for file in parts]), topic, step_m)
+    return bag_recording(path, _JoinedBags([_ROS2_STORAGE[file.suffix.lower()](file) for file in parts]), topic, step_m)
 
 
-class _Joined:
+class _JoinedBags:
     """Files of one bag, the messages of a topic one after another."""
 
     def __init__(self, parts: list[Bag]) -> None:
@@ -354,7 +353,7 @@ class _Joined:
             for topic in part.topics:
                 homes.setdefault((topic.name, topic.kind), []).append((part, topic))
         self._homes = {
-            Topic(name, kind, homes[name, kind][0][1].encoding, _joined(homes[name, kind])): homes[name, kind]
+            Topic(name, kind, homes[name, kind][0][1].encoding, _joined_times(homes[name, kind])): homes[name, kind]
             for name, kind in sorted(homes)
         }
         self.topics = list(self._homes)
@@ -368,5 +367,5 @@ class _Joined:
         return part.read(of_part, index - ends[number] + len(of_part.times_ns))
 
 
-def _joined(homes: list[tuple[Bag, Topic]]) -> NDArray[np.int64]:
+def _joined_times(homes: list[tuple[Bag, Topic]]) -> NDArray[np.int64]:
     return np.concatenate([topic.times_ns for _, topic in homes])

@@ -1,16 +1,9 @@
-"""Messages of a bag: its topics, where each message lies, and the decoding of those of images and cameras.
+"""The recording in a bag: its topic of range images, their times, camera and unit, decoded from its messages.
 
-Decompression of pieces of bags, up to a limit of bytes whatever they claim.
-
-Range images in messages: 16UC1, mono16, 32FC1, PNG, and the transport compressedDepth.
-
-compressedDepth (https://github.com/ros-perception/image_transport_plugins): 12 bytes, an int32 and the float32 A and B,
-then a 16-bit PNG. Of 16UC1 the PNG holds the steps; of 32FC1 it holds v = A / range + B, rounded, range in metres, 0
-where nothing was measured.
-
-Cameras in messages: the CameraInfo beside a topic of images.
-
-The recording in a bag: its topic of range images, their times, camera and unit.
+Range images are 16UC1, mono16, 32FC1, PNG, or of the transport compressedDepth
+(https://github.com/ros-perception/image_transport_plugins): 12 bytes, an int32 and the float32 A and B, then a 16-bit
+PNG. Of 16UC1 the PNG holds the steps; of 32FC1 it holds v = A / range + B, rounded, range in metres, 0 where nothing
+was measured. Pieces of bags are decompressed up to a limit of bytes, whatever they claim.
 """
 
 from __future__ import annotations
@@ -38,7 +31,6 @@ from bodyseg_model.recordings.recording import LARGEST_SIDE, FrameSource, Stamp,
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
-
 Encoding = Literal["ros1", "cdr"]
 
 IMAGE: Final = "sensor_msgs/msg/Image"
@@ -51,6 +43,25 @@ LARGEST_MESSAGE: Final = 1 << 28
 
 MOST_MESSAGES: Final = 1 << 24
 """The most messages that a bag may list."""
+
+_BZ2: Final = b"BZh"
+_LZ4: Final = b"\x04\x22\x4d\x18"
+_PIECE: Final = 1 << 16
+_ZSTD: Final = b"\x28\xb5\x2f\xfd"
+
+_STEPS: Final = ("16UC1", "mono16")
+_METRES: Final = "32FC1"
+_HEADER: Final = struct.Struct("<iff")
+
+ENCODINGS: Final = (*_STEPS, _METRES)
+"""Encodings of pixels that range images have."""
+
+_TRANSPORTS: Final = ("compressedDepth", "compressed")
+_MODEL: Final = "plumb_bob"
+
+_KINDS: Final = (IMAGE, COMPRESSED)
+_UNITS_TOPIC: Final = "option/Depth_Units/value"
+_LONGEST_LIST: Final = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +85,90 @@ class Bag(Protocol):
 
     def read(self, topic: Topic, index: int) -> bytes:
         """Read message `index` of a topic. Raises BadConfig if it cannot be read."""
+
+
+def bag_recording(path: Path, bag: Bag, topic: str | None, step_m: float | None) -> StoredRecording:
+    """Return the range images of a bag as a recording: those of `topic`, or of the only topic that has any.
+
+    Raises BadConfig, listing the topics, for another topic, none, or several.
+    """
+    images = [each for each in bag.topics if each.kind in _KINDS and len(each.times_ns)]
+    if topic is not None:
+        chosen = [each for each in images if each.name == topic or each.name == f"/{topic}"]
+        if not chosen:
+            raise BadConfig(f"--topic must be a topic of images, one of {_listed(images)}, found {topic!r}: {path}")
+    else:
+        chosen = [each for each in images if _has_ranges(bag, each)]
+        if not chosen:
+            raise BadConfig(f"a recording must have a topic of range images, found {_listed(images)}: {path}")
+        if len(chosen) > 1:
+            raise BadConfig(f"several topics have range images, choose one by --topic: {_listed(chosen)} ({path})")
+    (found,) = chosen[:1]
+    first = _first_message(bag, found)
+    floating = first is not None and is_floating(first, found.kind)
+    return stored_recording(
+        path,
+        _Images(bag, found, floating),
+        [time / 1e9 for time in found.times_ns],
+        floating,
+        step_m,
+        _stored_step(bag, found),
+        camera_beside(bag, found, str(path)),
+        found.name,
+    )
+
+
+class _Images(FrameSource):
+    """Images of one topic. The last message stays decoded, since its header is often read after its pixels."""
+
+    def __init__(self, bag: Bag, topic: Topic, floating: bool) -> None:
+        self._bag, self._topic, self._floating = bag, topic, floating
+        self._last: tuple[int, Any] | None = None
+
+    def read(self, index: int) -> NDArray[Any]:
+        image = pixels(self._message(index), self._topic.kind)
+        if (image.dtype.kind == "f") != self._floating:
+            raise BadConfig(f"all images of a topic must be of the first one's encoding, found {image.dtype}")
+        return image
+
+    def stamp(self, index: int) -> Stamp:
+        return stamp(self._message(index))
+
+    def _message(self, index: int) -> Any:
+        if self._last is None or self._last[0] != index:
+            self._last = None  # not two messages at once
+            self._last = index, decode(self._bag, self._topic, index)
+        return self._last[1]
+
+
+def _has_ranges(bag: Bag, topic: Topic) -> bool:
+    first = _first_message(bag, topic)
+    return first is not None and is_range_image(first, topic.kind)
+
+
+def _first_message(bag: Bag, topic: Topic) -> Any:
+    """The first of the first ten messages that can be read, or None."""
+    for index in range(min(10, len(topic.times_ns))):
+        try:
+            return decode(bag, topic, index)
+        except BadConfig:
+            continue
+    return None
+
+
+def _stored_step(bag: Bag, topic: Topic) -> float | None:
+    """Metres a step as RealSense's recordings hold it, beside the sensor; None elsewhere."""
+    sensor = topic.name.split("/")[:3]
+    name = "/".join([*sensor, _UNITS_TOPIC])
+    units = next((each for each in bag.topics if each.name == name and each.kind == FLOAT32), None)
+    value = _first_message(bag, units) if units is not None else None
+    return float(value.data) if value is not None and 1e-6 <= value.data <= 0.1 else None
+
+
+def _listed(topics: list[Topic]) -> str:
+    names = [topic.name for topic in topics]
+    more = f" and {len(names) - _LONGEST_LIST} more" if len(names) > _LONGEST_LIST else ""
+    return (", ".join(names[:_LONGEST_LIST]) or "none") + more
 
 
 def missing(error: ImportError) -> MissingLibrary:
@@ -110,12 +205,6 @@ def decode(bag: Bag, topic: Topic, index: int) -> Any:
         raise BadConfig(f"the message is no {topic.kind}: {error}") from error
 
 
-_BZ2: Final = b"BZh"
-_LZ4: Final = b"\x04\x22\x4d\x18"
-_PIECE: Final = 1 << 16
-_ZSTD: Final = b"\x28\xb5\x2f\xfd"
-
-
 def decompressed(data: bytes) -> bytes:
     """Decompress bzip2, LZ4 frames or zstd, told by their first bytes; others are returned as they are.
 
@@ -124,14 +213,14 @@ def decompressed(data: bytes) -> bytes:
     """
     if data.startswith(_BZ2):
         bzip2 = bz2.BZ2Decompressor()
-        return _joined(data, bzip2.decompress, lambda: bzip2.eof or bzip2.needs_input)
+        return _decompressed_pieces(data, bzip2.decompress, lambda: bzip2.eof or bzip2.needs_input)
     if data.startswith(_LZ4):
         try:
             from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
         except ImportError as error:
             raise missing(error) from error
         lz4 = LZ4FrameDecompressor()
-        return _joined(data, lz4.decompress, lambda: lz4.eof or lz4.needs_input)
+        return _decompressed_pieces(data, lz4.decompress, lambda: lz4.eof or lz4.needs_input)
     if data.startswith(_ZSTD):
         with zstandard.ZstdDecompressor().stream_reader(data) as reader:
             done = False
@@ -142,11 +231,11 @@ def decompressed(data: bytes) -> bytes:
                 done = not piece
                 return piece
 
-            return _joined(b"", read, lambda: done)
+            return _decompressed_pieces(b"", read, lambda: done)
     return bytes(data)
 
 
-def _joined(data: bytes, decompress: Callable[[bytes, int], bytes], done: Callable[[], bool]) -> bytes:
+def _decompressed_pieces(data: bytes, decompress: Callable[[bytes, int], bytes], done: Callable[[], bool]) -> bytes:
     """Decompress in pieces, because libraries allocate all that they may return. Raises ValueError beyond the limit."""
     pieces = [decompress(data, _PIECE)]
     size = len(pieces[0])
@@ -156,14 +245,6 @@ def _joined(data: bytes, decompress: Callable[[bytes, int], bytes], done: Callab
     if size > LARGEST_MESSAGE:
         raise ValueError(f"a piece must have at most {LARGEST_MESSAGE} bytes")
     return b"".join(pieces)
-
-
-_STEPS: Final = ("16UC1", "mono16")
-_METRES: Final = "32FC1"
-_HEADER: Final = struct.Struct("<iff")
-
-ENCODINGS: Final = (*_STEPS, _METRES)
-"""Encodings of pixels that range images have."""
 
 
 def encoding(message: Any, kind: str) -> str:
@@ -185,7 +266,7 @@ def is_floating(message: Any, kind: str) -> bool:
 
 def pixels(message: Any, kind: str) -> NDArray[Any]:
     """Decode an image message: uint16 or float32 [H, W], steps or metres. Raises BadConfig."""
-    return _compressed(message) if kind == COMPRESSED else _plain(message)
+    return _compressed_image(message) if kind == COMPRESSED else _plain_image(message)
 
 
 def stamp(message: Any) -> Stamp:
@@ -194,7 +275,7 @@ def stamp(message: Any) -> Stamp:
     return Stamp(int(time.sec) * 10**9 + int(time.nanosec), str(message.header.frame_id))
 
 
-def _plain(message: Any) -> NDArray[Any]:
+def _plain_image(message: Any) -> NDArray[Any]:
     if message.encoding not in ENCODINGS:
         raise BadConfig(f"an image must have one of the encodings {', '.join(ENCODINGS)}, found {message.encoding!r}")
     kind = np.dtype(np.float32 if message.encoding == _METRES else np.uint16)
@@ -211,7 +292,7 @@ def _plain(message: Any) -> NDArray[Any]:
     return np.ascontiguousarray(row).view(kind).astype(kind.newbyteorder("="))
 
 
-def _compressed(message: Any) -> NDArray[Any]:
+def _compressed_image(message: Any) -> NDArray[Any]:
     data, text = bytes(message.data), str(message.format)
     found = encoding(message, COMPRESSED)
     if found not in ENCODINGS:
@@ -234,10 +315,6 @@ def _compressed(message: Any) -> NDArray[Any]:
         metres = np.float32(a) / (stored.astype(np.float32) - np.float32(b))
     metres[stored == 0] = 0
     return metres
-
-
-_TRANSPORTS: Final = ("compressedDepth", "compressed")
-_MODEL: Final = "plumb_bob"
 
 
 def camera_beside(bag: Bag, topic: Topic, where: str) -> Intrinsics | None:
@@ -297,92 +374,3 @@ def camera_of(message: Any, where: str, rectified: bool) -> Intrinsics | None:
 def _numbers(message: Any, name: str) -> Sequence[float]:
     values = getattr(message, name) if hasattr(message, name) else getattr(message, name.upper())
     return [float(value) for value in values]
-
-
-_KINDS: Final = (IMAGE, COMPRESSED)
-_UNITS_TOPIC: Final = "option/Depth_Units/value"
-_LONGEST_LIST: Final = 12
-
-
-def bag_recording(path: Path, bag: Bag, topic: str | None, step_m: float | None) -> StoredRecording:
-    """Return the range images of a bag as a recording: those of `topic`, or of the only topic that has any.
-
-    Raises BadConfig, listing the topics, for another topic, none, or several.
-    """
-    images = [each for each in bag.topics if each.kind in _KINDS and len(each.times_ns)]
-    if topic is not None:
-        chosen = [each for each in images if each.name == topic or each.name == f"/{topic}"]
-        if not chosen:
-            raise BadConfig(f"--topic must be a topic of images, one of {_listed(images)}, found {topic!r}: {path}")
-    else:
-        chosen = [each for each in images if _has_ranges(bag, each)]
-        if not chosen:
-            raise BadConfig(f"a recording must have a topic of range images, found {_listed(images)}: {path}")
-        if len(chosen) > 1:
-            raise BadConfig(f"several topics have range images, choose one by --topic: {_listed(chosen)} ({path})")
-    (found,) = chosen[:1]
-    first = _first(bag, found)
-    floating = first is not None and is_floating(first, found.kind)
-    return stored_recording(
-        path,
-        _Images(bag, found, floating),
-        [time / 1e9 for time in found.times_ns],
-        floating,
-        step_m,
-        _stored_step(bag, found),
-        camera_beside(bag, found, str(path)),
-        found.name,
-    )
-
-
-class _Images(FrameSource):
-    """Images of one topic. The last message stays decoded, since its header is often read after its pixels."""
-
-    def __init__(self, bag: Bag, topic: Topic, floating: bool) -> None:
-        self._bag, self._topic, self._floating = bag, topic, floating
-        self._last: tuple[int, Any] | None = None
-
-    def read(self, index: int) -> NDArray[Any]:
-        image = pixels(self._message(index), self._topic.kind)
-        if (image.dtype.kind == "f") != self._floating:
-            raise BadConfig(f"all images of a topic must be of the first one's encoding, found {image.dtype}")
-        return image
-
-    def stamp(self, index: int) -> Stamp:
-        return stamp(self._message(index))
-
-    def _message(self, index: int) -> Any:
-        if self._last is None or self._last[0] != index:
-            self._last = None  # not two messages at once
-            self._last = index, decode(self._bag, self._topic, index)
-        return self._last[1]
-
-
-def _has_ranges(bag: Bag, topic: Topic) -> bool:
-    first = _first(bag, topic)
-    return first is not None and is_range_image(first, topic.kind)
-
-
-def _first(bag: Bag, topic: Topic) -> Any:
-    """The first of the first ten messages that can be read, or None."""
-    for index in range(min(10, len(topic.times_ns))):
-        try:
-            return decode(bag, topic, index)
-        except BadConfig:
-            continue
-    return None
-
-
-def _stored_step(bag: Bag, topic: Topic) -> float | None:
-    """Metres a step as RealSense's recordings hold it, beside the sensor; None elsewhere."""
-    sensor = topic.name.split("/")[:3]
-    name = "/".join([*sensor, _UNITS_TOPIC])
-    units = next((each for each in bag.topics if each.name == name and each.kind == FLOAT32), None)
-    value = _first(bag, units) if units is not None else None
-    return float(value.data) if value is not None and 1e-6 <= value.data <= 0.1 else None
-
-
-def _listed(topics: list[Topic]) -> str:
-    names = [topic.name for topic in topics]
-    more = f" and {len(names) - _LONGEST_LIST} more" if len(names) > _LONGEST_LIST else ""
-    return (", ".join(names[:_LONGEST_LIST]) or "none") + more

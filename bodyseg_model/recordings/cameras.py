@@ -1,7 +1,4 @@
-"""The camera of a sequence of frames: named, given by its numbers, or assumed from the frames' size.
-
-Camera matrix and lens distortion of frames, in OpenCV's terms.
-"""
+"""The camera of a sequence of frames: named, given by numbers in OpenCV's terms, or assumed from the frames' size."""
 
 from __future__ import annotations
 
@@ -13,6 +10,8 @@ import numpy as np
 
 from bodyseg_data.core import BadConfig
 from bodyseg_data.rigs import PAPER, Camera, Distortion, Rig, Sensor, load_sensor, rig_names
+
+_SQUARE: Final = 0.01
 
 
 @dataclass(frozen=True)
@@ -112,9 +111,6 @@ def _camera(shape: tuple[int, int], focal_px: float, centre_px: tuple[float, ...
     rows, columns = shape
     x, y = centre_px or (columns / 2, rows / 2)
     return Camera(rows, columns, focal_px, (x, y), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-
-
-_SQUARE: Final = 0.01
 
 
 @dataclass(frozen=True)

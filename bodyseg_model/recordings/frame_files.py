@@ -1,6 +1,6 @@
-"""Decoding of a frame: a 16-bit grey PNG, and one clear line for anything else.
+"""Files of frames: a 16-bit grey PNG, or one clear line for anything else, and the entries of a tar.
 
-Listing of a tar's entries and their offsets, from its headers alone; nothing is extracted.
+A tar's entries and their offsets are listed from its headers alone; nothing is extracted.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from bodyseg_model.recordings.recording import LARGEST_SIDE
 
 _KINDS: Final = {0: "grey", 2: "RGB", 3: "palette", 4: "grey with alpha", 6: "RGB with alpha"}
 _NEEDED: Final = (b"IHDR", b"IDAT", b"IEND")
+
+_LARGEST_HEADER: Final = 1 << 14
 
 
 def parse_frame(data: bytes, where: str) -> NDArray[np.uint16]:
@@ -48,9 +50,6 @@ def parse_frame(data: bytes, where: str) -> NDArray[np.uint16]:
     except ValueError as error:
         raise BadConfig(f"{where} is {error}") from error
     return image
-
-
-_LARGEST_HEADER: Final = 1 << 14
 
 
 @dataclass(frozen=True)

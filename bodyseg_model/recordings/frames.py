@@ -1,8 +1,7 @@
-"""Names of frames' result files, unique among all frames of a call.
+"""Frames of a range sensor at the paths of a command: PNGs in files, folders or tars, and recordings of any format.
 
-Frames that cannot be read, skipped within a budget.
-
-Frames of a range sensor at the paths of a command: PNGs in files, folders or tars, and recordings of any format.
+Their result files have names that are unique among all frames of a call. Frames that cannot be read are skipped within
+a budget.
 """
 
 from __future__ import annotations
@@ -25,87 +24,6 @@ from bodyseg_model.recordings.recording import MILLIMETRE, Frame, Pixels, Stored
 _NAME: Final = re.compile(r"[\w+()-][\w+(). -]{0,99}")
 
 _NO_NAMES: Final = ("/", ".", "..")
-
-
-def result_names(frames: Sequence[Frame]) -> list[str]:
-    """Names of the results of frames, without suffix: their files' own ("1"), unless two of them are equal.
-
-    Otherwise every frame gets a folder, which is named after the frame's folder or tar, with as many of the folders
-    above it as tell all of them apart ("left/1", "monday/left/1"). Raises BadConfig for a name unfit for a file, or
-    two frames that no folder tells apart, such as one frame given twice.
-    """
-    stems = [_stem(frame) for frame in frames]
-    names = stems
-    if len(set(stems)) < len(stems):
-        homes = [_home(frame) for frame in frames]
-        depth, deepest = 1, max(map(len, homes))
-        while depth < deepest and len({home[-depth:] for home in homes}) < len(set(homes)):
-            depth += 1
-        names = ["/".join((*home[-depth:], stem)) for home, stem in zip(homes, stems, strict=True)]
-    first: dict[str, str] = {}
-    for name, frame in zip(names, frames, strict=True):
-        if not all(map(_NAME.fullmatch, name.split("/"))):
-            raise BadConfig(
-                "a frame's name, which its results get, must be 1 to 100 letters, digits, spaces or _+-.() and not "
-                f"begin with a dot or space, found {frame.where}"
-            )
-        if name in first:
-            raise BadConfig(f"two frames must not have one name, as their results would: {first[name]}, {frame.where}")
-        first[name] = frame.where
-    return names
-
-
-def _stem(frame: Frame) -> str:
-    return frame.path.stem if frame.member is None else PurePosixPath(frame.member).stem
-
-
-def _home(frame: Frame) -> tuple[str, ...]:
-    """The folders of a frame from the root, a tar counted as one of its name; parts of no name, like "..", left out."""
-    folders = frame.path.parent.resolve().parts[1:]
-    if frame.member is None:
-        return folders
-    return (
-        *folders,
-        frame.path.stem,
-        *(part for part in PurePosixPath(frame.member).parts[:-1] if part not in _NO_NAMES),
-    )
-
-
-class Skipping:
-    """Reads frames and skips those that cannot be read, up to `budget` of them.
-
-    skipped: name, file and error of each, in the order of reading. Raises BadConfig for a budget below 0.
-    """
-
-    def __init__(self, budget: int = 0) -> None:
-        self.budget = check_int("--skip-unreadable", budget, least=0)
-        self.skipped: list[dict[str, str]] = []
-
-    def __repr__(self) -> str:
-        return f"Skipping({len(self.skipped)} of at most {self.budget} skipped)"
-
-    def read(self, frame: Frame) -> Pixels | None:
-        """Read a frame, uint16 [H, W]; None for one that cannot be read. Raises BadConfig once the budget is spent."""
-        try:
-            return frame.read()
-        except BadConfig as error:
-            entry = {"name": frame.name, "file": frame.where, "error": str(error)}
-            if entry in self.skipped:
-                return None
-            if len(self.skipped) >= self.budget:
-                beyond = f", after {self.budget} that --skip-unreadable allowed" if self.budget else ""
-                raise BadConfig(f"{error}{beyond}") from error
-            self.skipped.append(entry)
-            return None
-
-
-def first_readable(frames: Sequence[Frame], skipping: Skipping) -> Frame:
-    """Return the first frame that can be read. Raises BadConfig if none can, or too many cannot."""
-    for frame in frames:
-        if skipping.read(frame) is not None:
-            return frame
-    raise BadConfig(f"at least one frame must be readable, found none: {skipping.skipped[-1]['error']}")
-
 
 RECORDINGS_HELP: Final = "16-bit grey PNGs, folders or tars of them, or recordings: bags, MCAP, NPY, NPZ, TIFF, MKV"
 """Help of commands' argument for frames."""
@@ -292,3 +210,83 @@ def natural_key(name: str) -> list[tuple[int, str]]:
         plain = digits.lstrip("0")
         key += [(0, text), (len(plain), plain)]
     return [*key, (0, name)]
+
+
+def result_names(frames: Sequence[Frame]) -> list[str]:
+    """Names of the results of frames, without suffix: their files' own ("1"), unless two of them are equal.
+
+    Otherwise every frame gets a folder, which is named after the frame's folder or tar, with as many of the folders
+    above it as tell all of them apart ("left/1", "monday/left/1"). Raises BadConfig for a name unfit for a file, or
+    two frames that no folder tells apart, such as one frame given twice.
+    """
+    stems = [_stem(frame) for frame in frames]
+    names = stems
+    if len(set(stems)) < len(stems):
+        homes = [_home(frame) for frame in frames]
+        depth, deepest = 1, max(map(len, homes))
+        while depth < deepest and len({home[-depth:] for home in homes}) < len(set(homes)):
+            depth += 1
+        names = ["/".join((*home[-depth:], stem)) for home, stem in zip(homes, stems, strict=True)]
+    first: dict[str, str] = {}
+    for name, frame in zip(names, frames, strict=True):
+        if not all(map(_NAME.fullmatch, name.split("/"))):
+            raise BadConfig(
+                "a frame's name, which its results get, must be 1 to 100 letters, digits, spaces or _+-.() and not "
+                f"begin with a dot or space, found {frame.where}"
+            )
+        if name in first:
+            raise BadConfig(f"two frames must not have one name, as their results would: {first[name]}, {frame.where}")
+        first[name] = frame.where
+    return names
+
+
+def _stem(frame: Frame) -> str:
+    return frame.path.stem if frame.member is None else PurePosixPath(frame.member).stem
+
+
+def _home(frame: Frame) -> tuple[str, ...]:
+    """The folders of a frame from the root, a tar counted as one of its name; parts of no name, like "..", left out."""
+    folders = frame.path.parent.resolve().parts[1:]
+    if frame.member is None:
+        return folders
+    return (
+        *folders,
+        frame.path.stem,
+        *(part for part in PurePosixPath(frame.member).parts[:-1] if part not in _NO_NAMES),
+    )
+
+
+class Skipping:
+    """Reads frames and skips those that cannot be read, up to `budget` of them.
+
+    skipped: name, file and error of each, in the order of reading. Raises BadConfig for a budget below 0.
+    """
+
+    def __init__(self, budget: int = 0) -> None:
+        self.budget = check_int("--skip-unreadable", budget, least=0)
+        self.skipped: list[dict[str, str]] = []
+
+    def __repr__(self) -> str:
+        return f"Skipping({len(self.skipped)} of at most {self.budget} skipped)"
+
+    def read(self, frame: Frame) -> Pixels | None:
+        """Read a frame, uint16 [H, W]; None for one that cannot be read. Raises BadConfig once the budget is spent."""
+        try:
+            return frame.read()
+        except BadConfig as error:
+            entry = {"name": frame.name, "file": frame.where, "error": str(error)}
+            if entry in self.skipped:
+                return None
+            if len(self.skipped) >= self.budget:
+                beyond = f", after {self.budget} that --skip-unreadable allowed" if self.budget else ""
+                raise BadConfig(f"{error}{beyond}") from error
+            self.skipped.append(entry)
+            return None
+
+
+def first_readable(frames: Sequence[Frame], skipping: Skipping) -> Frame:
+    """Return the first frame that can be read. Raises BadConfig if none can, or too many cannot."""
+    for frame in frames:
+        if skipping.read(frame) is not None:
+            return frame
+    raise BadConfig(f"at least one frame must be readable, found none: {skipping.skipped[-1]['error']}")

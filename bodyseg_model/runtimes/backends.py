@@ -1,6 +1,6 @@
-"""Networks that are not trained any more, as torch computes them quickest: folded, and in bfloat16.
+"""Backends of networks by name: torch, and the runtimes of ONNX graphs.
 
-Backends of networks by name: torch, and the runtimes of ONNX graphs.
+Networks that are not trained any more are computed as torch does it quickest: folded, and in bfloat16.
 """
 
 from __future__ import annotations
@@ -29,56 +29,6 @@ from bodyseg_model.runtimes.onnx_files import SUFFIX, read_onnx, to_onnx
 from bodyseg_model.runtimes.runtime import OnnxRuntime, OpenVino, Precision, Runtime, RuntimeNetwork, check_precision
 from bodyseg_model.training import find_device
 
-
-def folded(network: Network) -> Network:
-    """A copy of a network in evaluation mode that computes each convolution and the batch normalisation after it as one
-    convolution; the network itself where none follow each other in an `nn.Sequential`, or while it is trained.
-
-    Scores differ by the rounding of float32. The copy cannot be trained.
-    """
-    if network.training or not any(_normalised_convolutions(module) for module in network.modules()):
-        return network
-    found = copy.deepcopy(network)
-    for module in list(found.modules()):
-        for first, convolution, normalisation in _normalised_convolutions(module):
-            with torch.no_grad():
-                one = fuse_conv_bn_eval(convolution, normalisation)
-            module.register_module(str(first), one)
-            module.register_module(str(first + 1), nn.Identity())
-    return found
-
-
-def _normalised_convolutions(module: nn.Module) -> list[tuple[int, nn.Conv2d, nn.BatchNorm2d]]:
-    """The convolutions of a Sequential that a batch normalisation follows: number, convolution, normalisation."""
-    children = list(module) if isinstance(module, nn.Sequential) else []
-    return [
-        (number, child, following)
-        for number, (child, following) in enumerate(itertools.pairwise(children))
-        if isinstance(child, nn.Conv2d) and isinstance(following, nn.BatchNorm2d)
-    ]
-
-
-class Bfloat16(Network):
-    """A copy of a network in evaluation mode, computed in bfloat16 on its device.
-
-    Convolutions are in 16 bits, sums in 32, as torch's autocast divides them.
-    """
-
-    def __init__(self, network: Network) -> None:
-        super().__init__(network.settings, network.classes)
-        self.output_stride = network.output_stride
-        self.network = copy.deepcopy(network)
-        for module in self.network.modules():
-            if isinstance(module, (nn.Conv2d, nn.Linear)):
-                module.to(torch.bfloat16)  # autocast would round their weights in every call, to the same bits
-        self.train(network.training)
-
-    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
-        """Compute scores; see `Network.scores`."""
-        with torch.autocast(device_of(self.network).type, torch.bfloat16):
-            return self.network.scores(range_m)
-
-
 TORCH: Final = "torch"
 OF_FILES: Final = "onnxruntime"
 """The backend of an ONNX file for which none is named."""
@@ -98,6 +48,7 @@ QUICK_PRECISION_HELP: Final = (
     "arithmetic of the network (default: bfloat16 on a processor with instructions for it, else float32; of an .onnx "
     "file, float32)"
 )
+
 
 if TYPE_CHECKING:
     BackendName = str
@@ -197,3 +148,52 @@ def _runtime(backend: str) -> type[Runtime]:
     if backend not in RUNTIMES:
         raise BadConfig(f"the backend must be one of {', '.join([TORCH, *RUNTIMES])}, found {backend!r}")
     return RUNTIMES[backend]
+
+
+def folded(network: Network) -> Network:
+    """A copy of a network in evaluation mode that computes each convolution and the batch normalisation after it as one
+    convolution; the network itself where none follow each other in an `nn.Sequential`, or while it is trained.
+
+    Scores differ by the rounding of float32. The copy cannot be trained.
+    """
+    if network.training or not any(_normalised_convolutions(module) for module in network.modules()):
+        return network
+    found = copy.deepcopy(network)
+    for module in list(found.modules()):
+        for first, convolution, normalisation in _normalised_convolutions(module):
+            with torch.no_grad():
+                one = fuse_conv_bn_eval(convolution, normalisation)
+            module.register_module(str(first), one)
+            module.register_module(str(first + 1), nn.Identity())
+    return found
+
+
+def _normalised_convolutions(module: nn.Module) -> list[tuple[int, nn.Conv2d, nn.BatchNorm2d]]:
+    """The convolutions of a Sequential that a batch normalisation follows: number, convolution, normalisation."""
+    children = list(module) if isinstance(module, nn.Sequential) else []
+    return [
+        (number, child, following)
+        for number, (child, following) in enumerate(itertools.pairwise(children))
+        if isinstance(child, nn.Conv2d) and isinstance(following, nn.BatchNorm2d)
+    ]
+
+
+class Bfloat16(Network):
+    """A copy of a network in evaluation mode, computed in bfloat16 on its device.
+
+    Convolutions are in 16 bits, sums in 32, as torch's autocast divides them.
+    """
+
+    def __init__(self, network: Network) -> None:
+        super().__init__(network.settings, network.classes)
+        self.output_stride = network.output_stride
+        self.network = copy.deepcopy(network)
+        for module in self.network.modules():
+            if isinstance(module, (nn.Conv2d, nn.Linear)):
+                module.to(torch.bfloat16)  # autocast would round their weights in every call, to the same bits
+        self.train(network.training)
+
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+        """Compute scores; see `Network.scores`."""
+        with torch.autocast(device_of(self.network).type, torch.bfloat16):
+            return self.network.scores(range_m)

@@ -1,12 +1,10 @@
-"""Resampling of a body, compiled, for `views.py`, which describes the mapping, a `Turn`.
+"""Resampling of a body and painting of overlays, compiled, for `views.py` and `pictures.py`.
 
-pixels: ascending flat indices of the frame; rows, columns: int [N], of these. All ranges are finite and in front of
-the view, so that no point is outside the box that is computed.
+For views: pixels: ascending flat indices of the frame; rows, columns: int [N], of these; mapping: a `Turn`. All ranges
+are finite and in front of the view, so that no point is outside the box that is computed.
 
-The painting of overlays, compiled, for `pictures.py`, which describes the colours.
-
-flat: ranges of a frame, float32 [N], metres. shading: `pictures.Shading`. table: uint8 [M, 3], `pictures._table`.
-picture: sRGB uint8 [N, 3].
+For overlays: flat: ranges of a frame, float32 [N], metres; shading: `pictures.Shading`; table: uint8 [M, 3],
+`pictures._table`; picture: sRGB uint8 [N, 3].
 """
 
 from __future__ import annotations
@@ -24,6 +22,10 @@ _LEAST_AHEAD: Final = 1e-9
 far outside the frame."""
 
 _kernel = partial(compiled, feature="labelling frames", extra="segment")
+_overlay_kernel = partial(compiled, feature="overlays", extra="segment")
+
+
+# Views.
 
 
 @_kernel
@@ -125,16 +127,16 @@ def move_ranges(box: Any, shift: Any, nearest: Any, farthest: Any, view: Any) ->
                 view[row, i] = np.float32(min(max(box[row, i] + shift, nearest), farthest))
 
 
-_picture_kernel = partial(compiled, feature="overlays", extra="segment")
+# Overlays.
 
 
-@_picture_kernel
+@_overlay_kernel
 def _shade(range_m: Any, shading: Any) -> Any:
     last = np.float32(shading.shades - 1)
     return np.intp(min(max((range_m - shading.near) * shading.scale + np.float32(0.5), np.float32(0)), last))
 
 
-@_picture_kernel
+@_overlay_kernel
 def paint_room(flat: Any, shading: Any, table: Any, picture: Any) -> None:
     """Paint the room: its measured pixels in the first shades of the table, others in the last."""
     nothing = table.shape[0] - 1
@@ -144,7 +146,7 @@ def paint_room(flat: Any, shading: Any, table: Any, picture: Any) -> None:
             picture[i, channel] = table[colour, channel]
 
 
-@_picture_kernel
+@_overlay_kernel
 def paint_body(flat: Any, labels: Any, pixels: Any, shading: Any, classes: Any, table: Any, picture: Any) -> None:
     """Paint a body's measured pixels in the shades of their labels, uint8 [N]; all labels from `classes` on alike."""
     for i in range(pixels.size):

@@ -1,7 +1,4 @@
-"""Reading ahead: the next item is made in a thread while the caller works on this one.
-
-Segmentation of a frame of any range camera: remove the background, resample and label each body, map labels back.
-"""
+"""Segmentation of a frame of any range camera: remove the background, resample and label each body, map labels back."""
 
 from __future__ import annotations
 
@@ -29,21 +26,6 @@ from bodyseg_model.segmentation.views import BodyView, usual_views, view_body
 _END: Final = object()
 
 Item = TypeVar("Item")
-
-
-def read_ahead(items: Iterable[Item]) -> Generator[Item, None, None]:
-    """Yield items in their order; one thread makes the next while the caller works on this one, and no more than that.
-
-    An error of an item is raised in its place, after all items before it have been yielded. Whoever leaves early waits
-    for the item that is being made.
-    """
-    remaining = iter(items)
-    with ThreadPoolExecutor(1, "reading") as thread:
-        coming = thread.submit(next, remaining, _END)
-        while (item := coming.result()) is not _END:
-            coming = thread.submit(next, remaining, _END)
-            yield item  # type: ignore[misc]  # all but _END
-
 
 STAGES: Final = ("background", "shape", "resample", "network", "back", "video")
 
@@ -267,3 +249,17 @@ class Segmenter:
         view_body(np.full_like(room, self.rig.stand_off_m), np.arange(1), self.camera, self.rig, self.mirrored)
         for views in usual_views(self.rig, self._network.together):
             predict_each(self._network, views)
+
+
+def read_ahead(items: Iterable[Item]) -> Generator[Item, None, None]:
+    """Yield items in their order; one thread makes the next while the caller works on this one, and no more than that.
+
+    An error of an item is raised in its place, after all items before it have been yielded. Whoever leaves early waits
+    for the item that is being made.
+    """
+    remaining = iter(items)
+    with ThreadPoolExecutor(1, "reading") as thread:
+        coming = thread.submit(next, remaining, _END)
+        while (item := coming.result()) is not _END:
+            coming = thread.submit(next, remaining, _END)
+            yield item  # type: ignore[misc]  # all but _END

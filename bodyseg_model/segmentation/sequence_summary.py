@@ -1,9 +1,8 @@
-"""Label flicker: pixels whose label changes from one frame to the next, without compensation for motion.
+"""Summary of a labelled sequence: bodies, confidence, time and flicker, for each frame and in all; plain JSON.
 
-A pixel is compared with the same pixel of the next frame, so labels also change where the body moves. Pixels whose
-range hardly changed are counted separately: few of them change for that reason.
-
-Summary of a labelled sequence: bodies, confidence, time and flicker, for each frame and in all; plain JSON.
+Flicker is the pixels whose label changes from one frame to the next, without compensation for motion. A pixel is
+compared with the same pixel of the next frame, so labels also change where the body moves. Pixels whose range hardly
+changed are counted separately: few of them change for that reason.
 """
 
 from __future__ import annotations
@@ -22,6 +21,8 @@ from bodyseg_model.segmentation.segmenter import LabelledBody, Segmentation, Thi
 
 STILL_M: Final = 0.02
 """A pixel whose range changed by less, metres, is taken to see the same point of the body."""
+
+STAGES: Final = ("read", *SEGMENTER_STAGES, "write")
 
 
 @dataclass(frozen=True)
@@ -65,9 +66,6 @@ def flicker(
 
 def _share(part: int, whole: int) -> float | None:
     return round(part / whole, 5) if whole else None
-
-
-STAGES: Final = ("read", *SEGMENTER_STAGES, "write")
 
 
 class SequenceSummary:

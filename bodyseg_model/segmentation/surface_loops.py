@@ -1,4 +1,4 @@
-"""Surfaces and planes of a range image, compiled, for `surfaces.py` and `room_planes.py`."""
+"""Surfaces and planes of a range image, compiled, for `surfaces.py`."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Images of a training: those of one set, or a mixture of several.
-
-Training loop: a set of shards and a recipe -> a network. A killed training resumes with the same bits.
+"""Training loop: sets of shards and a recipe -> a network. A killed training resumes with the same bits.
 
 Seed and step number determine all that a step does: its images (their order belongs to seed and epoch), which of them
 are mirrored, the pixels that the loss selects, and dropout. So a checkpoint needs weights, the optimiser's state and
@@ -46,29 +44,6 @@ from bodyseg_model.training.recipes import (
     set_learning_rate,
 )
 from bodyseg_model.training.validation import Metrics, MetricsWindow, Report, Validation
-
-
-def open_data(
-    addresses: Sequence[str],
-    weights: Sequence[float],
-    samples: int | None,
-    seed: int,
-    open_set: Callable[[str], RangeImages],
-) -> ImageSet:
-    """Return the one set that `addresses` name, or a mixture of several.
-
-    weights: of the sets in a mixture; none for the numbers of their samples, so that all samples come equally often.
-    samples: in an epoch of a mixture, None for the sum of the sets' lengths. seed: of the order in which sets are
-    mixed. open_set: opens one set. Raises BadConfig for another number of weights than of sets, and as `Mixture`.
-    """
-    if weights and len(weights) != len(addresses):
-        raise BadConfig(f"--weights needs a number for each of {len(addresses)} sets in --data, found {len(weights)}")
-    sets = [open_set(address) for address in addresses]
-    if len(sets) == 1 and samples is None:
-        return sets[0]
-    parts = zip(sets, weights or [len(images) for images in sets], strict=True)
-    return Mixture([(images, float(weight)) for images, weight in parts], samples, seed)
-
 
 _OPTIMISER: Final = "optimiser."
 """Prefix of the optimiser's tensors in a checkpoint."""
@@ -333,3 +308,25 @@ def _endless(data_loader: Loader) -> Iterator[Batch]:
     """Batches, epoch after epoch."""
     while True:
         yield from data_loader
+
+
+def open_data(
+    addresses: Sequence[str],
+    weights: Sequence[float],
+    samples: int | None,
+    seed: int,
+    open_set: Callable[[str], RangeImages],
+) -> ImageSet:
+    """Return the one set that `addresses` name, or a mixture of several.
+
+    weights: of the sets in a mixture; none for the numbers of their samples, so that all samples come equally often.
+    samples: in an epoch of a mixture, None for the sum of the sets' lengths. seed: of the order in which sets are
+    mixed. open_set: opens one set. Raises BadConfig for another number of weights than of sets, and as `Mixture`.
+    """
+    if weights and len(weights) != len(addresses):
+        raise BadConfig(f"--weights needs a number for each of {len(addresses)} sets in --data, found {len(weights)}")
+    sets = [open_set(address) for address in addresses]
+    if len(sets) == 1 and samples is None:
+        return sets[0]
+    parts = zip(sets, weights or [len(images) for images in sets], strict=True)
+    return Mixture([(images, float(weight)) for images, weight in parts], samples, seed)

@@ -1,8 +1,6 @@
-"""The plan of a training: all that its result depends on, as plain JSON, and the differences between two plans.
+"""The plan of a training, all that its result depends on, as plain JSON; and the folder in which a training stands.
 
-The folder of a training: its plan, its last and best checkpoint, its log, and the trained network.
-
-run.json                  the plan (`plan.training_plan`), written after the first step; only this plan may resume
+run.json                  the plan (`training_plan`), written after the first step; only this plan may resume
 checkpoint.json           the last checkpoint: step, state of the loader, name and SHA-256 of its tensors
 checkpoint-STEP.safetensors
 best.safetensors, best.json   weights and card of the best validation
@@ -86,6 +84,8 @@ _FOLLOWS: Final[dict[str, tuple[str, ...]]] = {
 
 _ABSENT: Final = object()
 _SHOWN: Final = 3
+
+FORMAT: Final = "bodyseg run 1"
 
 
 def training_plan(
@@ -214,9 +214,6 @@ def _shown(path: Keys, value: Any) -> str:
     if path == ("recipe", "bf16"):
         return "bfloat16" if value else "float32"
     return json.dumps(value)
-
-
-FORMAT: Final = "bodyseg run 1"
 
 
 class Best(NamedTuple):

@@ -1,8 +1,7 @@
 """Recipes: all hyperparameters of a training in one frozen dataclass, with a preset for each kind of network.
 
-A recipe's optimiser, and its state as tensors with names.
-
-Exponential moving average (EMA) of a network's weights over the steps of a training.
+A recipe's optimiser, its state as tensors with names, and the exponential moving average (EMA) of a network's weights
+over the steps of a training.
 """
 
 from __future__ import annotations
@@ -20,6 +19,17 @@ from torch import nn
 from bodyseg_data.core import BadConfig, check_fields
 from bodyseg_model.networks import Network
 from bodyseg_model.training.augmentation import GeometricAugmentation
+
+_BOUNDS: Final = (
+    ("learning_rate", 1e-9, 10),
+    ("layer_decay", 1e-6, 1),
+    ("momentum", 0, 0.9999),
+    ("weight_decay", 0, 1),
+    ("warmup", 0, 1),
+    ("clip", 0, 1e6),
+    ("balance", 0, 1),
+    ("ema", 0, 0.999999),
+)
 
 
 @dataclass(frozen=True)
@@ -101,17 +111,6 @@ class Recipe:
         """Learning rates of `layers` layers as shares of the last one's, deepest first (`layer_decay`)."""
         return [self.layer_decay ** (1 - at / max(1, layers - 1)) for at in range(layers)]
 
-
-_BOUNDS: Final = (
-    ("learning_rate", 1e-9, 10),
-    ("layer_decay", 1e-6, 1),
-    ("momentum", 0, 0.9999),
-    ("weight_decay", 0, 1),
-    ("warmup", 0, 1),
-    ("clip", 0, 1e6),
-    ("balance", 0, 1),
-    ("ema", 0, 0.999999),
-)
 
 PRESETS: Final[dict[str, Recipe]] = {
     # Section 3.5 of the paper; one image a pass and twenty passes a step is how it accumulates gradients.

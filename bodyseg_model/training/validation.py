@@ -1,7 +1,4 @@
-"""Metrics of a training, over the steps between two lines of its log.
-
-Validation: scores on images that a training does not train on, at fixed steps, and what follows from them.
-"""
+"""Validation, scores at fixed steps on images that a training does not train on, and metrics of the steps between."""
 
 from __future__ import annotations
 
@@ -18,6 +15,9 @@ from bodyseg_data.loading import DEFAULT_WORKER_METHOD, RangeImages, WorkerMetho
 from bodyseg_model.evaluation import ConfusionMatrix, Evaluation, Scores, evaluate
 from bodyseg_model.networks import CheckpointName, Network
 from bodyseg_model.training.distributed import ProcessGroup
+
+DEFAULT_EVERY: Final = 500
+"""Steps between two validations."""
 
 
 @dataclass(frozen=True)
@@ -93,10 +93,6 @@ class MetricsWindow:
             round(self._images * self._processes.world_size / seconds, 2),
             round(self._waited / seconds, 4),
         )
-
-
-DEFAULT_EVERY: Final = 500
-"""Steps between two validations."""
 
 
 @dataclass(frozen=True)

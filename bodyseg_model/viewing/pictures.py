@@ -1,9 +1,7 @@
-"""Pictures of a page: panels of one size with captions, in lines.
+"""What a page shows at one moment: pictures, panels of one size with captions, and points and devices in space.
 
-Points and devices in the space of the page, and a drawing: all that a page shows at one moment.
-
-x is to the right and y up as the sensor's camera looks, z towards it. Units are metres. Of a set, the origin is the
-body's middle, which stands upright; of a recording, it is the camera.
+In space, x is to the right and y up as the sensor's camera looks, z towards it. Units are metres. Of a set, the origin
+is the body's middle, which stands upright; of a recording, it is the camera.
 """
 
 from __future__ import annotations
@@ -47,6 +45,24 @@ _GAP: Final = 8
 _HEAD: Final = 26
 _NOTE: Final = 30
 _MOST_ROWS: Final = 420
+
+Viewpoint = Literal["points", "sensor", "camera"]
+VIEWPOINTS: Final[tuple[Viewpoint, ...]] = get_args(Viewpoint)
+"""What a window can look at: the points, the sensor with them, and both as the sensor's camera sees them."""
+
+_DIRECTIONS: Final = {"points": (0.42, 0.16, 0.9), "sensor": (1.0, 0.35, 0.5), "camera": (0.0, 0.0, 1.0)}
+_AROUND: Final = 1.35
+"""A window takes in so many times what it looks at."""
+
+_GAP_M: Final = 0.01
+_NAME_M: Final = 0.13
+"""Distance of a device and its name."""
+
+_OPENCV: Final = np.diag([1.0, -1.0, -1.0])
+"""Axes of a camera that looks along -z, rows: to its right, down, forward."""
+
+
+# Pictures.
 
 
 @dataclass(frozen=True)
@@ -177,20 +193,7 @@ def sheet_of(picture: NDArray[np.uint8], view: NDArray[np.uint8], facts: Sequenc
     return sheet
 
 
-Viewpoint = Literal["points", "sensor", "camera"]
-VIEWPOINTS: Final[tuple[Viewpoint, ...]] = get_args(Viewpoint)
-"""What a window can look at: the points, the sensor with them, and both as the sensor's camera sees them."""
-
-_DIRECTIONS: Final = {"points": (0.42, 0.16, 0.9), "sensor": (1.0, 0.35, 0.5), "camera": (0.0, 0.0, 1.0)}
-_AROUND: Final = 1.35
-"""A window takes in so many times what it looks at."""
-
-_GAP_M: Final = 0.01
-_NAME_M: Final = 0.13
-"""Distance of a device and its name."""
-
-_OPENCV: Final = np.diag([1.0, -1.0, -1.0])
-"""Axes of a camera that looks along -z, rows: to its right, down, forward."""
+# Space.
 
 
 @dataclass(frozen=True)

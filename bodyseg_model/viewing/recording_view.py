@@ -1,7 +1,4 @@
-"""Drawing of the page of a recording: a frame with the labels that the network gives its people.
-
-The controls of a recording's page: play, pause, and the choice of a frame.
-"""
+"""The page of a recording: a frame with the labels that the network gives its people, and its controls."""
 
 from __future__ import annotations
 
@@ -64,6 +61,8 @@ CONFIDENCE_LEGEND: Final[Legend] = (
 _NOTHING: Final = Points(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
 _KEPT: Final = 32
 _ROOM_STEP: Final = 3
+
+_DRAWING_S: Final = 60.0
 
 
 @dataclass(frozen=True)
@@ -208,9 +207,6 @@ def _counted(found: Segmentation) -> str:
 def _change_image(changes: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Changes in their colours, sRGB uint8 [H, W, 3]; changes: uint8 [H, W]."""
     return colour_labels(changes, EMPTY, np.array([colour for _, colour in FLICKER_LEGEND], np.uint8))
-
-
-_DRAWING_S: Final = 60.0
 
 
 class RecordingPage:

@@ -30,8 +30,8 @@ import os, sys, threading
 sys.path[:0] = {paths!r}
 import numpy as np
 from shapes import ball
-from bodyseg_data.meshes import pymeshlab_thread
-from bodyseg_data.meshes.repairing import repair
+from bodyseg_data.meshes import repairing as pymeshlab_thread
+from bodyseg_data.meshes import repair
 
 def ended(*works):
     threads = [threading.Thread(target=work) for work in works]
@@ -54,10 +54,10 @@ from pathlib import Path
 from fakes import FiguresEntry
 from small_rig import SMALL
 from bodyseg_data.bodies.sources import SOURCES
-from bodyseg_data.samples.views import ViewGrid
+from bodyseg_data.samples import ViewGrid
 from bodyseg_data.packing.mesh_reduction import edges_collapsed
 from bodyseg_data.packing.options import Packing
-from bodyseg_data.packing.packer import pack
+from bodyseg_data.packing import pack
 
 SOURCES["open"] = FiguresEntry()
 wanted = Packing("open", meshes=2, views=ViewGrid(count=1), rig=SMALL, tolerance_mm=1.0)

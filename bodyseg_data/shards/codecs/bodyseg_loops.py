@@ -27,7 +27,7 @@ _CHUNK: Final = np.uint64(64)
 
 @_kernel
 def unzigzag(coded: Any) -> Any:
-    """Decode one number as `slopes.unzigzag`, modulo 2**64."""
+    """Decode one number as `residuals.unzigzag`, modulo 2**64."""
     return (coded >> _1) ^ (_0 - (coded & _1))
 
 

@@ -1,9 +1,8 @@
-"""The label byte: 255 for background; else the part in bits 0 to 5, and bit 6 set if it faces the projector.
+"""The protocol of a codec, the images of a sample as members of a tar and back, and the label byte that codecs store.
 
+A label byte is 255 for background; else bits 0 to 5 hold the part, and bit 6 is set if the surface faces the projector.
 A thing, which has a range and no label, is stored as part 62. Bit 7 is set if the surface faces the second projector,
 of a rig that has one.
-
-The protocol of a codec: the images of a sample as members of a tar, and back.
 """
 
 from __future__ import annotations
@@ -22,6 +21,9 @@ SECOND_FACING_BIT: Final = 0x80
 """The same for a rig's second projector."""
 THING: Final = 62
 """Stored part of pixels that see a thing, read as 255; with both facing bits it still differs from background."""
+
+OutputArrays = tuple[NDArray[np.uint16], NDArray[np.uint8]]
+"""Arrays for range and labels, uint16 and uint8 [H, W], contiguous."""
 
 
 def mark_things(labels: NDArray[np.uint8], range_image: NDArray[np.uint16]) -> NDArray[np.uint8]:
@@ -60,10 +62,6 @@ def take_second_facing(labels: NDArray[np.uint8]) -> NDArray[np.bool_]:
     return facing
 
 
-OutputArrays = tuple[NDArray[np.uint16], NDArray[np.uint8]]
-"""Arrays for range and labels, uint16 and uint8 [H, W], contiguous."""
-
-
 class DecodedImages(NamedTuple):
     """Decoded images [H, W]. occluder: the occluder range [Hp, Wp], None if it was not requested.
 
@@ -93,7 +91,7 @@ class ImageCodec(Protocol):
     ) -> dict[str, bytes]:
         """Encode as members: name -> bytes. camera [H, W] and projector [Hp, Wp]: ranges, steps, 0 background.
 
-        labels: label bytes [H, W] (`labels.join_labels`). Raises ValueError for images that the codec cannot hold.
+        labels: label bytes [H, W] (`join_labels`). Raises ValueError for images that the codec cannot hold.
         """
 
     def decode(self, members: Mapping[str, bytes], projector: bool, out: OutputArrays | None) -> DecodedImages:

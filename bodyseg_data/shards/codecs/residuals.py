@@ -1,9 +1,7 @@
-"""Run-length encoding of images, in reading order across the ends of rows.
+"""Lossless encoding of labels as runs and of ranges as residuals of the surface's slope; escapes for large numbers.
 
-Two sequences: the value of each run and its length in pixels. Lengths are bytes; 255 marks a longer run, whose length
-follows among the escapes.
-
-Lossless encoding of ranges as residuals of the surface's slope.
+Runs, in reading order across the ends of rows, are two sequences: the value of each and its length in pixels. Lengths
+are bytes; 255 marks a longer run, whose length follows among the escapes.
 
 Surfaces are locally planar: the step from a pixel to the next one in its row nearly equals the step in the row above.
 The labels define the foreground, so there is one number for each of its pixels and none for background. All arithmetic
@@ -30,6 +28,7 @@ ESCAPE: Final = 255
 
 Image = NDArray[Any]
 Bytes = NDArray[np.uint8]
+Range = NDArray[np.uint16]
 
 
 class Box(NamedTuple):
@@ -126,14 +125,10 @@ def checked_lengths(low: Bytes, escapes: Bytes, box: Box) -> NDArray[np.int64]:
     return lengths
 
 
-Range = NDArray[np.uint16]
-_BACKGROUND: Final = int(BACKGROUND)
-
-
 @dataclass(frozen=True)
 class Slopes:
     """Encoded ranges. firsts: of each foreground run, zigzag, as byte planes. steps: one zigzag byte for each other
-    pixel. escapes: of steps above 254 (`runs.escape_large`).
+    pixel. escapes: of steps above 254 (`escape_large`).
     """
 
     firsts: Bytes
@@ -156,7 +151,7 @@ def unzigzag(coded: Range) -> Range:
 
 def foreground_runs(runs: Runs) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Offsets in the flat box and lengths, pixels, [K] each, of foreground runs in order; runs: of label bytes."""
-    body = np.concatenate([[False], runs.values != _BACKGROUND, [False]])
+    body = np.concatenate([[False], runs.values != BACKGROUND, [False]])
     ends = np.concatenate([[0], np.cumsum(runs.lengths)])
     edges = ends[np.flatnonzero(body[1:] != body[:-1])]
     return edges[::2], edges[1::2] - edges[::2]

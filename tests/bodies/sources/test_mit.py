@@ -14,7 +14,7 @@ from shapes import ball
 from bodyseg_data.bodies import Body, BodyRef, collapsed, open_source
 from bodyseg_data.bodies.source import MeshOptions
 from bodyseg_data.bodies.sources.paper import MIT_MESHES as MESHES
-from bodyseg_data.bodies.sources.paper import SEQUENCES, MitBodies
+from bodyseg_data.bodies.sources.paper import MIT_SEQUENCES, MitBodies
 from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh
 from bodyseg_data.labels import LANDMARKS
 
@@ -220,7 +220,7 @@ def test_real_frames(mit_folder: Path) -> None:
     crane = [body for body in source.bodies() if body.pose == "crane"]
     assert crane and {body.split for body in crane} == {"train"}
     gaps = {name for name in source.missing() if name.startswith("I_crane")}
-    assert len(crane) + len(gaps) == SEQUENCES["B"]["I_crane"]
+    assert len(crane) + len(gaps) == MIT_SEQUENCES["B"]["I_crane"]
     first = source.build(crane[0])
     assert crane[0].mesh == "I_crane_0000"
     assert first.mesh.vertices.shape == (10002, 3) and first.mesh.faces.shape == (20000, 3)
