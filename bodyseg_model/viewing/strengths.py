@@ -60,7 +60,7 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class Entry:
+class TextEntry:
     """A text; empty for None or an empty tuple. several: whether it holds values with semicolons between them."""
 
     strength: str
@@ -73,7 +73,7 @@ class Entry:
         return _words(self.strength)
 
 
-Control = Slider | Choice | Entry
+Control = Slider | Choice | TextEntry
 
 
 def controls_of(artifact: Artifact) -> tuple[Control, ...]:
@@ -85,7 +85,7 @@ def controls_of(artifact: Artifact) -> tuple[Control, ...]:
 def value_of(artifact: Artifact, control: Control) -> Any:
     """Value that a control shows: a number, one of the choices, or text."""
     value = getattr(artifact, control.strength)
-    if isinstance(control, Entry):
+    if isinstance(control, TextEntry):
         if control.several:
             return f"{_SEPARATOR} ".join(f"{each:g}" if control.numbers else str(each) for each in value or ())
         return "" if value is None else f"{value:g}" if control.numbers else str(value)
@@ -127,7 +127,7 @@ def _controls(artifact: Artifact, name: str, hint: Any) -> Iterator[Control]:
     else:
         several = typing.get_origin(kind) is tuple
         held = typing.get_args(kind)[0] if several else kind
-        yield Entry(name, several, held in (int, float))
+        yield TextEntry(name, several, held in (int, float))
 
 
 def _number(artifact: Artifact, name: str, item: int | None, value: float, whole: bool) -> Control:
