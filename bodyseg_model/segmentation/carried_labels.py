@@ -128,9 +128,6 @@ class CarriedLabels:
         self._last: _LastFrame | None = None
         self._spare: Images | None = None
 
-    def __repr__(self) -> str:
-        return f"CarriedLabels({self.carrying})"
-
     def restart(self) -> None:
         """Forget all frames, as at the start of a recording."""
         self._last = self._spare = None

@@ -249,9 +249,6 @@ class Surfaces:
         self._level = jumps(range_m)
         self._find()
 
-    def __repr__(self) -> str:
-        return f"Surfaces({len(self.area_m2)} of {self._range_m.shape[0]} x {self._range_m.shape[1]} pixels)"
-
     def _find(self) -> None:
         found, count = find_segments(self._range_m, self._level, self._camera.focal_px, self._threads)
         begins, ends, number = self._segments = found.segments

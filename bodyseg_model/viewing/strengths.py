@@ -29,10 +29,21 @@ Kind = TypeVar("Kind", bound=Artifact)
 
 
 @dataclass(frozen=True)
-class Slider:
-    """A number from `low` to `high`. strength: name of the field. item: of a tuple of numbers, else None."""
+class Labelled:
+    """The control of one strength, by the name of its field."""
 
     strength: str
+
+    @property
+    def label(self) -> str:
+        """Name of the strength in words."""
+        return _words(self.strength)
+
+
+@dataclass(frozen=True)
+class Slider(Labelled):
+    """A number from `low` to `high`. item: of a tuple of numbers, else None."""
+
     item: int | None
     low: float
     high: float
@@ -42,35 +53,22 @@ class Slider:
     @property
     def label(self) -> str:
         """Name of the strength in words, with the number of the item, from 1 on: "high, mm", "rates 2"."""
-        words = _words(self.strength)
-        return words if self.item is None else f"{words} {self.item + 1}"
+        return super().label if self.item is None else f"{super().label} {self.item + 1}"
 
 
 @dataclass(frozen=True)
-class Choice:
+class Choice(Labelled):
     """One of several values."""
 
-    strength: str
     values: tuple[Any, ...]
-
-    @property
-    def label(self) -> str:
-        """Name of the strength in words."""
-        return _words(self.strength)
 
 
 @dataclass(frozen=True)
-class TextEntry:
+class TextEntry(Labelled):
     """A text; empty for None or an empty tuple. several: whether it holds values with semicolons between them."""
 
-    strength: str
     several: bool
     numbers: bool
-
-    @property
-    def label(self) -> str:
-        """Name of the strength in words."""
-        return _words(self.strength)
 
 
 Control = Slider | Choice | TextEntry

@@ -68,7 +68,6 @@ def test_the_first_frame_is_the_networks_own() -> None:
     range_m, labels = pillar()
     carried = CarriedLabels()
     np.testing.assert_array_equal(call(carried, range_m, labels), labels)
-    assert repr(carried).startswith("CarriedLabels(Carrying(motion='parts', keep=0.9")
 
 
 def test_flicker_of_a_still_body_goes() -> None:
