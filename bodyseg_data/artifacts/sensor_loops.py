@@ -166,7 +166,10 @@ def widened(marked: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
     return found
 
 
-@_kernel
+_loss_kernel = partial(compiled, feature="the compiled form of the artifacts")
+
+
+@_loss_kernel
 def lose_steep(image: Any, pixels: Any, bits: Any, limit: Any, angle: Any, from_rad: Any) -> None:
     """As `GrazingLoss.apply`; limit: of the bits, uint32."""
     for point in range(np.uint64(pixels.size)):
@@ -175,7 +178,7 @@ def lose_steep(image: Any, pixels: Any, bits: Any, limit: Any, angle: Any, from_
         image[pixel] = np.uint16(0) if lost else image[pixel]
 
 
-@_kernel
+@_loss_kernel
 def lose_marked(image: Any, pixels: Any, bits: Any, limit: Any, marked: Any) -> None:
     """As `EdgeLoss.apply`; limit: of the bits, uint32; marked: whether a pixel of the image is at an edge."""
     for point in range(np.uint64(pixels.size)):
@@ -184,7 +187,7 @@ def lose_marked(image: Any, pixels: Any, bits: Any, limit: Any, marked: Any) -> 
         image[pixel] = np.uint16(0) if lost else image[pixel]
 
 
-@_kernel
+@_loss_kernel
 def least_sums(pixels: Any, width: Any, down: Any, along: Any, values: Any) -> None:
     """The least sum of `down` at a pixel's row and of `along` at its column, over the rows of both.
 
@@ -203,7 +206,7 @@ def least_sums(pixels: Any, width: Any, down: Any, along: Any, values: Any) -> N
         values[point] = least
 
 
-@_kernel
+@_loss_kernel
 def mark_below(pixels: Any, values: Any, limit: Any, most: Any, marked: Any) -> None:
     """Mark pixels with a value below a limit, and the first of those at the limit, `most` in all, in bool [h, w].
 
@@ -228,9 +231,10 @@ _LEAST, _MOST = np.float32(1), np.float32(65535)
 _WIDE_ONE, _WIDE_MOST = np.float64(1), np.float64(65535)
 _RIGHT_ANGLE: Final = np.float32(np.pi / 2)
 _MILLIMETRE: Final = np.float32(1e-3)
+_error_kernel = partial(compiled, feature="the compiled form of the artifacts")
 
 
-@_kernel
+@_error_kernel
 def add_gaussian(image: Any, pixels: Any, normals: Any, sigma_m: Any, step_m: Any) -> None:
     """As `gaussian.add_gaussian`; normals, sigma_m, step_m: float32."""
     for point in range(pixels.size):
@@ -240,7 +244,7 @@ def add_gaussian(image: Any, pixels: Any, normals: Any, sigma_m: Any, step_m: An
         image[pixels[point]] = np.uint16(np.int32(value)) if before > 0 else before
 
 
-@_kernel
+@_error_kernel
 def axial_sigma(range_m: Any, angle: Any, terms: Any, roots: Any, sigma_m: Any) -> None:
     """As `AxialNoise.sigma_m`; terms: constant, quadratic, from and grazing, float32; roots: twice the power."""
     constant, quadratic, start, grazing = terms
@@ -256,7 +260,7 @@ def axial_sigma(range_m: Any, angle: Any, terms: Any, roots: Any, sigma_m: Any) 
         sigma_m[point] = sigma * _MILLIMETRE
 
 
-@_kernel
+@_error_kernel
 def beside(
     image: Any, labels: Any, clean: Any, columns: Any, near: Any, angle: Any, terms: Any, normals: Any, seen: Any
 ) -> None:
@@ -278,7 +282,7 @@ def beside(
         image[near[point]], labels[near[point]] = seen[0, point], np.uint8(seen[1, point])
 
 
-@_kernel
+@_error_kernel
 def mix(
     image: Any, clean: Any, columns: Any, pixels: Any, bits: Any, limit: Any, behind: Any, jump_mm: Any, step_m: Any
 ) -> None:
@@ -310,7 +314,7 @@ def mix(
             image[pixel] = np.uint16(np.int32(min(max(value_f, _WIDE_ONE), _WIDE_MOST)))
 
 
-@_kernel
+@_error_kernel
 def round_disparities(image: Any, scale: Any) -> None:
     """As `DisparityRounding.apply`; scale: disparity times range, in steps of both, float64."""
     for pixel in range(image.size):
@@ -322,7 +326,7 @@ def round_disparities(image: Any, scale: Any) -> None:
             image[pixel] = np.uint16(np.int32(value)) if disparity > 0 else np.uint16(0)
 
 
-@_kernel
+@_error_kernel
 def round_ranges(image: Any, steps: Any) -> None:
     """As `RangeRounding.apply`; steps: of the image in one of the sensor's, float64."""
     for pixel in range(image.size):

@@ -26,10 +26,10 @@ from bodyseg_data.samples import FARTHEST_STEPS
 _NONE: Final = np.float32(0)
 _HALF: Final = np.float32(0.5)
 _ONE: Final = np.float32(1)
-_kernel = partial(compiled, feature="the compiled form of the artifacts")
+_bounds_kernel = partial(compiled, feature="the compiled form of the artifacts")
 
 
-@_kernel
+@_bounds_kernel
 def take_pieces(edges: Any, runs: Any, run: Any, taken: Any, row: Any, width: Any, block: Any, pieces: Any) -> Any:
     """Cut the next `CHUNK` foreground pixels, or what is left of them, into pieces of at most `block` within one row.
 
@@ -57,7 +57,7 @@ def take_pieces(edges: Any, runs: Any, run: Any, taken: Any, row: Any, width: An
     return run, taken, row, found, count
 
 
-@_kernel
+@_bounds_kernel
 def mark_occupied(shadow: Any, scratch: Any) -> None:
     """Note the texels that hold anything: in `coarse`, a bit for a few columns of a row, and in `nearest`, the least
     range, less one step, of the four texels that begin at one.
@@ -90,7 +90,7 @@ def mark_occupied(shadow: Any, scratch: Any) -> None:
         coarse[row] |= coarse[row + np.uint64(1)] | coarse[row + np.uint64(2)] | coarse[row + np.uint64(3)]
 
 
-@_kernel
+@_bounds_kernel
 def forget_occupied(shadow: Any, scratch: Any) -> None:
     """Leave `nearest` as it was before `mark_occupied`."""
     texels, nearest, columns, empty = shadow.texels, scratch.nearest, np.int64(shadow.columns), np.uint16(65535)
@@ -102,7 +102,7 @@ def forget_occupied(shadow: Any, scratch: Any) -> None:
         nearest[np.uint64(max(texel - columns - 1, 0))] = empty
 
 
-@_kernel
+@_bounds_kernel
 def column_shift(columns: Any) -> Any:
     """The power of two of columns that share a bit, so that 64 bits hold a row."""
     shift = np.int64(0)
@@ -111,7 +111,7 @@ def column_shift(columns: Any) -> Any:
     return shift
 
 
-@_kernel
+@_bounds_kernel
 def find_extremes(camera_range: Any, pieces: Any, found: Any, extremes: Any) -> None:
     """Write the least and the greatest range of each piece, or of more, into `extremes` 0 and 1."""
     size = np.int64(camera_range.size)
@@ -128,7 +128,7 @@ def find_extremes(camera_range: Any, pieces: Any, found: Any, extremes: Any) -> 
         extremes[1, piece] = np.float32(greatest)
 
 
-@_kernel
+@_bounds_kernel
 def bound_pieces(shadow: Any, pieces: Any, found: Any, extremes: Any, boxes: Any) -> None:
     """Write the first and last row and column of the texels that a piece's points can read into `boxes`, int32.
 
@@ -178,6 +178,7 @@ def bound_pieces(shadow: Any, pieces: Any, found: Any, extremes: Any, boxes: Any
 
 _OUTSIDE: Final = np.float32(np.nan)
 _ALWAYS: Final = np.int32(2**30)
+_kernel = partial(compiled, feature="the compiled form of the artifacts")
 
 
 class Shadow(NamedTuple):

@@ -81,6 +81,9 @@ class Skipping:
         self.budget = check_int("--skip-unreadable", budget, least=0)
         self.skipped: list[dict[str, str]] = []
 
+    def __repr__(self) -> str:
+        return f"Skipping({len(self.skipped)} of at most {self.budget} skipped)"
+
     def read(self, frame: Frame) -> Pixels | None:
         """Read a frame, uint16 [H, W]; None for one that cannot be read. Raises BadConfig once the budget is spent."""
         try:
