@@ -75,9 +75,6 @@ class ShadowTest:
         self.gap_steps: np.float32 = SHADOW_THRESHOLDS.gap_steps(rig.range_step_m)
         self.edge_steps: np.float32 = SHADOW_THRESHOLDS.edge_steps(rig.range_step_m)
 
-    def __repr__(self) -> str:
-        return f"ShadowTest(rig {self.rig.name!r}, {SHADOW_THRESHOLDS})"
-
     def __reduce__(self) -> tuple[Any, ...]:
         return ShadowTest, (self.rig,)  # a rig is small, the arrays are not
 

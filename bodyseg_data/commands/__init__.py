@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
-    from bodyseg_data.commands.cli import main
+    from bodyseg_data.commands.cli import COMMANDS, Commands, main
     from bodyseg_data.commands.options import WHERE_HELP, command_line, last_name, option
     from bodyseg_data.commands.progress import Progress, rate_text
     from bodyseg_data.commands.records import check_target, provenance, write_figures
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 __getattr__, __all__ = lazy_door(
     __name__,
     {
-        "cli": "main",
+        "cli": "COMMANDS Commands main",
         "options": "WHERE_HELP command_line last_name option",
         "progress": "Progress rate_text",
         "records": "check_target provenance write_figures",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import resource
 import sys
 import time
@@ -21,7 +22,6 @@ from bodyseg_data.packing import (
     PROCESSES,
     STOP,
     FaultyMeshes,
-    MeasuringExecutor,
     OnError,
     OnFaults,
     Packing,
@@ -78,7 +78,6 @@ class Options:
     workers: int | None = option("rendering processes (default: one a processor, or all that the cluster has)", None)
     on_error: OnError = option("stop at meshes that cannot be packed, naming all, or skip them", OnFaults.on_error)
     skip_budget: float | None = option("the most meshes to skip: a number, or a share below 1", OnFaults.skip_budget)
-    skip_log: Path | None = option("append each skipped mesh to this file, as a line of JSON", OnFaults.skip_log)
     report: Path | None = option("also write size, time and memory of the packing to this JSON file", None)
     plan: bool = option("print the counts as JSON and render nothing", False)
 
@@ -125,12 +124,12 @@ def run(options: Options) -> int:
         raise BadConfig(
             "--on-error skip needs --skip-budget: the number of meshes that may be left out, or their share"
         )
-    on_faults = OnFaults(options.on_error, options.skip_budget, options.skip_log)
+    on_faults = OnFaults(options.on_error, options.skip_budget)
     _warn_about_missing(packing)
     _warn_about_split(packing)
     origin = {} if options.report is None else provenance(command_line("bodyseg shard", options))
     start = time.perf_counter()
-    workers_mb: dict[str, float | None] = {}
+    workers_mb: list[float | None] = []
     try:
         with Progress("packing", "views") as progress:
             manifest = pack_on(options.engine, options.workers, packing, options.out, progress, on_faults, workers_mb)
@@ -145,7 +144,7 @@ def run(options: Options) -> int:
         raise BadMesh(f"{error.problem}, for the reasons above; {hint}") from error
     if options.report is not None:
         made = manifest.samples() - (progress.before or 0)
-        figures = _figures(options, manifest, made, time.perf_counter() - start, list(workers_mb.values()))
+        figures = _figures(options, manifest, made, time.perf_counter() - start, workers_mb)
         write_figures(options.report, origin | figures)
     size = sum(shard.size for shard in manifest.shards)
     sys.stdout.write(
@@ -162,7 +161,7 @@ def _figures(
 ) -> dict[str, Any]:
     """Return size, time and memory of a packing that made `made` samples; workers' time only if they are local.
 
-    workers_mb: the most memory of each worker that rendered.
+    workers_mb: the most memory of each worker of this machine.
     """
     here, workers = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
     local = options.engine == PROCESSES
@@ -216,11 +215,11 @@ def pack_on(
     out: Path,
     progress: Progress,
     on_faults: OnFaults = STOP,
-    workers_mb: dict[str, float | None] | None = None,
+    workers_mb: list[float | None] | None = None,
 ) -> Manifest:
     """Pack on an engine, showing progress, of the check first; see `open_engine` and `pack`.
 
-    workers_mb: gets the most memory of each worker that rendered, MB; see `MeasuringExecutor`.
+    workers_mb: gets the most memory of each worker of this machine, MB, as `peak_mb`.
     """
     title, unit = progress.title, progress.unit
 
@@ -235,10 +234,9 @@ def pack_on(
     with open_engine(engine, workers, packing) as engine_context:
         if engine_context.note is not None:
             sys.stderr.write(f"{progress.title}: {engine_context.note}\n")
-        executor = MeasuringExecutor(engine_context.executor)
         on_faults = replace(on_faults, progress=checked)
         try:
-            return pack(packing, out, executor, engine_context.workers, packed, on_faults)
+            return pack(packing, out, engine_context.executor, engine_context.workers, packed, on_faults)
         finally:
             if workers_mb is not None:
-                workers_mb |= executor.workers_mb
+                workers_mb += [peak_mb(worker.pid) for worker in multiprocessing.active_children()]

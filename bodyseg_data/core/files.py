@@ -134,9 +134,6 @@ class Table:
     def __init__(self, tree: dict[str, Any], where: str) -> None:
         self._tree, self.where = dict(tree), where
 
-    def __repr__(self) -> str:
-        return f"Table({self.where!r}, unread: {', '.join(self._tree) or 'none'})"
-
     def _take(self, key: str, kind: str) -> Any:
         try:
             return self._tree.pop(key)

@@ -8,7 +8,6 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_data.packing.engines import PROCESSES, check_engine, open_engine
-    from bodyseg_data.packing.jobs import MeasuringExecutor
     from bodyseg_data.packing.options import Packing
     from bodyseg_data.packing.packer import pack, plan
     from bodyseg_data.packing.sampler import Sampler, faces_towards, sample_key, surface_points
@@ -19,7 +18,6 @@ __getattr__, __all__ = lazy_door(
     __name__,
     {
         "engines": "PROCESSES check_engine open_engine",
-        "jobs": "MeasuringExecutor",
         "options": "Packing",
         "packer": "pack plan",
         "sampler": "Sampler faces_towards sample_key surface_points",

@@ -1,4 +1,4 @@
-"""Jobs of a packing: the executor that runs them, their results in order, and the peak memory of its workers."""
+"""Jobs of a packing: the executor that runs them, and their results in order."""
 
 from __future__ import annotations
 
@@ -6,16 +6,15 @@ import itertools
 import multiprocessing
 import os
 import signal
-import socket
 import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import Executor, Future, InvalidStateError, ProcessPoolExecutor
-from contextlib import contextmanager, suppress
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from bodyseg_data.machine import peak_mb, processors, signals_held
+from bodyseg_data.machine import processors, signals_held
 
 Result = TypeVar("Result")
 
@@ -49,42 +48,6 @@ def ordered(jobs: Iterable[Callable[[], Future[Result]]], workers: int) -> Gener
     finally:
         for future in waiting:
             future.cancel()
-
-
-class MeasuringExecutor(Executor):
-    """Runs jobs on another executor, and keeps the most memory of each worker. It does not own that executor.
-
-    workers_mb: worker (host and process) -> its peak after its last finished job, MB; None where the system does not
-    tell. In the order of their first results.
-    """
-
-    def __init__(self, executor: Executor) -> None:
-        self._executor = executor
-        self.workers_mb: dict[str, float | None] = {}
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Queue a job; its future has its own result."""
-        result: Future[Any] = Future()
-
-        def finish(measured: Future[Any]) -> None:
-            with suppress(InvalidStateError):  # cancelled meanwhile
-                if measured.cancelled():
-                    result.cancel()
-                elif (error := measured.exception()) is not None:
-                    result.set_exception(error)
-                else:
-                    found, worker, peak = measured.result()
-                    self.workers_mb[worker] = peak
-                    result.set_result(found)
-
-        self._executor.submit(_measured, fn, args, kwargs).add_done_callback(finish)
-        return result
-
-
-def _measured(fn: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[Any, str, float | None]:
-    """In a worker: a job's result, the worker's name, and the most memory that it has had so far."""
-    found = fn(*args, **kwargs)
-    return found, f"{socket.gethostname()}:{os.getpid()}", peak_mb()
 
 
 @contextmanager

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 import uuid
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
@@ -32,34 +31,24 @@ class OnFaults:
     """Treatment of meshes that cannot be packed; no byte of the other meshes' samples depends on it.
 
     on_error: "stop" names all that the check finds, and renders nothing; "skip" leaves them out. skip_budget: the most
-    meshes that may be left out, as a number or as a share of the meshes asked for (a float below 1). skip_log: a file
-    to which each skipped mesh is appended as a line of JSON, once. progress: called with (meshes checked, meshes in
-    all).
+    meshes that may be left out, as a number or as a share of the meshes asked for (a float below 1). progress: called
+    with (meshes checked, meshes in all).
 
-    Raises BadConfig for on_error="skip" without a budget, or a budget or log without it, and for a log that cannot be
-    appended to.
+    Raises BadConfig for on_error="skip" without a budget, or a budget without it.
     """
 
     on_error: OnError = "stop"
     skip_budget: float | None = None
-    skip_log: Path | None = None
     progress: ProgressCallback = silent
 
     def __post_init__(self) -> None:
         check_fields(self)
         if (self.on_error == "skip") != (self.skip_budget is not None):
             raise BadConfig(f"on_error='skip' needs a skip_budget, found {self.on_error!r} and {self.skip_budget!r}")
-        if self.on_error == "stop" and self.skip_log is not None:
-            raise BadConfig("a skip_log is for on_error='skip', found it with 'stop'")
         if self.skip_budget is not None and not (
             0 <= self.skip_budget < 1 or (self.skip_budget >= 1 and float(self.skip_budget).is_integer())
         ):
             raise BadConfig(f"skip_budget must be a number of meshes, or a share below 1, found {self.skip_budget!r}")
-        if self.skip_log is not None:
-            try:
-                self.skip_log.open("a").close()
-            except OSError as error:
-                raise BadConfig(f"skip_log {self.skip_log} cannot be written: {error.strerror or error}") from error
 
     def budget(self, meshes: int) -> int:
         """The most of `meshes` that may be left out."""
@@ -114,26 +103,12 @@ class SkipList:
             raise FaultyMeshes(beyond, both)
         if len(both) == self._total:
             raise FaultyMeshes(f"none of {self._total} meshes can be packed", both)
-        added = {mesh: self._shortened(reason) for mesh, reason in faults.items() if mesh not in self.reasons}
-        self.reasons |= added
-        self._log(added)
+        self.reasons |= {mesh: self._shortened(why) for mesh, why in faults.items() if mesh not in self.reasons}
 
     def _shortened(self, reason: str) -> str:
         if self._folder is None:
             return reason
         return reason.replace(f"{self._folder}/", "").replace(str(self._folder), "the source's folder")
-
-    def _log(self, added: Mapping[str, str]) -> None:
-        log = self._on_faults.skip_log
-        if log is None:
-            return
-        try:
-            known = set(log.read_text(encoding="utf-8").splitlines())
-            lines = (json.dumps({"mesh": mesh, "why": reason}) for mesh, reason in added.items())
-            with log.open("a", encoding="utf-8") as file:
-                file.writelines(f"{line}\n" for line in lines if line not in known)
-        except (OSError, UnicodeDecodeError) as error:
-            raise BadConfig(f"skip_log {log} cannot be written: {error}") from error
 
 
 def check_run(packing: Packing, body: BodyRef, plan: str) -> str | None:

@@ -23,22 +23,6 @@ from bodyseg_data.core import BadConfig, Table, check_fields, toml_names, toml_t
 from bodyseg_data.rigs.camera import MAX_SIDE, Camera, PlacedCamera, axes_at, camera_from_table, rolled
 from bodyseg_data.samples import View
 
-__all__ = [
-    "PAPER",
-    "RIG_FORMAT",
-    "Camera",
-    "PlacedCamera",
-    "Rig",
-    "Sensor",
-    "axes_at",
-    "load_rig",
-    "load_sensor",
-    "parse_rig",
-    "parse_sensor",
-    "rig_from_json",
-    "rig_names",
-]
-
 RIG_FORMAT: Final = "bodyseg rig 1"
 PAPER: Final = "paper"
 """The default rig."""

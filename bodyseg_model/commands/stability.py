@@ -1,4 +1,4 @@
-"""`bodyseg stability`: robustness of networks to sensor artifacts, motion and things around people."""
+"""`bodyseg stability`: robustness of networks to sensor artifacts and motion."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from bodyseg_data.commands import WHERE_HELP, Progress, command_line, last_name,
 from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import new_chart
 from bodyseg_data.loading import RangeImages
-from bodyseg_model.segmentation import shipped_score
 from bodyseg_model.stability import (
     FEWEST_SEEDS,
     SWEEPS,
@@ -29,7 +28,6 @@ from bodyseg_model.stability import (
     group_of,
     load_runs,
     motion_over_seeds,
-    people_and_things,
     summarise,
     temporal,
 )
@@ -37,7 +35,7 @@ from bodyseg_model.training import find_device, use_threads
 
 EXAMPLE = "bodyseg stability --run runs/all-0 runs/all-1 runs/all-2 --data shards --hard hard --out stability"
 
-Part = Literal["images", "temporal", "things"]
+Part = Literal["images", "temporal"]
 
 _FORMAT: Final = "bodyseg stability 1"
 
@@ -53,10 +51,10 @@ class Options:
         "runs that mCE compares with, such as FCN-AlexNet trained on none (default: no mCE)", ()
     )
     hard: str | None = option("a set of hard poses, for the sweep 'hard' (default: without)", None, address=True)
-    parts: tuple[Part, ...] = option("what to measure", ("images", "temporal", "things"))
+    parts: tuple[Part, ...] = option("what to measure", ("images", "temporal"))
     sweeps: tuple[str, ...] = option(f"which sweeps of images: {', '.join(SWEEPS)} (default: all)", ())
     where: tuple[str, ...] = option(WHERE_HELP, ())
-    images: int = option("images of every condition, and made rooms", 40)
+    images: int = option("images of every condition", 40)
     seed: int = option("seed of the artifacts, and of the choice of images", 0)
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
     threads: int | None = option("threads that compute on the processor (default: all)", None)
@@ -93,8 +91,6 @@ def run(options: Options) -> int:
         figures |= _images(options, runs, groups, sweeps, reference)
     if "temporal" in options.parts:
         figures["temporal"] = _temporal(options, runs, groups)
-    if "things" in options.parts:
-        figures["things"] = _things(options, groups)
     figures["seconds"] = round(time.perf_counter() - start, 1)
     written = [options.out / "stability.json"]
     write_figures(written[0], figures)
@@ -133,17 +129,6 @@ def _temporal(options: Options, runs: list[Run], groups: list[Group]) -> dict[st
     with Progress("motion", "frames") as progress:
         found = temporal(networks, seed=options.seed, rig=rig, progress=progress.update)
     return found | {"groups": motion_over_seeds(groups, found["networks"])}
-
-
-def _things(options: Options, groups: list[Group]) -> dict[str, Any]:
-    """Label people among things with the first network of every group, with and without the score of persons."""
-    found = {}
-    for each in groups:
-        with Progress(each.label, "rooms") as progress:
-            network = each.runs[0].trained.network
-            measured = people_and_things(network, shipped_score(), options.images, progress.update)
-        found[each.label] = {"run": each.runs[0].name, **measured}
-    return found
 
 
 def _describe(images: RangeImages) -> dict[str, Any]:

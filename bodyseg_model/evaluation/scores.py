@@ -102,9 +102,6 @@ class PerImageAccuracy:
         self.sums: NDArray[np.float64] = np.zeros(classes + 1)
         self.squares: NDArray[np.float64] = np.zeros(classes + 1)
 
-    def __repr__(self) -> str:
-        return f"PerImageAccuracy({self.images[-1]} images, mean {self.mean()[-1]:.3f})"
-
     def add(self, counts: NDArray[np.int64]) -> float:
         """Add one image by its confusion matrix; returns its average per-class accuracy, NaN if it shows nothing."""
         accuracy = _ratios(counts.diagonal(), counts.sum(axis=1))
@@ -195,9 +192,6 @@ class Confidences:
         self.counts: NDArray[np.int64] = np.zeros((2, CELLS), np.int64)
         self.sums: NDArray[np.float64] = np.zeros(CELLS)
         self.by_class: NDArray[np.int64] = np.zeros((classes, 2, THRESHOLD_STEPS), np.int64)
-
-    def __repr__(self) -> str:
-        return f"Confidences({self.pixels} pixels, mean {self.mean():.3f})"
 
     def add(self, pairs: NDArray[np.int64], confidence: NDArray[np.float32]) -> None:
         """Count pixels by their pair numbers, int64 [N] (`scores.pairs_of`), and confidences, float32 [N], 0 to 1.
@@ -435,9 +429,6 @@ class BorderErrors:
     def __init__(self, label_map: LabelMap = PARTS33) -> None:
         self._kinds = kinds_of(label_map).ravel()
         self.counts: NDArray[np.int64] = np.zeros((len(EDGES) + 1, len(KINDS)), np.int64)
-
-    def __repr__(self) -> str:
-        return f"BorderErrors({self.counts.sum()} pixels)"
 
     def add(self, pairs: NDArray[np.int64], bins: NDArray[np.uint8]) -> None:
         """Count pixels by their pair numbers, int64 [N] (`scores.pairs_of`), and their bins, uint8 [N]."""

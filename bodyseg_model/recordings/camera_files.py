@@ -94,9 +94,6 @@ class FrameCameras:
             lenses.append(self.common.camera.distortion)
         self.bent = any(lens is not None for lens in lenses)
 
-    def __repr__(self) -> str:
-        return f"FrameCameras({len(self._own)} of frames' own, {self.common!r})"
-
     def of(self, frame: Frame, shape: tuple[int, int]) -> FrameCamera:
         """The camera of a frame of `shape` (rows, columns). Raises BadConfig as `Intrinsics.frame_camera`."""
         if self.common is None or frame in self._own:

@@ -73,22 +73,6 @@ class Frame(Protocol):
         """Return the frame with another name, and as of another input."""
 
 
-class Recording(Protocol):
-    """Frames in the order of time, each of which is read when it is asked for.
-
-    where: name in messages. camera: of all frames, None if the recording holds none. step_m: metres a step.
-    """
-
-    @property
-    def where(self) -> str: ...
-    @property
-    def camera(self) -> Intrinsics | None: ...
-    @property
-    def step_m(self) -> float: ...
-
-    def __iter__(self) -> Iterator[Frame]: ...
-
-
 @dataclass(frozen=True)
 class StoredRecording:
     """A recording on disk: the number of its frames is known, and any of them can be read first."""

@@ -19,7 +19,7 @@ from bodyseg_data.machine import in_threads, pieces
 from bodyseg_data.rigs import Camera
 
 if TYPE_CHECKING:
-    from bodyseg_model.segmentation.carried_loops import Body, Cells, Frame, Lens, Motion, Rule
+    from bodyseg_model.segmentation.carried_loops import BodyMotion, BodyPixels, CellLens, Cells, Images, Rule
 
 Labels = NDArray[np.uint8]
 SeenBody = tuple[NDArray[np.intp], NDArray[np.float32]]
@@ -107,8 +107,8 @@ class _LastFrame:
     """
 
     camera: Camera
-    lens: Lens
-    images: Frame = field(repr=False)
+    lens: CellLens
+    images: Images = field(repr=False)
     bodies: list[tuple[Cells, float]] = field(repr=False)
 
 
@@ -126,10 +126,7 @@ class CarriedLabels:
         self.carrying = carrying or Carrying()
         self._loops = import_module(f"{__package__}.carried_loops")
         self._last: _LastFrame | None = None
-        self._spare: Frame | None = None
-
-    def __repr__(self) -> str:
-        return f"CarriedLabels({self.carrying})"
+        self._spare: Images | None = None
 
     def restart(self) -> None:
         """Forget all frames, as at the start of a recording."""
@@ -147,7 +144,7 @@ class CarriedLabels:
             self.restart()
         last, loops = self._last, self._loops
         flat, named = np.ascontiguousarray(range_m).ravel(), np.ascontiguousarray(labels).ravel()
-        seen = [loops.Body(*body, flat, named) for body in bodies if len(body[0])]
+        seen = [loops.BodyPixels(*body, flat, named) for body in bodies if len(body[0])]
         if last is None and not seen:  # nobody was seen yet
             return np.full(labels.shape, BACKGROUND, np.uint8)
         lens = self._lens(seen[0], camera) if last is None else last.lens
@@ -155,7 +152,7 @@ class CarriedLabels:
         cells = [loops.Cells(*loops.cells_of(body, lens, np.float32(_JUMP_M))) for body in seen]
         known = []
         for body, own, number in zip(seen, cells, self._pairs(cells), strict=True):
-            motion, gain = loops.Motion(_UNMOVED, np.zeros_like(own.points), own.grid), 0.0
+            motion, gain = loops.BodyMotion(_UNMOVED, np.zeros_like(own.points), own.grid), 0.0
             if last is None or old is None or number is None:
                 self._carry(body, lens, motion, new, self._rule(_NOWHERE), new)
             else:
@@ -169,16 +166,18 @@ class CarriedLabels:
         self._spare, self._last = old, _LastFrame(camera, lens, new, known)
         return new.shown.reshape(labels.shape).copy()
 
-    def _lens(self, body: Body, camera: Camera) -> Lens:
+    def _lens(self, body: BodyPixels, camera: Camera) -> CellLens:
         """The camera's numbers, and cells of the size that `carrying.cell_m` has at the body's range."""
         side = max(1, round(self.carrying.cell_m * camera.focal_px / float(np.median(body.range_m[body.pixels]))))
         cells = -(-camera.columns // side), -(-camera.rows // side)
-        lens: Lens = self._loops.Lens(camera.focal_px, *camera.centre_px, camera.columns, camera.rows, side, *cells)
+        lens: CellLens = self._loops.CellLens(
+            camera.focal_px, *camera.centre_px, camera.columns, camera.rows, side, *cells
+        )
         return lens
 
-    def _empty_images(self, size: int) -> Frame:
+    def _empty_images(self, size: int) -> Images:
         """Memory of a frame's images: that of the frame before the last, where there is one."""
-        images: Frame = self._spare or self._loops.Frame(
+        images: Images = self._spare or self._loops.Images(
             np.empty(size, np.float32), np.empty((size, self._loops.SLOTS), np.uint32), np.empty(size, np.uint8)
         )
         images.range_m.fill(0)
@@ -208,7 +207,7 @@ class CarriedLabels:
         rule: Rule = self._loops.Rule(steps, given.reach, tolerance, kept, border_kept, border, least)
         return rule
 
-    def _motion(self, own: Cells, earlier: Cells, gain: float, lens: Lens) -> tuple[Motion, float]:
+    def _motion(self, own: Cells, earlier: Cells, gain: float, lens: CellLens) -> tuple[BodyMotion, float]:
         """Motion of a body back to the frame before, and the gain of shifting its parts, summed up.
 
         A rigid motion, and displacements that fit the surface smoothly. These start from the shifts of parts if ranges
@@ -232,10 +231,10 @@ class CarriedLabels:
                 shifts[:], weights[:] = 0, 0
             faith = np.float32(1 / (1 + (noise / _FAITH_NOISE_M) ** 2))
             field = self._loops.smooth_field(places, own, shifts, weights, earlier, lens, np.float32(gate), faith)
-        motion: Motion = self._loops.Motion(rigid.astype(np.float32), field, own.grid)
+        motion: BodyMotion = self._loops.BodyMotion(rigid.astype(np.float32), field, own.grid)
         return motion, gain
 
-    def _rigid(self, own: Cells, earlier: Cells, lens: Lens, gate: float) -> Rigid:
+    def _rigid(self, own: Cells, earlier: Cells, lens: CellLens, gate: float) -> Rigid:
         """Rigid motion of a body back to the frame before, sought from no motion or the shift of its middle, whichever
         fits better.
         """
@@ -248,7 +247,7 @@ class CarriedLabels:
         self._loops.fit_rigid(some, rigid, earlier, lens, gate, _RIGID_STEPS)
         return rigid
 
-    def _carry(self, body: Body, *arguments: Any) -> None:
+    def _carry(self, body: BodyPixels, *arguments: Any) -> None:
         """Carry evidence to a body's pixels, which do not depend on each other, in several threads if they are many."""
 
         def work(first: int, last: int) -> None:

@@ -40,7 +40,7 @@ _SWEEPS: Final = 4
 _LEAST_FOR_NOISE: Final = 6  # pixels of a cell whose ranges say how noisy the frame is
 
 
-class Lens(NamedTuple):
+class CellLens(NamedTuple):
     """Numbers of a camera, and the cells of its image: focal length and principal point (x, y) in pixels; columns and
     rows of the image; the side of a cell, pixels; columns and rows of cells.
     """
@@ -55,7 +55,7 @@ class Lens(NamedTuple):
     down: int
 
 
-class Frame(NamedTuple):
+class Images(NamedTuple):
     """Images of a frame, flat: ranges, float32 [H * W], metres, 0 off the bodies; slots of evidence, uint32 [H * W,
     `SLOTS`]; the label shown, uint8 [H * W].
     """
@@ -65,7 +65,7 @@ class Frame(NamedTuple):
     shown: NDArray[np.uint8]
 
 
-class Body(NamedTuple):
+class BodyPixels(NamedTuple):
     """A body in a new frame: its pixels, int64 [N], ascending, and its confidence at them, float32 [N]; the frame's
     ranges, float32 [H * W], metres, and labels, uint8 [H * W].
     """
@@ -91,7 +91,7 @@ class Cells(NamedTuple):
     noise_m: float
 
 
-class Motion(NamedTuple):
+class BodyMotion(NamedTuple):
     """Motion of a body from its new frame back to the one before. rigid: float32 [3, 4], rotation and, last,
     translation, metres. field: float32 [M, 3], further displacements of its cells, metres. grid: that of `Cells`.
     """
@@ -384,11 +384,11 @@ def nearest(row: Any, column: Any, z: Any, old_range: Any, lens: Any, tolerance:
 def carry(body: Any, lens: Any, motion: Any, old: Any, rule: Any, new: Any) -> None:
     """Carry evidence to a body's pixels, add the new frame's, and show the labels that have most.
 
-    A pixel's point is sought at the pixel that `motion`, a `Motion`, takes it to, and at those around it, the nearest
+    A pixel's point is sought at the pixel that `motion` (`BodyMotion`) takes it to, and at those around it, the nearest
     first, where the old range agrees within `rule.tolerance_m`; not found, evidence starts anew. The old weights are
     multiplied by `keep`; or by `border_keep` if another label than the new frame's is shown there, and the new one up
     to `border` pixels beside it: a border has moved, or its place is uncertain. The label
-    shown changes if another has more evidence by more than `margin`. `new`, a `Frame`, is written at the body's pixels.
+    shown changes if another has more evidence by more than `margin`. `new` (`Images`) is written at the body's pixels.
     """
     x_of, cell_of = np.empty(lens.columns, np.float32), np.empty(lens.columns, np.int32)
     focal, cx, cy = np.float32(lens.focal), np.float32(lens.x), np.float32(lens.y)

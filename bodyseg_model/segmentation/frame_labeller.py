@@ -257,7 +257,7 @@ class LabelledRecording:
         return len(self.frames)
 
     def __repr__(self) -> str:
-        return f"LabelledRecording({len(self)} frames, {self.cameras!r})"
+        return f"LabelledRecording({len(self)} frames)"
 
     def __iter__(self) -> Iterator[LabelledFrame]:
         return self.labelled()

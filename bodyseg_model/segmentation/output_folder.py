@@ -70,9 +70,6 @@ class OutputFolder:
                         "give a new folder, or delete this one"
                     )
 
-    def __repr__(self) -> str:
-        return f"OutputFolder({str(self.path)!r}, {', '.join(self.folders)})"
-
     def begin(self) -> None:
         """Make the folders. An earlier summary goes first, so that a summary is always of all results; then images of
         the earlier call that this one does not replace, and its preview and legend. Raises BadConfig.
@@ -186,9 +183,6 @@ class WriteBehind:
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._work, name="writing")
 
-    def __repr__(self) -> str:
-        return f"WriteBehind({self._jobs.qsize()} of at most {self._jobs.maxsize} jobs wait)"
-
     def __enter__(self) -> WriteBehind:
         self._thread.start()
         return self
@@ -228,9 +222,6 @@ class FrameResults:
         self.summary = SequenceSummary()
         self._out, self._label_map, self._preview, self._shape = out, label_map, preview, shape
         self._behind = WriteBehind()
-
-    def __repr__(self) -> str:
-        return f"FrameResults({self._out!r})"
 
     def begin(self) -> None:
         """Make the folders, and load the compiled loops, so that the first frame takes no longer than others."""

@@ -130,9 +130,6 @@ class Preview:
     def __len__(self) -> int:
         return len(self._frames)
 
-    def __repr__(self) -> str:
-        return f"Preview({len(self)} frames, {self.frames_per_second:g} per second)"
-
     def to_json(self) -> dict[str, float]:
         """Number of frames and rate, for summary.json."""
         return {"frames": len(self), "frames_per_second": round(self.frames_per_second, 2)}

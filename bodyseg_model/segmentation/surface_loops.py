@@ -91,7 +91,7 @@ def _compare(level: Any, row: Any, steps: Any, begins: Any, marks: Any) -> None:
 
 @_kernel
 def find_segments(frame: Any, first: Any, last: Any, found: Any, numbers: Any) -> Any:
-    """Divide the rows from `first` to before `last` of a `surfaces.Frame` into segments, adjacent pixels of one
+    """Divide the rows from `first` to before `last` of a `surfaces.LevelledFrame` into segments, adjacent pixels of one
     surface, and join those of one surface among these rows.
 
     Segments are numbered from first * W on, and written into `found`, the `surfaces.Segments`; the segments of the
@@ -222,7 +222,7 @@ def bound_surfaces(flat: Any, columns: Any, segments: Any, lowest: Any, highest:
 
 @_kernel
 def extents(flat: Any, columns: Any, lens: Any, pixels: Any) -> Any:
-    """Width, height and depth of ascending pixels, metres. flat: float32 ranges. lens: `room_planes.Lens`."""
+    """Width, height and depth of ascending pixels, metres. flat: float32 ranges. lens: `surfaces.Lens`."""
     row, row_end = 0, columns
     left = top = near = np.inf
     right = bottom = far = -np.inf
@@ -267,7 +267,7 @@ def explained(judges: Any, corners: Any, tolerance: Any, planes: Any, surface: A
 def mark_plane(flat: Any, pixels: Any, columns: Any, lens: Any, plane: Any, tolerance: Any, near: Any) -> Any:
     """Mark those of ascending pixels near a plane in `near`, bool [N]; returns the sum of their ranges cubed.
 
-    flat: float32 ranges. lens: `room_planes.Lens`. plane: float64 [3].
+    flat: float32 ranges. lens: `surfaces.Lens`. plane: float64 [3].
     """
     a, b, c = plane[0] / lens.focal_px, plane[1] / lens.focal_px, plane[2]
     total, first = 0.0, 0

@@ -39,6 +39,12 @@ _FITS: Final = 3
 Points = NDArray[np.float64]
 
 
+@cache
+def _loops() -> Any:
+    """The compiled loops, in a module that needs numba."""
+    return import_module("bodyseg_model.segmentation.surface_loops")
+
+
 class Lens(NamedTuple):
     """Principal point, to the right and down, and focal length of a camera, pixels."""
 
@@ -73,12 +79,6 @@ def on_largest_plane(range_m: NDArray[np.float32], pixels: NDArray[np.intp], cam
     return near if seen_area_m2(cubes, plane, camera) >= LEAST_AREA_M2 else np.zeros(len(pixels), np.bool_)
 
 
-@cache
-def _plane_loops() -> Any:
-    """The compiled loops, in a module that needs numba."""
-    return import_module("bodyseg_model.segmentation.surface_loops")
-
-
 def seen_area_m2(cubes: float, plane: NDArray[np.float64], camera: Camera) -> float:
     """Area of a plane (a, b, c), 1 / m, visible in some pixels, square metres. cubes: sum of their ranges cubed, m³.
 
@@ -108,7 +108,7 @@ def _near_plane(
     """Mark the pixels within the tolerance of a plane, bool [N]; and the sum of their ranges cubed."""
     near = np.empty(len(pixels), np.bool_)
     flat, columns = range_m.ravel(), range_m.shape[1]
-    return near, float(_plane_loops().mark_plane(flat, pixels, columns, lens_of(camera), plane, TOLERANCE_PER_M, near))
+    return near, float(_loops().mark_plane(flat, pixels, columns, lens_of(camera), plane, TOLERANCE_PER_M, near))
 
 
 def _fit(rays: Points, inverse: NDArray[np.float64], plane: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -127,7 +127,7 @@ def _best_candidate(judges: Points, corners: NDArray[np.float64]) -> NDArray[np.
     """
     planes, surface = np.empty((4, len(corners))), np.zeros(len(corners))
     # Three points on a line have a zero normal, which explains no point.
-    _plane_loops().explained(judges, corners, TOLERANCE_PER_M, planes, surface)
+    _loops().explained(judges, corners, TOLERANCE_PER_M, planes, surface)
     best = int(np.argmax(surface))
     if not surface[best]:
         return None
@@ -170,7 +170,7 @@ class Jump(NamedTuple):
     from_m: np.float32
 
 
-class Frame(NamedTuple):
+class LevelledFrame(NamedTuple):
     """A range image whose segments are looked for. range_m: float32 [H, W], metres. level: from `jumps`. widest: of a
     shadow that divides no surface, pixels at 1 m. focal_px: of the camera.
     """
@@ -193,12 +193,6 @@ class Segments(NamedTuple):
 
 
 _JUMP: Final = Jump(np.float32(JUMP_M), np.float32(JUMP_SHARE), np.float32(LIMIT_M))
-
-
-@cache
-def _loops() -> Any:
-    """The compiled loops, in a module that needs numba."""
-    return import_module("bodyseg_model.segmentation.surface_loops")
 
 
 def jumps(range_m: Floats) -> Floats:
@@ -227,7 +221,7 @@ def find_segments(range_m: Floats, level: Floats, focal_px: float, threads: int 
     rows, columns = range_m.shape
     size = range_m.size
     found = Segments(np.empty((3, size), np.int32), np.empty(size, np.int32), np.empty(size))
-    frame = Frame(range_m, level, np.float32(SHADOW_M * focal_px), focal_px)
+    frame = LevelledFrame(range_m, level, np.float32(SHADOW_M * focal_px), focal_px)
     runs = pieces(rows, max(1, min(threads, size // _LEAST_PIXELS, rows // GAP_PIXELS)))
     numbers = np.full((len(runs), 1 + GAP_PIXELS, columns), -1, np.int32)
     ends = np.empty(len(runs), np.int64)
@@ -254,9 +248,6 @@ class Surfaces:
         self._range_m, self._camera, self._threads = range_m, camera, threads
         self._level = jumps(range_m)
         self._find()
-
-    def __repr__(self) -> str:
-        return f"Surfaces({len(self.area_m2)} of {self._range_m.shape[0]} x {self._range_m.shape[1]} pixels)"
 
     def _find(self) -> None:
         found, count = find_segments(self._range_m, self._level, self._camera.focal_px, self._threads)

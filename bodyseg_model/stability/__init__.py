@@ -8,7 +8,6 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_model.stability.motion import temporal
-    from bodyseg_model.stability.rooms import people_and_things
     from bodyseg_model.stability.scenes import SWEEPS, Scenes, Sweep, chosen
     from bodyseg_model.stability.summary import (
         FEWEST_SEEDS,
@@ -27,7 +26,6 @@ __getattr__, __all__ = lazy_door(
     __name__,
     {
         "motion": "temporal",
-        "rooms": "people_and_things",
         "scenes": "SWEEPS Scenes Sweep chosen",
         "summary": "FEWEST_SEEDS Group Run draw_stability evaluate_conditions group group_of load_runs "
         "motion_over_seeds summarise",

@@ -276,9 +276,6 @@ class TemporalConsistency:
         self.agreement, self.truth = ConfusionMatrix(), ConfusionMatrix()
         self.points: NDArray[np.int64] = np.zeros((2, 3), np.int64)
 
-    def __repr__(self) -> str:
-        return f"TemporalConsistency({self.points[0, 0]} points, {self.truth.pixels} pixels)"
-
     def add(self, predicted: Labels, truth: Labels, tracks: Tracks) -> None:
         """Count one shot. predicted, truth: label images, uint8 [frames, H, W]; pixels whose truth is 255 do not count.
 

@@ -210,9 +210,6 @@ class Scenes:
     def __len__(self) -> int:
         return self._count
 
-    def __repr__(self) -> str:
-        return f"Scenes({self.images!r}, {self._count})"
-
     def check(self, condition: SweepPoint) -> None:
         """Raise BadConfig for a condition whose images cannot be made from these samples."""
         source = self.images.manifest.source

@@ -109,9 +109,6 @@ class Training:
         self._best: Best | None = None
         self._ended = False
 
-    def __repr__(self) -> str:
-        return f"Training({self.name!r}, {self.folder!r}, step {self.step} of {self.recipe.steps})"
-
     def plan(self) -> dict[str, Any]:
         """Everything that the result depends on, as plain JSON; see `training_plan`."""
         facts = self.name, self.network, self.images, self.recipe, self.seed, self.validation

@@ -238,9 +238,6 @@ class AveragedNetwork:
         self.network = copy.deepcopy(network).eval().requires_grad_(False)
         self.decay = decay
 
-    def __repr__(self) -> str:
-        return f"AveragedNetwork({type(self.network).__name__}, decay={self.decay})"
-
     @torch.no_grad()
     def update(self, network: Network, step: int) -> None:
         """Take in the weights after step `step`, counted from 0. network: of the same shape as the averaged one."""

@@ -167,9 +167,6 @@ class Page:
         self._redrawing: Redrawing | None = None
         self._build()
 
-    def __repr__(self) -> str:
-        return f"Page({self.address})"
-
     @property
     def address(self) -> str:
         """Address of the page, for a browser on this machine if it is served on all of its addresses."""

@@ -84,9 +84,6 @@ class RecordingView:
     def __len__(self) -> int:
         return len(self.recording)
 
-    def __repr__(self) -> str:
-        return f"RecordingView({self.recording!r})"
-
     def draw(self, shown: ShownFrame) -> Drawing:
         """Draw a frame. Raises BadConfig for one that cannot be read or does not fit its camera."""
         frame, before = self.labelled(shown.number), self.before(shown.number)
@@ -254,9 +251,6 @@ class RecordingPage:
         page.start(self.draw)
         self._player = threading.Thread(target=self._run, name="player", daemon=True)
         self._player.start()
-
-    def __repr__(self) -> str:
-        return f"RecordingPage({self.page!r}, {self.view!r})"
 
     def draw(self) -> Drawing:
         """Draw what the controls say. Raises as `RecordingView.draw`."""

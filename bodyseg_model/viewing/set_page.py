@@ -42,9 +42,6 @@ class SensorState:
         self._artifacts = {artifact.name: artifact for artifact in model}
         self._model, self._left_out = model, set[str]()
 
-    def __repr__(self) -> str:
-        return f"SensorState({self.model!r})"
-
     @property
     def model(self) -> SensorModel:
         """The model with the artifacts that are not left out."""
@@ -77,9 +74,6 @@ class SensorControls:
         self._handles: dict[str, list[tuple[Control, Any]]] = {}
         self._folders: list[viser.GuiFolderHandle] = []
         self.put(model)
-
-    def __repr__(self) -> str:
-        return f"SensorControls({self.state!r})"
 
     def put(self, model: SensorModel) -> None:
         """Show the controls of another model in place of those shown."""
@@ -176,9 +170,6 @@ class SetPage:
         with gui.add_folder("Sensor: strengths of its artifacts"):
             self._add_sensor_controls()
         page.start(self.draw)
-
-    def __repr__(self) -> str:
-        return f"SetPage({self.page!r}, {self.view!r})"
 
     def draw(self) -> Drawing:
         """Draw what the controls say. Raises as `SetView.draw`."""

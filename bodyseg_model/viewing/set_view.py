@@ -120,9 +120,6 @@ class SetView:
     def __len__(self) -> int:
         return len(self.images)
 
-    def __repr__(self) -> str:
-        return f"SetView({self.images!r}, {self.trained!r})"
-
     def chosen(self, split: ReadSplit | None, only: Sequence[str], where: Sequence[str]) -> SetView:
         """The view of another choice of the set's samples. Raises BadConfig for one that is wrong or empty."""
         return SetView(self.path, self.trained, split, only, where, self.val_share, self.seed)

@@ -29,10 +29,21 @@ Kind = TypeVar("Kind", bound=Artifact)
 
 
 @dataclass(frozen=True)
-class Slider:
-    """A number from `low` to `high`. strength: name of the field. item: of a tuple of numbers, else None."""
+class Labelled:
+    """The control of one strength, by the name of its field."""
 
     strength: str
+
+    @property
+    def label(self) -> str:
+        """Name of the strength in words."""
+        return _words(self.strength)
+
+
+@dataclass(frozen=True)
+class Slider(Labelled):
+    """A number from `low` to `high`. item: of a tuple of numbers, else None."""
+
     item: int | None
     low: float
     high: float
@@ -42,38 +53,25 @@ class Slider:
     @property
     def label(self) -> str:
         """Name of the strength in words, with the number of the item, from 1 on: "high, mm", "rates 2"."""
-        words = _words(self.strength)
-        return words if self.item is None else f"{words} {self.item + 1}"
+        return super().label if self.item is None else f"{super().label} {self.item + 1}"
 
 
 @dataclass(frozen=True)
-class Choice:
+class Choice(Labelled):
     """One of several values."""
 
-    strength: str
     values: tuple[Any, ...]
-
-    @property
-    def label(self) -> str:
-        """Name of the strength in words."""
-        return _words(self.strength)
 
 
 @dataclass(frozen=True)
-class Entry:
+class TextEntry(Labelled):
     """A text; empty for None or an empty tuple. several: whether it holds values with semicolons between them."""
 
-    strength: str
     several: bool
     numbers: bool
 
-    @property
-    def label(self) -> str:
-        """Name of the strength in words."""
-        return _words(self.strength)
 
-
-Control = Slider | Choice | Entry
+Control = Slider | Choice | TextEntry
 
 
 def controls_of(artifact: Artifact) -> tuple[Control, ...]:
@@ -85,7 +83,7 @@ def controls_of(artifact: Artifact) -> tuple[Control, ...]:
 def value_of(artifact: Artifact, control: Control) -> Any:
     """Value that a control shows: a number, one of the choices, or text."""
     value = getattr(artifact, control.strength)
-    if isinstance(control, Entry):
+    if isinstance(control, TextEntry):
         if control.several:
             return f"{_SEPARATOR} ".join(f"{each:g}" if control.numbers else str(each) for each in value or ())
         return "" if value is None else f"{value:g}" if control.numbers else str(value)
@@ -127,7 +125,7 @@ def _controls(artifact: Artifact, name: str, hint: Any) -> Iterator[Control]:
     else:
         several = typing.get_origin(kind) is tuple
         held = typing.get_args(kind)[0] if several else kind
-        yield Entry(name, several, held in (int, float))
+        yield TextEntry(name, several, held in (int, float))
 
 
 def _number(artifact: Artifact, name: str, item: int | None, value: float, whole: bool) -> Control:

@@ -23,7 +23,6 @@ from bodyseg_model.commands import cli
 from bodyseg_model.commands import stability as command
 from bodyseg_model.evaluation import ConfusionMatrix
 from bodyseg_model.networks import build, predict, save_network
-from bodyseg_model.segmentation import PersonScore, shipped_score
 from bodyseg_model.stability import Scenes, evaluate_conditions, load_runs
 from bodyseg_model.stability.scenes import CLEAN, LabelledImage, SweepPoint
 from bodyseg_model.stability.summary import accuracy
@@ -162,24 +161,6 @@ def test_other_parts_are_sections(
     assert figures["temporal"]["groups"]["all"]["all"]["tc"] == {"mean": 0.5, "sd": 0.0, "seeds": [0.5, 0.5]}
     assert asked_for == [["all-0", "all-1", "none-0"]]
     assert "groups" not in figures and not (tmp_path / "out" / "stability.png").exists()
-
-
-def test_people_and_things_are_counted_for_each_group(
-    figures_set: Path, runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def counted(network: Any, score: PersonScore, count: int, progress: Any) -> dict[str, Any]:
-        assert score == shipped_score()
-        progress(count, count)
-        row = {"found": 0.9, "things": 7, "thing_pixels": 5000, "accuracy": None}
-        return {"rooms": count, "before": row, "after": {**row, "things": 1}}
-
-    monkeypatch.setattr(command, "people_and_things", counted)
-    assert command.run(asked(figures_set, runs, tmp_path / "out", parts=("things",))) == 0
-    figures = json.loads((tmp_path / "out" / "stability.json").read_text())
-    assert {label: (each["run"], each["rooms"]) for label, each in figures["things"].items()} == {
-        "all": ("all-0", 2),
-        "none": ("none-0", 2),
-    }
 
 
 def test_without_a_reference_there_is_no_mce(

@@ -6,7 +6,7 @@ import pytest
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_model.evaluation import ConfusionMatrix, Evaluation, Scores, count_pairs, pairs_of
-from bodyseg_model.evaluation.scores import BorderErrors, Confidences, PerImageAccuracy
+from bodyseg_model.evaluation.scores import PerImageAccuracy
 
 
 def image(*labels: int) -> np.ndarray:
@@ -91,13 +91,9 @@ def test_spread_counts_every_image_once() -> None:
 
 
 def test_counts_print_in_one_line() -> None:
-    matrix, spread = ConfusionMatrix(), PerImageAccuracy()
+    matrix, scores = ConfusionMatrix(), Scores()
     matrix.add(np.array([[0, 1, 1]], np.uint8), np.array([[0, 1, 2]], np.uint8))
-    spread.add(matrix.counts)
     assert repr(matrix) == "ConfusionMatrix(3 pixels, average per-class accuracy 0.750)"
-    assert repr(spread) == "PerImageAccuracy(1 images, mean 0.750)"
-    confidences, borders, scores = Confidences(), BorderErrors(), Scores()
     scores.confusion.counts += matrix.counts
-    assert repr(confidences) == "Confidences(0 pixels, mean nan)" and repr(borders) == "BorderErrors(0 pixels)"
     assert repr(scores) == f"Scores(0 images, {matrix!r})"
     assert repr(Evaluation(subsets={"A": scores})) == f"Evaluation(subsets={{'A': {scores!r}}})"

@@ -23,7 +23,6 @@ from bodyseg_data.core import BadConfig, BadMesh, BadSample, BadShard
 from bodyseg_data.packing import FaultyMeshes, OnFaults, Packing, pack
 from bodyseg_data.packing import packer as packing
 from bodyseg_data.packing.jobs import processes
-from bodyseg_data.packing.skipping import SkipList
 from bodyseg_data.packing.writing import STATE_NAME
 from bodyseg_data.samples import ViewGrid
 from bodyseg_data.shards import Manifest, read_manifest
@@ -120,8 +119,7 @@ def test_a_line_for_each_reason_names_its_meshes() -> None:
 
 
 def test_skipped_meshes_leave_the_set_of_a_folder_without_them(tmp_path: Path) -> None:
-    folder, log = people(tmp_path / "people"), tmp_path / "skipped.jsonl"
-    on_faults = OnFaults("skip", 5, log)
+    folder, on_faults = people(tmp_path / "people"), OnFaults("skip", 5)
     manifest = packed(wanted(folder), tmp_path / "out", on_faults)
     good = tmp_path / "good" / "people"
     shutil.copytree(folder, good)
@@ -134,14 +132,11 @@ def test_skipped_meshes_leave_the_set_of_a_folder_without_them(tmp_path: Path) -
     assert not any(str(tmp_path) in each.why for each in manifest.skipped), "paths are those within the folder"
     assert manifest == read_manifest(tmp_path / "out")
     assert f"none: skipped: {manifest.skipped[4].why}" in manifest.notes() and not alone.skipped
-    lines = [json.loads(line) for line in log.read_text().splitlines()]
-    assert lines == [{"mesh": each.mesh, "why": each.why} for each in manifest.skipped]
     # Again, with more in flight, in another process: the same bytes; and into the finished set: nothing changes.
     with processes(1) as engine:
         pack(wanted(folder), tmp_path / "again", engine.executor, 2, on_faults=SKIP)
     assert contents(tmp_path / "again") == contents(tmp_path / "out")
     assert packed(wanted(folder), tmp_path / "out", on_faults) == manifest
-    assert len(log.read_text().splitlines()) == 5, "each is listed once"
 
 
 def test_beyond_the_budget_nothing_is_rendered(tmp_path: Path) -> None:
@@ -352,26 +347,16 @@ def test_landmarks_in_one_place_and_other_names_are_noted(tmp_path: Path) -> Non
     [
         ({"on_error": "skip"}, "on_error='skip' needs a skip_budget, found 'skip' and None"),
         ({"skip_budget": 1}, "on_error='skip' needs a skip_budget, found 'stop' and 1"),
-        ({"skip_log": Path("log")}, "a skip_log is for on_error='skip', found it with 'stop'"),
         ({"on_error": "skip", "skip_budget": 1.5}, "a number of meshes, or a share below 1, found 1.5"),
         ({"on_error": "skip", "skip_budget": -1}, "a number of meshes, or a share below 1, found -1"),
         ({"on_error": "skip", "skip_budget": float("nan")}, "a share below 1, found nan"),
         ({"on_error": "skip", "skip_budget": float("inf")}, "a share below 1, found inf"),
-        ({"on_error": "skip", "skip_budget": 1, "skip_log": Path("/nowhere/log")}, "/nowhere/log cannot be written"),
         ({"on_error": "other"}, "OnFaults: on_error must be 'stop' or 'skip', found 'other'"),
     ],
 )
 def test_options_that_do_not_fit_are_one_line(options: dict[str, Any], message: str) -> None:
     with pytest.raises(BadConfig, match=message):
         OnFaults(**options)
-
-
-def test_a_log_that_is_lost_meanwhile_is_one_line(tmp_path: Path) -> None:
-    skips = SkipList(OnFaults("skip", 1, tmp_path / "log"), 2, None)
-    (tmp_path / "log").unlink()
-    (tmp_path / "log").mkdir()
-    with pytest.raises(BadConfig, match=r"skip_log .*log cannot be written: "):
-        skips.add({"a": "bad"})
 
 
 def test_a_state_that_cannot_be_read_is_one_line(tmp_path: Path, figures: Callable[..., Manifest]) -> None:
@@ -398,13 +383,11 @@ def test_the_command_lists_every_fault_then_skips(tmp_path: Path, capsys: pytest
     assert any(line.startswith("checking: 8 of 8 meshes") for line in lines)
     assert main([*words, "--on-error", "skip"]) == 2
     assert "--on-error skip needs --skip-budget: the number of meshes" in capsys.readouterr().err
-    log = tmp_path / "log"
-    skip = ["--on-error", "skip", "--skip-budget", "5", "--skip-log", str(log), "--workers", "1", "--report"]
+    skip = ["--on-error", "skip", "--skip-budget", "5", "--workers", "1", "--report"]
     assert main([*words, *skip, str(tmp_path / "report.json")]) == 0
     assert json.loads((tmp_path / "report.json").read_text())["skipped"] == 5
     said = capsys.readouterr().err.splitlines()
     assert sum(line.startswith("skipped ") for line in said) == 5
-    assert len(log.read_text().splitlines()) == 5
 
 
 @pytest.mark.parametrize("skipped", [3, [3], [{"mesh": "a"}], [{"mesh": "a", "why": 1}], [{"mesh": "a", "why": "b\n"}]])

@@ -301,7 +301,7 @@ def test_pieces_are_decompressed_up_to_a_limit(monkeypatch: pytest.MonkeyPatch, 
     ("package", "action"),
     [
         ("rosbags.typesys", lambda folder: typestore("cdr")),
-        ("rosbags.rosbag2", lambda folder: labels_out(folder / "bag", PARTS33, 10.0).__enter__()),
+        ("mcap.writer", lambda folder: labels_out(folder / "out.mcap", PARTS33, 10.0).__enter__()),
         ("mcap.records", lambda folder: open_recording(folder / "a.mcap")),
         ("mcap.data_stream", lambda folder: open_recording(folder / "a.mcap")),
         ("lz4.frame", lambda folder: open_recording(folder / "lz4.mcap")),

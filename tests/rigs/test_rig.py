@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bodyseg_data.core import BadConfig, Table
+from bodyseg_data.core import BadConfig
 from bodyseg_data.rigs import load_rig, load_sensor, rig_from_json, rig_names
 from bodyseg_data.rigs.rig import parse_rig, parse_sensor
 from bodyseg_data.samples import View, ViewGrid
@@ -299,23 +299,3 @@ def test_a_camera_alone_is_no_rig(tmp_path: Path) -> None:
     file.write_text('format = "bodyseg rig 1"\nname = "a"\n[camera]\nrows = 4\ncolumns = 3\nfocal_px = 5')
     with pytest.raises(BadConfig, match="^rig .*alone.toml is a camera alone"):
         load_rig(file)
-
-
-def test_a_table_shows_what_was_not_read() -> None:
-    table = Table({"rows": 3, "columns": 4}, "rig x")
-    assert table.whole("rows") == 3
-    assert repr(table) == "Table('rig x', unread: columns)"
-
-
-def test_a_rig_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(BadConfig, match="no rig is called 'papier'"):
-        load_rig("papier")
-    with pytest.raises(BadConfig, match=r"no rig is called '\.\./rigs/paper'"):
-        load_sensor("../rigs/paper")
-    with pytest.raises(BadConfig, match="cannot read the rig file"):
-        load_rig(tmp_path / "none.toml")
-
-
-def test_scaling_down_is_refused() -> None:
-    with pytest.raises(BadConfig, match="whole factor of at least 1, found 0"):
-        load_rig().camera.scaled(0)

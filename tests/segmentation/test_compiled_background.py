@@ -114,4 +114,3 @@ def test_limits_belong_to_what_is_kept() -> None:
 def test_an_empty_frame_has_no_surfaces() -> None:
     table = Surfaces(np.zeros((4, 5), np.float32), LENS)
     assert len(table.area_m2) == 0 and table.bounding_boxes().lowest.shape == (3, 0)
-    assert repr(table) == "Surfaces(0 of 4 x 5 pixels)"

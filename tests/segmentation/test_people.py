@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from benches.model.things.rooms import rooms_of
 from label_networks import Places
 from numpy.typing import NDArray
 from PIL import Image
@@ -19,7 +20,6 @@ from bodyseg_data.rigs import Camera, load_sensor
 from bodyseg_model.networks import shipped_network
 from bodyseg_model.segmentation import Background, PersonScore, Segmenter, shipped_score
 from bodyseg_model.segmentation.person_score import MEASURES, SurfaceShape, shipped_shape_network, surface_shape
-from bodyseg_model.stability.rooms import rooms_of
 
 CAMERA = Camera(240, 320, 262.5, (160.0, 120.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 

@@ -81,7 +81,6 @@ def test_a_segmenter_and_its_results_print_in_one_line() -> None:
     )
     result = repr(segmenter(standing(34, 2.0)))
     assert result.startswith("Segmentation(bodies=(LabelledBody(median_range_m=2.0, turn_rad=") and "\n" not in result
-    assert repr(Preview(10)) == "Preview(0 frames, 10 per second)"
 
 
 def test_the_network_sees_a_body_at_its_distance() -> None:

@@ -221,7 +221,6 @@ def test_scores_counted_by_hand() -> None:
 
 def test_a_share_of_nothing_is_null() -> None:
     assert set(TemporalConsistency().to_json().values()) == {None}
-    assert repr(TemporalConsistency()) == "TemporalConsistency(0 points, 0 pixels)"
 
 
 class Walk:

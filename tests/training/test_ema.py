@@ -34,7 +34,6 @@ def test_averages_follow_their_formula() -> None:
             counted += 1
     assert counted
     assert not averaged.network.training
-    assert repr(averaged) == "AveragedNetwork(Compact, decay=0.5)"
 
 
 def test_an_averaged_training_saves_the_averages_and_trains_as_without(small_set: Path, tmp_path: Path) -> None:

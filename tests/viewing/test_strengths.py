@@ -13,7 +13,7 @@ from bodyseg_data.artifacts.lost_pixels import PatchLoss, StripeLoss
 from bodyseg_data.artifacts.range_errors import POWERS, MixedPixels, RangeRounding
 from bodyseg_data.artifacts.registry import ARTIFACTS
 from bodyseg_data.core import BadConfig, Draws, bounded
-from bodyseg_model.viewing.strengths import Choice, Control, Entry, Slider, controls_of, moved, value_of
+from bodyseg_model.viewing.strengths import Choice, Control, Slider, TextEntry, controls_of, moved, value_of
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def test_numbers_of_a_tuple_have_a_slider_each() -> None:
 )
 def test_texts_are_read_and_shown(artifact: Artifact, strength: str, text: str, changed: Artifact) -> None:
     entry: Control = control(artifact, strength)
-    assert isinstance(entry, Entry)
+    assert isinstance(entry, TextEntry)
     assert moved(artifact, entry, text) == changed
     assert value_of(changed, entry) == text.strip()
 

@@ -91,15 +91,6 @@ def test_motion_has_a_row_for_each_kind_of_frames() -> None:
     ]
 
 
-def test_surfaces_in_rooms_have_a_row_before_and_after_the_score() -> None:
-    row = {"found": 0.9, "things": 7, "thing_pixels": 5000, "accuracy": None}
-    found = tables({"things": {"all": {"run": "all-0", "before": row, "after": row | {"things": 1}}}})["things"]
-    assert [[*each.values()] for each in found] == [
-        ["all", "every surface", "90.0", "7", "5000", "–"],
-        ["all", "people", "90.0", "1", "5000", "–"],
-    ]
-
-
 def test_a_page_has_them_for_files_of_stability_alone(tmp_path: Path) -> None:
     origin = {"command": "c", "commit": "d", "hardware": "h"}
     for name, kind in (("steady", "bodyseg stability 1"), ("other", "another 1")):

@@ -22,6 +22,7 @@ from benches.model.segment.bench import (
 )
 from benches.model.segment.figure import _COLOURS, draw_segment
 from benches.model.segment.live import Sensor
+from benches.model.things.rooms import Room
 from label_networks import Places
 from pictures import decoded, marks, part
 
@@ -29,7 +30,6 @@ from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.rigs import Camera
 from bodyseg_model.commands import segment
 from bodyseg_model.networks import Trained
-from bodyseg_model.stability.rooms import Room
 
 
 def made(shape: tuple[int, int]) -> Room:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from benches.model.things import shapes as bench
+from benches.model.things.rooms import Rooms
 from benches.model.things.shapes import Shapes, bench_shapes, fitted, logits, quality
 from fakes import Figures
 
@@ -22,7 +23,6 @@ from bodyseg_model.segmentation.person_score import (
     shape_image,
     with_curvature,
 )
-from bodyseg_model.stability.rooms import Rooms
 
 
 def balls_and_boards(count: int = 320, seed: int = 0) -> Shapes:

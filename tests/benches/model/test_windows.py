@@ -10,11 +10,11 @@ import torch
 from benches.model.segment import windows as bench
 from benches.model.segment.windows import MARGINS, Windowed, bench_windows
 from benches.model.segment.windows_figure import draw_windows
+from benches.model.things.rooms import Room
 from pictures import decoded, marks, part
 
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_model.networks.compact import Compact, CompactSettings
-from bodyseg_model.stability.rooms import Room
 
 
 def test_a_window_is_cut_out_and_put_back() -> None:

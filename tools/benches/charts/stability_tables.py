@@ -23,29 +23,7 @@ def tables(figures: Mapping[str, Any]) -> dict[str, Rows]:
     if "temporal" in figures:
         groups = figures["temporal"]["groups"].items()
         found["motion"] = [_motion(label, variant, row) for label, of in groups for variant, row in of.items()]
-    if "things" in figures:
-        found["things"] = [
-            _things(label, labelled, each[labelled])
-            for label, each in figures["things"].items()
-            for labelled in ("before", "after")
-        ]
     return found
-
-
-def _things(label: str, labelled: str, row: Mapping[str, Any]) -> dict[str, str]:
-    """Surfaces labelled in made rooms: every surface of a body's size ("before" the score), or people alone."""
-    return {
-        "network": label,
-        "labelled": "every surface" if labelled == "before" else "people",
-        "people found, %": _share(row["found"]),
-        "things labelled": str(row["things"]),
-        "pixels of things labelled": str(row["thing_pixels"]),
-        "people's pixels right, %": _share(row["accuracy"]),
-    }
-
-
-def _share(value: float | None) -> str:
-    return _NONE if value is None else f"{100 * value:.1f}"
 
 
 def _images(label: str, group: Mapping[str, Any], figures: Mapping[str, Any]) -> dict[str, str]:

@@ -26,6 +26,7 @@ from PIL import Image
 
 from benches.measuring import medians
 from benches.model.segment.live import live
+from benches.model.things.rooms import LEAST_SEEN_M2, TEST_SEED, TEST_SOURCES, Counts, Room, Rooms
 from bodyseg_data.bodies import open_source
 from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.labels import BACKGROUND
@@ -36,7 +37,6 @@ from bodyseg_model.networks import shipped_network
 from bodyseg_model.runtimes import BackendName, Precision
 from bodyseg_model.segmentation import FrameLabeller, Segmenter, shipped_score
 from bodyseg_model.segmentation.pictures import encode_picture
-from bodyseg_model.stability.rooms import LEAST_SEEN_M2, TEST_SEED, TEST_SOURCES, Counts, Room, Rooms
 
 _SQUARE: Final = 1024
 _SQUARE_FOCAL_PX: Final = 840.0

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from benches.model.chosen import chosen_network
+from benches.model.things.rooms import people_and_things
 from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_model.segmentation import shipped_score
-from bodyseg_model.stability import people_and_things
 
 
 def bench_things(views: int = 240, runs: Sequence[Path] = (), progress: ProgressCallback = silent) -> dict[str, Any]:

@@ -20,6 +20,7 @@ import torch.nn.functional as F  # noqa: N812  its name everywhere
 from numpy.typing import NDArray
 from torch import nn
 
+from benches.model.things.rooms import LEAST_SEEN_M2, SENSORS, Rooms, rooms_of
 from bodyseg_data.core import BadConfig, ProgressCallback, silent
 from bodyseg_data.machine import processors
 from bodyseg_data.samples import Split
@@ -36,7 +37,6 @@ from bodyseg_model.segmentation.person_score import (
     surface_shape,
     with_curvature,
 )
-from bodyseg_model.stability.rooms import LEAST_SEEN_M2, SENSORS, Rooms, rooms_of
 
 
 @dataclass(frozen=True)

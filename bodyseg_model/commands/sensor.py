@@ -1,4 +1,4 @@
-"""`bodyseg sensor fit`: measure which artifacts a sensor has, and how strong, from its own frames of people."""
+"""`bodyseg sensor`: measure the artifacts of a sensor from its own frames of people; list and show sensor models."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from bodyseg_data.artifacts import SensorModel
+from bodyseg_data.artifacts import SensorModel, load_sensor_model, sensor_model_names
 from bodyseg_data.commands import Progress, check_target, option
 from bodyseg_data.core import BadConfig, write_result
 from bodyseg_data.drawing import check_picture, save_picture
@@ -31,7 +31,7 @@ EXAMPLE = "bodyseg sensor fit recording/ --focal 525 --nearer-than 1.2 --out sen
 
 @dataclass(frozen=True)
 class Options:
-    """Options of the command."""
+    """Options of `bodyseg sensor fit`."""
 
     frames: tuple[Path, ...] = option(RECORDINGS_HELP, positional=True)
     out: Path | None = option("write the sensor model to this TOML file", None)
@@ -54,7 +54,7 @@ class Options:
 
 
 def run(options: Options) -> int:
-    """Measure, print the verdicts, and write what was asked for."""
+    """Measure a sensor, print the verdicts, and write what was asked for."""
     for path, flag in ((options.out, "--out"), (options.picture, "--picture")):
         if path is not None:
             check_target(path, flag)
@@ -118,3 +118,41 @@ def _remarks(fit: SensorFit, camera: FrameCamera) -> list[str]:
     if camera.assumed:
         lines.append(f"camera {camera.origin}: give --focal or --rig if it is another")
     return lines
+
+
+class ListSensors:
+    """`bodyseg sensor list`."""
+
+    EXAMPLE = "bodyseg sensor list"
+
+    @dataclass(frozen=True)
+    class Options:
+        """The command has no options."""
+
+    @staticmethod
+    def run(options: Options) -> int:
+        """Print one line for each sensor: its name, title and artifacts."""
+        models = [load_sensor_model(name) for name in sensor_model_names()]
+        name, title = (max(len(getattr(model, field)) for model in models) for field in ("name", "title"))
+        for model in models:
+            artifacts = ", ".join(artifact.name for artifact in model)
+            sys.stdout.write(f"{model.name:{name}}  {model.title:{title}}  {artifacts}\n")
+        return 0
+
+
+class ShowSensor:
+    """`bodyseg sensor show`."""
+
+    EXAMPLE = "bodyseg sensor show kinect_v1"
+
+    @dataclass(frozen=True)
+    class Options:
+        """Options of the command."""
+
+        sensor: str = option(f"one of {', '.join(sensor_model_names())}, or a TOML file", positional=True, address=True)
+
+    @staticmethod
+    def run(options: Options) -> int:
+        """Print the model with every strength, those left out in the file at their defaults."""
+        sys.stdout.write(load_sensor_model(options.sensor).to_toml())
+        return 0

@@ -8,15 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benches.model.things import rooms as measure
+from benches.model.things.rooms import MOST_PEOPLE, MOST_THINGS, Counts, Room, Rooms, people_and_things
 from fakes import Figures
 from label_networks import Places
 
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.rigs import load_sensor
 from bodyseg_model.segmentation import LabelledBody, PersonScore
-from bodyseg_model.stability import people_and_things
-from bodyseg_model.stability import rooms as measure
-from bodyseg_model.stability.rooms import MOST_PEOPLE, MOST_THINGS, Counts, Room, Rooms
 
 KINECT = load_sensor("kinect_v1").camera
 SMALL = replace(KINECT, rows=120, columns=160, focal_px=KINECT.focal_px / 4, centre_px=(80.0, 60.0))
