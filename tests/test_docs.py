@@ -77,9 +77,8 @@ def home_of(name: str, body: Sequence[ast.stmt]) -> str | None:
     for node in body:
         if isinstance(node, ast.If) and (found := home_of(name, node.body)):
             return found
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.partition(".")[0] in HOMES:
-            if any(alias.name == name and alias.asname is None for alias in node.names):
-                return node.module
+        if isinstance(node, ast.ImportFrom) and name in (alias.asname or alias.name for alias in node.names):
+            return node.module if node.module and node.module.partition(".")[0] in HOMES else None
     return None
 
 

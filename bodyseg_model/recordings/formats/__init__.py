@@ -37,10 +37,10 @@ class Format:
 
 
 FORMATS: Final[dict[str, Format]] = {
-    "ros1": Format("ROS 1 bag", "bags.ros1.open_ros1", (b"#ROSBAG V",), (".bag",)),
-    "ros2": Format("ROS 2 bag", "bags.ros2_folders.open_ros2", entry="metadata.yaml"),
-    "db3": Format("file of a ROS 2 bag", "bags.sqlite_files.open_sqlite", (b"SQLite format 3\0",), (".db3",)),
-    "mcap": Format("MCAP", "bags.mcap_files.open_mcap", (b"\x89MCAP0\r\n",), (".mcap",)),
+    "ros1": Format("ROS 1 bag", "bag_files.open_ros1", (b"#ROSBAG V",), (".bag",)),
+    "ros2": Format("ROS 2 bag", "bag_files.open_ros2", entry="metadata.yaml"),
+    "db3": Format("file of a ROS 2 bag", "bag_files.open_sqlite", (b"SQLite format 3\0",), (".db3",)),
+    "mcap": Format("MCAP", "bag_files.open_mcap", (b"\x89MCAP0\r\n",), (".mcap",)),
     "npy": Format("NPY array", "formats.arrays.open_npy", (b"\x93NUMPY",), (".npy",)),
     "npz": Format("NPZ arrays", "formats.arrays.open_npz", (b"PK\x03\x04", b"PK\x05\x06"), (".npz",)),
     "tiff": Format("TIFF", "formats.tiff.open_tiff", (b"II*\0", b"MM\0*"), (".tif", ".tiff")),
