@@ -47,6 +47,7 @@ SMALLER: Final = {
     "range(90)": "range(2)",
     "batches.epoch, 90": "batches.epoch, 2",
     '"shards", "all"), 500': '"shards", "all"), 2',
+    "steps=2000": "steps=1, batch_size=1",
     "noise_mm=40), 500": "noise_mm=40), 2",
     'total(["A", "B"])': 'total(["A"])',
     '"subject=B,C", "motion=cra*", ': "",
