@@ -52,6 +52,9 @@ from bodyseg_model.training.recipes import (
 )
 from bodyseg_model.training.validation import Metrics, MetricsWindow, Report, Validation
 
+_OPTIMISER: Final = "optimiser."
+"""Prefix of the optimiser's tensors in a checkpoint."""
+
 
 def open_data(
     addresses: Sequence[str],
@@ -127,10 +130,6 @@ def train(
 
 def _report_nothing(metrics: Metrics) -> None:
     """Report nothing."""
-
-
-_OPTIMISER: Final = "optimiser."
-"""Prefix of the optimiser's tensors in a checkpoint."""
 
 
 @dataclass(frozen=True)
