@@ -26,7 +26,17 @@ if TYPE_CHECKING:
         load_sensor_model,
     )
     from bodyseg_data.bodies import Body, BodyRef, BodySource, open_source
-    from bodyseg_data.core import BodysegError
+    from bodyseg_data.core import (
+        BadConfig,
+        BadSample,
+        BadShard,
+        BadTransform,
+        BodysegError,
+        Draws,
+        Unreachable,
+        WorkerLost,
+    )
+    from bodyseg_data.drawing import colour_range
     from bodyseg_data.example import example_set
     from bodyseg_data.labels import BACKGROUND, PARTS, LabelMap, colour_labels, load_label_map
     from bodyseg_data.loading import (
@@ -43,11 +53,11 @@ if TYPE_CHECKING:
         Zoom,
         loader,
     )
-    from bodyseg_data.meshes import Mesh, read_mesh
+    from bodyseg_data.meshes import Mesh
     from bodyseg_data.packing import Packing, pack, plan
     from bodyseg_data.rigs import Camera, Rig, load_rig
     from bodyseg_data.samples import Sample
-    from bodyseg_data.shards import read_manifest
+    from bodyseg_data.shards import RetryPolicy, decode_sample
 
     __version__: str
 
@@ -57,6 +67,10 @@ __all__ = [
     "VARIANTS",
     "Artifact",
     "Augmentation",
+    "BadConfig",
+    "BadSample",
+    "BadShard",
+    "BadTransform",
     "Batch",
     "Body",
     "BodyCrop",
@@ -66,6 +80,7 @@ __all__ = [
     "Camera",
     "CameraImage",
     "Crop",
+    "Draws",
     "Flip",
     "LabelMap",
     "Loader",
@@ -77,14 +92,19 @@ __all__ = [
     "Packing",
     "RangeImage",
     "RangeImages",
+    "RetryPolicy",
     "Rig",
     "Roll",
     "Sample",
     "Scene",
     "SensorModel",
     "Transform",
+    "Unreachable",
+    "WorkerLost",
     "Zoom",
     "colour_labels",
+    "colour_range",
+    "decode_sample",
     "example_set",
     "load_label_map",
     "load_rig",
@@ -93,8 +113,6 @@ __all__ = [
     "open_source",
     "pack",
     "plan",
-    "read_manifest",
-    "read_mesh",
 ]
 
 _public, _ = lazy_door(
@@ -103,15 +121,16 @@ _public, _ = lazy_door(
         "artifacts": "VARIANTS Artifact Augmentation MissingData Noise Occlusion RangeImage Scene SensorModel "
         "load_sensor_model",
         "bodies": "Body BodyRef BodySource open_source",
-        "core": "BodysegError",
+        "core": "BadConfig BadSample BadShard BadTransform BodysegError Draws Unreachable WorkerLost",
+        "drawing": "colour_range",
         "example": "example_set",
         "labels": "BACKGROUND PARTS LabelMap colour_labels load_label_map",
         "loading": "Batch BodyCrop CameraImage Crop Flip Loader Mixture RangeImages Roll Transform Zoom loader",
-        "meshes": "Mesh read_mesh",
+        "meshes": "Mesh",
         "packing": "Packing pack plan",
         "rigs": "Camera Rig load_rig",
         "samples": "Sample",
-        "shards": "read_manifest",
+        "shards": "RetryPolicy decode_sample",
     },
 )
 

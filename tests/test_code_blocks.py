@@ -29,7 +29,6 @@ DOCUMENTS: Final = sorted([ROOT / "README.md", *PAGES])
 
 ELSEWHERE: Final = {
     "add_your_own.md": "each example runs by itself in test_how_to.py",
-    "clothes.md": "needs the meshes of a body; tests/bodies/clothes dresses one",
     "cards.md": "needs the cards of a set; tests/cards reads one by both libraries",
     "remote.md": "the addresses are of nobody; tests/shards/test_stores.py reads from servers on loopback",
 }
@@ -48,6 +47,7 @@ SMALLER: Final = {
     "range(90)": "range(2)",
     "batches.epoch, 90": "batches.epoch, 2",
     '"shards", "all"), 500': '"shards", "all"), 2',
+    "steps=2000": "steps=1, batch_size=1",
     "noise_mm=40), 500": "noise_mm=40), 2",
     'total(["A", "B"])': 'total(["A"])',
     '"subject=B,C", "motion=cra*", ': "",
@@ -56,8 +56,7 @@ SMALLER: Final = {
 
 BEFORE: Final = {
     "recordings.md": (
-        "from pathlib import Path\nimport numpy as np\n"
-        "arrays = [np.full((4, 6), 1500, np.uint16)]\npath = Path('frames.npy')\nnp.save(path, np.stack(arrays))\n"
+        "import numpy as np\narrays = [np.full((4, 6), 1500, np.uint16)]\nnp.save('frames.npy', np.stack(arrays))\n"
     ),
     "streaming.md": (
         "import torch\nfrom torch.utils.data import DataLoader\n"
@@ -83,7 +82,7 @@ def workplace(paper_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     for name in ("shards", "my-camera", "my-shards"):
         (tmp_path / name).symlink_to(paper_set)
     (tmp_path / "my_sensor.toml").write_text(load_sensor_model("kinect_v1").to_toml())
-    shutil.copy(ROOT / "bodyseg_data" / "core" / "labels" / "limbs14.toml", tmp_path / "my_classes.toml")
+    shutil.copy(ROOT / "bodyseg_data" / "labels" / "limbs14.toml", tmp_path / "my_classes.toml")
     run = tmp_path / "runs" / "all-0"
     run.mkdir(parents=True)
     for suffix in ("json", "safetensors"):

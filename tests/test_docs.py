@@ -72,6 +72,16 @@ def classes_in(body: Sequence[ast.stmt]) -> Iterator[ast.ClassDef]:
         yield from classes_in(getattr(node, "body", ()))
 
 
+def home_of(name: str, body: Sequence[ast.stmt]) -> str | None:
+    """The module of the project from which statements, as of a door, import a name; None if they do not."""
+    for node in body:
+        if isinstance(node, ast.If) and (found := home_of(name, node.body)):
+            return found
+        if isinstance(node, ast.ImportFrom) and name in (alias.asname or alias.name for alias in node.names):
+            return node.module if node.module and node.module.partition(".")[0] in HOMES else None
+    return None
+
+
 @cache
 def is_defined(name: str) -> bool:
     """Whether a dotted name is a package, a module, or what one of them defines, down to a class's members."""
@@ -82,6 +92,8 @@ def is_defined(name: str) -> bool:
         if not file.is_file():
             continue
         body = module_body(file)
+        if end < len(parts) and (home := home_of(parts[end], body)):
+            return is_defined(".".join([home, *parts[end:]]))
         for part in parts[end:]:
             members = dict(defined_in(body))
             if part not in members:
@@ -175,7 +187,7 @@ def test_names_of_nothing_are_found() -> None:
 See `bodyseg_data/loading/nowhere.py`, `nowhere.py`, `Loader.nothing`, `Loader.state_dict()`,
 `bodyseg_data.loading.Loader.nothing`, `tools/nothing`,
 [a page](nowhere.md), [a heading](#two-headings), and tools/bench nothing. There are `bodyseg_data/loading/loaders.py`,
-`loaders.py`, `bodyseg_data.loading.Loader.state_dict`, `bodyseg_data.RangeImages`, `tools/shard --plan`,
+`loaders.py`, `bodyseg_data.loading.Loader.state_dict`, `bodyseg_data.RangeImages.batches`, `tools/shard --plan`,
 [a page](glossary.md#glossary), [a heading](#one-heading) and `tools/bench codec`.
 
 ```python

@@ -25,8 +25,8 @@ keys = [key for batch in found["batches"] for key in batch["key"]]
 assert len(keys) == len(set(keys)) == len(found["images"]) == 36
 from bodyseg_data.rigs.rig import load_rig
 from bodyseg_data.meshes.landmarks import load_landmarks
-from bodyseg_model.networks.checkpoints import shipped_network
-load_rig("paper"), load_landmarks("open"), shipped_network()
+from bodyseg_model.networks.checkpoints import load_network
+load_rig("paper"), load_landmarks("open"), load_network()
 try:
     import benches
 except ImportError:

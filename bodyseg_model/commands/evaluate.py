@@ -35,7 +35,7 @@ from bodyseg_model.evaluation import (
     sensor_warning,
     time_frames,
 )
-from bodyseg_model.networks import CheckpointName, Trained, shipped_network
+from bodyseg_model.networks import CheckpointName, Trained
 from bodyseg_model.runtimes import (
     BACKEND_HELP,
     FLIP_HELP,
@@ -93,7 +93,7 @@ class Options:
 def run(options: Options) -> int:
     """Evaluate, write the scores, then draw the figures."""
     _check(options)
-    trained = shipped_network() if options.run is None else load_run(options.run, options.checkpoint)
+    trained = load_run(options.run, options.checkpoint)
     trained = put_on_backend(trained, options.backend, options.precision, options.flip_average)
     _say_step(trained)
     to_device(trained.network, options.device)

@@ -15,7 +15,6 @@ from bodyseg_model.networks import (
     load_network,
     read_json,
     save_network,
-    shipped_network,
     write_json,
 )
 from bodyseg_model.runtimes import OPSET, SUFFIX, export_trained, write_onnx
@@ -40,7 +39,7 @@ class Options:
 def run(options: Options) -> int:
     """Write the network, its filters in 16 bits, and the card; and the ONNX file."""
     _check(options)
-    trained = shipped_network() if options.run is None else load_network(options.run)
+    trained = load_network(options.run)
     scores = {} if options.scores is None else {"scores": read_json(options.scores)}
     confusion = scores.get("scores", {}).pop("confusion", None)
     if options.onnx is not None:

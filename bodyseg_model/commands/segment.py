@@ -15,7 +15,7 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import LabelMap
 from bodyseg_data.machine import hardware, keep_freed_memory
 from bodyseg_data.rigs import Rig, rig_names
-from bodyseg_model.networks import Trained, shipped_network
+from bodyseg_model.networks import Trained
 from bodyseg_model.recordings import RECORDINGS_HELP, UNITS_HELP, LabelsOut, find_frames, labels_out, metres_a_step
 from bodyseg_model.runtimes import (
     BACKEND_HELP,
@@ -90,7 +90,7 @@ def run(options: Options) -> int:
     use_threads(options.threads)
     step_m, background = None if options.units is None else metres_a_step(options.units), _background(options)
     frames = find_frames(options.frames, options.topic, step_m)
-    trained = shipped_network() if options.run is None else load_run(options.run)
+    trained = load_run(options.run)
     labeller = FrameLabeller(
         trained,
         background,

@@ -28,7 +28,7 @@ from bodyseg_data.artifacts import (
 from bodyseg_data.commands import WHERE_HELP, Progress, command_line, option, provenance, rate_text
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import PARTS33, LabelMap, label_map_names
-from bodyseg_data.loading import DEFAULT_WORKER_METHOD, ImageSet, WorkerMethod
+from bodyseg_data.loading import DEFAULT_WORKER_METHOD, ImageSet, WorkerMethod, find_rank
 from bodyseg_data.samples import ReadSplit
 from bodyseg_model.networks import (
     WEIGHTS_SHA256,
@@ -38,7 +38,6 @@ from bodyseg_model.networks import (
     build,
     load_network,
     network_class,
-    read_json,
 )
 from bodyseg_model.training import (
     DEFAULT_EVERY,
@@ -46,13 +45,11 @@ from bodyseg_model.training import (
     Metrics,
     RecipeName,
     Report,
-    RunFolder,
     RunOptions,
-    Training,
     Validation,
-    joined_process_group,
     open_data,
     recipe_for,
+    train,
     use_threads,
 )
 
@@ -129,27 +126,25 @@ def run(options: Options) -> int:
     )
     network = _network(options, images.label_map)
     pretrained = None if options.pretrained is None else _pretrained(options.pretrained, network, options, images)
-    with joined_process_group(options.device) as processes, contextlib.ExitStack() as stack:
-        folder = RunFolder(options.out)
-        training = Training(
-            network,
-            options.network,
+    first_process = find_rank()[0] == 0
+    with contextlib.ExitStack() as stack:
+        report = stack.enter_context(reporting(options.out, recipe.steps, options.log_every)) if first_process else None
+        trained = train(
             images,
+            options.out,
+            network,
             recipe,
-            folder,
-            processes,
-            options.seed,
-            run_options,
-            validation,
-            pretrained,
+            seed=options.seed,
+            validation=validation,
+            resume=options.resume,
+            run_options=run_options,
+            device=options.device,
+            report=report,
+            pretrained=pretrained,
+            facts=provenance(command_line("bodyseg train", options)),
         )
-        facts = provenance(command_line("bodyseg train", options))
-        report: Report = report_nothing
-        if processes.first:
-            report = stack.enter_context(reporting(options.out, recipe.steps, options.log_every))
-        training.run(options.resume, report, facts)
-        if validation is not None and processes.first:
-            _say_end(folder, recipe.steps)
+    if validation is not None and first_process:
+        _say_end(trained.card, recipe.steps)
     return 0
 
 
@@ -188,9 +183,8 @@ def _validation(options: Options) -> Validation | None:
     )
 
 
-def _say_end(folder: RunFolder, steps: int) -> None:
+def _say_end(card: dict[str, Any], steps: int) -> None:
     """Say whether a validated training ended early, and which step the network's weights are of."""
-    card = read_json(folder.network.with_suffix(".json"))
     step, last = card["step"], card["last_step"]
     ended = f"ended early, after step {last} of {steps}" if last < steps else f"ended after step {steps}"
     score = f": validation per class {card['val_accuracy']:.1%}" if "val_accuracy" in card else ""
@@ -252,10 +246,6 @@ def _settings(text: str) -> dict[str, Any]:
     if not isinstance(settings, dict):
         raise BadConfig(f"--settings must be a JSON object, found {text!r}")
     return settings
-
-
-def report_nothing(metrics: Metrics) -> None:
-    """Report nothing."""
 
 
 @contextlib.contextmanager

@@ -15,7 +15,7 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.rigs import rig_names
 from bodyseg_data.samples import ReadSplit
 from bodyseg_data.shards import MANIFEST_NAME
-from bodyseg_model.networks import Trained, load_network, shipped_network
+from bodyseg_model.networks import Trained, load_network
 from bodyseg_model.recordings import UNITS_HELP, find_frames, metres_a_step
 from bodyseg_model.segmentation import Background, BackgroundMode, FrameLabeller
 from bodyseg_model.training import find_device
@@ -73,7 +73,7 @@ def run(options: Options) -> int:
     check_options(options, kind)
     if options.save is not None and not options.save.is_dir():
         raise BadConfig(f"--save must be a folder that is there, found {options.save}")
-    trained = shipped_network() if options.run is None else load_network(options.run)
+    trained = load_network(options.run)
     trained.network.to(find_device(options.device))
     view = _set_view(options, trained) if kind == "set" else _recording_view(options, trained)
     first = Shown(variant=options.variant, sensor=load_sensor_model(options.sensor))

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
         read_checkpoint,
         read_json,
         save_network,
-        shipped_network,
         trained_network,
         write_json,
         write_tensors,
@@ -35,17 +34,25 @@ if TYPE_CHECKING:
     from bodyseg_model.networks.model_cards import model_card, network_file, page_file
     from bodyseg_model.networks.network import FlipAverage, Network, check_label_map, check_range_images, in_loops
     from bodyseg_model.networks.patch_loops import BITS, nearest
-    from bodyseg_model.networks.registry import NetworkName, build, device_of, network_class, predict, predict_each
+    from bodyseg_model.networks.registry import (
+        NetworkName,
+        build,
+        device_of,
+        name_of,
+        network_class,
+        predict,
+        predict_each,
+    )
 
 __getattr__, __all__ = lazy_door(
     __name__,
     {
         "checkpoints": "AVERAGED BEST CHECKPOINT FORMAT NETWORK PLAN PRETRAINED TRAINED WEIGHTS_SHA256 Checkpoint "
         "CheckpointName Trained checkpoint_file confusion_file load_network read_bytes read_checkpoint "
-        "read_json save_network shipped_network trained_network write_json write_tensors",
+        "read_json save_network trained_network write_json write_tensors",
         "model_cards": "model_card network_file page_file",
         "network": "FlipAverage Network check_label_map check_range_images in_loops",
         "patch_loops": "BITS nearest",
-        "registry": "NetworkName build device_of network_class predict predict_each",
+        "registry": "NetworkName build device_of name_of network_class predict predict_each",
     },
 )

@@ -119,8 +119,10 @@ def half_weights(network: Network) -> dict[str, torch.Tensor]:
     return {name: weight.half() if weight.ndim > 1 else weight for name, weight in network.state_dict().items()}
 
 
-def load_network(path: Path, checkpoint: CheckpointName | None = None) -> Trained:
+def load_network(path: Path | str | None = None, checkpoint: CheckpointName | None = None) -> Trained:
     """Load the network of a run's folder, or of a .safetensors file with its .json beside it, onto the processor.
+
+    path: None for the compact network that ships with the package.
 
     checkpoint: of a run's folder: "best" for the weights of its best validation, "last" for those of its last
     checkpoint. None takes the network that the training ended with, or the last checkpoint of one that has not ended.
@@ -129,6 +131,7 @@ def load_network(path: Path, checkpoint: CheckpointName | None = None) -> Traine
     Raises BadConfig, naming the file, for what is missing, damaged or does not fit the card: with weights of another
     SHA-256 than the card's, or a rig that is none. A card without rig, sensor or SHA-256 is valid.
     """
+    path = SHIPPED if path is None else Path(path)
     if checkpoint is not None and not path.is_dir():
         raise BadConfig(f"checkpoint {checkpoint!r} is one of a run's folder, found {path}")
     if checkpoint == "last" or (checkpoint is None and path.is_dir() and _unfinished(path)):
@@ -174,11 +177,6 @@ def trained_network(network: Network, card: dict[str, Any], where: Path) -> Trai
     except BadConfig as error:
         raise BadConfig(f"{where}: {error}") from error
     return trained
-
-
-def shipped_network() -> Trained:
-    """The compact network that ships with the package."""
-    return load_network(SHIPPED)
 
 
 def fill(network: Network, tensors: Mapping[str, torch.Tensor], file: Path) -> None:

@@ -50,6 +50,16 @@ def network_class(name: str) -> type[Network]:
     return found
 
 
+def name_of(network: Network) -> str:
+    """Return the name under which `NETWORKS` has a network's class. Raises BadConfig for a class that it has not."""
+    kind = type(network)
+    path = f"{kind.__module__}.{kind.__qualname__}"
+    for name, registered in NETWORKS.items():
+        if registered == path:
+            return name
+    raise BadConfig(f"the network must be of a class in NETWORKS, whose files can be loaded again, found {path}")
+
+
 def build(name: str, settings: Mapping[str, Any] | None = None, seed: int | None = None) -> Network:
     """A network with new weights, drawn for `seed`; None: drawn from torch's generator in its present state.
 

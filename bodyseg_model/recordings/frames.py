@@ -104,7 +104,7 @@ def find_frames(paths: Sequence[Path], topic: str | None = None, step_m: float |
     return [frame.placed(name, number) for (number, frame), name in zip(frames, names, strict=True)]
 
 
-def open_recording(path: Path, topic: str | None = None, step_m: float | None = None) -> StoredRecording:
+def open_recording(path: Path | str, topic: str | None = None, step_m: float | None = None) -> StoredRecording:
     """Open a recording: a PNG, a folder or tar of PNGs, or a file or folder of one of `FORMATS`, by content or suffix.
 
     A folder without any of these may hold files of `FORMATS`, which are read one after another, in natural order.
@@ -112,6 +112,7 @@ def open_recording(path: Path, topic: str | None = None, step_m: float | None = 
     point; None: as the recording says, or millimetres and metres. Raises BadConfig for a path that cannot be read, or
     holds no frame; MissingLibrary.
     """
+    path = Path(path)
     if path.is_dir():
         frames = _folder(path, topic, step_m)
     elif path.suffix.lower() == ".tar":

@@ -104,12 +104,14 @@ def put_on_backend(
     return Trained(FlipAverage(network, trained.label_map) if flip_average else network, trained.card)
 
 
-def load_run(path: Path, checkpoint: CheckpointName | None = None) -> Trained:
+def load_run(path: Path | None = None, checkpoint: CheckpointName | None = None) -> Trained:
     """Load a run's folder or a .safetensors file (`load_network`), or an .onnx file, for the runtime `OF_FILES`.
+
+    path: None for the network that ships with the package.
 
     Raises BadConfig and MissingLibrary, naming the file, as `load_network` and `read_onnx`.
     """
-    if path.suffix != SUFFIX or path.is_dir():
+    if path is None or path.suffix != SUFFIX or path.is_dir():
         return load_network(path, checkpoint)
     if checkpoint is not None:
         raise BadConfig(f"checkpoint {checkpoint!r} is one of a run's folder, found {path}")

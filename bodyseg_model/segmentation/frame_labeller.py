@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, Stopwatch
 from bodyseg_data.rigs import Camera
-from bodyseg_model.networks import Trained, device_of, shipped_network
+from bodyseg_model.networks import Trained, device_of, load_network
 from bodyseg_model.recordings import Frame, FrameCamera, Pixels, Skipping, Stamp, find_cameras, find_frames, to_metres
 from bodyseg_model.runtimes import BackendName, Precision, backend_of, put_on_backend, to_device
 from bodyseg_model.segmentation.carried_labels import CarriedLabels
@@ -118,7 +118,7 @@ class FrameLabeller:
         flip_average: bool = False,
         device: str | None = None,
     ) -> None:
-        self.trained = put_on_backend(trained or shipped_network(), backend, precision, flip_average)
+        self.trained = put_on_backend(trained or load_network(), backend, precision, flip_average)
         to_device(self.trained.network, device)
         self.label_map, self.rig = self.trained.label_map, self.trained.rig
         self.background = background or Background()

@@ -1,4 +1,4 @@
-"""Training loop: sets of shards and a recipe -> a network. A killed training resumes with the same bits.
+"""Training: images and a recipe -> a network. A killed training resumes with the same bits.
 
 Seed and step number determine all that a step does: its images (their order belongs to seed and epoch), which of them
 are mirrored, the pixels that the loss selects, and dropout. So a checkpoint needs weights, the optimiser's state and
@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -19,6 +20,7 @@ from torch import nn
 
 from bodyseg_data import Mixture, RangeImages, loader
 from bodyseg_data.core import BadConfig, Diverged, check_int, generator
+from bodyseg_data.labels import PARTS33
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, Batch, ImageSet, Loader, WorkerMethod, check_worker_method
 from bodyseg_data.machine import peak_mb, signals_held
 from bodyseg_model.networks import (
@@ -27,12 +29,16 @@ from bodyseg_model.networks import (
     TRAINED,
     Checkpoint,
     Network,
+    NetworkName,
+    Trained,
+    build,
     check_label_map,
     load_network,
+    name_of,
     save_network,
 )
 from bodyseg_model.training.augmentation import mirror, mirror_draws
-from bodyseg_model.training.distributed import ProcessGroup
+from bodyseg_model.training.distributed import ProcessGroup, joined_process_group
 from bodyseg_model.training.loss import NetworkWithLoss, class_pixels, part_weights
 from bodyseg_model.training.plan import Best, RunFolder, training_plan
 from bodyseg_model.training.recipes import (
@@ -41,12 +47,67 @@ from bodyseg_model.training.recipes import (
     fill_optimiser,
     make_optimiser,
     optimiser_tensors,
+    recipe_for,
     set_learning_rate,
 )
 from bodyseg_model.training.validation import Metrics, MetricsWindow, Report, Validation
 
 _OPTIMISER: Final = "optimiser."
 """Prefix of the optimiser's tensors in a checkpoint."""
+
+
+def train(
+    images: ImageSet,
+    out: Path | str,
+    network: Network | NetworkName = "compact",
+    recipe: Recipe | None = None,
+    *,
+    seed: int = 0,
+    validation: Validation | None = None,
+    resume: bool = False,
+    run_options: RunOptions | None = None,
+    device: str | None = None,
+    report: Report | None = None,
+    pretrained: Mapping[str, Any] | None = None,
+    facts: Mapping[str, Any] | None = None,
+) -> Trained:
+    """Train a network on images, and return it with its card, in evaluation mode on the processor.
+
+        images = RangeImages("shards", variant="all", split="train")
+        trained = train(images, "runs/all-0", recipe=recipe_for("compact", steps=2000))
+
+    out: the run's folder, new or empty: plan, log, checkpoints, network. `load_network(out)` loads the network again.
+    network: a name, for one of as many classes as the images' label map, with weights drawn for `seed`; or a network of
+    a registered class, with the weights to start from. recipe: None for the network's own. seed: of mirroring,
+    geometric augmentation, dropout and the pixels that the loss selects; order and artifacts have the images' own.
+    validation: None for none; the network then has the weights of the last step.
+
+    resume: carry the folder's training on from its last checkpoint, with the same bits as without a break.
+    device: "cpu", "cuda:1" ...; None for a GPU if there is one. report: called with the metrics of each line of the
+    log. pretrained: file and SHA-256 of the weights to start from, for plan and card. facts: further entries of the
+    card. Under torchrun, the processes share each batch, and the first of them alone writes and reports.
+
+    A KeyboardInterrupt ends the training after the step that runs, with a checkpoint; a second one ends it at once.
+
+    Raises BadConfig for a folder that holds another training, or this one without `resume`, a network of other classes
+    than the images or of no registered class, batches that cannot be divided evenly between the processes, or a device
+    that is absent; Diverged for a loss that is not finite; and as `loader`.
+    """
+    if isinstance(network, str):
+        classes = {} if images.label_map == PARTS33 else {"classes": len(images.label_map)}
+        network = build(network, classes, seed)
+    folder = RunFolder(Path(out))
+    recipe = recipe or recipe_for(network.default_recipe)
+    with joined_process_group(device) as processes:
+        options = seed, run_options, validation, pretrained
+        training = Training(network, name_of(network), images, recipe, folder, processes, *options)
+        training.run(resume, report or _report_nothing, facts or {})
+        processes.from_first(True)  # the others wait until the first has written the network
+    return load_network(folder.path)
+
+
+def _report_nothing(metrics: Metrics) -> None:
+    """Report nothing."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +153,7 @@ class Training:
         seed: int = 0,
         run_options: RunOptions | None = None,
         validation: Validation | None = None,
-        pretrained: dict[str, Any] | None = None,
+        pretrained: Mapping[str, Any] | None = None,
     ) -> None:
         if recipe.batch_size % processes.world_size:
             raise BadConfig(
@@ -114,7 +175,7 @@ class Training:
         facts = self.name, self.network, self.images, self.recipe, self.seed, self.validation
         return training_plan(*facts, self.pretrained)
 
-    def run(self, resume: bool, report: Report, facts: dict[str, Any]) -> None:
+    def run(self, resume: bool, report: Report, facts: Mapping[str, Any]) -> None:
         """Train to the end and write the network with its card, which also holds `facts`.
 
         A KeyboardInterrupt ends the training after the step that runs, with a checkpoint; a second one ends it at once.
@@ -156,7 +217,7 @@ class Training:
         return signals_held(only_first=True) if self.processes.world_size == 1 else contextlib.nullcontext()
 
     def _logged(
-        self, window: MetricsWindow, data_loader: Loader, report: Report, facts: dict[str, Any]
+        self, window: MetricsWindow, data_loader: Loader, report: Report, facts: Mapping[str, Any]
     ) -> MetricsWindow:
         """Validate and log after a step for which that is due; returns the window of the next step."""
         if self.step == 1 and self.processes.first:
@@ -204,7 +265,7 @@ class Training:
         """The network that is validated and saved: the averaged one where there is one."""
         return self.network if self.averaged is None else self.averaged.network
 
-    def _validated(self, metrics: Metrics, facts: dict[str, Any]) -> Metrics:
+    def _validated(self, metrics: Metrics, facts: Mapping[str, Any]) -> Metrics:
         """Validate; returns the metrics with those of the validation, and keeps the weights if they are the best."""
         validation = self.validation
         if validation is None:
@@ -233,13 +294,13 @@ class Training:
         best_step = 0 if self._best is None else self._best.step
         self._ended = self.processes.from_first(validation.exhausted(self.step, best_step))
 
-    def _save(self, facts: dict[str, Any]) -> None:
+    def _save(self, facts: Mapping[str, Any]) -> None:
         step, network = self.step, self._result()
         if self.validation is not None and self.validation.keep == "best" and self._best is not None:
             step, network = self._best.step, load_network(self.folder.path, "best").network
         save_network(self.folder.network, network, self.name, self._card(facts, step))
 
-    def _card(self, facts: dict[str, Any], step: int) -> dict[str, Any]:
+    def _card(self, facts: Mapping[str, Any], step: int) -> dict[str, Any]:
         """Facts of the card of the weights of `step`."""
         card = {PRETRAINED: None, **self.folder.plan(), **facts, "step": step, "last_step": self.step}
         if self._best is not None and self._best.step == step:

@@ -95,7 +95,7 @@ def training_plan(
     recipe: Recipe,
     seed: int,
     validation: Validation | None,
-    pretrained: dict[str, Any] | None = None,
+    pretrained: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Everything that a training's result depends on, as plain JSON: the same plan gives the same weights.
 
@@ -120,7 +120,7 @@ def training_plan(
     if validation is not None:
         plan["validation"] = validation.plan()
     if pretrained is not None:
-        plan[PRETRAINED] = pretrained
+        plan[PRETRAINED] = dict(pretrained)
     tree: dict[str, Any] = json.loads(json.dumps(plan))
     return tree
 

@@ -14,11 +14,9 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
-from bodyseg_data.core import BodysegError
-from bodyseg_model.recordings import to_metres
+from bodyseg_data import BodysegError
+from bodyseg_model import FrameLabeller, LiveRecording, to_metres
 from bodyseg_model.recordings.bag_messages import IMAGE, camera_of, pixels
-from bodyseg_model.recordings.recording import FLOAT_STEP_M, MILLIMETRE, in_steps
-from bodyseg_model.segmentation import FrameLabeller
 
 
 class LabelNode(Node):
@@ -37,8 +35,8 @@ class LabelNode(Node):
         if self.camera is None:
             return
         try:
-            stored = pixels(message, IMAGE)
-            range_m = to_metres(in_steps(stored), FLOAT_STEP_M if stored.dtype.kind == "f" else MILLIMETRE)
+            (frame,) = LiveRecording([pixels(message, IMAGE)])
+            range_m = to_metres(frame.read(), frame.step_m)
             labels = self.labeller(range_m, self.camera.frame_camera(range_m.shape).camera).labels
         except BodysegError as error:
             self.get_logger().error(str(error))

@@ -10,7 +10,7 @@ from toy_network import Toy
 
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import MIRRORED_LABELS, PARTS33, LabelMap, load_label_map
-from bodyseg_model.networks import FlipAverage, Network, Trained, build, predict, shipped_network
+from bodyseg_model.networks import FlipAverage, Network, Trained, build, load_network, predict
 from bodyseg_model.runtimes import backend_of, on_backend, put_on_backend, to_device
 
 TINY = {"patch": 16, "widths": [8, 12], "blocks": [1, 1]}
@@ -51,13 +51,13 @@ def test_scores_are_the_mean_of_both(columns: int, together: bool, label_map: La
 
 
 def test_a_mirror_image_gets_the_mirrored_labels() -> None:
-    network = FlipAverage(shipped_network().network)
+    network = FlipAverage(load_network().network)
     frame = np.zeros((640, 332), np.float32)
     frame[100:560, 90:250] = 2.5 + np.random.default_rng(0).normal(0, 0.1, (460, 160)).cumsum(0).cumsum(1) / 3000
     labels, mirrored = (predict(network, batch(each)).labels[0].numpy() for each in (frame, frame[:, ::-1]))
     assert len(np.unique(labels)) > 5
     assert (MIRRORED_LABELS[labels[:, ::-1]] == mirrored).mean() > 0.9999  # sums are rounded in another order
-    plain = predict(shipped_network().network, batch(frame)).labels[0].numpy()
+    plain = predict(load_network().network, batch(frame)).labels[0].numpy()
     assert (plain != labels).any()
 
 

@@ -15,13 +15,13 @@ from bodyseg_data.packing.options import evenly_sampled
 from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import ViewGrid
 from bodyseg_model.evaluation import evaluate
-from bodyseg_model.networks import shipped_network
+from bodyseg_model.networks import load_network
 from bodyseg_model.networks.checkpoints import SHIPPED
 
 
 def test_the_shipped_network_is_small_and_says_where_it_is_from() -> None:
     assert SHIPPED.stat().st_size <= 5_000_000
-    trained = shipped_network()
+    trained = load_network()
     card = trained.card
     assert trained.rig == load_rig()
     assert trained.sensor.artifacts == (*load_sensor_model().artifacts, Losses(0.3))
@@ -42,5 +42,5 @@ def test_the_shipped_network_knows_people_it_never_saw(tmp_path: Path, monkeypat
     with ThreadPoolExecutor(1) as executor:
         pack(bodies, tmp_path / "shards", executor, 1)
     images = RangeImages(tmp_path / "shards", "all", "test")
-    found = evaluate(shipped_network().network, images, extras=())
+    found = evaluate(load_network().network, images, extras=())
     assert found.total().confusion.average_per_class_accuracy() > 0.75

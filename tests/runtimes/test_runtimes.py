@@ -16,7 +16,7 @@ from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_data.machine import computes_bfloat16
 from bodyseg_data.rigs import Camera
 from bodyseg_model.commands import main
-from bodyseg_model.networks import build, load_network, predict, save_network, shipped_network
+from bodyseg_model.networks import build, load_network, predict, save_network
 from bodyseg_model.runtimes import (
     backend_of,
     backends,
@@ -66,7 +66,7 @@ def test_the_graph_of_a_network_answers_as_torch(name: str) -> None:
 
 
 def test_the_graph_of_the_network_that_ships() -> None:
-    trained = shipped_network()
+    trained = load_network()
     check_answer(trained.network, export_trained(trained), frames(1))
 
 
@@ -80,14 +80,14 @@ def test_runtimes_give_torchs_labels(backend: str, precision: Any) -> None:
 
 
 def test_batch_normalisation_is_folded_into_convolutions() -> None:
-    network, range_m = shipped_network().network, frames(1)
+    network, range_m = load_network().network, frames(1)
     quick = on_backend(network)
     kinds = [{type(module) for module in each.modules()} for each in (network, quick)]
     assert torch.nn.BatchNorm2d in kinds[0] - kinds[1] and torch.nn.BatchNorm2d not in kinds[1]
     expected, found = predict(network, range_m), predict(quick, range_m)
     assert (found.labels != expected.labels).float().mean() < 1e-4
     torch.testing.assert_close(found.confidence, expected.confidence, atol=2e-4, rtol=0)
-    again = shipped_network().network.state_dict()
+    again = load_network().network.state_dict()
     assert all(torch.equal(weight, again[name]) for name, weight in network.state_dict().items()), "it stays as it is"
     assert on_backend(quick) is quick, "nothing is left to fold"
     toy = Toy().eval()
@@ -97,7 +97,7 @@ def test_batch_normalisation_is_folded_into_convolutions() -> None:
 
 
 def test_bfloat16_is_near() -> None:
-    network, range_m = shipped_network().network, frames(1)
+    network, range_m = load_network().network, frames(1)
     expected = predict(network, range_m)
     kinds = ["torch", *(["openvino"] if _installed("openvino") else [])]
     for backend in kinds:

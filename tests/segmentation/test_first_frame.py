@@ -8,12 +8,12 @@ import sys
 PROGRAM = """
 import numpy as np, torch
 from bodyseg_data.rigs.rig import load_sensor
-from bodyseg_model.networks.checkpoints import shipped_network
+from bodyseg_model.networks.checkpoints import load_network
 from bodyseg_model.segmentation.person_score import shipped_score
 from bodyseg_model.segmentation.segmenter import Segmenter
 
 torch.set_num_threads(2)
-camera, trained = load_sensor("kinect_v1").camera, shipped_network()
+camera, trained = load_sensor("kinect_v1").camera, load_network()
 segment = Segmenter(trained.network, camera, rig=trained.rig, people=shipped_score())
 segment.prepare()
 from bodyseg_model.segmentation import pixel_loops, surface_loops

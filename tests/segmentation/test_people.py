@@ -17,7 +17,7 @@ from PIL import Image
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.rigs import Camera, load_sensor
-from bodyseg_model.networks import shipped_network
+from bodyseg_model.networks import load_network
 from bodyseg_model.segmentation import Background, PersonScore, Segmenter, shipped_score
 from bodyseg_model.segmentation.person_score import MEASURES, SurfaceShape, shipped_shape_network, surface_shape
 
@@ -151,7 +151,7 @@ def test_people_in_made_rooms_are_kept_and_most_things_are_not() -> None:
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     (maker, _) = rooms_of("open", "test", seed=7, parts=False, most=6)
-    segmenter = Segmenter(shipped_network().network, maker.camera, people=shipped_score())
+    segmenter = Segmenter(load_network().network, maker.camera, people=shipped_score())
     people = lost = things = labelled = 0
     for number in range(6):
         room = maker(number)
@@ -174,7 +174,7 @@ def test_people_in_made_rooms_are_kept_and_most_things_are_not() -> None:
 def test_real_people_are_kept(sequence: str, names: list[str], shared_data: Callable[[str], Path]) -> None:
     folder = shared_data(f"real/{sequence}")
     camera = load_sensor(sequence).camera
-    segmenter = Segmenter(shipped_network().network, camera, people=shipped_score())
+    segmenter = Segmenter(load_network().network, camera, people=shipped_score())
     for name in names:
         with Image.open(folder / name) as picture:
             found = segmenter((np.asarray(picture) / 1000).astype(np.float32))

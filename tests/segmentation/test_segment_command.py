@@ -27,7 +27,7 @@ from bodyseg_model.commands import cli, segment
 from bodyseg_model.networks import Trained, build, save_network
 from bodyseg_model.recordings import Skipping, find_frames
 from bodyseg_model.recordings.camera_files import cameras_beside
-from bodyseg_model.runtimes import backends
+from bodyseg_model.runtimes import backends, load_run
 from bodyseg_model.segmentation import shipped_score
 from bodyseg_model.segmentation.views import Undistortion, usual_views
 
@@ -61,7 +61,7 @@ def network(monkeypatch: pytest.MonkeyPatch) -> Iterator[Places]:
     """Stands in for the network that ships: parts from the top down. One thread is enough for images this small."""
     places = Places(axis=0, step=5)
     card = {"network": "places", "seed": 3, "rig": SMALL.to_json()}
-    monkeypatch.setattr(segment, "shipped_network", lambda: Trained(places, card))
+    monkeypatch.setattr(segment, "load_run", lambda run: load_run(run) if run else Trained(places, card))
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     monkeypatch.setattr(backends, "computes_bfloat16", lambda: False)  # which computes a copy of it
@@ -522,7 +522,7 @@ def test_things_are_told_whatever_classes_a_network_has(
     rest = tuple(name for name in LANDMARKS if name != "Sellion")
     halves = LabelMap("halves", (("nose", ("Sellion",)), ("rest", rest)))
     card = {"labels": halves.to_json(), "rig": SMALL.to_json()}
-    monkeypatch.setattr(segment, "shipped_network", lambda: Trained(network, card))
+    monkeypatch.setattr(segment, "load_run", lambda run: load_run(run) if run else Trained(network, card))
     assert run(recording, "--focal", "100", "--out", tmp_path / "out", keep_things=False) == 0
     assert report(tmp_path / "out")["things"] == 5
 

@@ -21,6 +21,7 @@ from bodyseg_data.labels import BACKGROUND
 from bodyseg_model.commands import cli, segment
 from bodyseg_model.networks import Trained
 from bodyseg_model.recordings.bag_messages import typestore
+from bodyseg_model.runtimes import load_run
 
 
 def standing(x: int) -> NDArray[np.uint16]:
@@ -36,7 +37,9 @@ STACK = np.stack([standing(2 * number) for number in range(7, 12)])
 @pytest.fixture(autouse=True)
 def network(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     places = Places(axis=0, step=20)
-    monkeypatch.setattr(segment, "shipped_network", lambda: Trained(places, {"network": "places", "seed": 3}))
+    monkeypatch.setattr(
+        segment, "load_run", lambda run: load_run(run) if run else Trained(places, {"network": "places", "seed": 3})
+    )
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     yield

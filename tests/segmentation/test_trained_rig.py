@@ -18,6 +18,7 @@ from bodyseg_model.commands import cli, segment
 from bodyseg_model.evaluation import ConfusionMatrix
 from bodyseg_model.networks import Trained, build, load_network, save_network
 from bodyseg_model.recordings import frame_camera
+from bodyseg_model.runtimes import load_run
 from bodyseg_model.segmentation import Background, FrameLabeller
 from bodyseg_model.segmentation.views import STEP
 from bodyseg_model.training import GeometricAugmentation, RunFolder, RunOptions, Training, recipe_for
@@ -85,7 +86,9 @@ def test_the_command_labels_frames_of_the_rig_that_the_run_is_of(
 def test_bodies_nearer_than_those_trained_on_are_told(
     steps: int, told: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(segment, "shipped_network", lambda: Trained(Places(0, 10), {"rig": SMALL.to_json()}))
+    monkeypatch.setattr(
+        segment, "load_run", lambda run: load_run(run) if run else Trained(Places(0, 10), {"rig": SMALL.to_json()})
+    )
     frame = np.zeros((160, 82), np.uint16)
     frame[20:140, 20:60] = steps
     Image.fromarray(frame).save(tmp_path / "a.png")

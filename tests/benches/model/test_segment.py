@@ -30,6 +30,7 @@ from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.rigs import Camera
 from bodyseg_model.commands import segment
 from bodyseg_model.networks import Trained
+from bodyseg_model.runtimes import load_run
 
 
 def made(shape: tuple[int, int]) -> Room:
@@ -100,8 +101,10 @@ def test_the_median_of_a_ways_rounds_counts() -> None:
 
 def test_the_bench_runs_every_way_and_draws(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     network = Places(axis=0, step=20)
-    monkeypatch.setattr(segment, "shipped_network", lambda: Trained(network, {"network": "places"}))
-    monkeypatch.setattr(bench, "shipped_network", lambda: Trained(network, {"network": "places"}))
+    monkeypatch.setattr(
+        segment, "load_run", lambda run: load_run(run) if run else Trained(network, {"network": "places"})
+    )
+    monkeypatch.setattr(bench, "load_network", lambda: Trained(network, {"network": "places"}))
     monkeypatch.setattr(bench, "Rooms", MadeRooms)
     ways_by_torch = {name: way for name, way in WAYS.items() if "backend" not in way.options}
     assert len(ways_by_torch) == len(WAYS) - 4

@@ -15,6 +15,7 @@ from docutils import nodes
 from docutils.utils import new_document
 
 import bodyseg_data
+import bodyseg_model
 from bodyseg_data.commands.cli import load_command
 from bodyseg_model.commands.cli import COMMANDS
 
@@ -78,7 +79,11 @@ def test_every_room_and_public_name_has_a_place() -> None:
     page = room_page("a.b", ["a.b", "a.b.c"])
     assert page.startswith("# a.\u200bb\n") and "## c\n" in page and page.count(".. automodule:: a.b") == 2
     table = public_names()
-    assert all(f"`{name} <bodyseg_data." in table for name in bodyseg_data.__all__)
+    for package in (bodyseg_data, bodyseg_model):
+        assert all(f"`{name} <{package.__name__}." in table for name in package.__all__)
+    assert "`loader <bodyseg_data.loading.loaders.loader>`" in table, (
+        "the link leads to the file's page, not the door's"
+    )
     assert "|  |" not in table
 
 

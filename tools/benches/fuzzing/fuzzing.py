@@ -33,8 +33,7 @@ from bodyseg_data.machine.kernels import VARIABLE
 from bodyseg_data.meshes import load_landmark_file, read_mesh
 from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import Sample
-from bodyseg_data.shards import CODECS, MANIFEST_NAME, read_manifest
-from bodyseg_data.shards.sample_codec import decode_sample
+from bodyseg_data.shards import CODECS, MANIFEST_NAME, decode_sample, read_manifest
 from bodyseg_data.shards.tar import parse_members
 
 SECONDS_EACH: Final = 2.0

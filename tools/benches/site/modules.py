@@ -6,6 +6,7 @@ import ast
 import inspect
 import pkgutil
 from collections.abc import Iterator, Sequence
+from importlib import import_module
 from types import ModuleType
 from typing import Final
 
@@ -48,23 +49,29 @@ def room_page(room: str, modules: Sequence[str]) -> str:
 
 
 def public_names() -> str:
-    """Return a table of the names that `bodyseg_data` offers, each with the first sentence that documents it."""
-    homes = {
-        alias.name: node.module
-        for node in ast.walk(ast.parse(inspect.getsource(bodyseg_data)))
-        if isinstance(node, ast.ImportFrom) and node.module
-        for alias in node.names
-    }
-    lines = ["| name | meaning |", "| --- | --- |"]
-    for name in bodyseg_data.__all__:
-        text = " ".join(documentation(homes[name], name).split())
-        lines.append(f"| {{py:obj}}`{name} <{homes[name]}.{name}>` | {text.partition('. ')[0].rstrip('.')} |")
+    """Return a table of the names that each package promises, each with the first sentence that documents it."""
+    lines = []
+    for package in PACKAGES:
+        lines += [f"## {package.__name__}", "", "| name | meaning |", "| --- | --- |"]
+        for name in package.__all__:
+            home = home_of(package.__name__, name)
+            text = " ".join(documentation(home, name).split())
+            lines.append(f"| {{py:obj}}`{name} <{home}.{name}>` | {text.partition('. ')[0].rstrip('.')} |")
+        lines.append("")
     return "\n".join(lines)
+
+
+def home_of(module: str, name: str) -> str:
+    """Return the module that defines what `module` offers by this name, through as many doors as there are."""
+    for node in ast.walk(ast.parse(inspect.getsource(import_module(module)))):
+        if isinstance(node, ast.ImportFrom) and node.module and name in (alias.name for alias in node.names):
+            return home_of(node.module, name)
+    return module
 
 
 def documentation(module: str, name: str) -> str:
     """Return the docstring of what a module defines by this name, also that of a constant, which stands below it."""
-    statements = ast.parse(inspect.getsource(__import__(module, fromlist=[name]))).body
+    statements = ast.parse(inspect.getsource(import_module(module))).body
     for node, after in zip(statements, [*statements[1:], None], strict=True):
         if isinstance(node, ast.FunctionDef | ast.ClassDef) and node.name == name:
             return ast.get_docstring(node) or ""

@@ -13,7 +13,7 @@ from bodyseg_data.loading import metres
 from bodyseg_data.packing import Packing
 from bodyseg_data.packing.packer import render_run
 from bodyseg_data.samples import ViewGrid
-from bodyseg_data.shards.sample_codec import decode_sample
+from bodyseg_data.shards import decode_sample
 
 SENSOR_SIZE = (1920, 988)
 """Rows and columns of the paper's sensor, before it was down-sampled by three (section 3.1)."""

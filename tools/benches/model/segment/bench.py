@@ -33,7 +33,7 @@ from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import computes_bfloat16, hardware
 from bodyseg_data.rigs import Camera, load_sensor
 from bodyseg_model.commands import segment
-from bodyseg_model.networks import shipped_network
+from bodyseg_model.networks import load_network
 from bodyseg_model.runtimes import BackendName, Precision
 from bodyseg_model.segmentation import FrameLabeller, Segmenter, shipped_score
 from bodyseg_model.segmentation.pictures import encode_picture
@@ -119,7 +119,7 @@ def bench_segment(views: int = 24, progress: ProgressCallback = silent) -> dict[
             ways = {way: _of_all(of_way) for way, of_way in rounds.items()}
         live_ages = {
             way: live(
-                FrameLabeller(shipped_network(), backend=runtime, precision=bits, device="cpu"),
+                FrameLabeller(load_network(), backend=runtime, precision=bits, device="cpu"),
                 camera,
                 [room.range_m for room in rooms],
             )
@@ -204,7 +204,7 @@ def by_people(each: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 def left_after(rooms: Sequence[Room], camera: Camera) -> dict[str, Any]:
     """`Counts.to_json` of people and things on the surfaces that are left after each of `DROPPING`."""
-    trained, score = shipped_network(), shipped_score()
+    trained, score = load_network(), shipped_score()
     segmenter = Segmenter(trained.network, camera, rig=trained.rig)
     counts = {stage: Counts() for stage in DROPPING}
     for room in rooms:

@@ -1,0 +1,86 @@
+"""`bodyseg_model.train`: what a user's program trains by."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from label_networks import Places
+from small_training import RECIPE, TINY, written
+
+from bodyseg_data import BadConfig, RangeImages
+from bodyseg_model import RunOptions, Validation, load_network, train
+from bodyseg_model.networks import build
+from bodyseg_model.training import Metrics
+
+ALONE = RunOptions(log_every=1, checkpoint_every=1, num_workers=0)
+RECIPE_OF_TWO = dataclasses.replace(RECIPE, steps=2)
+
+
+def test_a_network_by_name_is_trained_and_returned(small_set: Path, tmp_path: Path) -> None:
+    said: list[Metrics] = []
+    images = RangeImages(small_set, variant="all", split="train", labels="limbs14")
+    out = tmp_path / "run"
+    trained = train(images, str(out), "compact", RECIPE_OF_TWO, run_options=ALONE, device="cpu", report=said.append)
+    assert [metrics.step for metrics in said] == [1, 2]
+    assert not trained.network.training and trained.network.classes == 14
+    assert trained.label_map.name == "limbs14" and trained.card["step"] == 2 and trained.card["network"] == "compact"
+    again = load_network(str(out))
+    assert again.card == trained.card
+    for name, weight in trained.network.state_dict().items():
+        assert torch.equal(weight, again.network.state_dict()[name])
+
+
+def test_without_a_recipe_a_network_has_its_own(
+    small_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+
+    def recipe_for(name: str) -> Any:
+        asked.append(name)
+        return RECIPE_OF_TWO
+
+    monkeypatch.setattr("bodyseg_model.training.loop.recipe_for", recipe_for)
+    images = RangeImages(small_set, variant="all", split="train")
+    train(images, tmp_path / "run", build("compact", TINY, 0), run_options=ALONE, device="cpu")
+    assert asked == ["compact"]
+
+
+def test_a_training_that_was_cut_resumes_with_the_same_bits(small_set: Path, tmp_path: Path) -> None:
+    def options(seed: int = 0) -> dict[str, Any]:
+        images = RangeImages(small_set, variant="all", split="train", val_share=0.5)
+        held_out = RangeImages(small_set, variant="all", split="val", val_share=0.5)
+        return {
+            "images": images,
+            "network": build("compact", TINY, 0),
+            "recipe": RECIPE,
+            "seed": seed,
+            "validation": Validation([held_out], every=2, count=2),
+            "run_options": ALONE,
+            "device": "cpu",
+        }
+
+    def cut(metrics: Metrics) -> None:
+        if metrics.step == 3:
+            raise KeyboardInterrupt
+
+    whole = train(out=tmp_path / "whole", **options())
+    assert "val_accuracy" in whole.card
+    with pytest.raises(KeyboardInterrupt):
+        train(out=tmp_path / "cut", report=cut, **options())
+    with pytest.raises(BadConfig, match="holds this training already"):
+        train(out=tmp_path / "cut", **options())
+    with pytest.raises(BadConfig, match="holds another training: --seed was 0, now 1"):
+        train(out=tmp_path / "cut", resume=True, **options(seed=1))
+    train(out=tmp_path / "cut", resume=True, **options())
+    assert written(tmp_path / "cut") == written(tmp_path / "whole")
+
+
+def test_a_network_that_no_file_could_name_is_refused(small_set: Path, tmp_path: Path) -> None:
+    images = RangeImages(small_set, variant="all", split="train")
+    with pytest.raises(BadConfig, match=r"of a class in NETWORKS.*found label_networks\.Places"):
+        train(images, tmp_path / "run", Places(axis=0, step=20), RECIPE_OF_TWO, device="cpu")
+    assert not (tmp_path / "run").exists()
