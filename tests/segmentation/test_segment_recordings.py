@@ -16,6 +16,7 @@ from label_networks import Places
 from mcap.reader import make_reader
 from numpy.typing import NDArray
 from PIL import Image
+from rosbags.rosbag2 import Reader
 
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_model.commands import cli, segment
@@ -106,14 +107,15 @@ def test_labels_go_out_with_the_stamps_of_their_frames(tmp_path: Path) -> None:
     assert not list(tmp_path.glob(".*"))
 
 
-def test_labels_of_frames_without_times_follow_the_rate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_labels_go_out_as_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     np.save(tmp_path / "a.npy", STACK)
     words = (tmp_path / "a.npy", "--focal", "100", "--fps", "4", "--out", tmp_path / "out", "--labels-out")
-    assert run(*words, tmp_path / "a.mcap") == 0
-    with (tmp_path / "a.mcap").open("rb") as file:
-        times = [message.log_time for _, _, message in make_reader(file).iter_messages()]
+    assert run(*words, tmp_path / "bag") == 0
+    with Reader(tmp_path / "bag") as reader:
+        times = [time for _, time, _ in reader.messages()]
     assert times == [number * 250_000_000 for number in range(5)], "frames without times follow --fps"
-    assert "labels are written into an .mcap file, found" in refused(capsys, *words, tmp_path / "labels.txt")
+    assert "the folder of a bag must be a new one" in refused(capsys, *words, tmp_path / "bag")
+    assert "an .mcap file or the folder of a bag, found" in refused(capsys, *words, tmp_path / "labels.txt")
     assert "--labels-out must lie outside --out" in refused(capsys, *words, tmp_path / "out" / "a.mcap")
     assert "No such file or directory" in refused(capsys, *words, tmp_path / "no" / "a.mcap")
     assert not list(tmp_path.glob(".*"))
