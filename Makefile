@@ -29,8 +29,8 @@ test: install
 	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 # Folders and files whose tests call compiled loops.
-LOOPED := tests/core tests/artifacts tests/segmentation tests/training/augmentation \
-	tests/shards/test_sample_codec.py tests/loading/test_labels.py tests/loading/test_metres.py \
+LOOPED := tests/machine tests/labels tests/artifacts tests/segmentation tests/training/test_geometric.py tests/training/test_mirror.py \
+	tests/shards/test_sample_codec.py tests/loading/test_labels.py tests/samples/test_metres.py \
 	tests/packing/test_two_projectors.py tests/networks/test_input.py tests/networks/test_labelling.py \
 	tests/training/test_loss.py
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
-    from bodyseg_data.loading.image_set import Batch, ImageSet, find_rank, metres
+    from bodyseg_data.loading.image_set import Batch, ImageSet, find_rank
     from bodyseg_data.loading.loaders import Loader, loader
     from bodyseg_data.loading.mixture import Mixture
     from bodyseg_data.loading.range_images import RangeImages
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 __getattr__, __all__ = lazy_door(
     __name__,
     {
-        "image_set": "Batch ImageSet find_rank metres",
+        "image_set": "Batch ImageSet find_rank",
         "loaders": "Loader loader",
         "mixture": "Mixture",
         "range_images": "RangeImages",

@@ -12,7 +12,6 @@ import operator
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, Final, Protocol, TypedDict, runtime_checkable
 
 import numpy as np
@@ -23,7 +22,6 @@ from torch.utils.data import Sampler
 
 from bodyseg_data.core import BadConfig, Permutation, check_bool, check_epoch, check_int
 from bodyseg_data.labels import LabelMap
-from bodyseg_data.machine import compiled, use_compiled
 from bodyseg_data.samples import Sample
 
 Request = tuple[int, int]
@@ -138,29 +136,6 @@ def check_index(index: Any, count: int) -> int:
     if not -count <= number < count:
         raise IndexError(f"index {number} of {count} samples")
     return number % count
-
-
-def metres(steps: NDArray[np.uint16], step_m: float, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-    """Convert stored steps to metres, rounded once: float32(steps) * float32(step_m).
-
-    step_m: one step, metres (`RangeImages.step_m`). out: float32 array to write into, of the same shape.
-    """
-    if out is not None and steps.shape == out.shape and steps.flags.carray and out.flags.carray and use_compiled():
-        _compiled_scale()(steps.reshape(-1), np.float32(step_m), out.reshape(-1))
-        return out
-    found: NDArray[np.float32] = np.multiply(steps, np.float32(step_m), out=out)
-    return found
-
-
-def _scale(steps: Any, step_m: Any, out: Any) -> None:
-    """Write float32(steps) * step_m in one pass; steps: uint16 [N], step_m: float32, out: float32 [N]."""
-    for i in range(np.uint64(out.size)):
-        out[i] = np.float32(steps[i]) * step_m
-
-
-@lru_cache(maxsize=1)
-def _compiled_scale() -> Any:
-    return compiled(_scale, "converting ranges in a compiled loop")
 
 
 def find_rank(rank: int | None = None, world_size: int | None = None) -> tuple[int, int]:

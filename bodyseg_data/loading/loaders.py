@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from bodyseg_data.core import BadConfig, BodysegError, check_bool, check_int, with_text
-from bodyseg_data.loading.image_set import Batch, BatchOrder, ImageSet, Pass, Request, metres
+from bodyseg_data.loading.image_set import Batch, BatchOrder, ImageSet, Pass, Request
 from bodyseg_data.loading.skipping import SKIPPABLE, OnError, SkipLedger, Skipped, checked_budget, checked_log
 from bodyseg_data.loading.slots import Slots
 from bodyseg_data.loading.workers import (
@@ -27,6 +27,7 @@ from bodyseg_data.loading.workers import (
     Workers,
     check_worker_method,
 )
+from bodyseg_data.samples import metres
 
 Fault = tuple[int, BodysegError]
 """(index in the batch, error): returned by a worker and raised in the user's process."""

@@ -39,7 +39,7 @@ from bodyseg_data.core import (
     with_text,
 )
 from bodyseg_data.labels import PARTS33, LabelMap, load_label_map
-from bodyseg_data.loading.image_set import BatchOrder, Request, Requests, check_index, metres
+from bodyseg_data.loading.image_set import BatchOrder, Request, Requests, check_index
 from bodyseg_data.loading.selection import Selection
 from bodyseg_data.loading.slots import item_tensor
 from bodyseg_data.loading.transform import (
@@ -51,7 +51,7 @@ from bodyseg_data.loading.transform import (
     with_camera,
 )
 from bodyseg_data.machine import SCRATCH
-from bodyseg_data.samples import ReadSplit, Sample
+from bodyseg_data.samples import ReadSplit, Sample, metres
 from bodyseg_data.shards import (
     RetryPolicy,
     ShardReader,

@@ -29,10 +29,9 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts import RangeImage, box_of
 from bodyseg_data.core import BadConfig, BadSample, BadTransform, Draws
 from bodyseg_data.labels import BACKGROUND, PART_COUNT
-from bodyseg_data.loading.image_set import metres
 from bodyseg_data.machine import SCRATCH
 from bodyseg_data.rigs import Camera
-from bodyseg_data.samples import Sample, SampleInfo
+from bodyseg_data.samples import Sample, SampleInfo, metres
 
 Box = tuple[int, int, int, int]
 """First row, end of the rows, first column, end of the columns."""

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         check_key,
         holds_postures,
         info_from_json,
+        metres,
         motion_of,
         shape_of,
         split_by_motion,
@@ -33,7 +34,7 @@ __getattr__, __all__ = lazy_door(
     __name__,
     {
         "sample": "FARTHEST_STEPS HELD READ_SPLITS SHADOW_THRESHOLDS SPLITS Occupancy ReadSplit Sample SampleInfo "
-        "Split check_key holds_postures info_from_json motion_of shape_of split_by_motion split_by_order "
+        "Split check_key holds_postures info_from_json metres motion_of shape_of split_by_motion split_by_order "
         "steps",
         "views": "View ViewGrid parse_choice split_key",
     },

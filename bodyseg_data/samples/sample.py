@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadSample
 from bodyseg_data.labels import BACKGROUND, PART_COUNT
+from bodyseg_data.machine import compiled, use_compiled
 from bodyseg_data.samples.views import View
 
 Split = Literal["train", "test"]
@@ -249,3 +251,26 @@ def motion_of(subset: str, pose: str) -> str:
 def holds_postures(subset: str) -> bool:
     """Return whether every mesh of one of the paper's subsets is a posture of its own, not a frame of a motion."""
     return subset in _FIRST_FOR_TRAINING
+
+
+def metres(steps: NDArray[np.uint16], step_m: float, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
+    """Convert stored steps to metres, rounded once: float32(steps) * float32(step_m).
+
+    step_m: one step, metres (`RangeImages.step_m`). out: float32 array to write into, of the same shape.
+    """
+    if out is not None and steps.shape == out.shape and steps.flags.carray and out.flags.carray and use_compiled():
+        _compiled_scale()(steps.reshape(-1), np.float32(step_m), out.reshape(-1))
+        return out
+    found: NDArray[np.float32] = np.multiply(steps, np.float32(step_m), out=out)
+    return found
+
+
+def _scale(steps: Any, step_m: Any, out: Any) -> None:
+    """Write float32(steps) * step_m in one pass; steps: uint16 [N], step_m: float32, out: float32 [N]."""
+    for i in range(np.uint64(out.size)):
+        out[i] = np.float32(steps[i]) * step_m
+
+
+@lru_cache(maxsize=1)
+def _compiled_scale() -> Any:
+    return compiled(_scale, "converting ranges in a compiled loop")

@@ -14,6 +14,7 @@ from bodyseg_data.commands import WHERE_HELP, Progress, command_line, last_name,
 from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import new_chart
 from bodyseg_data.loading import RangeImages
+from bodyseg_model.networks import find_device
 from bodyseg_model.stability import (
     FEWEST_SEEDS,
     SWEEPS,
@@ -31,7 +32,7 @@ from bodyseg_model.stability import (
     summarise,
     temporal,
 )
-from bodyseg_model.training import find_device, use_threads
+from bodyseg_model.training import use_threads
 
 EXAMPLE = "bodyseg stability --run runs/all-0 runs/all-1 runs/all-2 --data shards --hard hard --out stability"
 

@@ -15,10 +15,9 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.rigs import rig_names
 from bodyseg_data.samples import ReadSplit
 from bodyseg_data.shards import MANIFEST_NAME
-from bodyseg_model.networks import Trained, load_network
+from bodyseg_model.networks import Trained, find_device, load_network
 from bodyseg_model.recordings import UNITS_HELP, find_frames, metres_a_step
 from bodyseg_model.segmentation import Background, BackgroundMode, FrameLabeller
-from bodyseg_model.training import find_device
 from bodyseg_model.viewing import LOOPBACK, Page, RecordingPage, RecordingView, SetPage, SetView, Shown
 
 EXAMPLE = "bodyseg view shards"

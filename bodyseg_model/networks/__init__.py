@@ -38,6 +38,7 @@ if TYPE_CHECKING:
         NetworkName,
         build,
         device_of,
+        find_device,
         name_of,
         network_class,
         predict,
@@ -53,6 +54,6 @@ __getattr__, __all__ = lazy_door(
         "model_cards": "model_card network_file page_file",
         "network": "FlipAverage Network check_label_map check_range_images in_loops",
         "patch_loops": "BITS nearest",
-        "registry": "NetworkName build device_of name_of network_class predict predict_each",
+        "registry": "NetworkName build device_of find_device name_of network_class predict predict_each",
     },
 )

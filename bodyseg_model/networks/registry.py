@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
@@ -156,3 +157,18 @@ def _label_by_torch(network: Network, scores: torch.Tensor, measured: torch.Tens
     empty.labels[measured] = label.to(torch.uint8)
     empty.confidence[measured] = 1 / (scores - best[:, None]).exp_().sum(1)
     return empty
+
+
+def find_device(name: str | None = None) -> torch.device:
+    """The device called "cpu", "cuda", "cuda:1" ...; None is the GPU of this process's local rank, else the processor.
+
+    Raises BadConfig for a device that is absent.
+    """
+    if name is None:
+        name = f"cuda:{os.environ.get('LOCAL_RANK', '0')}" if torch.cuda.is_available() else "cpu"
+    try:
+        device = torch.device(name)
+        torch.empty(1, device=device)
+    except (RuntimeError, AssertionError, ValueError) as error:
+        raise BadConfig(f"cannot compute on the device {name!r}: {str(error).splitlines()[0]}") from error
+    return device

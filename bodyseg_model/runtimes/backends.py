@@ -22,12 +22,12 @@ from bodyseg_model.networks import (
     Network,
     Trained,
     device_of,
+    find_device,
     load_network,
     trained_network,
 )
 from bodyseg_model.runtimes.onnx_files import SUFFIX, read_onnx, to_onnx
 from bodyseg_model.runtimes.runtime import OnnxRuntime, OpenVino, Precision, Runtime, RuntimeNetwork, check_precision
-from bodyseg_model.training import find_device
 
 TORCH: Final = "torch"
 OF_FILES: Final = "onnxruntime"

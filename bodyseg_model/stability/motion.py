@@ -22,12 +22,11 @@ from bodyseg_data.artifacts import Augmentation, RangeImage, VariantName
 from bodyseg_data.bodies import FRAMES_PER_SECOND, Body, BodyRef, BodySource, open_source
 from bodyseg_data.core import BadConfig, ProgressCallback, check_int, counter, silent
 from bodyseg_data.labels import BACKGROUND
-from bodyseg_data.loading import metres
 from bodyseg_data.meshes import Mesh, Partition
 from bodyseg_data.packing import faces_towards, sample_key, surface_points
 from bodyseg_data.rendering import Surface, open_renderer
 from bodyseg_data.rigs import PlacedCamera, Rig, load_rig
-from bodyseg_data.samples import Sample, SampleInfo, View, steps
+from bodyseg_data.samples import Sample, SampleInfo, View, metres, steps
 from bodyseg_model.evaluation import ConfusionMatrix
 from bodyseg_model.networks import Network, device_of, predict
 from bodyseg_model.segmentation import CarriedLabels

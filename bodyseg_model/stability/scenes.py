@@ -19,12 +19,12 @@ from bodyseg_data.artifacts import SHAPES, Artifact, MissingData, Noise, box_of,
 from bodyseg_data.bodies import BodyRef, open_source
 from bodyseg_data.core import BadConfig, ProgressCallback, generator, silent
 from bodyseg_data.labels import BACKGROUND
-from bodyseg_data.loading import RangeImages, metres
+from bodyseg_data.loading import RangeImages
 from bodyseg_data.meshes import Mesh, Partition
 from bodyseg_data.packing import Sampler, draw_things, in_front
 from bodyseg_data.rendering import Renderer, open_renderer
 from bodyseg_data.rigs import Camera, PlacedCamera, Rig, axes_at, load_rig
-from bodyseg_data.samples import Sample, View, steps
+from bodyseg_data.samples import Sample, View, metres, steps
 from bodyseg_model.recordings import other_sensors
 from bodyseg_model.segmentation import view_body
 from bodyseg_model.stability.motion import RenderedBody

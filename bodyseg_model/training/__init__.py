@@ -8,7 +8,7 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_model.training.augmentation import GeometricAugmentation
-    from bodyseg_model.training.distributed import find_device, use_threads
+    from bodyseg_model.training.distributed import use_threads
     from bodyseg_model.training.loop import RunOptions, Training, open_data, train
     from bodyseg_model.training.plan import RunFolder
     from bodyseg_model.training.recipes import Recipe, RecipeName, recipe_for
@@ -18,7 +18,7 @@ __getattr__, __all__ = lazy_door(
     __name__,
     {
         "augmentation": "GeometricAugmentation",
-        "distributed": "find_device use_threads",
+        "distributed": "use_threads",
         "loop": "RunOptions Training open_data train",
         "plan": "RunFolder",
         "recipes": "Recipe RecipeName recipe_for",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -12,6 +11,7 @@ import torch.distributed
 
 from bodyseg_data.core import BadConfig
 from bodyseg_data.loading import find_rank
+from bodyseg_model.networks import find_device
 
 
 @dataclass(frozen=True)
@@ -66,18 +66,3 @@ def use_threads(count: int | None) -> None:
     if count < 1:
         raise BadConfig(f"--threads must be at least 1, found {count}")
     torch.set_num_threads(count)
-
-
-def find_device(name: str | None = None) -> torch.device:
-    """The device called "cpu", "cuda", "cuda:1" ...; None is the GPU of this process's local rank, else the processor.
-
-    Raises BadConfig for a device that is absent.
-    """
-    if name is None:
-        name = f"cuda:{os.environ.get('LOCAL_RANK', '0')}" if torch.cuda.is_available() else "cpu"
-    try:
-        device = torch.device(name)
-        torch.empty(1, device=device)
-    except (RuntimeError, AssertionError, ValueError) as error:
-        raise BadConfig(f"cannot compute on the device {name!r}: {str(error).splitlines()[0]}") from error
-    return device

@@ -13,10 +13,10 @@ from torch.utils.data import ConcatDataset
 
 from bodyseg_data.artifacts import VARIANTS
 from bodyseg_data.core import BadConfig
-from bodyseg_data.loading import RangeImages, loader, metres
+from bodyseg_data.loading import RangeImages, loader
 from bodyseg_data.packing import Packing
 from bodyseg_data.rigs import load_rig
-from bodyseg_data.samples import ViewGrid
+from bodyseg_data.samples import ViewGrid, metres
 from bodyseg_data.shards import CODECS
 from bodyseg_model.commands import cli
 

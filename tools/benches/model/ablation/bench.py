@@ -37,8 +37,7 @@ from benches.model.variants.scores import Evaluator
 from bodyseg_data.core import BadConfig, NotedProgress, check_int, silent
 from bodyseg_data.loading import RangeImages
 from bodyseg_model.evaluation import over_seeds
-from bodyseg_model.networks import Network, load_network
-from bodyseg_model.training import find_device
+from bodyseg_model.networks import Network, find_device, load_network
 
 _ACCURACY: Final = "average_per_class_accuracy"
 _MEASURES: Final = 4  # of costs, beside the conditions

@@ -22,12 +22,12 @@ from benches.model.networks.network_times import Cell, summary, time_cell
 from bodyseg_data.bodies import BodyRef
 from bodyseg_data.bodies.sources.open_bodies import MadeBodies, OpenBodies
 from bodyseg_data.core import MissingLibrary
-from bodyseg_data.loading import RangeImages, metres
+from bodyseg_data.loading import RangeImages
 from bodyseg_data.packing import Sampler
 from bodyseg_data.packing.options import evenly_sampled
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rigs import Rig
-from bodyseg_data.samples import ViewGrid
+from bodyseg_data.samples import ViewGrid, metres
 from bodyseg_data.shards.codecs.bodyseg_images import encode_images
 from bodyseg_data.shards.codecs.codec import join_labels
 from bodyseg_model.networks import build

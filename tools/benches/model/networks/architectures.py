@@ -26,9 +26,8 @@ from bodyseg_data.core import BadConfig, NotedProgress, check_int, silent
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.machine import processors
 from bodyseg_model.evaluation import evaluate, over_seeds, report
-from bodyseg_model.networks import Network
+from bodyseg_model.networks import Network, find_device
 from bodyseg_model.networks.registry import parameters
-from bodyseg_model.training import find_device
 
 FOREST: Final = "forest"
 TITLES: Final = {

@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, MissingLibrary, ProgressCallback, generator, silent
 from bodyseg_data.labels import BACKGROUND, PART_COUNT
-from bodyseg_data.loading import RangeImages, metres
+from bodyseg_data.loading import RangeImages
 from bodyseg_data.machine import compiled
+from bodyseg_data.samples import metres
 from bodyseg_model.networks import Network, check_range_images
 
 FAR_M: Final = np.float32(10.0)

@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 from benches.measuring import mixed
 from bodyseg_data.artifacts import Augmentation
 from bodyseg_data.core import check_int
-from bodyseg_data.loading import metres
 from bodyseg_data.packing import Packing
 from bodyseg_data.packing.packer import render_run
-from bodyseg_data.samples import ViewGrid
+from bodyseg_data.samples import ViewGrid, metres
 from bodyseg_data.shards import decode_sample
 
 SENSOR_SIZE = (1920, 988)

@@ -20,9 +20,9 @@ from benches.model.variants.scores import SWEEPS, SWEEPS_ALONE, TABLE, Condition
 from bodyseg_data.artifacts import VARIANTS, VariantName
 from bodyseg_data.core import BadConfig, NotedProgress, check_int, silent
 from bodyseg_model.evaluation import over_seeds
-from bodyseg_model.networks import build, load_network
+from bodyseg_model.networks import build, find_device, load_network
 from bodyseg_model.networks.registry import parameters
-from bodyseg_model.training import Metrics, find_device
+from bodyseg_model.training import Metrics
 from bodyseg_model.training.distributed import ProcessGroup
 
 _PASSES: Final = 3

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from kernel_forms import FORMS, computed_by
 
-from bodyseg_data.loading import metres
+from bodyseg_data.samples import metres
 
 STEPS = np.arange(65536, dtype=np.uint16).reshape(64, 1024)
 
