@@ -226,7 +226,7 @@ def edges_collapsed(
     low, high = mesh.surface_vertices.min(axis=0), mesh.surface_vertices.max(axis=0)
     held = np.zeros(len(mesh.vertices), np.bool_)
     held[np.concatenate([landmarks, _outermost(mesh), _edged(mesh)])] = True
-    fixed: NDArray[np.bool_] = held[mesh.faces].any(axis=1)
+    fixed = np.asarray(held[mesh.faces].any(axis=1))
     if fixed.all():
         return mesh, landmarks
     number, vertices, faces = with_pymeshlab(

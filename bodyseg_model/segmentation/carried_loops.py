@@ -141,10 +141,10 @@ def cells_of(body: Any, lens: Any, jump: Any) -> Any:
             pixels[number], cells[number], rows[number] = pixel, cell, v
             number += 1
     grid, mean, found = np.full(count, -1, np.int32), np.zeros(count, np.float32), 0
-    for cell in range(count):
-        if many[cell]:
-            mean[cell] = total[cell] / many[cell]
-            grid[cell] = found
+    for filled in range(count):
+        if many[filled]:
+            mean[filled] = total[filled] / many[filled]
+            grid[filled] = found
             found += 1
     # The pixel nearest the mean range decides which of two surfaces in a cell is meant.
     middle, off, spread = np.empty(found, np.float32), np.full(found, np.float32(np.inf)), np.zeros(found, np.float32)
@@ -158,9 +158,9 @@ def cells_of(body: Any, lens: Any, jump: Any) -> Any:
         if away < off[m]:
             off[m], middle[m], labels[m] = away, z, body.labels[pixel]
     deviations, known = np.empty(found, np.float32), 0
-    for m in range(found):
-        if many[place[m]] >= _LEAST_FOR_NOISE:
-            deviations[known] = math.sqrt(spread[m] / (many[place[m]] - 1))
+    for here in range(found):
+        if many[place[here]] >= _LEAST_FOR_NOISE:
+            deviations[known] = math.sqrt(spread[here] / (many[place[here]] - 1))
             known += 1
     noise = np.partition(deviations[:known], known // 2)[known // 2] if known else np.float32(0)
     kept, points = np.zeros(found, np.int32), np.zeros((found, 3), np.float32)
@@ -172,11 +172,11 @@ def cells_of(body: Any, lens: Any, jump: Any) -> Any:
             points[m, 0] += pixels[k] - rows[k] * lens.columns
             points[m, 1] += rows[k]
             points[m, 2] += z
-    for m in range(found):
-        z = points[m, 2] / kept[m]
-        points[m, 0] = (points[m, 0] / kept[m] + _HALF - lens.x) / lens.focal * z
-        points[m, 1] = (points[m, 1] / kept[m] + _HALF - lens.y) / lens.focal * z
-        points[m, 2] = z
+    for here in range(found):
+        z = points[here, 2] / kept[here]
+        points[here, 0] = (points[here, 0] / kept[here] + _HALF - lens.x) / lens.focal * z
+        points[here, 1] = (points[here, 1] / kept[here] + _HALF - lens.y) / lens.focal * z
+        points[here, 2] = z
     normals, neighbours = linked(grid, place, points, lens, jump)
     return grid, points, normals, neighbours, labels, noise
 
@@ -392,8 +392,8 @@ def carry(body: Any, lens: Any, motion: Any, old: Any, rule: Any, new: Any) -> N
     """
     x_of, cell_of = np.empty(lens.columns, np.float32), np.empty(lens.columns, np.int32)
     focal, cx, cy = np.float32(lens.focal), np.float32(lens.x), np.float32(lens.y)
-    for u in range(lens.columns):
-        x_of[u], cell_of[u] = (np.float32(u) + _HALF - cx) / focal, u // lens.side
+    for at in range(lens.columns):
+        x_of[at], cell_of[at] = (np.float32(at) + _HALF - cx) / focal, at // lens.side
     range_m, labels, pixels, confidence = body.range_m, body.labels, body.pixels, body.confidence
     old_range, tolerance, index, field = old.range_m, rule.tolerance_m, motion.grid, motion.field
     a, b, c, d = motion.rigid[0]

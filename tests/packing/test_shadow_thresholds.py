@@ -46,7 +46,8 @@ from bodyseg_data.artifacts import occlusion
 from bodyseg_data.artifacts import shadow_loops as occlusion_compiled
 from bodyseg_data.rigs.rig import Camera, Rig
 from bodyseg_data.samples.views import View, ViewGrid
-from bodyseg_data.packing import options, pack
+from bodyseg_data.packing import options
+from bodyseg_data.packing import packer as pack
 from bodyseg_data.packing.occluders import occluder_range
 
 device = Camera(6, 8, 10.0, (4.0, 3.0), (0.0, 0.0, 0.0), (0.0, 0.0, 2.0))

@@ -20,13 +20,13 @@ def test_every_example_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyrealsense2", FakeRealSense())
+    path = write_mcap(tmp_path / "a.mcap", [image(RAMP, "16UC1")])
     known: dict[str, Any] = {
-        "path": write_mcap(tmp_path / "a.mcap", [image(RAMP, "16UC1")]),
         "arrays": [np.zeros((4, 6), np.uint16)],
     }
     examples = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
     for example in examples:
-        exec(compile(example, str(PAGE), "exec"), dict(known))
+        exec(compile(example.replace('"frames.npy"', repr(str(path))), str(PAGE), "exec"), dict(known))
     assert len(examples) == 3
     first, second, third = capsys.readouterr().out.splitlines()
     assert first.startswith("a 1.0 None 65.") and second == "live-000000 (4, 6)"

