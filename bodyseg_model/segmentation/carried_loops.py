@@ -102,7 +102,7 @@ class BodyMotion(NamedTuple):
 
 
 class Rule(NamedTuple):
-    """How evidence is carried; see `Carrying`. steps: int64 [S, 2], rows and columns to the pixels at which a point is
+    """Rule by which evidence is carried; see `Carrying`. steps: int64 [S, 2], rows and columns to the pixels at which a point is
     sought, (0, 0) first; reach: the largest of them. tolerance_m: metres. keep, border_keep: of 1024. border: pixels.
     margin: in 1 / `UNIT`.
     """
@@ -227,7 +227,7 @@ def cell_at(x: Any, y: Any, z: Any, cells: Any, lens: Any, gate: Any) -> Any:
 
 @_kernel
 def fit_of(places: Any, labels: Any, old: Any, lens: Any, gate: Any) -> Any:
-    """How well places, float32 [M, 3], metres, fit the old cells: the mean difference of range, metres, `gate` where
+    """Fit of places, float32 [M, 3], metres, to the old cells: the mean difference of range, metres, `gate` where
     none is met; and the share of those that meet a cell of their own label.
     """
     away, same = 0.0, 0

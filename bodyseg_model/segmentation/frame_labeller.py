@@ -211,7 +211,7 @@ class FrameLabeller:
         return LabelledRecording(self, frames, rig, focal_px, centre_px, Skipping(skip_unreadable))
 
     def to_json(self) -> dict[str, Any]:
-        """What labels depend on but network and frames, as plain JSON."""
+        """Settings that labels depend on besides network and frames, as plain JSON."""
         camera, people = self.rig.camera, self._people if self.background.mode == "people" else None
         return {
             "background": self.background.to_json(),

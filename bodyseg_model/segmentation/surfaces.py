@@ -163,7 +163,7 @@ Floats = NDArray[np.float32]
 
 
 class Jump(NamedTuple):
-    """What divides surfaces, float32: a difference of range of `metres`, or beyond `from_m` of a `share`."""
+    """Limits that divide surfaces, float32: a difference of range of `metres`, or beyond `from_m` of a `share`."""
 
     metres: np.float32
     share: np.float32

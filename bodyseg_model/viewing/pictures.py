@@ -1,4 +1,4 @@
-"""What a page shows at one moment: pictures, panels of one size with captions, and points and devices in space.
+"""Content of a page at one moment: pictures, panels of one size with captions, and points and devices in space.
 
 In space, x is to the right and y up as the sensor's camera looks, z towards it. Units are metres. Of a set, the origin
 is the body's middle, which stands upright; of a recording, it is the camera.

@@ -1,4 +1,4 @@
-"""What every motion is made of: smooth curves through key values in time, and inverse kinematics of the legs.
+"""Parts of every motion: smooth curves through key values in time, and inverse kinematics of the legs.
 
 Joint angles of the legs follow from the positions of pelvis and soles.
 """
