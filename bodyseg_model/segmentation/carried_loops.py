@@ -102,9 +102,9 @@ class BodyMotion(NamedTuple):
 
 
 class Rule(NamedTuple):
-    """Rule by which evidence is carried; see `Carrying`. steps: int64 [S, 2], rows and columns to the pixels at which a point is
-    sought, (0, 0) first; reach: the largest of them. tolerance_m: metres. keep, border_keep: of 1024. border: pixels.
-    margin: in 1 / `UNIT`.
+    """Rule by which evidence is carried; see `Carrying`. steps: int64 [S, 2], rows and columns to the pixels at which a
+    point is sought, (0, 0) first; reach: the largest of them. tolerance_m: metres. keep, border_keep: of 1024.
+    border: pixels. margin: in 1 / `UNIT`.
     """
 
     steps: NDArray[np.int64]
