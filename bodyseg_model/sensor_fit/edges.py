@@ -149,7 +149,6 @@ class ShadowFrames:
     """Keeps a few frames, evenly over a recording of `frames`, to tell at its end whether they are mirrored."""
 
     def __init__(self, frames: int, most: int) -> None:
-        self.frames = frames
         self._chosen = {*evenly_apart(frames, most)}
         self._kept: list[MarkedFrame] = []
 
