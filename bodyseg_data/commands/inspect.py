@@ -106,8 +106,8 @@ def summarise(images: RangeImages) -> dict[str, Any]:
             sample = images.clean(index)
             image = images.augmentation(sample, images.epoch)
             splits[sample.info.split] += 1
-            subsets[sample.info.subset] += 1
-            subjects[sample.info.subject] += 1
+            subsets.update(filter(None, [sample.info.get("subset")]))
+            subjects.update(filter(None, [sample.info.get("subject")]))
             pixels += np.bincount(label_map.table[image.labels.ravel()], minlength=256)[: len(label_map)]
             clean_pixels += int(np.count_nonzero(sample.range))
             kept_pixels += int(np.count_nonzero(image.range))

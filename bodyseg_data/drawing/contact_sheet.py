@@ -159,9 +159,12 @@ def _metres(image: NDArray[np.uint16], step_m: float) -> str:
 
 def _caption(sample: Sample) -> str:
     info = sample.info
-    things = f", things {info.things}: {info.hidden_pct} % hidden" if info.things else ""
-    things = ", holds a thing" if info.things == HELD else things
-    return f"{info.subject}, {info.pose}, {info.view.words}{things} ({info.split}, {sample.key})"
+    place = info.get("things", "")
+    things = f"things {place}: {info.hidden_pct} % hidden" if place else ""
+    things = "holds a thing" if place == HELD else things
+    told = [str(info.get(name, "")) for name in ("subject", "pose")]
+    view = info.view.words if info.view else ""
+    return f"{', '.join(filter(None, (*told, view, things)))} ({info.split}, {sample.key})".lstrip()
 
 
 def _legend(width: int, label_map: LabelMap) -> Image.Image:

@@ -72,7 +72,8 @@ def draw_gallery(scenes: Sequence[Scene], title: str) -> Image.Image:
     lines = -(-len(tiles) // COLUMNS)
     columns = min(COLUMNS, len(tiles))
     legend = draw_legend(max(columns * (width + _GAP), 900))
-    plain = all(scene.sample.info.view.words.count(",") == 1 for scene in scenes)
+    words = [(scene.sample.info.view.words if scene.sample.info.view else "").split(", ") for scene in scenes]
+    plain = all(len(each) <= 2 for each in words)
     top, step = 44, _TILE_ROWS + (_CAPTION if plain else _HIGHER_CAPTION) + _GAP
     picture = Image.new("RGB", (legend.width + 2 * _GAP, top + lines * step + legend.height + _GAP), PAPER)
     pen = ImageDraw.Draw(picture)
@@ -81,11 +82,11 @@ def draw_gallery(scenes: Sequence[Scene], title: str) -> Image.Image:
         left, upper = _GAP + number % COLUMNS * (width + _GAP), top + number // COLUMNS * step
         picture.paste(tile, (left, upper))
         info = scene.sample.info
-        pen.text((left + 2, upper + _TILE_ROWS + 2), f"{info.subject}, {info.pose}"[:26], INK, font=font(11))
-        distance, azimuth, *stance = info.view.words.split(", ")
-        where = f"{distance}, {azimuth}, {info.split}"
+        named = ", ".join(str(info.get(name)) for name in ("subject", "pose") if info.get(name)) or scene.sample.key
+        pen.text((left + 2, upper + _TILE_ROWS + 2), named[:26], INK, font=font(11))
+        where = ", ".join(filter(None, (*words[number][:2], info.split)))
         pen.text((left + 2, upper + _TILE_ROWS + 15), where, FAINT, font=font(11))
-        pen.text((left + 2, upper + _TILE_ROWS + 29), ", ".join(stance), FAINT, font=font(9))
+        pen.text((left + 2, upper + _TILE_ROWS + 29), ", ".join(words[number][2:]), FAINT, font=font(9))
     picture.paste(legend, (_GAP, picture.height - legend.height - _GAP))
     return picture
 

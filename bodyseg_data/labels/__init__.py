@@ -1,4 +1,4 @@
-"""The 33 parts, and label maps that join them to fewer classes."""
+"""Classes of sets, the 33 parts among them, and label maps that join them to fewer classes."""
 
 from __future__ import annotations
 
@@ -7,26 +7,31 @@ from typing import TYPE_CHECKING
 from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
-    from bodyseg_data.labels.label_map import (
+    from bodyseg_data.labels.classes import (
         BACKGROUND,
-        LANDMARKS,
-        MIRRORED_LABELS,
-        PART_COUNT,
-        PARTS,
+        UNLABELLED,
+        Classes,
+        LabelClass,
+        classes_from_json,
+        classes_of,
+        looked_up,
+    )
+    from bodyseg_data.labels.label_map import (
         PARTS33,
         LabelMap,
-        Part,
         colour_labels,
         label_map_from_json,
         label_map_names,
         load_label_map,
-        looked_up,
+        whole_map,
     )
+    from bodyseg_data.labels.parts import LANDMARKS, PART_CLASSES, PART_COUNT, PARTS, Part
 
 __getattr__, __all__ = lazy_door(
     __name__,
     {
-        "label_map": "BACKGROUND LANDMARKS MIRRORED_LABELS PARTS PARTS33 PART_COUNT LabelMap Part colour_labels "
-        "label_map_from_json label_map_names load_label_map looked_up",
+        "classes": "BACKGROUND Classes LabelClass UNLABELLED classes_from_json classes_of looked_up",
+        "label_map": "PARTS33 LabelMap colour_labels label_map_from_json label_map_names load_label_map whole_map",
+        "parts": "LANDMARKS PARTS PART_CLASSES PART_COUNT Part",
     },
 )

@@ -10,25 +10,14 @@ import operator
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Generic, TypeVar
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig
 from bodyseg_data.samples import motion_of
-from bodyseg_data.shards import BODY_FIELDS, VIEW_FIELDS, ShardRecord
-
-Row = TypeVar("Row")
-
-BodyRow = tuple[str, ...]
-"""Row of `bodyseg_data.shards.BODY_FIELDS`."""
-
-ViewRow = tuple[int, ...]
-"""Row of `bodyseg_data.shards.VIEW_FIELDS`."""
-
-FIELDS: Final = (*BODY_FIELDS, "motion", *VIEW_FIELDS)
-"""The fields that conditions may name."""
+from bodyseg_data.shards import Fields, Row, ShardRecord
 
 _ORDERS: Final[dict[str, Callable[[float, float], bool]]] = {
     "<=": operator.le,
@@ -45,50 +34,37 @@ _FORM: Final = "FIELD, one of = != < <= > >=, and values, like 'distance_cm<=255
 
 @dataclass(frozen=True)
 class SampleTable:
-    """Descriptions of N samples, in stored order. bodies, views: rows, each once.
+    """Descriptions of N samples, in stored order.
 
-    body, view: int32 [N], the number of a sample's row.
+    fields: of the set. tables: for each of its tables the rows, each once. rows: for each table int32 [N], the number
+    of a sample's row.
     """
 
-    bodies: list[BodyRow]
-    views: list[ViewRow]
-    body: NDArray[np.int32]
-    view: NDArray[np.int32]
+    fields: Fields
+    tables: list[list[Row]]
+    rows: list[NDArray[np.int32]]
+    samples: int
 
     @classmethod
-    def of(cls, shards: Iterable[ShardRecord]) -> SampleTable:
+    def of(cls, fields: Fields, shards: Iterable[ShardRecord]) -> SampleTable:
         """Join the descriptions of shards, of which one at a time is in memory."""
-        bodies, views = _Joined[BodyRow](), _Joined[ViewRow]()
+        joined: list[dict[Row, int]] = [{} for _ in fields.tables]
+        parts: list[list[NDArray[np.int32]]] = [[] for _ in fields.tables]
+        samples = 0
         for shard in shards:
+            samples += len(shard)
             described = shard.descriptions
-            bodies.add(described.bodies, described.body)
-            views.add(described.views, described.view)
-        return cls(list(bodies.rows), list(views.rows), bodies.numbers(), views.numbers())
+            for known, own, table, rows in zip(joined, parts, described.tables, described.rows, strict=True):
+                numbers = np.array([known.setdefault(row, len(known)) for row in table], np.int32)
+                own.append(numbers[np.array(rows)])
+        return cls(fields, [list(known) for known in joined], [np.concatenate(own) for own in parts], samples)
 
-    def where_body(self, fits: Callable[[BodyRow], bool]) -> NDArray[np.bool_]:
-        """Mark the samples whose body's row meets a condition, bool [N]; asked once a body."""
-        return np.array([fits(row) for row in self.bodies], np.bool_)[self.body]
+    def __len__(self) -> int:
+        return self.samples
 
-    def where_view(self, fits: Callable[[ViewRow], bool]) -> NDArray[np.bool_]:
-        """Mark the samples whose view's row meets a condition, bool [N]; asked once a view."""
-        return np.array([fits(row) for row in self.views], np.bool_)[self.view]
-
-
-class _Joined(Generic[Row]):
-    """One table of the rows of several. rows: each with its number."""
-
-    def __init__(self) -> None:
-        self.rows: dict[Row, int] = {}
-        self._parts: list[NDArray[np.int32]] = []
-
-    def add(self, rows: tuple[Row, ...], column: tuple[int, ...]) -> None:
-        """Add the table of a shard and its samples' numbers of rows."""
-        numbers = np.array([self.rows.setdefault(row, len(self.rows)) for row in rows], np.int32)
-        self._parts.append(numbers[np.array(column)])
-
-    def numbers(self) -> NDArray[np.int32]:
-        """Numbers of the samples' rows in the joined table, int32 [N]."""
-        return np.concatenate(self._parts)
+    def where(self, table: int, fits: Callable[[Row], bool]) -> NDArray[np.bool_]:
+        """Mark the samples whose row of a table meets a condition, bool [N]; asked once a row."""
+        return np.array([fits(row) for row in self.tables[table]], np.bool_)[self.rows[table]]
 
 
 @dataclass(frozen=True)
@@ -111,16 +87,22 @@ class Condition:
 
     def marks(self, table: SampleTable) -> NDArray[np.bool_]:
         """Mark the samples that meet the condition, bool [N]."""
-        if self.field in VIEW_FIELDS:
-            column = VIEW_FIELDS.index(self.field)
-            return table.where_view(lambda row: self._holds_number(row[column]))
-        return table.where_body(lambda row: self._holds_text(body_field(row, self.field)))
+        if self.field == "motion":
+            at, subset = table.fields.places["subset"]
+            _, pose = table.fields.places["pose"]
+            return table.where(at, lambda row: self._holds_text(motion_of(str(row[subset]), str(row[pose]))))
+        at, column = table.fields.places[self.field]
+        holds = self._holds_number if self.ranges else self._holds_text
+        return table.where(at, lambda row: holds(row[column]))
 
-    def _holds_text(self, value: str) -> bool:
-        found = bool(value) and any(pattern.match(value) for pattern in self.patterns)
+    def _holds_text(self, value: Any) -> bool:
+        text = str(value).lower() if isinstance(value, bool) else value
+        found = bool(text) and any(pattern.match(text) for pattern in self.patterns)
         return found == (self.comparison == "=")
 
-    def _holds_number(self, value: int) -> bool:
+    def _holds_number(self, value: Any) -> bool:
+        if value is None:
+            return self.comparison == "!="
         if self.comparison in _ORDERS:
             return _ORDERS[self.comparison](value, self.ranges[0][0])
         if self.field == "azimuth_deg":
@@ -130,12 +112,13 @@ class Condition:
         return found == (self.comparison == "=")
 
 
-def parse_condition(text: str) -> Condition:
+def parse_condition(text: str, fields: Fields) -> Condition:
     """Read a condition: FIELD=VALUES, FIELD!=VALUES, or of a number FIELD<NUMBER, <=, >, >=.
 
     VALUES are one or several with commas between them, of which any may be met: patterns as for file names, or numbers
-    and ranges a..b, both ends included. Azimuths a..b are the directions from a to b, and -90 is 270. The field
-    "motion" is the pose of frames of a motion, the subsets B and C; no pattern matches the motion of other samples.
+    and ranges a..b, both ends included, or true and false. Azimuths a..b are the directions from a to b, and -90 is
+    270. The field "motion" of samples of bodies is the pose of frames of a motion, the subsets B and C; no pattern
+    matches the motion of other samples. fields: of the set. A sample without the field meets FIELD!=VALUES alone.
 
     Raises BadConfig for an unknown field, a comparison that it does not have, or other values.
     """
@@ -144,30 +127,22 @@ def parse_condition(text: str) -> Condition:
         raise BadConfig(f"a condition is {_FORM}, found {text!r}")
     name, comparison = parts[1], parts[2]
     values = tuple(word.strip() for word in parts[3].split(","))
-    if name not in FIELDS:
-        raise BadConfig(f"a condition is on one of {', '.join(FIELDS)}, found {name!r} in {text!r}")
-    if name in VIEW_FIELDS:
+    kinds = {name: kind for name, kind in fields.kinds.items() if kind != "numbers"}
+    if {"subset", "pose"} <= kinds.keys():
+        kinds["motion"] = "text"
+    if name not in kinds:
+        known = f"is on one of {', '.join(kinds)}" if kinds else "needs descriptions, and this set's have no fields"
+        raise BadConfig(f"a condition {known}, found {name!r} in {text!r}")
+    if kinds[name] in ("int", "float"):
         ranges = tuple(_range_of(text, name, value) for value in values)
         if comparison in _ORDERS and (len(ranges) > 1 or ".." in values[0]):
             raise BadConfig(f"{name}{comparison} takes one number, found {text!r}")
         return Condition(name, comparison, values, ranges=ranges)
     if comparison in _ORDERS:
-        raise BadConfig(f"{name} is text and has no order: use = or !=, found {text!r}")
+        raise BadConfig(f"{name} is {kinds[name]} and has no order: use = or !=, found {text!r}")
     if not all(values):
         raise BadConfig(f"{name} needs a value after {comparison} and after each comma, found {text!r}")
     return Condition(name, comparison, values, tuple(re.compile(fnmatch.translate(value)) for value in values))
-
-
-def body_field(row: BodyRow, name: str) -> str:
-    """Return a field of a body: one of `BODY_FIELDS`, or its "motion"."""
-    if name == "motion":
-        return motion_of(row[BODY_FIELDS.index("subset")], row[BODY_FIELDS.index("pose")])
-    return row[BODY_FIELDS.index(name)]
-
-
-def parse_conditions(where: Any) -> tuple[Condition, ...]:
-    """Read one condition or several. Raises BadConfig for anything that is not text or a sequence of texts."""
-    return tuple(parse_condition(text) for text in texts_of("where", where))
 
 
 def texts_of(option: str, value: Any) -> tuple[str, ...]:

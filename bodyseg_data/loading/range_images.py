@@ -33,12 +33,13 @@ from bodyseg_data.core import (
     BadTransform,
     Draws,
     Permutation,
+    check_bool,
     check_epoch,
     check_seed,
     permutation,
     with_text,
 )
-from bodyseg_data.labels import PARTS33, LabelMap, load_label_map
+from bodyseg_data.labels import BACKGROUND, UNLABELLED, LabelMap, load_label_map, whole_map
 from bodyseg_data.loading.image_set import BatchOrder, Request, Requests, check_index
 from bodyseg_data.loading.selection import Selection
 from bodyseg_data.loading.slots import item_tensor
@@ -74,9 +75,10 @@ class RangeImages(Dataset[dict[str, Any]]):
     "train", "test", "val" (with `val_share`), or None for train and test. seed: of all draws and of the order. epoch:
     the first epoch. sensor: the artifacts, of which the variant takes those of its kinds: a model, the name of one that
     ships with the package, or a TOML file (docs/how-to/sensors.md). transform: of the samples, applied in the workers,
-    one or several in their order (docs/how-to/transforms.md). labels: classes that take the place of the 33 parts: a
-    map, the name of one that ships with the package, or a TOML file (docs/how-to/label_maps.md). only: patterns as for
-    file names ("open-A-*", "*-d255-*"), one or several; a sample's key must match one of them. where: conditions like
+    one or several in their order (docs/how-to/transforms.md). labels: classes that take the place of the set's own: a
+    map, the name of one that ships with the package, or a TOML file (docs/how-to/label_maps.md). unlabelled: give 254
+    and not 255 to surfaces that have no class, so that 255 means that nothing was measured. only: patterns as for file
+    names ("open-A-*", "*-d255-*"), one or several; a sample's key must match one of them. where: conditions like
     "distance_cm<=255", one or several, which a sample's description must all meet (docs/how-to/streaming.md).
     val_share: share of train, 0 to 1, that is read as "val" and not as "train": whole people and motions
     (docs/how-to/splits.md).
@@ -103,9 +105,10 @@ class RangeImages(Dataset[dict[str, Any]]):
         retry_policy: RetryPolicy | None = None,
         only: str | Sequence[str] = (),
         transform: Transforms = (),
-        labels: str | Path | LabelMap = PARTS33,
+        labels: str | Path | LabelMap | None = None,
         where: str | Sequence[str] = (),
         val_share: float = 0.0,
+        unlabelled: bool = False,
     ) -> None:
         seed = check_seed(seed)
         model = load_sensor_model(sensor)
@@ -114,13 +117,19 @@ class RangeImages(Dataset[dict[str, Any]]):
         self.manifest = with_kept_index(read_manifest(store), store, cache, cache_bytes)
         self.split, self.seed = split, seed
         self.augmentation = Augmentation(self.manifest.rig, check_variant(variant), seed, model)
+        if self.augmentation.needs_projector and self.manifest.projector == "none":
+            raise BadConfig(
+                f"{path} holds no projector range, which variant {variant!r} needs: use 'none', 'noise' or 'md'"
+            )
         self.transforms = check_transforms(transform)
-        self.label_map = load_label_map(labels)
+        classes = self.manifest.classes
+        self.label_map = whole_map(classes) if labels is None else load_label_map(labels, classes)
+        self.unlabelled = UNLABELLED if check_bool("unlabelled", unlabelled) else BACKGROUND
         camera = self.manifest.rig.camera
         self.shape = transformed_shape(self.transforms, camera.rows, camera.columns)
         """Rows and columns of the images, as the transforms leave them."""
-        self._joins_parts = self.label_map != PARTS33
-        self.selection = Selection.of(pattern, split, only, where, val_share)
+        self._joins = not self.label_map.is_whole
+        self.selection = Selection.of(pattern, split, only, where, val_share, self.manifest.fields)
         self._samples = self.selection.choose(self.manifest, str(path))
         records = (self.manifest.shards[number] for number in self._samples.shards)
         self._reader = ShardReader(with_cache(store, records, cache, cache_bytes), self.manifest)
@@ -151,7 +160,7 @@ class RangeImages(Dataset[dict[str, Any]]):
     def prepare(self) -> None:
         """Compile or load the loops that samples need, so that workers forked from this process have them too."""
         self.augmentation.prepare()
-        if self._joins_parts:
+        if self._joins:
             self.label_map.prepare()
 
     def set_epoch(self, epoch: int) -> None:
@@ -166,15 +175,15 @@ class RangeImages(Dataset[dict[str, Any]]):
         shown: dict[str, Any] = {"variant": self.variant, "split": self.split, "seed": self.seed, "epoch": self.epoch}
         shown |= self.selection.filters()
         shown |= {"transforms": list(self.transforms)} if self.transforms else {}
-        shown |= {"labels": self.label_map.name} if self._joins_parts else {}
+        shown |= {"labels": self.label_map.name} if self._joins else {}
         shown |= {"samples": len(self), "image": "{} x {}".format(*self.shape), "rig": self.manifest.rig.name}
         shown |= {"sensor": self.augmentation.sensor.name}
         return f"RangeImages({self.path!r}, {', '.join(f'{name}={value!r}' for name, value in shown.items())})"
 
     def clean(self, index: int) -> Sample:
-        """Return the stored sample, without artifacts."""
+        """Return the stored sample, without artifacts, with all of its planes and the set's own labels."""
         shard, within = self._where(index)
-        return self._reader.read(shard, within)
+        return self._reader.read(shard, within, unlabelled=self.unlabelled)
 
     def image(self, index: int, epoch: int | None = None) -> RangeImage:
         """Return the sample with artifacts and transforms as drawn in `epoch`, as 16-bit arrays.
@@ -198,19 +207,21 @@ class RangeImages(Dataset[dict[str, Any]]):
         """Make the sample in arrays of the camera's size; transforms may return others."""
         try:
             shard, within = self._where(index)
-            sample = self._reader.read(shard, within, self.augmentation.needs_projector, (image, labels))
+            sample = self._reader.read(
+                shard, within, self.augmentation.needs_projector, (image, labels), self.unlabelled, ()
+            )
             made = self.augmentation.into(sample, epoch, image, labels)
             if self.transforms:
-                seen = with_camera(made, self.manifest.rig.camera, self.step_m, sample)
+                seen = with_camera(made, self.manifest.rig.camera, self.step_m, sample, self.manifest.classes)
                 made = transform_image(seen, self.transforms, Draws(self.seed, epoch, made.key))
         except BadSample as error:
             name, _, offset = self.location(index)
             raise BadShard(f"{name}: offset {offset}: {error}") from error
         except BadTransform as error:
             raise with_text(error, f"{self.location(index)[0]}: {error}") from error.__cause__
-        if self._joins_parts:
+        if self._joins:
             known = sample.occupancy if self.augmentation.keeps_outline and not self.transforms else None
-            self.label_map.write(made.labels, None if known is None else known.edges)
+            self.label_map.write(made.labels, None if known is None else known.edges, self.unlabelled)
         return made
 
     def __getitem__(self, index: int | Request) -> dict[str, Any]:
@@ -260,7 +271,8 @@ class RangeImages(Dataset[dict[str, Any]]):
             "artifacts": artifacts_to_json(self.augmentation.sensor.artifacts),
             **self.selection.filters(),
             **({"transforms": transforms_to_json(self.transforms)} if self.transforms else {}),
-            **({"labels": self.label_map.to_json()} if self._joins_parts else {}),
+            **({"labels": self.label_map.to_json()} if self._joins else {}),
+            **({"unlabelled": True} if self.unlabelled == UNLABELLED else {}),
         }
 
     @cached_property

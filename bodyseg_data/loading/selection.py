@@ -17,15 +17,20 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig
-from bodyseg_data.loading.conditions import BodyRow, Condition, SampleTable, parse_conditions, texts_of
+from bodyseg_data.loading.conditions import Condition, SampleTable, parse_condition, texts_of
 from bodyseg_data.samples import READ_SPLITS, SPLITS, ReadSplit, holds_postures
-from bodyseg_data.shards import Manifest
+from bodyseg_data.shards import Fields, Manifest
+
+BodyRow = tuple[str, ...]
+"""A body: source, subset, subject, mesh, pose."""
+
+_BODY: Final = ("source", "subset", "subject", "mesh", "pose")
 
 Group = tuple[str, ...]
 """What the bodies of a group have in common: subset, subject and, where people are few, pose or mesh."""
@@ -47,14 +52,15 @@ class Selection:
     val_share: float = 0.0
 
     @classmethod
-    def of(cls, pattern: str, split: Any, only: Any, where: Any, val_share: Any) -> Selection:
-        """Check the options of a user. only, where: one text or several. Raises BadConfig."""
+    def of(cls, pattern: str, split: Any, only: Any, where: Any, val_share: Any, fields: Fields) -> Selection:
+        """Check the options of a user. only, where: one text or several. fields: of the set. Raises BadConfig."""
         if split is not None and split not in READ_SPLITS:
             raise BadConfig(f"the split must be one of {', '.join(READ_SPLITS)} or None, found {split!r}")
         share = check_val_share(val_share)
         if split == "val" and not share:
             raise BadConfig("the split 'val' is a share of train: give val_share, like 0.1")
-        return cls(pattern, split, texts_of("only", only), parse_conditions(where), share)
+        conditions = tuple(parse_condition(text, fields) for text in texts_of("where", where))
+        return cls(pattern, split, texts_of("only", only), conditions, share)
 
     @property
     def divides_train(self) -> bool:
@@ -100,7 +106,7 @@ class Selection:
             shard = manifest.shards[number]
             own = parts.get(number, np.ones(len(shard), np.bool_))
             if self.where:
-                table = SampleTable.of([shard])
+                table = SampleTable.of(manifest.fields, [shard])
                 for condition in self.where:
                     own &= condition.marks(table)
             if patterns:
@@ -112,8 +118,8 @@ class Selection:
     def _parts_of_train(self, manifest: Manifest) -> dict[int, NDArray[np.bool_]]:
         """Mark the samples of all shards of train that belong to the split: shard number -> bool [M]."""
         train = [number for number, shard in enumerate(manifest.shards) if shard.split == "train"]
-        table = SampleTable.of(manifest.shards[number] for number in train)
-        val = mark_val(table, np.ones(len(table.body), np.bool_), self.val_share)
+        table = SampleTable.of(manifest.fields, (manifest.shards[number] for number in train))
+        val = mark_val(table, self.val_share)
         ends = np.cumsum([len(manifest.shards[number]) for number in train])
         return dict(zip(train, np.split(val == (self.split == "val"), ends[:-1]), strict=True))
 
@@ -165,23 +171,34 @@ def check_val_share(share: Any) -> float:
     return float(share)
 
 
-def mark_val(table: SampleTable, train: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
+def mark_val(table: SampleTable, share: float) -> NDArray[np.bool_]:
     """Mark the samples of val, bool [N].
 
-    train: bool [N], the samples of the stored train split. share: of them, above 0. Raises BadConfig if they are one
-    group, which cannot be divided.
+    table: of all samples of the stored train split. share: of them, above 0. Samples of bodies are divided by people
+    and motions, others by their subject, and where they have none, one by one. Raises BadConfig if they are one group,
+    which cannot be divided.
     """
-    counts = np.bincount(table.body[train], minlength=len(table.bodies))
-    rows = [row for row, count in zip(table.bodies, counts, strict=True) if count]
-    group_of = groups(rows, share)
-    sizes = Counter[Group]()
-    for row, count in zip(table.bodies, counts.tolist(), strict=True):
-        if count:
-            sizes[group_of[row]] += count
+    keys = _group_keys(table, share)
+    sizes = Counter[Group](keys)
     if len(sizes) < 2:
         raise BadConfig(f"val_share={share:g} divides train by people and motions, found {len(sizes)} group of them")
     chosen = choose_groups(sizes, share)
-    return train & table.where_body(lambda row: group_of.get(row) in chosen)
+    return np.array([key in chosen for key in keys], np.bool_)
+
+
+def _group_keys(table: SampleTable, share: float) -> list[Group]:
+    """The group of each sample."""
+    places = table.fields.places
+    body = table.fields.tables[0] if table.fields.tables else ()
+    if [name for name, _ in body] == [*_BODY]:
+        rows = [tuple(map(str, row)) for row in table.tables[0]]
+        group_of = groups(rows, share)
+        return [group_of[rows[number]] for number in table.rows[0].tolist()]
+    if "subject" in places:
+        at, column = places["subject"]
+        subjects = [str(row[column]) for row in table.tables[at]]
+        return [("", subjects[number]) for number in table.rows[at].tolist()]
+    return [("", str(number)) for number in range(len(table))]
 
 
 def groups(bodies: list[BodyRow], share: float) -> dict[BodyRow, Group]:

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts import RangeImage, box_of
 from bodyseg_data.core import BadConfig, BadSample, BadTransform, Draws
-from bodyseg_data.labels import BACKGROUND, PART_COUNT
+from bodyseg_data.labels import BACKGROUND, PART_CLASSES, UNLABELLED, Classes
 from bodyseg_data.machine import SCRATCH
 from bodyseg_data.rigs import Camera
 from bodyseg_data.samples import Sample, SampleInfo, metres
@@ -42,15 +42,16 @@ class CameraImage(RangeImage):
     """A range image with artifacts, and the pinhole camera whose image it is; `dataclasses.replace` makes altered ones.
 
     range: uint16 [H, W], steps of `step_m` along the optical axis, 0 where nothing was measured. labels: uint8 [H, W],
-    parts 0 to 32, 255 where there is none. step_m: one step, metres. focal_px: focal length in pixels. centre_px:
+    classes of the set, 255 where there is none. step_m: one step, metres. focal_px: focal length in pixels. centre_px:
     position (x, y) of the optical axis in image coordinates, in which pixel (row, column) covers x from column to
-    column + 1. sample: the stored one, for `info`; its arrays may have been used for this image.
+    column + 1. sample: the stored one, for `info`; its arrays may have been used for this image. classes: of the set.
     """
 
     step_m: float
     focal_px: float
     centre_px: tuple[float, float]
     sample: Sample
+    classes: Classes
 
     @property
     def info(self) -> SampleInfo:
@@ -65,14 +66,15 @@ class CameraImage(RangeImage):
     @property
     def body_box(self) -> Box | None:
         """The smallest box that holds all labelled pixels; None if there are none."""
-        return ends_of(self.labels != BACKGROUND)
+        return ends_of(self.labels < UNLABELLED)
 
 
-def with_camera(image: RangeImage, camera: Camera, step_m: float, sample: Sample) -> CameraImage:
-    """A range image of a stored sample with the camera of its rig."""
-    return CameraImage(
-        image.key, image.range, image.labels, image.drawn, step_m, camera.focal_px, camera.centre_px, sample
-    )
+def with_camera(
+    image: RangeImage, camera: Camera, step_m: float, sample: Sample, classes: Classes = PART_CLASSES
+) -> CameraImage:
+    """A range image of a stored sample with the camera of its rig and the classes of its set."""
+    focal_px, centre_px = camera.focal_px, camera.centre_px
+    return CameraImage(image.key, image.range, image.labels, image.drawn, step_m, focal_px, centre_px, sample, classes)
 
 
 def ends_of(mask: NDArray[Any]) -> Box | None:
@@ -99,7 +101,7 @@ class Transform(Protocol):
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
         """Return the altered sample; arrays of `image` may be altered in place and returned.
 
-        image: ranges in steps, labels of the 33 parts, and the camera, which a transform that moves pixels keeps up to
+        image: ranges in steps, labels of the set, and the camera, which a transform that moves pixels keeps up to
         date. random: a generator that belongs to (seed, epoch, key of the sample, name of the transform), so that the
         draws depend on nothing else. Where the range returned is 0, the label becomes background. Raises BadSample for
         a sample that should be left out (`on_error="skip"`); any other error ends the run as BadTransform.
@@ -220,13 +222,12 @@ def _checked_image(found: Any, key: str, name: str, shape: tuple[int, int]) -> C
         if not isinstance(array, np.ndarray) or array.dtype != kind or array.shape != shape:
             shown = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
             raise BadTransform(f"{where} must return {what} as {kind.__name__} {shape}, found {shown}")
-    ranges, labels = _contiguous(found.range), found.labels
+    ranges, labels, count = _contiguous(found.range), found.labels, len(found.classes)
     above = np.subtract(
-        labels, np.uint8(PART_COUNT), out=SCRATCH.empty(shape, np.uint8)
-    )  # parts wrap around to what is larger than background
-    if above.min() < BACKGROUND - PART_COUNT:
-        parts = f"0 to {PART_COUNT - 1} or {BACKGROUND}"
-        raise BadTransform(f"{where} must return labels {parts}, found {above.min() + PART_COUNT}")
+        labels, np.uint8(count), out=SCRATCH.empty(shape, np.uint8)
+    )  # classes wrap around to what is larger than 254 and 255
+    if above.min() < UNLABELLED - count:
+        raise BadTransform(f"{where} must return labels 0 to {count - 1} or {BACKGROUND}, found {above.min() + count}")
     lost = np.equal(ranges, 0, out=SCRATCH.empty(shape, np.bool_)).view(np.uint8)
     np.negative(lost, out=lost)  # all bits, which are background's
     return replace(found, range=ranges, labels=np.bitwise_or(labels, lost, out=above))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, check_bool, check_int, unit
-from bodyseg_data.labels import BACKGROUND, MIRRORED_LABELS, looked_up
+from bodyseg_data.labels import BACKGROUND, looked_up
 from bodyseg_data.loading.transform import Box, CameraImage, Transform, ends_of
 from bodyseg_data.machine import SCRATCH
 from bodyseg_data.rigs import MAX_SIDE
@@ -117,7 +117,8 @@ class BodyCrop(Transform):
 
 @dataclass(frozen=True)
 class Flip(Transform):
-    """The image mirrored, left and right columns exchanged, and so the labels of left and right parts (`Part.mirror`).
+    """The image mirrored, left and right columns exchanged, and so the labels of classes that are mirror images
+    (`LabelClass.mirror`).
 
     share: of the samples that are mirrored, 0 to 1; each is drawn. The body seen is then the mirror image of the one
     rendered. Shadows of the projector lie on the other side, as of a rig whose projector stands there. Raises BadConfig
@@ -139,7 +140,7 @@ class Flip(Transform):
         return replace(
             image,
             range=ranges,
-            labels=looked_up(image.labels[:, ::-1], MIRRORED_LABELS),
+            labels=looked_up(image.labels[:, ::-1], image.classes.mirrored),
             centre_px=(image.range.shape[1] - x, y),
         )
 

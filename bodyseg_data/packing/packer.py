@@ -182,7 +182,7 @@ def pack(
                 late[body.mesh] = skips.reasons[body.mesh]
                 record_skips(state, late)
             manifest = Manifest(
-                rig=packing.rig,
+                rigs=(packing.rig,),
                 codec=packing.codec,
                 source=packing.source,
                 renderer=packing.renderer,

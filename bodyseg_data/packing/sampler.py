@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Final
 
 import numpy as np
@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts import ShadowTest, shadow_tests
 from bodyseg_data.bodies import BodyRef
-from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.labels import BACKGROUND, UNLABELLED
 from bodyseg_data.meshes import Mesh, Partition
 from bodyseg_data.packing.occluders import occluder_range
 from bodyseg_data.packing.things import Things, ThingsPlace, draw_things, nearest
 from bodyseg_data.rendering import Renderer, Surface
 from bodyseg_data.rigs import PlacedCamera, Rig
-from bodyseg_data.samples import HELD, Sample, SampleInfo, View, steps
+from bodyseg_data.samples import HELD, Sample, SampleInfo, Value, View, steps
 
 _SHARED: Final = 254  # stands for a triangle that parts share; no part has this number
 _SURE_M: Final = 1e-4  # a light this far from a triangle's plane is on one side of it, however its points are rounded
@@ -82,6 +82,7 @@ class Sampler:
         range_image = np.zeros(seen.face.shape, np.uint16)
         range_image.ravel()[measured] = steps(seen.range.take(measured), step_m, key)
         labels = np.full(seen.face.shape, BACKGROUND, np.uint8)
+        labels.ravel()[measured] = UNLABELLED
         labels.ravel()[pixels] = self._labels(faces, points)
         facing, occluders = [], []
         for test, projector in zip(self._tests, projectors, strict=True):
@@ -94,21 +95,10 @@ class Sampler:
             place, hidden_pct = HELD if self._holding else "", 0
         else:
             place, hidden_pct = self._place, round(100 * things.hidden)
-        info = SampleInfo(
-            source=self._source,
-            subset=body.subset,
-            subject=body.subject,
-            mesh=body.mesh,
-            pose=body.pose,
-            split=body.split,
-            distance_cm=view.distance_cm,
-            azimuth_deg=view.azimuth_deg,
-            pitch_deg=view.pitch_deg,
-            roll_deg=view.roll_deg,
-            height_cm=view.height_cm,
-            things=place,
-            hidden_pct=hidden_pct,
-        )
+        fields: dict[str, Value] = {"source": self._source}
+        fields |= {name: getattr(body, name) for name in ("subset", "subject", "mesh", "pose")}
+        fields |= asdict(view)
+        info = SampleInfo(body.split, {**fields, "things": place, "hidden_pct": hidden_pct})
         second = facing[1] if len(facing) == 2 else None
         sample = Sample(key, range_image, np.concatenate(occluders), labels, facing[0], info, faces_second=second)
         sample.check()
@@ -139,6 +129,7 @@ class Sampler:
         labels: NDArray[np.uint8] = self._part_of_face.take(faces)
         shared = np.flatnonzero(labels == _SHARED)
         labels[shared] = self._parts.labels_at(self._mesh, faces[shared], points.take(shared))
+        labels[labels == BACKGROUND] = UNLABELLED  # a thing that is held or worn
         return labels
 
     def _facing(self, faces: NDArray[np.int32], points: _Points, source: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -30,7 +30,15 @@ from bodyseg_data.packing.jobs import ordered
 from bodyseg_data.packing.options import Packing
 from bodyseg_data.packing.skipping import SKIPPABLE
 from bodyseg_data.samples import SPLITS, Split, View
-from bodyseg_data.shards import MANIFEST_NAME, ShardRecord, ShardWriter, read_manifest, record_from_json, record_to_json
+from bodyseg_data.shards import (
+    BODY_FIELDS,
+    MANIFEST_NAME,
+    ShardRecord,
+    TarWriter,
+    read_manifest,
+    record_from_json,
+    record_to_json,
+)
 
 STATE_NAME: Final = ".packing"
 _SKIPPED: Final = "skipped.json"
@@ -102,7 +110,7 @@ def write_shards(
     jobs = (partial(render, body, views) for shard in todo for body, views in shard.runs)
     with contextlib.closing(ordered(jobs, workers)) as results:
         for shard in todo:
-            with ShardWriter(out / shard.name, state / f"{shard.name}.part", shard.split) as writer:
+            with TarWriter(out / shard.name, state / f"{shard.name}.part", shard.split) as writer:
                 for body, views in shard.runs:
                     try:
                         rendered = next(results)
@@ -184,7 +192,9 @@ def finished_shards(out: Path, state: Path, names: Sequence[str]) -> dict[str, S
     else:
         for name in names:
             with contextlib.suppress(OSError, ValueError, RecursionError, BadShard):
-                known[name] = record_from_json(json.loads((state / f"{name}.json").read_bytes()), str(state))
+                known[name] = record_from_json(
+                    json.loads((state / f"{name}.json").read_bytes()), BODY_FIELDS, str(state)
+                )
     records = {name: known[name] for name in names if name in known and _intact(out / name, known[name])}
     if complete and len(records) < len(names):
         for record in records.values():

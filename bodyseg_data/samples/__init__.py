@@ -9,7 +9,9 @@ from bodyseg_data.core import lazy_door
 if TYPE_CHECKING:
     from bodyseg_data.samples.sample import (
         FARTHEST_STEPS,
+        FIELD_KINDS,
         HELD,
+        MOST_FIELDS,
         READ_SPLITS,
         SHADOW_THRESHOLDS,
         SPLITS,
@@ -18,9 +20,12 @@ if TYPE_CHECKING:
         Sample,
         SampleInfo,
         Split,
+        Value,
+        check_field_name,
         check_key,
         holds_postures,
         info_from_json,
+        kind_of,
         metres,
         motion_of,
         shape_of,
@@ -33,9 +38,9 @@ if TYPE_CHECKING:
 __getattr__, __all__ = lazy_door(
     __name__,
     {
-        "sample": "FARTHEST_STEPS HELD READ_SPLITS SHADOW_THRESHOLDS SPLITS Occupancy ReadSplit Sample SampleInfo "
-        "Split check_key holds_postures info_from_json metres motion_of shape_of split_by_motion split_by_order "
-        "steps",
+        "sample": "FARTHEST_STEPS FIELD_KINDS HELD MOST_FIELDS Occupancy READ_SPLITS ReadSplit SHADOW_THRESHOLDS "
+        "SPLITS Sample SampleInfo Split Value check_field_name check_key holds_postures info_from_json "
+        "kind_of metres motion_of shape_of split_by_motion split_by_order steps",
         "views": "View ViewGrid parse_choice split_key",
     },
 )

@@ -14,16 +14,18 @@ Splits are stored in shards. The split "val" is not: it is chosen out of train w
 
 from __future__ import annotations
 
+import math
 import re
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadSample
-from bodyseg_data.labels import BACKGROUND, PART_COUNT
+from bodyseg_data.labels import BACKGROUND, PART_COUNT, UNLABELLED
 from bodyseg_data.machine import compiled, use_compiled
 from bodyseg_data.samples.views import View
 
@@ -43,7 +45,7 @@ FARTHEST_STEPS: Final = np.float32(65535)
 _KEY = re.compile(r"[A-Za-z0-9_+-]{1,80}")  # no dots: readers of plain tars split names at the first one
 
 HELD: Final = "held"
-"""Value of `SampleInfo.things` for a body that holds or wears a thing and has none around it."""
+"""Value of the field `things` for a body that holds or wears a thing and has none around it."""
 
 
 @dataclass(frozen=True)
@@ -73,45 +75,97 @@ SHADOW_THRESHOLDS: Final = ShadowThresholds()
 """The thresholds of the format of shards."""
 
 
-_OPTIONAL: Final = frozenset({"pitch_deg", "roll_deg", "height_cm", "things", "hidden_pct"})
+Value = str | int | float | bool | tuple[float, ...]
+"""Value of a field of a description; a tuple of numbers for one such as a camera's pose."""
+
+FIELD_KINDS: Final[dict[str, type]] = {"text": str, "int": int, "float": float, "flag": bool, "numbers": tuple}
+"""Kinds of fields by the name that files give them."""
+
+MOST_FIELDS: Final = 64
+"""Largest number of fields of a description."""
+
+_FIELD: Final = re.compile(r"[a-z][a-z0-9_]{0,63}")
+_VIEW: Final = ("distance_cm", "azimuth_deg", "pitch_deg", "roll_deg", "height_cm")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SampleInfo:
-    """The origin of a sample. source: "open", "mit"; subset: the paper's group; split: "train" or "test".
+    """The description of a sample. split: "train" or "test". fields: name -> value, whatever the set says of it.
 
-    distance_cm, azimuth_deg, pitch_deg, roll_deg, height_cm: of its `View`. things: "before", "behind" or "both" where
-    things stand around the body (docs/reference/things.md), `HELD` where it only holds one, else ""; hidden_pct:
-    percent of the body's pixels that things around it hide.
+    A field is also an attribute: `info.subject`. Samples that are packed from bodies have source, subset (the paper's
+    group), subject, mesh, pose; distance_cm, azimuth_deg, pitch_deg, roll_deg, height_cm, of their `View`; things:
+    "before", "behind" or "both" where things stand around the body (docs/reference/things.md), `HELD` where it only
+    holds one, else ""; and hidden_pct: percent of the body's pixels that things around it hide.
+
+    Raises BadSample for another split, a name that is no lower-case word, or a value of no kind.
     """
 
-    source: str
-    subset: str
-    subject: str
-    mesh: str
-    pose: str
-    distance_cm: int
-    azimuth_deg: int
     split: Split
-    pitch_deg: int = 0
-    roll_deg: int = 0
-    height_cm: int = 0
-    things: str = ""
-    hidden_pct: int = 0
+    fields: Mapping[str, Value] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.split not in SPLITS:
+            raise BadSample(f"'split' must be one of {', '.join(SPLITS)}, found {self.split!r}")
+        if len(self.fields) > MOST_FIELDS:
+            raise BadSample(f"a description has at most {MOST_FIELDS} fields, found {len(self.fields)}")
+        for name, value in self.fields.items():
+            check_field_name(name)
+            kind_of(value, name)
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            return vars(self)["fields"][name]
+        except KeyError:
+            raise AttributeError(f"the sample's description has no field {name!r}") from None
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, SampleInfo) and (self.split, dict(self.fields)) == (other.split, dict(other.fields))
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """Return a field, or `default` where the description has none of that name."""
+        return self.fields.get(name, default)
+
+    def with_fields(self, **changed: Value) -> SampleInfo:
+        """Return a description with other values of some fields, or further ones."""
+        return SampleInfo(self.split, {**self.fields, **changed})
 
     @property
-    def view(self) -> View:
-        """The view that the sample was rendered from."""
-        return View(self.distance_cm, self.azimuth_deg, self.pitch_deg, self.roll_deg, self.height_cm)
+    def view(self) -> View | None:
+        """The view that a sample of a body was rendered from; None for samples that say nothing of one."""
+        found = {name: self.fields[name] for name in _VIEW if name in self.fields}
+        if not {"distance_cm", "azimuth_deg"} <= found.keys() or set(map(type, found.values())) != {int}:
+            return None
+        return View(**cast(dict[str, int], found))
 
     def to_json(self) -> dict[str, Any]:
-        """Convert to a JSON object; pitch, roll, height, things and what they hide only where there are any."""
-        return {name: value for name, value in asdict(self).items() if value or name not in _OPTIONAL}
+        """Convert to a JSON object."""
+        return {
+            "split": self.split,
+            **{name: list(v) if isinstance(v, tuple) else v for name, v in self.fields.items()},
+        }
 
 
-_NUMBERS: Final = ("_cm", "_deg", "_pct")
-_KINDS: Final = {name: int if name.endswith(_NUMBERS) else str for name in SampleInfo.__dataclass_fields__}
-_REQUIRED: Final = _KINDS.keys() - _OPTIONAL
+def check_field_name(name: Any) -> str:
+    """Return the name of a field. Raises BadSample unless it is a lower-case word like "robot_arm" and not "split"."""
+    if not isinstance(name, str) or not _FIELD.fullmatch(name) or name in ("split", "key", "fields", "view", "get"):
+        raise BadSample(f"a field must have a lower-case name like 'subject', and not 'split' or 'key', found {name!r}")
+    return name
+
+
+def kind_of(value: Any, name: str) -> str:
+    """Return the kind of a field's value (`FIELD_KINDS`). Raises BadSample, naming the field, for one of no kind."""
+    kind = next((kind for kind, accepted in FIELD_KINDS.items() if type(value) is accepted), None)
+    if kind is None:
+        kinds = "text, a whole number, a number, true or false, or a tuple of numbers"
+        raise BadSample(f"field {name!r} must be {kinds}, found {value!r}")
+    if kind == "int" and abs(value) >= 1 << 53:
+        raise BadSample(f"field {name!r} must be below 2**53, which JSON readers can tell apart, found {value!r}")
+    numbers = value if kind == "numbers" else (value,) if kind == "float" else ()
+    if not all(type(each) is float and math.isfinite(each) for each in numbers) or len(numbers) > 64:
+        raise BadSample(f"field {name!r} must hold finite numbers, at most 64, found {value!r}")
+    if kind == "text" and not value.isprintable():
+        raise BadSample(f"field {name!r} must be text that can be printed, found {value!r}")
+    return kind
 
 
 @dataclass(frozen=True)
@@ -128,16 +182,18 @@ class Occupancy:
 
 @dataclass(frozen=True, repr=False)
 class Sample:
-    """A clean rendering of one body from one view.
+    """A clean scene before one camera.
 
     range: uint16 [H, W], the camera's range in the rig's steps along its optical axis; 0 is background.
     projector_range: uint16 [Hp, Wp], the same for the projector; None if it was not read. Of a rig with two projectors,
     the second's rows follow the first's.
-    labels: uint8 [H, W], part 0..32, 255 where range is 0, and on things, of samples that have some (`info.things`).
+    labels: uint8 [H, W], classes of the set, 0 to 253, `UNLABELLED` (254) on surfaces of none, 255 where range is 0.
+    Read as batches need them, surfaces of no class are 255, too.
     faces_projector: bool [H, W], whether the surface seen is turned towards the projector (lit unless something
     stands between); False on background.
     occupancy: only of samples decoded into given arrays.
-    faces_second: as faces_projector, for a rig's second projector; None of a rig with one.
+    faces_second: as faces_projector, for a rig's second projector; None of a rig with one. planes: name -> uint8 or
+    uint16 [H, W], further images of integers that a set may have.
     """
 
     key: str
@@ -148,6 +204,7 @@ class Sample:
     info: SampleInfo
     occupancy: Occupancy | None = None
     faces_second: NDArray[np.bool_] | None = None
+    planes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         projector = "no" if self.projector_range is None else shape_of(self.projector_range)
@@ -159,8 +216,8 @@ class Sample:
             raise BadSample(f"{self.key}: the projector's range is needed, the sample was read without it")
         return self.projector_range
 
-    def check(self) -> None:
-        """Raise BadSample, naming the key, if the arrays break a rule of the format."""
+    def check(self, classes: int = PART_COUNT) -> None:
+        """Raise BadSample, naming the key, if the arrays break a rule of the format. classes: how many the set has."""
         check_key(self.key)
         kinds = {
             "range": np.uint16,
@@ -169,28 +226,35 @@ class Sample:
             "faces_projector": np.bool_,
             "faces_second": np.bool_,
         }
-        for field, kind in kinds.items():
-            array = getattr(self, field)
-            if array is None and field in ("projector_range", "faces_second"):
+        for name, kind in kinds.items():
+            array = getattr(self, name)
+            if array is None and name in ("projector_range", "faces_second"):
                 continue
             if array.dtype != kind or array.ndim != 2 or not array.size:
                 raise BadSample(
-                    f"{self.key}: {field} must be a 2D image of {kind.__name__}, found {array.dtype} {array.shape}"
+                    f"{self.key}: {name} must be a 2D image of {kind.__name__}, found {array.dtype} {array.shape}"
                 )
         masks = [mask for mask in (self.faces_projector, self.faces_second) if mask is not None]
         shapes = [self.range.shape, self.labels.shape, *(mask.shape for mask in masks)]
         if len(set(shapes)) > 1:
             found = ", ".join(map(str, shapes))
             raise BadSample(f"{self.key}: range, labels and facing must have one shape, found {found}")
+        if any(mask.view(np.uint8).max() > 1 for mask in masks):
+            raise BadSample(f"{self.key}: the rig has fewer projectors than the facing bits tell of")
         background = self.range == 0
-        unlabelled = self.labels == BACKGROUND
-        if not (np.array_equal(background, unlabelled) or (self.info.things and unlabelled[background].all())):
-            besides = "wherever range is 0" if self.info.things else "exactly where range is 0"
-            raise BadSample(f"{self.key}: labels must be {BACKGROUND} {besides}")
-        if (self.labels[~unlabelled] >= PART_COUNT).any():
-            raise BadSample(f"{self.key}: labels must be 0 to {PART_COUNT - 1}, found {self.labels[~unlabelled].max()}")
+        if not np.array_equal(background, self.labels == BACKGROUND):
+            raise BadSample(f"{self.key}: labels must be {BACKGROUND} exactly where range is 0")
+        classed = self.labels[self.labels < UNLABELLED]
+        if classed.size and int(classed.max()) >= classes:
+            raise BadSample(f"{self.key}: labels must be 0 to {classes - 1}, found {classed.max()}")
         if any((mask & background).any() for mask in masks):
             raise BadSample(f"{self.key}: background cannot face the projector")
+        for name, plane in self.planes.items():
+            if plane.dtype not in (np.uint8, np.uint16) or plane.shape != self.range.shape:
+                raise BadSample(
+                    f"{self.key}: the plane {name!r} must be uint8 or uint16 {self.range.shape}, "
+                    f"found {plane.dtype} {plane.shape}"
+                )
 
 
 def shape_of(image: NDArray[Any]) -> str:
@@ -221,16 +285,13 @@ def steps(range_m: NDArray[np.floating[Any]], step_m: float, where: str) -> NDAr
 
 def info_from_json(tree: Any, key: str) -> SampleInfo:
     """Check and read a sample's description. Raises BadSample."""
-    if not isinstance(tree, dict) or (tree.keys() != _REQUIRED and tree.keys() | _OPTIONAL != _KINDS.keys()):
-        raise BadSample(
-            f"{key}: the description must have exactly {sorted(_REQUIRED)}, and may have {sorted(_OPTIONAL)}"
-        )
-    for field, value in tree.items():
-        if type(value) is not _KINDS[field]:
-            raise BadSample(f"{key}: {field!r} must be {_KINDS[field].__name__}, found {value!r}")
-    if tree["split"] not in SPLITS:
-        raise BadSample(f"{key}: 'split' must be one of {', '.join(SPLITS)}, found {tree['split']!r}")
-    return SampleInfo(**tree)
+    if not isinstance(tree, dict) or "split" not in tree:
+        raise BadSample(f"{key}: the description must be an object with a 'split'")
+    fields: dict[str, Any] = {name: tuple(each) if isinstance(each, list) else each for name, each in tree.items()}
+    try:
+        return SampleInfo(fields.pop("split"), fields)
+    except BadSample as error:
+        raise BadSample(f"{key}: {error}") from error
 
 
 def split_by_order(subset: Literal["A", "people"], index: int) -> Split:

@@ -15,15 +15,20 @@ if TYPE_CHECKING:
         LARGEST_MANIFEST,
         MANIFEST_FORMAT,
         MANIFEST_NAME,
+        RIG_FIELD,
         Manifest,
+        ProjectorKind,
         SkippedMesh,
+        check_plane,
+        check_rigs,
         read_manifest,
         write_manifest,
     )
     from bodyseg_data.shards.records import (
         BODY_FIELDS,
-        VIEW_FIELDS,
         CheckedFile,
+        Fields,
+        Row,
         ShardRecord,
         record_from_json,
         record_to_json,
@@ -31,7 +36,7 @@ if TYPE_CHECKING:
     from bodyseg_data.shards.remote import RemoteFolder, RetryPolicy, open_store
     from bodyseg_data.shards.sample_codec import check_codec, decode_sample, encode_sample
     from bodyseg_data.shards.store import READ_ATTEMPTS, LocalFolder, Store, open_file
-    from bodyseg_data.shards.tar import ShardReader, ShardWriter
+    from bodyseg_data.shards.tar import ShardReader, TarWriter
 
 __getattr__, __all__ = lazy_door(
     __name__,
@@ -40,11 +45,12 @@ __getattr__, __all__ = lazy_door(
         "codecs": "CODECS CodecName",
         "codecs.png": "SIGNATURE check_checksums decode_chunks read_chunks read_header",
         "faults": "find_faults find_index_faults",
-        "manifest": "LARGEST_MANIFEST MANIFEST_FORMAT MANIFEST_NAME Manifest SkippedMesh read_manifest write_manifest",
-        "records": "BODY_FIELDS VIEW_FIELDS CheckedFile ShardRecord record_from_json record_to_json",
+        "manifest": "LARGEST_MANIFEST MANIFEST_FORMAT MANIFEST_NAME Manifest ProjectorKind RIG_FIELD SkippedMesh "
+        "check_plane check_rigs read_manifest write_manifest",
+        "records": "BODY_FIELDS CheckedFile Fields Row ShardRecord record_from_json record_to_json",
         "remote": "RemoteFolder RetryPolicy open_store",
         "sample_codec": "check_codec decode_sample encode_sample",
         "store": "READ_ATTEMPTS LocalFolder Store open_file",
-        "tar": "ShardReader ShardWriter",
+        "tar": "ShardReader TarWriter",
     },
 )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadSample, BadShard, Unreachable
 from bodyseg_data.shards.index import IndexedShards
-from bodyseg_data.shards.manifest import Manifest
+from bodyseg_data.shards.manifest import RIG_FIELD, Manifest
 from bodyseg_data.shards.records import ShardRecord, check_bytes, difference, location
 from bodyseg_data.shards.sample_codec import decode_sample
 from bodyseg_data.shards.store import Store, open_file, store_at
@@ -129,10 +129,17 @@ def find_faults(where: Path | Store, manifest: Manifest, shard: ShardRecord) -> 
 def _check_content(manifest: Manifest, shard: ShardRecord, index: int, data: bytes) -> None:
     key = shard.keys[index]
     sample = decode_sample(key, parse_members(key, data), projectors=len(manifest.rig.projectors))
-    sample.check()
+    sample.check(len(manifest.classes))
     if sample.info.split != shard.split:
         raise BadSample(f"{key}: belongs to {sample.info.split}, stored among {shard.split}")
-    differs = difference(sample.info, shard.descriptions.info(index, shard.split))
+    differs = difference(sample.info, shard.descriptions.info(index, shard.split), manifest.fields)
     if differs is not None:
         raise BadSample(f"{key}: the description differs from the manifest's: {differs}")
     check_sizes(sample, *image_sizes(manifest.rig))
+    found = {name: plane.dtype.name for name, plane in sample.planes.items()}
+    if found != dict(manifest.planes):
+        raise BadSample(f"{key}: the set has the planes {dict(manifest.planes) or 'none'}, found {found or 'none'}")
+    if (sample.projector_range is None) != (manifest.projector == "none"):
+        raise BadSample(f"{key}: the set's projector range is {manifest.projector!r}, the sample says otherwise")
+    if len(manifest.rigs) > 1 and not 0 <= sample.info.get(RIG_FIELD, -1) < len(manifest.rigs):
+        raise BadSample(f"{key}: field {RIG_FIELD!r} must number one of the set's {len(manifest.rigs)} rigs")

@@ -22,14 +22,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadSample, BadShard, write_chunks_atomically
-from bodyseg_data.samples import Split, check_key
+from bodyseg_data.samples import MOST_FIELDS, Split, check_key
+from bodyseg_data.shards.earlier import EARLIER_FIELDS, piece_as_current
 from bodyseg_data.shards.records import (
     BLOCK,
     LARGEST_SAMPLE,
     LARGEST_SHARD,
-    VIEW_FIELDS,
     Descriptions,
     Entry,
+    Fields,
     ShardRecord,
     check_head,
     check_sha256,
@@ -42,15 +43,15 @@ from bodyseg_data.shards.store import Store
 LARGEST_PIECE: Final = 1 << 26
 """Largest piece, bytes."""
 
-_HEADER: Final = struct.Struct("<4I")
-"""Numbers of samples, bodies and views; bytes of the text."""
+_HEADER: Final = struct.Struct("<3I")
+"""Numbers of samples and tables; bytes of the text. Each table's number of rows follows."""
 
 _ONE: Final = struct.Struct("<I")
 _TWO: Final = struct.Struct("<2I")
 
-_TEXT_FIELDS: Final = {"bodies", "stems", "tails", "notes"}
+_TEXT_FIELDS: Final = {"tables", "stems", "tails", "notes"}
 _VIEW_MARK: Final = "-d"
-"""Begins the part of a key that names the view."""
+"""Begins the part of a key that names the view, of samples of bodies; bodies are table 0 there, views table 1."""
 
 _KINDS: Final = tuple(map(np.dtype, ("u1", "<u2", "<u4")))
 
@@ -152,18 +153,18 @@ def table_from_json(tree: Any, where: str) -> ShardTable:
 class IndexedShards(Sequence[ShardRecord]):
     """Records of the shards of a set with an index. A record reads its piece when its samples are asked for.
 
-    store: gives the pieces. kept: gives them from the first `FETCHED_PIECES` on, such as one that keeps the whole file
-    on this machine. May be forked, pickled and used by several threads.
+    fields: of the descriptions. store: gives the pieces. kept: gives them from the first `FETCHED_PIECES` on, such as
+    one that keeps the whole file on this machine. May be forked, pickled and used by several threads.
     """
 
-    def __init__(self, table: ShardTable, store: Store, kept: Store | None = None) -> None:
-        self.table = table
+    def __init__(self, table: ShardTable, fields: Fields, store: Store, kept: Store | None = None) -> None:
+        self.table, self.fields = table, fields
         self._store, self._kept = store, kept or store
         self._fetched = 0
         self.piece = lru_cache(HELD_PIECES)(self._read_piece)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return IndexedShards, (self.table, self._store, self._kept)
+        return IndexedShards, (self.table, self.fields, self._store, self._kept)
 
     def __len__(self) -> int:
         return len(self.table)
@@ -179,7 +180,7 @@ class IndexedShards(Sequence[ShardRecord]):
 
     def kept_in(self, store: Store) -> IndexedShards:
         """Return these records, with pieces read from `store` from the first `FETCHED_PIECES` on."""
-        return IndexedShards(self.table, self._store, store)
+        return IndexedShards(self.table, self.fields, self._store, store)
 
     def where(self, number: int) -> str:
         """Place of a shard's piece, for messages."""
@@ -190,6 +191,8 @@ class IndexedShards(Sequence[ShardRecord]):
         store = self._store if self._fetched < FETCHED_PIECES else self._kept
         self._fetched += 1
         data = read_checked(store, self.table, number)
+        if self.fields == EARLIER_FIELDS:
+            data = piece_as_current(data, self.where(number))
         return Piece(data, int(self.table.samples[number]), self.where(number))
 
 
@@ -218,7 +221,9 @@ class _IndexedShard(ShardRecord):
         """The record with all columns, checked."""
         head = {name: getattr(self, name) for name in ("name", "split", "size", "sha256")}
         return record_from_json(
-            {**head, **self._shards.piece(self._number).to_json()}, self._shards.where(self._number)
+            {**head, **self._shards.piece(self._number).to_json()},
+            self._shards.fields,
+            self._shards.where(self._number),
         )
 
     @property
@@ -273,10 +278,10 @@ def write_index(records: Iterable[ShardRecord], folder: Path) -> ShardTable:
 def encode_piece(record: ShardRecord) -> bytes:
     """Encode a shard's record, without its name, split, size and hash. Raises BadShard if it would be too large."""
     described = record.descriptions
-    bodies, views = len(described.bodies), len(described.views)
+    counts = [*map(len, described.tables)]
     stems, tails = _divided_keys(record)
     text = {
-        "bodies": list(zip(*described.bodies, strict=True)),
+        "tables": described.to_json()["tables"],
         "stems": stems,
         "tails": tails,
         "notes": record.notes,
@@ -285,12 +290,11 @@ def encode_piece(record: ShardRecord) -> bytes:
     blocks = np.array([*record.offsets, record.offsets[-1] + record.lengths[-1]], np.int64) // BLOCK
     data = b"".join(
         (
-            _HEADER.pack(len(record), bodies, views, len(text_bytes)),
+            _HEADER.pack(len(record), len(counts), len(text_bytes)),
+            np.array(counts, "<u4").tobytes(),
             blocks.astype("<u4").tobytes(),
             np.array(record.crc32, "<u4").tobytes(),
-            np.array(described.body, _kind(bodies)).tobytes(),
-            np.array(described.view, _kind(views)).tobytes(),
-            np.array(described.views, "<i2").tobytes(),
+            *(np.array(rows, _kind(count)).tobytes() for rows, count in zip(described.rows, counts, strict=True)),
             text_bytes,
         )
     )
@@ -309,35 +313,48 @@ class Piece:
     def __init__(self, data: bytes, samples: int, where: str) -> None:
         if len(data) < _HEADER.size:
             raise BadShard(f"{where}: {len(data)} bytes are no index of a shard")
-        count, bodies, views, text_size = _HEADER.unpack_from(data)
+        count, tables, text_size = _HEADER.unpack_from(data)
+        if tables > MOST_FIELDS or _HEADER.size + 4 * tables > len(data):
+            raise BadShard(f"{where}: {len(data)} bytes cannot hold the sizes of {tables} tables")
         self._data, self._count, self._where = data, samples, where
-        self._body_kind, self._view_kind = _kind(bodies), _kind(views)
-        # The places of the columns: blocks, checksums, body, view, table of views, text.
-        self._crc32 = _HEADER.size + 4 * (count + 1)
-        self._body = self._crc32 + 4 * count
-        self._view = self._body + self._body_kind.itemsize * count
-        self._views = self._view + self._view_kind.itemsize * count
-        text = self._views + 2 * len(VIEW_FIELDS) * views
-        if not count or count != samples or text + text_size != len(data):
+        self._rows = np.frombuffer(data, "<u4", tables, _HEADER.size).tolist()
+        # The places of the columns: blocks, checksums, the rows of each table, text.
+        self._blocks = _HEADER.size + 4 * tables
+        self._crc32 = self._blocks + 4 * (count + 1)
+        self._columns = []
+        end = self._crc32 + 4 * count
+        for rows in self._rows:
+            self._columns.append(end)
+            end += _kind(rows).itemsize * count
+        if not count or count != samples or end + text_size != len(data):
             raise BadShard(f"{where}: the index must hold {samples} samples, found {len(data)} bytes for {count}")
-        self._text = _checked_text(data[text:], where)
+        self._text = _checked_text(data[end:], where)
         self._stems, self._tails = self._text["stems"], self._text["tails"]
-        if len(self._stems) != bodies or len(self._tails) not in (views, count):
-            raise BadShard(f"{where}: 'stems' and 'tails' must be as many as bodies, and as views or samples")
-        self._tail_of_view = len(self._tails) == views  # each sample is a view of its own where both are equal
+        self._whole_keys = not self._stems
+        if self._whole_keys:
+            fits = len(self._tails) == count
+        else:
+            fits = tables >= 2 and [len(self._stems), len(self._tails)] == self._rows[:2]
+        if not fits:
+            raise BadShard(
+                f"{where}: 'tails' must be as many as samples, or 'stems' and 'tails' as the first tables' rows"
+            )
 
     def __len__(self) -> int:
         return self._count
 
     def entry(self, index: int) -> Entry:
         """Place of sample `index`, 0 to before `len()`. Raises BadShard if it cannot be one."""
-        first, end = _TWO.unpack_from(self._data, _HEADER.size + 4 * index)
+        first, end = _TWO.unpack_from(self._data, self._blocks + 4 * index)
         (checksum,) = _ONE.unpack_from(self._data, self._crc32 + 4 * index)
-        body = self._number(self._body, self._body_kind, index)
-        tail = self._number(self._view, self._view_kind, index) if self._tail_of_view else index
-        if body >= len(self._stems) or tail >= len(self._tails):
-            raise BadShard(f"{self._where}: sample {index} is of a body or view that the index has not")
-        key, length = self._stems[body] + self._tails[tail], BLOCK * (end - first)
+        if self._whole_keys:
+            key = self._tails[index]
+        else:
+            body, view = self._row(0, index), self._row(1, index)
+            if body >= len(self._stems) or view >= len(self._tails):
+                raise BadShard(f"{self._where}: sample {index} has a row that its tables have not")
+            key = self._stems[body] + self._tails[view]
+        length = BLOCK * (end - first)
         try:
             check_key(key)
         except BadSample as error:
@@ -347,27 +364,28 @@ class Piece:
         return Entry(key, BLOCK * first, length, checksum)
 
     def to_json(self) -> dict[str, Any]:
-        """All fields of the shard's record in format 5 but its name, split, size and hash. Raises BadShard."""
+        """All fields of the shard's record but its name, split, size and hash. Raises BadShard."""
         data, count = self._data, self._count
-        blocks = np.frombuffer(data, "<u4", count + 1, _HEADER.size).astype(np.int64)
-        views = np.frombuffer(data[self._views :], "<i2", _HEADER.unpack_from(data)[2] * len(VIEW_FIELDS))
+        blocks = np.frombuffer(data, "<u4", count + 1, self._blocks).astype(np.int64)
         return {
             "samples": count,
             "keys": [self.entry(index).key for index in range(count)],
             "offsets": (BLOCK * blocks[:-1]).tolist(),
             "lengths": (BLOCK * np.diff(blocks)).tolist(),
             "crc32": np.frombuffer(data, "<u4", count, self._crc32).tolist(),
-            "bodies": self._text["bodies"],
-            "views": views.reshape(-1, len(VIEW_FIELDS)).T.tolist(),
-            "body": np.frombuffer(data, self._body_kind, count, self._body).tolist(),
-            "view": np.frombuffer(data, self._view_kind, count, self._view).tolist(),
+            "tables": self._text["tables"],
+            "rows": [
+                np.frombuffer(data, _kind(rows), count, column).tolist()
+                for rows, column in zip(self._rows, self._columns, strict=True)
+            ],
             "notes": self._text["notes"],
         }
 
-    def _number(self, column: int, kind: np.dtype[Any], index: int) -> int:
-        """Number `index` of a column that begins at byte `column`."""
-        start = column + kind.itemsize * index
-        return int.from_bytes(self._data[start : start + kind.itemsize], "little")
+    def _row(self, table: int, index: int) -> int:
+        """Number of a sample's row in a table."""
+        width = _kind(self._rows[table]).itemsize
+        start = self._columns[table] + width * index
+        return int.from_bytes(self._data[start : start + width], "little")
 
 
 def _kind(rows: int) -> np.dtype[Any]:
@@ -376,14 +394,17 @@ def _kind(rows: int) -> np.dtype[Any]:
 
 
 def _divided_keys(record: ShardRecord) -> tuple[list[str], list[str]]:
-    """First parts of the keys, one a body, and last parts, one a view; or nothing, and the keys of all samples."""
+    """First parts of keys, one a row of table 0, and last parts, one a row of table 1; or none, and whole keys."""
     described = record.descriptions
+    whole: tuple[list[str], list[str]] = [], list(record.keys)
+    if len(described.tables) < 2:
+        return whole
     stems: dict[int, str] = {}
     tails: dict[int, str] = {}
-    for key, body, view in zip(record.keys, described.body, described.view, strict=True):
+    for key, body, view in zip(record.keys, *described.rows[:2], strict=True):
         at = key.rfind(_VIEW_MARK)
         if at < 0 or stems.setdefault(body, key[:at]) != key[:at] or tails.setdefault(view, key[at:]) != key[at:]:
-            return [""] * len(described.bodies), list(record.keys)
+            return whole
     return [stems[row] for row in range(len(stems))], [tails[row] for row in range(len(tails))]
 
 
@@ -395,6 +416,6 @@ def _checked_text(data: bytes, where: str) -> dict[str, Any]:
     if not isinstance(text, dict) or set(text) != _TEXT_FIELDS:
         raise BadShard(f"{where}: the index's text must have the fields {sorted(_TEXT_FIELDS)}")
     for field in ("stems", "tails"):
-        if not isinstance(text[field], list) or set(map(type, text[field])) != {str}:
+        if not isinstance(text[field], list) or set(map(type, text[field])) - {str}:
             raise BadShard(f"{where}: {field!r} must be a list of text")
     return text

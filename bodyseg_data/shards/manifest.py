@@ -4,30 +4,52 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal, get_args
 
 from bodyseg_data.core import BadConfig, BadShard, write_atomically
-from bodyseg_data.labels import LANDMARKS
+from bodyseg_data.labels import PART_CLASSES, Classes, classes_from_json
 from bodyseg_data.rigs import Rig, rig_from_json
 from bodyseg_data.samples import Split
 from bodyseg_data.shards.codecs import CODECS
+from bodyseg_data.shards.earlier import EARLIER_FORMATS, manifest_as_current
 from bodyseg_data.shards.index import INDEX_NAME, IndexedShards, ShardTable, table_from_json, write_index
-from bodyseg_data.shards.records import ShardRecord, record_from_json, record_to_json
+from bodyseg_data.shards.records import (
+    BODY_FIELDS,
+    Fields,
+    ShardRecord,
+    fields_from_json,
+    record_from_json,
+    record_to_json,
+)
 from bodyseg_data.shards.store import READ_ATTEMPTS, LocalFolder, Store, store_at
 
 MANIFEST_NAME: Final = "manifest.json"
-MANIFEST_FORMAT: Final = "bodyseg shards 5"
-
-INDEXED_FORMAT: Final = "bodyseg shards 6"
-"""Format of a manifest whose samples are in an index beside it. The shards are those of `MANIFEST_FORMAT`."""
+MANIFEST_FORMAT: Final = "bodyseg shards 7"
 
 INDEXED_FROM: Final = 1 << 18
 """Number of samples from which on a manifest is written with an index."""
 
-_FIELDS: Final = {"format", "parts", "rig", "codec", "source", "renderer", "plan", "shards"}
+ProjectorKind = Literal["shadow", "exact", "none"]
+PROJECTOR_KINDS: Final[tuple[ProjectorKind, ...]] = get_args(ProjectorKind)
+"""What a set holds of the projector's range: as far as the shadow test needs it, all of it, or nothing."""
+
+PLANE_KINDS: Final = ("uint8", "uint16")
+"""Types of a sample's further planes."""
+
+MOST_RIGS: Final = 4096
+"""Largest number of rigs of a set."""
+
+RIG_FIELD: Final = "rig"
+"""Field of a sample's description that numbers its rig, in sets that have several."""
+
+_FIELDS: Final = frozenset(
+    ["format", "rigs", "classes", "fields", "projector", "planes", "codec", "source", "renderer", "plan", "shards"]
+)
+_PLANE: Final = re.compile(r"[a-z][a-z0-9_]{0,31}")
 LARGEST_MANIFEST: Final = 1 << 30
 """Largest manifest that is read, bytes."""
 
@@ -42,26 +64,36 @@ class SkippedMesh:
 
 @dataclass(frozen=True)
 class Manifest:
-    """Rig, codec, origin and shards of a set. plan: digest of all options of the packing. skipped: meshes that it left
-    out.
+    """Rigs, classes, codec, origin and shards of a set.
+
+    rigs: of the set; a sample of one that has several says by its field `RIG_FIELD` which is its own. plan: digest of
+    all options of the packing. skipped: meshes that it left out. classes: what labels mean. fields: of descriptions.
+    projector: what is stored of the projector's range. planes: name -> type of further images of each sample. read_as:
+    format of the file that was read, another than today's for a set packed before.
     """
 
-    rig: Rig
+    rigs: tuple[Rig, ...]
     codec: str
     source: str
     renderer: str
     plan: str
     shards: Sequence[ShardRecord]
     skipped: tuple[SkippedMesh, ...] = ()
+    classes: Classes = PART_CLASSES
+    fields: Fields = BODY_FIELDS
+    projector: ProjectorKind = "shadow"
+    planes: Mapping[str, str] = field(default_factory=dict)
+    read_as: str = MANIFEST_FORMAT
+    read_digest: str = ""
+
+    @property
+    def rig(self) -> Rig:
+        """The first rig, of most sets the only one."""
+        return self.rigs[0]
 
     def __repr__(self) -> str:
         size = f"{self.samples()} samples in {len(self.shards)} shards"
         return f"Manifest({size}, codec={self.codec!r}, source={self.source!r}, renderer={self.renderer!r})"
-
-    @property
-    def format(self) -> str:
-        """Format of the file."""
-        return INDEXED_FORMAT if isinstance(self.shards, IndexedShards) else MANIFEST_FORMAT
 
     @property
     def index(self) -> ShardTable | None:
@@ -79,15 +111,18 @@ class Manifest:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the content, in hexadecimal, as the file holds it; computed anew each time."""
-        return str(self.to_json()["digest"])
+        """SHA-256 of the content, in hexadecimal, as the file holds it; computed anew for one that was not read."""
+        return self.read_digest or str(self.to_json()["digest"])
 
     def to_json(self) -> dict[str, Any]:
-        """Convert to a JSON object, with a digest of its other fields."""
+        """Convert to a JSON object of today's format, with a digest of its other fields."""
         tree: dict[str, Any] = {
-            "format": self.format,
-            "parts": list(LANDMARKS),
-            "rig": self.rig.to_json(),
+            "format": MANIFEST_FORMAT,
+            "rigs": [rig.to_json() for rig in self.rigs],
+            "classes": self.classes.to_json(),
+            "fields": self.fields.to_json(),
+            "projector": self.projector,
+            "planes": dict(self.planes),
             "codec": self.codec,
             "source": self.source,
             "renderer": self.renderer,
@@ -111,9 +146,10 @@ def write_manifest(manifest: Manifest, folder: Path) -> Manifest:
 
     Raises BadShard for a shard of too many samples.
     """
+    manifest = replace(manifest, read_as=MANIFEST_FORMAT, read_digest="")
     if manifest.samples() >= INDEXED_FROM:
         table = write_index(manifest.shards, folder)
-        manifest = replace(manifest, shards=IndexedShards(table, LocalFolder(folder)))
+        manifest = replace(manifest, shards=IndexedShards(table, manifest.fields, LocalFolder(folder)))
     else:
         manifest = replace(manifest, shards=tuple(manifest.shards))
     write_atomically(folder / MANIFEST_NAME, _compact(manifest.to_json()) + b"\n")
@@ -152,24 +188,25 @@ def _contents(store: Store, path: str) -> bytes:
 
 
 def _tree(data: bytes, path: str) -> dict[str, Any]:
-    """Parse the file as JSON and check format and digest. Raises BadShard."""
+    """Parse the file as JSON and check format and digest, which stays in it. Raises BadShard."""
     try:
         tree = json.loads(data)
     except (ValueError, RecursionError) as error:
         raise BadShard(f"{path} cannot be read: {error}") from error
-    if not isinstance(tree, dict) or tree.get("format") not in (MANIFEST_FORMAT, INDEXED_FORMAT):
+    if not isinstance(tree, dict) or tree.get("format") not in (MANIFEST_FORMAT, *EARLIER_FORMATS):
         found = tree.get("format") if isinstance(tree, dict) else type(tree).__name__
-        raise BadShard(f"{path}: 'format' must be {MANIFEST_FORMAT!r} or {INDEXED_FORMAT!r}, found {found!r}")
+        known = ", ".join(map(repr, (*EARLIER_FORMATS, MANIFEST_FORMAT)))
+        raise BadShard(f"{path}: 'format' must be one of {known}, found {found!r}")
     stored = tree.pop("digest", None)
     if _is_as_written(data, stored):
-        return tree
+        return {**tree, "digest": stored}
     try:
         computed = _digest(tree)
     except RecursionError as error:  # brackets nested as deeply as can just be read
         raise BadShard(f"{path} cannot be read: {error}") from error
     if stored != computed:
         raise BadShard(f"{path}: altered after it was written: stored digest {stored}, computed {computed}")
-    return tree
+    return {**tree, "digest": stored}
 
 
 def _is_as_written(data: bytes, stored: Any) -> bool:
@@ -190,30 +227,94 @@ def _is_as_written(data: bytes, stored: Any) -> bool:
 
 
 def _manifest(tree: dict[str, Any], path: str, store: Store) -> Manifest:
-    if tree.get("parts") != list(LANDMARKS):
-        raise BadShard(f"{path}: 'parts' are not those of format {MANIFEST_FORMAT!r}")
+    digest, read_as = str(tree.pop("digest")), str(tree["format"])
+    if read_as in EARLIER_FORMATS:
+        tree = manifest_as_current(tree, path)
     skipped = _skipped(tree.pop("skipped", []), path)
     if set(tree) != _FIELDS:
         raise BadShard(f"{path}: format {MANIFEST_FORMAT!r} has the fields {sorted(_FIELDS)}, found {sorted(tree)}")
-    texts = {field: tree.get(field) for field in ("codec", "source", "renderer", "plan")}
-    for field, value in texts.items():
+    texts = {name: tree[name] for name in ("codec", "source", "renderer", "plan")}
+    for name, value in texts.items():
         if not isinstance(value, str):
-            raise BadShard(f"{path}: {field!r} must be text, found {value!r}")
-    if texts["codec"] not in CODECS:
-        raise BadShard(f"{path}: 'codec' must be one of {', '.join(CODECS)}, found {texts['codec']!r}")
+            raise BadShard(f"{path}: {name!r} must be text, found {value!r}")
+    for name, value, known in (
+        ("codec", tree["codec"], tuple(CODECS)),
+        ("projector", tree["projector"], PROJECTOR_KINDS),
+    ):
+        if value not in known:
+            raise BadShard(f"{path}: {name!r} must be one of {', '.join(known)}, found {value!r}")
     try:
-        rig = rig_from_json(tree.get("rig"))
+        rigs, classes = _rigs(tree["rigs"], path), classes_from_json(tree["classes"], path)
+    except BadConfig as error:
+        raise BadShard(str(error)) from error
+    fields = fields_from_json(tree["fields"], path)
+    if len(rigs) > 1 and fields.kinds.get(RIG_FIELD) != "int":
+        raise BadShard(
+            f"{path}: samples of a set with {len(rigs)} rigs must have the field {RIG_FIELD!r}, a whole number"
+        )
+    indexed = isinstance(tree["shards"], dict)
+    shards: Sequence[ShardRecord] = (
+        IndexedShards(table_from_json(tree["shards"], path), fields, store)
+        if indexed
+        else _records(tree["shards"], fields, path)
+    )
+    return Manifest(
+        rigs=rigs,
+        classes=classes,
+        fields=fields,
+        projector=tree["projector"],
+        planes=_planes(tree["planes"], path),
+        shards=shards,
+        skipped=skipped,
+        read_as=read_as,
+        read_digest=digest,
+        **texts,
+    )
+
+
+def _rigs(trees: Any, path: str) -> tuple[Rig, ...]:
+    if not isinstance(trees, list) or not 1 <= len(trees) <= MOST_RIGS:
+        raise BadShard(f"{path}: 'rigs' must be a list of 1 to {MOST_RIGS}")
+    try:
+        rigs = tuple(map(rig_from_json, trees))
     except BadConfig as error:
         raise BadShard(f"{path}: {error}") from error
-    indexed = tree["format"] == INDEXED_FORMAT
-    shards = IndexedShards(table_from_json(tree["shards"], path), store) if indexed else _records(tree["shards"], path)
-    return Manifest(rig=rig, shards=shards, skipped=skipped, **{field: str(value) for field, value in texts.items()})
+    check_rigs(rigs, path)
+    return rigs
 
 
-def _records(trees: Any, path: str) -> tuple[ShardRecord, ...]:
+def check_rigs(rigs: Sequence[Rig], where: str) -> None:
+    """Raise BadShard unless rigs can be of one set: images of one size, and steps of range of one length."""
+    first = rigs[0]
+    for rig in rigs[1:]:
+        same = (rig.camera.rows, rig.camera.columns) == (first.camera.rows, first.camera.columns)
+        if not same or rig.projector_shape != first.projector_shape or rig.range_step_m != first.range_step_m:
+            raise BadShard(
+                f"{where}: the rigs of a set have images of one size and one 'range_step_m', found {rig.name!r} beside "
+                f"{first.name!r}"
+            )
+
+
+def _planes(tree: Any, path: str) -> dict[str, str]:
+    if not isinstance(tree, dict):
+        raise BadShard(f"{path}: 'planes' must be an object, found {type(tree).__name__}")
+    for name, kind in tree.items():
+        check_plane(name, kind, path)
+    return dict(tree)
+
+
+def check_plane(name: Any, kind: Any, where: str) -> None:
+    """Raise BadShard, naming `where`, unless a sample may have a further image of this name and type."""
+    if not isinstance(name, str) or not _PLANE.fullmatch(name) or name in ("range", "labels", "projector", "facing"):
+        raise BadShard(f"{where}: a plane must have a lower-case name like 'instances', found {name!r}")
+    if kind not in PLANE_KINDS:
+        raise BadShard(f"{where}: the plane {name!r} must be of the type {' or '.join(PLANE_KINDS)}, found {kind!r}")
+
+
+def _records(trees: Any, fields: Fields, path: str) -> tuple[ShardRecord, ...]:
     if not isinstance(trees, list) or not trees:
         raise BadShard(f"{path}: 'shards' must be a list of at least one")
-    shards = tuple(record_from_json(record, path) for record in trees)
+    shards = tuple(record_from_json(record, fields, path) for record in trees)
     keys = [key for shard in shards for key in shard.keys]
     if len(set(keys)) != len(keys) or len({shard.name for shard in shards}) != len(shards):
         raise BadShard(f"{path}: sample keys and shard names must be unique")

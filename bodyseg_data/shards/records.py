@@ -1,6 +1,6 @@
 """Records of shards: place, checksum and description of each sample, and reads that are checked against them.
 
-Descriptions stand in the manifest as tables of bodies and views, and two numbers of rows a sample.
+Descriptions stand in the manifest as tables of rows that samples share, and one number of a row a sample and table.
 """
 
 from __future__ import annotations
@@ -9,24 +9,12 @@ import re
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from itertools import chain
+from functools import cached_property
 from typing import Any, Final, NamedTuple, Protocol
 
 from bodyseg_data.core import BadSample, BadShard
-from bodyseg_data.samples import SPLITS, SampleInfo, Split, check_key
+from bodyseg_data.samples import FIELD_KINDS, SPLITS, SampleInfo, Split, Value, check_field_name, check_key, kind_of
 from bodyseg_data.shards.store import READ_ATTEMPTS, Store
-
-BODY_FIELDS: Final = ("source", "subset", "subject", "mesh", "pose")
-"""Fields of `SampleInfo` in a row of the table of bodies."""
-
-VIEW_FIELDS: Final = ("distance_cm", "azimuth_deg", "pitch_deg", "roll_deg", "height_cm")
-"""Fields of `SampleInfo` in a row of the table of views."""
-
-DESCRIPTION_FIELDS: Final = ("bodies", "views", "body", "view")
-"""Fields of a shard's record that hold its `Descriptions`."""
-
-LARGEST_VALUE: Final = 32_767
-"""Largest number, without its sign, that a row of the table of views may hold."""
 
 BLOCK: Final = 512
 """Bytes of a block of a tar; samples are whole blocks."""
@@ -38,90 +26,170 @@ LARGEST_SHARD: Final = 1 << 40
 """Largest size of a shard, bytes."""
 
 _COLUMNS: Final = ("keys", "offsets", "lengths", "crc32")
-_RECORD_FIELDS: Final = {"samples", "name", "split", "size", "sha256", "notes", *_COLUMNS, *DESCRIPTION_FIELDS}
+_RECORD_FIELDS: Final = {"samples", "name", "split", "size", "sha256", "notes", *_COLUMNS, "tables", "rows"}
 _SHARD_NAME: Final = re.compile(r"[a-z]+-[0-9]{5}\.tar")
 _SHA256: Final = re.compile(r"[0-9a-f]{64}")
+
+
+Row = tuple[Value | None, ...]
+"""Row of a table of descriptions: a value of each of its fields, None where a sample has none."""
+
+
+@dataclass(frozen=True)
+class Fields:
+    """The fields that descriptions of a set's samples may have.
+
+    tables: the fields of each table, as (name, kind); kinds are those of `FIELD_KINDS`. Fields of one table change
+    together, such as those of a body, or of a view; each of its rows is stored once a shard. Raises BadShard for a name
+    given twice or that is none, or a kind that is none.
+    """
+
+    tables: tuple[tuple[tuple[str, str], ...], ...] = ()
+
+    def __post_init__(self) -> None:
+        if len(self.kinds) != sum(map(len, self.tables)):
+            raise BadShard("a field of descriptions is named once")
+        for name, kind in self.kinds.items():
+            try:
+                check_field_name(name)
+            except BadSample as error:
+                raise BadShard(str(error)) from error
+            if kind not in FIELD_KINDS:
+                raise BadShard(f"field {name!r} must be of the kinds {', '.join(FIELD_KINDS)}, found {kind!r}")
+
+    @cached_property
+    def kinds(self) -> dict[str, str]:
+        """Name -> kind of every field."""
+        return {name: kind for table in self.tables for name, kind in table}
+
+    @cached_property
+    def places(self) -> dict[str, tuple[int, int]]:
+        """Name -> number of the table, number of the column."""
+        return {name: (at, column) for at, table in enumerate(self.tables) for column, (name, _) in enumerate(table)}
+
+    def to_json(self) -> list[list[list[str]]]:
+        """Convert to JSON: a list of tables, each a list of [name, kind]."""
+        return [[[name, kind] for name, kind in table] for table in self.tables]
+
+
+def fields_from_json(tree: Any, where: str) -> Fields:
+    """Parse and check what `Fields.to_json` gave. Raises BadShard, naming `where`."""
+    pairs = [pair for table in tree for pair in table] if _is_table(tree) else [None]
+    if not all(isinstance(pair, list) and list(map(type, pair)) == [str, str] for pair in pairs):
+        raise BadShard(f"{where}: 'fields' must be lists of pairs, the name and the kind of a field")
+    try:
+        return Fields(tuple(tuple((name, kind) for name, kind in table) for table in tree))
+    except BadShard as error:
+        raise BadShard(f"{where}: {error}") from error
+
+
+def _is_table(tree: Any) -> bool:
+    return isinstance(tree, list) and all(isinstance(each, list) and each for each in tree)
+
+
+BODY_FIELDS: Final = Fields(
+    (
+        tuple((name, "text") for name in ("source", "subset", "subject", "mesh", "pose")),
+        tuple((name, "int") for name in ("distance_cm", "azimuth_deg", "pitch_deg", "roll_deg", "height_cm")),
+        (("things", "text"), ("hidden_pct", "int")),
+    )
+)
+"""Fields of sets that are packed from bodies."""
 
 
 @dataclass(frozen=True)
 class Descriptions:
     """Descriptions of a shard's samples.
 
-    bodies: rows of `BODY_FIELDS`, views: rows of `VIEW_FIELDS`; each row once, in the order of first use. body, view:
-    one entry a sample, in stored order: the number of its row.
+    fields: of the set. tables: rows of each of its tables, each row once, in the order of first use. rows: for each
+    table one entry a sample, in stored order: the number of its row.
     """
 
-    bodies: tuple[tuple[str, ...], ...]
-    views: tuple[tuple[int, ...], ...]
-    body: tuple[int, ...]
-    view: tuple[int, ...]
+    fields: Fields
+    tables: tuple[tuple[Row, ...], ...]
+    rows: tuple[tuple[int, ...], ...]
 
     def __repr__(self) -> str:
-        return f"Descriptions({len(self.body)} samples, {len(self.bodies)} bodies, {len(self.views)} views)"
+        return f"Descriptions({len(self.fields.kinds)} fields, {[*map(len, self.tables)]} rows)"
 
     def info(self, index: int, split: Split) -> SampleInfo:
         """Return the description of sample `index`. split: of the shard."""
-        body, view = self.bodies[self.body[index]], self.views[self.view[index]]
-        fields: dict[str, Any] = dict(zip((*BODY_FIELDS, *VIEW_FIELDS), (*body, *view), strict=True))
-        return SampleInfo(**fields, split=split)
+        found: dict[str, Value] = {}
+        for names, table, rows in zip(self.fields.tables, self.tables, self.rows, strict=True):
+            row = table[rows[index]]
+            found |= {name: value for (name, _), value in zip(names, row, strict=True) if value is not None}
+        return SampleInfo(split, found)
 
     def to_json(self) -> dict[str, Any]:
         """Convert to the fields of a shard's record; tables by column, so that a reader makes few lists."""
-        tables = {"bodies": list(zip(*self.bodies, strict=True)), "views": list(zip(*self.views, strict=True))}
-        return {**tables, "body": self.body, "view": self.view}
+        return {"tables": [list(zip(*table, strict=True)) for table in self.tables], "rows": self.rows}
 
 
-def describe(infos: Sequence[SampleInfo]) -> Descriptions:
-    """Join the descriptions of a shard's samples, in stored order."""
-    bodies: dict[tuple[str, ...], int] = {}
-    views: dict[tuple[int, ...], int] = {}
-    body, view = [], []
+def describe(infos: Sequence[SampleInfo], fields: Fields) -> Descriptions:
+    """Join the descriptions of a shard's samples, in stored order.
+
+    fields: of the set. Raises BadSample for a field that is none of them, or a value of another kind.
+    """
+    tables: list[dict[Row, int]] = [{} for _ in fields.tables]
+    rows: list[list[int]] = [[] for _ in fields.tables]
     for info in infos:
-        body.append(bodies.setdefault(tuple(getattr(info, field) for field in BODY_FIELDS), len(bodies)))
-        view.append(views.setdefault(tuple(getattr(info, field) for field in VIEW_FIELDS), len(views)))
-    return Descriptions(tuple(bodies), tuple(views), tuple(body), tuple(view))
+        for name, value in info.fields.items():
+            if name not in fields.kinds:
+                raise BadSample(f"the set has the fields {', '.join(fields.kinds) or 'split'}, found {name!r}")
+            if (kind := kind_of(value, name)) != fields.kinds[name]:
+                raise BadSample(f"field {name!r} must be of the kind {fields.kinds[name]}, found {value!r}, {kind}")
+        for names, table, numbers in zip(fields.tables, tables, rows, strict=True):
+            row = tuple(info.fields.get(name) for name, _ in names)
+            numbers.append(table.setdefault(row, len(table)))
+    return Descriptions(fields, tuple(map(tuple, tables)), tuple(map(tuple, rows)))
 
 
-def descriptions_from_json(record: dict[str, Any], where: str) -> Descriptions:
+def descriptions_from_json(record: dict[str, Any], fields: Fields, where: str) -> Descriptions:
     """Parse and check the descriptions in a shard's record. Raises BadShard, naming `where` and the rule."""
-    bodies, views = (
-        _table(record, table, width, kind, where)
-        for table, width, kind in (("bodies", len(BODY_FIELDS), str), ("views", len(VIEW_FIELDS), int))
+    tables, rows = record["tables"], record["rows"]
+    for name, given in (("tables", tables), ("rows", rows)):
+        if not isinstance(given, list) or len(given) != len(fields.tables) or set(map(type, given)) - {list}:
+            raise BadShard(f"{where}: {name!r} must be {len(fields.tables)} lists")
+    found = tuple(
+        _table(columns, names, f"{where}: table {at}")
+        for at, (columns, names) in enumerate(zip(tables, fields.tables, strict=True))
     )
-    if max(map(abs, chain.from_iterable(views)), default=0) > LARGEST_VALUE:
-        raise BadShard(f"{where}: 'views' must hold whole numbers of at most {LARGEST_VALUE}")
-    for column, table, rows in (("body", "bodies", bodies), ("view", "views", views)):
-        if list(dict.fromkeys(record[column])) != list(range(len(rows))):
-            raise BadShard(
-                f"{where}: {column!r} must number the rows of {table!r}, all of them, in the order of their first use"
-            )
-    return Descriptions(bodies, views, tuple(record["body"]), tuple(record["view"]))
+    for at, (numbers, table) in enumerate(zip(rows, found, strict=True)):
+        if len(numbers) != record["samples"] or set(map(type, numbers)) - {int}:
+            raise BadShard(f"{where}: 'rows' must have one whole number a sample and table")
+        if list(dict.fromkeys(numbers)) != list(range(len(table))):
+            raise BadShard(f"{where}: 'rows' must number the rows of table {at}, all, in the order of their first use")
+    return Descriptions(fields, found, tuple(map(tuple, rows)))
 
 
-def _table(record: dict[str, Any], name: str, width: int, kind: type, where: str) -> tuple[tuple[Any, ...], ...]:
-    columns = record[name]
-    if (
-        not isinstance(columns, list)
-        or set(map(type, columns)) != {list}
-        or len(columns) != width
-        or len(set(map(len, columns))) != 1
-    ):
-        raise BadShard(f"{where}: {name!r} must be {width} lists of one length")
-    if set(map(type, chain.from_iterable(columns))) - {kind}:
-        raise BadShard(f"{where}: {name!r} must hold {kind.__name__} only")
-    table = tuple(zip(*columns, strict=True))
-    if len(set(table)) < len(table):
-        raise BadShard(f"{where}: {name!r} must hold each row once")
-    return table
+def _table(columns: Any, names: tuple[tuple[str, str], ...], where: str) -> tuple[Row, ...]:
+    """The rows of a table that is given by columns."""
+    if len(columns) != len(names) or set(map(type, columns)) != {list} or len(set(map(len, columns))) != 1:
+        raise BadShard(f"{where} must be {len(names)} lists of one length")
+    checked = []
+    for (name, kind), column in zip(names, columns, strict=True):
+        values = [tuple(value) if isinstance(value, list) else value for value in column]
+        if set(map(type, values)) - {FIELD_KINDS[kind], type(None)}:
+            raise BadShard(f"{where}: {name!r} must hold {kind} or nothing")
+        try:
+            for value in set(values) - {None}:
+                kind_of(value, name)
+        except BadSample as error:
+            raise BadShard(f"{where}: {error}") from error
+        checked.append(values)
+    rows = tuple(zip(*checked, strict=True))
+    if len(set(rows)) != len(rows):
+        raise BadShard(f"{where} must hold each row once")
+    return rows
 
 
-def difference(stored: SampleInfo, listed: SampleInfo) -> str | None:
+def difference(stored: SampleInfo, listed: SampleInfo, fields: Fields) -> str | None:
     """Return one line on the first field in which a sample's own description differs from the manifest's, or None.
 
-    Fields that the manifest does not hold are the sample's own; the split is the shard's, which its reader compares.
+    fields: of the set. The split is the shard's, which its reader compares.
     """
-    for field in (*BODY_FIELDS, *VIEW_FIELDS):
-        own, other = getattr(stored, field), getattr(listed, field)
+    for field in fields.kinds:
+        own, other = stored.get(field), listed.get(field)
         if own != other:
             return f"{field!r} is {own!r}, in the manifest {other!r}"
     return None
@@ -207,13 +275,13 @@ def check_sha256(sha256: Any, where: str) -> None:
         raise BadShard(f"{where}: 'sha256' must be 64 hexadecimal digits")
 
 
-def record_from_json(tree: Any, where: str) -> ShardRecord:
-    """Parse and check a shard's record. Raises BadShard, naming `where` and the rule."""
+def record_from_json(tree: Any, fields: Fields, where: str) -> ShardRecord:
+    """Parse and check a shard's record. fields: of the set. Raises BadShard, naming `where` and the rule."""
     if not isinstance(tree, dict) or set(tree) != _RECORD_FIELDS:
-        raise BadShard(f"{where}: a shard's record has not the fields of format 5")
+        raise BadShard(f"{where}: a shard's record must have the fields {', '.join(sorted(_RECORD_FIELDS))}")
     check_head(tree["name"], tree["split"], tree["sha256"], where)
     where = f"{where}: {tree['name']}"
-    for column in (*_COLUMNS, "body", "view"):
+    for column in _COLUMNS:
         values = tree[column]
         if not isinstance(values, list) or len(values) != tree["samples"]:
             raise BadShard(f"{where}: {column!r} must have one entry a sample")
@@ -246,7 +314,7 @@ def record_from_json(tree: Any, where: str) -> ShardRecord:
         split=tree["split"],
         size=tree["size"],
         sha256=tree["sha256"],
-        descriptions=descriptions_from_json(tree, where),
+        descriptions=descriptions_from_json(tree, fields, where),
         **{column: tuple(tree[column]) for column in (*_COLUMNS, "notes")},
     )
 

@@ -3,25 +3,32 @@
 A sample is stored as tar members: `json`, and the images in one of two codecs, identified by the member names.
 
     bsi   one member of that name, "bodyseg images": runs, slopes, zstd (the default; docs/reference/shard_format.md)
-    png   range.png, projector.png, labels.png: for shards that any image tool opens
+    png   range.png, projector.png, labels.png, facing.png: for shards that any image tool opens
+
+Further planes are members of their own: plane.NAME.bsp, or plane.NAME.png.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BadSample
+from bodyseg_data.labels import UNLABELLED
 from bodyseg_data.samples import Occupancy, Sample, SampleInfo, info_from_json
 from bodyseg_data.shards.codecs import CODECS
-from bodyseg_data.shards.codecs.codec import DecodedImages, OutputArrays, join_labels, mark_things, take_second_facing
+from bodyseg_data.shards.codecs.codec import FACING, SECOND_FACING, DecodedImages, ImageCodec, OutputArrays
+from bodyseg_data.shards.codecs.png import EarlierPngImages
+from bodyseg_data.shards.earlier import completed
 
-_BY_MEMBERS: Final = {frozenset((*codec.members, "json")): codec for codec in CODECS.values()}
+_READ: Final[tuple[ImageCodec, ...]] = (*CODECS.values(), EarlierPngImages())
+_BY_MEMBERS: Final = {frozenset((*codec.members, "json")): codec for codec in _READ}
+_PLANE: Final = "plane."
 
 
 def check_codec(name: str) -> str:
@@ -34,16 +41,18 @@ def check_codec(name: str) -> str:
 def encode_sample(sample: Sample, codec: str = "bsi") -> dict[str, bytes]:
     """Encode a sample as tar members: extension -> bytes. The same sample gives the same bytes.
 
-    Raises BadConfig for an unknown codec, BadSample for a sample that was read without its occluder range or, with
-    "bsi", whose labels and range disagree on the background.
+    Raises BadConfig for an unknown codec, BadSample for a sample that, with "bsi", has labels and range that disagree
+    on the background.
     """
     chosen = CODECS[check_codec(codec)]
-    named = mark_things(sample.labels, sample.range) if sample.info.things else sample.labels
-    labels = join_labels(named, sample.faces_projector, sample.faces_second)
-    projector = sample.occluder_range()
+    facing = sample.faces_projector.view(np.uint8) * np.uint8(FACING)
+    if sample.faces_second is not None:
+        facing |= sample.faces_second.view(np.uint8) * np.uint8(SECOND_FACING)
     members = {"json": json.dumps(sample.info.to_json(), sort_keys=True).encode()}
+    for name, plane in sample.planes.items():
+        members |= {f"{_PLANE}{name}.{ending}": data for ending, data in chosen.encode_plane(plane).items()}
     try:
-        return members | chosen.encode(sample.range, labels, projector)
+        return members | chosen.encode(sample.range, sample.labels, facing, sample.projector_range)
     except ValueError as error:
         raise BadSample(f"{sample.key}: {error}") from error
 
@@ -54,35 +63,63 @@ def decode_sample(
     projector: bool = True,
     out: OutputArrays | None = None,
     projectors: int = 1,
+    unlabelled: int = UNLABELLED,
+    planes: Sequence[str] | None = None,
 ) -> Sample:
     """Decode the members that `encode_sample` gives, of either codec.
 
-    projector: decode the occluder range, too. out: arrays for range and labels, uint16 and uint8 [H, W], contiguous,
+    projector: decode the projector's range, too. out: arrays for range and labels, uint16 and uint8 [H, W], contiguous,
     used if the codec supports it; the sample is then valid until this thread decodes another one, and its `info` is
-    parsed when it is asked for. projectors: how many the rig has, 1 or 2.
+    parsed when it is asked for. projectors: how many the rig has, 1 or 2. unlabelled: the label to give to surfaces of
+    no class, 254 as stored or 255. planes: names of further planes to decode, None for all.
 
     Raises BadSample, naming key and member, for members that are missing, unknown or damaged; with `out`, a damaged
     description raises when it is asked for.
     """
-    codec = _BY_MEMBERS.get(frozenset(members))
+    stored = {name: data for name, data in members.items() if name.startswith(_PLANE)}
+    codec = _BY_MEMBERS.get(frozenset(members.keys() - stored.keys()))
     if codec is None:
         known = " or ".join(", ".join(sorted([*codec.members, "json"])) for codec in CODECS.values())
         raise BadSample(f"{key}: a sample has the members {known}, found {', '.join(sorted(members)) or 'none'}")
     try:
-        images = codec.decode(members, projector, out)
+        images = codec.decode(members, projector, out, unlabelled)
     except ValueError as error:
         raise BadSample(f"{key}: {error}") from error
-    second = take_second_facing(images.labels) if projectors == 2 else None
+    first, second = _masks(images.facing, projectors)
+    found = _planes(key, codec, stored, planes) if stored and planes != () else {}
     if out is None:
         info = parse_info(members["json"], key)
-        return Sample(key, images.range, images.occluder, images.labels, images.facing, info, faces_second=second)
-    return _IntoArrays.of(key, images, second, members["json"])
+        return Sample(key, images.range, images.occluder, images.labels, first, info, faces_second=second, planes=found)
+    return _IntoArrays.of(key, images, (first, second), found, members["json"])
+
+
+def _masks(facing: NDArray[np.uint8], projectors: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_] | None]:
+    """The pixels that face the first projector and, of a rig that has one, the second."""
+    if projectors == 1:
+        return facing.view(np.bool_), None
+    return (facing & np.uint8(FACING)).view(np.bool_), (facing >> np.uint8(1)).view(np.bool_)
+
+
+def _planes(
+    key: str, codec: ImageCodec, stored: Mapping[str, bytes], names: Sequence[str] | None
+) -> dict[str, NDArray[Any]]:
+    """Decode the planes that are asked for. Raises BadSample, naming the member."""
+    found = {}
+    for member, data in stored.items():
+        name = member.removeprefix(_PLANE).partition(".")[0]
+        if names is not None and name not in names:
+            continue
+        try:
+            found[name] = codec.decode_plane(data)
+        except ValueError as error:
+            raise BadSample(f"{key}: {member}: {error}") from error
+    return found
 
 
 def parse_info(description: bytes, key: str) -> SampleInfo:
     """Parse a sample's member `json`. Raises BadSample, naming the key."""
     try:
-        return info_from_json(json.loads(description), key)
+        return completed(info_from_json(json.loads(description), key))
     except (ValueError, RecursionError) as error:
         raise BadSample(f"{key}: json: {error}") from error
 
@@ -93,16 +130,24 @@ class _IntoArrays(Sample):
     _description: bytes
 
     @classmethod
-    def of(cls, key: str, images: DecodedImages, second: NDArray[np.bool_] | None, description: bytes) -> Sample:
+    def of(
+        cls,
+        key: str,
+        images: DecodedImages,
+        facing: tuple[NDArray[np.bool_], NDArray[np.bool_] | None],
+        planes: Mapping[str, NDArray[Any]],
+        description: bytes,
+    ) -> Sample:
         sample = cls.__new__(cls)  # not by __init__, which needs the description
         sample.__dict__.update(
             key=key,
             range=images.range,
             projector_range=images.occluder,
             labels=images.labels,
-            faces_projector=images.facing,
+            faces_projector=facing[0],
             occupancy=Occupancy(images.edges, images.texels),
-            faces_second=second,
+            faces_second=facing[1],
+            planes=planes,
             _description=description,
         )
         return sample

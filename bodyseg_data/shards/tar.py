@@ -10,27 +10,30 @@ import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Final
+from typing import IO, Any, Final
+
+from numpy.typing import NDArray
 
 from bodyseg_data.core import BadSample, BadShard, one_line, sync
+from bodyseg_data.labels import UNLABELLED
 from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import Sample, SampleInfo, Split, check_key
 from bodyseg_data.shards.codecs.codec import OutputArrays
 from bodyseg_data.shards.manifest import Manifest
-from bodyseg_data.shards.records import BLOCK, ShardRecord, describe, location, read_checked
+from bodyseg_data.shards.records import BLOCK, BODY_FIELDS, Fields, ShardRecord, describe, location, read_checked
 from bodyseg_data.shards.sample_codec import decode_sample, parse_info
 from bodyseg_data.shards.store import Store, store_at
 
 
-class ShardWriter:
+class TarWriter:
     """Writer of one shard to the file `aside`, which is renamed to `path` on success and removed after an error.
 
-    Owners, modes and times in the tar are fixed, so the same samples give the same bytes. record: the shard's record
-    once it is closed, None before.
+    Owners, modes and times in the tar are fixed, so the same samples give the same bytes. fields: of descriptions in
+    the set. record: the shard's record once it is closed, None before.
     """
 
-    def __init__(self, path: Path, aside: Path, split: Split) -> None:
-        self._path, self._aside, self._split = path, aside, split
+    def __init__(self, path: Path, aside: Path, split: Split, fields: Fields = BODY_FIELDS) -> None:
+        self._path, self._aside, self._split, self._fields = path, aside, split, fields
         self._sha256 = hashlib.sha256()
         self._size = 0
         self._keys: list[str] = []
@@ -41,7 +44,7 @@ class ShardWriter:
         self._infos: list[SampleInfo] = []
         self.record: ShardRecord | None = None
 
-    def __enter__(self) -> ShardWriter:
+    def __enter__(self) -> TarWriter:
         self._file: IO[bytes] = self._aside.open("wb")
         return self
 
@@ -92,7 +95,7 @@ class ShardWriter:
                     lengths=tuple(self._lengths),
                     crc32=tuple(self._crc32),
                     notes=tuple(self._notes),
-                    descriptions=describe(self._infos),
+                    descriptions=describe(self._infos, self._fields),
                 )
         finally:
             if self.record is None:
@@ -152,8 +155,16 @@ class ShardReader:
         self._store, self._manifest = store_at(where), manifest
         self._sizes, self._projectors = image_sizes(manifest.rig), len(manifest.rig.projectors)
 
-    def read(self, shard: int, index: int, projector: bool = True, out: OutputArrays | None = None) -> Sample:
-        """Read sample `index` of shard number `shard`. projector, out: see `decode_sample`.
+    def read(
+        self,
+        shard: int,
+        index: int,
+        projector: bool = True,
+        out: OutputArrays | None = None,
+        unlabelled: int = UNLABELLED,
+        planes: Sequence[str] | None = None,
+    ) -> Sample:
+        """Read sample `index` of shard number `shard`. projector, out, unlabelled, planes: see `decode_sample`.
 
         Raises BadShard, naming shard, key and offset, for bytes that are missing, altered or no sample of the set's
         rig; Unreachable if a remote set cannot be reached.
@@ -161,7 +172,8 @@ class ShardReader:
         record = self._manifest.shards[shard]
         data, key = read_checked(self._store, record, index), record.entry(index).key
         try:
-            sample = decode_sample(key, parse_members(key, data), projector, out, self._projectors)
+            members = parse_members(key, data)
+            sample = decode_sample(key, members, projector, out, self._projectors, unlabelled, planes)
             check_sizes(sample, *self._sizes)
         except BadSample as error:
             raise BadShard(f"{location(record, index)}: {error}") from error
@@ -199,11 +211,13 @@ def image_sizes(rig: Rig) -> tuple[tuple[int, int], tuple[int, int]]:
 
 def check_sizes(sample: Sample, camera: tuple[int, int], projector: tuple[int, int]) -> None:
     """Raise BadSample unless the images have the rows and columns of the rig's camera and projectors."""
-    for field, image, size in (
+    images: list[tuple[str, NDArray[Any] | None, tuple[int, int]]] = [
         ("range", sample.range, camera),
         ("labels", sample.labels, camera),
         ("faces_projector", sample.faces_projector, camera),
         ("projector_range", sample.projector_range, projector),
-    ):
+        *((f"plane {name}", plane, camera) for name, plane in sample.planes.items()),
+    ]
+    for field, image, size in images:
         if image is not None and image.shape != size:
             raise BadSample(f"{sample.key}: {field} must be {size[0]} x {size[1]} as in the rig, found {image.shape}")

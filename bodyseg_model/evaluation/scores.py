@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts import box_of
 from bodyseg_data.core import BadConfig
-from bodyseg_data.labels import BACKGROUND, PART_COUNT, PARTS33, LabelMap, Part
+from bodyseg_data.labels import BACKGROUND, PART_CLASSES, PART_COUNT, PARTS, PARTS33, LabelMap, Part
 
 
 def pairs_of(truth: NDArray[np.uint8], predicted: NDArray[np.uint8], classes: int = PART_COUNT) -> NDArray[np.int64]:
@@ -333,9 +333,11 @@ def kinds_of(label_map: LabelMap) -> NDArray[np.uint8]:
 def _kind(label_map: LabelMap, truth: int, predicted: int) -> str:
     if truth == predicted:
         return "right"
-    if label_map.mirrored[truth] == predicted:
+    if label_map.has_mirror_image and label_map.mirrored[truth] == predicted:
         return "left/right"
-    true_parts, predicted_parts = label_map.parts[truth], label_map.parts[predicted]
+    if label_map.of != PART_CLASSES:
+        return "other"
+    true_parts, predicted_parts = ([PARTS[part] for part in label_map.members[label]] for label in (truth, predicted))
     names = {_without_side(part) for part in (*true_parts, *predicted_parts)}
     faces = [{part.face for part in parts} for parts in (true_parts, predicted_parts)]
     if any(names <= {*region} for region in REGIONS.values()) and faces in _OPPOSITE:

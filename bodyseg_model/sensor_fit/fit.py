@@ -175,8 +175,7 @@ def simulate(clean_m: Floats, recording: MarkedRecording, sensor: SensorModel) -
     rig = Rig("frame", 1.0, recording.camera, recording.camera)
     steps = np.rint(clean_m / rig.range_step_m).clip(0, 65535).astype(np.uint16)
     labels = np.where(steps > 0, 0, BACKGROUND).astype(np.uint8)
-    info = SampleInfo("frame", "", "", "", "", 0, 0, "test")
-    sample = Sample("frame", steps, None, labels, steps > 0, info)
+    sample = Sample("frame", steps, None, labels, steps > 0, SampleInfo("test"))
     return Augmentation(rig, "all", 0, without)(sample).range.astype(np.float64) * rig.range_step_m
 
 

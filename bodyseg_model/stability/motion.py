@@ -195,16 +195,8 @@ def _frame(
         facing.append(np.zeros(labels.shape, np.bool_))
         towards = faces_towards(body.mesh, rendered.faces, rendered.points, projector.position)
         facing[-1].ravel()[rendered.pixels] = towards
-    info = SampleInfo(
-        source=source,
-        subset=ref.subset,
-        subject=ref.subject,
-        mesh=ref.mesh,
-        pose=ref.pose,
-        split=ref.split,
-        distance_cm=view.distance_cm,
-        azimuth_deg=view.azimuth_deg,
-    )
+    described = {"source": source, "subset": ref.subset, "subject": ref.subject, "mesh": ref.mesh, "pose": ref.pose}
+    info = SampleInfo(ref.split, {**described, "distance_cm": view.distance_cm, "azimuth_deg": view.azimuth_deg})
     camera_range, projector_range = (steps(seen, step_m, key) for seen in (rendered.surface.range, np.concatenate(lit)))
     second = facing[1] if len(facing) == 2 else None
     sample = Sample(key, camera_range, projector_range, labels, facing[0], info, faces_second=second)

@@ -18,7 +18,7 @@ from bodyseg_data.drawing import Window, colour_range, span_of, window_of
 from bodyseg_data.labels import BACKGROUND, PARTS33
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.rigs import PlacedCamera
-from bodyseg_data.samples import ReadSplit, Sample, metres
+from bodyseg_data.samples import ReadSplit, Sample, View, metres
 from bodyseg_model.evaluation import KINDS, RigFit, kinds_of, told_kinds
 from bodyseg_model.networks import Trained, device_of, predict
 from bodyseg_model.viewing.pictures import (
@@ -145,7 +145,7 @@ class SetView:
         milliseconds = 0.0
         if self.trained is not None and shown.network:
             layers, milliseconds = self._answered(self.trained, layers)
-        return SampleImages(sample, made, layers, milliseconds, rig_before(self.rig, sample.info.view))
+        return SampleImages(sample, made, layers, milliseconds, rig_before(self.rig, sample.info.view or View(255, 0)))
 
     def draw(self, shown: Shown) -> Drawing:
         """Draw a sample. Raises as `images_of`."""
@@ -242,9 +242,10 @@ class SetView:
         """Lines of text on a sample: its key, its view, and how much of it the network has right."""
         sample, image, layers = images.sample, images.variants[shown.variant], images.layers
         info, caption = sample.info, shown.sensor.caption(image.drawn)
+        named = [str(info.get(name, "")) for name in ("subject", "pose")]
         facts = [
             sample.key,
-            f"{info.subject}, {info.pose}, {info.view.words}, split {info.split}",
+            ", ".join(filter(None, (*named, info.view.words if info.view else "", f"split {info.split}"))),
             f"{_pixels(image.range)} of {np.count_nonzero(sample.range)} measured in {shown.variant}"
             + (f": {caption}" if caption else ""),
         ]

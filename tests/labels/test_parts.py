@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bodyseg_data.labels import BACKGROUND, LANDMARKS, MIRRORED_LABELS, PART_COUNT, PARTS, colour_labels
-from bodyseg_data.labels.label_map import COLOURS
+from bodyseg_data.labels import BACKGROUND, LANDMARKS, PART_CLASSES, PART_COUNT, PARTS, colour_labels
+from bodyseg_data.labels.parts import COLOURS
 
 
 def test_there_are_33_parts_in_the_documented_order() -> None:
@@ -35,9 +35,9 @@ def test_a_mirror_exchanges_left_and_right_and_nothing_else() -> None:
 
 
 def test_mirrored_labels_are_those_of_the_table() -> None:
-    assert MIRRORED_LABELS.dtype == np.uint8
-    assert MIRRORED_LABELS[:PART_COUNT].tolist() == [part.mirror for part in PARTS]
-    assert MIRRORED_LABELS[PART_COUNT:].tolist() == list(range(PART_COUNT, 256))
+    assert PART_CLASSES.mirrored.dtype == np.uint8
+    assert PART_CLASSES.mirrored[:PART_COUNT].tolist() == [part.mirror for part in PARTS]
+    assert PART_CLASSES.mirrored[PART_COUNT:].tolist() == list(range(PART_COUNT, 256))
 
 
 def test_colours_are_told_apart() -> None:

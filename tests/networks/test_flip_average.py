@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from toy_network import Toy
 
 from bodyseg_data.core import BadConfig
-from bodyseg_data.labels import MIRRORED_LABELS, PARTS33, LabelMap, load_label_map
+from bodyseg_data.labels import PART_CLASSES, PARTS33, LabelMap, load_label_map
 from bodyseg_model.networks import FlipAverage, Network, Trained, build, load_network, predict
 from bodyseg_model.runtimes import backend_of, on_backend, put_on_backend, to_device
 
@@ -56,7 +56,7 @@ def test_a_mirror_image_gets_the_mirrored_labels() -> None:
     frame[100:560, 90:250] = 2.5 + np.random.default_rng(0).normal(0, 0.1, (460, 160)).cumsum(0).cumsum(1) / 3000
     labels, mirrored = (predict(network, batch(each)).labels[0].numpy() for each in (frame, frame[:, ::-1]))
     assert len(np.unique(labels)) > 5
-    assert (MIRRORED_LABELS[labels[:, ::-1]] == mirrored).mean() > 0.9999  # sums are rounded in another order
+    assert (PART_CLASSES.mirrored[labels[:, ::-1]] == mirrored).mean() > 0.9999  # sums are rounded in another order
     plain = predict(load_network().network, batch(frame)).labels[0].numpy()
     assert (plain != labels).any()
 

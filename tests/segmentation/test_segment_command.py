@@ -21,7 +21,7 @@ from PIL import Image
 from pngs import pixels, png
 from small_rig import SMALL
 
-from bodyseg_data.labels import BACKGROUND, LANDMARKS, MIRRORED_LABELS, PARTS33, LabelMap, load_label_map
+from bodyseg_data.labels import BACKGROUND, LANDMARKS, PART_CLASSES, PARTS33, LabelMap, load_label_map
 from bodyseg_data.rigs import load_sensor
 from bodyseg_model.commands import cli, segment
 from bodyseg_model.networks import Trained, build, save_network
@@ -235,7 +235,7 @@ def test_the_mirror_image_may_be_labelled_too(recording: Path, tmp_path: Path, n
     )
     one, both = (pixels(tmp_path / name / "labels" / "7.png") for name in ("one", "both"))
     # Labels of this network do not depend on the side, so left and right parts of a row get half each.
-    np.testing.assert_array_equal(np.minimum(one, MIRRORED_LABELS[one]), both)
+    np.testing.assert_array_equal(np.minimum(one, PART_CLASSES.mirrored[one]), both)
     assert report(tmp_path / "both")["mean_confidence"] < report(tmp_path / "one")["mean_confidence"]
 
 

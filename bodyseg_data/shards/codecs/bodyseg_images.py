@@ -1,8 +1,9 @@
-"""The default codec: a sample's three images in one file (docs/reference/shard_format.md).
+"""The default codec: a sample's images in one file (docs/reference/shard_format.md).
 
-Labels are stored as runs, ranges as residuals of the surface's slope, the occluder range as runs. Each sequence of
-numbers is a zstd block with its own Huffman table, in two frames, so that the occluder range need not be decoded. A
-CRC-32 of the file detects altered bytes, and every size is checked before memory is allocated.
+Labels and facing are stored as runs, ranges as residuals of the surface's slope, the projector's range as runs where it
+was reduced to what the shadow test needs, and as the camera's where it was not. Each sequence of numbers is a zstd
+block with its own Huffman table, in two frames, so that the projector's range need not be decoded. A CRC-32 of the file
+detects altered bytes, and every size is checked before memory is allocated.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.labels import BACKGROUND, UNLABELLED
 from bodyseg_data.machine import use_compiled
 from bodyseg_data.rigs import MAX_SIDE
-from bodyseg_data.shards.codecs.codec import DecodedImages, OutputArrays
+from bodyseg_data.shards.codecs.codec import FACING, SECOND_FACING, DecodedImages, OutputArrays
 from bodyseg_data.shards.codecs.residuals import (
     ESCAPE,
     Box,
@@ -39,12 +40,17 @@ from bodyseg_data.shards.codecs.residuals import (
     from_byte_planes,
     to_byte_planes,
 )
+from bodyseg_data.shards.earlier import split_label_bytes
 
-_MAGIC: Final = b"BSI2"
+_MAGIC: Final = b"BSI3"
+_EARLIER_MAGIC: Final = b"BSI2"
+_PLANE_MAGIC: Final = b"BSP1"
 _START: Final = struct.Struct("<4sI")  # the magic, a CRC-32 of all that follows
 _CAMERA: Final = struct.Struct("<6H6I")
-_PROJECTOR: Final = struct.Struct("<6H2I")
-_HEADER_SIZE: Final = _START.size + _CAMERA.size + _PROJECTOR.size
+_PROJECTOR: Final = struct.Struct("<H6H5I")
+_EARLIER_PROJECTOR: Final = struct.Struct("<6H2I")
+_PLANE: Final = struct.Struct("<H2H2I")  # bytes a pixel, rows, columns, runs, long runs
+_NONE, _RUNS, _SLOPES = 0, 1, 2  # how the projector's range is stored
 
 Range = NDArray[np.uint16]
 PixelIndices = NDArray[np.int32]
@@ -65,7 +71,7 @@ class CameraCounts(NamedTuple):
     def sizes(self) -> list[int]:
         """Bytes of each row of the frame."""
         steps = self.pixels - self.starts
-        return [self.runs, self.runs, 4 * self.long, 2 * self.starts, steps, 2 * self.escapes]
+        return [self.runs, self.runs, self.runs, 4 * self.long, 2 * self.starts, steps, 2 * self.escapes]
 
 
 class ProjectorCounts(NamedTuple):
@@ -85,41 +91,82 @@ class BodysegImages:
 
     members: ClassVar[tuple[str, ...]] = ("bsi",)
 
-    def encode(self, camera: Range, labels: Bytes, projector: Range) -> dict[str, bytes]:
+    def encode(self, camera: Range, labels: Bytes, facing: Bytes, projector: Range | None) -> dict[str, bytes]:
         """See `ImageCodec.encode`."""
         if not np.array_equal(camera == 0, labels == BACKGROUND):
             raise ValueError(f"labels must be {BACKGROUND} exactly where range is 0")
-        return {"bsi": encode_images(camera, labels, projector)}
+        return {"bsi": encode_images(camera, labels, facing, projector)}
 
-    def decode(self, members: Mapping[str, bytes], projector: bool, out: OutputArrays | None) -> DecodedImages:
+    def decode(
+        self, members: Mapping[str, bytes], projector: bool, out: OutputArrays | None, unlabelled: int
+    ) -> DecodedImages:
         """See `ImageCodec.decode`; `out` is used."""
         try:
-            return decode_images(members["bsi"], projector, out)
+            return decode_images(members["bsi"], projector, out, unlabelled)
         except ValueError as error:
             raise ValueError(f"bsi: {error}") from error
 
+    def encode_plane(self, plane: Bytes | Range) -> dict[str, bytes]:
+        """See `ImageCodec.encode_plane`: runs, of which images of classes and instances have few."""
+        runs = find_runs(plane)
+        lengths, long = escape_large(runs.lengths, np.uint32)
+        header = _PLANE.pack(plane.itemsize, *plane.shape, len(runs.values), len(long) // 4)
+        checked = header + _frame([to_byte_planes(runs.values), lengths, long])
+        return {"bsp": _START.pack(_PLANE_MAGIC, zlib.crc32(checked)) + checked}
 
-def encode_images(camera: Range, labels: Bytes, projector: Range) -> bytes:
-    """Encode the images of a sample. camera, projector: ranges, steps, 0 background. labels: label bytes, 255 exactly
-    where camera is 0.
-    """
+    def decode_plane(self, data: bytes) -> Bytes | Range:
+        """See `ImageCodec.decode_plane`."""
+        view = _checked(data, (_PLANE_MAGIC,), _PLANE.size)
+        width, rows, columns, count, long = _PLANE.unpack_from(view)
+        box = Box(0, 0, rows, columns)
+        _check_header((rows, columns), box, CameraCounts(count, long, 0, 0, 0))
+        if width not in (1, 2):
+            raise ValueError(f"a plane has 1 or 2 bytes a pixel, found {width}")
+        sizes = [width * count, count, 4 * long]
+        values, lengths, longs = _split(_numbers(view[_PLANE.size :], sum(sizes)), sizes)
+        stored = from_byte_planes(values, np.uint8 if width == 1 else np.uint16)
+        found: Bytes | Range = np.repeat(stored, checked_lengths(lengths, longs, box)).reshape(rows, columns)
+        return found
+
+
+def _slopes_of(image: Range, labels: Bytes, facing: Bytes) -> tuple[Box, tuple[int, int, int, int, int], bytes]:
+    """The box, the counts and the frame of a range image with its labels, 255 exactly where it is 0."""
     box = bounding_box(labels != BACKGROUND)
-    runs = find_runs(box.crop(labels))
-    slopes = encode_slopes(box.crop(camera), runs)
+    joined = find_runs(box.crop(labels).astype(np.uint16) | (box.crop(facing).astype(np.uint16) << np.uint16(8)))
+    runs = Runs((joined.values & np.uint16(255)).astype(np.uint8), joined.lengths)
+    slopes = encode_slopes(box.crop(image), runs)
     starts, pixels = foreground_runs(runs)
     lengths, long = escape_large(runs.lengths, np.uint32)
-    frame = _frame([runs.values, lengths, long, slopes.firsts, slopes.steps, slopes.escapes])
-    counts = len(runs.values), len(long) // 4, len(starts), int(pixels.sum()), len(slopes.escapes) // 2, len(frame)
-    header = _CAMERA.pack(*camera.shape, box.top, box.left, box.height, box.width, *counts)
+    faced = (joined.values >> np.uint16(8)).astype(np.uint8)
+    frame = _frame([runs.values, faced, lengths, long, slopes.firsts, slopes.steps, slopes.escapes])
+    counts = len(runs.values), len(long) // 4, len(starts), int(pixels.sum()), len(slopes.escapes) // 2
+    return box, counts, frame
 
-    box = bounding_box(projector > 0)
-    runs = find_runs(box.crop(projector))
-    lengths, long = escape_large(runs.lengths, np.uint32)
-    header += _PROJECTOR.pack(
-        *projector.shape, box.top, box.left, box.height, box.width, len(runs.values), len(long) // 4
-    )
-    checked = header + frame + _frame([to_byte_planes(runs.values), lengths, long])
+
+def encode_images(camera: Range, labels: Bytes, facing: Bytes, projector: Range | None) -> bytes:
+    """Encode the images of a sample; see `ImageCodec.encode`."""
+    box, counts, frame = _slopes_of(camera, labels, facing)
+    header = _CAMERA.pack(*camera.shape, *box, *counts, len(frame))
+    if projector is None:
+        checked = header + _PROJECTOR.pack(_NONE, *(11 * [0])) + frame
+    elif _is_smooth(projector):
+        shown = np.where(projector > 0, np.uint8(0), np.uint8(BACKGROUND))
+        box, counts, second = _slopes_of(projector, shown, np.zeros_like(shown))
+        checked = header + _PROJECTOR.pack(_SLOPES, *projector.shape, *box, *counts) + frame + second
+    else:
+        box = bounding_box(projector > 0)
+        runs = find_runs(box.crop(projector))
+        lengths, long = escape_large(runs.lengths, np.uint32)
+        size = len(runs.values), len(long) // 4, 0, 0, 0
+        second = _frame([to_byte_planes(runs.values), lengths, long])
+        checked = header + _PROJECTOR.pack(_RUNS, *projector.shape, *box, *size) + frame + second
     return _START.pack(_MAGIC, zlib.crc32(checked)) + checked
+
+
+def _is_smooth(projector: Range) -> bool:
+    """Whether a projector's range takes less as slopes than as runs, as one does that was not reduced."""
+    changes = int((projector[:, 1:] != projector[:, :-1]).sum())
+    return 4 * changes > int((projector > 0).sum())
 
 
 def _frame(rows: Sequence[Bytes]) -> bytes:
@@ -130,50 +177,88 @@ def _frame(rows: Sequence[Bytes]) -> bytes:
     return b"".join([*parts, coder.flush()])
 
 
-def decode_images(data: bytes, projector: bool, out: tuple[Range, Bytes] | None = None) -> DecodedImages:
-    """Decode all images. projector: decode the occluder range, too.
+def decode_images(
+    data: bytes,
+    projector: bool,
+    out: tuple[Range, Bytes] | None = None,
+    unlabelled: int = UNLABELLED,
+) -> DecodedImages:
+    """Decode all images. projector: decode the projector's range, too. unlabelled: see `ImageCodec.decode`.
 
     out: arrays for range and labels, used and returned if shape and dtype match; with `out`, the other images belong
     to this thread and are valid until its next decoding.
 
-    Raises ValueError, naming the problem, for bytes that `encode_images` did not produce.
+    Raises ValueError, naming the problem, for bytes that `encode_images` did not produce, now or in an earlier format.
     """
-    if len(data) < _HEADER_SIZE:
-        raise ValueError(f"images have a header of {_HEADER_SIZE} bytes, found {len(data)} bytes in all")
-    magic, stored = _START.unpack_from(data)
-    if magic != _MAGIC:
-        raise ValueError(f"images start with {_MAGIC!r}, found {magic!r}")
-    view = memoryview(data)
-    computed = zlib.crc32(view[_START.size :])
-    if stored != computed:
-        raise ValueError(f"altered: CRC-32 {stored:08x} expected, found {computed:08x}")
-    rows, columns, top, left, height, width, *numbers, frame_bytes = _CAMERA.unpack_from(data, _START.size)
-    end = _HEADER_SIZE + frame_bytes
-    box, counts = Box(top, left, height, width), CameraCounts(*numbers)
-    image, labels, facing, edges = _decode_camera(view[_HEADER_SIZE:end], (rows, columns), box, counts, out)
+    earlier = data[:4] == _EARLIER_MAGIC
+    second = _EARLIER_PROJECTOR if earlier else _PROJECTOR
+    view = _checked(data, (_MAGIC, _EARLIER_MAGIC), _CAMERA.size + second.size)
+    rows, columns, top, left, height, width, *numbers, frame_bytes = _CAMERA.unpack_from(view)
+    start = _CAMERA.size + second.size
+    end = start + frame_bytes
+    size, box, counts = (rows, columns), Box(top, left, height, width), CameraCounts(*numbers)
+    image, labels, facing, edges = _decode_camera(view[start:end], size, box, counts, out, unlabelled, earlier)
     occluder, texels = None, None
     if projector:
-        rows, columns, top, left, height, width, *numbers = _PROJECTOR.unpack_from(data, _START.size + _CAMERA.size)
-        box, found = Box(top, left, height, width), ProjectorCounts(*numbers)
-        occluder, texels = _decode_projector(view[end:], (rows, columns), box, found, out is not None)
+        kind, rows, columns, top, left, height, width, *numbers = (
+            (_RUNS, *second.unpack_from(view, _CAMERA.size)) if earlier else second.unpack_from(view, _CAMERA.size)
+        )
+        size, box = (rows, columns), Box(top, left, height, width)
+        if kind == _RUNS:
+            occluder, texels = _decode_projector(view[end:], size, box, ProjectorCounts(*numbers[:2]), out is not None)
+        elif kind == _SLOPES:
+            occluder = _decode_camera(view[end:], size, box, CameraCounts(*numbers), None, BACKGROUND)[0]
+            texels = np.flatnonzero(occluder).astype(np.int32)
+        elif kind != _NONE:
+            raise ValueError(f"the projector's range is stored in the ways 0 to 2, found {kind}")
     return DecodedImages(image, labels, facing, occluder, edges, texels)
 
 
+def _checked(data: bytes, magics: Sequence[bytes], header_size: int) -> memoryview:
+    """What follows the start of a file, after a test of its checksum. Raises ValueError."""
+    if len(data) < _START.size + header_size:
+        raise ValueError(f"images have a header of {_START.size + header_size} bytes, found {len(data)} bytes in all")
+    magic, stored = _START.unpack_from(data)
+    if magic not in magics:
+        raise ValueError(f"images start with {magics[0]!r}, found {magic!r}")
+    view = memoryview(data)[_START.size :]
+    computed = zlib.crc32(view)
+    if stored != computed:
+        raise ValueError(f"altered: CRC-32 {stored:08x} expected, found {computed:08x}")
+    return view
+
+
 def _decode_camera(
-    frame: memoryview, size: tuple[int, int], box: Box, counts: CameraCounts, out: tuple[Range, Bytes] | None
-) -> tuple[Range, Bytes, NDArray[np.bool_], PixelIndices | None]:
+    frame: memoryview,
+    size: tuple[int, int],
+    box: Box,
+    counts: CameraCounts,
+    out: tuple[Range, Bytes] | None,
+    unlabelled: int,
+    earlier: bool = False,
+) -> tuple[Range, Bytes, Bytes, PixelIndices | None]:
     """Range, labels and facing, and the edges of foreground, None without the compiled loops."""
     _check_header(size, box, counts)
-    numbers = _numbers(frame, sum(counts.sizes))
+    numbers = _numbers(frame, sum(counts.sizes) - counts.runs * earlier)
+    if earlier:
+        labels, facing = split_label_bytes(numbers[: counts.runs])
+        numbers = np.concatenate([labels, facing, numbers[counts.runs :]])
     images = _camera_images(size, out)
     if use_compiled():
         edges = np.empty(2 * (counts.starts + box.height), np.int32)  # a row's end divides at most one stretch
-        found = _loops().fill_camera(numbers, counts, box, *images, edges)
+        found = _loops().fill_camera(numbers, counts, box, np.uint8(unlabelled), *images, edges)
         if found >= 0:
             return *images, edges[:found]
     # Numbers that the compiled loop refuses get here, too: the NumPy form says what is wrong with them.
-    values, lengths, longs, firsts, steps, large = _split(numbers, counts.sizes)
-    decode_slopes(Runs(values, checked_lengths(lengths, longs, box)), Slopes(firsts, steps, large), box, *images)
+    values, faced, lengths, longs, firsts, steps, large = _split(numbers, counts.sizes)
+    if (faced > FACING + SECOND_FACING).any() or faced[values == BACKGROUND].any():
+        raise ValueError("facing must be bits 0 and 1, and 0 on background")
+    runs = Runs(values, checked_lengths(lengths, longs, box))
+    decode_slopes(runs, Slopes(firsts, steps, large), box, images[0])
+    shown = np.where(values == UNLABELLED, np.uint8(unlabelled), values)
+    for image, of_runs, nothing in ((images[1], shown, BACKGROUND), (images[2], faced, 0)):
+        image.fill(nothing)
+        box.crop(image)[:] = np.repeat(of_runs, runs.lengths).reshape(box.height, box.width)
     return *images, None
 
 
@@ -238,19 +323,19 @@ class _ThreadMemory(threading.local):
 
     def __init__(self) -> None:
         self.decompressor = zstandard.ZstdDecompressor(max_window_size=2 * MAX_SIDE * MAX_SIDE)
-        self.facing: NDArray[np.bool_] = np.empty((0, 0), np.bool_)
+        self.facing: Bytes = np.empty((0, 0), np.uint8)
         self.occluder = OccluderMemory((0, 0))
 
 
 _of_thread = _ThreadMemory()
 
 
-def _camera_images(size: tuple[int, int], out: tuple[Range, Bytes] | None) -> tuple[Range, Bytes, NDArray[np.bool_]]:
+def _camera_images(size: tuple[int, int], out: tuple[Range, Bytes] | None) -> tuple[Range, Bytes, Bytes]:
     """Arrays for range, labels and facing, whatever they hold."""
     if out is None or not (_fits(out[0], size, np.uint16) and _fits(out[1], size, np.uint8)):
-        return np.empty(size, np.uint16), np.empty(size, np.uint8), np.empty(size, np.bool_)
+        return np.empty(size, np.uint16), np.empty(size, np.uint8), np.empty(size, np.uint8)
     if _of_thread.facing.shape != size:
-        _of_thread.facing = np.empty(size, np.bool_)
+        _of_thread.facing = np.empty(size, np.uint8)
     return *out, _of_thread.facing
 
 

@@ -13,14 +13,13 @@ from typing import Any, Final
 import numpy as np
 
 from bodyseg_data.machine import compiled
-from bodyseg_data.shards.codecs.codec import THING
 
 _kernel = partial(compiled, feature="decoding images in compiled loops")
 
 _0, _1, _2, _3, _4 = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
 _ESCAPE: Final = np.uint64(255)
 _BACKGROUND: Final = np.uint64(255)
-_THING: Final = np.uint64(THING)
+_UNLABELLED: Final = np.uint8(254)
 _CHUNK: Final = np.uint64(64)
 """Pixels that are written at once: most runs are shorter, and what is too much is overwritten by the next run."""
 
@@ -42,12 +41,8 @@ def read_long(numbers: Any, at: Any, long: Any, index: Any) -> Any:
 
 
 @_kernel
-def paint(names: Any, faces: Any, begin: Any, count: Any, value: Any) -> None:
-    """Write a run of the label byte `value` into labels and facing, in whole chunks, which may end behind it."""
-    background = value == _BACKGROUND
-    named = value & np.uint64(0xBF)
-    label = np.uint8(_BACKGROUND if background or named == _THING else named)
-    facing = (not background) & ((value & np.uint64(0x40)) != _0)
+def paint(names: Any, faces: Any, begin: Any, count: Any, label: Any, facing: Any) -> None:
+    """Write a run into labels and facing, in whole chunks, which may end behind it."""
     chunks = (count + _CHUNK - _1) // _CHUNK
     if begin + chunks * _CHUNK <= np.uint64(names.size):
         for chunk in range(chunks):
@@ -64,10 +59,13 @@ def paint(names: Any, faces: Any, begin: Any, count: Any, value: Any) -> None:
 
 
 @_kernel
-def fill_camera(numbers: Any, counts: Any, box: Any, image: Any, labels: Any, facing: Any, edges: Any) -> Any:
+def fill_camera(
+    numbers: Any, counts: Any, box: Any, unlabelled: Any, image: Any, labels: Any, facing: Any, edges: Any
+) -> Any:
     """Decode range, labels and facing, [H, W], whatever the images hold, and the edges of foreground.
 
     numbers: uint8, the rows of the first frame, as many as `counts` (`CameraCounts`) says. box: a `Box` in the image.
+    unlabelled: uint8, written for surfaces of no class.
     edges: int32, room for 2 * (starts + height), receives the flat indices where foreground begins, ends, begins ...;
     the end of a row of the box ends it, too.
 
@@ -76,7 +74,7 @@ def fill_camera(numbers: Any, counts: Any, box: Any, image: Any, labels: Any, fa
     runs, long, starts = np.uint64(counts.runs), np.uint64(counts.long), np.uint64(counts.starts)
     others, escapes = np.uint64(counts.pixels) - starts, np.uint64(counts.escapes)
     left, height, width = np.uint64(box.left), np.uint64(box.height), np.uint64(box.width)
-    lengths_at, longs_at = runs, _2 * runs
+    facing_at, lengths_at, longs_at = runs, _2 * runs, _3 * runs
     firsts_at = longs_at + np.uint64(4) * long
     steps_at = firsts_at + _2 * starts
     large_at = steps_at + others
@@ -85,6 +83,7 @@ def fill_camera(numbers: Any, counts: Any, box: Any, image: Any, labels: Any, fa
     above = np.zeros(width, np.uint16)  # the last step in each column
     run, next_long, start, step, escape, edge = _0, _0, _0, _0, _0, _0
     value, remaining, first, here = _BACKGROUND, _0, _0, _0
+    label, faced = np.uint8(255), np.uint8(0)
     inside = False  # the pixel before belongs to the body
     done = np.uint64(box.top) * columns
     for i in range(done):
@@ -92,20 +91,25 @@ def fill_camera(numbers: Any, counts: Any, box: Any, image: Any, labels: Any, fa
     for i in range(done):
         names[i] = 255
     for i in range(done):
-        faces[i] = False
+        faces[i] = 0
     for _ in range(height):
         row = done + left
         for i in range(columns):
             ranges[done + i] = 0
         for i in range(left):
             names[done + i] = 255
-            faces[done + i] = False
+            faces[done + i] = 0
         column, begin = _0, width  # begin: of the body in this row; width if the last pixel is background
         while column < width:
             if remaining == _0:
                 if run == runs:
                     return -1
-                value, remaining = np.uint64(numbers[run]), np.uint64(numbers[lengths_at + run])
+                label, faced = numbers[run], numbers[facing_at + run]
+                value, remaining = np.uint64(label), np.uint64(numbers[lengths_at + run])
+                if faced > np.uint8(3) or (value == _BACKGROUND and faced):
+                    return -1
+                if label == _UNLABELLED:
+                    label = unlabelled
                 run += _1
                 if remaining == _ESCAPE:
                     if next_long == long:
@@ -115,7 +119,7 @@ def fill_camera(numbers: Any, counts: Any, box: Any, image: Any, labels: Any, fa
                 if remaining == _0:
                     return -1
             count = min(remaining, width - column)
-            paint(names, faces, row + column, count, value)
+            paint(names, faces, row + column, count, label, faced)
             remaining -= count
             end = column
             column += count
@@ -175,13 +179,13 @@ def fill_camera(numbers: Any, counts: Any, box: Any, image: Any, labels: Any, fa
         done += columns
         for i in range(row + width, done):
             names[i] = 255
-            faces[i] = False
+            faces[i] = 0
     for i in range(done, size):
         ranges[i] = 0
     for i in range(done, size):
         names[i] = 255
     for i in range(done, size):
-        faces[i] = False
+        faces[i] = 0
     whole = remaining == _0 and run == runs and next_long == long
     if not whole or start != starts or step != others or escape != escapes:
         return -1

@@ -15,9 +15,11 @@ from typing import Any, ClassVar, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.labels import UNLABELLED
 from bodyseg_data.machine import decompress, use_compiled
 from bodyseg_data.rigs import MAX_SIDE
-from bodyseg_data.shards.codecs.codec import DecodedImages, OutputArrays, split_labels
+from bodyseg_data.shards.codecs.codec import FACING, SECOND_FACING, DecodedImages, OutputArrays
+from bodyseg_data.shards.earlier import split_label_bytes
 
 SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 
@@ -155,26 +157,62 @@ def _decode_grey(chunks: Sequence[Chunk], header: Header) -> NDArray[Any]:
 class PngImages:
     """The codec `png`: an image a member, for shards readable by any image tool."""
 
-    members: ClassVar[tuple[str, ...]] = ("range.png", "projector.png", "labels.png")
+    members: ClassVar[tuple[str, ...]] = ("range.png", "projector.png", "labels.png", "facing.png")
 
     def encode(
-        self, camera: NDArray[np.uint16], labels: NDArray[np.uint8], projector: NDArray[np.uint16]
+        self,
+        camera: NDArray[np.uint16],
+        labels: NDArray[np.uint8],
+        facing: NDArray[np.uint8],
+        projector: NDArray[np.uint16] | None,
     ) -> dict[str, bytes]:
-        """See `ImageCodec.encode`."""
-        images: list[NDArray[Any]] = [camera, projector, labels]
+        """See `ImageCodec.encode`; the projector's range is one pixel, 0, where there is none."""
+        nothing = np.zeros((1, 1), np.uint16)
+        images: list[NDArray[Any]] = [camera, nothing if projector is None else projector, labels, facing]
         return {member: encode_png(image) for member, image in zip(self.members, images, strict=True)}
 
-    def decode(self, members: Mapping[str, bytes], projector: bool, out: OutputArrays | None) -> DecodedImages:
+    def decode(
+        self, members: Mapping[str, bytes], projector: bool, out: OutputArrays | None, unlabelled: int
+    ) -> DecodedImages:
         """See `ImageCodec.decode`; `out` is not used."""
         images: dict[str, NDArray[Any]] = {}
-        for member, dtype in zip(self.members, (np.uint16, np.uint16, np.uint8), strict=True):
+        for member in self.members:
             if member == "projector.png" and not projector:
                 continue
+            dtype = np.uint16 if member in ("range.png", "projector.png") else np.uint8
             try:
                 images[member] = decode_png(members[member])
             except ValueError as error:
                 raise ValueError(f"{member}: {error}") from error
             if images[member].dtype != dtype:
                 raise ValueError(f"{member}: must be {dtype.__name__}, found {images[member].dtype}")
-        labels, facing = split_labels(images["labels.png"])
-        return DecodedImages(images["range.png"], labels, facing, images.get("projector.png"), None, None)
+        labels, facing = self._labels(images)
+        labels[labels == UNLABELLED] = unlabelled
+        occluder = images.get("projector.png")
+        if occluder is not None and occluder.size == 1:
+            occluder = None
+        return DecodedImages(images["range.png"], labels, facing, occluder, None, None)
+
+    def _labels(self, images: Mapping[str, NDArray[Any]]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        labels, facing = images["labels.png"], images["facing.png"]
+        if facing.max() > FACING + SECOND_FACING:
+            raise ValueError("facing.png: must hold bits 0 and 1 alone")
+        return labels, facing
+
+    def encode_plane(self, plane: NDArray[np.uint8] | NDArray[np.uint16]) -> dict[str, bytes]:
+        """See `ImageCodec.encode_plane`."""
+        return {"png": encode_png(plane)}
+
+    def decode_plane(self, data: bytes) -> NDArray[np.uint8] | NDArray[np.uint16]:
+        """See `ImageCodec.decode_plane`."""
+        found: NDArray[np.uint8] | NDArray[np.uint16] = decode_png(data)
+        return found
+
+
+class EarlierPngImages(PngImages):
+    """The codec `png` of formats before 7, whose label bytes hold facing; it reads alone."""
+
+    members: ClassVar[tuple[str, ...]] = ("range.png", "projector.png", "labels.png")
+
+    def _labels(self, images: Mapping[str, NDArray[Any]]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        return split_label_bytes(images["labels.png"])

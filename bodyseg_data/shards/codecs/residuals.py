@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.labels import BACKGROUND
-from bodyseg_data.shards.codecs.codec import split_labels
 
 ESCAPE: Final = 255
 """The byte that marks a number above 254; the number follows among the escapes."""
@@ -150,7 +149,7 @@ def unzigzag(coded: Range) -> Range:
 
 
 def foreground_runs(runs: Runs) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Offsets in the flat box and lengths, pixels, [K] each, of foreground runs in order; runs: of label bytes."""
+    """Offsets in the flat box and lengths, pixels, [K] each, of foreground runs in order; runs: of labels."""
     body = np.concatenate([[False], runs.values != BACKGROUND, [False]])
     ends = np.concatenate([[0], np.cumsum(runs.lengths)])
     edges = ends[np.flatnonzero(body[1:] != body[:-1])]
@@ -158,7 +157,7 @@ def foreground_runs(runs: Runs) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def encode_slopes(crop: Range, runs: Runs) -> Slopes:
-    """Encode `crop`, the ranges in the box, 0 exactly where `runs`, those of its label bytes, are background."""
+    """Encode `crop`, the ranges in the box, 0 exactly where `runs`, those of its labels, are background."""
     flat = np.ascontiguousarray(crop).ravel()
     starts, _ = foreground_runs(runs)
     change = np.diff(flat, prepend=np.uint16(0))
@@ -176,10 +175,10 @@ def encode_slopes(crop: Range, runs: Runs) -> Slopes:
     return Slopes(firsts, *escape_large(coded[inner], np.uint16))
 
 
-def decode_slopes(runs: Runs, slopes: Slopes, box: Box, image: Range, labels: Bytes, facing: NDArray[np.bool_]) -> None:
-    """Decode range, labels and facing into images [H, W], whatever they hold.
+def decode_slopes(runs: Runs, slopes: Slopes, box: Box, image: Range) -> None:
+    """Decode ranges into an image [H, W], whatever it holds.
 
-    runs: of label bytes, filling the box. Raises ValueError if the labels require another number of values.
+    runs: of labels, filling the box. Raises ValueError if the labels require another number of values.
     """
     starts, lengths = foreground_runs(runs)
     if len(slopes.firsts) != 2 * len(starts) or len(slopes.steps) != lengths.sum() - len(starts):
@@ -190,11 +189,7 @@ def decode_slopes(runs: Runs, slopes: Slopes, box: Box, image: Range, labels: By
     firsts = np.cumsum(unzigzag(from_byte_planes(slopes.firsts, np.uint16)), dtype=np.uint16)
     steps = unzigzag(unescape(slopes.steps, slopes.escapes, np.uint16))
     image.fill(0)
-    labels.fill(BACKGROUND)
-    facing.fill(False)
-    stored = np.repeat(runs.values, runs.lengths).reshape(box.height, box.width)
-    box.crop(labels)[:], box.crop(facing)[:] = split_labels(stored)
-    body = stored != BACKGROUND
+    body = np.repeat(runs.values != BACKGROUND, runs.lengths).reshape(box.height, box.width)
     np.multiply(_ranges(firsts, steps, starts, body), body, out=box.crop(image))
 
 

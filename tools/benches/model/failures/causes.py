@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts import RangeImage
 from bodyseg_data.core import MissingLibrary
-from bodyseg_data.labels import BACKGROUND, MIRRORED_LABELS, PART_COUNT, PARTS, PARTS33
+from bodyseg_data.labels import BACKGROUND, PART_CLASSES, PART_COUNT, PARTS, PARTS33
 from bodyseg_data.rigs import Camera
 from bodyseg_data.samples import Sample
 from bodyseg_model.evaluation import KINDS, kinds_of
@@ -142,7 +142,7 @@ def _adjoining() -> NDArray[np.bool_]:
     for name, others in _JOINED.items():
         for other in others:
             pair = [labels[name], labels[other]]
-            for one, two in (pair, MIRRORED_LABELS[pair].tolist()):
+            for one, two in (pair, PART_CLASSES.mirrored[pair].tolist()):
                 found[one, two] = found[two, one] = True
     return found
 

@@ -22,7 +22,7 @@ from benches.model.real.labels import Placements, frame_labels, load_placements,
 from benches.model.real.recording import BACKGROUND as PEOPLE
 from benches.model.real.recording import Frame, read_recording
 from bodyseg_data.core import ProgressCallback, check_int, silent
-from bodyseg_data.labels import BACKGROUND, LANDMARKS, MIRRORED_LABELS
+from bodyseg_data.labels import BACKGROUND, LANDMARKS, PART_CLASSES
 from bodyseg_data.machine import torch_threads
 from bodyseg_data.rigs import Camera
 from bodyseg_model.evaluation import ConfusionMatrix, pairs_of
@@ -208,7 +208,7 @@ class _Segmentation:
         body = segmented.bodies[0]  # the largest, as in the recording
         confidence.ravel()[body.pixels] = body.confidence
         labels.ravel()[body.pixels] = segmented.labels.ravel()[body.pixels]
-        labels = MIRRORED_LABELS[labels] if exchanged else labels
+        labels = PART_CLASSES.mirrored[labels] if exchanged else labels
         return Answer(labels[:, ::-1], confidence[:, ::-1]) if turned else Answer(labels, confidence)
 
 

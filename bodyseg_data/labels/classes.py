@@ -1,0 +1,240 @@
+"""Classes of a set: what the label of a pixel means, with colours and mirror images.
+
+Files hold 0 to 253 for classes, `UNLABELLED` on a surface that has none, and `BACKGROUND` where nothing was measured.
+"""
+
+from __future__ import annotations
+
+import colorsys
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core import BadConfig
+
+Side = Literal["left", "right", "middle"]
+
+BACKGROUND: Final = 255
+"""The label of a pixel that shows nothing, or nothing that has a class; ignored by every loss and score."""
+
+UNLABELLED: Final = 254
+"""The label, in files, of a surface without a class. Batches give `BACKGROUND` in its place unless asked otherwise."""
+
+MOST_CLASSES: Final = 254
+"""Largest number of classes of a set."""
+
+_DARKEST: Final = 70.0
+_LIGHTEST: Final = 225.0
+_STRONG: Final = 0.9
+_PALE: Final = 0.4
+"""Saturation of pairs, and of classes of the middle."""
+
+_ORDER: Final = ("right", "middle", "left")
+_GOLDEN: Final = 0.6180339887
+_ROOT: Final = 0.4142135624
+_LUMA: Final = np.array([0.299, 0.587, 0.114])  # of Rec. ITU-R BT.601
+_COLOUR: Final = re.compile(r"#[0-9a-f]{6}")
+
+
+@dataclass(frozen=True)
+class LabelClass:
+    """One class of a set.
+
+    mirror: name of the class that it is in the mirror image, such as the left hand of the right one; None for itself.
+    colour: sRGB as "#rrggbb"; None for one that is drawn. within: name of a wider class that it is a part of, for
+    readers; it need not be a class of the set. side: of a pair, which of the two it is; None: found from the names'
+    order.
+    """
+
+    name: str
+    mirror: str | None = None
+    colour: str | None = None
+    within: str | None = None
+    side: Side | None = None
+
+
+@dataclass(frozen=True)
+class Classes:
+    """Classes of a set, 1 to 254; the label of a class is its index.
+
+    name: of the whole, such as "parts33". Raises BadConfig for too many or none, a name that is empty, given twice or
+    cannot be printed, a colour that is none, or a mirror image that is no class or has another mirror image.
+    """
+
+    name: str
+    entries: tuple[LabelClass, ...]
+
+    def __post_init__(self) -> None:
+        where = f"classes {self.name!r}"
+        if not _is_name(self.name):
+            raise BadConfig(f"classes need a name that can be printed, found {self.name!r}")
+        if not 1 <= len(self.entries) <= MOST_CLASSES:
+            raise BadConfig(f"{where}: a set has 1 to {MOST_CLASSES} classes, found {len(self.entries)}")
+        for entry in self.entries:
+            if not _is_name(entry.name):
+                raise BadConfig(f"{where}: a class needs a name that can be printed, found {entry.name!r}")
+            if self.names.count(entry.name) > 1:
+                raise BadConfig(f"{where}: a class is named once, found {entry.name!r} twice")
+            if entry.colour is not None and not (isinstance(entry.colour, str) and _COLOUR.fullmatch(entry.colour)):
+                raise BadConfig(f"{where}: the colour of {entry.name!r} must be like '#1e90ff', found {entry.colour!r}")
+            if entry.within is not None and not _is_name(entry.within):
+                raise BadConfig(f"{where}: 'within' of {entry.name!r} must be a name, found {entry.within!r}")
+            if entry.side not in (None, *_ORDER):
+                raise BadConfig(
+                    f"{where}: 'side' of {entry.name!r} must be left, right or middle, found {entry.side!r}"
+                )
+            if entry.mirror is None:
+                continue
+            if entry.mirror not in self.names:
+                raise BadConfig(f"{where}: the mirror image of {entry.name!r}, {entry.mirror!r}, is no class")
+            opposite = self.entries[self.names.index(entry.mirror)]
+            if (opposite.mirror or opposite.name) != entry.name:
+                raise BadConfig(
+                    f"{where}: {entry.name!r} has the mirror image {entry.mirror!r}, which must have {entry.name!r}, "
+                    f"found {opposite.mirror!r}"
+                )
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    def __repr__(self) -> str:
+        return f"Classes({self.name!r}, {len(self)} classes)"
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the classes in the order of their labels."""
+        return tuple(entry.name for entry in self.entries)
+
+    @cached_property
+    def mirrored(self) -> NDArray[np.uint8]:
+        """Label -> label in the mirror image, uint8 [256]; values that are no class stay as they are."""
+        found = np.arange(256, dtype=np.uint8)
+        for label, entry in enumerate(self.entries):
+            found[label] = label if entry.mirror is None else self.names.index(entry.mirror)
+        return found
+
+    @cached_property
+    def sides(self) -> tuple[Side, ...]:
+        """Side of each class: "middle" for one that is its own mirror image; of a pair, the first is "right"."""
+
+        def side(label: int, entry: LabelClass) -> Side:
+            opposite = int(self.mirrored[label])
+            return entry.side or ("middle" if opposite == label else "right" if label < opposite else "left")
+
+        return tuple(side(label, entry) for label, entry in enumerate(self.entries))
+
+    @cached_property
+    def colours(self) -> NDArray[np.uint8]:
+        """Colours of the classes, sRGB, uint8 [N, 3]: as given, else drawn (`class_colours`)."""
+        drawn = class_colours(self.sides, [min(label, int(self.mirrored[label])) for label in range(len(self))])
+        for label, entry in enumerate(self.entries):
+            if entry.colour is not None:
+                drawn[label] = list(bytes.fromhex(entry.colour[1:]))
+        return drawn
+
+    def to_json(self) -> dict[str, Any]:
+        """Convert to a JSON object; its classes are a list, since their order matters."""
+        rows = [
+            {field.name: value for field in fields(entry) if (value := getattr(entry, field.name)) is not None}
+            for entry in self.entries
+        ]
+        return {"name": self.name, "classes": rows}
+
+
+def classes_of(given: Classes | Iterable[str | LabelClass], name: str = "classes") -> Classes:
+    """Return classes as given, or made of names and `LabelClass`es. name: of the whole. Raises BadConfig."""
+    if isinstance(given, Classes):
+        return given
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise BadConfig(f"classes must be a list of names, found {given!r}")
+    entries = tuple(LabelClass(each) if isinstance(each, str) else each for each in given)
+    for entry in entries:
+        if not isinstance(entry, LabelClass):
+            raise BadConfig(f"a class must be a name or a LabelClass, found {entry!r}")
+    return Classes(name, entries)
+
+
+def classes_from_json(tree: Any, where: str) -> Classes:
+    """Read what `Classes.to_json` gave. Raises BadConfig, naming `where`."""
+    known = {field.name for field in fields(LabelClass)}
+    rows = tree.get("classes") if isinstance(tree, dict) else None
+    if not isinstance(tree, dict) or set(tree) != {"name", "classes"} or not isinstance(rows, list):
+        raise BadConfig(f"{where}: 'classes' must have a name and a list of classes")
+    for row in rows:
+        if not isinstance(row, dict) or "name" not in row or not set(row) <= known:
+            raise BadConfig(f"{where}: a class has a name, and may have {', '.join(sorted(known - {'name'}))}")
+    try:
+        return Classes(tree["name"], tuple(LabelClass(**row) for row in rows))
+    except BadConfig as error:
+        raise BadConfig(f"{where}: {error}") from error
+
+
+def _is_name(value: Any) -> bool:
+    return isinstance(value, str) and bool(value.strip()) and value.isprintable()
+
+
+def looked_up(labels: NDArray[np.uint8], table: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return table[labels] in an array of its own, uint8 [...], contiguous; table: uint8 [256].
+
+    By `bytearray.translate`, which needs a quarter of the time of NumPy's indexing.
+    """
+    found = bytearray(np.ascontiguousarray(labels)).translate(table.tobytes())
+    return np.frombuffer(found, np.uint8).reshape(labels.shape)
+
+
+def luma(colours: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Grey of colours as they look without colour, float64 [N], 0 to 255.
+
+    colours: sRGB uint8 [N, 3].
+    """
+    grey: NDArray[np.float64] = colours @ _LUMA
+    return grey
+
+
+def class_colours(sides: Sequence[Side], pairs: Sequence[int]) -> NDArray[np.uint8]:
+    """Colours of classes, sRGB uint8 [N, 3].
+
+    sides: of each class, "middle" for one that is its own mirror image. pairs: a number for each class, equal for the
+    two classes of a pair.
+
+    Hues are spread evenly over the pairs, and over the classes of the middle, which are paler. Greys are spread evenly
+    over all classes: those of the right are the darkest, those of the left the lightest, so that no two classes look
+    alike without colour, and exchanged sides show most.
+    """
+    middle = [side == "middle" for side in sides]
+    hues = {}
+    for among, offset in ((False, 0.0), (True, 0.5)):
+        chosen = list(dict.fromkeys(pair for pair, is_middle in zip(pairs, middle, strict=True) if is_middle == among))
+        for pair, place in zip(chosen, _scattered(len(chosen), _GOLDEN), strict=True):
+            hues[pair] = (place + offset) / len(chosen)
+    scatter = dict(zip(hues, _scattered(len(hues), _ROOT), strict=True))
+    order = sorted(range(len(sides)), key=lambda at: (_ORDER.index(sides[at]), scatter[pairs[at]]))
+    greys = np.linspace(_DARKEST, _LIGHTEST, len(sides))
+    colours = np.zeros((len(sides), 3), np.uint8)
+    for at, grey in zip(order, greys.tolist(), strict=True):
+        colours[at] = _of_grey(hues[pairs[at]], _PALE if middle[at] else _STRONG, grey)
+    return colours
+
+
+def _scattered(count: int, step: float) -> list[int]:
+    """Numbers below `count`, neighbours far apart: the ranks of multiples of `step`, modulo 1."""
+    multiples = [number * step % 1 for number in range(count)]
+    return [sorted(multiples).index(each) for each in multiples]
+
+
+def _of_grey(hue: float, saturation: float, grey: float) -> NDArray[np.uint8]:
+    """The colour of a hue and saturation, 0 to 1, whose luma is nearest to `grey`; luma grows with lightness."""
+    low, high = 0.0, 1.0
+    for _ in range(12):
+        middle = (low + high) / 2
+        if float(255 * np.asarray(colorsys.hls_to_rgb(hue, middle, saturation)) @ _LUMA) < grey:
+            low = middle
+        else:
+            high = middle
+    colour: NDArray[np.uint8] = np.rint(255 * np.asarray(colorsys.hls_to_rgb(hue, low, saturation))).astype(np.uint8)
+    return colour
