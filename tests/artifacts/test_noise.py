@@ -12,6 +12,7 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from samples import body_info
 from scipy import stats
 
 from bodyseg_data.artifacts import Augmentation, MissingData, Noise, VariantName, load_sensor_model
@@ -21,13 +22,13 @@ from bodyseg_data.artifacts.noise import add_noise, normals, steps_of
 from bodyseg_data.core import BadConfig, chance, pixel_draws, stream
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.rigs import Camera, Rig
-from bodyseg_data.samples import Sample, SampleInfo
+from bodyseg_data.samples import Sample
 
 SIGMAS = 5.0
 """How many of its own standard deviations an estimate may be off: once in 1.7 million."""
 
 SIDE = 300
-INFO = SampleInfo("open", "A", "A", "posture-00", "standing", 215, 0, "train")
+INFO = body_info()
 CAMERA = Camera(SIDE, SIDE, 300.0, (150.0, 150.0), (0.0, 0.0, 0.0), (0.0, 0.0, 2.5))
 
 

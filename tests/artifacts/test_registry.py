@@ -280,7 +280,7 @@ def test_images_samples_and_augmentations_are_shown_in_a_line(figures_set: Path)
     body = np.count_nonzero(sample.range)
     size = f"{rows} x {columns}"
     assert repr(image) == f"RangeImage({sample.key!r}, {size}, {body} pixels measured, sigma_mm 5)"
-    assert repr(sample).startswith(f"Sample({sample.key!r}, camera {size}, projector {size}, SampleInfo(source=")
+    assert repr(sample).startswith(f"Sample({sample.key!r}, camera {size}, projector {size}, SampleInfo(split=")
     assert "projector no," in repr(replace(sample, projector_range=None))
     assert repr(images.augmentation) == f"Augmentation(rig 'small', 'noise', seed=0, {images.augmentation.sensor})"
     assert isinstance(sample, Sample) and json.dumps(images.identity())

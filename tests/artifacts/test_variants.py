@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kernel_forms import by_both
 from numpy.typing import NDArray
+from samples import body_info
 from strategies import keys
 
 from bodyseg_data.artifacts import (
@@ -273,7 +274,7 @@ def _synthetic() -> tuple[Rig, Sample]:
 
 
 def _info() -> SampleInfo:
-    return SampleInfo("open", "A", "A", "posture-00", "standing", 215, 0, "train")
+    return body_info()
 
 
 PINNED = {

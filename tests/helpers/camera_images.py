@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from samples import GOOD
+from samples import GOOD, body_info
 
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.loading import CameraImage
-from bodyseg_data.samples import SampleInfo
 
-STORED = replace(GOOD, info=SampleInfo("open", "A", "A", "posture-00", "standing", 250, 0, "train"))
+STORED = replace(GOOD, info=body_info(distance_cm=250))
 
 
 def camera_image(

@@ -7,16 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from samples import body_info
 
 from bodyseg_data.artifacts import Artifact, RangeImage, shown_with
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.rigs import Camera, Rig
-from bodyseg_data.samples import Sample, SampleInfo
+from bodyseg_data.samples import Sample
 
 CAMERA = Camera(200, 160, 400.0, (80.0, 100.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 PROJECTOR = replace(CAMERA, position_m=(0.075, 0.0, 0.0), aims_at_m=(0.075, 0.0, 1.0))
 RIG = Rig("small", 2.0, CAMERA, PROJECTOR)
-INFO = SampleInfo("open", "A", "A", "A-1", "standing", 200, 0, "train")
+INFO = body_info(distance_cm=200, mesh="A-1")
 
 
 def sample_of(z: NDArray[np.float64], key: str = "k") -> Sample:

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from bodyseg_data.labels import BACKGROUND, PART_COUNT
+from bodyseg_data.labels import BACKGROUND, UNLABELLED
 from bodyseg_data.samples import Sample, SampleInfo
 
 keys = st.text("abcXYZ019_-+", min_size=1, max_size=80)
@@ -18,30 +18,30 @@ def samples(draw: st.DrawFn, projectors: int = 1) -> Sample:
     shape = draw(st.tuples(st.integers(1, 24), st.integers(1, 24)))
     projector = draw(st.tuples(st.integers(1, 24), st.integers(1, 24)))
     ranges = draw(arrays.arrays(np.uint16, shape, elements=st.integers(0, 65535), fill=st.just(0)))
-    labels = draw(arrays.arrays(np.uint8, shape, elements=st.integers(0, PART_COUNT - 1)))
-    things = draw(st.sampled_from(["", "before", "both"]))
-    on_thing = draw(arrays.arrays(np.bool_, shape)) & bool(things)
+    labels = draw(arrays.arrays(np.uint8, shape, elements=st.integers(0, 32)))
+    on_thing = draw(arrays.arrays(np.bool_, shape))
     facing, *second = (draw(arrays.arrays(np.bool_, shape)) & (ranges > 0) for _ in range(projectors))
-    info = SampleInfo(
-        source="open",
-        subset=draw(st.sampled_from(["A", "people"])),
-        subject=draw(keys),
-        mesh=draw(keys),
-        pose=draw(st.text(max_size=20)),
-        distance_cm=draw(st.integers(50, 600)),
-        azimuth_deg=draw(st.integers(0, 359)),
-        split=draw(st.sampled_from(["train", "test"])),
-        things=things,
-        hidden_pct=draw(st.integers(0, 60)) if things else 0,
+    names = st.text("abcdefghijklmnopqrstuvwxyz_0123456789", min_size=1, max_size=20).map(lambda text: f"x{text}")
+    numbers = st.floats(allow_nan=False, allow_infinity=False)
+    values = st.one_of(
+        st.text(st.characters(categories=("L", "N", "P", "S")), max_size=20),
+        st.integers(-(2**53) + 1, 2**53 - 1),
+        numbers,
+        st.booleans(),
+        st.lists(numbers, max_size=16).map(tuple),
     )
+    fields = draw(st.dictionaries(names, values, max_size=8))
+    info = SampleInfo(draw(st.sampled_from(["train", "test"])), fields)
+    planes = draw(st.dictionaries(st.sampled_from(["instances", "materials"]), st.sampled_from([np.uint8, np.uint16])))
     return Sample(
         key=draw(keys),
         range=ranges,
         projector_range=draw(arrays.arrays(np.uint16, projector, elements=st.integers(0, 65535), fill=st.just(0))),
-        labels=np.where((ranges == 0) | on_thing, BACKGROUND, labels).astype(np.uint8),
+        labels=np.where(ranges == 0, BACKGROUND, np.where(on_thing, UNLABELLED, labels)).astype(np.uint8),
         faces_projector=facing,
         info=info,
         faces_second=second[0] if second else None,
+        planes={name: draw(arrays.arrays(kind, shape)) for name, kind in planes.items()},
     )
 
 
@@ -53,6 +53,9 @@ def same(a: Sample, b: Sample) -> bool:
     same_kind = (a.faces_second is None) == (b.faces_second is None)
     return (
         same_kind
+        and a.planes.keys() == b.planes.keys()
+        and all(a.planes[name].dtype == b.planes[name].dtype for name in a.planes)
+        and all(np.array_equal(a.planes[name], b.planes[name]) for name in a.planes)
         and (a.key, a.info) == (b.key, b.info)
         and all(
             getattr(a, field).dtype == getattr(b, field).dtype and np.array_equal(getattr(a, field), getattr(b, field))

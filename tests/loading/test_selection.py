@@ -5,28 +5,32 @@ from __future__ import annotations
 import re
 import shutil
 from collections import Counter
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from samples import body_info
 
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.bodies import open_source
 from bodyseg_data.core import BadConfig
-from bodyseg_data.loading.conditions import FIELDS, BodyRow, SampleTable, parse_condition
-from bodyseg_data.loading.selection import Selection, groups, mark_val
+from bodyseg_data.loading.conditions import SampleTable, parse_condition
+from bodyseg_data.loading.selection import BodyRow, Selection, groups, mark_val
 from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import ReadSplit, SampleInfo, ViewGrid
-from bodyseg_data.shards import Manifest, ShardRecord
+from bodyseg_data.shards import BODY_FIELDS, Manifest, Row, ShardRecord
 from bodyseg_data.shards.records import describe
 
 
 def infos(*fields: dict[str, Any]) -> list[SampleInfo]:
-    plain = SampleInfo("open", "A", "A", "posture-00", "crouch", 215, 0, "train")
-    return [replace(plain, **each) for each in fields]
+    plain = body_info("crouch")
+    return [
+        SampleInfo(each.get("split", "train"), {**plain.fields, **{n: v for n, v in each.items() if n != "split"}})
+        for each in fields
+    ]
 
 
 def shard_of(described: list[SampleInfo], number: int = 0) -> ShardRecord:
@@ -36,7 +40,16 @@ def shard_of(described: list[SampleInfo], number: int = 0) -> ShardRecord:
     offsets = tuple(512 * index for index in range(count))
     name = f"{split}-{number:05d}.tar"
     return ShardRecord(
-        name, split, 512 * count, "0" * 64, keys, offsets, (512,) * count, (0,) * count, (), describe(described)
+        name,
+        split,
+        512 * count,
+        "0" * 64,
+        keys,
+        offsets,
+        (512,) * count,
+        (0,) * count,
+        (),
+        describe(described, BODY_FIELDS),
     )
 
 
@@ -47,28 +60,26 @@ def planned(source: str, shard_samples: int = 1080, views: int = 2) -> Manifest:
     described: dict[str, list[SampleInfo]] = {"train": [], "test": []}
     for body in open_source(source).bodies():
         for view in grid:
-            info = SampleInfo(
-                source, body.subset, body.subject, body.mesh, body.pose, view.distance_cm, view.azimuth_deg, body.split
-            )
+            fields = {name: getattr(body, name) for name in ("subset", "subject", "mesh", "pose")}
+            info = body_info(source=source, split=body.split, **fields, **asdict(view))
             described[body.split].append(info)
     shards = [
         shard_of(split[first : first + shard_samples], number)
         for split in described.values()
         for number, first in enumerate(range(0, len(split), shard_samples))
     ]
-    return Manifest(load_rig(), "bsi", source, "raster", "0" * 64, tuple(shards))
+    return Manifest((load_rig(),), "bsi", source, "raster", "0" * 64, tuple(shards))
 
 
 def chosen_keys(manifest: Manifest, split: ReadSplit | None, val_share: float = 0.0, **options: Any) -> list[str]:
-    selection = Selection.of("*", split, options.get("only", ()), options.get("where", ()), val_share)
+    selection = Selection.of("*", split, options.get("only", ()), options.get("where", ()), val_share, BODY_FIELDS)
     chosen = selection.choose(manifest, "here")
     return [manifest.shards[number].keys[index] for number, own in chosen.by_shard() for index in own]
 
 
 def met(text: str, *described: SampleInfo) -> list[bool]:
-    found = describe(described)
-    table = SampleTable(list(found.bodies), list(found.views), np.array(found.body), np.array(found.view))
-    marks: list[bool] = parse_condition(text).marks(table).tolist()
+    table = SampleTable.of(BODY_FIELDS, [shard_of(described)])
+    marks: list[bool] = parse_condition(text, BODY_FIELDS).marks(table).tolist()
     return marks
 
 
@@ -126,7 +137,8 @@ def test_conditions(text: str, expected: list[bool]) -> None:
         },
     )
     assert met(text, *described) == expected
-    assert parse_condition(parse_condition(text).text) == parse_condition(text)
+    found = parse_condition(text, BODY_FIELDS)
+    assert parse_condition(found.text, BODY_FIELDS) == found
 
 
 @pytest.mark.parametrize(
@@ -137,7 +149,12 @@ def test_conditions(text: str, expected: list[bool]) -> None:
             "a condition is FIELD, one of = != < <= > >=, and values, like 'distance_cm<=255', found 'distanc",
         ),
         ("=3", "a condition is FIELD"),
-        ("distance=2", f"a condition is on one of {', '.join(FIELDS)}, found 'distance' in 'distance=2'"),
+        (
+            "distance=2",
+            "a condition is on one of source, subset, subject, mesh, pose, "
+            "distance_cm, azimuth_deg, pitch_deg, roll_deg, height_cm, things, hidden_pct, motion, "
+            "found 'distance' in 'distance=2'",
+        ),
         ("distance_cm==255", "distance_cm is compared with numbers, or ranges like -90..90, found 'distance_cm==255'"),
         ("distance_cm=", "distance_cm is compared with numbers, or ranges"),
         ("distance_cm<=255,295", "distance_cm<= takes one number, found 'distance_cm<=255,295'"),
@@ -303,19 +320,21 @@ def test_groups_are_people_where_there_are_enough() -> None:
 
 def table_of(bodies: list[BodyRow]) -> SampleTable:
     numbers = np.arange(len(bodies), dtype=np.int32)
-    return SampleTable(bodies, [(215, 0, 0, 0, 0)], numbers, np.zeros_like(numbers))
+    others: list[Row] = [(215, 0, 0, 0, 0), ("", 0)]
+    tables = [list[Row](bodies), *([row] for row in others)]
+    return SampleTable(BODY_FIELDS, tables, [numbers, *(np.zeros_like(numbers) for _ in others)], len(bodies))
 
 
 @pytest.mark.parametrize("share", [0.01, 0.1, 0.4, 0.6, 0.9, 0.99])
 def test_neither_part_is_ever_empty(share: float) -> None:
     table = table_of(rows("X", 1, 3, 40))
-    val = mark_val(table, np.ones(120, np.bool_), share)
+    val = mark_val(table, share)
     assert val.sum() == {0.01: 40, 0.1: 40, 0.4: 40, 0.6: 80, 0.9: 80, 0.99: 80}[share]
 
 
 def test_one_group_cannot_be_divided() -> None:
     with pytest.raises(BadConfig, match=r"^val_share=0\.1 divides train by people and motions, found 1 group of them$"):
-        mark_val(table_of(rows("X", 1, 1, 40)), np.ones(40, np.bool_), 0.1)
+        mark_val(table_of(rows("X", 1, 1, 40)), 0.1)
 
 
 @pytest.mark.parametrize("share", [-0.1, 1, 1.5, float("nan"), "0.1", None, True])

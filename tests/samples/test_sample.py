@@ -1,7 +1,10 @@
 from __future__ import annotations
 
+import json
+import pickle
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +12,7 @@ from numpy.typing import NDArray
 from samples import GOOD
 
 from bodyseg_data.core import BadSample
-from bodyseg_data.samples import SHADOW_THRESHOLDS, Sample, check_key, info_from_json, shape_of, steps
+from bodyseg_data.samples import SHADOW_THRESHOLDS, Sample, SampleInfo, View, check_key, info_from_json, shape_of, steps
 from bodyseg_data.samples.sample import ShadowThresholds
 
 
@@ -39,25 +42,58 @@ def test_broken_samples_are_refused(change: Callable[[Sample], Sample], message:
         change(GOOD).check()
 
 
-def test_a_thing_has_a_range_and_no_label() -> None:
-    labels = np.array([[255, 0], [255, 5]], np.uint8)
-    among_things = replace(GOOD, labels=labels, info=replace(GOOD.info, things="before", hidden_pct=12))
-    among_things.check()
+def test_a_surface_without_a_class_has_a_range_and_no_label() -> None:
+    replace(GOOD, labels=np.array([[255, 0], [254, 5]], np.uint8)).check()
     with pytest.raises(BadSample, match="labels must be 255 exactly where range is 0"):
-        replace(among_things, info=GOOD.info).check()
-    with pytest.raises(BadSample, match="labels must be 255 wherever range is 0"):
-        replace(among_things, labels=np.array([[3, 0], [255, 5]], np.uint8)).check()
-    with pytest.raises(BadSample, match="labels must be 0 to 32, found 62"):
-        replace(among_things, labels=np.array([[255, 0], [62, 5]], np.uint8)).check()
+        replace(GOOD, labels=np.array([[254, 0], [254, 5]], np.uint8)).check()
+    with pytest.raises(BadSample, match="labels must be 0 to 4, found 5"):
+        replace(GOOD, labels=np.array([[255, 0], [254, 5]], np.uint8)).check(classes=5)
+    replace(GOOD, labels=np.array([[255, 253], [254, 5]], np.uint8)).check(classes=254)
 
 
-def test_things_are_described_only_where_there_are_some() -> None:
-    assert not {"things", "hidden_pct"} & set(GOOD.info.to_json())
-    info = replace(GOOD.info, things="both", hidden_pct=7)
-    assert info.to_json() == {**GOOD.info.to_json(), "things": "both", "hidden_pct": 7}
-    assert info_from_json(info.to_json(), "k") == info
-    with pytest.raises(BadSample, match="k: 'hidden_pct' must be int, found '7'"):
-        info_from_json({**info.to_json(), "hidden_pct": "7"}, "k")
+def test_planes_are_images_of_integers_as_large_as_the_range() -> None:
+    replace(GOOD, planes={"instances": np.ones((2, 2), np.uint16)}).check()
+    with pytest.raises(BadSample, match=r"plane 'instances' must be uint8 or uint16 \(2, 2\), found int32 \(2, 2\)"):
+        replace(GOOD, planes={"instances": np.ones((2, 2), np.int32)}).check()
+
+
+def test_a_description_has_any_fields() -> None:
+    info = SampleInfo("test", {"robot": "r1", "reach_mm": 80, "lux": 0.5, "holds": True, "pose_m": (1.0, 2.0)})
+    assert info_from_json(json.loads(json.dumps(info.to_json())), "k") == info
+    assert (info.robot, info.get("lux"), info.get("age", 7), info.view) == ("r1", 0.5, 7, None)
+    assert info.with_fields(lux=1.5).lux == 1.5 and info.lux == 0.5
+    with pytest.raises(AttributeError, match="no field 'age'"):
+        _ = info.age
+    assert GOOD.info.view == View(215, 0) and GOOD.info.with_fields(roll_deg=3).view == View(215, 0, roll_deg=3)
+    assert pickle.loads(pickle.dumps(info)) == info
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        (
+            {"Robot": "r1"},
+            "must have a lower-case name like 'subject', and not 'split' or 'key', found 'Robot'",
+        ),
+        ({"key": "r1"}, "a field must have a lower-case name"),
+        ({"robot": None}, "field 'robot' must be text, a whole number, a number, true or false, or a tuple of numbers"),
+        ({"lux": float("nan")}, "field 'lux' must hold finite numbers"),
+        ({"lux": (1.0, 2)}, "field 'lux' must hold finite numbers"),
+        ({"count": 2**53}, r"field 'count' must be below 2\*\*53"),
+        ({"robot": "a\n"}, "field 'robot' must be text that can be printed"),
+        ({f"x{number}": 1 for number in range(65)}, "a description has at most 64 fields, found 65"),
+    ],
+)
+def test_fields_that_are_none(fields: Any, message: str) -> None:
+    with pytest.raises(BadSample, match=message):
+        SampleInfo("train", fields)
+
+
+def test_another_split_is_refused() -> None:
+    with pytest.raises(BadSample, match="k: 'split' must be one of train, test, found 'val'"):
+        info_from_json({"split": "val"}, "k")
+    with pytest.raises(BadSample, match="k: the description must be an object with a 'split'"):
+        info_from_json([], "k")
 
 
 @pytest.mark.parametrize("key", ["", "a.b", "a/b", "../a", "a b", "ä", "x" * 81, "a\n"])

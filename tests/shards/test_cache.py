@@ -34,7 +34,7 @@ from bodyseg_data.shards import (
     with_cache,
 )
 from bodyseg_data.shards.cache import CachedStore, ShardCache, default_folder
-from bodyseg_data.shards.records import describe
+from bodyseg_data.shards.records import BODY_FIELDS, describe
 
 fsspec = pytest.importorskip("fsspec")
 
@@ -43,7 +43,7 @@ def record(number: int, size: int = 1024) -> ShardRecord:
     """A shard of one sample whose bytes all are `number`."""
     data = bytes([number]) * size
     sha256 = hashlib.sha256(data).hexdigest()
-    described = describe([GOOD.info])
+    described = describe([GOOD.info], BODY_FIELDS)
     return ShardRecord(
         f"train-{number:05d}.tar", "train", size, sha256, (f"k-{number}",), (0,), (512,), (0,), (), described
     )

@@ -22,6 +22,7 @@ from bodyseg_data.core import BadShard, Permutation, Unreachable
 from bodyseg_data.loading import range_images
 from bodyseg_data.samples import ViewGrid
 from bodyseg_data.shards import (
+    BODY_FIELDS,
     MANIFEST_NAME,
     LocalFolder,
     Manifest,
@@ -72,7 +73,7 @@ def table_of(folder: Path) -> ShardTable:
 def test_records_and_digest_are_those_that_were_written(small_set: Path, indexed_set: Path) -> None:
     plain, found = read_manifest(small_set), read_manifest(indexed_set)
     assert [record_to_json(shard) for shard in found.shards] == [record_to_json(shard) for shard in plain.shards]
-    assert (found.format, plain.format) == ("bodyseg shards 6", "bodyseg shards 5")
+    assert (found.index is None, plain.index is None) == (False, True)
     assert found.digest == json.loads((indexed_set / MANIFEST_NAME).read_bytes())["digest"]
     assert (found.samples(), found.samples("test"), found.notes()) == (24, plain.samples("test"), plain.notes())
     assert repr(found.shards[0]) == repr(plain.shards[0])
@@ -219,7 +220,7 @@ def test_verify_finds_a_key_that_two_samples_have(
     copied: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     first, second, *rest = read_manifest(copied).shards
-    plain = record_from_json(record_to_json_lists(second), "here")
+    plain = record_from_json(record_to_json_lists(second), BODY_FIELDS, "here")
     twice = replace(plain, keys=(first.keys[0], *plain.keys[1:]))
     monkeypatch.setattr(manifest, "INDEXED_FROM", 24)
     write_manifest(replace(read_manifest(copied), shards=(first, twice, *rest)), copied)
@@ -250,7 +251,7 @@ def test_a_set_without_an_index_takes_the_place_of_one_with_it(small_set: Path, 
     source = LocalFolder(small_set)
     transfer(set_bundle(source), LocalTarget(copied, source), lambda done: None, replace=True)
     assert not (copied / INDEX_NAME).exists()
-    assert read_manifest(copied).format == "bodyseg shards 5"
+    assert read_manifest(copied).index is None
 
 
 def test_cards_list_the_index(small_set: Path, indexed_set: Path) -> None:
@@ -261,7 +262,7 @@ def test_cards_list_the_index(small_set: Path, indexed_set: Path) -> None:
         plain.sources,
         plain.size,
     )
-    assert found.version.startswith("6.0.0+")
+    assert found.version.startswith("7.0.0+")
     files = [each for each in croissant(found, Publication("A", date(2026, 1, 31)))["distribution"] if "sha256" in each]
     assert [each["name"] for each in files] == [*(shard.name for shard in plain.shards), INDEX_NAME]
     assert files[-1]["sha256"] == table_of(indexed_set).sha256
@@ -296,9 +297,9 @@ def test_a_table_that_breaks_a_rule_is_one_line(
 
 def with_text(data: bytes, **changed: Any) -> bytes:
     """A piece with other fields of its text."""
-    size = int.from_bytes(data[12:16], "little")
+    size = int.from_bytes(data[8:12], "little")
     text = json.dumps({**json.loads(data[-size:]), **changed}).encode()
-    return data[:12] + len(text).to_bytes(4, "little") + data[16:-size] + text
+    return data[:8] + len(text).to_bytes(4, "little") + data[12:-size] + text
 
 
 def piece_of(found: Manifest, number: int = 0) -> tuple[ShardRecord, bytes]:
@@ -310,13 +311,17 @@ def piece_of(found: Manifest, number: int = 0) -> tuple[ShardRecord, bytes]:
     ("change", "message"),
     [
         (lambda data: data[:8], "8 bytes are no index of a shard"),
+        (lambda data: data[:4] + bytes([65]) + data[5:], "bytes cannot hold the sizes of 65 tables"),
         (lambda data: data[:-1], "the index must hold [0-9]+ samples, found"),
         (lambda data: b"\1" + data[1:], "the index must hold [0-9]+ samples, found"),
         (lambda data: data.replace(b'"stems"', b'"stars"'), "the index's text must have the fields"),
         (lambda data: data[:-1] + b"]", "the index's text cannot be read"),
         (lambda data: with_text(data, stems=[1]), "'stems' must be a list of text"),
         (lambda data: with_text(data, tails={}), "'tails' must be a list of text"),
-        (lambda data: with_text(data, tails=["-d1"]), "'stems' and 'tails' must be as many as bodies, and as views"),
+        (
+            lambda data: with_text(data, tails=["-d1"]),
+            "'stems' and 'tails' must be as many as the rows of the first tables",
+        ),
     ],
 )
 def test_a_piece_that_breaks_a_rule_is_one_line(
@@ -331,12 +336,9 @@ def test_entries_that_break_a_rule_are_one_line(indexed_set: Path) -> None:
     shard, data = piece_of(read_manifest(indexed_set))
     count = len(shard)
     for altered, message in (
-        (data[:16] + bytes(4 * (count + 1)) + data[20 + 4 * count :], "a sample takes at least a block"),
-        (with_text(data, tails=["-d.1"] * count), "a sample key must be 1 to 80"),
-        (
-            data[: 20 + 8 * count] + b"\xff" * count + data[20 + 9 * count :],
-            "is of a body or view that the index has not",
-        ),
+        (data[:24] + bytes(4 * (count + 1)) + data[28 + 4 * count :], "a sample takes at least a block"),
+        (with_text(data, stems=[], tails=["-d.1"] * count), "a sample key must be 1 to 80"),
+        (data[: 28 + 8 * count] + b"\xff" * count + data[28 + 9 * count :], "has a row that its tables have not"),
     ):
         with pytest.raises(BadShard, match=f"^here: .*{message}"):
             Piece(altered, count, "here").entry(0)
@@ -356,7 +358,7 @@ def test_altered_pieces_are_refused_or_read(indexed_set: Path) -> None:
             piece = Piece(bytes(altered), len(shard), "here")
             for at in range(len(piece)):
                 assert 0 < piece.entry(at).length <= 1 << 30
-            record_from_json({**head, **piece.to_json()}, "here")
+            record_from_json({**head, **piece.to_json()}, BODY_FIELDS, "here")
         except BadShard as error:
             messages.add(str(error)[:40])
     assert len(messages) > 5
@@ -380,7 +382,7 @@ def test_keys_of_any_form_are_kept(small_set: Path) -> None:
 
 def test_a_piece_is_read_again_after_it_was_let_go(indexed_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(index, "HELD_PIECES", 1)
-    shards = IndexedShards(table_of(indexed_set), LocalFolder(indexed_set))
+    shards = IndexedShards(table_of(indexed_set), BODY_FIELDS, LocalFolder(indexed_set))
     assert shards.piece(0) is shards.piece(0)
     first = shards.piece(0)
     shards.piece(1)

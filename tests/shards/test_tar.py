@@ -20,9 +20,10 @@ from samples import GOOD
 from bodyseg_data.commands import main
 from bodyseg_data.core import BadSample, BadShard
 from bodyseg_data.shards import (
+    BODY_FIELDS,
     MANIFEST_NAME,
     ShardReader,
-    ShardWriter,
+    TarWriter,
     encode_sample,
     find_faults,
     read_manifest,
@@ -178,12 +179,15 @@ def _edit(key: str, value: object) -> Callable[[bytes], bytes]:
     ("spoil", "message"),
     [
         (lambda data: data[:-20], "cannot be read"),
-        (lambda data: b"[]", "'format' must be 'bodyseg shards 5' or 'bodyseg shards 6', found 'list'"),
+        (
+            lambda data: b"[]",
+            "'format' must be one of 'bodyseg shards 5', 'bodyseg shards 6', 'bodyseg shards 7', found 'list'",
+        ),
         (lambda data: b"\xff\xfe", "cannot be read"),
         (lambda data: b"[" * 100_000, "cannot be read"),
         (
             _edit("format", "bodyseg shards 3"),
-            "must be 'bodyseg shards 5' or 'bodyseg shards 6', found 'bodyseg shards 3'",
+            "'bodyseg shards 6', 'bodyseg shards 7', found 'bodyseg shards 3'",
         ),
         (_edit("codec", "png"), "altered after it was written: stored digest [0-9a-f]{64}, computed [0-9a-f]{64}"),
         (lambda data: data.replace(b'"samples":5', b'"samples":6', 1), "altered after it was written"),
@@ -215,12 +219,28 @@ def _with(change: Callable[[dict[str, Any]], object]) -> Callable[[dict[str, Any
     [
         (_with(lambda tree: tree.update(extra=1)), "has the fields"),
         (_with(lambda tree: tree.update(codec="jpg")), "'codec' must be one of bsi, png, found 'jpg'"),
-        (_with(lambda tree: tree.update(parts=["nose"])), "'parts' are not those of format"),
+        (_with(lambda tree: tree.update(classes=["nose"])), "'classes' must have a name and a list of classes"),
+        (_with(lambda tree: tree["classes"].update(classes=[])), "a set has 1 to 254 classes, found 0"),
+        (_with(lambda tree: tree["classes"]["classes"][0].update(sort=1)), "a class has a name, and may have colour"),
+        (_with(lambda tree: tree["classes"]["classes"][0].update(mirror=[])), "the mirror image of 'Sellion'"),
+        (_with(lambda tree: tree.update(projector="all")), "'projector' must be one of shadow, exact, none"),
+        (_with(lambda tree: tree.update(planes=[])), "'planes' must be an object, found list"),
+        (_with(lambda tree: tree.update(planes={"A": "uint8"})), "a plane must have a lower-case name"),
+        (_with(lambda tree: tree.update(planes={"a": "int8"})), "the plane 'a' must be of the type uint8 or uint16"),
+        (_with(lambda tree: tree.update(rigs=[])), "'rigs' must be a list of 1 to 4096"),
+        (
+            _with(lambda tree: tree["rigs"].append(tree["rigs"][0])),
+            "a set with 2 rigs must have the field 'rig', an int",
+        ),
+        (_with(lambda tree: tree.update(fields={})), "'fields' must be lists of pairs"),
+        (_with(lambda tree: tree["fields"][0].append(["mesh", "text"])), "a field of descriptions is named once"),
+        (_with(lambda tree: tree["fields"][0][0].__setitem__(1, "word")), "field 'source' must be of the kinds text"),
+        (_with(lambda tree: tree["fields"][0][0].__setitem__(0, "A b")), "a field must have a lower-case name"),
         (_with(lambda tree: tree.update(source=3)), "'source' must be text, found 3"),
-        (_with(lambda tree: tree.update(shards={})), "'shards' must be a list of at least one"),
+        (_with(lambda tree: tree.update(shards={})), "'shards' must have the fields"),
         (_with(lambda tree: tree.update(shards=[])), "'shards' must be a list of at least one"),
         (
-            _with(lambda tree: tree["rig"]["camera"].update(rows=float("inf"))),
+            _with(lambda tree: tree["rigs"][0]["camera"].update(rows=float("inf"))),
             "'rows' must be a finite number, found 'inf'",
         ),
         (_with(lambda tree: tree["shards"][0].update(size=1 << 70)), "'size' must be a number of bytes"),
@@ -234,34 +254,41 @@ def _with(change: Callable[[dict[str, Any]], object]) -> Callable[[dict[str, Any
         (_with(lambda tree: tree["shards"][0]["crc32"].pop()), "'crc32' must have one entry a sample"),
         (_with(lambda tree: tree["shards"][0]["crc32"].__setitem__(0, "x")), "'crc32' must hold int only"),
         (_with(lambda tree: tree["shards"][0].update(notes=[3])), "'notes' must be a list of text"),
-        (_with(lambda tree: tree["shards"][0].pop("notes")), "has not the fields of format"),
-        (_with(lambda tree: tree["shards"][0].pop("split")), "has not the fields of format"),
+        (_with(lambda tree: tree["shards"][0].pop("notes")), "a shard's record must have the fields"),
+        (_with(lambda tree: tree["shards"][0].pop("split")), "a shard's record must have the fields"),
         (_with(lambda tree: tree["shards"].append(tree["shards"][0])), "must be unique"),
-        (_with(lambda tree: tree["shards"][0].pop("views")), "has not the fields of format"),
-        (_with(lambda tree: tree["shards"][0]["body"].pop()), "'body' must have one entry a sample"),
-        (_with(lambda tree: tree["shards"][0]["view"].__setitem__(0, 0.0)), "'view' must hold int only"),
-        (_with(lambda tree: tree["shards"][0].update(bodies={})), "'bodies' must be 5 lists of one length"),
-        (_with(lambda tree: tree["shards"][0].update(views=[])), "'views' must be 5 lists of one length"),
-        (_with(lambda tree: tree["shards"][0]["bodies"].pop()), "'bodies' must be 5 lists of one length"),
-        (_with(lambda tree: tree["shards"][0]["bodies"].__setitem__(0, "ab")), "'bodies' must be 5 lists of one"),
-        (_with(lambda tree: tree["shards"][0]["views"][0].pop()), "'views' must be 5 lists of one length"),
-        (_with(lambda tree: tree["shards"][0]["bodies"][2].__setitem__(0, 3)), "'bodies' must hold str only"),
-        (_with(lambda tree: tree["shards"][0]["views"][2].__setitem__(0, True)), "'views' must hold int only"),
+        (_with(lambda tree: tree["shards"][0].pop("rows")), "a shard's record must have the fields"),
         (
-            _with(lambda tree: tree["shards"][0]["views"][0].__setitem__(0, -(10**400))),
-            "'views' must hold whole numbers of at most 32767",
+            _with(lambda tree: tree["shards"][0]["rows"][0].pop()),
+            "'rows' must have one whole number a sample and table",
+        ),
+        (_with(lambda tree: tree["shards"][0]["rows"][1].__setitem__(0, 0.0)), "'rows' must have one whole number"),
+        (_with(lambda tree: tree["shards"][0].update(tables={})), "'tables' must be 3 lists"),
+        (_with(lambda tree: tree["shards"][0].update(rows=[[]])), "'rows' must be 3 lists"),
+        (_with(lambda tree: tree["shards"][0]["tables"].__setitem__(0, [])), "table 0 must be 5 lists of one length"),
+        (_with(lambda tree: tree["shards"][0]["tables"][0].pop()), "table 0 must be 5 lists of one length"),
+        (_with(lambda tree: tree["shards"][0]["tables"][0].__setitem__(0, "ab")), "table 0 must be 5 lists of one"),
+        (_with(lambda tree: tree["shards"][0]["tables"][1][0].pop()), "table 1 must be 5 lists of one length"),
+        (
+            _with(lambda tree: tree["shards"][0]["tables"][0][2].__setitem__(0, 3)),
+            "'subject' must hold text or nothing",
+        ),
+        (_with(lambda tree: tree["shards"][0]["tables"][1][2].__setitem__(0, True)), "'pitch_deg' must hold int or"),
+        (
+            _with(lambda tree: tree["shards"][0]["tables"][1][0].__setitem__(0, -(10**400))),
+            r"field 'distance_cm' must be below 2\*\*53",
         ),
         (
-            _with(lambda tree: [column.append(column[0]) for column in tree["shards"][0]["views"]]),
-            "'views' must hold each row once",
+            _with(lambda tree: [column.append(column[0]) for column in tree["shards"][0]["tables"][1]]),
+            "table 1 must hold each row once",
         ),
         (
-            _with(lambda tree: [column.append("a") for column in tree["shards"][0]["bodies"]]),
-            "'body' must number the rows of 'bodies', all of them, in the order of their first use",
+            _with(lambda tree: [column.append("a") for column in tree["shards"][0]["tables"][0]]),
+            "'rows' must number the rows of table 0, all, in the order of their first use",
         ),
-        (_with(lambda tree: tree["shards"][0]["view"].__setitem__(0, 1)), "'view' must number the rows of 'views'"),
-        (_with(lambda tree: tree["shards"][0]["view"].__setitem__(1, -1)), "'view' must number the rows of 'views'"),
-        (_with(lambda tree: tree["shards"][0]["view"].__setitem__(1, 1 << 70)), "'view' must number the rows"),
+        (_with(lambda tree: tree["shards"][0]["rows"][1].__setitem__(0, 1)), "'rows' must number the rows of table 1"),
+        (_with(lambda tree: tree["shards"][0]["rows"][1].__setitem__(1, -1)), "'rows' must number the rows of table 1"),
+        (_with(lambda tree: tree["shards"][0]["rows"][1].__setitem__(1, 1 << 70)), "'rows' must number the rows"),
     ],
 )
 def test_a_manifest_that_lies_consistently_is_refused(
@@ -284,7 +311,7 @@ def test_a_folder_without_a_manifest_is_named(tmp_path: Path, capsys: pytest.Cap
 
 def test_a_writer_that_fails_leaves_nothing(tmp_path: Path) -> None:
     def write() -> None:
-        with ShardWriter(tmp_path / "train-00000.tar", tmp_path / "x.part", "train") as writer:
+        with TarWriter(tmp_path / "train-00000.tar", tmp_path / "x.part", "train") as writer:
             writer.write(GOOD.key, encode_sample(GOOD))
             assert (tmp_path / "x.part").exists()
             writer.write("no.good", {})
@@ -295,12 +322,12 @@ def test_a_writer_that_fails_leaves_nothing(tmp_path: Path) -> None:
 
 
 def test_notes_are_lines_whatever_was_noted(tmp_path: Path) -> None:
-    with ShardWriter(tmp_path / "train-00000.tar", tmp_path / "x.part", "train") as writer:
+    with TarWriter(tmp_path / "train-00000.tar", tmp_path / "x.part", "train") as writer:
         writer.write(GOOD.key, encode_sample(GOOD))
         writer.note("a", ["read\nfrom \ud800"])
     assert writer.record is not None
     assert writer.record.notes == (r"a: read\nfrom \ud800",)
-    assert record_from_json(json.loads(json.dumps(record_to_json(writer.record))), "here") == writer.record
+    assert record_from_json(json.loads(json.dumps(record_to_json(writer.record))), BODY_FIELDS, "here") == writer.record
 
 
 _DESCRIPTION = (
@@ -311,7 +338,7 @@ _DESCRIPTION = (
 
 def test_the_shard_bytes_are_pinned(tmp_path: Path) -> None:
     """Format drift is a failing test. The members here do not depend on any compressor's version."""
-    with ShardWriter(tmp_path / "train-00000.tar", tmp_path / "x.part", "train") as writer:
+    with TarWriter(tmp_path / "train-00000.tar", tmp_path / "x.part", "train") as writer:
         writer.write("k1", {"json": _DESCRIPTION % 40, "range.bsi": b"r" * 600})
         writer.write("k2", {"json": _DESCRIPTION % 50})
     record = writer.record
@@ -382,7 +409,7 @@ def test_headers_say_what_tarfile_says_whoever_wrote_them(change: dict[str, Any]
 def test_content_that_breaks_the_format_is_a_fault_though_its_checksums_are_right(
     change: dict[str, Any], problem: str, figures_set: Path, tmp_path: Path
 ) -> None:
-    with ShardWriter(tmp_path / "train-00000.tar", tmp_path / "x.part", "train") as writer:
+    with TarWriter(tmp_path / "train-00000.tar", tmp_path / "x.part", "train") as writer:
         writer.write(GOOD.key, encode_sample(replace(GOOD, **change), "png"))  # which stores anything
     assert writer.record is not None
     manifest = replace(read_manifest(figures_set), shards=(writer.record,))
@@ -395,7 +422,7 @@ def test_a_sample_of_another_rig_is_not_given_though_its_checksums_are_right(fig
     sample = ShardReader(figures_set, good).read(0, 0)
     members = encode_sample(sample, "png")
     few = encode_png(np.zeros((1, 1), np.uint8))
-    with ShardWriter(tmp_path / "train-00000.tar", tmp_path / "x.part", "train") as writer:
+    with TarWriter(tmp_path / "train-00000.tar", tmp_path / "x.part", "train") as writer:
         writer.write(GOOD.key, encode_sample(GOOD))
         writer.write(sample.key, members | {"labels.png": few})
     assert writer.record is not None
@@ -431,26 +458,26 @@ def test_the_manifest_describes_every_sample_as_it_describes_itself(figures_set:
         described = [shard.descriptions.info(index, shard.split) for index in range(len(shard))]
         assert described == [reader.read(number, index).info for index in range(len(shard))]
     first = manifest.shards[0].descriptions
-    assert repr(first) == "Descriptions(5 samples, 2 bodies, 4 views)"
-    assert (first.body, first.view) == ((0, 0, 0, 0, 1), (0, 1, 2, 3, 0))
+    assert repr(first) == "Descriptions(12 fields, [2, 4, 1] rows)"
+    assert first.rows == ((0, 0, 0, 0, 1), (0, 1, 2, 3, 0), (0,) * 5)
 
 
 @pytest.mark.parametrize(
     ("table", "column", "value", "field"),
     [
-        ("bodies", 4, "sitting", "'pose' is 'standing', in the manifest 'sitting'"),
-        ("views", 3, 7, "'roll_deg' is 0, in"),
+        (0, 4, "sitting", "'pose' is 'standing', in the manifest 'sitting'"),
+        (1, 3, 7, "'roll_deg' is 0, in"),
     ],
 )
 def test_a_description_that_differs_from_the_samples_own_is_a_fault(
-    copy: Path, capsys: pytest.CaptureFixture[str], table: str, column: int, value: object, field: str
+    copy: Path, capsys: pytest.CaptureFixture[str], table: int, column: int, value: object, field: str
 ) -> None:
     tree = json.loads((copy / MANIFEST_NAME).read_bytes())
     del tree["digest"]
-    tree["shards"][0][table][column][0] = value
+    tree["shards"][0]["tables"][table][column][0] = value
     (copy / MANIFEST_NAME).write_text(json.dumps({**tree, "digest": _digest(tree)}))
     shard = read_manifest(copy).shards[0]
-    row = shard.descriptions.body if table == "bodies" else shard.descriptions.view
+    row = shard.descriptions.rows[table]
     assert main(["verify", str(copy)]) == 1
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == row.count(0) > 0
@@ -463,7 +490,7 @@ def test_a_sample_without_a_description_is_not_written(tmp_path: Path) -> None:
     for wrong in ({"bsi": members["bsi"]}, members | {"json": b"{}"}):
         with (
             pytest.raises(BadSample, match=f"^{GOOD.key}: "),
-            ShardWriter(tmp_path / "train-00000.tar", tmp_path / "x.part", "train") as writer,
+            TarWriter(tmp_path / "train-00000.tar", tmp_path / "x.part", "train") as writer,
         ):
             writer.write(GOOD.key, wrong)
     assert list(tmp_path.iterdir()) == []

@@ -33,6 +33,7 @@ from benches.model.failures.poses import (
 )
 from label_networks import Places
 from numpy.typing import NDArray
+from samples import body_info
 
 from bodyseg_data.artifacts import RangeImage
 from bodyseg_data.bodies import open_source
@@ -41,7 +42,7 @@ from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_data.labels import BACKGROUND, PARTS
 from bodyseg_data.meshes import partition
 from bodyseg_data.rigs import Camera
-from bodyseg_data.samples import Sample, SampleInfo, steps
+from bodyseg_data.samples import Sample, steps
 from bodyseg_model.evaluation import evaluate, open_images
 from bodyseg_model.networks import Trained
 
@@ -136,7 +137,7 @@ def judged(
     body = labels != BACKGROUND
     shown = body if shown is None else shown
     range_steps = np.where(body, np.uint16(25000), np.uint16(0)) if image is None else image
-    info = SampleInfo("folder", "folder", "S", "m", "standing", 215, 0, "test")
+    info = body_info(source="folder", subset="folder", subject="S", mesh="m", split="test")
     clean = Sample("folder-S-m-d215-a000", range_steps, None, labels, body, info)
     seen = RangeImage(clean.key, range_steps * shown, np.where(shown, labels, np.uint8(BACKGROUND)), {"sigma_mm": 10.0})
     return Prediction(clean, seen, np.where(shown, said, np.uint8(BACKGROUND)), 12.0)

@@ -16,8 +16,8 @@ from numpy.random import Generator
 from benches.fuzzing.hostile import hostile_image, hostile_json, hostile_png, hostile_tree, spoiled
 from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.rigs import load_rig
-from bodyseg_data.samples import SPLITS, Sample, SampleInfo
-from bodyseg_data.shards import CODECS, CodecName, Manifest, ShardRecord, encode_sample
+from bodyseg_data.samples import SPLITS, Sample, SampleInfo, Value
+from bodyseg_data.shards import BODY_FIELDS, CODECS, CodecName, Manifest, ShardRecord, encode_sample
 from bodyseg_data.shards.records import describe
 
 KEY: Final = "open-A-posture-00-d215-a040"
@@ -37,6 +37,13 @@ _SIZES: Final = (
 _FIELDS: Final = ((0, 100), (100, 8), (108, 8), (116, 8), (136, 12), (257, 8), (329, 8), (345, 155), (386, 126))
 
 
+def _info(mesh: str) -> SampleInfo:
+    """A description as sets of bodies have it."""
+    fields: dict[str, Value] = dict.fromkeys(("source", "subset", "subject", "mesh", "pose", "things"), mesh)
+    numbers: dict[str, Value] = dict.fromkeys(("distance_cm", "azimuth_deg", "pitch_deg", "roll_deg", "height_cm"), 40)
+    return SampleInfo("train", {**fields, **numbers, "hidden_pct": 0})
+
+
 @lru_cache(maxsize=4)
 def _samples(codec: CodecName) -> list[dict[str, bytes]]:
     """Small valid samples: a slope with the facing bit now and then, nothing at all, all body, one pixel, noise."""
@@ -49,8 +56,12 @@ def _samples(codec: CodecName) -> list[dict[str, bytes]]:
     found = []
     for ranges in (framed, np.zeros((5, 9), np.uint16), slope, np.full((1, 1), 65535, np.uint16), noise):
         labels = np.where(ranges > 0, ranges // 700 % 33, 255).astype(np.uint8)
-        info = SampleInfo("open", "A", "A", "posture-00", "standing", 215, 40, "train")
-        found.append(encode_sample(Sample(KEY, ranges, ranges[::-1] // 2, labels, (ranges // 9) % 2 > 0, info), codec))
+        info = _info("posture-00")
+        found.append(
+            encode_sample(
+                Sample(KEY, ranges, ranges[::-1] // 2, labels, ((ranges // 9) % 2 > 0) & (ranges > 0), info), codec
+            )
+        )
     return found
 
 
@@ -151,7 +162,7 @@ def _sum_set(header: bytearray) -> None:
 @lru_cache(maxsize=1)
 def _manifest_tree() -> dict[str, Any]:
     keys = tuple(f"open-A-posture-0{number}-d215-a040" for number in range(3))
-    infos = [SampleInfo("open", "A", "A", f"posture-0{number}", "standing", 215, 40, "train") for number in range(3)]
+    infos = [_info(f"posture-0{number}") for number in range(3)]
     shards = tuple(
         ShardRecord(
             name=f"{split}-00000.tar",
@@ -163,11 +174,11 @@ def _manifest_tree() -> dict[str, Any]:
             lengths=(4096,) * 3,
             crc32=(1, 2, 3),
             notes=("a: noted",),
-            descriptions=describe(infos),
+            descriptions=describe(infos, BODY_FIELDS),
         )
         for split, named in zip(SPLITS, (keys, tuple(key.replace("-A-", "-B-") for key in keys)), strict=True)
     )
-    tree = Manifest(load_rig(), "bsi", "open", "raster", "0" * 64, shards).to_json()
+    tree = Manifest((load_rig(),), "bsi", "open", "raster", "0" * 64, shards).to_json()
     del tree["digest"]
     return tree
 

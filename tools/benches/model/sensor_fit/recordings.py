@@ -84,7 +84,7 @@ class Scenes:
         facing[rows, columns] = faces_towards(self._mesh, seen.face[rows, columns], points, projector.position)
         labels = np.where(seen.face >= 0, 0, BACKGROUND).astype(np.uint8)
         key = f"{self._mesh.name}-a{azimuth:03d}"
-        info = SampleInfo("open", "", "", "", "", DISTANCE_CM, azimuth, "test")
+        info = SampleInfo("test", {"distance_cm": DISTANCE_CM, "azimuth_deg": azimuth})
         return Sample(key, _steps(seen.range, rig, key), _steps(lit.range, rig, key), labels, facing, info)
 
 
