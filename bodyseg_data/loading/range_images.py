@@ -213,7 +213,8 @@ class RangeImages(Dataset[dict[str, Any]]):
             made = self.augmentation.into(sample, epoch, image, labels)
             if self.transforms:
                 seen = with_camera(made, self.manifest.rig.camera, self.step_m, sample, self.manifest.classes)
-                made = transform_image(seen, self.transforms, Draws(self.seed, epoch, made.key))
+                draws = Draws(self.seed, epoch, made.key)
+                made = transform_image(seen, self.transforms, draws, self.unlabelled)
         except BadSample as error:
             name, _, offset = self.location(index)
             raise BadShard(f"{name}: offset {offset}: {error}") from error

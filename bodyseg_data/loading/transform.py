@@ -51,7 +51,7 @@ class CameraImage(RangeImage):
     focal_px: float
     centre_px: tuple[float, float]
     sample: Sample
-    classes: Classes
+    classes: Classes = PART_CLASSES
 
     @property
     def info(self) -> SampleInfo:
@@ -185,8 +185,12 @@ def transformed_shape(transforms: Sequence[Transform], rows: int, columns: int) 
     return rows, columns
 
 
-def transform_image(image: CameraImage, transforms: Sequence[Transform], draws: Draws) -> CameraImage:
+def transform_image(
+    image: CameraImage, transforms: Sequence[Transform], draws: Draws, unlabelled: int = BACKGROUND
+) -> CameraImage:
     """Apply transforms in their order; the draws of the n-th of one name are its own.
+
+    unlabelled: the label of surfaces without a class, 254 or 255.
 
     Raises BadSample if a transform does; BadTransform, with the traceback as a note, for any other error in one, and
     for a result that is no sample of the declared shape. Messages begin with the key.
@@ -196,7 +200,8 @@ def transform_image(image: CameraImage, transforms: Sequence[Transform], draws: 
         count = counts[each.name] = counts.get(each.name, 0) + 1
         purpose = f"transform {each.name}" if count == 1 else f"transform {each.name} {count}"
         shape = each.shape(*image.range.shape)
-        image = _checked_image(_called(each, image, draws.generator(purpose)), image.key, each.name, shape)
+        found = _called(each, image, draws.generator(purpose))
+        image = _checked_image(found, image.key, each.name, shape, unlabelled)
     return image
 
 
@@ -212,7 +217,7 @@ def _called(transform: Transform, image: CameraImage, random: np.random.Generato
         raise failed from error
 
 
-def _checked_image(found: Any, key: str, name: str, shape: tuple[int, int]) -> CameraImage:
+def _checked_image(found: Any, key: str, name: str, shape: tuple[int, int], unlabelled: int) -> CameraImage:
     where = f"{key}: transform {name!r}"
     if not isinstance(found, CameraImage):
         raise BadTransform(f"{where} must return a CameraImage, found {type(found).__name__}")
@@ -226,7 +231,7 @@ def _checked_image(found: Any, key: str, name: str, shape: tuple[int, int]) -> C
     above = np.subtract(
         labels, np.uint8(count), out=SCRATCH.empty(shape, np.uint8)
     )  # classes wrap around to what is larger than 254 and 255
-    if above.min() < UNLABELLED - count:
+    if above.min() < unlabelled - count:
         raise BadTransform(f"{where} must return labels 0 to {count - 1} or {BACKGROUND}, found {above.min() + count}")
     lost = np.equal(ranges, 0, out=SCRATCH.empty(shape, np.bool_)).view(np.uint8)
     np.negative(lost, out=lost)  # all bits, which are background's

@@ -337,7 +337,7 @@ class Piece:
             fits = tables >= 2 and [len(self._stems), len(self._tails)] == self._rows[:2]
         if not fits:
             raise BadShard(
-                f"{where}: 'tails' must be as many as samples, or 'stems' and 'tails' as the first tables' rows"
+                f"{where}: 'stems' and 'tails' must be as many as rows of the first tables, or none and samples"
             )
 
     def __len__(self) -> int:

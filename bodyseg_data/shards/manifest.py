@@ -249,9 +249,7 @@ def _manifest(tree: dict[str, Any], path: str, store: Store) -> Manifest:
         raise BadShard(str(error)) from error
     fields = fields_from_json(tree["fields"], path)
     if len(rigs) > 1 and fields.kinds.get(RIG_FIELD) != "int":
-        raise BadShard(
-            f"{path}: samples of a set with {len(rigs)} rigs must have the field {RIG_FIELD!r}, a whole number"
-        )
+        raise BadShard(f"{path}: a set with {len(rigs)} rigs must have the field {RIG_FIELD!r}, a whole number")
     indexed = isinstance(tree["shards"], dict)
     shards: Sequence[ShardRecord] = (
         IndexedShards(table_from_json(tree["shards"], path), fields, store)

@@ -21,7 +21,7 @@ from torch.utils.data import DataLoader
 from bodyseg_data import Batch, RangeImages, loader
 from bodyseg_data.artifacts import VARIANTS
 from bodyseg_data.core import BadConfig, BadSample, BadShard, BadTransform
-from bodyseg_data.labels import BACKGROUND, MIRRORED_LABELS, load_label_map
+from bodyseg_data.labels import BACKGROUND, PART_CLASSES, load_label_map
 from bodyseg_data.loading import BodyCrop, CameraImage, Crop, Flip, Roll, Transform, Zoom
 
 ALL = (Zoom(1.2), Roll(10), Flip(), Crop(400, 200, "anywhere"))
@@ -120,7 +120,7 @@ def test_parts_are_mirrored_before_they_are_joined(figures_set: Path) -> None:
     labels = load_label_map("limbs14")
     parts = RangeImages(figures_set).image(1).labels
     found = RangeImages(figures_set, transform=Flip(1.0), labels=labels).image(1).labels
-    assert np.array_equal(found, labels.table[MIRRORED_LABELS[parts[:, ::-1]]])
+    assert np.array_equal(found, labels.table[PART_CLASSES.mirrored[parts[:, ::-1]]])
     assert np.array_equal(found, labels.mirrored[labels.table[parts[:, ::-1]]])
 
 

@@ -311,7 +311,7 @@ def piece_of(found: Manifest, number: int = 0) -> tuple[ShardRecord, bytes]:
     ("change", "message"),
     [
         (lambda data: data[:8], "8 bytes are no index of a shard"),
-        (lambda data: data[:4] + bytes([65]) + data[5:], "bytes cannot hold the sizes of 65 tables"),
+        (lambda data: data[:4] + bytes([65]) + data[5:], "[0-9]+ bytes cannot hold the sizes of 65 tables"),
         (lambda data: data[:-1], "the index must hold [0-9]+ samples, found"),
         (lambda data: b"\1" + data[1:], "the index must hold [0-9]+ samples, found"),
         (lambda data: data.replace(b'"stems"', b'"stars"'), "the index's text must have the fields"),
@@ -320,7 +320,7 @@ def piece_of(found: Manifest, number: int = 0) -> tuple[ShardRecord, bytes]:
         (lambda data: with_text(data, tails={}), "'tails' must be a list of text"),
         (
             lambda data: with_text(data, tails=["-d1"]),
-            "'stems' and 'tails' must be as many as the rows of the first tables",
+            "'stems' and 'tails' must be as many as rows of the first tables",
         ),
     ],
 )

@@ -181,7 +181,7 @@ def _edit(key: str, value: object) -> Callable[[bytes], bytes]:
         (lambda data: data[:-20], "cannot be read"),
         (
             lambda data: b"[]",
-            "'format' must be one of 'bodyseg shards 5', 'bodyseg shards 6', 'bodyseg shards 7', found 'list'",
+            "'format' must be one of 'bodyseg shards 5', .*, 'bodyseg shards 7', found 'list'",
         ),
         (lambda data: b"\xff\xfe", "cannot be read"),
         (lambda data: b"[" * 100_000, "cannot be read"),
@@ -230,7 +230,7 @@ def _with(change: Callable[[dict[str, Any]], object]) -> Callable[[dict[str, Any
         (_with(lambda tree: tree.update(rigs=[])), "'rigs' must be a list of 1 to 4096"),
         (
             _with(lambda tree: tree["rigs"].append(tree["rigs"][0])),
-            "a set with 2 rigs must have the field 'rig', an int",
+            "with 2 rigs must have the field 'rig', an int",
         ),
         (_with(lambda tree: tree.update(fields={})), "'fields' must be lists of pairs"),
         (_with(lambda tree: tree["fields"][0].append(["mesh", "text"])), "a field of descriptions is named once"),
