@@ -11,7 +11,7 @@ from typing import Any, Final
 import torch
 
 from bodyseg_data.commands import WHERE_HELP, Progress, command_line, last_name, option, provenance, write_figures
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, make_folder
 from bodyseg_data.drawing import new_chart
 from bodyseg_data.loading import RangeImages
 from bodyseg_model.networks import find_device
@@ -68,10 +68,7 @@ def run(options: Options) -> int:
     groups = group(runs)
     reference = group_of(groups, options.reference)
     new_chart(1, 1)  # fail now if matplotlib is missing, not after hours
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadConfig(f"--out cannot be the folder {options.out}: {error.strerror or error}") from error
+    make_folder(options.out)
     start = time.perf_counter()
     for each in runs:
         each.trained.network.to(device)

@@ -23,17 +23,7 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import PARTS33
 from bodyseg_data.rigs import Rig
 from bodyseg_model.evaluation.evaluation import Evaluation, Scores
-from bodyseg_model.evaluation.scores import (
-    BIN_NAMES,
-    KINDS,
-    SWAPS,
-    BorderErrors,
-    Confidences,
-    ConfidentPixels,
-    Reliability,
-    count_kinds,
-    told_kinds,
-)
+from bodyseg_model.evaluation.scores import SWAPS, Confidences, ConfidentPixels, Reliability, count_kinds
 from bodyseg_model.networks import Trained
 
 SIMILAR: Final = 1.25
@@ -63,8 +53,6 @@ def report(evaluation: Evaluation) -> Tree:
     details: Tree = {**labels, "parts": _parts(total), "confusion": total.confusion.counts.tolist()}
     if total.confidences is not None:
         details |= _confidences(total.confidences)
-    if total.borders is not None:
-        details["border_distance_px"] = _borders(total.borders, told_kinds(total.label_map))
     return {
         **summary(total),
         "subsets": {name: summary(evaluation.subsets[name]) for name in sorted(evaluation.subsets, key=subset_order)},
@@ -89,7 +77,7 @@ def summary(scores: Scores) -> Tree:
         },
         "pixel_accuracy": _share(matrix.pixel_accuracy()),
         "mean_iou": _share(matrix.mean_iou()),
-        "swaps": {_key(kind): _share_of(kinds[kind], pixels) for kind in SWAPS},
+        "swaps": {kind.replace("/", "_"): _share_of(kinds[kind], pixels) for kind in SWAPS},
     }
     if scores.confidences is not None:
         found["confidence"] = {
@@ -136,20 +124,6 @@ def _confidences(confidences: Confidences) -> Tree:
     }
 
 
-def _borders(borders: BorderErrors, told: frozenset[str]) -> list[Tree]:
-    """Rows of the bins: pixels, and the share of them that is wrong, in all and by each kind that is told."""
-    rows = []
-    for name, counts in zip(BIN_NAMES, borders.counts.tolist(), strict=True):
-        pixels = sum(counts)
-        shares = [count / pixels if pixels else math.nan for count in counts]
-        kinds = {
-            _key(kind): _share(share) if kind in told else None
-            for kind, share in zip(KINDS[1:], shares[1:], strict=True)
-        }
-        rows.append({"distance": name, "pixels": pixels, "wrong": _share(1 - shares[0]), **kinds})
-    return rows
-
-
 def _shares(record: ConfidentPixels | Reliability) -> Tree:
     return {name: _share(value) for name, value in asdict(record).items()}
 
@@ -157,10 +131,6 @@ def _shares(record: ConfidentPixels | Reliability) -> Tree:
 def subset_order(subset: str) -> tuple[bool, str]:
     """Sort key: the paper's subsets first, in its order, which is alphabetical; then others."""
     return subset not in PAPERS_SUBSETS, subset
-
-
-def _key(kind: str) -> str:
-    return kind.replace("/", "_")
 
 
 def _share_of(count: int | None, pixels: int) -> float | None:

@@ -280,11 +280,6 @@ class RenderedBody:
         """The surface points at the centres of `pixels`, [N, 3], metres, body frame."""
         return surface_points(self.surface, self.camera, *np.divmod(self.pixels, self.surface.face.shape[1]))
 
-    @cached_property
-    def weights(self) -> NDArray[np.float64]:
-        """Barycentric weights of `points` in `faces`, [N, 3]."""
-        return self.mesh.barycentric(self.faces, self.points)
-
     def labels(self, parts: Partition) -> NDArray[np.uint8]:
         """Label image of the body, uint8 [H, W], BACKGROUND where the camera does not see it."""
         labels = np.full(self.surface.face.shape, BACKGROUND, np.uint8)

@@ -177,4 +177,4 @@ def test_out_must_be_a_folder(
     (tmp_path / "taken").write_text("")
     words = ["--run", str(runs / "all-0"), "--data", str(figures_set), "--out", str(tmp_path / "taken")]
     assert cli.main(["stability", *words]) == 2
-    assert "--out cannot be the folder" in capsys.readouterr().err
+    assert "cannot make the folder" in capsys.readouterr().err

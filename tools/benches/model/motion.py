@@ -56,7 +56,8 @@ def follow(first: RenderedBody, later: RenderedBody) -> NDArray[np.intp]:
         raise BadConfig(
             f"only bodies that share their triangles can be followed, found {first.mesh.name} and {later.mesh.name}"
         )
-    points = np.einsum("nc,ncx->nx", first.weights, later.mesh.vertices[later.mesh.faces[first.faces]])
+    weights = first.mesh.barycentric(first.faces, first.points)
+    points = np.einsum("nc,ncx->nx", weights, later.mesh.vertices[later.mesh.faces[first.faces]])
     image, range_m = later.camera.project(points)
     rows, columns = later.surface.face.shape
     inside = (range_m > 0) & (image >= 0).all(axis=1) & (image < (columns, rows)).all(axis=1)
