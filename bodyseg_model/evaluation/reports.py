@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any, Final
 
 import numpy as np
@@ -175,31 +175,17 @@ class RigFit:
         path: of the images, for messages. other_rig: whether images that are far off are wanted. Raises BadConfig for
         these if they are not.
         """
-        if self.images == self.trained:
-            return None
         rigs = f"{path} is of rig {self.images.name}, the network was trained for rig {self.trained.name}"
+        sizes = f"bodies have {self.pixels_a_metre:.2g} times as many pixels a metre"
         if self.factor > FAR_OFF and not other_rig:
-            raise BadConfig(f"{rigs}: {self._difference()}, too far off for a score of it; --other-rig goes on")
+            raise BadConfig(f"{rigs}: {sizes}, too far off for a score of it; --other-rig goes on")
         if self.factor > SIMILAR:
-            return f"{rigs}: {self._difference()}, which costs much accuracy"
+            return f"{rigs}: {sizes}, which costs much accuracy"
         if self.factor > _SAME:
-            return f"{rigs}: {self._difference()}, which costs a few points of accuracy"
-        differing = ", ".join(self._differing())
+            return f"{rigs}: {sizes}, which costs a few points of accuracy"
+        names = (each.name for each in fields(Rig) if each.name != "name")
+        differing = ", ".join(name for name in names if getattr(self.images, name) != getattr(self.trained, name))
         return f"{rigs}: as many pixels a metre, another {differing}" if differing else None
-
-    def _difference(self) -> str:
-        return f"bodies have {self.pixels_a_metre:.2g} times as many pixels a metre"
-
-    def _differing(self) -> list[str]:
-        """Names of the fields that differ beside the name."""
-        one, other = self.images, self.trained
-        differences = {
-            "image size": _size(one) != _size(other),
-            "stand-off": one.stand_off_m != other.stand_off_m,
-            "step of range": one.range_step_mm != other.range_step_mm,
-            "projector": one.projectors != other.projectors,
-        }
-        return [name for name, differs in differences.items() if differs]
 
 
 def sensor_warning(trained: Trained, augmentation: Augmentation, path: str) -> str | None:
@@ -227,7 +213,3 @@ def sensor_warning(trained: Trained, augmentation: Augmentation, path: str) -> s
 
 def _pixels_a_metre(rig: Rig) -> float:
     return rig.camera.focal_px / rig.stand_off_m
-
-
-def _size(rig: Rig) -> tuple[int, int]:
-    return rig.camera.rows, rig.camera.columns
