@@ -34,20 +34,5 @@ if TYPE_CHECKING:
         sensor_for,
         shown_with,
     )
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "artifact": "Artifact RangeImage Scene",
-        "lost_pixels": "SHAPES Losses lost",
-        "missing_data": "MissingData",
-        "noise": "Noise",
-        "occlusion": "Floats Occlusion ShadowTest framed lit_pixels shadow_tests",
-        "range_errors": "AxialNoise",
-        "registry": "artifact_class",
-        "sensor_model": "PAPER_SENSOR SensorModel artifacts_to_json load_sensor_model parse_artifacts "
-        "sensor_model_from_json sensor_model_names",
-        "surface": "angles box_of silhouettes slants widened",
-        "variants": "PAIRS VARIANTS Augmentation VariantName check_variant kinds_of sensor_for shown_with",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -21,13 +21,5 @@ if TYPE_CHECKING:
         motion_over_seeds,
         summarise,
     )
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "motion": "temporal",
-        "scenes": "SWEEPS Scenes Sweep chosen",
-        "summary": "FEWEST_SEEDS Group Run draw_stability evaluate_conditions group group_of load_runs "
-        "motion_over_seeds summarise",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)
