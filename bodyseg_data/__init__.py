@@ -35,12 +35,12 @@ if TYPE_CHECKING:
         BadConfig as BadConfig,
         BadSample as BadSample,
         BadShard as BadShard,
-        BadTransform as BadTransform,
         BodysegError as BodysegError,
         Draws as Draws,
-        Unreachable as Unreachable,
-        WorkerLost as WorkerLost,
     )
+    from bodyseg_data.shards import Unreachable as Unreachable
+    from bodyseg_data.loading import BadTransform as BadTransform
+    from bodyseg_data.loading import WorkerLost as WorkerLost
     from bodyseg_data.drawing import colour_range as colour_range
     from bodyseg_data.example import example_set as example_set
     from bodyseg_data.labels import (

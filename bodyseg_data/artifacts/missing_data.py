@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
-from bodyseg_data.core import BadConfig, Draws, bounded, check_fields
+from bodyseg_data.artifacts.bounds import bounded
+from bodyseg_data.core import BadConfig, Draws, check_fields
 
 
 @dataclass(frozen=True)

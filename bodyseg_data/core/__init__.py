@@ -13,26 +13,15 @@ if TYPE_CHECKING:
         BadMesh,
         BadSample,
         BadShard,
-        BadTransform,
         BodysegError,
-        Bounds,
-        Diverged,
         MissingLibrary,
-        Unanswerable,
-        Unreachable,
-        WorkerLost,
-        bounded,
-        check_bool,
         check_fields,
         check_int,
         one_line,
-        one_of,
-        with_text,
     )
     from bodyseg_data.core.files import (
         Table,
         contents,
-        flush,
         make_folder,
         parse_json,
         refuse_special,
@@ -45,19 +34,6 @@ if TYPE_CHECKING:
         write_result,
     )
     from bodyseg_data.core.progress import NotedProgress, ProgressCallback, Stopwatch, counter, silent
-    from bodyseg_data.core.randomness import (
-        Draws,
-        Permutation,
-        Stream,
-        chance,
-        check_epoch,
-        check_seed,
-        generator,
-        permutation,
-        pixel_draws,
-        stream,
-        unit,
-        units,
-    )
+    from bodyseg_data.core.randomness import Draws, chance, check_epoch, check_seed, generator
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -49,12 +49,6 @@ def write_chunks_atomically(path: Path, chunks: Iterable[bytes], flushed: bool =
         sync(path.parent)
 
 
-def flush(paths: Sequence[Path]) -> None:
-    """Wait until the disk holds these files, written before, and their folders' entries. Raises OSError."""
-    for path in (*paths, *dict.fromkeys(path.parent for path in paths)):
-        sync(path)
-
-
 def write_result(path: Path, data: bytes, flushed: bool = True) -> None:
     """Write a file that a user requested, as `write_atomically`. Raises BadConfig, naming it, if it cannot be
     written.

@@ -20,9 +20,20 @@ import torch.distributed
 from numpy.typing import NDArray
 from torch.utils.data import Sampler
 
-from bodyseg_data.core import BadConfig, Permutation, check_bool, check_epoch, check_int
+from bodyseg_data.core import BadConfig, check_epoch, check_int
 from bodyseg_data.labels import LabelMap
+from bodyseg_data.loading.permutations import Permutation
 from bodyseg_data.samples import Sample
+
+
+def check_bool(name: str, value: Any) -> bool:
+    """Return `value` as a bool. Raises BadConfig, calling it `name`, for anything else: text would count as True."""
+    if isinstance(value, bool):
+        return value
+    if not isinstance(value, np.bool_):
+        raise BadConfig(f"{name} must be True or False, found {value!r}")
+    return bool(value)
+
 
 Request = tuple[int, int]
 """(epoch, index) of a sample: with its epoch, so that workers kept over several epochs need no other message."""

@@ -17,8 +17,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bodyseg_data.core import BadConfig, chance, check_epoch, permutation
+from bodyseg_data.core import BadConfig, chance, check_epoch
 from bodyseg_data.loading.image_set import Requests
+from bodyseg_data.loading.permutations import permutation
 from bodyseg_data.loading.range_images import RangeImages
 
 Weight = float | Sequence[tuple[int, float]]

@@ -26,23 +26,15 @@ from bodyseg_data.artifacts import (
     check_variant,
     load_sensor_model,
 )
-from bodyseg_data.core import (
-    BadConfig,
-    BadSample,
-    BadShard,
-    BadTransform,
-    Draws,
-    Permutation,
-    check_epoch,
-    check_seed,
-    permutation,
-    with_text,
-)
+from bodyseg_data.core import BadConfig, BadSample, BadShard, Draws, check_epoch, check_seed
 from bodyseg_data.labels import PARTS33, LabelMap, load_label_map
 from bodyseg_data.loading.image_set import BatchOrder, Request, Requests, check_index
+from bodyseg_data.loading.permutations import Permutation, permutation
 from bodyseg_data.loading.selection import Selection
+from bodyseg_data.loading.skipping import with_text
 from bodyseg_data.loading.slots import item_tensor
 from bodyseg_data.loading.transform import (
+    BadTransform,
     Transforms,
     check_transforms,
     transform_image,

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
         record_from_json,
         record_to_json,
     )
-    from bodyseg_data.shards.remote import RemoteFolder, RetryPolicy, open_store
+    from bodyseg_data.shards.remote import RemoteFolder, RetryPolicy, Unreachable, open_store
     from bodyseg_data.shards.sample_codec import check_codec, decode_sample, encode_sample
     from bodyseg_data.shards.store import READ_ATTEMPTS, LocalFolder, Store, open_file
     from bodyseg_data.shards.tar import ShardReader, ShardWriter

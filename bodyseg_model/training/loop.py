@@ -19,7 +19,7 @@ import torch
 from torch import nn
 
 from bodyseg_data import Mixture, RangeImages, loader
-from bodyseg_data.core import BadConfig, Diverged, check_int, generator
+from bodyseg_data.core import BadConfig, BodysegError, check_int, generator
 from bodyseg_data.labels import PARTS33
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, Batch, ImageSet, Loader, WorkerMethod, check_worker_method
 from bodyseg_data.machine import peak_mb, signals_held
@@ -51,6 +51,11 @@ from bodyseg_model.training.recipes import (
     set_learning_rate,
 )
 from bodyseg_model.training.validation import Metrics, MetricsWindow, Report, Validation
+
+
+class Diverged(BodysegError):
+    """A training's loss is no longer a number."""
+
 
 _OPTIMISER: Final = "optimiser."
 """Prefix of the optimiser's tensors in a checkpoint."""
