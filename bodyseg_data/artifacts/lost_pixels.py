@@ -17,8 +17,7 @@ from typing import ClassVar, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
-from bodyseg_data.artifacts.bounds import bounded
+from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene, bounded
 from bodyseg_data.artifacts.noise import drawn_bits
 from bodyseg_data.artifacts.surface import Box, box_of, compiled_forms, silhouettes, slants, widened
 from bodyseg_data.core import BadConfig, Draws, check_fields

@@ -14,8 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
-from bodyseg_data.artifacts.bounds import bounded, one_of
+from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene, bounded, one_of
 from bodyseg_data.artifacts.noise import as_range, drawn_bits, drawn_normals
 from bodyseg_data.artifacts.surface import compiled_forms, grazing, widened
 from bodyseg_data.core import BadConfig, Draws, check_fields

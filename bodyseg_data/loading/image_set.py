@@ -22,7 +22,7 @@ from torch.utils.data import Sampler
 
 from bodyseg_data.core import BadConfig, check_epoch, check_int
 from bodyseg_data.labels import LabelMap
-from bodyseg_data.loading.permutations import Permutation
+from bodyseg_data.loading.selection import Permutation
 from bodyseg_data.samples import Sample
 
 

@@ -16,8 +16,8 @@ from bodyseg_data.core import BadConfig, BadShard, check_epoch, check_int, check
 from bodyseg_data.labels import LabelMap
 from bodyseg_data.loading.image_set import BatchOrder, Request, Requests, check_index
 from bodyseg_data.loading.mixture_order import SetStream, Shares, Weight, read_schedule
-from bodyseg_data.loading.permutations import permutation
 from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_data.loading.selection import permutation
 from bodyseg_data.samples import Sample
 
 Part = tuple[RangeImages, Weight] | tuple[RangeImages, Weight, ArrayLike]

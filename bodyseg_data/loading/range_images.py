@@ -29,8 +29,7 @@ from bodyseg_data.artifacts import (
 from bodyseg_data.core import BadConfig, BadSample, BadShard, Draws, check_epoch, check_seed
 from bodyseg_data.labels import PARTS33, LabelMap, load_label_map
 from bodyseg_data.loading.image_set import BatchOrder, Request, Requests, check_index
-from bodyseg_data.loading.permutations import Permutation, permutation
-from bodyseg_data.loading.selection import Selection
+from bodyseg_data.loading.selection import Permutation, Selection, permutation
 from bodyseg_data.loading.skipping import with_text
 from bodyseg_data.loading.slots import item_tensor
 from bodyseg_data.loading.transform import (

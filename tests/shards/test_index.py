@@ -20,7 +20,7 @@ from bodyseg_data.cards.croissant import croissant
 from bodyseg_data.commands import main
 from bodyseg_data.core import BadShard
 from bodyseg_data.loading import range_images
-from bodyseg_data.loading.permutations import Permutation
+from bodyseg_data.loading.selection import Permutation
 from bodyseg_data.samples import ViewGrid
 from bodyseg_data.shards import (
     MANIFEST_NAME,

@@ -14,7 +14,7 @@ from bodyseg_data import RangeImages, loader
 from bodyseg_data.core import BadConfig
 from bodyseg_data.loading import find_rank
 from bodyseg_data.loading.image_set import BatchOrder, Requests, batch_bounds
-from bodyseg_data.loading.permutations import permutation
+from bodyseg_data.loading.selection import permutation
 
 
 class Numbers:

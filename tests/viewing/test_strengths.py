@@ -9,7 +9,7 @@ from typing import Any, Literal
 import pytest
 
 from bodyseg_data.artifacts import Artifact, AxialNoise, MissingData, Noise, RangeImage, Scene
-from bodyseg_data.artifacts.bounds import bounded
+from bodyseg_data.artifacts.artifact import bounded
 from bodyseg_data.artifacts.lost_pixels import PatchLoss, StripeLoss
 from bodyseg_data.artifacts.range_errors import POWERS, MixedPixels, RangeRounding
 from bodyseg_data.artifacts.registry import ARTIFACTS
