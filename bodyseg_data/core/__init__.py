@@ -1,4 +1,4 @@
-"""Ideas that every room shares: errors, checks, files, random numbers."""
+"""Ideas that every room shares: errors, checks, random numbers, progress."""
 
 from __future__ import annotations
 
@@ -18,20 +18,6 @@ if TYPE_CHECKING:
         check_fields,
         check_int,
         one_line,
-    )
-    from bodyseg_data.core.files import (
-        Table,
-        contents,
-        make_folder,
-        parse_json,
-        refuse_special,
-        sync,
-        toml_names,
-        toml_text,
-        toml_tree,
-        write_atomically,
-        write_chunks_atomically,
-        write_result,
     )
     from bodyseg_data.core.progress import NotedProgress, ProgressCallback, Stopwatch, counter, silent
     from bodyseg_data.core.randomness import Draws, chance, check_epoch, check_seed, generator

@@ -18,7 +18,8 @@ from bodyseg_data.cards import (
     set_facts,
 )
 from bodyseg_data.commands import Progress, option
-from bodyseg_data.core import BadConfig, parse_json, write_result
+from bodyseg_data.core import BadConfig
+from bodyseg_data.files import parse_json, write_result
 from bodyseg_data.shards import MANIFEST_NAME, LocalFolder, RemoteFolder, Store, open_store, read_manifest
 from bodyseg_data.transfer import (
     Bundle,

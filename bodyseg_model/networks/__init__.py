@@ -23,12 +23,9 @@ if TYPE_CHECKING:
         checkpoint_file,
         confusion_file,
         load_network,
-        read_bytes,
         read_checkpoint,
-        read_json,
         save_network,
         trained_network,
-        write_json,
         write_tensors,
     )
     from bodyseg_model.networks.model_cards import model_card, network_file, page_file

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +15,8 @@ from safetensors.torch import load as parse_tensors
 from safetensors.torch import save as tensor_bytes
 
 from bodyseg_data.artifacts import SensorModel, load_sensor_model, sensor_model_from_json
-from bodyseg_data.core import BadConfig, parse_json, write_result
+from bodyseg_data.core import BadConfig
+from bodyseg_data.files import read_bytes, read_json, write_json, write_result
 from bodyseg_data.labels import PARTS33, LabelMap, label_map_from_json
 from bodyseg_data.rigs import Rig, load_rig, rig_from_json
 from bodyseg_model.networks.network import Network, check_label_map
@@ -47,8 +47,6 @@ WEIGHTS_SHA256: Final = "weights_sha256"
 PRETRAINED: Final = "pretrained"
 """Entry of a card and of a plan: file and `WEIGHTS_SHA256` of the weights that a training started from; null, or not in
 a plan, for one that started from random weights."""
-
-_LARGEST_FILE: Final = 1 << 31
 
 
 @dataclass(frozen=True)
@@ -276,23 +274,3 @@ def _read_weights(path: Path, expected: Any) -> tuple[bytes, str]:
     if expected not in (None, found):
         raise BadConfig(f"{path} is damaged or not the file of its card: SHA-256 {found}, expected {expected}")
     return data, found
-
-
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write JSON at once or not at all. Raises BadConfig."""
-    write_result(path, (json.dumps(content, indent=1) + "\n").encode())
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """The object in a JSON file. Raises BadConfig, naming it."""
-    return parse_json(read_bytes(path), str(path))
-
-
-def read_bytes(path: Path) -> bytes:
-    """All of a file. Raises BadConfig, naming it, if it is missing or too large."""
-    try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise BadConfig(f"{path} is larger than {_LARGEST_FILE} bytes")
-        return path.read_bytes()
-    except OSError as error:
-        raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error

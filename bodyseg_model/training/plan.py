@@ -18,7 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from bodyseg_data.core import BadConfig, make_folder
+from bodyseg_data.core import BadConfig
+from bodyseg_data.files import make_folder, read_json, write_json
 from bodyseg_data.labels import PARTS33
 from bodyseg_data.loading import ImageSet
 from bodyseg_model.networks import (
@@ -31,8 +32,6 @@ from bodyseg_model.networks import (
     Network,
     checkpoint_file,
     read_checkpoint,
-    read_json,
-    write_json,
     write_tensors,
 )
 from bodyseg_model.training.recipes import Recipe

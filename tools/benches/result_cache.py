@@ -23,7 +23,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from bodyseg_data.core import BadConfig
-from bodyseg_model.networks import NETWORK, read_bytes, read_json, write_json
+from bodyseg_data.files import read_bytes, read_json, write_json
+from bodyseg_model.networks import NETWORK
 
 PACKAGES: Final = ("bodyseg_data", "bodyseg_model")
 """Packages whose modules are followed, besides the packages of the given modules."""

@@ -10,8 +10,9 @@ from pathlib import Path
 from benches.result_cache import json_digest
 from benches.results.step import RESULTS, SHIPPED, Places, Step
 from bodyseg_data.core import BadConfig
+from bodyseg_data.files import read_json
 from bodyseg_data.shards import MANIFEST_NAME
-from bodyseg_model.networks import NETWORK, read_json
+from bodyseg_model.networks import NETWORK
 from bodyseg_model.networks.checkpoints import SHIPPED as SHIPPED_FILE
 
 

@@ -18,7 +18,8 @@ from benches.results.records import Records, record_of
 from benches.results.step import DATA, RESULTS, SHIPPED, Graph, Places, Step
 from benches.results.survey import Status, Survey
 from bodyseg_data.commands import provenance
-from bodyseg_data.core import BadConfig, write_result
+from bodyseg_data.core import BadConfig
+from bodyseg_data.files import write_result
 from bodyseg_model.networks import NETWORK
 from bodyseg_model.networks.checkpoints import SHIPPED as SHIPPED_FILE
 
