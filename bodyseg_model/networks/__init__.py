@@ -8,25 +8,16 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_model.networks.checkpoints import (
-        AVERAGED,
-        BEST,
-        CHECKPOINT,
-        FORMAT,
-        NETWORK,
-        PLAN,
-        PRETRAINED,
-        TRAINED,
-        WEIGHTS_SHA256,
+        Card,
         Checkpoint,
         CheckpointName,
+        RunFiles,
         Trained,
-        checkpoint_file,
         confusion_file,
         load_network,
         read_checkpoint,
         save_network,
         trained_network,
-        write_tensors,
     )
     from bodyseg_model.networks.model_cards import model_card, network_file, page_file
     from bodyseg_model.networks.network import FlipAverage, Network, check_label_map, check_range_images, in_loops
