@@ -18,7 +18,7 @@ import numpy as np
 import torch
 import torch.distributed
 from numpy.typing import NDArray
-from torch.utils.data import Sampler
+from torch.utils.data import Dataset, Sampler
 
 from bodyseg_data.core import BadConfig, check_epoch, check_int
 from bodyseg_data.labels import LabelMap
@@ -123,16 +123,20 @@ class ImageSet(Protocol):
         """Return indices of about `count` samples that stand for the whole, int64 [M]."""
         ...
 
+
+class SampleDataset(Dataset[dict[str, Any]]):
+    """A dataset of PyTorch, an image set, that is read by its batches too."""
+
     def batches(
-        self,
+        self: ImageSet,
         batch_size: int,
         shuffle: bool | None = None,
         drop_last: bool = False,
         rank: int | None = None,
         world_size: int | None = None,
     ) -> BatchOrder:
-        """Return the assignment of samples to batches; options as for `loader`."""
-        ...
+        """`batch_sampler` for torch's DataLoader or torchdata's StatefulDataLoader; options as for `loader`."""
+        return BatchOrder(self, batch_size, shuffle, drop_last, rank, world_size)
 
 
 def check_index(index: Any, count: int) -> int:

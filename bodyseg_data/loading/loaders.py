@@ -288,7 +288,7 @@ def loader(
     """
     if not isinstance(images, ImageSet):
         raise BadConfig(f"images must be RangeImages or a Mixture, found {type(images).__name__}")
-    order = images.batches(batch_size, shuffle, drop_last, rank, world_size)
+    order = BatchOrder(images, batch_size, shuffle, drop_last, rank, world_size)
     budget = checked_budget(on_error, skip_budget, len(images))
     ledger = SkipLedger(budget, checked_log(on_error, skip_log))
     options = LoaderOptions(num_workers, prefetch_factor, metres, pin_memory, worker_method, start_method)

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts import RangeImage, box_of
 from bodyseg_data.core import BadConfig, BadSample, BodysegError, Draws
 from bodyseg_data.labels import BACKGROUND, PART_COUNT
-from bodyseg_data.machine import SCRATCH
+from bodyseg_data.loading.slots import SCRATCH
 from bodyseg_data.rigs import Camera
 from bodyseg_data.samples import Sample, SampleInfo, metres
 

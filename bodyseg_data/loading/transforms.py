@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadConfig, check_int
 from bodyseg_data.labels import BACKGROUND, MIRRORED_LABELS, looked_up
 from bodyseg_data.loading.image_set import check_bool
+from bodyseg_data.loading.slots import SCRATCH
 from bodyseg_data.loading.transform import Box, CameraImage, Transform, ends_of
-from bodyseg_data.machine import SCRATCH
 from bodyseg_data.rigs import MAX_SIDE
 from bodyseg_data.samples import FARTHEST_STEPS
 
