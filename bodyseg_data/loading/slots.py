@@ -32,6 +32,7 @@ from torch.utils.data._utils.collate import default_collate_fn_map  # where the 
 from bodyseg_data.core import BadConfig
 
 _KEPT_BYTES: Final = 2**26
+"""The most memory that is kept: for 60 items of 640 x 329 pixels."""
 
 
 class ReusedMemory:

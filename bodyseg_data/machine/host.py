@@ -28,8 +28,6 @@ _MMAP_THRESHOLD: Final = (-3, 1 << 25)
 """Numbers of glibc's mallopt, and bytes: free memory that is kept, and an array that has a mapping of its own. The
 greatest of the second is 32 MB."""
 
-"""The most memory that is kept: for 60 items of 640 x 329 pixels."""
-
 
 def processors() -> int:
     """Return the number of processors that this process may use."""
