@@ -22,11 +22,5 @@ if TYPE_CHECKING:
         load_label_map,
         looked_up,
     )
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "label_map": "BACKGROUND LANDMARKS MIRRORED_LABELS PARTS PARTS33 PART_COUNT LabelMap Part colour_labels "
-        "label_map_from_json label_map_names load_label_map looked_up",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

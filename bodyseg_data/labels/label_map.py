@@ -18,7 +18,8 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, Table, toml_names, toml_text, toml_tree
+from bodyseg_data.core import BadConfig
+from bodyseg_data.files import Table, TomlFiles
 from bodyseg_data.machine import use_compiled
 
 Side = Literal["left", "right", "middle"]
@@ -41,8 +42,6 @@ _ROOT: Final = 0.4142135624
 _LUMA: Final = np.array([0.299, 0.587, 0.114])  # of Rec. ITU-R BT.601
 
 LABEL_MAP_FORMAT: Final = "bodyseg labels 1"
-
-_FOLDER: Final = resources.files(__package__)
 
 
 @dataclass(frozen=True)
@@ -361,10 +360,12 @@ def _parts(landmarks: tuple[str, ...]) -> tuple[Part, ...]:
 PARTS33: Final = LabelMap("parts33", tuple((landmark, (landmark,)) for landmark in LANDMARKS))
 """The 33 parts themselves."""
 
+_FILES: Final = TomlFiles("label map", resources.files(__package__), LABEL_MAP_FORMAT, (PARTS33.name,))
+
 
 def label_map_names() -> tuple[str, ...]:
     """Names of the label maps that ship with the package."""
-    return (PARTS33.name, *toml_names(_FOLDER))
+    return _FILES.names()
 
 
 def label_map_from_json(tree: Any, where: str) -> LabelMap:
@@ -389,7 +390,7 @@ def load_label_map(labels: str | Path | LabelMap) -> LabelMap:
     if str(labels) == PARTS33.name:
         return PARTS33
     where = f"label map {labels}"
-    tree = toml_tree(toml_text("label map", labels, _FOLDER, (PARTS33.name,)), where, LABEL_MAP_FORMAT)
+    tree = _FILES.parse(_FILES.read(labels), str(labels))
     classes = tree.pop("classes", None)
     if not isinstance(classes, dict):
         raise BadConfig(f"{where}: the table [classes] is missing")

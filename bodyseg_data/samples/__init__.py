@@ -29,13 +29,5 @@ if TYPE_CHECKING:
         steps,
     )
     from bodyseg_data.samples.views import View, ViewGrid, parse_choice, split_key
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "sample": "FARTHEST_STEPS HELD READ_SPLITS SHADOW_THRESHOLDS SPLITS Occupancy ReadSplit Sample SampleInfo "
-        "Split check_key holds_postures info_from_json metres motion_of shape_of split_by_motion split_by_order "
-        "steps",
-        "views": "View ViewGrid parse_choice split_key",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

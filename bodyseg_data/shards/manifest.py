@@ -9,7 +9,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.core import BadConfig, BadShard, write_atomically
+from bodyseg_data.core import BadConfig, BadShard
+from bodyseg_data.files import write_atomically
 from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.rigs import Rig, rig_from_json
 from bodyseg_data.samples import Split

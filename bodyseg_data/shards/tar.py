@@ -12,7 +12,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Final
 
-from bodyseg_data.core import BadSample, BadShard, one_line, sync
+from bodyseg_data.core import BadSample, BadShard, one_line
+from bodyseg_data.files import sync
 from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import Sample, SampleInfo, Split, check_key
 from bodyseg_data.shards.codecs.codec import OutputArrays

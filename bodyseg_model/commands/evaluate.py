@@ -19,8 +19,9 @@ from bodyseg_data.commands import (
     provenance,
     write_figures,
 )
-from bodyseg_data.core import BadConfig, make_folder
+from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import new_chart, save_picture
+from bodyseg_data.files import make_folder
 from bodyseg_data.labels import LabelMap, load_label_map
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, RangeImages, WorkerMethod
 from bodyseg_data.machine import peak_mb

@@ -11,8 +11,9 @@ from typing import Any, Final
 import torch
 
 from bodyseg_data.commands import WHERE_HELP, Progress, command_line, last_name, option, provenance, write_figures
-from bodyseg_data.core import BadConfig, make_folder
+from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import new_chart
+from bodyseg_data.files import make_folder
 from bodyseg_data.loading import RangeImages
 from bodyseg_model.networks import find_device
 from bodyseg_model.stability import (

@@ -19,11 +19,5 @@ if TYPE_CHECKING:
         load_runs,
         summarise,
     )
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "scenes": "SWEEPS Scenes Sweep chosen",
-        "summary": "FEWEST_SEEDS Group Run draw_stability evaluate_conditions group group_of load_runs summarise",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -18,22 +18,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from bodyseg_data.core import BadConfig, make_folder
+from bodyseg_data.core import BadConfig
+from bodyseg_data.files import make_folder, read_json, write_json
 from bodyseg_data.labels import PARTS33
 from bodyseg_data.loading import ImageSet
 from bodyseg_model.networks import (
-    BEST,
-    CHECKPOINT,
-    NETWORK,
-    PLAN,
-    PRETRAINED,
+    Card,
     Checkpoint,
     Network,
-    checkpoint_file,
+    RunFiles,
     read_checkpoint,
-    read_json,
-    write_json,
-    write_tensors,
 )
 from bodyseg_model.training.recipes import Recipe
 from bodyseg_model.training.validation import Validation
@@ -81,7 +75,7 @@ def training_plan(
     if validation is not None:
         plan["validation"] = validation.plan()
     if pretrained is not None:
-        plan[PRETRAINED] = dict(pretrained)
+        plan[Card.PRETRAINED] = dict(pretrained)
     tree: dict[str, Any] = json.loads(json.dumps(plan))
     return tree
 
@@ -148,12 +142,12 @@ class RunFolder:
     @property
     def network(self) -> Path:
         """Path of the trained network."""
-        return self.path / NETWORK
+        return self.path / RunFiles.NETWORK
 
     @property
     def best_network(self) -> Path:
         """Path of the weights of the best validation."""
-        return self.path / BEST
+        return self.path / RunFiles.BEST
 
     def begin(self, plan: Mapping[str, Any], resume: bool) -> Checkpoint | None:
         """Open the folder for the training that `plan` describes; returns its last checkpoint if it has one.
@@ -166,17 +160,17 @@ class RunFolder:
         """
         make_folder(self.path)
         wanted = json.loads(json.dumps({"format": FORMAT, **plan}))
-        file = self.path / PLAN
+        file = self.path / RunFiles.PLAN
         held = {entry.name for entry in self.path.iterdir()}
-        if held <= {PLAN, f".{PLAN}.part"}:
+        if held <= {RunFiles.PLAN, f".{RunFiles.PLAN}.part"}:
             file.unlink(missing_ok=True)
             return None
-        if PLAN not in held:
+        if RunFiles.PLAN not in held:
             raise BadConfig(f"{self.path} holds files but no training: give a new or empty folder")
         found = read_json(file)
         earlier = found.pop("earlier_steps", [])
-        if PRETRAINED in found:
-            wanted.setdefault(PRETRAINED, found[PRETRAINED])
+        if Card.PRETRAINED in found:
+            wanted.setdefault(Card.PRETRAINED, found[Card.PRETRAINED])
         checkpoint = self.last()
         reached = 0 if checkpoint is None else checkpoint.step
         check_plan(self.path, found, wanted, reached)
@@ -189,15 +183,15 @@ class RunFolder:
 
     def start(self, plan: Mapping[str, Any]) -> None:
         """Write the plan of a new training, whose first step is done. Raises BadConfig."""
-        if not (self.path / PLAN).exists():
-            write_json(self.path / PLAN, {"format": FORMAT, **plan})
+        if not (self.path / RunFiles.PLAN).exists():
+            write_json(self.path / RunFiles.PLAN, {"format": FORMAT, **plan})
 
     def plan(self) -> dict[str, Any]:
         """The plan that the folder holds, with the "earlier_steps" of a training that was given other numbers of steps.
 
         Raises BadConfig.
         """
-        plan = read_json(self.path / PLAN)
+        plan = read_json(self.path / RunFiles.PLAN)
         del plan["format"]
         return plan
 
@@ -217,15 +211,7 @@ class RunFolder:
 
     def keep(self, checkpoint: Checkpoint) -> None:
         """Write a checkpoint, and delete the one before when this one is complete. Raises BadConfig."""
-        tensors = self.path / checkpoint_file(checkpoint.step)
-        digest = write_tensors(tensors, checkpoint.tensors)
-        state = checkpoint.loader_state
-        note = {"step": checkpoint.step, "loader_state": state, "tensors": tensors.name, "sha256": digest}
-        write_json(self.path / CHECKPOINT, note)
-        for old in self.path.glob("checkpoint-*.safetensors"):
-            if old != tensors:
-                with contextlib.suppress(OSError):
-                    old.unlink()
+        checkpoint.write(self.path)
 
     def log(self, metrics: Mapping[str, Any]) -> None:
         """Append a line of metrics. Raises BadConfig."""

@@ -14,12 +14,13 @@ import pytest
 import torch
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.core import BadConfig, Diverged, generator
+from bodyseg_data.core import BadConfig, generator
 from bodyseg_model.commands import main
 from bodyseg_model.evaluation import ConfusionMatrix
 from bodyseg_model.networks import build, load_network, predict
 from bodyseg_model.training import GeometricAugmentation, Metrics, Recipe, RunFolder, RunOptions, Training, recipe_for
 from bodyseg_model.training.distributed import ProcessGroup
+from bodyseg_model.training.loop import Diverged
 from bodyseg_model.training.loss import NetworkWithLoss, class_pixels
 
 ONE = ProcessGroup(0, 1, torch.device("cpu"))

@@ -13,8 +13,9 @@ from benches.charts.processors import FOLDER, folder_name
 from benches.measuring import Conditions
 from bodyseg_data.commands import Progress, check_target, option, provenance, write_figures
 from bodyseg_data.commands.options import flag_of
-from bodyseg_data.core import BadConfig, make_folder
+from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import check_picture, new_chart
+from bodyseg_data.files import make_folder
 from bodyseg_data.machine import hardware
 
 EXAMPLE = "tools/bench occlusion --json occlusion.json"

@@ -12,9 +12,10 @@ from benches.model.ablation.rows import BASE, ROW_OF_BASE, ROWS, AblationRow, So
 from benches.model.chosen import recipe_from_json
 from bodyseg_data.commands import last_name
 from bodyseg_data.core import BadConfig
+from bodyseg_data.files import read_json
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.samples import split_key
-from bodyseg_model.networks import build, read_json
+from bodyseg_model.networks import build
 from bodyseg_model.training import GeometricAugmentation, Recipe
 from bodyseg_model.training.recipes import PRESETS
 

@@ -14,8 +14,9 @@ from benches.model.chosen import recipe_from_json
 from bodyseg_data.artifacts import VARIANTS, VariantName
 from bodyseg_data.commands import last_name, provenance
 from bodyseg_data.core import BadConfig, check_int
+from bodyseg_data.files import read_json
 from bodyseg_data.loading import RangeImages
-from bodyseg_model.networks import build, read_json
+from bodyseg_model.networks import build
 from bodyseg_model.training import Recipe, Report, RunFolder, RunOptions, Training, recipe_for
 from bodyseg_model.training.distributed import ProcessGroup
 
