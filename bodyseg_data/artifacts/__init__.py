@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
-    from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
+    from bodyseg_data.artifacts.artifact import Artifact, Bounds, RangeImage, Scene
     from bodyseg_data.artifacts.lost_pixels import SHAPES, Losses, lost
     from bodyseg_data.artifacts.missing_data import MissingData
     from bodyseg_data.artifacts.noise import Noise
-    from bodyseg_data.artifacts.occlusion import Floats, Occlusion, ShadowTest, framed, lit_pixels, shadow_tests
+    from bodyseg_data.artifacts.occlusion import Occlusion, ShadowTest, framed, lit_pixels, shadow_tests
     from bodyseg_data.artifacts.range_errors import AxialNoise
     from bodyseg_data.artifacts.registry import artifact_class
     from bodyseg_data.artifacts.sensor_model import (
@@ -34,20 +34,5 @@ if TYPE_CHECKING:
         sensor_for,
         shown_with,
     )
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "artifact": "Artifact RangeImage Scene",
-        "lost_pixels": "SHAPES Losses lost",
-        "missing_data": "MissingData",
-        "noise": "Noise",
-        "occlusion": "Floats Occlusion ShadowTest framed lit_pixels shadow_tests",
-        "range_errors": "AxialNoise",
-        "registry": "artifact_class",
-        "sensor_model": "PAPER_SENSOR SensorModel artifacts_to_json load_sensor_model parse_artifacts "
-        "sensor_model_from_json sensor_model_names",
-        "surface": "angles box_of silhouettes slants widened",
-        "variants": "PAIRS VARIANTS Augmentation VariantName check_variant kinds_of sensor_for shown_with",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -14,7 +14,7 @@ class in a package of yours with an entry point `bodyseg.artifacts`, or an objec
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import Field, dataclass
+from dataclasses import Field, dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, Literal, Protocol
 
@@ -25,6 +25,46 @@ from bodyseg_data.artifacts.surface import incidence
 from bodyseg_data.core import Draws
 from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import Sample, shape_of
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Numbers from `low` to `high` that a field may hold; above: without `low` itself; below: without `high`.
+
+    values: the only ones that it may hold, if not any between the ends.
+    """
+
+    low: float
+    high: float
+    above: bool = False
+    below: bool = False
+    values: tuple[float, ...] = ()
+
+    def take(self, number: float) -> bool:
+        """Return whether a number lies within. NaN never does."""
+        if self.values:
+            return number in self.values
+        return (self.low < number if self.above else self.low <= number) and (
+            number < self.high if self.below else number <= self.high
+        )
+
+    def __str__(self) -> str:
+        if self.values:
+            return f"one of {', '.join(f'{value:g}' for value in self.values)}"
+        if self.above:
+            return f"above {self.low:g} and {'below' if self.below else 'at most'} {self.high:g}"
+        return f"from {self.low:g} to {'below ' if self.below else ''}{self.high:g}"
+
+
+def bounded(default: Any, low: float, high: float, *, above: bool = False, below: bool = False) -> Any:
+    """Declare a dataclass's field whose number, or each number of a tuple, lies within `Bounds`; None may stand."""
+    return field(default=default, metadata={"bounds": Bounds(low, high, above, below)})
+
+
+def one_of(default: float, values: tuple[float, ...]) -> Any:
+    """Declare a dataclass's field that holds one of some numbers."""
+    return field(default=default, metadata={"bounds": Bounds(min(values), max(values), values=values)})
+
 
 Kind = Literal["occlusion", "noise", "missing_data"]
 """The three kinds of artifacts of the paper's Table 1: what the projector does not light, ranges that are wrong, pixels

@@ -17,13 +17,20 @@ from typing import ClassVar, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
+from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene, bounded
 from bodyseg_data.artifacts.noise import drawn_bits
 from bodyseg_data.artifacts.surface import Box, box_of, compiled_forms, silhouettes, slants, widened
-from bodyseg_data.core import BadConfig, Draws, bounded, check_fields, units
+from bodyseg_data.core import BadConfig, Draws, check_fields
 from bodyseg_data.labels import PARTS
 from bodyseg_data.machine import use_compiled
 from bodyseg_data.rigs import Camera, Rig
+
+
+def units(random: np.random.Generator, count: int) -> NDArray[np.float64]:
+    """The next `count` numbers of a generator, float64 [count], uniform over the multiples of 2**-53 in [0, 1)."""
+    words = np.asarray(random.bit_generator.random_raw(count), np.uint64)
+    return (words >> np.uint64(11)).astype(np.float64) * 2.0**-53
+
 
 SHAPES: Final = ("patches", "stripes", "grazing")
 

@@ -9,8 +9,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
-from bodyseg_data.core import BadConfig, Draws, bounded, check_fields
+from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene, bounded
+from bodyseg_data.core import BadConfig, Draws, check_fields
 
 
 @dataclass(frozen=True)

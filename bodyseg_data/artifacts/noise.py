@@ -13,9 +13,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
+from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene, bounded
 from bodyseg_data.artifacts.constants import FIRST_SEGMENT, OFFSET_MASK, SEGMENT_SHIFT, SEGMENTS
-from bodyseg_data.core import BadConfig, Draws, bounded, check_fields
+from bodyseg_data.core import BadConfig, Draws, check_fields
 from bodyseg_data.machine import use_compiled
 
 

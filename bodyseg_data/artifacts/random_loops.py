@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.constants import FIRST_SEGMENT, OFFSET_MASK, SEGMENT_SHIFT, SEGMENTS
 from bodyseg_data.artifacts.scratch import CHUNK
-from bodyseg_data.core import Stream
 from bodyseg_data.machine import compiled
 
 _llvm: Any = import_module("llvmlite.ir")  # has no types
@@ -68,8 +67,8 @@ def raw_words(key_0: Any, key_1: Any, first: Any, count: Any, words: Any) -> Non
         words[offset + np.uint64(3)] = d
 
 
-def bits_of(stream: Stream, count: int, kind: type[np.uint16] | type[np.uint32]) -> NDArray[Any]:
-    """One draw a pixel, as `randomness.pixel_draws`, [count]."""
+def bits_of(stream: NDArray[np.uint64], count: int, kind: type[np.uint16] | type[np.uint32]) -> NDArray[Any]:
+    """One draw a pixel, as `Draws.pixels`, [count]."""
     words = np.empty(-(-count * np.dtype(kind).itemsize // 32) * 4, np.uint64)  # whole blocks of four words
     raw_words(stream[0], stream[1], 0, len(words), words)
     return words.view(kind)[:count]
@@ -102,7 +101,7 @@ def _fill(key_0: Any, key_1: Any, segments: Any, words: Any, segment_of: Any, no
         first += count
 
 
-def normals_of(stream: Stream, count: int) -> NDArray[np.float32]:
+def normals_of(stream: NDArray[np.uint64], count: int) -> NDArray[np.float32]:
     """`count` standard normals of a stream, float32 [N], as `noise.normals` makes of its 32-bit draws."""
     drawn = np.empty(count, np.float32)
     _fill(stream[0], stream[1], SEGMENTS, np.empty(CHUNK // 2, np.uint64), np.empty(CHUNK, np.int32), drawn)

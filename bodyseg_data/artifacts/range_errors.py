@@ -14,10 +14,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
+from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene, bounded, one_of
 from bodyseg_data.artifacts.noise import as_range, drawn_bits, drawn_normals
 from bodyseg_data.artifacts.surface import compiled_forms, grazing, widened
-from bodyseg_data.core import BadConfig, Draws, bounded, check_fields, one_of
+from bodyseg_data.core import BadConfig, Draws, check_fields
 from bodyseg_data.machine import use_compiled
 from bodyseg_data.rigs import Rig
 

@@ -14,13 +14,14 @@ from typing import Any, Final
 
 from bodyseg_data.artifacts.artifact import Artifact
 from bodyseg_data.artifacts.registry import artifact_class, check_artifact_class
-from bodyseg_data.core import BadConfig, Table, toml_names, toml_text, toml_tree
+from bodyseg_data.core import BadConfig
+from bodyseg_data.files import Table, TomlFiles
 
 SENSOR_FORMAT: Final = "bodyseg sensor 1"
 PAPER_SENSOR: Final = "paper"
 """The default sensor model: the artifacts of the paper's Table 1."""
 
-_FOLDER: Final = resources.files(__package__) / "sensors"
+_FILES: Final = TomlFiles("sensor", resources.files(__package__) / "sensors", SENSOR_FORMAT)
 _NAME: Final = re.compile(r"[A-Za-z0-9_+.-]{1,40}")
 
 _DISTINCT: Final[Mapping[str, Callable[[Artifact], Iterable[str]]]] = {
@@ -142,7 +143,7 @@ def artifacts_to_json(artifacts: Sequence[Artifact]) -> list[dict[str, Any]]:
 
 def sensor_model_names() -> tuple[str, ...]:
     """Names of the sensor files that ship with the package, in alphabetical order."""
-    return toml_names(_FOLDER)
+    return _FILES.names()
 
 
 def load_sensor_model(sensor: str | Path | SensorModel = PAPER_SENSOR) -> SensorModel:
@@ -159,7 +160,7 @@ def load_sensor_model(sensor: str | Path | SensorModel = PAPER_SENSOR) -> Sensor
 
 
 def _read(name_or_path: str | Path) -> SensorModel:
-    return parse_sensor_model(toml_text("sensor", name_or_path, _FOLDER), str(name_or_path))
+    return parse_sensor_model(_FILES.read(name_or_path), str(name_or_path))
 
 
 _shipped = cache(_read)  # the default is read for every set; a user's file may change
@@ -167,7 +168,7 @@ _shipped = cache(_read)  # the default is read for every set; a user's file may 
 
 def parse_sensor_model(text: str, where: str) -> SensorModel:
     """Parse a sensor file's text; `where` names its origin in messages. Raises BadConfig as `load_sensor_model`."""
-    return _model(toml_tree(text, f"sensor {where}", SENSOR_FORMAT), f"sensor {where}")
+    return _model(_FILES.parse(text, where), f"sensor {where}")
 
 
 def sensor_model_from_json(tree: Any, where: str) -> SensorModel:

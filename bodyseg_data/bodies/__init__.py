@@ -14,16 +14,5 @@ if TYPE_CHECKING:
     from bodyseg_data.bodies.motions.catalogue import FRAMES_PER_SECOND
     from bodyseg_data.bodies.source import Body, BodyRef, BodySource, collapsed
     from bodyseg_data.bodies.sources import SOURCES, SourceEntry, SourceName, open_source
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "alignment": "Units UpAxis metres_a_unit",
-        "anny_model": "fill_cache",
-        "landmark_proposal": "Proposal propose",
-        "mesh_bodies": "MeshBodies",
-        "motions.catalogue": "FRAMES_PER_SECOND",
-        "source": "Body BodyRef BodySource collapsed",
-        "sources": "SOURCES SourceEntry SourceName open_source",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -18,12 +18,5 @@ if TYPE_CHECKING:
         table,
     )
     from bodyseg_data.cards.facts import UNKNOWN_LICENCE, Publication, set_facts
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "croissant": "CROISSANT_NAME croissant_bytes",
-        "dataset_cards": "CARD_NAME CARD_NAMES bullets dataset_card licence_lines stale_cards table",
-        "facts": "UNKNOWN_LICENCE Publication set_facts",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -11,13 +11,5 @@ if TYPE_CHECKING:
     from bodyseg_data.commands.options import WHERE_HELP, command_line, last_name, option
     from bodyseg_data.commands.progress import Progress, rate_text
     from bodyseg_data.commands.records import check_target, provenance, write_figures
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "cli": "COMMANDS Commands main",
-        "options": "WHERE_HELP command_line last_name option",
-        "progress": "Progress rate_text",
-        "records": "check_target provenance write_figures",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

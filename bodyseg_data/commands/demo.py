@@ -17,9 +17,10 @@ from bodyseg_data.commands.inspect import contact_sheet
 from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.shard import pack_on
-from bodyseg_data.core import BadConfig, make_folder, write_atomically
+from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import save_picture
 from bodyseg_data.example import example_set
+from bodyseg_data.files import make_folder, write_atomically
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.loading import RangeImages, loader
 from bodyseg_data.machine import processors

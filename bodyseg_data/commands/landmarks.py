@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies import BodyRef, BodySource, SourceName, Units, UpAxis, metres_a_unit, open_source
 from bodyseg_data.commands.options import option
-from bodyseg_data.core import BadConfig, write_atomically
+from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import HEIGHTS_PX, LabelledBody, check_picture, draw_body_views, save_picture
+from bodyseg_data.files import write_atomically
 from bodyseg_data.labels import LANDMARKS, PARTS
 from bodyseg_data.meshes import Mesh, partition, read_mesh
 

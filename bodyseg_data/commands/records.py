@@ -8,7 +8,8 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-from bodyseg_data.core import BadConfig, write_result
+from bodyseg_data.core import BadConfig
+from bodyseg_data.files import write_result
 from bodyseg_data.machine import hardware
 
 

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import types
 import typing
-from dataclasses import dataclass, field, fields
+from dataclasses import fields
 from functools import cache
 from numbers import Integral, Real
-from typing import Any, Final, Literal, TypeVar
+from typing import Any, Final, Literal
 
 _LONGEST: Final = 1000
 
@@ -38,10 +38,6 @@ class BadMesh(BodysegError):
     """A body cannot be used as a surface: empty, not finite, not human-sized, inside out."""
 
 
-class Unanswerable(BadMesh):
-    """One method of measuring distances fails on this surface; another may work."""
-
-
 class BadLandmarks(BodysegError):
     """A landmark set does not give 33 usable points on its mesh."""
 
@@ -54,35 +50,8 @@ class BadShard(BodysegError):
     """A shard or its manifest is cut, altered, or of another format."""
 
 
-class BadTransform(BodysegError):
-    """A transform has failed on a sample, or returned something that is no sample."""
-
-
-class Unreachable(BodysegError):
-    """Files of a remote set cannot be fetched: absent, refused, or too many attempts in a row have failed."""
-
-
-class WorkerLost(BodysegError):
-    """A worker process of a loader has ended, or failed, before its work was done."""
-
-
-class Diverged(BodysegError):
-    """A training's loss is no longer a number."""
-
-
 class MissingLibrary(BodysegError):
     """An optional package or a system library that the chosen feature needs is not installed."""
-
-
-_Error = TypeVar("_Error", bound=Exception)
-
-
-def with_text(error: _Error, text: str) -> _Error:
-    """Return a new error of the same class and notes with another text, tied to no traceback's frames."""
-    found = type(error)(text)
-    for note in getattr(error, "__notes__", ()):
-        found.add_note(note)
-    return found
 
 
 def check_int(name: str, value: Any, least: int) -> int:
@@ -93,56 +62,6 @@ def check_int(name: str, value: Any, least: int) -> int:
     if isinstance(value, bool) or not isinstance(value, Integral) or int(value) < least:
         raise BadConfig(f"{name} must be a whole number of at least {least}, found {value!r}")
     return int(value)
-
-
-def check_bool(name: str, value: Any) -> bool:
-    """Return `value` as a bool. Raises BadConfig, calling it `name`, for anything else: text would count as True."""
-    if isinstance(value, bool):
-        return value
-    import numpy as np  # not above: commands without arrays start without it
-
-    if not isinstance(value, np.bool_):
-        raise BadConfig(f"{name} must be True or False, found {value!r}")
-    return bool(value)
-
-
-@dataclass(frozen=True)
-class Bounds:
-    """Numbers from `low` to `high` that a field may hold; above: without `low` itself; below: without `high`.
-
-    values: the only ones that it may hold, if not any between the ends.
-    """
-
-    low: float
-    high: float
-    above: bool = False
-    below: bool = False
-    values: tuple[float, ...] = ()
-
-    def take(self, number: float) -> bool:
-        """Return whether a number lies within. NaN never does."""
-        if self.values:
-            return number in self.values
-        return (self.low < number if self.above else self.low <= number) and (
-            number < self.high if self.below else number <= self.high
-        )
-
-    def __str__(self) -> str:
-        if self.values:
-            return f"one of {', '.join(f'{value:g}' for value in self.values)}"
-        if self.above:
-            return f"above {self.low:g} and {'below' if self.below else 'at most'} {self.high:g}"
-        return f"from {self.low:g} to {'below ' if self.below else ''}{self.high:g}"
-
-
-def bounded(default: Any, low: float, high: float, *, above: bool = False, below: bool = False) -> Any:
-    """Declare a dataclass's field whose number, or each number of a tuple, lies within `Bounds`; None may stand."""
-    return field(default=default, metadata={"bounds": Bounds(low, high, above, below)})
-
-
-def one_of(default: float, values: tuple[float, ...]) -> Any:
-    """Declare a dataclass's field that holds one of some numbers."""
-    return field(default=default, metadata={"bounds": Bounds(min(values), max(values), values=values)})
 
 
 def check_fields(options: Any) -> None:

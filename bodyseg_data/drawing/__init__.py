@@ -23,13 +23,5 @@ if TYPE_CHECKING:
         save_chart,
         save_picture,
     )
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "body_views": "HEIGHTS_PX LabelledBody draw_body_views",
-        "contact_sheet": "Row Window colour_range draw_sheet span_of window_of",
-        "gallery": "choose_views draw_gallery",
-        "style": "FAINT INK PAPER THING check_picture draw_legend fitted font new_chart save_chart save_picture",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

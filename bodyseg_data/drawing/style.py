@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from bodyseg_data.core import BadConfig, MissingLibrary, write_result
+from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_data.files import write_result
 from bodyseg_data.labels import PARTS33, LabelMap
 
 PAPER: Final = (250, 250, 247)

@@ -26,12 +26,5 @@ if TYPE_CHECKING:
         whole_map,
     )
     from bodyseg_data.labels.parts import LANDMARKS, PART_CLASSES, PART_COUNT, PARTS, Part
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "classes": "BACKGROUND Classes LabelClass UNLABELLED classes_from_json classes_of looked_up",
-        "label_map": "PARTS33 LabelMap colour_labels label_map_from_json label_map_names load_label_map whole_map",
-        "parts": "LANDMARKS PARTS PART_CLASSES PART_COUNT Part",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -11,7 +11,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, Table, toml_names, toml_text, toml_tree
+from bodyseg_data.core import BadConfig
+from bodyseg_data.files import Table, TomlFiles
 from bodyseg_data.labels.classes import (
     BACKGROUND,
     MOST_CLASSES,
@@ -26,8 +27,6 @@ from bodyseg_data.labels.parts import COLOURS, PART_CLASSES
 from bodyseg_data.machine import use_compiled
 
 LABEL_MAP_FORMAT: Final = "bodyseg labels 1"
-
-_FOLDER: Final = resources.files(__package__)
 
 
 def colour_labels(
@@ -255,10 +254,12 @@ def _loops() -> Any:
 PARTS33: Final = whole_map(PART_CLASSES)
 """The 33 parts themselves."""
 
+_FILES: Final = TomlFiles("label map", resources.files(__package__), LABEL_MAP_FORMAT, (PARTS33.name,))
+
 
 def label_map_names() -> tuple[str, ...]:
     """Names of the label maps that ship with the package."""
-    return (PARTS33.name, *toml_names(_FOLDER))
+    return _FILES.names()
 
 
 def label_map_from_json(tree: Any, where: str) -> LabelMap:
@@ -289,7 +290,7 @@ def load_label_map(labels: str | Path | LabelMap, of: Classes = PART_CLASSES) ->
     if str(labels) == of.name:
         return whole_map(of)
     where = f"label map {labels}"
-    tree = toml_tree(toml_text("label map", labels, _FOLDER, (of.name,)), where, LABEL_MAP_FORMAT)
+    tree = _FILES.parse(_FILES.read(labels), str(labels))
     classes = tree.pop("classes", None)
     if not isinstance(classes, dict):
         raise BadConfig(f"{where}: the table [classes] is missing")

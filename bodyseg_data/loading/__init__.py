@@ -11,19 +11,8 @@ if TYPE_CHECKING:
     from bodyseg_data.loading.loaders import Loader, loader
     from bodyseg_data.loading.mixture import Mixture
     from bodyseg_data.loading.range_images import RangeImages
-    from bodyseg_data.loading.transform import CameraImage, Transform
+    from bodyseg_data.loading.transform import BadTransform, CameraImage, Transform
     from bodyseg_data.loading.transforms import BodyCrop, Crop, Flip, Roll, Zoom
-    from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerMethod, check_worker_method
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "image_set": "Batch ImageSet find_rank",
-        "loaders": "Loader loader",
-        "mixture": "Mixture",
-        "range_images": "RangeImages",
-        "transform": "CameraImage Transform",
-        "transforms": "BodyCrop Crop Flip Roll Zoom",
-        "workers": "DEFAULT_WORKER_METHOD WorkerMethod check_worker_method",
-    },
-)
+    from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerLost, WorkerMethod, check_worker_method
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

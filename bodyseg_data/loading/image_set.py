@@ -18,11 +18,22 @@ import numpy as np
 import torch
 import torch.distributed
 from numpy.typing import NDArray
-from torch.utils.data import Sampler
+from torch.utils.data import Dataset, Sampler
 
-from bodyseg_data.core import BadConfig, Permutation, check_bool, check_epoch, check_int
+from bodyseg_data.core import BadConfig, check_epoch, check_int
 from bodyseg_data.labels import LabelMap
+from bodyseg_data.loading.selection import Permutation
 from bodyseg_data.samples import Sample
+
+
+def check_bool(name: str, value: Any) -> bool:
+    """Return `value` as a bool. Raises BadConfig, calling it `name`, for anything else: text would count as True."""
+    if isinstance(value, bool):
+        return value
+    if not isinstance(value, np.bool_):
+        raise BadConfig(f"{name} must be True or False, found {value!r}")
+    return bool(value)
+
 
 Request = tuple[int, int]
 """(epoch, index) of a sample: with its epoch, so that workers kept over several epochs need no other message."""
@@ -112,16 +123,20 @@ class ImageSet(Protocol):
         """Return indices of about `count` samples that stand for the whole, int64 [M]."""
         ...
 
+
+class SampleDataset(Dataset[dict[str, Any]]):
+    """A dataset of PyTorch, an image set, that is read by its batches too."""
+
     def batches(
-        self,
+        self: ImageSet,
         batch_size: int,
         shuffle: bool | None = None,
         drop_last: bool = False,
         rank: int | None = None,
         world_size: int | None = None,
     ) -> BatchOrder:
-        """Return the assignment of samples to batches; options as for `loader`."""
-        ...
+        """`batch_sampler` for torch's DataLoader or torchdata's StatefulDataLoader; options as for `loader`."""
+        return BatchOrder(self, batch_size, shuffle, drop_last, rank, world_size)
 
 
 def check_index(index: Any, count: int) -> int:

@@ -13,9 +13,17 @@ from typing import Any, Final
 import numpy as np
 import torch
 
-from bodyseg_data.core import BadConfig, BodysegError, check_bool, check_int, with_text
-from bodyseg_data.loading.image_set import Batch, BatchOrder, ImageSet, Pass, Request
-from bodyseg_data.loading.skipping import SKIPPABLE, OnError, SkipLedger, Skipped, checked_budget, checked_log
+from bodyseg_data.core import BadConfig, BodysegError, check_int
+from bodyseg_data.loading.image_set import Batch, BatchOrder, ImageSet, Pass, Request, check_bool
+from bodyseg_data.loading.skipping import (
+    SKIPPABLE,
+    OnError,
+    SkipLedger,
+    Skipped,
+    checked_budget,
+    checked_log,
+    with_text,
+)
 from bodyseg_data.loading.slots import Slots
 from bodyseg_data.loading.workers import (
     DEFAULT_WORKER_METHOD,
@@ -280,7 +288,7 @@ def loader(
     """
     if not isinstance(images, ImageSet):
         raise BadConfig(f"images must be RangeImages or a Mixture, found {type(images).__name__}")
-    order = images.batches(batch_size, shuffle, drop_last, rank, world_size)
+    order = BatchOrder(images, batch_size, shuffle, drop_last, rank, world_size)
     budget = checked_budget(on_error, skip_budget, len(images))
     ledger = SkipLedger(budget, checked_log(on_error, skip_log))
     options = LoaderOptions(num_workers, prefetch_factor, metres, pin_memory, worker_method, start_method)

@@ -9,14 +9,14 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from torch.utils.data import Dataset
 
 from bodyseg_data.artifacts import RangeImage
-from bodyseg_data.core import BadConfig, BadShard, check_epoch, check_int, check_seed, permutation
+from bodyseg_data.core import BadConfig, BadShard, check_epoch, check_int, check_seed
 from bodyseg_data.labels import LabelMap
-from bodyseg_data.loading.image_set import BatchOrder, Request, Requests, check_index
+from bodyseg_data.loading.image_set import Request, Requests, SampleDataset, check_index
 from bodyseg_data.loading.mixture_order import SetStream, Shares, Weight, read_schedule
 from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_data.loading.selection import permutation
 from bodyseg_data.samples import Sample
 
 Part = tuple[RangeImages, Weight] | tuple[RangeImages, Weight, ArrayLike]
@@ -29,7 +29,7 @@ _AGREEING: Final = {
 }
 
 
-class Mixture(Dataset[dict[str, Any]]):
+class Mixture(SampleDataset):
     """Several sets as one: every epoch has `samples` samples, and each set gives its share of them. `len()` is exact.
 
     sets: (images, weight) of each set, or (images, weight, sample weights). A weight is a number, or knots (epoch,
@@ -203,17 +203,6 @@ class Mixture(Dataset[dict[str, Any]]):
         number = check_index(index, self._starts[-1])
         which = bisect.bisect_right(self._starts, number) - 1
         return self.sets[which], number - self._starts[which]
-
-    def batches(
-        self,
-        batch_size: int,
-        shuffle: bool | None = None,
-        drop_last: bool = False,
-        rank: int | None = None,
-        world_size: int | None = None,
-    ) -> BatchOrder:
-        """`batch_sampler` for torch's DataLoader or torchdata's StatefulDataLoader; options as for `loader`."""
-        return BatchOrder(self, batch_size, shuffle, drop_last, rank, world_size)
 
     def identity(self) -> dict[str, Any]:
         """Return all that batches depend on besides their order, as plain JSON."""

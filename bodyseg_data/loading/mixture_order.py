@@ -17,9 +17,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bodyseg_data.core import BadConfig, chance, check_epoch, permutation
+from bodyseg_data.core import BadConfig, chance, check_epoch
 from bodyseg_data.loading.image_set import Requests
 from bodyseg_data.loading.range_images import RangeImages
+from bodyseg_data.loading.selection import permutation
 
 Weight = float | Sequence[tuple[int, float]]
 """A set's weight: a number, or knots (epoch, weight) with a straight line between them and constants outside."""

@@ -15,7 +15,6 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from torch.utils.data import Dataset
 
 from bodyseg_data.artifacts import (
     PAPER_SENSOR,
@@ -26,24 +25,14 @@ from bodyseg_data.artifacts import (
     check_variant,
     load_sensor_model,
 )
-from bodyseg_data.core import (
-    BadConfig,
-    BadSample,
-    BadShard,
-    BadTransform,
-    Draws,
-    Permutation,
-    check_bool,
-    check_epoch,
-    check_seed,
-    permutation,
-    with_text,
-)
+from bodyseg_data.core import BadConfig, BadSample, BadShard, Draws, check_epoch, check_seed
 from bodyseg_data.labels import BACKGROUND, UNLABELLED, LabelMap, load_label_map, whole_map
-from bodyseg_data.loading.image_set import BatchOrder, Request, Requests, check_index
-from bodyseg_data.loading.selection import Selection
-from bodyseg_data.loading.slots import item_tensor
+from bodyseg_data.loading.image_set import Request, Requests, SampleDataset, check_bool, check_index
+from bodyseg_data.loading.selection import Permutation, Selection, permutation
+from bodyseg_data.loading.skipping import with_text
+from bodyseg_data.loading.slots import SCRATCH, item_tensor
 from bodyseg_data.loading.transform import (
+    BadTransform,
     Transforms,
     check_transforms,
     transform_image,
@@ -51,7 +40,6 @@ from bodyseg_data.loading.transform import (
     transforms_to_json,
     with_camera,
 )
-from bodyseg_data.machine import SCRATCH
 from bodyseg_data.samples import ReadSplit, Sample, metres
 from bodyseg_data.shards import (
     RetryPolicy,
@@ -67,7 +55,7 @@ WHOLE_ORDER: Final = 1 << 23
 """Number of samples of an epoch whose order is computed at once; that of more samples in parts."""
 
 
-class RangeImages(Dataset[dict[str, Any]]):
+class RangeImages(SampleDataset):
     """Dataset over a set of shards with the artifacts of one of the five variants. Random access; `len()` is exact.
 
     path: the folder of a set, or a glob that picks some of its shards ("shards/train-*.tar"), on this machine or at an
@@ -250,17 +238,6 @@ class RangeImages(Dataset[dict[str, Any]]):
     def _chosen_records(self) -> Iterator[tuple[ShardRecord, list[int]]]:
         """Yield the shards that hold the chosen samples, and these samples' indices within them, in stored order."""
         return ((self.manifest.shards[number], own) for number, own in self._samples.by_shard())
-
-    def batches(
-        self,
-        batch_size: int,
-        shuffle: bool | None = None,
-        drop_last: bool = False,
-        rank: int | None = None,
-        world_size: int | None = None,
-    ) -> BatchOrder:
-        """`batch_sampler` for torch's DataLoader or torchdata's StatefulDataLoader; options as for `loader`."""
-        return BatchOrder(self, batch_size, shuffle, drop_last, rank, world_size)
 
     def identity(self) -> dict[str, Any]:
         """Return all that batches depend on besides their order, as plain JSON; set: digest of all samples' bytes."""

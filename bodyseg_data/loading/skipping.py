@@ -5,9 +5,20 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
-from bodyseg_data.core import BadConfig, BadSample, BadShard, with_text
+from bodyseg_data.core import BadConfig, BadSample, BadShard
+
+_Error = TypeVar("_Error", bound=Exception)
+
+
+def with_text(error: _Error, text: str) -> _Error:
+    """Return a new error of the same class and notes with another text, tied to no traceback's frames."""
+    found = type(error)(text)
+    for note in getattr(error, "__notes__", ()):
+        found.add_note(note)
+    return found
+
 
 OnError = Literal["stop", "skip"]
 

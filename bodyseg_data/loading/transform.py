@@ -27,11 +27,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts import RangeImage, box_of
-from bodyseg_data.core import BadConfig, BadSample, BadTransform, Draws
+from bodyseg_data.core import BadConfig, BadSample, BodysegError, Draws
 from bodyseg_data.labels import BACKGROUND, PART_CLASSES, UNLABELLED, Classes
-from bodyseg_data.machine import SCRATCH
+from bodyseg_data.loading.slots import SCRATCH
 from bodyseg_data.rigs import Camera
 from bodyseg_data.samples import Sample, SampleInfo, metres
+
+
+class BadTransform(BodysegError):
+    """A transform has failed on a sample, or returned something that is no sample."""
+
 
 Box = tuple[int, int, int, int]
 """First row, end of the rows, first column, end of the columns."""

@@ -12,12 +12,20 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, check_bool, check_int, unit
+from bodyseg_data.core import BadConfig, check_int
 from bodyseg_data.labels import BACKGROUND, looked_up
+from bodyseg_data.loading.image_set import check_bool
+from bodyseg_data.loading.slots import SCRATCH
 from bodyseg_data.loading.transform import Box, CameraImage, Transform, ends_of
-from bodyseg_data.machine import SCRATCH
 from bodyseg_data.rigs import MAX_SIDE
 from bodyseg_data.samples import FARTHEST_STEPS
+
+
+def unit(random: np.random.Generator) -> float:
+    """The next number of a generator, uniform over the multiples of 2**-53 from 0 to below 1: from its raw words."""
+    word: int = random.bit_generator.random_raw()
+    return (word >> 11) * 2.0**-53
+
 
 _BITS: Final = 20
 """Bits of a pixel's fraction to which `take_turned` rounds positions, so that sums of them are exact."""

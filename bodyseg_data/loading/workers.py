@@ -23,8 +23,13 @@ from typing import Any, Final, Literal, Protocol
 
 import torch
 
-from bodyseg_data.core import BadConfig, WorkerLost
+from bodyseg_data.core import BadConfig, BodysegError
 from bodyseg_data.machine import peak_mb
+
+
+class WorkerLost(BodysegError):
+    """A worker process of a loader has ended, or failed, before its work was done."""
+
 
 WorkerMethod = Literal["process", "thread"]
 StartMethod = Literal["fork", "spawn", "forkserver"]

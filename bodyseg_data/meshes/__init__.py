@@ -24,18 +24,5 @@ if TYPE_CHECKING:
     from bodyseg_data.meshes.partitioning import Partition, partition
     from bodyseg_data.meshes.repairing import repair, with_pymeshlab
     from bodyseg_data.meshes.solids import Solid, SurfacePiece, cuboid, together, turned_solid
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "coincident": "separate",
-        "geodesics": "GeodesicMethod check_method",
-        "landmark_files": "load_landmark_file",
-        "landmarks": "FARTHEST_M METRES LandmarkSet PointLandmarks SnappedLandmarks farthest_from load_landmarks",
-        "mesh": "HEIGHT_RANGE_M Mesh find_edges",
-        "mesh_files": "mesh_stem mesh_suffix preferred read_mesh",
-        "partitioning": "Partition partition",
-        "repairing": "repair with_pymeshlab",
-        "solids": "Solid SurfacePiece cuboid together turned_solid",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

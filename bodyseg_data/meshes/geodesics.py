@@ -13,11 +13,16 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, Unanswerable
+from bodyseg_data.core import BadConfig, BadMesh
 from bodyseg_data.machine import missing_library
 from bodyseg_data.meshes.mending import find_fans
 from bodyseg_data.meshes.mesh import Edges, face_components, find_edges
 from bodyseg_data.meshes.repairing import SAME_POINT_M
+
+
+class Unanswerable(BadMesh):
+    """One method of measuring distances fails on this surface; another may work."""
+
 
 GeodesicMethod = Literal["exact", "unfolded", "edges"]
 

@@ -23,7 +23,8 @@ from typing import Final
 
 import numpy as np
 
-from bodyseg_data.core import BadLandmarks, contents
+from bodyseg_data.core import BadLandmarks
+from bodyseg_data.files import contents
 from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.meshes.landmarks import (
     METRES,

@@ -26,7 +26,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadLandmarks, refuse_special
+from bodyseg_data.core import BadLandmarks
+from bodyseg_data.files import refuse_special
 from bodyseg_data.labels import LANDMARKS, PART_COUNT
 from bodyseg_data.machine import missing_library
 from bodyseg_data.meshes.coincident import separate

@@ -22,7 +22,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadMesh, contents
+from bodyseg_data.core import BadMesh
+from bodyseg_data.files import contents
 from bodyseg_data.meshes.mesh import check_arrays
 
 _TYPES: Final = {

@@ -16,9 +16,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadLandmarks, Unanswerable
+from bodyseg_data.core import BadLandmarks
 from bodyseg_data.labels import LANDMARKS, PART_COUNT
-from bodyseg_data.meshes.geodesics import FALLBACK_METHOD, GeodesicMethod, check_method, nearest_sources
+from bodyseg_data.meshes.geodesics import FALLBACK_METHOD, GeodesicMethod, Unanswerable, check_method, nearest_sources
 from bodyseg_data.meshes.landmarks import nearest_corner
 from bodyseg_data.meshes.mending import MendedSurface, mend
 from bodyseg_data.meshes.mesh import Mesh, face_components

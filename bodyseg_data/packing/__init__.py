@@ -13,15 +13,5 @@ if TYPE_CHECKING:
     from bodyseg_data.packing.sampler import Sampler, faces_towards, sample_key, surface_points
     from bodyseg_data.packing.skipping import STOP, FaultyMeshes, OnError, OnFaults
     from bodyseg_data.packing.things import FURNITURE, Numbers, ThingsPlace, draw_things, in_front
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "engines": "PROCESSES check_engine open_engine",
-        "options": "Packing",
-        "packer": "pack plan",
-        "sampler": "Sampler faces_towards sample_key surface_points",
-        "skipping": "STOP FaultyMeshes OnError OnFaults",
-        "things": "FURNITURE Numbers ThingsPlace draw_things in_front",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts import Floats, ShadowTest, framed
+from bodyseg_data.artifacts import ShadowTest, framed
 from bodyseg_data.samples import FARTHEST_STEPS
 
 COARSEST_STEP: Final = 1024
@@ -30,6 +30,7 @@ _EMPTY: Final = 65535  # as the test sees it: one step less than 0, behind every
 _MARGIN: Final = 1  # the test computes in single precision, which is off by far less than a step
 
 Range = NDArray[np.uint16]
+Floats = NDArray[np.float32]
 Ints = NDArray[np.int32]
 
 Ranges = Callable[[NDArray[np.intp]], NDArray[np.uint16]]

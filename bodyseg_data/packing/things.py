@@ -16,7 +16,7 @@ from typing import Final, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, Stream, pixel_draws, stream
+from bodyseg_data.core import BadConfig, Draws
 from bodyseg_data.meshes import Mesh, Solid, cuboid, together, turned_solid
 from bodyseg_data.rendering import Renderer, Surface
 from bodyseg_data.rigs import PlacedCamera, axes_at
@@ -49,10 +49,10 @@ _GAP_M: Final = 0.05  # between a body and a thing, at least
 
 
 class Numbers:
-    """Random numbers of one stream, one after another, at most 1024."""
+    """Random numbers of one purpose, one after another, at most 1024."""
 
-    def __init__(self, stream: Stream) -> None:
-        self._words = iter(pixel_draws(stream, _MOST_DRAWS, np.uint32).tolist())
+    def __init__(self, draws: Draws, purpose: str) -> None:
+        self._words = iter(draws.pixels(purpose, _MOST_DRAWS, np.uint32).tolist())
 
     def between(self, low: float, high: float) -> float:
         """A number, uniform from `low` to `high`."""
@@ -239,7 +239,7 @@ def draw_things(
     room = _Room(mesh, view, camera)
     best = Things(together([]), step_m)
     for attempt in range(attempts):
-        numbers = Numbers(stream(0, 0, key, f"things {attempt}"))
+        numbers = Numbers(Draws(0, 0, key), f"things {attempt}")
         solids = []
         if place in ("before", "both"):
             solids += [room.before(numbers) for _ in range(numbers.whole(1, 2))]

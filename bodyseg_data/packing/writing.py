@@ -25,7 +25,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from bodyseg_data.bodies import BodyRef
-from bodyseg_data.core import BadConfig, BadShard, ProgressCallback, write_atomically
+from bodyseg_data.core import BadConfig, BadShard, ProgressCallback
+from bodyseg_data.files import write_atomically
 from bodyseg_data.packing.jobs import ordered
 from bodyseg_data.packing.options import Packing
 from bodyseg_data.packing.skipping import SKIPPABLE

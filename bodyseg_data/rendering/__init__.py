@@ -10,12 +10,5 @@ if TYPE_CHECKING:
     from bodyseg_data.rendering.raster import RasterRenderer
     from bodyseg_data.rendering.registry import RendererName, check_renderer, open_renderer
     from bodyseg_data.rendering.renderer import Renderer, Surface
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "raster": "RasterRenderer",
-        "registry": "RendererName check_renderer open_renderer",
-        "renderer": "Renderer Surface",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -19,7 +19,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, Table, check_fields
+from bodyseg_data.core import BadConfig, check_fields
+from bodyseg_data.files import Table
 
 MODEL: Final = "brown_conrady"
 

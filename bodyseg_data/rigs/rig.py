@@ -19,14 +19,15 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, Table, check_fields, toml_names, toml_text, toml_tree
+from bodyseg_data.core import BadConfig, check_fields
+from bodyseg_data.files import Table, TomlFiles
 from bodyseg_data.rigs.camera import MAX_SIDE, Camera, PlacedCamera, axes_at, camera_from_table, rolled
 from bodyseg_data.samples import View
 
 RIG_FORMAT: Final = "bodyseg rig 1"
 PAPER: Final = "paper"
 """The default rig."""
-_FOLDER: Final = resources.files(__package__)
+_FILES: Final = TomlFiles("rig", resources.files(__package__), RIG_FORMAT)
 
 RANGE_STEP_MM: Final = 0.1
 """The step of stored ranges where a rig does not say, millimetres."""
@@ -195,7 +196,7 @@ class Sensor:
 
 def rig_names() -> tuple[str, ...]:
     """Names of the rig files that ship with the package, in alphabetical order."""
-    return toml_names(_FOLDER)
+    return _FILES.names()
 
 
 def load_rig(name_or_path: str | Path = PAPER) -> Rig:
@@ -203,12 +204,12 @@ def load_rig(name_or_path: str | Path = PAPER) -> Rig:
 
     Raises BadConfig, naming file and key, for anything missing, unknown or out of range, and for a camera alone.
     """
-    return parse_rig(toml_text("rig", name_or_path, _FOLDER), str(name_or_path))
+    return parse_rig(_FILES.read(name_or_path), str(name_or_path))
 
 
 def load_sensor(name_or_path: str | Path = PAPER) -> Sensor:
     """Read a rig file as `load_rig`, with or without a projector. Raises BadConfig."""
-    return parse_sensor(toml_text("rig", name_or_path, _FOLDER), str(name_or_path))
+    return parse_sensor(_FILES.read(name_or_path), str(name_or_path))
 
 
 def parse_rig(text: str, where: str) -> Rig:
@@ -221,7 +222,7 @@ def parse_rig(text: str, where: str) -> Rig:
 
 def parse_sensor(text: str, where: str) -> Sensor:
     """Parse a rig file's text, with or without a projector; `where` names its origin in messages. Raises BadConfig."""
-    table = Table(toml_tree(text, f"rig {where}", RIG_FORMAT), f"rig {where}")
+    table = Table(_FILES.parse(text, where), f"rig {where}")
     name = table.text("name")
     title = table.text("title") if table.has("title") else name
     assumed = table.flag("assumed_for_size") if table.has("assumed_for_size") else False

@@ -34,13 +34,5 @@ if TYPE_CHECKING:
         steps,
     )
     from bodyseg_data.samples.views import View, ViewGrid, parse_choice, split_key
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "sample": "FARTHEST_STEPS FIELD_KINDS HELD MOST_FIELDS Occupancy READ_SPLITS ReadSplit SHADOW_THRESHOLDS "
-        "SPLITS Sample SampleInfo Split Value check_field_name check_key holds_postures info_from_json "
-        "kind_of metres motion_of shape_of split_by_motion split_by_order steps",
-        "views": "View ViewGrid parse_choice split_key",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

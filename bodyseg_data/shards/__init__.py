@@ -33,24 +33,9 @@ if TYPE_CHECKING:
         record_from_json,
         record_to_json,
     )
-    from bodyseg_data.shards.remote import RemoteFolder, RetryPolicy, open_store
+    from bodyseg_data.shards.remote import RemoteFolder, RetryPolicy, Unreachable, open_store
     from bodyseg_data.shards.sample_codec import check_codec, decode_sample, encode_sample
     from bodyseg_data.shards.store import READ_ATTEMPTS, LocalFolder, Store, open_file
     from bodyseg_data.shards.tar import ShardReader, TarWriter
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "cache": "with_cache with_kept_index",
-        "codecs": "CODECS CodecName",
-        "codecs.png": "SIGNATURE check_checksums decode_chunks read_chunks read_header",
-        "faults": "find_faults find_index_faults",
-        "manifest": "LARGEST_MANIFEST MANIFEST_FORMAT MANIFEST_NAME Manifest ProjectorKind RIG_FIELD SkippedMesh "
-        "check_plane check_rigs read_manifest write_manifest",
-        "records": "BODY_FIELDS CheckedFile Fields Row ShardRecord record_from_json record_to_json",
-        "remote": "RemoteFolder RetryPolicy open_store",
-        "sample_codec": "check_codec decode_sample encode_sample",
-        "store": "READ_ATTEMPTS LocalFolder Store open_file",
-        "tar": "ShardReader TarWriter",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -21,7 +21,8 @@ from typing import Any, Final, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadSample, BadShard, write_chunks_atomically
+from bodyseg_data.core import BadSample, BadShard
+from bodyseg_data.files import write_atomically
 from bodyseg_data.samples import MOST_FIELDS, Split, check_key
 from bodyseg_data.shards.earlier import EARLIER_FIELDS, piece_as_current
 from bodyseg_data.shards.records import (
@@ -268,7 +269,7 @@ def write_index(records: Iterable[ShardRecord], folder: Path) -> ShardTable:
             numbers.append((len(record), record.size, len(data), zlib.crc32(data)))
             yield data
 
-    write_chunks_atomically(folder / INDEX_NAME, pieces())
+    write_atomically(folder / INDEX_NAME, pieces())
     names, splits, hashes = zip(*heads, strict=True)
     samples, sizes, lengths, crc32 = np.array(numbers, np.int64).T
     ends = np.cumsum(lengths)

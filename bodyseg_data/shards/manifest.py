@@ -10,7 +10,8 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
-from bodyseg_data.core import BadConfig, BadShard, write_atomically
+from bodyseg_data.core import BadConfig, BadShard
+from bodyseg_data.files import write_atomically
 from bodyseg_data.labels import PART_CLASSES, Classes, classes_from_json
 from bodyseg_data.rigs import Rig, rig_from_json
 from bodyseg_data.samples import Split

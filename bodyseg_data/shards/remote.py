@@ -17,10 +17,15 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 from urllib.parse import parse_qsl, unquote, urlsplit
 
-from bodyseg_data.core import BadConfig, MissingLibrary, Unreachable, check_int
+from bodyseg_data.core import BadConfig, BodysegError, MissingLibrary, check_int
 from bodyseg_data.shards.manifest import MANIFEST_NAME
 from bodyseg_data.shards.store import LocalFolder, Store
 from bodyseg_data.shards.transport import FileMissing, PermanentFailure, TransientFailure, open_transport
+
+
+class Unreachable(BodysegError):
+    """Files of a remote set cannot be fetched: absent, refused, or too many attempts in a row have failed."""
+
 
 _SHORTEST_SECRET: Final = 4
 

@@ -7,7 +7,8 @@ import os
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-from bodyseg_data.core import BadConfig, contents
+from bodyseg_data.core import BadConfig
+from bodyseg_data.files import contents
 
 READ_ATTEMPTS: Final = 3
 """Number of reads before altered bytes count as the content of the file."""

@@ -14,7 +14,8 @@ from typing import IO, Any, Final
 
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadSample, BadShard, one_line, sync
+from bodyseg_data.core import BadSample, BadShard, one_line
+from bodyseg_data.files import sync
 from bodyseg_data.labels import UNLABELLED
 from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import Sample, SampleInfo, Split, check_key

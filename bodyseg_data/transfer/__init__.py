@@ -18,10 +18,5 @@ if TYPE_CHECKING:
         set_bundle,
         transfer,
     )
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "transfers": "Bundle LocalTarget RemoteTarget SharedFile Target pages_of read_page set_bundle transfer",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

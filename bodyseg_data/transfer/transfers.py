@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from bodyseg_data.cards import CARD_NAMES
-from bodyseg_data.core import BadConfig, BadShard, sync, write_atomically
+from bodyseg_data.core import BadConfig, BadShard
+from bodyseg_data.files import sync, write_atomically
 from bodyseg_data.shards import (
     LARGEST_MANIFEST,
     MANIFEST_NAME,

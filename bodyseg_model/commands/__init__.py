@@ -8,10 +8,5 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_model.commands.cli import main
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "cli": "main",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -9,8 +9,9 @@ from pathlib import Path
 
 from bodyseg_data.artifacts import SensorModel, load_sensor_model, sensor_model_names
 from bodyseg_data.commands import Progress, check_target, option
-from bodyseg_data.core import BadConfig, write_result
+from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import check_picture, save_picture
+from bodyseg_data.files import write_result
 from bodyseg_data.rigs import rig_names
 from bodyseg_model.recordings import (
     RECORDINGS_HELP,

@@ -18,7 +18,8 @@ from bodyseg_data.cards import (
     set_facts,
 )
 from bodyseg_data.commands import Progress, option
-from bodyseg_data.core import BadConfig, parse_json, write_result
+from bodyseg_data.core import BadConfig
+from bodyseg_data.files import parse_json, write_result
 from bodyseg_data.shards import MANIFEST_NAME, LocalFolder, RemoteFolder, Store, open_store, read_manifest
 from bodyseg_data.transfer import (
     Bundle,
@@ -154,7 +155,7 @@ def _day(text: str | None) -> date:
 
 def _bundle_at(address: str) -> tuple[Store, Bundle]:
     """Open the store at an address, and find the set or network there."""
-    from bodyseg_model.networks import NETWORK
+    from bodyseg_model.networks import RunFiles
 
     path, mark, query = address.partition("?") if address.startswith(("http://", "https://")) else (address, "", "")
     weights = path.rpartition("/")[2] if path.endswith(_WEIGHTS) else ""
@@ -165,8 +166,8 @@ def _bundle_at(address: str) -> tuple[Store, Bundle]:
     store, pattern = open_store(address)
     if pattern != "*":
         raise BadConfig(f"a whole set is copied, found {pattern!r} at the end of its address")
-    if store.read_file(Path(NETWORK).with_suffix(".json").name, _LARGEST) is not None:
-        return store, _network_bundle(store, NETWORK)
+    if store.read_file(Path(RunFiles.NETWORK).with_suffix(".json").name, _LARGEST) is not None:
+        return store, _network_bundle(store, RunFiles.NETWORK)
     return store, set_bundle(store)
 
 
@@ -176,16 +177,16 @@ def _network_bundle(store: Store, weights: str) -> Bundle:
     weights: name of its .safetensors file in the store. Raises BadConfig for a card that cannot vouch for the weights,
     OSError or Unreachable.
     """
-    from bodyseg_model.networks import FORMAT, NETWORK, WEIGHTS_SHA256, confusion_file, page_file
+    from bodyseg_model.networks import Card, RunFiles, confusion_file, page_file
 
     file = Path(weights)
     index = file.with_suffix(".json").name
     data = read_page(store, index)
     card = parse_json(data, f"{store.name}/{index}")
-    digest = card.get(WEIGHTS_SHA256)
-    if card.get("format") != FORMAT or not isinstance(digest, str):
-        raise BadConfig(f"{store.name}/{index} is no card of a network with {WEIGHTS_SHA256!r}")
-    page = "README.md" if weights == NETWORK else page_file(file).name
+    digest = card.get(Card.WEIGHTS_SHA256)
+    if card.get("format") != Card.FORMAT or not isinstance(digest, str):
+        raise BadConfig(f"{store.name}/{index} is no card of a network with {Card.WEIGHTS_SHA256!r}")
+    page = "README.md" if weights == RunFiles.NETWORK else page_file(file).name
     pages = pages_of(store, (page, confusion_file(file).name))
     return Bundle((SharedFile(weights, store.size(weights), digest),), index, data, pages)
 

@@ -11,13 +11,5 @@ if TYPE_CHECKING:
     from bodyseg_model.evaluation.figures import SamplePicture, draw_figures
     from bodyseg_model.evaluation.reports import RigFit, over_seeds, report, sensor_warning
     from bodyseg_model.evaluation.scores import KINDS, ConfusionMatrix, count_pairs, kinds_of, pairs_of, told_kinds
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "evaluation": "Evaluation Scores evaluate open_images time_frames",
-        "figures": "SamplePicture draw_figures",
-        "reports": "RigFit over_seeds report sensor_warning",
-        "scores": "KINDS ConfusionMatrix count_pairs kinds_of pairs_of told_kinds",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -8,28 +8,16 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_model.networks.checkpoints import (
-        AVERAGED,
-        BEST,
-        CHECKPOINT,
-        FORMAT,
-        NETWORK,
-        PLAN,
-        PRETRAINED,
-        TRAINED,
-        WEIGHTS_SHA256,
+        Card,
         Checkpoint,
         CheckpointName,
+        RunFiles,
         Trained,
-        checkpoint_file,
         confusion_file,
         load_network,
-        read_bytes,
         read_checkpoint,
-        read_json,
         save_network,
         trained_network,
-        write_json,
-        write_tensors,
     )
     from bodyseg_model.networks.model_cards import model_card, network_file, page_file
     from bodyseg_model.networks.network import FlipAverage, Network, check_label_map, check_range_images, in_loops
@@ -44,16 +32,5 @@ if TYPE_CHECKING:
         predict,
         predict_each,
     )
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "checkpoints": "AVERAGED BEST CHECKPOINT FORMAT NETWORK PLAN PRETRAINED TRAINED WEIGHTS_SHA256 Checkpoint "
-        "CheckpointName Trained checkpoint_file confusion_file load_network read_bytes read_checkpoint "
-        "read_json save_network trained_network write_json write_tensors",
-        "model_cards": "model_card network_file page_file",
-        "network": "FlipAverage Network check_label_map check_range_images in_loops",
-        "patch_loops": "BITS nearest",
-        "registry": "NetworkName build device_of find_device name_of network_class predict predict_each",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

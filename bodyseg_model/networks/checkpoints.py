@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, ClassVar, Final, Literal
 
 import torch
 from safetensors import SafetensorError
@@ -16,39 +16,44 @@ from safetensors.torch import load as parse_tensors
 from safetensors.torch import save as tensor_bytes
 
 from bodyseg_data.artifacts import SensorModel, load_sensor_model, sensor_model_from_json
-from bodyseg_data.core import BadConfig, parse_json, write_result
+from bodyseg_data.core import BadConfig
+from bodyseg_data.files import read_bytes, read_json, write_json, write_result
 from bodyseg_data.labels import PARTS33, LabelMap, label_map_from_json
 from bodyseg_data.rigs import Rig, load_rig, rig_from_json
 from bodyseg_model.networks.network import Network, check_label_map
 from bodyseg_model.networks.registry import build
 
-FORMAT: Final = "bodyseg network 1"
-NETWORK: Final = "network.safetensors"
-"""The trained network in a run's folder; its card is the .json beside it."""
-
-BEST: Final = "best.safetensors"
-"""The weights of a run's best validation, in the form of `NETWORK`."""
-
-PLAN: Final = "run.json"
-CHECKPOINT: Final = "checkpoint.json"
-"""A run's plan, and the step, loader state and tensors' name of its last checkpoint."""
-
-AVERAGED: Final = "average."
-"""Prefix of the averaged weights among a checkpoint's tensors; `TRAINED` is that of the weights themselves."""
-TRAINED: Final = "network."
+_CHECKPOINT: Final = "checkpoint.json"
+"""Step, loader state and tensors' name of a run's last checkpoint."""
 
 CheckpointName = Literal["best", "last"]
 
 SHIPPED: Final = Path(__file__).parents[1] / "weights" / "compact.safetensors"
 
-WEIGHTS_SHA256: Final = "weights_sha256"
-"""Entry of a card: the SHA-256 of the .safetensors file of its weights, in hexadecimal."""
 
-PRETRAINED: Final = "pretrained"
-"""Entry of a card and of a plan: file and `WEIGHTS_SHA256` of the weights that a training started from; null, or not in
-a plan, for one that started from random weights."""
+class RunFiles:
+    """Names of files in a run's folder."""
 
-_LARGEST_FILE: Final = 1 << 31
+    NETWORK: Final = "network.safetensors"
+    """The trained network; its card is the .json beside it."""
+
+    BEST: Final = "best.safetensors"
+    """The weights of the best validation, in the form of `NETWORK`."""
+
+    PLAN: Final = "run.json"
+
+
+class Card:
+    """Words of a network's card that others than this module write or check."""
+
+    FORMAT: Final = "bodyseg network 1"
+
+    WEIGHTS_SHA256: Final = "weights_sha256"
+    """Entry: the SHA-256 of the .safetensors file of the weights, in hexadecimal."""
+
+    PRETRAINED: Final = "pretrained"
+    """Entry, of a plan too: file and `WEIGHTS_SHA256` of the weights that a training started from; null, or not in a
+    plan, for one that started from random weights."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +103,26 @@ class Checkpoint:
     tensors: dict[str, torch.Tensor]
     sha256: str | None = None
 
+    TRAINED: ClassVar = "network."
+    """Prefix of the weights among the tensors."""
+    AVERAGED: ClassVar = "average."
+    """Prefix of their averages."""
+
+    @property
+    def file(self) -> str:
+        """Name of the file that holds the tensors."""
+        return f"checkpoint-{self.step:08d}.safetensors"
+
+    def write(self, folder: Path) -> None:
+        """Write this to a run's folder, and delete the one before when this one is complete. Raises BadConfig."""
+        digest = write_tensors(folder / self.file, self.tensors)
+        note = {"step": self.step, "loader_state": self.loader_state, "tensors": self.file, "sha256": digest}
+        write_json(folder / _CHECKPOINT, note)
+        for old in folder.glob("checkpoint-*.safetensors"):
+            if old.name != self.file:
+                with contextlib.suppress(OSError):
+                    old.unlink()
+
     def part(self, prefix: str) -> dict[str, torch.Tensor]:
         """The tensors whose names begin with `prefix`, without it."""
         return {name.removeprefix(prefix): t for name, t in self.tensors.items() if name.startswith(prefix)}
@@ -109,8 +134,8 @@ def save_network(path: Path, network: Network, name: str, facts: Mapping[str, An
     facts: further entries of the card, which also gets the weights' SHA-256. half: filters in 16 bits, for half the
     bytes; scales, biases and statistics stay in 32.
     """
-    card = {"format": FORMAT, "network": name, "settings": network.settings, **facts}
-    card[WEIGHTS_SHA256] = write_tensors(path, half_weights(network) if half else network.state_dict())
+    card = {"format": Card.FORMAT, "network": name, "settings": network.settings, **facts}
+    card[Card.WEIGHTS_SHA256] = write_tensors(path, half_weights(network) if half else network.state_dict())
     write_json(path.with_suffix(".json"), card)
 
 
@@ -136,24 +161,27 @@ def load_network(path: Path | str | None = None, checkpoint: CheckpointName | No
         raise BadConfig(f"checkpoint {checkpoint!r} is one of a run's folder, found {path}")
     if checkpoint == "last" or (checkpoint is None and path.is_dir() and _unfinished(path)):
         return _last_weights(path)
-    file = path / (BEST if checkpoint == "best" else NETWORK) if path.is_dir() else path
+    file = path / (RunFiles.BEST if checkpoint == "best" else RunFiles.NETWORK) if path.is_dir() else path
     if checkpoint == "best" and not file.exists():
         raise BadConfig(f"{path} has no best checkpoint: it is kept by a training that is validated (--val-share)")
     if file.suffix != ".safetensors":
         raise BadConfig(f"a network is a run's folder or a .safetensors file, found {path}")
     card = read_card(file)
     network = _build(card, file.with_suffix(".json"))
-    data, digest = _read_weights(file, card.get(WEIGHTS_SHA256))
+    data, expected = read_bytes(file), card.get(Card.WEIGHTS_SHA256)
+    digest = hashlib.sha256(data).hexdigest()
+    if expected not in (None, digest):
+        raise BadConfig(f"{file} is damaged or not the file of its card: SHA-256 {digest}, expected {expected}")
     fill(network, _parse(data, file), file)
-    return trained_network(network, {**card, WEIGHTS_SHA256: digest}, file.with_suffix(".json"))
+    return trained_network(network, {**card, Card.WEIGHTS_SHA256: digest}, file.with_suffix(".json"))
 
 
 def read_card(weights: Path) -> dict[str, Any]:
     """Read the card beside weights (.safetensors). Raises BadConfig, naming it, also for one of another format."""
     file = weights.with_suffix(".json")
     card = read_json(file)
-    if card.get("format") != FORMAT:
-        raise BadConfig(f"{file}: the format must be {FORMAT!r}, found {card.get('format')!r}")
+    if card.get("format") != Card.FORMAT:
+        raise BadConfig(f"{file}: the format must be {Card.FORMAT!r}, found {card.get('format')!r}")
     return card
 
 
@@ -196,22 +224,17 @@ def fill(network: Network, tensors: Mapping[str, torch.Tensor], file: Path) -> N
     network.load_state_dict(dict(tensors))
 
 
-def checkpoint_file(step: int) -> str:
-    """Name of the file that holds the tensors of the checkpoint of `step`."""
-    return f"checkpoint-{step:08d}.safetensors"
-
-
 def read_checkpoint(folder: Path) -> Checkpoint | None:
     """Read the last checkpoint of a run's folder, also while its training goes on; None if there is none yet.
 
     Raises BadConfig if it is damaged.
     """
-    file = folder / CHECKPOINT
+    file = folder / _CHECKPOINT
     if not file.exists():
         return None
     note = read_json(file)
     name, digest, step, state = (note.get(key) for key in ("tensors", "sha256", "step", "loader_state"))
-    if not isinstance(step, int) or not isinstance(state, dict) or name != checkpoint_file(step):
+    if not isinstance(step, int) or not isinstance(state, dict) or name != Checkpoint(step, state, {}).file:
         raise BadConfig(f"{file} must hold the step, loader_state and tensors of a checkpoint")
     try:
         data = read_bytes(folder / name)
@@ -227,12 +250,12 @@ def read_checkpoint(folder: Path) -> Checkpoint | None:
 
 def _unfinished(folder: Path) -> bool:
     """True if a run's folder has a checkpoint, and no network of that step or a later one."""
-    if not (folder / CHECKPOINT).exists():
+    if not (folder / _CHECKPOINT).exists():
         return False
-    card = (folder / NETWORK).with_suffix(".json")
+    card = (folder / RunFiles.NETWORK).with_suffix(".json")
     if not card.exists():
         return True
-    reached, step = read_json(card).get("last_step"), read_json(folder / CHECKPOINT).get("step")
+    reached, step = read_json(card).get("last_step"), read_json(folder / _CHECKPOINT).get("step")
     return isinstance(reached, int) and isinstance(step, int) and reached < step
 
 
@@ -241,12 +264,12 @@ def _last_weights(folder: Path) -> Trained:
     checkpoint = read_checkpoint(folder)
     if checkpoint is None:
         raise BadConfig(f"{folder} has no checkpoint yet")
-    plan = read_json(folder / PLAN)
-    network = _build(plan, folder / PLAN)
-    fill(network, checkpoint.part(AVERAGED) or checkpoint.part(TRAINED), folder / checkpoint_file(checkpoint.step))
+    plan = read_json(folder / RunFiles.PLAN)
+    network = _build(plan, folder / RunFiles.PLAN)
+    fill(network, checkpoint.part(Checkpoint.AVERAGED) or checkpoint.part(Checkpoint.TRAINED), folder / checkpoint.file)
     steps = {"step": checkpoint.step, "last_step": checkpoint.step}
-    card = {**plan, "format": FORMAT, **steps, WEIGHTS_SHA256: checkpoint.sha256}
-    return trained_network(network, card, folder / PLAN)
+    card = {**plan, "format": Card.FORMAT, **steps, Card.WEIGHTS_SHA256: checkpoint.sha256}
+    return trained_network(network, card, folder / RunFiles.PLAN)
 
 
 def confusion_file(path: Path) -> Path:
@@ -267,32 +290,3 @@ def _parse(data: bytes, path: Path) -> dict[str, torch.Tensor]:
         return parse_tensors(data)
     except SafetensorError as error:
         raise BadConfig(f"{path} is not a whole safetensors file: {error}") from error
-
-
-def _read_weights(path: Path, expected: Any) -> tuple[bytes, str]:
-    """All of a file, and its SHA-256. Raises BadConfig if that is not the expected one, which None leaves unchecked."""
-    data = read_bytes(path)
-    found = hashlib.sha256(data).hexdigest()
-    if expected not in (None, found):
-        raise BadConfig(f"{path} is damaged or not the file of its card: SHA-256 {found}, expected {expected}")
-    return data, found
-
-
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write JSON at once or not at all. Raises BadConfig."""
-    write_result(path, (json.dumps(content, indent=1) + "\n").encode())
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """The object in a JSON file. Raises BadConfig, naming it."""
-    return parse_json(read_bytes(path), str(path))
-
-
-def read_bytes(path: Path) -> bytes:
-    """All of a file. Raises BadConfig, naming it, if it is missing or too large."""
-    try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise BadConfig(f"{path} is larger than {_LARGEST_FILE} bytes")
-        return path.read_bytes()
-    except OSError as error:
-        raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from bodyseg_data.cards import UNKNOWN_LICENCE, Publication, bullets, licence_lines, table
 from bodyseg_data.core import BadConfig
-from bodyseg_model.networks.checkpoints import NETWORK, PRETRAINED, WEIGHTS_SHA256, confusion_file, read_card
+from bodyseg_model.networks.checkpoints import Card, RunFiles, confusion_file, read_card
 
 _SCORES: Final = {
     "average_per_class_accuracy": "average per-class accuracy",
@@ -26,9 +26,11 @@ _LIMITS: Final = (
 
 def network_file(path: Path) -> Path:
     """Return the .safetensors file of a training's folder, or the path if it is one. Raises BadConfig."""
-    file = path / NETWORK if path.is_dir() else path
+    file = path / RunFiles.NETWORK if path.is_dir() else path
     if file.suffix != ".safetensors" or not file.is_file():
-        raise BadConfig(f"neither a set of shards nor a trained network: {path} (no manifest.json, no {NETWORK})")
+        raise BadConfig(
+            f"neither a set of shards nor a trained network: {path} (no manifest.json, no {RunFiles.NETWORK})"
+        )
     return file
 
 
@@ -66,7 +68,7 @@ def _network(card: Mapping[str, Any], weights: Path) -> list[tuple[str, str]]:
     return [
         ("architecture", f"`{card.get('network')}`, {_plain(card.get('settings'))}"),
         ("file", f"`{weights.name}`, {weights.stat().st_size / 1e6:.2f} MB"),
-        ("SHA-256", f"`{card.get(WEIGHTS_SHA256, 'not stated')}`"),
+        ("SHA-256", f"`{card.get(Card.WEIGHTS_SHA256, 'not stated')}`"),
         ("classes", _named(labels) if labels else "the 33 parts"),
         ("rig of its images", _named(rig) if rig else "paper"),
     ]
@@ -81,7 +83,7 @@ def _training(card: Mapping[str, Any]) -> list[tuple[str, str]]:
         "step": card.get("step"),
         "recipe": card.get("recipe"),
         **_data(card.get("data")),
-        "started from": card.get(PRETRAINED),
+        "started from": card.get(Card.PRETRAINED),
         "command": card.get("command"),
         "commit": card.get("commit"),
         "machine": card.get("hardware"),

@@ -22,16 +22,5 @@ if TYPE_CHECKING:
     from bodyseg_model.recordings.label_bags import LabelsOut, labels_out
     from bodyseg_model.recordings.live import LiveRecording, orbbec, realsense
     from bodyseg_model.recordings.recording import Frame, Pixels, Stamp, evenly_apart
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "camera_files": "find_cameras",
-        "cameras": "FrameCamera frame_camera other_sensors",
-        "frames": "RECORDINGS_HELP UNITS_HELP Skipping find_frames first_readable metres_a_step open_recording "
-        "to_metres",
-        "label_bags": "LabelsOut labels_out",
-        "live": "LiveRecording orbbec realsense",
-        "recording": "Frame Pixels Stamp evenly_apart",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

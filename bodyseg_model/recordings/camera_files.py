@@ -12,7 +12,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
-from bodyseg_data.core import BadConfig, Table, parse_json, refuse_special
+from bodyseg_data.core import BadConfig
+from bodyseg_data.files import Table, parse_json, refuse_special
 from bodyseg_data.rigs import Distortion, Rig
 from bodyseg_model.recordings.cameras import FrameCamera, Intrinsics, frame_camera
 from bodyseg_model.recordings.frame_files import list_tar

@@ -13,7 +13,8 @@ from typing import Any, BinaryIO, Final, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, refuse_special
+from bodyseg_data.core import BadConfig
+from bodyseg_data.files import refuse_special
 from bodyseg_data.shards import SIGNATURE, check_checksums, decode_chunks, read_chunks, read_header
 from bodyseg_model.recordings.recording import LARGEST_SIDE
 

@@ -15,7 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, check_int, refuse_special
+from bodyseg_data.core import BadConfig, check_int
+from bodyseg_data.files import refuse_special
 from bodyseg_model.recordings.cameras import Intrinsics
 from bodyseg_model.recordings.formats import SUFFIXES, find_format
 from bodyseg_model.recordings.frame_files import Member, list_tar, parse_frame

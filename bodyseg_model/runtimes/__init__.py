@@ -22,13 +22,5 @@ if TYPE_CHECKING:
     )
     from bodyseg_model.runtimes.onnx_files import OPSET, SUFFIX, export_trained, write_onnx
     from bodyseg_model.runtimes.runtime import Precision
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "backends": "BACKEND_HELP FLIP_HELP PRECISION_HELP QUICK_PRECISION_HELP BackendName backend_of load_run "
-        "on_backend put_on_backend quick_precision to_device",
-        "onnx_files": "OPSET SUFFIX export_trained write_onnx",
-        "runtime": "Precision",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

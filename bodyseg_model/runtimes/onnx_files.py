@@ -19,10 +19,11 @@ import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
 from torch import nn
 
-from bodyseg_data.core import BadConfig, check_fields, write_result
+from bodyseg_data.core import BadConfig, check_fields
+from bodyseg_data.files import read_bytes, write_result
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import missing_library
-from bodyseg_model.networks import Network, Trained, read_bytes
+from bodyseg_model.networks import Network, Trained
 
 FORMAT: Final = "bodyseg onnx 1"
 SUFFIX: Final = ".onnx"

@@ -16,18 +16,5 @@ if TYPE_CHECKING:
     from bodyseg_model.segmentation.sequence_summary import STILL_M, Flicker, SequenceSummary, flicker
     from bodyseg_model.segmentation.surfaces import Background, BackgroundMode, find_bodies
     from bodyseg_model.segmentation.views import view_body
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "carried_labels": "CarriedLabels",
-        "frame_labeller": "FrameLabeller LabelledFrame LabelledRecording",
-        "output_folder": "LABELS OVERLAY UNDISTORTED FrameResults OutputFolder",
-        "person_score": "PersonScore shipped_score",
-        "pictures": "Preview draw_overlay",
-        "segmenter": "LabelledBody Segmentation Segmenter",
-        "sequence_summary": "STILL_M Flicker SequenceSummary flicker",
-        "surfaces": "Background BackgroundMode find_bodies",
-        "views": "view_body",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

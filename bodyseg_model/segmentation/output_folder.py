@@ -14,15 +14,22 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, Stopwatch, flush, write_result
+from bodyseg_data.core import BadConfig, Stopwatch
 from bodyseg_data.drawing import save_picture
+from bodyseg_data.files import read_json, sync, write_json, write_result
 from bodyseg_data.labels import LabelMap
 from bodyseg_data.machine import peak_mb
-from bodyseg_model.networks import read_json, write_json
 from bodyseg_model.recordings import Frame
 from bodyseg_model.segmentation.frame_labeller import LabelledFrame
 from bodyseg_model.segmentation.pictures import Preview, draw_overlay, draw_parts_legend, encode_picture
 from bodyseg_model.segmentation.sequence_summary import SequenceSummary
+
+
+def flush(paths: Sequence[Path]) -> None:
+    """Wait until the disk holds these files, written before, and their folders' entries. Raises OSError."""
+    for path in (*paths, *dict.fromkeys(path.parent for path in paths)):
+        sync(path)
+
 
 FORMAT: Final = "bodyseg segment 2"
 """Format of `SUMMARY`."""

@@ -20,7 +20,7 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, pixel_draws, stream
+from bodyseg_data.core import BadConfig, Draws
 from bodyseg_data.machine import of_each, pieces
 from bodyseg_data.rigs import Camera
 
@@ -90,7 +90,7 @@ def seen_area_m2(cubes: float, plane: NDArray[np.float64], camera: Camera) -> fl
 
 @lru_cache(maxsize=1)
 def _draws() -> NDArray[np.uint32]:
-    return pixel_draws(stream(0, 0, "", "room planes"), _FITTED + 3 * _CANDIDATES, np.uint32)
+    return Draws(0, 0, "").pixels("room planes", _FITTED + 3 * _CANDIDATES, np.uint32)
 
 
 def _points(range_m: NDArray[np.float32], pixels: NDArray[np.intp], camera: Camera) -> Points:

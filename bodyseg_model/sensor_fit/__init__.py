@@ -10,12 +10,5 @@ if TYPE_CHECKING:
     from bodyseg_model.sensor_fit.edges import ShadowFrames
     from bodyseg_model.sensor_fit.fit import SensorFit, draw_comparison, fit_sensor
     from bodyseg_model.sensor_fit.recording import read_recording
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "edges": "ShadowFrames",
-        "fit": "SensorFit draw_comparison fit_sensor",
-        "recording": "read_recording",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -1,4 +1,4 @@
-"""Robustness of trained networks: to sensor artifacts of rising strength, through motion, to the arithmetic used."""
+"""Robustness of trained networks to sensor artifacts of rising strength."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
-    from bodyseg_model.stability.motion import temporal
     from bodyseg_model.stability.scenes import SWEEPS, Scenes, Sweep, chosen
     from bodyseg_model.stability.summary import (
         FEWEST_SEEDS,
@@ -18,16 +17,7 @@ if TYPE_CHECKING:
         group,
         group_of,
         load_runs,
-        motion_over_seeds,
         summarise,
     )
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "motion": "temporal",
-        "scenes": "SWEEPS Scenes Sweep chosen",
-        "summary": "FEWEST_SEEDS Group Run draw_stability evaluate_conditions group group_of load_runs "
-        "motion_over_seeds summarise",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -13,15 +13,5 @@ if TYPE_CHECKING:
     from bodyseg_model.training.plan import RunFolder
     from bodyseg_model.training.recipes import Recipe, RecipeName, recipe_for
     from bodyseg_model.training.validation import DEFAULT_EVERY, Metrics, Report, Validation
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "augmentation": "GeometricAugmentation",
-        "distributed": "use_threads",
-        "loop": "RunOptions Training open_data train",
-        "plan": "RunFolder",
-        "recipes": "Recipe RecipeName recipe_for",
-        "validation": "DEFAULT_EVERY Metrics Report Validation",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

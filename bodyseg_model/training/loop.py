@@ -19,14 +19,12 @@ import torch
 from torch import nn
 
 from bodyseg_data import Mixture, RangeImages, loader
-from bodyseg_data.core import BadConfig, Diverged, check_int, generator
+from bodyseg_data.core import BadConfig, BodysegError, check_int, generator
 from bodyseg_data.labels import PARTS33
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, Batch, ImageSet, Loader, WorkerMethod, check_worker_method
 from bodyseg_data.machine import peak_mb, signals_held
 from bodyseg_model.networks import (
-    AVERAGED,
-    PRETRAINED,
-    TRAINED,
+    Card,
     Checkpoint,
     Network,
     NetworkName,
@@ -51,6 +49,11 @@ from bodyseg_model.training.recipes import (
     set_learning_rate,
 )
 from bodyseg_model.training.validation import Metrics, MetricsWindow, Report, Validation
+
+
+class Diverged(BodysegError):
+    """A training's loss is no longer a number."""
+
 
 _OPTIMISER: Final = "optimiser."
 """Prefix of the optimiser's tensors in a checkpoint."""
@@ -101,13 +104,9 @@ def train(
     with joined_process_group(device) as processes:
         options = seed, run_options, validation, pretrained
         training = Training(network, name_of(network), images, recipe, folder, processes, *options)
-        training.run(resume, report or _report_nothing, facts or {})
+        training.run(resume, report or (lambda metrics: None), facts or {})
         processes.from_first(True)  # the others wait until the first has written the network
     return load_network(folder.path)
-
-
-def _report_nothing(metrics: Metrics) -> None:
-    """Report nothing."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +137,7 @@ class Training:
     network: with its initial weights; name: its key in `registry.NETWORKS`. seed: of mirroring, geometric augmentation,
     dropout and the pixels that the loss selects; order and artifacts have the images' own. validation: on images held
     out, by the first process alone while the others wait. pretrained: file and SHA-256 of the weights that the network
-    starts from (`checkpoints.PRETRAINED`). Raises BadConfig for batches that cannot be divided evenly between the
+    starts from (`Card.PRETRAINED`). Raises BadConfig for batches that cannot be divided evenly between the
     processes, or a network of other classes than the images.
     """
 
@@ -197,7 +196,9 @@ class Training:
         whole = True
         try:
             while self.step < self.recipe.steps and not self._ended:
-                with self._signals_held():
+                # A first Ctrl-C breaks no step; processes that wait for each other cannot hold it back.
+                alone = self.processes.world_size == 1
+                with signals_held(only_first=True) if alone else contextlib.nullcontext():
                     whole = False
                     self._one_step(objective, batches, window)
                     window = self._logged(window, data_loader, report, facts)
@@ -211,10 +212,6 @@ class Training:
             raise
         if self.processes.first:
             self._save(facts)
-
-    def _signals_held(self) -> contextlib.AbstractContextManager[None]:
-        """Context of one step, which a first Ctrl-C does not break; processes that wait for each other have none."""
-        return signals_held(only_first=True) if self.processes.world_size == 1 else contextlib.nullcontext()
 
     def _logged(
         self, window: MetricsWindow, data_loader: Loader, report: Report, facts: Mapping[str, Any]
@@ -242,9 +239,9 @@ class Training:
         if checkpoint is None:
             return None
         try:
-            self.network.load_state_dict(checkpoint.part(TRAINED))
+            self.network.load_state_dict(checkpoint.part(Checkpoint.TRAINED))
             if self.averaged is not None:
-                self.averaged.network.load_state_dict(checkpoint.part(AVERAGED))
+                self.averaged.network.load_state_dict(checkpoint.part(Checkpoint.AVERAGED))
         except RuntimeError as error:
             raise BadConfig(f"{self.folder.path}: the checkpoint must be of this network: {error}") from error
         fill_optimiser(self.optimiser, checkpoint.part(_OPTIMISER))
@@ -255,9 +252,11 @@ class Training:
         return checkpoint.loader_state
 
     def _checkpoint(self, data_loader: Loader) -> Checkpoint:
-        tensors = {f"{TRAINED}{name}": tensor for name, tensor in self.network.state_dict().items()}
+        tensors = {f"{Checkpoint.TRAINED}{name}": tensor for name, tensor in self.network.state_dict().items()}
         if self.averaged is not None:
-            tensors |= {f"{AVERAGED}{name}": tensor for name, tensor in self.averaged.network.state_dict().items()}
+            tensors |= {
+                f"{Checkpoint.AVERAGED}{name}": tensor for name, tensor in self.averaged.network.state_dict().items()
+            }
         tensors |= {f"{_OPTIMISER}{name}": tensor for name, tensor in optimiser_tensors(self.optimiser).items()}
         return Checkpoint(self.step, data_loader.state_dict(), tensors)
 
@@ -302,7 +301,7 @@ class Training:
 
     def _card(self, facts: Mapping[str, Any], step: int) -> dict[str, Any]:
         """Facts of the card of the weights of `step`."""
-        card = {PRETRAINED: None, **self.folder.plan(), **facts, "step": step, "last_step": self.step}
+        card = {Card.PRETRAINED: None, **self.folder.plan(), **facts, "step": step, "last_step": self.step}
         if self._best is not None and self._best.step == step:
             card["val_accuracy"] = self._best.accuracy
         return card

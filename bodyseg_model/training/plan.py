@@ -18,22 +18,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from bodyseg_data.core import BadConfig, make_folder
+from bodyseg_data.core import BadConfig
+from bodyseg_data.files import make_folder, read_json, write_json
 from bodyseg_data.labels import PARTS33
 from bodyseg_data.loading import ImageSet
 from bodyseg_model.networks import (
-    BEST,
-    CHECKPOINT,
-    NETWORK,
-    PLAN,
-    PRETRAINED,
+    Card,
     Checkpoint,
     Network,
-    checkpoint_file,
+    RunFiles,
     read_checkpoint,
-    read_json,
-    write_json,
-    write_tensors,
 )
 from bodyseg_model.training.recipes import Recipe
 from bodyseg_model.training.validation import Validation
@@ -41,49 +35,10 @@ from bodyseg_model.training.validation import Validation
 Keys = tuple[str, ...]
 """Keys that lead to a field of a plan."""
 
-FLAGS: Final[dict[str, str]] = {
-    "network": "--network",
-    "settings": "--settings",
-    "variant": "--variant",
-    "seed": "--seed",
-    "recipe": "--recipe",
-    "recipe.steps": "--steps",
-    "recipe.batch_size": "--batch-size",
-    "recipe.accumulate": "--accumulate",
-    "recipe.learning_rate": "--lr",
-    "recipe.bf16": "--precision",
-    "recipe.ema": "--ema",
-    "recipe.geometric_augmentation": "--no-geometric-augmentation",
-    "data": "--data",
-    "data.variant": "--variant",
-    "data.seed": "--seed",
-    "data.artifacts": "--artifacts",
-    "data.only": "--only",
-    "data.where": "--where",
-    "data.weight": "--weights",
-    "data.val_share": "--val-share",
-    "data.labels": "--labels",
-    "labels": "--labels",
-    "pretrained": "--pretrained",
-    "sensor": "--sensor",
-    "sensor.artifacts": "--artifacts",
-    "rig": "--data rig",
-    "validation": "--val-share",
-    "validation.every": "--val-every",
-    "validation.images": "--val-images",
-}
-"""Field of a plan -> the option of `bodyseg train` that sets it and all fields below it that have no entry."""
-
-_FOLLOWS: Final[dict[str, tuple[str, ...]]] = {
-    "--data": ("--data rig", "--only", "--where", "--val-share"),
-    "--artifacts": ("--variant", "--sensor"),
-    "--settings": ("--labels",),
-    "--val-share": ("--data", "--only", "--where", "--variant", "--seed", "--artifacts", "--sensor", "--labels"),
-}
-"""Option -> options whose difference alters its fields as well, so that its own would be told twice."""
-
 _ABSENT: Final = object()
-_SHOWN: Final = 3
+_SHOWN: Final = 3  # fields of a plan that differ
+_LONGEST: Final = 60  # characters of a value
+_STEPS: Final = ("recipe", "steps")
 
 FORMAT: Final = "bodyseg run 1"
 
@@ -99,8 +54,8 @@ def training_plan(
 ) -> dict[str, Any]:
     """Everything that a training's result depends on, as plain JSON: the same plan gives the same weights.
 
-    name: of the network in `registry.NETWORKS`. Keys: network, settings, variant, seed, recipe, data (identity of the
-    images), rig (`Rig.to_json`) and sensor (name and artifacts) of the images, of a mixture those of its first set,
+    name: of the network in `registry.NETWORKS`. Keys: network, settings, variant, seed, recipe, rig (`Rig.to_json`) and
+    sensor (name and artifacts) of the images, of a mixture those of its first set, data (identity of the images),
     labels (`LabelMap.to_json`) where they are not the 33 parts; validation and pretrained where there is one.
     """
     first = images.sets[0]
@@ -111,61 +66,33 @@ def training_plan(
         "variant": images.variant,
         "seed": seed,
         "recipe": recipe.to_json(),
-        "data": images.identity(),
         "rig": first.manifest.rig.to_json(),
         "sensor": {"name": sensor["name"], "artifacts": sensor["artifacts"]},
+        "data": images.identity(),  # behind what decides it: a refusal names the first fields that differ
     }
     if images.label_map != PARTS33:
         plan["labels"] = images.label_map.to_json()
     if validation is not None:
         plan["validation"] = validation.plan()
     if pretrained is not None:
-        plan[PRETRAINED] = dict(pretrained)
+        plan[Card.PRETRAINED] = dict(pretrained)
     tree: dict[str, Any] = json.loads(json.dumps(plan))
     return tree
 
 
 def check_plan(folder: Path, found: dict[str, Any], wanted: dict[str, Any], reached: int) -> None:
-    """Raise BadConfig, naming the options that differ, unless the training `found` in a folder may go on as `wanted`.
+    """Raise BadConfig, naming the fields that differ, unless the training `found` in a folder may go on as `wanted`.
 
     reached: number of steps that it has done. The number of steps may differ, but be no smaller than that.
     """
-    sets = [_set_count(plan) for plan in (found, wanted)]
-    if sets[0] != sets[1]:
-        raise BadConfig(f"{folder} holds another training: --data was {_sets(sets[0])}, now {_sets(sets[1])}")
-    told: dict[str, list[str]] = {}
-    for path, was, now in differences(found, wanted):
-        if path == ("recipe", "steps") and isinstance(now, int) and now >= reached:
-            continue
-        flag, rest = option_of(path)
-        if path[0] == "validation" and flag in told:
-            continue  # whether, and on what, follows from --val-share
-        line = " ".join([flag, *rest]) + f" was {_shown(path, was)}, now {_shown(path, now)}"
-        if line not in told.setdefault(flag, []):  # a label map stands in the plan and in the images' identity
-            told[flag].append(line)
-    if list(told) == ["--steps"]:
-        steps = wanted["recipe"]["steps"]
+    steps = wanted["recipe"]["steps"]
+    differing = {path: (was, now) for path, was, now in differences(found, wanted)}
+    if differing.pop(_STEPS, None) is not None and steps < reached:
         raise BadConfig(f"{folder} has reached step {reached}: --steps must be at least that, found {steps}")
-    lines = [
-        line
-        for flag, lines in told.items()
-        if not any(other in told for other in _FOLLOWS.get(flag, ()))
-        for line in lines
-    ]
+    lines = [f"{'.'.join(path)} was {_shown(was)}, now {_shown(now)}" for path, (was, now) in differing.items()]
     if lines:
         more = f" and {len(lines) - _SHOWN} more" if len(lines) > _SHOWN else ""
         raise BadConfig(f"{folder} holds another training: {'; '.join(lines[:_SHOWN])}{more}")
-
-
-def _set_count(plan: dict[str, Any]) -> int:
-    """Number of sets that a training reads: the identity of a mixture lists those of its sets."""
-    data = plan.get("data")
-    mixture = data.get("mixture") if isinstance(data, dict) else None
-    return len(mixture) if isinstance(mixture, list) else 1
-
-
-def _sets(count: int) -> str:
-    return f"{count} {'set' if count == 1 else 'sets'}"
 
 
 def differences(was: Any, now: Any, path: Keys = ()) -> Iterator[tuple[Keys, Any, Any]]:
@@ -192,28 +119,11 @@ def _by_name(tree: Any) -> Any:
     return named if len(named) == len(tree) else {str(number): each for number, each in enumerate(tree)}
 
 
-def option_of(path: Keys) -> tuple[str, Keys]:
-    """Return the option that sets a field of a plan, and the keys below those that it stands for.
-
-    The fields of all sets of a mixture belong to the same options.
-    """
-    if path[:2] == ("data", "mixture"):
-        path = ("data", *path[3:])
-    for length in range(len(path), 0, -1):
-        flag = FLAGS.get(".".join(path[:length]))
-        if flag is not None:
-            return flag, path[length:]
-    return path[0], path[1:]
-
-
-def _shown(path: Keys, value: Any) -> str:
+def _shown(value: Any) -> str:
     if value is _ABSENT:
         return "not given"
-    if isinstance(value, dict):
-        return json.dumps(value["name"]) if "name" in value else "given"
-    if path == ("recipe", "bf16"):
-        return "bfloat16" if value else "float32"
-    return json.dumps(value)
+    text = json.dumps(value.get("name", value) if isinstance(value, dict) else value)
+    return text if len(text) <= _LONGEST else "given"
 
 
 class Best(NamedTuple):
@@ -232,12 +142,12 @@ class RunFolder:
     @property
     def network(self) -> Path:
         """Path of the trained network."""
-        return self.path / NETWORK
+        return self.path / RunFiles.NETWORK
 
     @property
     def best_network(self) -> Path:
         """Path of the weights of the best validation."""
-        return self.path / BEST
+        return self.path / RunFiles.BEST
 
     def begin(self, plan: Mapping[str, Any], resume: bool) -> Checkpoint | None:
         """Open the folder for the training that `plan` describes; returns its last checkpoint if it has one.
@@ -250,17 +160,17 @@ class RunFolder:
         """
         make_folder(self.path)
         wanted = json.loads(json.dumps({"format": FORMAT, **plan}))
-        file = self.path / PLAN
+        file = self.path / RunFiles.PLAN
         held = {entry.name for entry in self.path.iterdir()}
-        if held <= {PLAN, f".{PLAN}.part"}:
+        if held <= {RunFiles.PLAN, f".{RunFiles.PLAN}.part"}:
             file.unlink(missing_ok=True)
             return None
-        if PLAN not in held:
+        if RunFiles.PLAN not in held:
             raise BadConfig(f"{self.path} holds files but no training: give a new or empty folder")
         found = read_json(file)
         earlier = found.pop("earlier_steps", [])
-        if PRETRAINED in found:
-            wanted.setdefault(PRETRAINED, found[PRETRAINED])
+        if Card.PRETRAINED in found:
+            wanted.setdefault(Card.PRETRAINED, found[Card.PRETRAINED])
         checkpoint = self.last()
         reached = 0 if checkpoint is None else checkpoint.step
         check_plan(self.path, found, wanted, reached)
@@ -273,15 +183,15 @@ class RunFolder:
 
     def start(self, plan: Mapping[str, Any]) -> None:
         """Write the plan of a new training, whose first step is done. Raises BadConfig."""
-        if not (self.path / PLAN).exists():
-            write_json(self.path / PLAN, {"format": FORMAT, **plan})
+        if not (self.path / RunFiles.PLAN).exists():
+            write_json(self.path / RunFiles.PLAN, {"format": FORMAT, **plan})
 
     def plan(self) -> dict[str, Any]:
         """The plan that the folder holds, with the "earlier_steps" of a training that was given other numbers of steps.
 
         Raises BadConfig.
         """
-        plan = read_json(self.path / PLAN)
+        plan = read_json(self.path / RunFiles.PLAN)
         del plan["format"]
         return plan
 
@@ -301,15 +211,7 @@ class RunFolder:
 
     def keep(self, checkpoint: Checkpoint) -> None:
         """Write a checkpoint, and delete the one before when this one is complete. Raises BadConfig."""
-        tensors = self.path / checkpoint_file(checkpoint.step)
-        digest = write_tensors(tensors, checkpoint.tensors)
-        state = checkpoint.loader_state
-        note = {"step": checkpoint.step, "loader_state": state, "tensors": tensors.name, "sha256": digest}
-        write_json(self.path / CHECKPOINT, note)
-        for old in self.path.glob("checkpoint-*.safetensors"):
-            if old != tensors:
-                with contextlib.suppress(OSError):
-                    old.unlink()
+        checkpoint.write(self.path)
 
     def log(self, metrics: Mapping[str, Any]) -> None:
         """Append a line of metrics. Raises BadConfig."""

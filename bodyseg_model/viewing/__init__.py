@@ -11,13 +11,5 @@ if TYPE_CHECKING:
     from bodyseg_model.viewing.recording_view import RecordingPage, RecordingView
     from bodyseg_model.viewing.set_page import SetPage
     from bodyseg_model.viewing.set_view import SetView, Shown
-
-__getattr__, __all__ = lazy_door(
-    __name__,
-    {
-        "page": "LOOPBACK Page",
-        "recording_view": "RecordingPage RecordingView",
-        "set_page": "SetPage",
-        "set_view": "SetView Shown",
-    },
-)
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

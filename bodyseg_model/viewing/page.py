@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, BodysegError, write_result
+from bodyseg_data.core import BadConfig, BodysegError
+from bodyseg_data.files import write_result
 from bodyseg_data.machine import missing_library
 from bodyseg_model.viewing.pictures import (
     VIEWPOINTS,

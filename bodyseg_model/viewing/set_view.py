@@ -242,10 +242,10 @@ class SetView:
         """Lines of text on a sample: its key, its view, and how much of it the network has right."""
         sample, image, layers = images.sample, images.variants[shown.variant], images.layers
         info, caption = sample.info, shown.sensor.caption(image.drawn)
-        named = [str(info.get(name, "")) for name in ("subject", "pose")]
+        body = [str(info.get(name, "")) for name in ("subject", "pose")]
         facts = [
             sample.key,
-            ", ".join(filter(None, (*named, info.view.words if info.view else "", f"split {info.split}"))),
+            ", ".join(filter(None, (*body, info.view.words if info.view else "", f"split {info.split}"))),
             f"{_pixels(image.range)} of {np.count_nonzero(sample.range)} measured in {shown.variant}"
             + (f": {caption}" if caption else ""),
         ]

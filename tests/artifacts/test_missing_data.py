@@ -11,7 +11,8 @@ from scipy import stats
 
 from bodyseg_data.artifacts import MissingData
 from bodyseg_data.artifacts.missing_data import kept_pixels, threshold
-from bodyseg_data.core import BadConfig, chance, pixel_draws, stream
+from bodyseg_data.core import BadConfig, chance
+from bodyseg_data.core.randomness import pixel_draws, stream
 
 SIGMAS = 5.0
 SIDE = 400

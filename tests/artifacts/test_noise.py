@@ -19,7 +19,8 @@ from bodyseg_data.artifacts import Augmentation, MissingData, Noise, VariantName
 from bodyseg_data.artifacts.constants import SEGMENTS
 from bodyseg_data.artifacts.missing_data import kept_pixels
 from bodyseg_data.artifacts.noise import add_noise, normals, steps_of
-from bodyseg_data.core import BadConfig, chance, pixel_draws, stream
+from bodyseg_data.core import BadConfig, chance
+from bodyseg_data.core.randomness import pixel_draws, stream
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.rigs import Camera, Rig
 from bodyseg_data.samples import Sample

@@ -29,7 +29,8 @@ from bodyseg_data.artifacts.artifact import Kind
 from bodyseg_data.artifacts.lost_pixels import PatchLoss, StripeLoss
 from bodyseg_data.artifacts.registry import ARTIFACTS
 from bodyseg_data.commands.inspect import summarise
-from bodyseg_data.core import BadConfig, Draws, Stream
+from bodyseg_data.core import BadConfig, Draws
+from bodyseg_data.core.randomness import Stream
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.samples import Sample
 from bodyseg_model.commands import train

@@ -234,7 +234,7 @@ def test_names_are_followed_through_doors_and_no_others_of_a_room(copied: Source
 
 
 def test_what_a_door_names_changes_no_result(changed_by: ChangedBy) -> None:
-    assert changed_by({"bodyseg_data/core/__init__.py": lambda text: text.replace("BadMesh ", "")}) == set()
+    assert changed_by({"bodyseg_data/core/__init__.py": lambda text: text.replace("BadMesh,", "")}) == set()
 
 
 def test_files_are_those_beside_the_package_that_is_named(tmp_path: Path) -> None:

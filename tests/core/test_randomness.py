@@ -4,17 +4,9 @@ import numpy as np
 import pytest
 
 from bodyseg_data.artifacts.random_loops import raw_words
-from bodyseg_data.core import (
-    BadConfig,
-    Draws,
-    Permutation,
-    chance,
-    check_seed,
-    generator,
-    permutation,
-    pixel_draws,
-    stream,
-)
+from bodyseg_data.core import BadConfig, Draws, chance, check_seed, generator
+from bodyseg_data.core.randomness import pixel_draws, stream
+from bodyseg_data.loading.selection import Permutation, permutation
 
 
 def test_a_draw_belongs_to_seed_epoch_key_and_purpose() -> None:

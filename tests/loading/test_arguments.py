@@ -16,7 +16,8 @@ import torch
 
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.artifacts import Augmentation
-from bodyseg_data.core import BadConfig, WorkerLost
+from bodyseg_data.core import BadConfig
+from bodyseg_data.loading import WorkerLost
 from bodyseg_data.loading.image_set import BatchOrder
 from bodyseg_data.loading.workers import ProcessWorkers
 

@@ -15,7 +15,7 @@ from torch.utils.data import DataLoader, default_collate
 from wrapped_sets import Pairs
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.machine.host import ReusedMemory
+from bodyseg_data.loading.slots import ReusedMemory
 
 
 class Mappings(Pairs):

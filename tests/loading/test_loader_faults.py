@@ -18,8 +18,8 @@ import pytest
 from processes import start_interruptible
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.core import BodysegError, WorkerLost
-from bodyseg_data.loading import Loader
+from bodyseg_data.core import BodysegError
+from bodyseg_data.loading import Loader, WorkerLost
 
 EPOCHS = int(os.environ.get("BODYSEG_LEAK_EPOCHS", "3"))
 

@@ -10,7 +10,8 @@ import pytest
 import torch
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.core import BadConfig, BadShard, Unreachable
+from bodyseg_data.core import BadConfig, BadShard
+from bodyseg_data.shards import Unreachable
 
 
 @pytest.fixture

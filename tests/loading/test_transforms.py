@@ -20,9 +20,9 @@ from torch.utils.data import DataLoader
 
 from bodyseg_data import Batch, RangeImages, loader
 from bodyseg_data.artifacts import VARIANTS
-from bodyseg_data.core import BadConfig, BadSample, BadShard, BadTransform
+from bodyseg_data.core import BadConfig, BadSample, BadShard
 from bodyseg_data.labels import BACKGROUND, PART_CLASSES, load_label_map
-from bodyseg_data.loading import BodyCrop, CameraImage, Crop, Flip, Roll, Transform, Zoom
+from bodyseg_data.loading import BadTransform, BodyCrop, CameraImage, Crop, Flip, Roll, Transform, Zoom
 
 ALL = (Zoom(1.2), Roll(10), Flip(), Crop(400, 200, "anywhere"))
 

@@ -20,8 +20,8 @@ import torch
 from processes import start_interruptible
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.core import BadConfig, BadShard, BodysegError, WorkerLost
-from bodyseg_data.loading import Loader
+from bodyseg_data.core import BadConfig, BadShard, BodysegError
+from bodyseg_data.loading import Loader, WorkerLost
 from bodyseg_data.loading.workers import ThreadWorkers
 
 WITHIN_S = 60

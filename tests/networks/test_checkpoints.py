@@ -16,8 +16,14 @@ from small_rig import SMALL
 
 from bodyseg_data.artifacts import MissingData, Noise, SensorModel, load_sensor_model
 from bodyseg_data.core import BadConfig
+from bodyseg_data.files import read_json, write_json
 from bodyseg_data.rigs import load_rig
-from bodyseg_model.networks import build, load_network, read_json, save_network, write_json, write_tensors
+from bodyseg_model.networks import (
+    build,
+    load_network,
+    save_network,
+)
+from bodyseg_model.networks.checkpoints import write_tensors
 
 TINY = {"patch": 16, "widths": [4], "blocks": [1]}
 

@@ -8,7 +8,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from bodyseg_data.core import stream
+from bodyseg_data.core import Draws
 from bodyseg_data.meshes import Solid, cuboid, together, turned_solid
 from bodyseg_data.packing import FURNITURE, Numbers
 
@@ -16,7 +16,7 @@ MIRROR = np.diag([1.0, 1.0, -1.0])
 
 
 def numbers(seed: int) -> Numbers:
-    return Numbers(stream(seed, 0, "k", "test"))
+    return Numbers(Draws(seed, 0, "k"), "test")
 
 
 def volume(solid: Solid) -> float:

@@ -19,7 +19,7 @@ import pytest
 from samples import GOOD
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.core import BadConfig, BadShard, MissingLibrary, Unreachable
+from bodyseg_data.core import BadConfig, BadShard, MissingLibrary
 from bodyseg_data.shards import (
     LocalFolder,
     Manifest,
@@ -28,6 +28,7 @@ from bodyseg_data.shards import (
     ShardReader,
     ShardRecord,
     Store,
+    Unreachable,
     open_file,
     open_store,
     read_manifest,

@@ -18,8 +18,9 @@ from bodyseg_data import Mixture, RangeImages, loader
 from bodyseg_data.cards import Publication, set_facts
 from bodyseg_data.cards.croissant import croissant
 from bodyseg_data.commands import main
-from bodyseg_data.core import BadShard, Permutation, Unreachable
+from bodyseg_data.core import BadShard
 from bodyseg_data.loading import range_images
+from bodyseg_data.loading.selection import Permutation
 from bodyseg_data.samples import ViewGrid
 from bodyseg_data.shards import (
     BODY_FIELDS,
@@ -27,6 +28,7 @@ from bodyseg_data.shards import (
     LocalFolder,
     Manifest,
     ShardRecord,
+    Unreachable,
     index,
     manifest,
     read_manifest,

@@ -21,8 +21,17 @@ from torch.utils.data import DataLoader
 
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.commands import main
-from bodyseg_data.core import BadConfig, BadShard, Unreachable
-from bodyseg_data.shards import LocalFolder, Manifest, RemoteFolder, RetryPolicy, ShardReader, read_manifest, with_cache
+from bodyseg_data.core import BadConfig, BadShard
+from bodyseg_data.shards import (
+    LocalFolder,
+    Manifest,
+    RemoteFolder,
+    RetryPolicy,
+    ShardReader,
+    Unreachable,
+    read_manifest,
+    with_cache,
+)
 from bodyseg_data.shards.cache import CachedStore
 
 QUICK = RetryPolicy(tries=12, first_wait_s=0.001, stall_s=0.3)

@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.core import BadConfig, permutation
+from bodyseg_data.core import BadConfig
 from bodyseg_data.loading import find_rank
 from bodyseg_data.loading.image_set import BatchOrder, Requests, batch_bounds
+from bodyseg_data.loading.selection import permutation
 
 
 class Numbers:

@@ -14,12 +14,13 @@ import pytest
 import torch
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.core import BadConfig, Diverged, generator
+from bodyseg_data.core import BadConfig, generator
 from bodyseg_model.commands import main
 from bodyseg_model.evaluation import ConfusionMatrix
 from bodyseg_model.networks import build, load_network, predict
 from bodyseg_model.training import GeometricAugmentation, Metrics, Recipe, RunFolder, RunOptions, Training, recipe_for
 from bodyseg_model.training.distributed import ProcessGroup
+from bodyseg_model.training.loop import Diverged
 from bodyseg_model.training.loss import NetworkWithLoss, class_pixels
 
 ONE = ProcessGroup(0, 1, torch.device("cpu"))
@@ -239,7 +240,7 @@ def test_another_training_is_not_overwritten(small_set: Path, tmp_path: Path) ->
     before = files(tmp_path / "run")
     with pytest.raises(BadConfig, match="holds this training already: --resume carries it on"):
         train(small_set, tmp_path / "run")
-    with pytest.raises(BadConfig, match="holds another training: --seed was 0, now 1"):
+    with pytest.raises(BadConfig, match="holds another training: seed was 0, now 1"):
         train(small_set, tmp_path / "run", resume=True, seed=1)
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "letter.txt").write_text("dear")

@@ -13,8 +13,8 @@ import pytest
 from servers import WebServer, s3_server, web_server
 
 from bodyseg_data import RangeImages
-from bodyseg_data.core import BadConfig, BadShard, Unreachable
-from bodyseg_data.shards import MANIFEST_NAME, LocalFolder, RemoteFolder, RetryPolicy, read_manifest
+from bodyseg_data.core import BadConfig, BadShard
+from bodyseg_data.shards import MANIFEST_NAME, LocalFolder, RemoteFolder, RetryPolicy, Unreachable, read_manifest
 from bodyseg_data.transfer import LocalTarget, RemoteTarget, set_bundle, transfer
 from bodyseg_data.transfer.transfers import Outcome
 from bodyseg_model.commands import main

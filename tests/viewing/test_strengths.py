@@ -9,10 +9,11 @@ from typing import Any, Literal
 import pytest
 
 from bodyseg_data.artifacts import Artifact, AxialNoise, MissingData, Noise, RangeImage, Scene
+from bodyseg_data.artifacts.artifact import bounded
 from bodyseg_data.artifacts.lost_pixels import PatchLoss, StripeLoss
 from bodyseg_data.artifacts.range_errors import POWERS, MixedPixels, RangeRounding
 from bodyseg_data.artifacts.registry import ARTIFACTS
-from bodyseg_data.core import BadConfig, Draws, bounded
+from bodyseg_data.core import BadConfig, Draws
 from bodyseg_model.viewing.strengths import Choice, Control, Slider, TextEntry, controls_of, moved, value_of
 
 

@@ -23,7 +23,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from bodyseg_data.core import BadConfig
-from bodyseg_model.networks import NETWORK, read_bytes, read_json, write_json
+from bodyseg_data.files import read_bytes, read_json, write_json
+from bodyseg_model.networks import RunFiles
 
 PACKAGES: Final = ("bodyseg_data", "bodyseg_model")
 """Packages whose modules are followed, besides the packages of the given modules."""
@@ -321,7 +322,7 @@ def network_identity(path: Path) -> dict[str, Any]:
 
     Raises BadConfig for a file that is missing or damaged.
     """
-    file = path / NETWORK if path.is_dir() else path
+    file = path / RunFiles.NETWORK if path.is_dir() else path
     card = read_json(file.with_suffix(".json"))
     weights = hashlib.sha256(read_bytes(file)).hexdigest()
     return {"network": card.get("network"), "settings": card.get("settings"), "weights": weights}

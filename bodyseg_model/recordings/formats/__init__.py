@@ -8,7 +8,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Final
 
-from bodyseg_data.core import BadConfig, refuse_special
+from bodyseg_data.core import BadConfig
+from bodyseg_data.files import refuse_special
 from bodyseg_model.recordings.recording import StoredRecording
 
 Opener = Callable[[Path, str | None, float | None], StoredRecording]

@@ -18,9 +18,9 @@ from pictures import decoded, marks, part
 from shapes import ball
 
 from bodyseg_data.bodies import Body, BodyRef
-from bodyseg_data.core import BadConfig, Unanswerable
+from bodyseg_data.core import BadConfig
 from bodyseg_data.meshes import check_method, partition
-from bodyseg_data.meshes.geodesics import nearest_sources
+from bodyseg_data.meshes.geodesics import Unanswerable, nearest_sources
 
 
 def round_body(subdivisions: int = 4) -> Body:

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from shapes import ball, figure
 
-from bodyseg_data.core import BadConfig, MissingLibrary, Unanswerable
+from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_data.meshes import GeodesicMethod, check_method
-from bodyseg_data.meshes.geodesics import nearest_sources
+from bodyseg_data.meshes.geodesics import Unanswerable, nearest_sources
 
 METHODS: tuple[GeodesicMethod, ...] = get_args(GeodesicMethod)
 

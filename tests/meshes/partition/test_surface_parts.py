@@ -11,10 +11,10 @@ import pytest
 from benches.data.surface.areas import part_areas
 from shapes import ball, box_mesh, evenly_drawn, figure
 
-from bodyseg_data.core import BadConfig, BadLandmarks, MissingLibrary, Unanswerable
+from bodyseg_data.core import BadConfig, BadLandmarks, MissingLibrary
 from bodyseg_data.labels import PART_COUNT
 from bodyseg_data.meshes import GeodesicMethod, Mesh, geodesics, partition
-from bodyseg_data.meshes.geodesics import FALLBACK_METHOD
+from bodyseg_data.meshes.geodesics import FALLBACK_METHOD, Unanswerable
 from bodyseg_data.meshes.landmarks import nearest_corner
 from bodyseg_data.meshes.partitioning import partition_unmended
 

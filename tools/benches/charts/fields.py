@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
-from bodyseg_data.core import BadConfig, contents, parse_json
+from bodyseg_data.core import BadConfig
+from bodyseg_data.files import contents, parse_json
 
 LARGEST_FILE_BYTES: Final = 1 << 26
 _SHOWN: Final = 60

@@ -13,7 +13,8 @@ from benches.charts.processors import figures_of, panels_of
 from benches.charts.report import described
 from benches.results.page import render_page
 from bodyseg_data.commands import option, write_figures
-from bodyseg_data.core import BadConfig, make_folder, write_result
+from bodyseg_data.core import BadConfig
+from bodyseg_data.files import make_folder, write_result
 
 EXAMPLE = "tools/chart --in docs/results --out charts"
 

@@ -10,8 +10,9 @@ from pathlib import Path
 from benches.result_cache import json_digest
 from benches.results.step import RESULTS, SHIPPED, Places, Step
 from bodyseg_data.core import BadConfig
+from bodyseg_data.files import read_json
 from bodyseg_data.shards import MANIFEST_NAME
-from bodyseg_model.networks import NETWORK, read_json
+from bodyseg_model.networks import RunFiles
 from bodyseg_model.networks.checkpoints import SHIPPED as SHIPPED_FILE
 
 
@@ -35,7 +36,7 @@ class Products:
             manifest = self._places.path(step.name) / MANIFEST_NAME
             return {step.name: self._file(manifest)} if manifest.is_file() else None
         if step.kind == "training":
-            network = self._network(self._places.path(step.name) / NETWORK)
+            network = self._network(self._places.path(step.name) / RunFiles.NETWORK)
             return None if network is None else {step.name: network}
         return self._contents(self._places.path(f"{RESULTS}/{name}") for _, name in step.results)
 

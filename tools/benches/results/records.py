@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from benches.results.step import Graph, Places, Step
-from bodyseg_data.core import BadConfig, write_result
+from bodyseg_data.core import BadConfig
+from bodyseg_data.files import write_result
 
 FORMAT: Final = "bodyseg steps 1"
 RECORDS: Final = "steps.json"

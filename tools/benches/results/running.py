@@ -18,8 +18,9 @@ from benches.results.records import Records, record_of
 from benches.results.step import DATA, RESULTS, SHIPPED, Graph, Places, Step
 from benches.results.survey import Status, Survey
 from bodyseg_data.commands import provenance
-from bodyseg_data.core import BadConfig, write_result
-from bodyseg_model.networks import NETWORK
+from bodyseg_data.core import BadConfig
+from bodyseg_data.files import write_result
+from bodyseg_model.networks import RunFiles
 from bodyseg_model.networks.checkpoints import SHIPPED as SHIPPED_FILE
 
 PROGRAMS: Final = {
@@ -131,7 +132,7 @@ class Runner:
         if step.kind in ("set", "training") and self._records.begun(step) != key:
             _set_aside(work, step.name)
         for link, target in step.links:
-            _link(work / link, SHIPPED_FILE if target == SHIPPED else work / target / NETWORK)
+            _link(work / link, SHIPPED_FILE if target == SHIPPED else work / target / RunFiles.NETWORK)
         for source, _ in step.results:
             self._places.path(source).parent.mkdir(parents=True, exist_ok=True)
         (work / step.name).parent.mkdir(parents=True, exist_ok=True)
@@ -247,7 +248,7 @@ def _link(folder: Path, weights: Path) -> None:
     The folder itself is no link, since commands name a run after the folder that it is in.
     """
     for target in (weights, weights.with_suffix(".json")):
-        link = (folder / NETWORK).with_suffix(target.suffix)
+        link = (folder / RunFiles.NETWORK).with_suffix(target.suffix)
         if link.exists() and not link.is_symlink():
             raise BadConfig(f"{link} must be a link to {target}: move it away")
         folder.mkdir(parents=True, exist_ok=True)

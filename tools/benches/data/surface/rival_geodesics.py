@@ -15,9 +15,8 @@ import numpy as np
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
-from bodyseg_data.core import Unanswerable
 from bodyseg_data.meshes import GeodesicMethod, find_edges
-from bodyseg_data.meshes.geodesics import METHODS, Floats, Indices, NearestSources, refuse_unsupported
+from bodyseg_data.meshes.geodesics import METHODS, Floats, Indices, NearestSources, Unanswerable, refuse_unsupported
 from bodyseg_data.meshes.mesh import components
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts import AxialNoise
 from bodyseg_data.bodies import BodyRef, BodySource, open_source
-from bodyseg_data.core import ProgressCallback, generator, silent, stream
+from bodyseg_data.core import Draws, ProgressCallback, generator, silent
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.meshes import Mesh, Partition, Solid, cuboid, together
 from bodyseg_data.packing import FURNITURE, Numbers
@@ -89,7 +89,7 @@ class Rooms:
     def __call__(self, number: int) -> Room:
         """Make the room of a number. The same arguments give the same frame."""
         key = f"room {number}"
-        numbers = Numbers(stream(self._seed, 0, key, "room"))
+        numbers = Numbers(Draws(self._seed, 0, key), "room")
         height, pitch = numbers.between(0.8, 2.0), numbers.between(-25.0, 5.0)
         camera = PlacedCamera(self.camera, axes_at(0, pitch), np.array([0.0, height, 0.0]))
         people, things = numbers.whole(0, MOST_PEOPLE), numbers.whole(0, MOST_THINGS)

@@ -11,32 +11,28 @@ import gzip
 import json
 import os
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.core.errors import BadConfig
+from bodyseg_data.core import BadConfig
 
+_LARGEST_FILE: Final = 1 << 31
 _CHUNK_BYTES: Final = 1 << 20
 
 
-def write_atomically(path: Path, data: bytes, flushed: bool = True) -> None:
+def write_atomically(path: Path, data: bytes | Iterable[bytes], flushed: bool = True) -> None:
     """Write `data` beside `path`, then rename: `path` never holds a part of it, even after a power cut.
 
-    flushed: False does not wait for the disk, which may take longer than all else; until `flush` is called, a power cut
-    may then leave an empty file.
+    data: all bytes, or chunks of them; an error of their iterator leaves no file. flushed: False does not wait for the
+    disk, which may take longer than all else; until `sync` is called, a power cut may then leave an empty file.
     """
-    write_chunks_atomically(path, (data,), flushed)
-
-
-def write_chunks_atomically(path: Path, chunks: Iterable[bytes], flushed: bool = True) -> None:
-    """Write chunks of bytes one after the other, as `write_atomically`; an error of their iterator leaves no file."""
     aside = path.with_name(f".{path.name}.part")
     try:
         with aside.open("wb") as file:
-            for chunk in chunks:
-                file.write(chunk)
+            file.writelines((data,) if isinstance(data, bytes) else data)
             if flushed:
                 file.flush()
                 os.fsync(file.fileno())
@@ -47,12 +43,6 @@ def write_chunks_atomically(path: Path, chunks: Iterable[bytes], flushed: bool =
         raise
     if flushed:
         sync(path.parent)
-
-
-def flush(paths: Sequence[Path]) -> None:
-    """Wait until the disk holds these files, written before, and their folders' entries. Raises OSError."""
-    for path in (*paths, *dict.fromkeys(path.parent for path in paths)):
-        sync(path)
 
 
 def write_result(path: Path, data: bytes, flushed: bool = True) -> None:
@@ -97,6 +87,26 @@ def parse_json(data: bytes, where: str) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise BadConfig(f"{where} must hold a JSON object, found {type(content).__name__}")
     return content
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write JSON at once or not at all. Raises BadConfig."""
+    write_result(path, (json.dumps(content, indent=1) + "\n").encode())
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """The object in a JSON file. Raises BadConfig, naming it."""
+    return parse_json(read_bytes(path), str(path))
+
+
+def read_bytes(path: Path) -> bytes:
+    """All of a file. Raises BadConfig, naming it, if it is missing or too large."""
+    try:
+        if path.stat().st_size > _LARGEST_FILE:
+            raise BadConfig(f"{path} is larger than {_LARGEST_FILE} bytes")
+        return path.read_bytes()
+    except OSError as error:
+        raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error
 
 
 def contents(path: Path, packed: bool, limit: int) -> bytes | None:
@@ -199,38 +209,49 @@ class Table:
             raise BadConfig(f"{self.where}: unknown {', '.join(map(repr, sorted(self._tree)))}")
 
 
-def toml_names(folder: Traversable) -> tuple[str, ...]:
-    """Names of a folder's TOML files, without their suffix, in alphabetical order."""
-    return tuple(sorted(file.name.removesuffix(".toml") for file in folder.iterdir() if file.name.endswith(".toml")))
+@dataclass(frozen=True)
+class TomlFiles:
+    """TOML files of one kind: those of a folder, by name, and any other, by its path.
 
-
-def toml_text(kind: str, name_or_path: str | Path, folder: Traversable, further: Sequence[str] = ()) -> str:
-    """Read a TOML file of a folder by its name, or any by its path, which ends in .toml.
-
-    kind: the content's name in messages. further: names known to the caller without a file, which messages list first.
-    Raises BadConfig for a name that is not there, or a file that cannot be read.
+    kind: what one holds, for messages. file_format: the `format` that each states. further: names known to the caller
+    without a file, which messages list first.
     """
-    path = Path(name_or_path)
-    if path.suffix != ".toml":
-        names = toml_names(folder)
-        if str(name_or_path) not in names:
-            known = ", ".join([*further, *names])
-            raise BadConfig(
-                f"no {kind} is called {str(name_or_path)!r}: give one of {known} or the path of a .toml file"
-            )
-        return (folder / f"{name_or_path}.toml").read_text(encoding="utf-8")
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadConfig(f"cannot read the {kind} file {path}: {error}") from error
 
+    kind: str
+    folder: Traversable
+    file_format: str
+    further: tuple[str, ...] = ()
 
-def toml_tree(text: str, where: str, file_format: str) -> dict[str, Any]:
-    """Parse TOML text whose `format` must be `file_format`; the tree comes without it. Raises BadConfig."""
-    try:
-        tree = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # also numbers and brackets beyond reason
-        raise BadConfig(f"{where} is not TOML: {error}") from error
-    if tree.pop("format", None) != file_format:
-        raise BadConfig(f"{where}: 'format' must be {file_format!r}")
-    return tree
+    def names(self) -> tuple[str, ...]:
+        """Further names, then those of the folder's files, without their suffix, in alphabetical order."""
+        files = (file.name for file in self.folder.iterdir())
+        return (*self.further, *sorted(name.removesuffix(".toml") for name in files if name.endswith(".toml")))
+
+    def read(self, name_or_path: str | Path) -> str:
+        """Read a file of the folder by its name, or any by its path, which ends in .toml.
+
+        Raises BadConfig for a name that is not there, or a file that cannot be read.
+        """
+        path = Path(name_or_path)
+        if path.suffix != ".toml":
+            names = self.names()
+            if str(name_or_path) not in names[len(self.further) :]:
+                raise BadConfig(
+                    f"no {self.kind} is called {str(name_or_path)!r}: give one of {', '.join(names)} or the path of a "
+                    ".toml file"
+                )
+            return (self.folder / f"{name_or_path}.toml").read_text(encoding="utf-8")
+        try:
+            return path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise BadConfig(f"cannot read the {self.kind} file {path}: {error}") from error
+
+    def parse(self, text: str, where: str) -> dict[str, Any]:
+        """Parse the text of a file; the tree comes without its format. where: its origin. Raises BadConfig."""
+        try:
+            tree = tomllib.loads(text)
+        except (ValueError, RecursionError) as error:  # also numbers and brackets beyond reason
+            raise BadConfig(f"{self.kind} {where} is not TOML: {error}") from error
+        if tree.pop("format", None) != self.file_format:
+            raise BadConfig(f"{self.kind} {where}: 'format' must be {self.file_format!r}")
+        return tree

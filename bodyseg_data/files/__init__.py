@@ -1,0 +1,25 @@
+"""Files: atomic writes, reads of untrusted files, JSON, and TOML tables read key by key."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bodyseg_data.core import lazy_door
+
+if TYPE_CHECKING:
+    from bodyseg_data.files.access import (
+        Table,
+        TomlFiles,
+        contents,
+        make_folder,
+        parse_json,
+        read_bytes,
+        read_json,
+        refuse_special,
+        sync,
+        write_atomically,
+        write_json,
+        write_result,
+    )
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

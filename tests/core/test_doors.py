@@ -1,0 +1,65 @@
+"""Doors of rooms, on a package of three files: from source, from bytecode alone, and without either."""
+
+from __future__ import annotations
+
+import importlib
+import py_compile
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from bodyseg_data.core.doors import lazy_door
+
+DOOR = """
+from __future__ import annotations
+from typing import TYPE_CHECKING
+from bodyseg_data.core import lazy_door
+
+if TYPE_CHECKING:
+    from house.hall import Lamp as Lamp, switch
+    from house.attic import box
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)
+"""
+
+
+@pytest.fixture(params=["source", "bytecode"])
+def house(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+    folder = tmp_path / "house"
+    folder.mkdir()
+    files = {"__init__": DOOR, "hall": "Lamp, switch = 'lamp', 'on'", "attic": "raise RuntimeError('dust')"}
+    for name, text in files.items():
+        path = folder / f"{name}.py"
+        path.write_text(text)
+        if request.param == "bytecode":  # as in a frozen application
+            py_compile.compile(str(path), str(path.with_suffix(".pyc")))
+            path.unlink()
+    monkeypatch.syspath_prepend(tmp_path)
+    yield importlib.import_module("house")
+    for name in [name for name in sys.modules if name.partition(".")[0] == "house"]:
+        del sys.modules[name]
+
+
+def test_names_are_those_imported_for_type_checkers_and_come_on_first_use(house: ModuleType) -> None:
+    assert house.__all__ == ["Lamp", "box", "switch"]
+    assert {"Lamp", "box", "switch", "__name__"} <= set(dir(house))
+    assert "house.hall" not in sys.modules
+    assert (house.Lamp, house.switch) == ("lamp", "on")
+    assert "house.attic" not in sys.modules
+    with pytest.raises(RuntimeError, match="dust"):
+        house.box  # noqa: B018
+
+
+def test_other_names_are_refused(house: ModuleType) -> None:
+    with pytest.raises(AttributeError, match="module 'house' has no attribute 'lamp'"):
+        house.lamp  # noqa: B018
+    with pytest.raises(ImportError, match="cannot import name 'TYPE'"):
+        exec("from house import TYPE")
+
+
+def test_a_package_without_such_imports_is_refused() -> None:
+    with pytest.raises(ImportError, match="house needs its bytecode: the imports under TYPE_CHECKING"):
+        exec("lazy_door('house')", {"lazy_door": lazy_door})
