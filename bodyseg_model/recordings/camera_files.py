@@ -9,14 +9,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
 from bodyseg_data.core import BadConfig, Table, parse_json, refuse_special
 from bodyseg_data.rigs import Distortion, Rig
 from bodyseg_model.recordings.cameras import FrameCamera, Intrinsics, frame_camera
-from bodyseg_model.recordings.frame_files import list_tar
-from bodyseg_model.recordings.frames import FrameFile, Skipping, first_readable
+from bodyseg_model.recordings.frame_files import PngSource, list_tar
+from bodyseg_model.recordings.frames import Skipping, first_readable
 from bodyseg_model.recordings.recording import Frame
 
 CAMERAS: Final = "cameras.json"
@@ -36,11 +37,11 @@ def cameras_beside(frames: Sequence[Frame]) -> list[Intrinsics | None]:
     homes: dict[Path, _Home] = {}
     found = []
     for frame in frames:
-        in_tar = isinstance(frame, FrameFile) and frame.member is not None
+        in_tar = frame.member if isinstance(frame.source, PngSource) else None
         path = frame.path if in_tar else frame.path.parent
         if path not in homes:
             homes[path] = _Tar(path) if in_tar else _Home(path)
-        found.append(frame.camera or homes[path].camera(frame.member if in_tar and frame.member else frame.path.name))
+        found.append(frame.camera or homes[path].camera(in_tar or frame.path.name))
     return found
 
 
@@ -59,10 +60,7 @@ def find_cameras(
     """
     given = rig is not None or focal_px is not None or bool(centre_px)
     beside: list[Intrinsics | None] = [None] * len(frames) if given else cameras_beside(frames)
-
-    def choose(shape: tuple[int, int], where: str) -> FrameCamera:
-        return frame_camera(shape, where, rig, focal_px, centre_px, trained)
-
+    choose = partial(frame_camera, rig=rig, focal_px=focal_px, centre_px=centre_px, trained=trained)
     return FrameCameras(frames, beside, choose, skipping)
 
 
@@ -195,7 +193,10 @@ class _Tar(_Home):
         if member is None:
             return None
         self._check_size(member.size, name)
-        return FrameFile(name, self._where(name), self._path, member.offset, member.size).read_bytes()
+        try:
+            return PngSource(self._path, member.offset, member.size).read_bytes()
+        except BadConfig as error:
+            raise BadConfig(f"{self._where(name)}: {error}") from error
 
 
 def _intrinsics(tree: Any, where: str) -> Intrinsics:

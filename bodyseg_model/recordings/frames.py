@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Final
 
@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, check_int, refuse_special
-from bodyseg_model.recordings.cameras import Intrinsics
 from bodyseg_model.recordings.formats import SUFFIXES, find_format
-from bodyseg_model.recordings.frame_files import Member, list_tar, parse_frame
-from bodyseg_model.recordings.recording import MILLIMETRE, Frame, Pixels, StoredRecording, location_hash
+from bodyseg_model.recordings.frame_files import Member, PngSource, list_tar
+from bodyseg_model.recordings.recording import MILLIMETRE, Frame, Pixels, StoredRecording
 
 _NAME: Final = re.compile(r"[\w+()-][\w+(). -]{0,99}")
 
@@ -38,55 +37,6 @@ _STEPS_M: Final = (1e-6, 0.1)
 _SATURATED: Final = 65535
 
 
-@dataclass(frozen=True)
-class FrameFile:
-    """Location of one frame: `size` bytes from `offset` of the file at `path`, which is a PNG or a tar.
-
-    name: of its result files, without suffix; it may name a folder for them ("left/1"). where: its name in messages.
-    member: its name in the tar, None for a PNG. sequence: number of the input that it is from; single files are
-    input 0. Frames of other inputs were not taken directly before or after it. time_s, step_m, camera: as of `Frame`.
-    """
-
-    name: str
-    where: str
-    path: Path
-    offset: int
-    size: int
-    member: str | None = None
-    sequence: int = 0
-    time_s: float | None = None
-    step_m: float = MILLIMETRE
-    camera: Intrinsics | None = None
-
-    @property
-    def path_id(self) -> str:
-        """Short hash of the frame's location on this machine: the same from any working directory."""
-        return location_hash(self.path, self.member or "")
-
-    def read(self) -> NDArray[np.uint16]:
-        """Read the frame's pixels, uint16 [H, W], in the sensor's steps. Raises BadConfig, naming the frame."""
-        return parse_frame(self.read_bytes(), self.where)
-
-    def stamp(self) -> None:
-        """None: a PNG is no message."""
-
-    def placed(self, name: str, sequence: int) -> FrameFile:
-        """Return the frame with another name, and as of another input."""
-        return replace(self, name=name, sequence=sequence)
-
-    def read_bytes(self) -> bytes:
-        """Read the frame's bytes. Raises BadConfig, naming the frame."""
-        try:
-            with self.path.open("rb") as file:
-                file.seek(self.offset)
-                data = file.read(self.size)
-        except OSError as error:
-            raise BadConfig(f"cannot read {self.where}: {error.strerror or error}") from error
-        if len(data) != self.size:
-            raise BadConfig(f"{self.where} must still have the {self.size} bytes it had, found {len(data)}")
-        return data
-
-
 def find_frames(paths: Sequence[Path], topic: str | None = None, step_m: float | None = None) -> list[Frame]:
     """List the frames at `paths`: PNG files, and recordings as `open_recording` opens them.
 
@@ -101,7 +51,7 @@ def find_frames(paths: Sequence[Path], topic: str | None = None, step_m: float |
     groups += [open_recording(path, topic, step_m) for path in paths if path not in files]
     frames = [(number, frame) for number, group in enumerate(groups) for frame in group]
     names = result_names([frame for _, frame in frames])
-    return [frame.placed(name, number) for (number, frame), name in zip(frames, names, strict=True)]
+    return [replace(frame, name=name, sequence=number) for (number, frame), name in zip(frames, names, strict=True)]
 
 
 def open_recording(path: Path | str, topic: str | None = None, step_m: float | None = None) -> StoredRecording:
@@ -146,17 +96,18 @@ def to_metres(frame: NDArray[np.uint16], step_m: float) -> NDArray[np.float32]:
     return ranges
 
 
-def png_file(path: Path, time_s: float | None = None, step_m: float = MILLIMETRE) -> FrameFile:
+def png_file(path: Path, time_s: float | None = None, step_m: float = MILLIMETRE) -> Frame:
     """Return the frame in a PNG file, whose content is not read yet. Raises BadConfig for a file that is not there."""
     try:
         refuse_special(path)
         size = path.stat().st_size
     except OSError as error:
         raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error
-    return _checked(FrameFile(path.stem, str(path), path, 0, size, None, 0, time_s, step_m))
+    frame = Frame(path.stem, str(path), path, None, PngSource(path, 0, size), ("",), 0, time_s, step_m)
+    return _checked(frame, size)
 
 
-def _folder(path: Path, topic: str | None, step_m: float | None) -> StoredRecording | list[FrameFile]:
+def _folder(path: Path, topic: str | None, step_m: float | None) -> StoredRecording | list[Frame]:
     """The PNGs in a folder; where there are none, the recording that it is, or those in its files as one."""
     try:
         files = [file for file in path.iterdir() if not file.name.startswith(".") and not file.is_dir()]
@@ -177,25 +128,26 @@ def _folder(path: Path, topic: str | None, step_m: float | None) -> StoredRecord
     )
 
 
-def _tar(path: Path) -> list[FrameFile]:
+def _tar(path: Path) -> list[Frame]:
     members = [member for member in list_tar(path) if _is_frame(PurePosixPath(member.name).name)]
     if not members:
         raise BadConfig(f"a tar of frames must hold .png files, found none in {path}")
     return [_member(path, member) for member in members]
 
 
-def _member(path: Path, member: Member) -> FrameFile:
+def _member(path: Path, member: Member) -> Frame:
     where = f"{path}: {member.name}"
     if not member.plain:
         raise BadConfig(f"a frame in a tar must be a plain file, found a link or the like: {where}")
     # Only the last part of the name is used and the member is not extracted, so "../" in it does no harm.
     name = PurePosixPath(member.name).stem
-    return _checked(FrameFile(name, where, path, member.offset, member.size, member.name))
+    source = PngSource(path, member.offset, member.size)
+    return _checked(Frame(name, where, path, member.name, source, (member.name,)), member.size)
 
 
-def _checked(frame: FrameFile) -> FrameFile:
-    if frame.size > _LARGEST_FILE:
-        raise BadConfig(f"a frame must have at most {_LARGEST_FILE} bytes, found {frame.size} in {frame.where}")
+def _checked(frame: Frame, size: int) -> Frame:
+    if size > _LARGEST_FILE:
+        raise BadConfig(f"a frame must have at most {_LARGEST_FILE} bytes, found {size} in {frame.where}")
     return frame
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_data.rigs import Distortion
 from bodyseg_model.recordings.cameras import Intrinsics
-from bodyseg_model.recordings.recording import FLOAT_STEP_M, MILLIMETRE, FrameSource, StoredFrame
+from bodyseg_model.recordings.recording import FLOAT_STEP_M, MILLIMETRE, Frame, FrameSource
 
 Timed = NDArray[Any] | tuple[float | None, NDArray[Any]]
 """Pixels of a frame [H, W], or its time in seconds and its pixels."""
@@ -35,14 +35,13 @@ class LiveRecording:
     step_m: float = MILLIMETRE
     where: str = "live"
 
-    def __iter__(self) -> Iterator[StoredFrame]:
+    def __iter__(self) -> Iterator[Frame]:
         for index, item in enumerate(self.arrays):
             time_s, pixels = item if isinstance(item, tuple) else (None, item)
             step_m = FLOAT_STEP_M if pixels.dtype.kind == "f" else self.step_m
             name = f"{self.where}-{index:06d}"
-            yield StoredFrame(
-                name, name, Path(self.where), str(index), _Held(pixels), index, time_s, step_m, self.camera
-            )
+            held, within = _Held(pixels), ("", index)
+            yield Frame(name, name, Path(self.where), str(index), held, within, index, time_s, step_m, self.camera)
 
 
 class _Held(FrameSource):

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Final, TypeVar
+from typing import Final
 
 import numpy as np
 import torch
@@ -22,10 +20,6 @@ from bodyseg_model.segmentation.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.person_score import PersonScore
 from bodyseg_model.segmentation.surfaces import Background, find_bodies
 from bodyseg_model.segmentation.views import BodyView, usual_views, view_body
-
-_END: Final = object()
-
-Item = TypeVar("Item")
 
 STAGES: Final = ("background", "shape", "resample", "network", "back", "video")
 
@@ -151,6 +145,7 @@ class Segmenter:
         self.people = people if self.background.mode == "people" else None
         self.video = video
         self._network = on_backend(network, backend, precision)
+        self._prepared = False
 
     def __repr__(self) -> str:
         camera = f"{self.camera.rows} x {self.camera.columns} pixels, focal length {self.camera.focal_px:g} px"
@@ -220,26 +215,14 @@ class Segmenter:
             labels.ravel()[labelled.pixels[labelled.confidence < self.least_confidence]] = BACKGROUND
         return Segmentation(labels, tuple(bodies), watch.milliseconds, found.things)
 
-    def stream(self, frames: Iterable[NDArray[np.float32]], ahead: bool = False) -> Iterator[Segmentation]:
-        """Label frames as they come, such as those of a live sensor; yields the answer to each before it asks for the
-        next.
-
-        frames: float32 [H, W], metres, 0 = nothing measured, of the camera's size; they may never end. An answer has
-        `labels`, uint8 [H, W], 255 where there is no body; `confidence`, float32 [H, W]; `bodies`, the people, with
-        pixels, range and confidences of each; and `milliseconds` of every stage. Before the first frame is asked for,
-        `prepare` is called. ahead: a thread asks for the next frame and finds its surfaces while this one is labelled;
-        the same answers in the same order, more of them a second where a processor is free. Each frame then is an array
-        of its own, which no driver writes into again. Raises BadConfig as a call does.
-        """
-        self.prepare()
-        found = map(self.find, frames)
-        for each in read_ahead(found) if ahead else found:
-            yield self.label(each)
-
     def prepare(self) -> None:
         """Load the compiled loops and label usual views, so that the first frames take no longer than others: a network
-        takes longer for each size of views, and each number of them together, that it has not met.
+        takes longer for each size of views, and each number of them together, that it has not met. Further calls do
+        nothing.
         """
+        if self._prepared:
+            return
+        self._prepared = True
         rows, columns = self.camera.rows, self.camera.columns
         room = np.full((rows, columns), self.background.far_m, np.float32)
         room[rows // 4 : 3 * rows // 4, 3 * columns // 8 : 5 * columns // 8] /= 2  # of a body's size for most cameras
@@ -249,17 +232,3 @@ class Segmenter:
         view_body(np.full_like(room, self.rig.stand_off_m), np.arange(1), self.camera, self.rig, self.mirrored)
         for views in usual_views(self.rig, self._network.together):
             predict_each(self._network, views)
-
-
-def read_ahead(items: Iterable[Item]) -> Generator[Item, None, None]:
-    """Yield items in their order; one thread makes the next while the caller works on this one, and no more than that.
-
-    An error of an item is raised in its place, after all items before it have been yielded. Whoever leaves early waits
-    for the item that is being made.
-    """
-    remaining = iter(items)
-    with ThreadPoolExecutor(1, "reading") as thread:
-        coming = thread.submit(next, remaining, _END)
-        while (item := coming.result()) is not _END:
-            coming = thread.submit(next, remaining, _END)
-            yield item  # type: ignore[misc]  # all but _END

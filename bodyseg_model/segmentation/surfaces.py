@@ -53,11 +53,6 @@ class Lens(NamedTuple):
     focal_px: float
 
 
-def lens_of(camera: Camera) -> Lens:
-    """The numbers of a camera that loops need."""
-    return Lens(*camera.centre_px, camera.focal_px)
-
-
 def on_largest_plane(range_m: NDArray[np.float32], pixels: NDArray[np.intp], camera: Camera) -> NDArray[np.bool_]:
     """Find the largest plane; True for those of `pixels` on it, bool [N].
 
@@ -108,7 +103,11 @@ def _near_plane(
     """Mark the pixels within the tolerance of a plane, bool [N]; and the sum of their ranges cubed."""
     near = np.empty(len(pixels), np.bool_)
     flat, columns = range_m.ravel(), range_m.shape[1]
-    return near, float(_loops().mark_plane(flat, pixels, columns, lens_of(camera), plane, TOLERANCE_PER_M, near))
+    return near, float(
+        _loops().mark_plane(
+            flat, pixels, columns, Lens(*camera.centre_px, camera.focal_px), plane, TOLERANCE_PER_M, near
+        )
+    )
 
 
 def _fit(rays: Points, inverse: NDArray[np.float64], plane: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -162,14 +161,6 @@ _ROWS: Final = 32  # of 1024 pixels: with what is computed of them, a quarter of
 Floats = NDArray[np.float32]
 
 
-class Jump(NamedTuple):
-    """Limits that divide surfaces, float32: a difference of range of `metres`, or beyond `from_m` of a `share`."""
-
-    metres: np.float32
-    share: np.float32
-    from_m: np.float32
-
-
 class LevelledFrame(NamedTuple):
     """A range image whose segments are looked for. range_m: float32 [H, W], metres. level: from `jumps`. widest: of a
     shadow that divides no surface, pixels at 1 m. focal_px: of the camera.
@@ -192,7 +183,7 @@ class Segments(NamedTuple):
     area_m2: NDArray[np.float64]
 
 
-_JUMP: Final = Jump(np.float32(JUMP_M), np.float32(JUMP_SHARE), np.float32(LIMIT_M))
+_JUMP: Final = (np.float32(JUMP_M), np.float32(JUMP_SHARE), np.float32(LIMIT_M))
 
 
 def jumps(range_m: Floats) -> Floats:
@@ -208,7 +199,7 @@ def jumps(range_m: Floats) -> Floats:
         ranges = range_m[first : first + _ROWS]
         logs = np.maximum(ranges, LIMIT_M, out=beyond[: len(ranges)])
         np.log(np.divide(logs, LIMIT_M, out=logs), out=logs)
-        _loops().write_levels(ranges, logs, first, _JUMP, level)
+        _loops().write_levels(ranges, logs, first, *_JUMP, level)
     return level
 
 
@@ -278,7 +269,9 @@ class Surfaces:
     def extents_m(self, number: int) -> tuple[float, float, float]:
         """Width, height and depth of a surface, metres."""
         flat, columns = self._range_m.ravel(), self._range_m.shape[1]
-        width, height, depth = _loops().extents(flat, columns, lens_of(self._camera), self.pixels_of(number))
+        width, height, depth = _loops().extents(
+            flat, columns, Lens(*self._camera.centre_px, self._camera.focal_px), self.pixels_of(number)
+        )
         return width, height, depth
 
     def bounding_boxes(self) -> BoundingBoxes:
@@ -372,14 +365,9 @@ def find_bodies(range_m: NDArray[np.float32], camera: Camera, background: Backgr
     """
     if background.mode == "keep":
         return _all_of((range_m > 0) & (range_m < np.inf))
-    kept = _within_limits(range_m, background)
-    return _all_of(kept > 0) if background.mode == "limits" else _people(kept, camera, threads)
-
-
-def _within_limits(range_m: NDArray[np.float32], background: Background) -> NDArray[np.float32]:
-    """A copy of the frame with 0 where range is not within the limits."""
     near, far = np.float32(background.near_m), np.float32(background.far_m)
-    return np.where((range_m >= near) & (range_m <= far), range_m, np.float32(0))
+    kept = np.where((range_m >= near) & (range_m <= far), range_m, np.float32(0))
+    return _all_of(kept > 0) if background.mode == "limits" else _people(kept, camera, threads)
 
 
 def _all_of(mask: NDArray[np.bool_]) -> Bodies:

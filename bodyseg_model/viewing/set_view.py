@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
@@ -23,16 +23,13 @@ from bodyseg_model.evaluation import KINDS, RigFit, kinds_of, told_kinds
 from bodyseg_model.networks import Trained, device_of, predict
 from bodyseg_model.viewing.pictures import (
     KIND_LEGEND,
-    Device,
     Drawing,
     Layout,
     Legend,
     Panel,
     Points,
+    class_image,
     class_legend,
-    device,
-    kind_image,
-    label_image,
     point_gap_m,
     points_at,
     rig_before,
@@ -44,6 +41,7 @@ COLOURINGS: Final[tuple[Colouring, ...]] = get_args(Colouring)
 """What points are coloured by; the last three need a network."""
 
 _COLUMNS: Final = 5
+_KIND_COLOURS: Final = np.array([colour for _, colour in KIND_LEGEND], np.uint8)
 
 
 @dataclass(frozen=True)
@@ -70,8 +68,7 @@ class Layers:
 
     def picked(self, pick: Callable[[NDArray[Any]], NDArray[Any]]) -> Layers:
         """The layers after a choice of pixels."""
-        held: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(self)}
-        picked: dict[str, Any] = {name: None if image is None else pick(image) for name, image in held.items()}
+        picked: dict[str, Any] = {name: None if image is None else pick(image) for name, image in vars(self).items()}
         return Layers(**picked)
 
 
@@ -88,10 +85,10 @@ class SampleImages:
     placed: tuple[PlacedCamera, ...]
 
     @property
-    def devices(self) -> tuple[Device, ...]:
-        """Camera and projectors, to draw."""
+    def devices(self) -> dict[str, PlacedCamera]:
+        """Camera and projectors by their names, to draw."""
         names = ("camera", *("projector", "second projector")[: len(self.placed) - 1])
-        return tuple(device(name, each) for name, each in zip(names, self.placed, strict=True))
+        return dict(zip(names, self.placed, strict=True))
 
 
 class SetView:
@@ -197,12 +194,12 @@ class SetView:
         if colouring == "range":
             return colour_range(layers.range, *span_of(layers.range))
         if layers.answer is not None and colouring == "network":
-            return label_image(layers.answer, seen, self.label_map)
+            return class_image(layers.answer, seen, self.label_map.colours)
         if layers.kinds is not None and colouring == "mistakes":
-            return kind_image(layers.kinds, seen)
+            return class_image(layers.kinds, seen, _KIND_COLOURS)
         if layers.confidence is not None and colouring == "confidence":
             return share_image(layers.confidence, seen)
-        return label_image(layers.labels, seen, self.label_map)
+        return class_image(layers.labels, seen, self.label_map.colours)
 
     def legend_of(self, images: SampleImages, colouring: Colouring) -> Legend:
         """Names of the colours of points."""

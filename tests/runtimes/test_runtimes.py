@@ -253,7 +253,7 @@ def test_what_python_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
     graph = answer_graph(Toy().eval())
     with pytest.raises(BadConfig, match="must compute 'scores' from 'range_m'"):
         scores_part(onnx.helper.make_model(onnx.helper.make_graph([], "none", [], [])))
-    moved = RuntimeNetwork(OnnxModel(graph, GraphFacts.of(Toy())), "onnxruntime", OnnxRuntime, "float32")
+    moved = RuntimeNetwork(OnnxModel(graph, GraphFacts(33, 1)), "onnxruntime", OnnxRuntime, "float32")
     with pytest.raises(BadConfig, match="an ONNX file is computed by onnxruntime or openvino, found the backend torch"):
         on_backend(moved, "torch")
     to_device(moved, "cpu")

@@ -35,7 +35,7 @@ def page(tmp_path: Path) -> Iterator[Page]:
 
 def drawing(count: int, *facts: str) -> Drawing:
     points = Points(np.full((count, 3), 0.5, np.float32), np.full((count, 3), 9, np.uint8))
-    return Drawing(points, (), np.full((4, 6, 3), count, np.uint8), facts or ("one",), 0.01, 0, (("a", (1, 2, 3)),))
+    return Drawing(points, {}, np.full((4, 6, 3), count, np.uint8), facts or ("one",), 0.01, 0, (("a", (1, 2, 3)),))
 
 
 def test_the_page_is_one_file_of_the_server(page: Page) -> None:
@@ -191,4 +191,4 @@ def test_saved_pictures_replace_none(tmp_path: Path) -> None:
 def test_windows_are_turned_to_bodies_or_to_all() -> None:
     some = drawing(6)
     assert len(aimed_at(some)) == 6
-    assert len(aimed_at(Drawing(some.points, (), some.picture, (), 0.01, 2, ()))) == 2
+    assert len(aimed_at(Drawing(some.points, {}, some.picture, (), 0.01, 2, ()))) == 2

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig
 from bodyseg_model.recordings.frames import natural_key
-from bodyseg_model.recordings.recording import LARGEST_SIDE, FrameSource, StoredRecording, stored_recording
+from bodyseg_model.recordings.recording import FrameSource, StoredRecording, check_pixels, stored_recording
 
 _LONGEST_HEADER: Final = 10_000
 _TIMES: Final = ("times", "time", "timestamps")
@@ -166,11 +166,8 @@ def _times(archive: zipfile.ZipFile, array: _Array) -> list[float]:
 
 
 def _check(shape: tuple[int, ...], kind: np.dtype[Any], where: str) -> None:
-    if len(shape) not in (2, 3) or not all(1 <= side <= LARGEST_SIDE for side in shape[-2:]):
-        found = " x ".join(map(str, shape)) or "one number"
-        raise BadConfig(
-            f"frames must be rows x columns or frames x rows x columns, 1 to {LARGEST_SIDE} a side, found {found}: "
-            f"{where}"
-        )
-    if kind.kind != "f" and (kind.kind, kind.itemsize) != ("u", 2):
-        raise BadConfig(f"frames must be of uint16, steps, or floating point, metres, found {kind}: {where}")
+    """Raise BadConfig unless an array holds a frame or, along its first axis, several."""
+    try:
+        check_pixels(shape[1:] if len(shape) == 3 else shape, kind)
+    except BadConfig as error:
+        raise BadConfig(f"{where}: {error}") from error
