@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
-    from bodyseg_model.recordings.camera_files import find_cameras
+    from bodyseg_model.recordings.camera_files import FrameCameras
     from bodyseg_model.recordings.cameras import FrameCamera, frame_camera, other_sensors
     from bodyseg_model.recordings.frames import (
         RECORDINGS_HELP,
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 __getattr__, __all__ = lazy_door(
     __name__,
     {
-        "camera_files": "find_cameras",
+        "camera_files": "FrameCameras",
         "cameras": "FrameCamera frame_camera other_sensors",
         "frames": "RECORDINGS_HELP UNITS_HELP Skipping find_frames first_readable metres_a_step open_recording "
         "to_metres",

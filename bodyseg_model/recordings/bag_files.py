@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple
 from urllib.parse import quote
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_model.recordings.bag_messages import (
@@ -318,10 +317,11 @@ class _JoinedBags:
         for part in parts:
             for topic in part.topics:
                 homes.setdefault((topic.name, topic.kind), []).append((part, topic))
-        self._homes = {
-            Topic(name, kind, homes[name, kind][0][1].encoding, _joined_times(homes[name, kind])): homes[name, kind]
-            for name, kind in sorted(homes)
-        }
+        self._homes: dict[Topic, list[tuple[Bag, Topic]]] = {}
+        for name, kind in sorted(homes):
+            topics = [topic for _, topic in homes[name, kind]]
+            joined = Topic(name, kind, topics[0].encoding, np.concatenate([topic.times_ns for topic in topics]))
+            self._homes[joined] = homes[name, kind]
         self.topics = list(self._homes)
 
     def read(self, topic: Topic, index: int) -> bytes:
@@ -331,10 +331,6 @@ class _JoinedBags:
         number = bisect_right(ends, index)
         part, of_part = homes[number]
         return part.read(of_part, index - ends[number] + len(of_part.times_ns))
-
-
-def _joined_times(homes: list[tuple[Bag, Topic]]) -> NDArray[np.int64]:
-    return np.concatenate([topic.times_ns for _, topic in homes])
 
 
 open_ros1, open_ros2 = partial(bag_recording, _Ros1Bag), partial(bag_recording, _JoinedBags)

@@ -27,7 +27,7 @@ from bodyseg_data.machine import missing_library
 from bodyseg_data.rigs import Distortion
 from bodyseg_model.recordings.cameras import Intrinsics
 from bodyseg_model.recordings.frame_files import parse_frame
-from bodyseg_model.recordings.recording import LARGEST_SIDE, FrameSource, Stamp, StoredRecording, stored_recording
+from bodyseg_model.recordings.recording import LARGEST_SIDE, Frame, FrameSource, Stamp, stored_recording
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -90,7 +90,7 @@ class Bag(Protocol):
 
 def bag_recording(
     opener: Callable[[Path], Bag], path: Path, topic: str | None, step_m: float | None
-) -> StoredRecording:
+) -> tuple[Frame, ...]:
     """Open a bag and return its range images as a recording: those of `topic`, or of the only topic that has any.
 
     Raises BadConfig, listing the topics, for another topic, none, or several, and as `opener`, as does MissingLibrary.
@@ -102,7 +102,8 @@ def bag_recording(
         if not chosen:
             raise BadConfig(f"--topic must be a topic of images, one of {_listed(images)}, found {topic!r}: {path}")
     else:
-        chosen = [each for each in images if _has_ranges(bag, each)]
+        firsts = [(each, _first_message(bag, each)) for each in images]
+        chosen = [each for each, first in firsts if first is not None and encoding(first, each.kind) in ENCODINGS]
         if not chosen:
             raise BadConfig(f"a recording must have a topic of range images, found {_listed(images)}: {path}")
         if len(chosen) > 1:
@@ -144,11 +145,6 @@ class _Images(FrameSource):
             self._last = None  # not two messages at once
             self._last = index, decode(self._bag, self._topic, index)
         return self._last[1]
-
-
-def _has_ranges(bag: Bag, topic: Topic) -> bool:
-    first = _first_message(bag, topic)
-    return first is not None and encoding(first, topic.kind) in ENCODINGS
 
 
 def _first_message(bag: Bag, topic: Topic) -> Any:

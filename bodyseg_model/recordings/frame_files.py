@@ -59,19 +59,20 @@ class PngSource(FrameSource):
 
     def read(self, index: int) -> NDArray[np.uint16]:
         """See `FrameSource.read`."""
-        return parse_frame(self.read_bytes())
+        return parse_frame(read_part(self.path, self.offset, self.size))
 
-    def read_bytes(self) -> bytes:
-        """Read the file. Raises BadConfig without its name."""
-        try:
-            with self.path.open("rb") as file:
-                file.seek(self.offset)
-                data = file.read(self.size)
-        except OSError as error:
-            raise BadConfig(f"the file cannot be read: {error.strerror or error}") from error
-        if len(data) != self.size:
-            raise BadConfig(f"the file must still have the {self.size} bytes it had, found {len(data)}")
-        return data
+
+def read_part(path: Path, offset: int, size: int) -> bytes:
+    """Read `size` bytes from `offset` of a file. Raises BadConfig without its name."""
+    try:
+        with path.open("rb") as file:
+            file.seek(offset)
+            data = file.read(size)
+    except OSError as error:
+        raise BadConfig(f"the file cannot be read: {error.strerror or error}") from error
+    if len(data) != size:
+        raise BadConfig(f"the file must still have the {size} bytes it had, found {len(data)}")
+    return data
 
 
 @dataclass(frozen=True)

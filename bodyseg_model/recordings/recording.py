@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -48,6 +48,17 @@ class FrameSource(ABC):
     def stamp(self, index: int) -> Stamp | None:
         """Read the header of frame `index`; by default frames have none. Raises BadConfig."""
         return None
+
+
+class ArrayFrames(FrameSource):
+    """Frames [N, H, W] in memory, or of a file that is mapped into it."""
+
+    def __init__(self, frames: NDArray[Any]) -> None:
+        self._frames = frames
+
+    def read(self, index: int) -> NDArray[Any]:
+        """See `FrameSource.read`."""
+        return np.array(self._frames[index])
 
 
 @dataclass(frozen=True)
@@ -98,22 +109,6 @@ class Frame:
             raise BadConfig(f"{self.where}: {error}") from error
 
 
-@dataclass(frozen=True)
-class StoredRecording:
-    """A recording on disk: the number of its frames is known, and any of them can be read first."""
-
-    where: str
-    frames: tuple[Frame, ...]
-    camera: Intrinsics | None = None
-    step_m: float = MILLIMETRE
-
-    def __iter__(self) -> Iterator[Frame]:
-        return iter(self.frames)
-
-    def __len__(self) -> int:
-        return len(self.frames)
-
-
 def evenly_apart(total: int, count: int) -> list[int]:
     """Return at most `count` of the numbers below `total`, ascending and evenly apart, 0 and the last among them."""
     chosen: list[int] = np.unique(np.linspace(0, total - 1, min(count, total)).round().astype(int)).tolist()
@@ -153,7 +148,7 @@ def stored_recording(
     own_step_m: float | None = None,
     camera: Intrinsics | None = None,
     part: str = "",
-) -> StoredRecording:
+) -> tuple[Frame, ...]:
     """List the frames of a file that holds many: one for each of `times_s`.
 
     floating: frames are of floating point. given_step_m: metres a step, or that 1.0 is, as the caller says; own_step_m:
@@ -165,7 +160,7 @@ def stored_recording(
     step_m = FLOAT_STEP_M if floating else given_step_m or own_step_m or MILLIMETRE
     several = len(times_s) > 1
     digits = max(4, len(str(len(times_s) - 1)))
-    frames = tuple(
+    return tuple(
         Frame(
             f"{index:0{digits}d}" if several else path.stem,
             f"{label}, frame {index}" if several else label,
@@ -181,4 +176,3 @@ def stored_recording(
         )
         for index, time_s in enumerate(times_s)
     )
-    return StoredRecording(label, frames, camera, step_m)

@@ -169,7 +169,9 @@ class CarriedLabels:
         left = {} if self._last is None else dict(enumerate(self._last.bodies))
         found: list[int | None] = []
         for own in cells:
-            away = {number: _distance(own, earlier) for number, (earlier, _) in left.items()}
+            away = {
+                number: float(np.linalg.norm(_middle(own) - _middle(earlier))) for number, (earlier, _) in left.items()
+            }
             nearest = min(away, key=lambda number: (away[number], number), default=None)
             found.append(nearest if nearest is not None and away[nearest] <= SAME_BODY_M else None)
             left.pop(-1 if found[-1] is None else found[-1], None)
@@ -281,8 +283,3 @@ def _middle(cells: Cells) -> NDArray[np.float64]:
     """Mean point of a body, float64 [3], metres."""
     middle: NDArray[np.float64] = cells.points.mean(axis=0, dtype=np.float64)
     return middle
-
-
-def _distance(one: Cells, other: Cells) -> float:
-    """Distance of the middles of two bodies, metres."""
-    return float(np.linalg.norm(_middle(one) - _middle(other)))

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadConfig, Stopwatch
 from bodyseg_data.rigs import Camera
 from bodyseg_model.networks import Trained, device_of, load_network
-from bodyseg_model.recordings import Frame, FrameCamera, Pixels, Skipping, Stamp, find_cameras, find_frames, to_metres
+from bodyseg_model.recordings import Frame, FrameCamera, FrameCameras, Pixels, Skipping, Stamp, find_frames, to_metres
 from bodyseg_model.runtimes import BackendName, Precision, backend_of, put_on_backend, to_device
 from bodyseg_model.segmentation.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.person_score import shipped_score
@@ -173,7 +173,7 @@ class FrameLabeller:
         source: a path, or several, of PNGs, folders or recordings, as `find_frames` takes them with `topic` and
         `step_m`; or frames that it found. rig, focal_px, centre_px: the camera (`frame_camera`); by default the one
         that recordings or files beside them hold, or that the frames' size tells. skip_unreadable: skip up to this many
-        frames that cannot be read. Raises BadConfig as `find_frames` and `find_cameras`; MissingLibrary.
+        frames that cannot be read. Raises BadConfig as `find_frames` and `FrameCameras`; MissingLibrary.
         """
         given = [source] if isinstance(source, (str, Path)) else source
         paths = [Path(each) for each in given if isinstance(each, (str, Path))]
@@ -220,15 +220,12 @@ class LabelledRecording:
         if not frames:
             raise BadConfig("a recording must hold a frame, found none")
         self.labeller, self.frames = labeller, frames
-        self.cameras = find_cameras(frames, rig, focal_px, centre_px, labeller.rig, skipping)
+        self.cameras = FrameCameras(frames, rig, focal_px, centre_px, labeller.rig, skipping)
         self._skipping = skipping
         labeller.of(self.cameras.first.camera)  # now, so that options that cannot be are refused
 
     def __len__(self) -> int:
         return len(self.frames)
-
-    def __repr__(self) -> str:
-        return f"LabelledRecording({len(self)} frames)"
 
     def __iter__(self) -> Iterator[LabelledFrame]:
         return self.labelled()
@@ -261,7 +258,7 @@ class LabelledRecording:
 
         A camera's first frame is labelled after its segmenter is prepared, so that its times are as others'.
         """
-        label = self._find(number, Frame.read, prepare=True)
+        label = cast(Found, self._find(number, Frame.read, prepare=True))  # `Frame.read` skips none
         self.labeller.restart()
         return label()
 

@@ -257,7 +257,7 @@ class FrameResults(WriteBehind):
                 self._out.write(folder, frame.name, encode_picture(image))
         times = {**labelled.milliseconds, **watch.milliseconds}
         camera = None if labelled.own_camera is None else labelled.own_camera.to_json()
-        self.summary.add(frame.name, frame.where, labelled.range_m, labelled, times, frame.sequence, camera)
+        self.summary.add(labelled.range_m, labelled, times, frame.sequence, camera)
 
     def finish(self, facts: Mapping[str, Any]) -> None:
         """Write preview, legend and summary, with `facts` of the call. Raises BadConfig."""

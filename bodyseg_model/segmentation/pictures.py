@@ -120,17 +120,9 @@ class Preview:
         self._palette.putpalette(_palette(label_map).ravel().tolist())
         self._frames: list[Image.Image] = []
 
-    @property
-    def frames_per_second(self) -> float:
-        """Frame rate of the file: delays of a GIF are whole hundredths of a second."""
-        return 100 / self._hundredths
-
-    def __len__(self) -> int:
-        return len(self._frames)
-
     def to_json(self) -> dict[str, float]:
-        """Number of frames and rate, for summary.json."""
-        return {"frames": len(self), "frames_per_second": round(self.frames_per_second, 2)}
+        """Number of frames and the file's rate, for summary.json: delays of a GIF are whole hundredths of a second."""
+        return {"frames": len(self._frames), "frames_per_second": round(100 / self._hundredths, 2)}
 
     def add(self, picture: NDArray[np.uint8]) -> None:
         """Append an overlay, sRGB uint8 [H, W, 3], all of one size; it is ignored once there are `MOST_FRAMES`."""

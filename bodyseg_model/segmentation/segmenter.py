@@ -15,7 +15,7 @@ from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import of_each, require_numba
 from bodyseg_data.rigs import Camera, Rig, load_rig
 from bodyseg_model.networks import Network, device_of, predict_each
-from bodyseg_model.runtimes import BackendName, Precision, on_backend
+from bodyseg_model.runtimes import on_backend
 from bodyseg_model.segmentation.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.person_score import PersonScore
 from bodyseg_model.segmentation.surfaces import Background, find_bodies
@@ -85,13 +85,8 @@ class Segmentation:
         return image
 
 
-@dataclass(frozen=True)
-class FoundBody:
-    """A body before a network has labelled it. pixels, person: as of `LabelledBody`. view: what the network sees."""
-
-    pixels: NDArray[np.intp] = field(repr=False)
-    view: BodyView = field(repr=False)
-    person: float | None = None
+FoundBody = tuple[NDArray[np.intp], float | None, BodyView]
+"""A body before a network has labelled it: pixels and person, as of `LabelledBody`, and what the network sees."""
 
 
 @dataclass(frozen=True)
@@ -109,15 +104,14 @@ class FoundSurfaces:
 class Segmenter:
     """Labels the frames of one camera, each independently or, with `video`, steadied by those before it.
 
-    network: in evaluation mode; frames are moved to its device. camera: that took the frames, which must be without
-    lens distortion (`Undistortion`). background: rule for
-    removing the background, by default `Background()`. mirrored: True if frames show left for right, as those of some
-    drivers do. least_confidence: pixels of less get no label. rig: that the network was trained for, by default the
-    paper's. people: the score by which surfaces of a body's size are people or things, in the background mode
-    "people" (`shipped_score`); None to label all of them. video: carries evidence from frame to frame of a recording,
-    whose frames must then come in order (`CarriedLabels`); None to label each alone. backend, precision: what computes
-    the network (`on_backend`). Raises BadConfig for a confidence outside 0 to 1, a camera with distortion, or as
-    `on_backend`; MissingLibrary without numba.
+    network: in evaluation mode, on any backend (`on_backend`); frames are moved to its device. camera: that took the
+    frames, which must be without lens distortion (`Undistortion`). background: rule for removing the background, by
+    default `Background()`. mirrored: True if frames show left for right, as those of some drivers do. least_confidence:
+    pixels of less get no label. rig: that the network was trained for, by default the paper's. people: the score by
+    which surfaces of a body's size are people or things, in the background mode "people" (`shipped_score`); None to
+    label all of them. video: carries evidence from frame to frame of a recording, whose frames must then come in order
+    (`CarriedLabels`); None to label each alone. Raises BadConfig for a confidence outside 0 to 1 or a camera with
+    distortion; MissingLibrary without numba.
     """
 
     def __init__(
@@ -130,8 +124,6 @@ class Segmenter:
         rig: Rig | None = None,
         people: PersonScore | None = None,
         video: CarriedLabels | None = None,
-        backend: BackendName | None = None,
-        precision: Precision | None = None,
     ) -> None:
         if not 0 <= least_confidence <= 1:
             raise BadConfig(f"a confidence must be 0 to 1, found {least_confidence:g}")
@@ -144,7 +136,7 @@ class Segmenter:
         self.device = device_of(network)
         self.people = people if self.background.mode == "people" else None
         self.video = video
-        self._network = on_backend(network, backend, precision)
+        self._network = on_backend(network)
         self._prepared = False
 
     def __repr__(self) -> str:
@@ -173,24 +165,24 @@ class Segmenter:
         watch, threads = Stopwatch(STAGES), torch.get_num_threads()
         with watch("background"):
             surfaces = find_bodies(range_m, self.camera, self.background, threads)
-        things: list[Thing] = []
         people: list[tuple[NDArray[np.intp], float | None]] = [(pixels, None) for pixels in surfaces]
+        things: tuple[Thing, ...] = ()
         if self.people is not None:
-            score = self.people
+            score, flat = self.people, range_m.ravel()
             with watch("shape"):
                 scores = of_each(lambda pixels: score(pixels, range_m, self.camera), surfaces, threads)
                 judged = list(zip(surfaces, scores, strict=True))
-                people = [(pixels, person) for pixels, person in judged if person >= score.cutoff]
-                things = [
-                    Thing(pixels, float(np.median(range_m.ravel()[pixels])), person)
+                people = [each for each in judged if each[1] >= score.cutoff]
+                things = tuple(
+                    Thing(pixels, float(np.median(flat[pixels])), person)
                     for pixels, person in judged
                     if person < score.cutoff
-                ]
+                )
         with watch("resample"):
             resample = partial(view_body, range_m, camera=self.camera, rig=self.rig, mirrored=self.mirrored)
             views = of_each(resample, [pixels for pixels, _ in people], threads)
-        bodies = [FoundBody(pixels, view, person) for (pixels, person), view in zip(people, views, strict=True)]
-        return FoundSurfaces(range_m, tuple(bodies), tuple(things), watch.milliseconds)
+        bodies = tuple((pixels, person, view) for (pixels, person), view in zip(people, views, strict=True))
+        return FoundSurfaces(range_m, bodies, things, watch.milliseconds)
 
     def label(self, found: FoundSurfaces) -> Segmentation:
         """Label the bodies of a frame. With `video`, frames must come in order."""
@@ -199,14 +191,12 @@ class Segmenter:
         labels = np.full(range_m.shape, BACKGROUND, np.uint8)
         bodies: list[LabelledBody] = []
         with watch("network"):
-            answers = predict_each(self._network, [body.view.range_m for body in found.bodies])
+            answers = predict_each(self._network, [view.range_m for _, _, view in found.bodies])
         with watch("back"):
-            for body, (view_labels, view_confidence) in zip(found.bodies, answers, strict=True):
-                view, confidence = body.view, body.view.back(view_confidence)
-                labels.ravel()[body.pixels] = view.back(view_labels)
-                bodies.append(
-                    LabelledBody(body.pixels, view.median_range_m, view.turn_rad, view.scale, confidence, body.person)
-                )
+            for (pixels, person, view), (view_labels, view_confidence) in zip(found.bodies, answers, strict=True):
+                labels.ravel()[pixels] = view.back(view_labels)
+                confidence = view.back(view_confidence)
+                bodies.append(LabelledBody(pixels, view.median_range_m, view.turn_rad, view.scale, confidence, person))
         if self.video is not None:
             with watch("video"):
                 seen = [(body.pixels, body.confidence) for body in bodies]

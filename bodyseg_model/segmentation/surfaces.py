@@ -274,29 +274,11 @@ class Surfaces:
         )
         return width, height, depth
 
-    def bounding_boxes(self) -> BoundingBoxes:
-        """The bounding box of every surface."""
+    def bounding_boxes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Lowest and highest row, column and range (metres) of every surface, float64 [3, N] each."""
         lowest, highest = np.full((3, len(self.area_m2)), np.inf), np.full((3, len(self.area_m2)), -np.inf)
         _loops().bound_surfaces(self._range_m.ravel(), self._range_m.shape[1], self._segments, lowest, highest)
-        return BoundingBoxes(lowest, highest)
-
-
-@dataclass(frozen=True)
-class BoundingBoxes:
-    """Bounding boxes of surfaces: lowest and highest row, column and range (metres), each float64 [3, N]."""
-
-    lowest: NDArray[np.float64]
-    highest: NDArray[np.float64]
-
-    def near(self, number: int) -> NDArray[np.bool_]:
-        """True for surfaces that overlap one of them in rows and columns, and in range within `REACH_M`, bool [N]."""
-        low, high = self.lowest[:, number].copy(), self.highest[:, number].copy()
-        low[2] -= REACH_M[0]
-        high[2] += REACH_M[1]
-        overlap = (self.highest[:2] >= low[:2, None]) & (self.lowest[:2] <= high[:2, None])
-        within = (self.lowest[2] >= low[2]) & (self.highest[2] <= high[2])
-        near: NDArray[np.bool_] = overlap.all(axis=0) & within
-        return near
+        return lowest, highest
 
 
 BackgroundMode = Literal["people", "limits", "keep"]
@@ -384,18 +366,27 @@ def _people(range_m: NDArray[np.float32], camera: Camera, threads: int) -> Bodie
         if not any(map(np.any, flat)):
             break
         surfaces.remove(large, flat)
-    boxes = surfaces.bounding_boxes()
+    lowest, highest = surfaces.bounding_boxes()
     taken = np.zeros(len(surfaces.area_m2), np.bool_)
     bodies = []
     for number in surfaces.by_size(BODY_AREA_M2[0]):
         if taken[number] or not _has_body_size(surfaces, number):
             continue
         taken[number] = True
-        pieces = np.flatnonzero(~taken & (surfaces.area_m2 < LOOSE_AREA_M2) & boxes.near(number))
+        pieces = np.flatnonzero(~taken & (surfaces.area_m2 < LOOSE_AREA_M2) & _near(number, lowest, highest))
         taken[pieces] = True
         pixels = [surfaces.pixels_of(piece) for piece in (number, *pieces)]
         bodies.append(np.sort(np.concatenate(pixels), kind="stable") if len(pieces) else pixels[0])
     return tuple(bodies)
+
+
+def _near(number: int, lowest: NDArray[np.float64], highest: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """True for surfaces that overlap one of them in rows and columns, and in range within `REACH_M`, bool [N]."""
+    low, high = lowest[:, [number]], highest[:, [number]]
+    overlap = (highest[:2] >= low[:2]) & (lowest[:2] <= high[:2])
+    within = (lowest[2] >= low[2] - REACH_M[0]) & (highest[2] <= high[2] + REACH_M[1])
+    near: NDArray[np.bool_] = overlap.all(axis=0) & within
+    return near
 
 
 def _has_body_size(surfaces: Surfaces, number: int) -> bool:

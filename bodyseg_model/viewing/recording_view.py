@@ -226,15 +226,8 @@ class RecordingPage:
         def _(_: object) -> None:
             self.go_on(1 if step.value == "next" else -1)
 
-        @colouring.on_update
-        def _(_: object) -> None:
-            chosen: FrameColouring = next(each for each in FRAME_COLOURINGS if each == colouring.value)
-            self.change(colouring=chosen)
-
-        @room.on_update
-        def _(_: object) -> None:
-            self.change(room=room.value)
-
+        colouring.on_update(lambda _: self.change(colouring=colouring.value))
+        room.on_update(lambda _: self.change(room=room.value))
         page.start(self.draw)
         self._player = threading.Thread(target=self._run, name="player", daemon=True)
         self._player.start()

@@ -136,7 +136,10 @@ class SetView:
         fit it.
         """
         sample = self._clean(shown.index)
-        made = {variant: self._made(sample, shown, variant) for variant in dict.fromkeys((*VARIANTS, shown.variant))}
+        made = {
+            variant: Augmentation(self.rig, variant, self.seed, shown.sensor)(sample, shown.epoch)
+            for variant in dict.fromkeys((*VARIANTS, shown.variant))
+        }
         image = made[shown.variant]
         layers = Layers(image.range, self.label_map.table[image.labels])
         milliseconds = 0.0
@@ -148,31 +151,23 @@ class SetView:
         """Draw a sample. Raises as `images_of`."""
         images = self.images_of(shown)
         range_m = metres(images.layers.range, self.rig.range_step_m)
+        seen = np.flatnonzero(range_m)
+        colours = self._colours(shown.colouring, images.layers.picked(lambda each: each.ravel()[None, seen]))[0]
         return Drawing(
-            self.points_of(images, shown.colouring),
+            Points(points_at(range_m, images.placed[0]), colours),
             images.devices,
             self.layout_of(images.sample)[0].draw(self._panels(images, shown)),
             self.facts_of(images, shown),
             point_gap_m(range_m, self.rig.camera),
-            int(np.count_nonzero(range_m)),
+            len(seen),
             self.legend_of(images, shown.colouring),
         )
-
-    def points_of(self, images: SampleImages, colouring: Colouring) -> Points:
-        """Points of the variant shown, in reading order of its pixels."""
-        seen = np.flatnonzero(images.layers.range)
-        picked = images.layers.picked(lambda each: each.ravel()[None, seen])
-        xyz = points_at(metres(images.layers.range, self.rig.range_step_m), images.placed[0])
-        return Points(xyz, self._colours(colouring, picked)[0])
 
     def layout_of(self, sample: Sample) -> tuple[Layout, Window]:
         """Layout of a sample's panels, and the part of its images that they show: its body, where that is small."""
         window = window_of([sample.range])
         rows, columns = sample.range[window].shape
         return Layout.of(_COLUMNS, (rows, columns)), window
-
-    def _made(self, sample: Sample, shown: Shown, variant: VariantName) -> RangeImage:
-        return Augmentation(self.rig, variant, self.seed, shown.sensor)(sample, shown.epoch)
 
     def _answered(self, trained: Trained, layers: Layers) -> tuple[Layers, float]:
         """The layers with the network's, and its time, milliseconds."""

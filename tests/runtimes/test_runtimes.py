@@ -145,7 +145,7 @@ def test_a_segmenter_takes_a_backend() -> None:
     frame = np.zeros((60, 80), np.float32)
     frame[10:50, 30:42] = 2.0
     labels = [
-        Segmenter(network, camera, Background("keep"), backend=backend)(frame).labels
+        Segmenter(on_backend(network, backend), camera, Background("keep"))(frame).labels
         for backend in ("torch", "onnxruntime")
     ]
     assert np.array_equal(*labels) and (labels[0] != 255).any()

@@ -121,9 +121,9 @@ def test_artifacts_that_are_left_out_keep_their_strengths() -> None:
     state = SensorState(load_sensor_model())
     _, high = controls_of(state.artifact("noise"))
     assert state.move("noise", high, 30.0) and not state.move("noise", high, 30.0)
-    state.leave_out("noise", True)
+    state.left_out.add("noise")
     assert [artifact.name for artifact in state.model] == ["occlusion", "missing_data"]
-    state.leave_out("noise", False)
+    state.left_out.remove("noise")
     assert state.model == load_sensor_model().with_artifacts(Noise(0.0, 30.0))
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Final
 
 from bodyseg_data.core import BadConfig, refuse_special
-from bodyseg_model.recordings.recording import StoredRecording
+from bodyseg_model.recordings.recording import Frame
 
-Opener = Callable[[Path, str | None, float | None], StoredRecording]
+Opener = Callable[[Path, str | None, float | None], tuple[Frame, ...]]
 """Opens a recording: its path, a topic or array of it, and metres a step, both None where they are not given."""
 
 
@@ -29,7 +29,7 @@ class Format:
     suffixes: tuple[str, ...] = ()
     entry: str | None = None
 
-    def open(self, path: Path, topic: str | None, step_m: float | None) -> StoredRecording:
+    def open(self, path: Path, topic: str | None, step_m: float | None) -> tuple[Frame, ...]:
         """Open a recording. Raises BadConfig, MissingLibrary."""
         module, _, name = self.home.rpartition(".")
         opener: Opener = getattr(import_module(f"bodyseg_model.recordings.{module}"), name)
