@@ -103,11 +103,8 @@ def _near_plane(
     """Mark the pixels within the tolerance of a plane, bool [N]; and the sum of their ranges cubed."""
     near = np.empty(len(pixels), np.bool_)
     flat, columns = range_m.ravel(), range_m.shape[1]
-    return near, float(
-        _loops().mark_plane(
-            flat, pixels, columns, Lens(*camera.centre_px, camera.focal_px), plane, TOLERANCE_PER_M, near
-        )
-    )
+    lens = Lens(*camera.centre_px, camera.focal_px)
+    return near, float(_loops().mark_plane(flat, pixels, columns, lens, plane, TOLERANCE_PER_M, near))
 
 
 def _fit(rays: Points, inverse: NDArray[np.float64], plane: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -269,9 +266,8 @@ class Surfaces:
     def extents_m(self, number: int) -> tuple[float, float, float]:
         """Width, height and depth of a surface, metres."""
         flat, columns = self._range_m.ravel(), self._range_m.shape[1]
-        width, height, depth = _loops().extents(
-            flat, columns, Lens(*self._camera.centre_px, self._camera.focal_px), self.pixels_of(number)
-        )
+        lens = Lens(*self._camera.centre_px, self._camera.focal_px)
+        width, height, depth = _loops().extents(flat, columns, lens, self.pixels_of(number))
         return width, height, depth
 
     def bounding_boxes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
