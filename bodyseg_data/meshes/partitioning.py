@@ -95,17 +95,6 @@ def partition(
     return _with_borders(mesh, mended, labels, distance, line, pieces)
 
 
-def partition_unmended(mesh: Mesh, landmarks: NDArray[np.int64], method: GeodesicMethod) -> Partition:
-    """Partition `mesh` by `method` without mending or a fallback method, to measure the effect of both.
-
-    As `partition`, but raises Unanswerable if `method` fails.
-    """
-    unmended = MendedSurface(mesh.faces.astype(np.int64), np.arange(len(mesh.vertices)), ())
-    return _with_borders(
-        mesh, unmended, *_nearest_landmarks(mesh, _checked_landmarks(mesh, landmarks), unmended, method)
-    )
-
-
 def _nearest_landmarks(
     mesh: Mesh, landmarks: NDArray[np.int64], surface: MendedSurface, method: GeodesicMethod
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64], str | None]:
@@ -128,7 +117,7 @@ def _with_borders(
     labels: NDArray[np.uint8],
     distance: NDArray[np.float64],
     note: str | None,
-    pieces: Sequence[SurfacePiece] = (),
+    pieces: Sequence[SurfacePiece],
 ) -> Partition:
     reached = np.isfinite(distance)
     if pieces:

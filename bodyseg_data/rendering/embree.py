@@ -1,4 +1,4 @@
-"""Ray casting with Intel's Embree, also of shadow rays; needs no system libraries."""
+"""Ray casting with Intel's Embree; needs no system libraries."""
 
 from __future__ import annotations
 
@@ -52,26 +52,6 @@ class EmbreeRenderer:
         distances: NDArray[np.float32] = self._scene.run(*self._rays(camera, pixels), query="DISTANCE")
         distances[distances >= _MISS_DISTANCE] = 0
         return distances
-
-    def lit(self, points: NDArray[np.float64], source: NDArray[np.float64], gap_m: float = 1e-4) -> NDArray[np.bool_]:
-        """Cast exact shadow rays: True for each of `points` [N, 3] that a light at `source` [3] reaches, bool [N].
-
-        A point is lit if no triangle crosses the segment from the source to `gap_m` metres before the point; without
-        the gap, the triangle that contains the point would occlude it.
-        """
-        if not len(points):
-            return np.zeros(0, np.bool_)
-        directions = points - source
-        origins = np.broadcast_to((source - self._origin).astype(np.float32), directions.shape)
-        fraction = 1 - gap_m / np.linalg.norm(directions, axis=1)
-        occluded = self._scene.run(
-            np.ascontiguousarray(origins),
-            directions.astype(np.float32),
-            dists=fraction.astype(np.float32),
-            query="OCCLUDED",
-        )
-        lit: NDArray[np.bool_] = occluded < 0  # Embree's binding gives 0 for blocked, -1 for free
-        return lit
 
     def close(self) -> None:
         """Do nothing: all memory is Python's."""

@@ -9,6 +9,7 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 from benches.data.surface.areas import part_areas
+from benches.data.surface.partition import partition_unmended
 from shapes import ball, box_mesh, evenly_drawn, figure
 
 from bodyseg_data.core import BadConfig, BadLandmarks, MissingLibrary, Unanswerable
@@ -16,7 +17,6 @@ from bodyseg_data.labels import PART_COUNT
 from bodyseg_data.meshes import GeodesicMethod, Mesh, geodesics, partition
 from bodyseg_data.meshes.geodesics import FALLBACK_METHOD
 from bodyseg_data.meshes.landmarks import nearest_corner
-from bodyseg_data.meshes.partitioning import partition_unmended
 
 
 def test_distances_on_a_flat_grid_are_straight_lines_not_paths_along_edges() -> None:
