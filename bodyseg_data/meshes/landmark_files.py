@@ -219,4 +219,4 @@ def load_landmark_file(path: Path) -> LandmarkSet | PointLandmarks:
     if path.suffix.lower() != ".json":
         raise BadLandmarks(f"a landmark file must be .json, .lnd or .lnd.gz, found {path}")
     text = read_text(path)
-    return (parse_points if "points" in json_table(text, str(path)) else parse_landmarks)(text, str(path))
+    return (parse_points if json_table(text, str(path)).has("points") else parse_landmarks)(text, str(path))
