@@ -29,7 +29,7 @@ from bodyseg_data.bodies.body_fit import (
     refine,
     surface_distance,
 )
-from bodyseg_data.bodies.fitting_body import FEATURE, FittingBody, SurfacePoints, Tensor, fitting_body, sample_surface
+from bodyseg_data.bodies.fitting_body import FittingBody, SurfacePoints, Tensor, fitting_body, sample_surface
 from bodyseg_data.bodies.motions.curves import about_y
 from bodyseg_data.core import BadMesh
 from bodyseg_data.labels import PART_COUNT
@@ -119,8 +119,8 @@ def gap_m(target: SurfacePoints, own: SurfacePoints) -> float:
 
 
 def largest_piece(mesh: Mesh) -> NDArray[np.int64]:
-    """Return the vertices of the piece with the largest area. Raises BadMesh for fewer than 33, MissingLibrary."""
-    piece = mesh.pieces(FEATURE)
+    """Return the vertices of the piece with the largest area. Raises BadMesh for fewer than 33."""
+    piece = mesh.pieces()
     area = np.bincount(piece[mesh.faces[:, 0]], np.linalg.norm(mesh.normals, axis=1))
     used = np.unique(mesh.faces).astype(np.int64)
     largest: NDArray[np.int64] = used[piece[used] == area.argmax()]

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.meshes import find_edges
+from bodyseg_data.meshes import find_edges, nearest_sources
 
 _GATHERED: Final = 0.25  # share of loose outfits with bands
 _SEEDS: Final = 1_000_000
@@ -295,13 +295,7 @@ def _ring_centre(rest: Floats, distance: Floats, value: float) -> Floats:
 
 
 def _distances(rest: Floats, faces: NDArray[np.int32], source: int) -> Floats:
-    from scipy.sparse import csr_matrix
-    from scipy.sparse.csgraph import dijkstra
-
-    ends = find_edges(faces).ends
-    lengths = np.linalg.norm(rest[ends[:, 0]] - rest[ends[:, 1]], axis=1)
-    graph = csr_matrix((lengths, (ends[:, 0], ends[:, 1])), shape=(len(rest),) * 2)
-    return np.asarray(dijkstra(graph, directed=False, indices=source), np.float64)
+    return nearest_sources("edges", rest, faces.astype(np.int64), np.array([source])).distance
 
 
 def _same_piece(rest: Floats, faces: NDArray[np.int32], vertex: int) -> NDArray[np.bool_]:

@@ -8,7 +8,7 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_data.meshes.coincident import separate
-    from bodyseg_data.meshes.geodesics import GeodesicMethod, check_method
+    from bodyseg_data.meshes.geodesics import GeodesicMethod, check_method, nearest_sources
     from bodyseg_data.meshes.landmark_files import load_landmark_file
     from bodyseg_data.meshes.landmarks import (
         FARTHEST_M,
@@ -29,7 +29,7 @@ __getattr__, __all__ = lazy_door(
     __name__,
     {
         "coincident": "separate",
-        "geodesics": "GeodesicMethod check_method",
+        "geodesics": "GeodesicMethod check_method nearest_sources",
         "landmark_files": "load_landmark_file",
         "landmarks": "FARTHEST_M METRES LandmarkSet PointLandmarks SnappedLandmarks farthest_from load_landmarks",
         "mesh": "HEIGHT_RANGE_M Mesh find_edges",

@@ -44,8 +44,6 @@ landmark farther away belongs to another body, unit or frame.
 METRES: Final[Mapping[str, float]] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 """Metres in a unit of length."""
 
-_FEATURE: Final = "putting landmarks onto a surface"
-
 
 @dataclass(frozen=True)
 class LandmarkSet:
@@ -69,13 +67,7 @@ class LandmarkSet:
         Raises BadLandmarks, naming set and mesh, if the mesh has another number of vertices or faces, or if no face
         uses the vertex of a landmark.
         """
-        found = (len(mesh.vertices), len(mesh.faces))
-        if found != (self.vertex_count, self.face_count):
-            raise BadLandmarks(
-                f"landmarks {self.source} are for meshes of {self.vertex_count} vertices and {self.face_count} faces "
-                f"({self.topology}), found {found[0]} and {found[1]} in mesh {mesh.name}: "
-                "this mesh needs landmarks of its own"
-            )
+        self.check_counts(len(mesh.vertices), len(mesh.faces), f"mesh {mesh.name}")
         vertices = np.array(self.vertices, np.int64)
         loose = np.flatnonzero(~np.isin(vertices, mesh.faces))
         if len(loose):
@@ -84,6 +76,14 @@ class LandmarkSet:
                 f"{vertices[loose[0]]}, which no face of mesh {mesh.name} uses"
             )
         return vertices
+
+    def check_counts(self, vertices: int, faces: int, where: str) -> None:
+        """Raise BadLandmarks for a mesh, named by `where`, of another number of vertices or faces."""
+        if (vertices, faces) != (self.vertex_count, self.face_count):
+            raise BadLandmarks(
+                f"landmarks {self.source} are for meshes of {self.vertex_count} vertices and {self.face_count} faces "
+                f"({self.topology}), found {vertices} and {faces} in {where}: this mesh needs landmarks of its own"
+            )
 
     def to_json(self) -> str:
         """Serialise the set as the JSON text that `load_landmarks` reads."""
@@ -177,7 +177,7 @@ class PointLandmarks:
         """Project the landmarks onto the surface of `mesh`, whose frame the points must be in.
 
         Raises BadLandmarks, naming the landmark, for one farther than `FARTHEST_M` from the surface, three in one
-        place, and one on another piece of the surface than most; MissingLibrary without trimesh, rtree or scipy.
+        place, and one on another piece of the surface than most; MissingLibrary without trimesh or rtree.
         """
         where = f"landmarks {self.source} on mesh {mesh.name}"
         vertices, distance = snap(mesh, self.points)
@@ -191,7 +191,7 @@ class PointLandmarks:
                 + (f", and {others} more beyond {100 * FARTHEST_M:g} cm" if others else "")
             )
         vertices, notes = separate(mesh, vertices, self.points, where)
-        piece = mesh.pieces(_FEATURE)[vertices]
+        piece = mesh.pieces()[vertices]
         body = np.bincount(piece).argmax()
         if (piece != body).any():
             stray = int(np.flatnonzero(piece != body)[0])
@@ -219,7 +219,7 @@ def snap(mesh: Mesh, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], ND
     Raises MissingLibrary without trimesh, rtree or scipy.
     """
     faces = mesh.faces[(mesh.normals != 0).any(axis=1)]  # a triangle without area has no nearest point
-    vertices, distance = nearest_corner(mesh.vertices, faces, points, _FEATURE)
+    vertices, distance = nearest_corner(mesh.vertices, faces, points)
     return vertices.astype(np.int64), distance
 
 
@@ -294,20 +294,20 @@ def _without_doubles(pairs: list[tuple[str, Any]], where: str) -> dict[str, Any]
 
 
 def nearest_corner(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32], points: NDArray[np.float64], feature: str
+    vertices: NDArray[np.float64], faces: NDArray[np.int32], points: NDArray[np.float64]
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
     """Find the triangle nearest to each of `points` [P, 3]: its corner nearest to the point, int32 [P], and the
     distance from the point to the triangle, float64 [P], metres.
 
-    vertices: [V, 3], metres. faces: [F, 3], none of zero area. feature: the feature that the message names.
-    Raises MissingLibrary without trimesh, rtree or scipy.
+    vertices: [V, 3], metres. faces: [F, 3], none of zero area. Raises MissingLibrary without trimesh or rtree.
     """
+    from scipy.spatial import KDTree
+
     try:
         import rtree  # noqa: F401  trimesh imports it late and reports its absence in other words
         import trimesh
-        from scipy.spatial import KDTree
     except ImportError as error:
-        raise missing_library(feature, error) from error
+        raise missing_library("measuring distances to a surface", error) from error
     # No point is farther from the surface than from its nearest vertex, so only triangles within that distance of the
     # points' bounding box can be nearest: for eyes in a head a few hundred instead of all.
     reach = KDTree(vertices[np.unique(faces)]).query(points)[0].max() + 1e-9  # rounding must not lose the nearest
@@ -322,12 +322,10 @@ def nearest_corner(
     return nearest, np.asarray(distance, np.float64)
 
 
-def farthest_from(vertices: NDArray[np.float64], points: NDArray[np.float64], feature: str) -> float:
+def farthest_from(vertices: NDArray[np.float64], points: NDArray[np.float64]) -> float:
     """The largest distance of `points` [P, 3] to their nearest vertices [V, 3], metres: that to a surface of these
-    vertices is no larger. feature: the feature that the message of MissingLibrary, raised without scipy, names.
+    vertices is no larger.
     """
-    try:
-        from scipy.spatial import KDTree
-    except ImportError as error:
-        raise missing_library(feature, error) from error
+    from scipy.spatial import KDTree
+
     return float(KDTree(vertices).query(points)[0].max())

@@ -75,24 +75,24 @@ def find_edges(faces: NDArray[Any]) -> Edges:
     return Edges(np.stack(np.divmod(keys, stride), axis=1), count, of_side.reshape(-1, 3))
 
 
-def face_components(count: int, faces: NDArray[np.integer[Any]], feature: str) -> NDArray[np.int32]:
+def face_components(count: int, faces: NDArray[np.integer[Any]]) -> NDArray[np.int32]:
     """Connected piece of the surface `faces` [F, 3] that each of `count` vertices belongs to; see `components`.
 
     Two edges of a triangle connect its three vertices.
     """
-    return components(count, faces[:, [0, 1, 1, 2]].reshape(-1, 2), feature)
+    return components(count, faces[:, [0, 1, 1, 2]].reshape(-1, 2))
 
 
-def components(count: int, pairs: NDArray[np.integer[Any]], feature: str) -> NDArray[np.int32]:
+def components(count: int, pairs: NDArray[np.integer[Any]]) -> NDArray[np.int32]:
     """Connected component of each node of a graph, int32 [count]. pairs: [N, 2], its edges, as indices of nodes.
 
-    feature: the feature that the message names. Raises MissingLibrary without scipy.
+    Raises MissingLibrary without scipy. Every `Mesh` comes past here, so whoever has one has scipy.
     """
     try:
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
     except ImportError as error:
-        raise missing_library(feature, error) from error
+        raise missing_library("checking a mesh", error) from error
     links = coo_array((np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     component: NDArray[np.int32] = connected_components(links, directed=False)[1]
     return component
@@ -165,7 +165,7 @@ class Mesh:
     def _lowest_closed_volume(self) -> float:
         """Smallest signed volume, m3, of all closed connected pieces; infinite if no piece is closed."""
         edges = find_edges(self.faces)
-        piece = self.pieces("checking a mesh")
+        piece = self.pieces()
         closed = np.ones(piece.max() + 1, np.bool_)
         closed[piece[edges.ends[edges.faces == 1, 0]]] = False
         faces = self.faces[closed[piece[self.faces[:, 0]]]]
@@ -177,12 +177,9 @@ class Mesh:
         corners = self.vertices[faces] - origin[piece_of_face][:, None]
         return float(np.bincount(piece_of_face, weights=signed_volumes(corners)).min())
 
-    def pieces(self, feature: str) -> NDArray[np.int32]:
-        """Index of the connected piece of the surface that each vertex belongs to, int32 [V].
-
-        feature: the feature that the message names. Raises MissingLibrary without scipy.
-        """
-        return face_components(len(self.vertices), self.faces, feature)
+    def pieces(self) -> NDArray[np.int32]:
+        """Index of the connected piece of the surface that each vertex belongs to, int32 [V]."""
+        return face_components(len(self.vertices), self.faces)
 
     @cached_property
     def surface_vertices(self) -> NDArray[np.float64]:

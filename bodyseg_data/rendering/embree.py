@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,19 +20,15 @@ _MISS_DISTANCE = np.float32(1e37)  # the distance that Embree's binding gives fo
 
 
 class EmbreeRenderer:
-    """Renderer of one mesh by ray casting; its Embree tree is built once and serves any number of cameras.
+    """Renderer of one mesh by ray casting; its Embree tree is built once and serves any number of cameras."""
 
-    covered: function from a camera to the mask of pixels through which rays are cast, bool [H, W]; default: that of
-    the mesh's `Outline`.
-    """
-
-    def __init__(self, mesh: Mesh, covered: Callable[[PlacedCamera], NDArray[np.bool_]] | None = None) -> None:
+    def __init__(self, mesh: Mesh) -> None:
         # Single-precision rays are accurate to about 0.3 um at 2.5 m when coordinates are small, so the tree is built
         # around the body's centre. "Robust" traversal never lets a ray slip between two triangles.
         self._origin = mesh.centre
         self._scene = EmbreeScene(robust=True)
         TriangleMesh(self._scene, (mesh.vertices - self._origin).astype(np.float32), mesh.faces)
-        self._covered = Outline(mesh).covered if covered is None else covered
+        self._covered = Outline(mesh).covered
 
     def render(self, camera: PlacedCamera) -> Surface:
         shape = camera.camera.rows, camera.camera.columns

@@ -317,7 +317,7 @@ def test_looking_only_at_nearby_triangles_gives_the_answer_of_looking_at_all(mon
         return whole(surface, points)
 
     monkeypatch.setattr(trimesh.proximity, "closest_point", counted)
-    found, distances = nearest_corner(mesh.vertices, mesh.faces, points, "testing")
+    found, distances = nearest_corner(mesh.vertices, mesh.faces, points)
     everything = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     closest, away, _ = whole(everything, points)
     assert asked[0] < len(mesh.faces)
