@@ -226,7 +226,8 @@ class MeshBodies(ListedBodies[MeshFile]):
         else:
             alignment, decided_by = self._group_alignment(file.group)
             unit: Any = next(unit for unit, metres in METRES.items() if metres == alignment.scale)
-            metres_a_unit(_used(surface), unit, f"{file.path}, in the unit of {decided_by}")
+            where = f"{file.path}, in the unit of {decided_by}" if self._options.units == "auto" else str(file.path)
+            metres_a_unit(_used(surface), unit, where)
         return alignment.apply(surface[0]), surface[1], alignment
 
     def _check_landmarks(self, bodies: Sequence[BodyRef]) -> None:
@@ -249,8 +250,8 @@ class MeshBodies(ListedBodies[MeshFile]):
             raise BadLandmarks(f"a body needs landmarks, found none for {file.wanted}")
         if file.landmarks not in self._sets:
             try:
-                load = load_landmark_file if isinstance(file.landmarks, Path) else load_landmarks
-                read = load(file.landmarks)  # type: ignore[operator]
+                path = file.landmarks
+                read = load_landmark_file(path) if isinstance(path, Path) else load_landmarks(path)
             except BadLandmarks as error:
                 subject = f"subject {body.subject}: " if not file.shared else ""
                 raise BadLandmarks(f"{subject}{error}") from error
