@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadMesh, contents
+from bodyseg_data.core import BadMesh, BodysegError, contents
 from bodyseg_data.meshes.mesh import check_arrays
 
 _TYPES: Final = {
@@ -247,7 +247,7 @@ def read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     suffix = mesh_suffix(path.name)
     if suffix is None:
         raise BadMesh(f"a mesh file's name must end in {', '.join(MESH_SUFFIXES)}, found {path}")
-    data = _contents(path, packed=suffix.endswith(".gz"))
+    data = file_bytes(path, "mesh", LARGEST_BYTES, BadMesh)
     form = suffix.removesuffix(".gz")[1:]
     try:
         points, polygons = {"ply": _read_ply, "obj": _read_obj, "off": _read_off}[form](data)
@@ -273,15 +273,19 @@ def preferred(names: Sequence[str]) -> str:
     return min(names, key=lambda name: (MESH_SUFFIXES.index(mesh_suffix(name) or ""), name))
 
 
-def _contents(path: Path, packed: bool) -> bytes:
+def file_bytes(path: Path, kind: str, limit: int, error: type[BodysegError]) -> bytes:
+    """Read a file of a kind, unpacked if its name ends in .gz.
+
+    Raises `error`, naming the file, for one that cannot be read, is no whole gzip file, or holds more than `limit`.
+    """
     try:
-        data = contents(path, packed, LARGEST_BYTES)
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise BadMesh(f"{path} is not a whole gzip file: {error}") from error
-    except OSError as error:
-        raise BadMesh(f"cannot read {path}: {error.strerror or error}") from error
+        data = contents(path, path.suffix.lower() == ".gz", limit)
+    except (EOFError, zlib.error, gzip.BadGzipFile) as fault:
+        raise error(f"{path} is not a whole gzip file: {fault}") from fault
+    except OSError as fault:
+        raise error(f"cannot read {path}: {fault.strerror or fault}") from fault
     if data is None:
-        raise BadMesh(f"{path}: a mesh file may hold {LARGEST_BYTES >> 20} MiB, found more")
+        raise error(f"{path}: a {kind} file may hold {limit >> 20} MiB, found more")
     return data
 
 

@@ -19,8 +19,8 @@ from benches.data.surface.broken_bodies import CASES, Broken, scan, sound
 from benches.data.surface.rival_geodesics import RIVALS, rivals_installed
 from bodyseg_data.bodies import Body, open_source
 from bodyseg_data.core import ProgressCallback, Unanswerable, silent
-from bodyseg_data.meshes import GeodesicMethod, Mesh, Partition, partition
-from bodyseg_data.meshes.geodesics import FALLBACK_METHOD, nearest_sources
+from bodyseg_data.meshes import GeodesicMethod, Mesh, Partition, nearest_sources, partition
+from bodyseg_data.meshes.geodesics import FALLBACK_METHOD
 from bodyseg_data.meshes.mending import MendedSurface
 from bodyseg_data.meshes.partitioning import _nearest_landmarks, _with_borders
 from bodyseg_data.packing.options import evenly_sampled
