@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies.anny_model import Posable
 from bodyseg_data.bodies.skeleton import Arm, Leg, arm_rotations, finger_rotations, leg_rotations
+from bodyseg_data.meshes import face_normals
 
 Name = TypeVar("Name", bound=str)
 
@@ -245,8 +246,7 @@ class PosedSkin:
 
 def vertex_normals(vertices: Floats, faces: NDArray[np.int32]) -> Floats:
     """Return unit normals [V, 3], of adjoining faces weighted by area."""
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    across = np.cross(b - a, c - a)
+    across = face_normals(vertices, faces)
     count = len(vertices)
     sums = [np.bincount(faces.ravel(), np.repeat(across[:, axis], 3), count) for axis in range(3)]
     normals = np.stack(sums, axis=1)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies.outfits import Outfit, cut
 from bodyseg_data.core import generator
-from bodyseg_data.meshes import find_edges
+from bodyseg_data.meshes import face_normals, find_edges
 
 Floats = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -252,7 +252,7 @@ class Wardrobe:
         self._slack = outfit.slack * _AT_REST + pieces.crumple[self._vertices, None] * _AT_ENDS
         normals = self._normals(points)
         axes = _tangent(pieces.axis[self._vertices], normals)
-        areas = self._gather @ np.linalg.norm(self._face_normals(points), axis=1) / 6
+        areas = self._gather @ np.linalg.norm(face_normals(points, self._faces), axis=1) / 6
         self._patterns = fold_patterns(points, normals, axes, areas, outfit.fold_m, outfit.seed)
         self._wave = outfit.fold_m
         self._rest_areas, self._frames = self._rest_frames(points, axes)
@@ -285,17 +285,13 @@ class Wardrobe:
         gap = np.einsum("ij,ij->i", cloth - body, out)[:, None]
         return np.asarray(cloth + self._cover * np.maximum(_THICKNESS_M - gap, 0) * out, np.float64)
 
-    def _face_normals(self, points: Floats) -> Floats:
-        a, b, c = (points[self._faces[:, corner]] for corner in range(3))
-        return np.asarray(np.cross(b - a, c - a), np.float64)
-
     def _normals(self, points: Floats) -> Floats:
-        normals = self._gather @ self._face_normals(points)
+        normals = self._gather @ face_normals(points, self._faces)
         return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12), np.float64)
 
     def _rest_frames(self, points: Floats, axes: Floats) -> tuple[Floats, Floats]:
         """Return double areas [F] at rest, and the inverse [F, 2, 2] of each triangle's edges in (axis, around it)."""
-        across = self._face_normals(points)
+        across = face_normals(points, self._faces)
         areas = np.linalg.norm(across, axis=1)
         across /= np.maximum(areas, 1e-15)[:, None]
         axis = _tangent(axes[self._faces].sum(axis=1), across)

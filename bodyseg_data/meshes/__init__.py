@@ -19,7 +19,7 @@ if TYPE_CHECKING:
         farthest_from,
         load_landmarks,
     )
-    from bodyseg_data.meshes.mesh import HEIGHT_RANGE_M, Mesh, find_edges
+    from bodyseg_data.meshes.mesh import HEIGHT_RANGE_M, Mesh, face_normals, find_edges
     from bodyseg_data.meshes.mesh_files import mesh_stem, mesh_suffix, preferred, read_mesh
     from bodyseg_data.meshes.partitioning import Partition, partition
     from bodyseg_data.meshes.repairing import repair, with_pymeshlab
@@ -32,7 +32,7 @@ __getattr__, __all__ = lazy_door(
         "geodesics": "GeodesicMethod check_method nearest_sources",
         "landmark_files": "load_landmark_file",
         "landmarks": "FARTHEST_M METRES LandmarkSet PointLandmarks SnappedLandmarks farthest_from load_landmarks",
-        "mesh": "HEIGHT_RANGE_M Mesh find_edges",
+        "mesh": "HEIGHT_RANGE_M Mesh face_normals find_edges",
         "mesh_files": "mesh_stem mesh_suffix preferred read_mesh",
         "partitioning": "Partition partition",
         "repairing": "repair with_pymeshlab",

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.meshes.mesh import Edges, components, find_edges
+from bodyseg_data.meshes.mesh import Edges, components, face_normals, find_edges
 from bodyseg_data.meshes.repairing import SAME_POINT_M
 
 
@@ -104,8 +104,7 @@ def _kept_at_edges(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> N
     sides = np.flatnonzero(edges.faces[edges.of_side.ravel()] > 2)
     edge, face = edges.of_side.ravel()[sides], sides // 3
     open_edges = (edges.faces[edges.of_side] == 1).sum(axis=1)[face]
-    a, b, c = np.moveaxis(vertices[faces[face]], 1, 0)
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    area = np.linalg.norm(face_normals(vertices, faces[face]), axis=1)
     order = np.lexsort((face, -area, open_edges, edge))
     edge, face = edge[order], face[order]
     needed[face[np.arange(len(edge)) - np.searchsorted(edge, edge) >= 2]] = False

@@ -136,35 +136,29 @@ class Mesh:
 
         Open pieces are not judged one by one: the cavity of a mouth, cut off, would seem inside out.
         """
-        clash = self._clashing_edge()
-        if clash is not None:
+        edges = find_edges(self.faces)
+        forwards = np.where(self.faces < np.roll(self.faces, -1, axis=1), 1, -1)
+        balance = np.bincount(edges.of_side.ravel(), weights=forwards.ravel())
+        proper = edges.ends[:, 0] != edges.ends[:, 1]  # not from a vertex to itself
+        clashes = edges.ends[(edges.faces == 2) & (balance != 0) & proper]
+        if len(clashes):
             raise BadMesh(
                 f"mesh {self.name}: neighbouring faces must agree on their outside, found faces that clash at the edge "
-                f"of vertices {clash[0]} and {clash[1]}"
+                f"of vertices {clashes[0, 0]} and {clashes[0, 1]}"
             )
-        whole, lowest = self.signed_volume(), self._lowest_closed_volume()
+        whole, lowest = self.signed_volume(), self._lowest_closed_volume(edges)
         if whole <= 0 or lowest < -_SLIGHT_VOLUME_M3:
             raise BadMesh(
                 f"mesh {self.name}: faces must point outwards, found a signed volume of {min(whole, lowest):.3g} m3 "
                 "(inside out?)"
             )
 
-    def _clashing_edge(self) -> tuple[int, int] | None:
-        """The vertices of an edge that exactly two faces share and traverse in the same direction; None without one."""
-        edges = find_edges(self.faces)
-        forwards = np.where(self.faces < np.roll(self.faces, -1, axis=1), 1, -1)
-        balance = np.bincount(edges.of_side.ravel(), weights=forwards.ravel())
-        proper = edges.ends[:, 0] != edges.ends[:, 1]  # not from a vertex to itself
-        bad = np.flatnonzero((edges.faces == 2) & (balance != 0) & proper)
-        return None if not len(bad) else (int(edges.ends[bad[0], 0]), int(edges.ends[bad[0], 1]))
-
     def signed_volume(self) -> float:
         """Enclosed volume, m3, measured about the mean vertex; negative if faces point inwards."""
         return float(signed_volumes(self.vertices[self.faces] - self.surface_vertices.mean(axis=0)).sum())
 
-    def _lowest_closed_volume(self) -> float:
+    def _lowest_closed_volume(self, edges: Edges) -> float:
         """Smallest signed volume, m3, of all closed connected pieces; infinite if no piece is closed."""
-        edges = find_edges(self.faces)
         piece = self.pieces()
         closed = np.ones(piece.max() + 1, np.bool_)
         closed[piece[edges.ends[edges.faces == 1, 0]]] = False
@@ -195,8 +189,7 @@ class Mesh:
     @cached_property
     def normals(self) -> NDArray[np.float64]:
         """Outward normals of all faces, float64 [F, 3]; length twice the face's area, 0 if degenerate."""
-        corners = self.vertices[self.faces]
-        return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        return face_normals(self.vertices, self.faces)
 
     @cached_property
     def vertex_normals(self) -> NDArray[np.float64]:
@@ -218,6 +211,12 @@ class Mesh:
         area[area == 0] = 1  # a degenerate triangle: any corner is as good
         v, w = (bb * p_ab - ab_ac * p_ac) / area, (aa * p_ac - ab_ac * p_ab) / area
         return np.stack([1 - v - w, v, w], axis=1)
+
+
+def face_normals(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
+    """Normals of triangles, float64 [F, 3], by the right-hand rule; length twice the triangle's area."""
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    return np.cross(b - a, c - a)
 
 
 def signed_volumes(corners: NDArray[np.float64]) -> NDArray[np.float64]:

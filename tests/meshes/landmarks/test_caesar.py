@@ -210,7 +210,7 @@ def test_a_file_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
     for content in (b"not gzip", gzip.compress(text(rows()).encode())[:-20]):
         path = tmp_path / "cut.lnd.gz"
         path.write_bytes(content)
-        with pytest.raises(BadLandmarks, match=r"cannot read the landmark file .*cut\.lnd\.gz"):
+        with pytest.raises(BadLandmarks, match=r"cut\.lnd\.gz is not a whole gzip file"):
             read_lnd(path)
 
 
