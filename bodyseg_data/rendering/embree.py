@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.machine import missing_library
 from bodyseg_data.meshes import Mesh
-from bodyseg_data.rendering.renderer import Outline, Surface
+from bodyseg_data.rendering.renderer import Outline, Renderer, Surface
 from bodyseg_data.rigs import PlacedCamera
 
 try:
@@ -19,7 +19,7 @@ except ImportError as error:
 _MISS_DISTANCE = np.float32(1e37)  # the distance that Embree's binding gives for a ray without a hit
 
 
-class EmbreeRenderer:
+class EmbreeRenderer(Renderer):
     """Renderer of one mesh by ray casting; its Embree tree is built once and serves any number of cameras."""
 
     def __init__(self, mesh: Mesh) -> None:
@@ -46,9 +46,6 @@ class EmbreeRenderer:
         distances: NDArray[np.float32] = self._scene.run(*self._rays(camera, pixels), query="DISTANCE")
         distances[distances >= _MISS_DISTANCE] = 0
         return distances
-
-    def close(self) -> None:
-        """Do nothing: all memory is Python's."""
 
     def _rays(self, camera: PlacedCamera, pixels: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Origins and directions of the rays through the centres of pixels, float32 [N, 3] each, body frame.
