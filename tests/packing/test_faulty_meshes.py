@@ -305,7 +305,7 @@ def test_meshes_of_one_group_name_the_mesh_that_decided_their_unit(tmp_path: Pat
     write_mesh(tmp_path / "a.ply")
     write_mesh(tmp_path / "b.ply", PERSON.vertices * 1000)
     source = open_source("folder", tmp_path)
-    problem = rf"b\.ply: .* found 1\.7e\+03 m in m, the unit of {tmp_path}/a\.ply: meshes that share landmarks"
+    problem = rf"b\.ply, in the unit of {tmp_path}/a\.ply: a body must be .*, found .* 1700 .* m, which would fit in mm"
     with pytest.raises(BadMesh, match=problem):
         source.check(source.bodies()[1])
     source = open_source("folder", tmp_path, units="mm")
