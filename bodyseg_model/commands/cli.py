@@ -25,7 +25,7 @@ COMMANDS: Final[Commands] = {
     ),
     "sensor show": ("bodyseg_model.commands.sensor:ShowSensor", "print a sensor model as TOML"),
     "view": ("bodyseg_model.commands.view", "show a set or a recording in the browser"),
-    "stability": ("bodyseg_model.commands.stability", "measure robustness to sensor artifacts and motion"),
+    "stability": ("bodyseg_model.commands.stability", "measure robustness to sensor artifacts"),
 }
 
 

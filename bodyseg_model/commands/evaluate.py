@@ -21,6 +21,7 @@ from bodyseg_data.commands import (
 )
 from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import new_chart, save_picture
+from bodyseg_data.files import make_folder
 from bodyseg_data.labels import LabelMap, load_label_map
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, RangeImages, WorkerMethod
 from bodyseg_data.machine import peak_mb
@@ -149,10 +150,7 @@ def _check(options: Options) -> None:
     check_target(options.json, "--json")
     if options.figures is not None:
         new_chart(1, 1)  # fail now if matplotlib is missing, not after hours
-        try:
-            options.figures.mkdir(exist_ok=True)
-        except OSError as error:
-            raise BadConfig(f"--figures cannot be the folder {options.figures}: {error.strerror or error}") from error
+        make_folder(options.figures)
         check_target(options.figures / "parts.png", "--figures")
 
 

@@ -1,4 +1,4 @@
-"""`bodyseg stability`: robustness of networks to sensor artifacts and motion."""
+"""`bodyseg stability`: robustness of networks to sensor artifacts."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import torch
 
 from bodyseg_data.commands import WHERE_HELP, Progress, command_line, last_name, option, provenance, write_figures
 from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import new_chart
+from bodyseg_data.files import make_folder
 from bodyseg_data.loading import RangeImages
 from bodyseg_model.networks import find_device
 from bodyseg_model.stability import (
@@ -28,15 +29,11 @@ from bodyseg_model.stability import (
     group,
     group_of,
     load_runs,
-    motion_over_seeds,
     summarise,
-    temporal,
 )
 from bodyseg_model.training import use_threads
 
 EXAMPLE = "bodyseg stability --run runs/all-0 runs/all-1 runs/all-2 --data shards --hard hard --out stability"
-
-Part = Literal["images", "temporal"]
 
 _FORMAT: Final = "bodyseg stability 1"
 
@@ -52,8 +49,7 @@ class Options:
         "runs that mCE compares with, such as FCN-AlexNet trained on none (default: no mCE)", ()
     )
     hard: str | None = option("a set of hard poses, for the sweep 'hard' (default: without)", None, address=True)
-    parts: tuple[Part, ...] = option("what to measure", ("images", "temporal"))
-    sweeps: tuple[str, ...] = option(f"which sweeps of images: {', '.join(SWEEPS)} (default: all)", ())
+    sweeps: tuple[str, ...] = option(f"which sweeps: {', '.join(SWEEPS)} (default: all)", ())
     where: tuple[str, ...] = option(WHERE_HELP, ())
     images: int = option("images of every condition", 40)
     seed: int = option("seed of the artifacts, and of the choice of images", 0)
@@ -62,7 +58,7 @@ class Options:
 
 
 def run(options: Options) -> int:
-    """Measure the chosen parts, write stability.json, then draw."""
+    """Measure the sweeps, write stability.json, then draw."""
     if options.images < 1:
         raise BadConfig(f"--images must be at least 1, found {options.images}")
     use_threads(options.threads)
@@ -72,12 +68,8 @@ def run(options: Options) -> int:
     runs = load_runs((*options.run, *options.reference))
     groups = group(runs)
     reference = group_of(groups, options.reference)
-    if "images" in options.parts:
-        new_chart(1, 1)  # fail now if matplotlib is missing, not after hours
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadConfig(f"--out cannot be the folder {options.out}: {error.strerror or error}") from error
+    new_chart(1, 1)  # fail now if matplotlib is missing, not after hours
+    make_folder(options.out)
     start = time.perf_counter()
     for each in runs:
         each.trained.network.to(device)
@@ -87,18 +79,13 @@ def run(options: Options) -> int:
         "device": str(device),
         "threads": torch.get_num_threads(),
         "networks": {each.name: _origin(each) for each in runs},
+        **_images(options, runs, groups, sweeps, reference),
     }
-    if "images" in options.parts:
-        figures |= _images(options, runs, groups, sweeps, reference)
-    if "temporal" in options.parts:
-        figures["temporal"] = _temporal(options, runs, groups)
     figures["seconds"] = round(time.perf_counter() - start, 1)
-    written = [options.out / "stability.json"]
-    write_figures(written[0], figures)
-    if "images" in options.parts:
-        written.append(options.out / "stability.png")
-        draw_stability(figures, written[-1])
-    sys.stderr.write(f"{_remarks(groups, reference)}wrote {', '.join(map(str, written))}\n")
+    written, picture = options.out / "stability.json", options.out / "stability.png"
+    write_figures(written, figures)
+    draw_stability(figures, picture)
+    sys.stderr.write(f"{_remarks(groups, reference)}wrote {written}, {picture}\n")
     return 0
 
 
@@ -121,15 +108,6 @@ def _images(
         "hard": None if hard is None else _describe(hard),
         **summarise(groups, sweeps, found, reference),
     }
-
-
-def _temporal(options: Options, runs: list[Run], groups: list[Group]) -> dict[str, Any]:
-    """Measure the temporal consistency of labels while bodies move."""
-    networks = {each.name: each.trained.network for each in runs}
-    rig = RangeImages(options.data, "none", "test").manifest.rig
-    with Progress("motion", "frames") as progress:
-        found = temporal(networks, seed=options.seed, rig=rig, progress=progress.update)
-    return found | {"groups": motion_over_seeds(groups, found["networks"])}
 
 
 def _describe(images: RangeImages) -> dict[str, Any]:

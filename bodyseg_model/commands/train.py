@@ -251,13 +251,15 @@ def _settings(text: str) -> dict[str, Any]:
 @contextlib.contextmanager
 def reporting(folder: Path, steps: int, log_every: int) -> Iterator[Report]:
     """Report a training in `folder`: progress on standard error, and TensorBoard's log where that is installed."""
-    board = _tensorboard(folder / "tensorboard")
+    new_board = _tensorboard()
+    board: Any = None
     start = time.monotonic()
-    first: list[int] = []
+    first: int | None = None
 
     def report(metrics: Metrics) -> None:
-        first.append(metrics.step - log_every)
-        done = metrics.step - max(0, first[0])
+        nonlocal board, first
+        first = max(0, metrics.step - log_every) if first is None else first
+        done = metrics.step - first
         left = (time.monotonic() - start) / max(1, done) * (steps - metrics.step)
         progress.update(
             metrics.step,
@@ -266,7 +268,8 @@ def reporting(folder: Path, steps: int, log_every: int) -> Iterator[Report]:
             f"{rate_text(metrics.images_per_second, 'images')}, waited {metrics.data_wait:.0%}"
             f"{_validation_text(metrics)}, {left:.0f} s left",
         )
-        if board is not None:
+        if new_board is not None:
+            board = board or new_board(str(folder / "tensorboard"))  # not earlier: a refused training leaves nothing
             for name, value in metrics.to_json().items():
                 if name != "step":
                     board.add_scalar(name, value, metrics.step)
@@ -285,28 +288,11 @@ def _validation_text(metrics: Metrics) -> str:
     return f", validation per class {metrics.val_accuracy:.1%} (best in step {metrics.val_best_step})"
 
 
-def _tensorboard(path: Path) -> Any:
-    """TensorBoard's writer, which makes its files at the first figures; None without the package."""
+def _tensorboard() -> Any:
+    """TensorBoard's writer, which makes its files when it is made; None without the package."""
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:
         sys.stderr.write("bodyseg train: tensorboard is not installed, figures go to log.jsonl alone\n")
         return None
-    return _TensorBoard(path, SummaryWriter)
-
-
-class _TensorBoard:
-    """Opens the writer late: a refused training leaves nothing behind."""
-
-    def __init__(self, path: Path, writer: Any) -> None:
-        self._path, self._new = path, writer
-        self._writer: Any = None
-
-    def add_scalar(self, name: str, value: float, step: int) -> None:
-        if self._writer is None:
-            self._writer = self._new(str(self._path))
-        self._writer.add_scalar(name, value, step)
-
-    def close(self) -> None:
-        if self._writer is not None:
-            self._writer.close()
+    return SummaryWriter

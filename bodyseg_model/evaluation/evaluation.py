@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, Literal, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import torch
@@ -25,21 +25,15 @@ from bodyseg_data.artifacts import (
 from bodyseg_data.core import BadConfig, ProgressCallback, Stopwatch, check_int, silent
 from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, RangeImages, WorkerMethod, loader
-from bodyseg_data.samples import ReadSplit, Sample, split_key
+from bodyseg_data.samples import ReadSplit, split_key
 from bodyseg_model.evaluation.scores import (
-    BorderErrors,
     Confidences,
     ConfusionMatrix,
     PerImageAccuracy,
     count_pairs,
-    distance_bins,
     pairs_of,
 )
 from bodyseg_model.networks import Network, check_label_map, device_of, predict
-
-Extra = Literal["confidences", "borders"]
-EXTRAS: Final[tuple[Extra, ...]] = ("confidences", "borders")
-"""Optional scores, beyond those that follow from the confusion matrix."""
 
 _WORST: Final = 10
 _STAGES: Final = ("network", "scores", "loading")
@@ -61,72 +55,65 @@ class PredictedImage(NamedTuple):
 
 
 class Scores:
-    """Counts of one group of images; `confidences` and `borders` are None unless they are among `extras`.
+    """Counts of one group of images.
 
-    label_map: the classes of truth and prediction.
+    confidences: whether they are counted; the attribute is None if not. label_map: the classes of truth and prediction.
     """
 
-    def __init__(self, extras: Collection[Extra] = EXTRAS, label_map: LabelMap = PARTS33) -> None:
+    def __init__(self, confidences: bool = True, label_map: LabelMap = PARTS33) -> None:
         classes = len(label_map)
-        self.extras, self.label_map = frozenset(extras), label_map
+        self.label_map = label_map
         self.images = 0
         self.confusion = ConfusionMatrix(classes)
         self.per_image = PerImageAccuracy(classes)
-        self.confidences = Confidences(classes) if "confidences" in extras else None
-        self.borders = BorderErrors(label_map) if "borders" in extras else None
+        self.confidences = Confidences(classes) if confidences else None
 
     def __repr__(self) -> str:
         return f"Scores({self.images} images, {self.confusion})"
 
-    def add(self, image: PredictedImage, borders: NDArray[np.uint8]) -> float:
+    def add(self, image: PredictedImage) -> float:
         """Count one image; returns its average per-class accuracy, NaN if it shows nothing.
 
-        borders: the label image in which distances to borders are measured, uint8 [H, W]. Raises BadConfig for labels
-        of no class or confidences outside 0 to 1.
+        Raises BadConfig for labels of no class or confidences outside 0 to 1.
         """
         classes = len(self.label_map)
         pairs = pairs_of(image.labels, image.predicted, classes)
         counts = count_pairs(pairs, classes)
         self.images += 1
         self.confusion.counts += counts
-        where = np.flatnonzero(image.labels != BACKGROUND)
         if self.confidences is not None:
-            self.confidences.add(pairs, image.confidence.ravel().take(where))
-        if self.borders is not None:
-            self.borders.add(pairs, distance_bins(borders).ravel().take(where))
+            self.confidences.add(pairs, image.confidence[image.labels != BACKGROUND])
         return self.per_image.add(counts)
 
     def merge(self, other: Scores) -> None:
-        """Add the counts of other images. Raises BadConfig unless both have the same `extras` and `label_map`."""
+        """Add the counts of other images. Raises BadConfig unless both have the same classes, and both confidences or
+        neither.
+        """
         if self.label_map != other.label_map:
             raise BadConfig(
                 f"scores to merge must be of the same labels, found {self.label_map.name!r} and "
                 f"{other.label_map.name!r}"
             )
-        if self.extras != other.extras:
-            raise BadConfig(
-                "scores to merge must count the same things, found "
-                f"{sorted(self.extras) or 'none'} and {sorted(other.extras) or 'none'} beside the confusion matrix"
-            )
+        if (self.confidences is None) != (other.confidences is None):
+            raise BadConfig("scores to merge must both have confidences, or neither: found them in one alone")
         self.images += other.images
         self.confusion.counts += other.confusion.counts
         self.per_image.merge(other.per_image)
         if self.confidences is not None and other.confidences is not None:
             self.confidences.merge(other.confidences)
-        if self.borders is not None and other.borders is not None:
-            self.borders.counts += other.borders.counts
 
 
 @dataclass
 class Evaluation:
     """Scores of every subset: the paper's A, B, C and people, or those that a source names.
 
-    label_map: the classes that are scored. milliseconds: time of the network, of scores, and of waiting for images to
-    be loaded. worst: average per-class accuracy and key of the ten images of lowest accuracy, the lowest first.
-    worker_peaks_mb: the most memory of each worker process that loaded images, MB; see `Loader.worker_peaks_mb`.
+    confidences: as of `Scores`. label_map: the classes that are scored. milliseconds: time of the network, of scores,
+    and of waiting for images to be loaded. worst: average per-class accuracy and key of the ten images of lowest
+    accuracy, the lowest first. worker_peaks_mb: the most memory of each worker process that loaded images, MB; see
+    `Loader.worker_peaks_mb`.
     """
 
-    extras: frozenset[Extra] = field(default=frozenset(EXTRAS), repr=False)
+    confidences: bool = field(default=True, repr=False)
     subsets: dict[str, Scores] = field(default_factory=dict)
     milliseconds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(_STAGES, 0.0), repr=False)
     worst: list[tuple[float, str]] = field(default_factory=list, repr=False)
@@ -135,24 +122,24 @@ class Evaluation:
 
     def total(self, subsets: Collection[str] | None = None) -> Scores:
         """Sum the scores of all images, or of some subsets. Raises BadConfig for a subset without images."""
-        total = Scores(self.extras, self.label_map)
+        total = Scores(self.confidences, self.label_map)
         for name in self.subsets if subsets is None else subsets:
             if name not in self.subsets:
                 raise BadConfig(f"the subset must be one of {', '.join(sorted(self.subsets))}, found {name!r}")
             total.merge(self.subsets[name])
         return total
 
-    def add(self, image: PredictedImage, borders: NDArray[np.uint8]) -> float:
+    def add(self, image: PredictedImage) -> float:
         """Count one image in its subset; see `Scores.add`."""
-        accuracy = self.subsets.setdefault(image.subset, Scores(self.extras, self.label_map)).add(image, borders)
+        accuracy = self.subsets.setdefault(image.subset, Scores(self.confidences, self.label_map)).add(image)
         if not math.isnan(accuracy):
             self.worst = sorted([*self.worst, (accuracy, image.key)])[:_WORST]
         return accuracy
 
     def merge(self, other: Evaluation) -> None:
-        """Add the counts of other images. Raises BadConfig unless both have the same `extras` and `label_map`."""
+        """Add the counts of other images. Raises BadConfig as `Scores.merge`."""
         for name, scores in other.subsets.items():
-            self.subsets.setdefault(name, Scores(self.extras, self.label_map)).merge(scores)
+            self.subsets.setdefault(name, Scores(self.confidences, self.label_map)).merge(scores)
         for stage, milliseconds in other.milliseconds.items():
             self.milliseconds[stage] += milliseconds
         self.worst = sorted([*self.worst, *other.worst])[:_WORST]
@@ -199,7 +186,7 @@ def evaluate(
     images: RangeImages,
     count: int | None = None,
     *,
-    extras: Collection[Extra] = EXTRAS,
+    confidences: bool = True,
     label_map: LabelMap | None = None,
     batch_size: int = 16,
     num_workers: int = 0,
@@ -210,25 +197,21 @@ def evaluate(
     """Evaluate a network, in evaluation mode, on `images` of their epoch.
 
     count: number of images, the first in the permutation of the images' seed and epoch; None, or more than there are,
-    takes all. So networks, variants and strengths of artifacts are compared on the same bodies. extras: scores to count
-    beyond the confusion matrix; () is fastest. Distances to borders are measured in the clean label image: a pixel has
-    the same distance in every variant, and missing pixels make no borders. label_map: the classes that the network
+    takes all. So networks, variants and strengths of artifacts are compared on the same bodies. confidences: whether
+    they are counted beside the confusion matrix. label_map: the classes that the network
     predicts, by default those of the images' labels; where the images have coarser classes, each predicted label counts
     as the class that it is part of, with its own confidence. progress: called with images done and images in all.
     watch: called with every image and its average per-class accuracy.
 
-    Raises BadConfig for an invalid count, an unknown score, another number of classes than the network's, classes that
+    Raises BadConfig for an invalid count, another number of classes than the network's, classes that
     cannot be joined to the images', or confidences outside 0 to 1; otherwise as `loader`.
     """
     total = len(images) if count is None else min(check_int("the number of images", count, 1), len(images))
-    for name in extras:
-        if name not in EXTRAS:
-            raise BadConfig(f"scores to count must be among {', '.join(EXTRAS)}, found {name!r}")
-    found = Evaluation(frozenset(extras), label_map=images.label_map)
+    found = Evaluation(confidences, label_map=images.label_map)
     predicts = images.label_map if label_map is None else label_map
     check_label_map(network, predicts)
     joined = None if predicts == images.label_map else predicts.joined_to(images.label_map)
-    clean = _CleanSamples(images)
+    index_of, subset_of = {key: index for index, key in enumerate(images.keys)}, dict[str, str]()
     device = device_of(network)
     stage = Stopwatch(_STAGES)
     found.milliseconds = stage.milliseconds
@@ -249,48 +232,16 @@ def evaluate(
         ranges, labels = batch["range"][:, 0].numpy(), batch["labels"].numpy()
         with stage("scores"):
             for at, key in enumerate(keys):
-                image = PredictedImage(key, clean.subset(key), ranges[at], labels[at], predicted[at], confidence[at])
-                accuracy = found.add(image, clean.labels(key, image.labels) if "borders" in extras else image.labels)
+                body, _ = split_key(key)
+                if body not in subset_of:  # read once for all views of a body
+                    subset_of[body] = images.clean(index_of[key]).info.subset
+                image = PredictedImage(key, subset_of[body], ranges[at], labels[at], predicted[at], confidence[at])
+                accuracy = found.add(image)
                 if watch is not None:
                     watch(image, accuracy)
         progress(done + len(keys), total)
     found.worker_peaks_mb = data_loader.worker_peaks_mb()
     return found
-
-
-class _CleanSamples:
-    """Subsets and clean labels of samples, reading each clean sample at most once in a row."""
-
-    def __init__(self, images: RangeImages) -> None:
-        self._images = images
-        self._index_of = {key: index for index, key in enumerate(images.keys)}
-        self._subsets: dict[str, str] = {}
-        self._same = not images.augmentation.alters_labels
-        self._last: Sample | None = None
-
-    def subset(self, key: str) -> str:
-        """The subset of a sample, read once for all views of a body."""
-        body, _ = split_key(key)
-        if body not in self._subsets:
-            self._subsets[body] = self._read(key).info.subset
-        return self._subsets[body]
-
-    def labels(self, key: str, shown: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The clean label image of a sample, uint8 [H, W].
-
-        shown: its labels in the variant, used where the clean image has background: lateral noise moves silhouettes.
-        """
-        if self._same:
-            return shown
-        clean, label_map = self._read(key).labels, self._images.label_map
-        if label_map != PARTS33:
-            clean = label_map.table[clean]
-        return np.where(clean == BACKGROUND, shown, clean)
-
-    def _read(self, key: str) -> Sample:
-        if self._last is None or self._last.key != key:
-            self._last = self._images.clean(self._index_of[key])
-        return self._last
 
 
 _WARM_UP: Final = 3

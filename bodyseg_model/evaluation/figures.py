@@ -23,13 +23,6 @@ _DARK: Final = "#1f4fa8"
 _PALE: Final = "#a9c4ea"
 _GRID: Final = "#e2e2e2"
 _LEAST_SHARE: Final = 0.001  # of pixels, for a bin's accuracy to say anything
-_KIND_STYLES: Final = {
-    "other": ("any other class", "#d3dbe6", ""),
-    "left_right": ("left for right", "#6f9bd8", ""),
-    "front_back": ("front for back", "#e0a13c", "////"),
-    "both": ("both at once", "#222222", ""),
-}
-"""Kind -> name, colour, hatching; distinct in grey as well."""
 
 
 def draw_figures(figures: Tree, folder: Path) -> list[Path]:
@@ -40,8 +33,6 @@ def draw_figures(figures: Tree, folder: Path) -> list[Path]:
     charts: dict[str, Callable[[Tree], Any]] = {"parts": draw_parts, "confusion": draw_confusion}
     if "reliability" in figures:
         charts["confidence"] = draw_confidence
-    if "border_distance_px" in figures:
-        charts["border_distance"] = draw_border_distance
     written = []
     for name, draw in charts.items():
         written.append(folder / f"{name}.png")
@@ -221,39 +212,6 @@ def _reliability(axis: Any, figures: Tree) -> None:
     )
     axis.legend(loc="upper left", fontsize=9.5, framealpha=1, edgecolor="none")
     _plain(axis, "both")
-
-
-def draw_border_distance(figures: Tree) -> Any:
-    """Share of wrong pixels by distance to the border of their part, and by kind of mistake."""
-    rows = figures["border_distance_px"]
-    pixels = max(sum(row["pixels"] for row in rows), 1)
-    figure = new_chart(8.6, 5.4)
-    axis = figure.subplots()
-    positions = np.arange(len(rows))
-    bottom = np.zeros(len(rows))
-    told = {kind.replace("/", "_") for kind in told_kinds(_label_map(figures))}
-    for kind, (name, colour, hatch) in _KIND_STYLES.items():
-        if kind not in told:
-            continue
-        heights = np.array([row[kind] or 0 for row in rows])
-        axis.bar(
-            positions, heights, 0.74, bottom, color=colour, hatch=hatch, edgecolor="#333333", linewidth=0.6, label=name
-        )
-        bottom += heights
-    for x, row in zip(positions, rows, strict=True):
-        text = "no pixel" if row["wrong"] is None else _percent(row["wrong"])
-        axis.annotate(text, (x, bottom[x]), (0, 4), textcoords="offset points", ha="center", fontsize=10)
-    axis.set_xticks(
-        positions, [f"{row['distance']} px\n{_percent(row['pixels'] / pixels)} of pixels" for row in rows], fontsize=9.5
-    )
-    axis.set_ylim(0, max(1.16 * float(bottom.max(initial=0)), 0.01))
-    axis.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.3g} %")
-    axis.set_xlabel("distance to the nearest pixel of another class", fontsize=10)
-    axis.set_ylabel("wrong pixels among those at this distance", fontsize=10)
-    axis.set_title("Wrong pixels by distance to a border", loc="left", fontsize=11)
-    axis.legend(fontsize=9.5, framealpha=1, edgecolor="none", reverse=True)
-    _plain(axis, "y")
-    return figure
 
 
 def _plain(axis: Any, grid: str) -> None:

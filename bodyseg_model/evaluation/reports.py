@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any, Final
 
 import numpy as np
@@ -23,17 +23,7 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import PARTS33
 from bodyseg_data.rigs import Rig
 from bodyseg_model.evaluation.evaluation import Evaluation, Scores
-from bodyseg_model.evaluation.scores import (
-    BIN_NAMES,
-    KINDS,
-    SWAPS,
-    BorderErrors,
-    Confidences,
-    ConfidentPixels,
-    Reliability,
-    count_kinds,
-    told_kinds,
-)
+from bodyseg_model.evaluation.scores import SWAPS, Confidences, ConfidentPixels, Reliability, count_kinds
 from bodyseg_model.networks import Trained
 
 SIMILAR: Final = 1.25
@@ -63,8 +53,6 @@ def report(evaluation: Evaluation) -> Tree:
     details: Tree = {**labels, "parts": _parts(total), "confusion": total.confusion.counts.tolist()}
     if total.confidences is not None:
         details |= _confidences(total.confidences)
-    if total.borders is not None:
-        details["border_distance_px"] = _borders(total.borders, told_kinds(total.label_map))
     return {
         **summary(total),
         "subsets": {name: summary(evaluation.subsets[name]) for name in sorted(evaluation.subsets, key=subset_order)},
@@ -89,7 +77,7 @@ def summary(scores: Scores) -> Tree:
         },
         "pixel_accuracy": _share(matrix.pixel_accuracy()),
         "mean_iou": _share(matrix.mean_iou()),
-        "swaps": {_key(kind): _share_of(kinds[kind], pixels) for kind in SWAPS},
+        "swaps": {kind.replace("/", "_"): _share_of(kinds[kind], pixels) for kind in SWAPS},
     }
     if scores.confidences is not None:
         found["confidence"] = {
@@ -136,20 +124,6 @@ def _confidences(confidences: Confidences) -> Tree:
     }
 
 
-def _borders(borders: BorderErrors, told: frozenset[str]) -> list[Tree]:
-    """Rows of the bins: pixels, and the share of them that is wrong, in all and by each kind that is told."""
-    rows = []
-    for name, counts in zip(BIN_NAMES, borders.counts.tolist(), strict=True):
-        pixels = sum(counts)
-        shares = [count / pixels if pixels else math.nan for count in counts]
-        kinds = {
-            _key(kind): _share(share) if kind in told else None
-            for kind, share in zip(KINDS[1:], shares[1:], strict=True)
-        }
-        rows.append({"distance": name, "pixels": pixels, "wrong": _share(1 - shares[0]), **kinds})
-    return rows
-
-
 def _shares(record: ConfidentPixels | Reliability) -> Tree:
     return {name: _share(value) for name, value in asdict(record).items()}
 
@@ -157,10 +131,6 @@ def _shares(record: ConfidentPixels | Reliability) -> Tree:
 def subset_order(subset: str) -> tuple[bool, str]:
     """Sort key: the paper's subsets first, in its order, which is alphabetical; then others."""
     return subset not in PAPERS_SUBSETS, subset
-
-
-def _key(kind: str) -> str:
-    return kind.replace("/", "_")
 
 
 def _share_of(count: int | None, pixels: int) -> float | None:
@@ -205,31 +175,17 @@ class RigFit:
         path: of the images, for messages. other_rig: whether images that are far off are wanted. Raises BadConfig for
         these if they are not.
         """
-        if self.images == self.trained:
-            return None
         rigs = f"{path} is of rig {self.images.name}, the network was trained for rig {self.trained.name}"
+        sizes = f"bodies have {self.pixels_a_metre:.2g} times as many pixels a metre"
         if self.factor > FAR_OFF and not other_rig:
-            raise BadConfig(f"{rigs}: {self._difference()}, too far off for a score of it; --other-rig goes on")
+            raise BadConfig(f"{rigs}: {sizes}, too far off for a score of it; --other-rig goes on")
         if self.factor > SIMILAR:
-            return f"{rigs}: {self._difference()}, which costs much accuracy"
+            return f"{rigs}: {sizes}, which costs much accuracy"
         if self.factor > _SAME:
-            return f"{rigs}: {self._difference()}, which costs a few points of accuracy"
-        differing = ", ".join(self._differing())
+            return f"{rigs}: {sizes}, which costs a few points of accuracy"
+        names = (each.name for each in fields(Rig) if each.name != "name")
+        differing = ", ".join(name for name in names if getattr(self.images, name) != getattr(self.trained, name))
         return f"{rigs}: as many pixels a metre, another {differing}" if differing else None
-
-    def _difference(self) -> str:
-        return f"bodies have {self.pixels_a_metre:.2g} times as many pixels a metre"
-
-    def _differing(self) -> list[str]:
-        """Names of the fields that differ beside the name."""
-        one, other = self.images, self.trained
-        differences = {
-            "image size": _size(one) != _size(other),
-            "stand-off": one.stand_off_m != other.stand_off_m,
-            "step of range": one.range_step_mm != other.range_step_mm,
-            "projector": one.projectors != other.projectors,
-        }
-        return [name for name, differs in differences.items() if differs]
 
 
 def sensor_warning(trained: Trained, augmentation: Augmentation, path: str) -> str | None:
@@ -257,7 +213,3 @@ def sensor_warning(trained: Trained, augmentation: Augmentation, path: str) -> s
 
 def _pixels_a_metre(rig: Rig) -> float:
     return rig.camera.focal_px / rig.stand_off_m
-
-
-def _size(rig: Rig) -> tuple[int, int]:
-    return rig.camera.rows, rig.camera.columns

@@ -168,7 +168,10 @@ def load_network(path: Path | str | None = None, checkpoint: CheckpointName | No
         raise BadConfig(f"a network is a run's folder or a .safetensors file, found {path}")
     card = read_card(file)
     network = _build(card, file.with_suffix(".json"))
-    data, digest = _read_weights(file, card.get(CardWords.WEIGHTS_SHA256))
+    data, expected = read_bytes(file), card.get(CardWords.WEIGHTS_SHA256)
+    digest = hashlib.sha256(data).hexdigest()
+    if expected not in (None, digest):
+        raise BadConfig(f"{file} is damaged or not the file of its card: SHA-256 {digest}, expected {expected}")
     fill(network, _parse(data, file), file)
     return trained_network(network, {**card, CardWords.WEIGHTS_SHA256: digest}, file.with_suffix(".json"))
 
@@ -287,12 +290,3 @@ def _parse(data: bytes, path: Path) -> dict[str, torch.Tensor]:
         return parse_tensors(data)
     except SafetensorError as error:
         raise BadConfig(f"{path} is not a whole safetensors file: {error}") from error
-
-
-def _read_weights(path: Path, expected: Any) -> tuple[bytes, str]:
-    """All of a file, and its SHA-256. Raises BadConfig if that is not the expected one, which None leaves unchecked."""
-    data = read_bytes(path)
-    found = hashlib.sha256(data).hexdigest()
-    if expected not in (None, found):
-        raise BadConfig(f"{path} is damaged or not the file of its card: SHA-256 {found}, expected {expected}")
-    return data, found

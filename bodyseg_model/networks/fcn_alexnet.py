@@ -28,9 +28,8 @@ from torch import nn
 
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import PART_COUNT
+from bodyseg_model.networks.checkpoints import read_bytes
 from bodyseg_model.networks.network import Network, check_range_images
-
-_LARGEST_FILE: Final = 1 << 31
 
 SHAPES: Final[dict[str, tuple[int, ...]]] = {
     "conv1": (96, 3, 11, 11),
@@ -170,12 +169,7 @@ def read_alexnet(path: Path) -> Arrays:
     if path.suffix not in readers:
         raise BadConfig(f"AlexNet's weights come as .onnx or .caffemodel, found {path}")
     try:
-        size = path.stat().st_size
-        if not path.is_file() or not 0 < size <= _LARGEST_FILE:
-            raise BadConfig(f"{path} must be a file of 1 to {_LARGEST_FILE} bytes")
-        found = dict(readers[path.suffix](memoryview(path.read_bytes())))
-    except OSError as error:
-        raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error
+        found = dict(readers[path.suffix](memoryview(read_bytes(path))))
     except _NotProtobufError as error:
         raise BadConfig(f"{path} is not a whole {path.suffix} file: {error}") from error
     arrays: Arrays = {}

@@ -217,9 +217,9 @@ def _by_loops(range_m: torch.Tensor, side: int, layers: torch.dtype) -> Patches:
     values = torch.empty((*cells, 2 * side**2), dtype=layers)
     measured = torch.empty(cells)
     bits = values.view(torch.int16 if layers == torch.bfloat16 else torch.int32).numpy()
-    metres, count = range_m[:, 0].contiguous().numpy(), torch.empty(images, 1, 1, 1)
-    loops.count_measured(metres, count.view(images).numpy())
-    mean = body_mean(range_m, count).view(images)
+    metres = range_m[:, 0].contiguous().numpy()
+    count = torch.tensor([np.count_nonzero(image > 0) for image in metres], dtype=torch.float32)
+    mean = body_mean(range_m, count.view(images, 1, 1, 1)).view(images)
     loops.cut_patches(metres, mean.numpy(), np.float32(RELIEF), side, bits, measured.numpy())
     return Patches(values.permute(0, 3, 1, 2), measured[:, None])
 

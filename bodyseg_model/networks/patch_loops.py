@@ -24,19 +24,6 @@ def nearest(exact: Any) -> Any:
 
 
 @_kernel
-def count_measured(range_m: Any, count: Any) -> None:
-    """Write the measured pixels of images [B, H, W] into float32 [B]."""
-    images, rows, columns = range_m.shape
-    for image in range(images):
-        total = 0
-        for row in range(rows):
-            metres = range_m[image, row]
-            for column in range(columns):
-                total += metres[column] > _ZERO
-        count[image] = total
-
-
-@_kernel
 def cut_patches(range_m: Any, mean: Any, relief: Any, side: Any, values: Any, measured: Any) -> None:
     """Write the patches of images and the share of each that was measured, `Patches`.
 

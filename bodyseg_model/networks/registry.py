@@ -76,11 +76,6 @@ def build(name: str, settings: Mapping[str, Any] | None = None, seed: int | None
         raise BadConfig(f"settings of {name} that it does not take: {dict(settings or {})!r} ({error})") from error
 
 
-def parameters(network: nn.Module) -> int:
-    """Number of a network's parameters, frozen ones counted."""
-    return sum(weight.numel() for weight in network.parameters())
-
-
 def device_of(network: nn.Module) -> torch.device:
     """Device of a network's weights; the processor for one without weights."""
     return next((weight.device for weight in network.parameters()), torch.device("cpu"))

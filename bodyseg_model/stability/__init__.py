@@ -1,4 +1,4 @@
-"""Robustness of trained networks: to sensor artifacts of rising strength, through motion, to the arithmetic used."""
+"""Robustness of trained networks to sensor artifacts of rising strength."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
-    from bodyseg_model.stability.motion import temporal
     from bodyseg_model.stability.scenes import SWEEPS, Scenes, Sweep, chosen
     from bodyseg_model.stability.summary import (
         FEWEST_SEEDS,
@@ -18,7 +17,6 @@ if TYPE_CHECKING:
         group,
         group_of,
         load_runs,
-        motion_over_seeds,
         summarise,
     )
 else:

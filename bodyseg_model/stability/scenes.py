@@ -21,13 +21,12 @@ from bodyseg_data.core import BadConfig, ProgressCallback, generator, silent
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.meshes import Mesh, Partition
-from bodyseg_data.packing import Sampler, draw_things, in_front
-from bodyseg_data.rendering import Renderer, open_renderer
+from bodyseg_data.packing import Sampler, draw_things, in_front, surface_points
+from bodyseg_data.rendering import Renderer, Surface, open_renderer
 from bodyseg_data.rigs import Camera, PlacedCamera, Rig, axes_at, load_rig
 from bodyseg_data.samples import Sample, View, metres, steps
 from bodyseg_model.recordings import other_sensors
 from bodyseg_model.segmentation import view_body
-from bodyseg_model.stability.motion import RenderedBody
 
 Origin = Literal["stored", "rendered"]
 
@@ -253,6 +252,39 @@ class Scenes:
             posed.append(replace(built[name], azimuth_deg=sample.info.azimuth_deg))
             self._progress(len(posed), self._count)
         return posed
+
+
+@dataclass(frozen=True, repr=False)
+class RenderedBody:
+    """A body in front of a camera, and its rendered surface."""
+
+    mesh: Mesh
+    camera: PlacedCamera
+    surface: Surface
+
+    def __repr__(self) -> str:
+        return f"RenderedBody({self.mesh.name!r}, {len(self.pixels)} pixels)"
+
+    @cached_property
+    def pixels(self) -> NDArray[np.intp]:
+        """The pixels that see the body, int [N], row * columns + column, ascending."""
+        return np.flatnonzero(self.surface.face >= 0)
+
+    @cached_property
+    def faces(self) -> NDArray[np.int32]:
+        """The triangle that each of `pixels` sees, int32 [N]."""
+        return self.surface.face.take(self.pixels)
+
+    @cached_property
+    def points(self) -> NDArray[np.float64]:
+        """The surface points at the centres of `pixels`, [N, 3], metres, body frame."""
+        return surface_points(self.surface, self.camera, *np.divmod(self.pixels, self.surface.face.shape[1]))
+
+    def labels(self, parts: Partition) -> NDArray[np.uint8]:
+        """Label image of the body, uint8 [H, W], BACKGROUND where the camera does not see it."""
+        labels = np.full(self.surface.face.shape, BACKGROUND, np.uint8)
+        labels.ravel()[self.pixels] = parts.labels_at(self.mesh, self.faces, self.points)
+        return labels
 
 
 @dataclass(frozen=True)

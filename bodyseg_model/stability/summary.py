@@ -340,24 +340,6 @@ def summarise(groups: Sequence[Group], sweeps: Mapping[str, Sweep], found: Accur
     }
 
 
-def motion_over_seeds(groups: Sequence[Group], networks: Mapping[str, Mapping[str, Tree]]) -> Tree:
-    """Scores of `temporal` over the seeds of each group: group -> variant -> score; None if a network lacks it.
-
-    networks: run's name -> variant -> score -> number.
-    """
-    found: Tree = {}
-    for group in groups:
-        rows = [networks[run.name] for run in group.runs]
-        found[group.label] = {
-            variant: {
-                score: None if None in values else over_seeds(values)
-                for score, values in ((score, [row[variant][score] for row in rows]) for score in scores)
-            }
-            for variant, scores in rows[0].items()
-        }
-    return found
-
-
 def corruption_error(curve: Sequence[float], reference: Sequence[float]) -> float | None:
     """Summed errors of one sweep over the reference's, both without the clean one; None if the reference has none."""
     errors = sum(1 - accuracy for accuracy in reference[1:])

@@ -104,13 +104,9 @@ def train(
     with joined_process_group(device) as processes:
         options = seed, run_options, validation, pretrained
         training = Training(network, name_of(network), images, recipe, folder, processes, *options)
-        training.run(resume, report or _report_nothing, facts or {})
+        training.run(resume, report or (lambda metrics: None), facts or {})
         processes.from_first(True)  # the others wait until the first has written the network
     return load_network(folder.path)
-
-
-def _report_nothing(metrics: Metrics) -> None:
-    """Report nothing."""
 
 
 @dataclass(frozen=True)
@@ -200,7 +196,9 @@ class Training:
         whole = True
         try:
             while self.step < self.recipe.steps and not self._ended:
-                with self._signals_held():
+                # A first Ctrl-C breaks no step; processes that wait for each other cannot hold it back.
+                alone = self.processes.world_size == 1
+                with signals_held(only_first=True) if alone else contextlib.nullcontext():
                     whole = False
                     self._one_step(objective, batches, window)
                     window = self._logged(window, data_loader, report, facts)
@@ -214,10 +212,6 @@ class Training:
             raise
         if self.processes.first:
             self._save(facts)
-
-    def _signals_held(self) -> contextlib.AbstractContextManager[None]:
-        """Context of one step, which a first Ctrl-C does not break; processes that wait for each other have none."""
-        return signals_held(only_first=True) if self.processes.world_size == 1 else contextlib.nullcontext()
 
     def _logged(
         self, window: MetricsWindow, data_loader: Loader, report: Report, facts: Mapping[str, Any]

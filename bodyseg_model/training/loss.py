@@ -148,10 +148,6 @@ class NetworkWithLoss(nn.Module):
         self._scores = torch.compile(_scores, dynamic=False) if compiled else _scores
         self.register_buffer("weights", weights)
 
-    def extra_repr(self) -> str:
-        """Stride of the selected pixels, for `repr`."""
-        return f"loss_stride={self.loss_stride}"
-
     def forward(self, range_m: torch.Tensor, labels: torch.Tensor, offset: torch.Tensor) -> LossAndCounts:
         """Compute the loss, the mean over images of each image's weighted mean over its body; 0 without a body.
 

@@ -91,13 +91,6 @@ class Recipe:
         """The recipe as a JSON object; `ema` only where there is one."""
         return {name: value for name, value in dataclasses.asdict(self).items() if name != "ema" or value}
 
-    @staticmethod
-    def from_json(content: Mapping[str, Any]) -> Recipe:
-        """Rebuild a recipe from what `to_json` gave. Raises TypeError, KeyError or BadConfig for anything else."""
-        return Recipe(
-            **{**content, "geometric_augmentation": GeometricAugmentation(**content["geometric_augmentation"])}
-        )
-
     def learning_rate_at(self, step: int) -> float:
         """The last layer's learning rate in step `step`, counted from 0."""
         rising = math.ceil(self.warmup * self.steps)
@@ -106,10 +99,6 @@ class Recipe:
         if not self.cosine:
             return self.learning_rate
         return self.learning_rate * (1 + math.cos(math.pi * (step - rising) / max(1, self.steps - rising))) / 2
-
-    def layer_shares(self, layers: int) -> list[float]:
-        """Learning rates of `layers` layers as shares of the last one's, deepest first (`layer_decay`)."""
-        return [self.layer_decay ** (1 - at / max(1, layers - 1)) for at in range(layers)]
 
 
 PRESETS: Final[dict[str, Recipe]] = {
@@ -173,7 +162,8 @@ def make_optimiser(network: nn.Module, recipe: Recipe) -> torch.optim.Optimizer:
     """
     layers = list(_layers(network))
     groups: list[dict[str, Any]] = []
-    for weights, share in zip(layers, recipe.layer_shares(len(layers)), strict=True):
+    for at, weights in enumerate(layers):
+        share = recipe.layer_decay ** (1 - at / max(1, len(layers) - 1))
         plain = [weight for weight in weights if weight.ndim > 1 or recipe.optimiser == "sgd"]
         kept = [weight for weight in weights if weight.ndim <= 1 and recipe.optimiser != "sgd"]
         for chosen, decay in ((plain, recipe.weight_decay), (kept, 0.0)):

@@ -146,9 +146,16 @@ class Validation:
 
         num_workers, worker_method: see `loader`. Raises BadConfig, and as `loader`.
         """
-        found = Evaluation(frozenset(), label_map=self.images[0].label_map)
+        found = Evaluation(confidences=False, label_map=self.images[0].label_map)
         for images in self.images:
             found.merge(
-                evaluate(network, images, self.count, extras=(), num_workers=num_workers, worker_method=worker_method)
+                evaluate(
+                    network,
+                    images,
+                    self.count,
+                    confidences=False,
+                    num_workers=num_workers,
+                    worker_method=worker_method,
+                )
             )
         return found.total()

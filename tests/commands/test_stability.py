@@ -69,7 +69,7 @@ def made(figures_set: Path, runs: Path, tmp_path_factory: pytest.TempPathFactory
 def asked(data: Path, runs: Path, out: Path, **more: Any) -> command.Options:
     usual = {
         "run": (runs / "all-0", runs / "all-1"), "reference": (runs / "none-0",), "hard": str(data),
-        "parts": ("images",), "sweeps": CHOSEN, "images": 2, "device": "cpu",
+        "sweeps": CHOSEN, "images": 2, "device": "cpu",
     }  # fmt: skip
     return command.Options(data=str(data), out=out, **(usual | more))
 
@@ -144,25 +144,6 @@ def test_networks_of_other_classes_are_refused(figures_set: Path, runs: Path, tm
     assert not (tmp_path / "out").exists()
 
 
-def test_other_parts_are_sections(
-    runs: Path, figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked_for: list[Any] = []
-
-    def motion(networks: Any, **options: Any) -> dict[str, Any]:
-        asked_for.append(sorted(networks))
-        scores = {"tc": 0.5, "vc": 0.4, "vc_right": None, "vc_right_where_truth_stays": 0.4, "accuracy": 0.3}
-        scores["pixel_accuracy"] = 0.6
-        return {"networks": {name: {"all": scores} for name in networks}}
-
-    monkeypatch.setattr(command, "temporal", motion)
-    assert command.run(asked(figures_set, runs, tmp_path / "out", parts=("temporal",))) == 0
-    figures = json.loads((tmp_path / "out" / "stability.json").read_text())
-    assert figures["temporal"]["groups"]["all"]["all"]["tc"] == {"mean": 0.5, "sd": 0.0, "seeds": [0.5, 0.5]}
-    assert asked_for == [["all-0", "all-1", "none-0"]]
-    assert "groups" not in figures and not (tmp_path / "out" / "stability.png").exists()
-
-
 def test_without_a_reference_there_is_no_mce(
     runs: Path, figures_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -196,4 +177,4 @@ def test_out_must_be_a_folder(
     (tmp_path / "taken").write_text("")
     words = ["--run", str(runs / "all-0"), "--data", str(figures_set), "--out", str(tmp_path / "taken")]
     assert cli.main(["stability", *words]) == 2
-    assert "--out cannot be the folder" in capsys.readouterr().err
+    assert "cannot make the folder" in capsys.readouterr().err

@@ -88,7 +88,7 @@ def test_stability_on_a_part_of_a_set(
 ) -> None:
     monkeypatch.setitem(SOURCES, "open", FiguresEntry())
     out = tmp_path / "stability"
-    words = ["stability", "--run", str(run_folder), "--data", str(figures_set), "--out", str(out), "--parts", "images"]
+    words = ["stability", "--run", str(run_folder), "--data", str(figures_set), "--out", str(out)]
     words += ["--sweeps", "farther", "--images", "1", "--device", "cpu"]
     assert main([*words, "--where", "subset=people"]) == 0
     data = json.loads((out / "stability.json").read_text())["data"]

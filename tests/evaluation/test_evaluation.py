@@ -18,7 +18,6 @@ from bodyseg_data.labels import BACKGROUND, PART_COUNT
 from bodyseg_model.commands import cli
 from bodyseg_model.commands import evaluate as command
 from bodyseg_model.evaluation import (
-    KINDS,
     Evaluation,
     SamplePicture,
     Scores,
@@ -29,7 +28,6 @@ from bodyseg_model.evaluation import (
     time_frames,
 )
 from bodyseg_model.evaluation.evaluation import PredictedImage
-from bodyseg_model.evaluation.scores import distance_bins
 from bodyseg_model.networks import Network, build, load_network, predict, save_network
 from bodyseg_model.networks.registry import Prediction
 
@@ -84,17 +82,12 @@ def plainly(network: Network, images: RangeImages) -> dict[str, Any]:
         truth, predicted = shown["labels"].numpy()[body], answer.labels[0].numpy()[body]
         counts = np.zeros((PART_COUNT, PART_COUNT), np.int64)
         np.add.at(counts, (truth, predicted), 1)
-        total = found.setdefault(
-            sample.info.subset, {"images": 0, "counts": 0, "sure": 0, "confidence": 0.0, "near": 0, "wrong_near": 0}
-        )
-        near = distance_bins(sample.labels)[body] == 0
+        total = found.setdefault(sample.info.subset, {"images": 0, "counts": 0, "sure": 0, "confidence": 0.0})
         confidence = answer.confidence[0].numpy()[body]
         total["images"] += 1
         total["counts"] = total["counts"] + counts
         total["sure"] += int((confidence > np.float32(0.5)).sum())
         total["confidence"] += float(confidence.sum(dtype=np.float64))
-        total["near"] += int(near.sum())
-        total["wrong_near"] += int((near & (truth != predicted)).sum())
     return found
 
 
@@ -113,12 +106,9 @@ def test_scores_are_those_of_single_images(
         plain = expected[name]
         assert scores.images == plain["images"]
         assert np.array_equal(scores.confusion.counts, plain["counts"])
-        assert scores.confidences is not None and scores.borders is not None
+        assert scores.confidences is not None
         assert scores.confidences.above(0.5).share_of_pixels == pytest.approx(plain["sure"] / plain["counts"].sum())
         assert scores.confidences.mean() == pytest.approx(plain["confidence"] / plain["counts"].sum())
-        assert scores.borders.counts[0].sum() == plain["near"]
-        assert scores.borders.counts[0].sum() - scores.borders.counts[0, KINDS.index("right")] == plain["wrong_near"]
-        assert scores.borders.counts.sum() == plain["counts"].sum()
     total = found.total()
     assert np.array_equal(total.confusion.counts, sum(plain["counts"] for plain in expected.values()))
     assert total.images == len(images) == 8
@@ -128,7 +118,9 @@ def test_scores_are_those_of_single_images(
 
 def keys_seen(network: Network, images: RangeImages, count: int | None, batch_size: int) -> list[str]:
     seen: list[str] = []
-    evaluate(network, images, count, batch_size=batch_size, extras=(), watch=lambda one, _: seen.append(one.key))
+    evaluate(
+        network, images, count, batch_size=batch_size, confidences=False, watch=lambda one, _: seen.append(one.key)
+    )
     return seen
 
 
@@ -177,14 +169,12 @@ def test_fewer_scores_can_be_counted(small_set: Path, network: ByRange, monkeypa
     monkeypatch.setattr(evaluation, "predict", at_once)
 
     images = open_images(str(small_set))
-    whole, fewer = evaluate(network, images), evaluate(network, images, extras=())
+    whole, fewer = evaluate(network, images), evaluate(network, images, confidences=False)
     assert np.array_equal(whole.total().confusion.counts, fewer.total().confusion.counts)
-    assert fewer.total().confidences is None and fewer.total().borders is None
-    assert "reliability" not in report(fewer) and "border_distance_px" not in report(fewer)
-    with pytest.raises(BadConfig, match="scores to merge must count the same things"):
+    assert fewer.total().confidences is None
+    assert "reliability" not in report(fewer)
+    with pytest.raises(BadConfig, match="scores to merge must both have confidences, or neither"):
         whole.merge(fewer)
-    with pytest.raises(BadConfig, match="scores .*found 'speed'"):
-        evaluate(network, images, extras=["speed"])  # type: ignore[list-item]
 
 
 def test_strengths_of_artifacts_can_be_fixed(small_set: Path) -> None:
@@ -207,9 +197,7 @@ def test_images_of_every_sensor_are_evaluated_whole(small_set: Path, network: By
     images = open_images(str(small_set), "all", "test", sensor=sensor)
     found = evaluate(network, images, 6)
     pixels = sum(np.count_nonzero(images.image(index).range) for index in images.order(0)[:6].tolist())
-    total = found.total()
-    assert total.borders is not None
-    assert total.confusion.counts.sum() == total.borders.counts.sum() == pixels
+    assert found.total().confusion.counts.sum() == pixels
 
 
 def test_answers_that_are_none_are_refused(small_set: Path) -> None:
@@ -231,7 +219,7 @@ def seen_image(subset: str, labels: list[int], predicted: list[int]) -> Predicte
 def test_an_empty_image_counts_as_an_image_and_as_nothing_else() -> None:
     empty = seen_image("A", [BACKGROUND] * 3, [BACKGROUND] * 3)
     found = Evaluation()
-    found.add(empty, empty.labels)
+    found.add(empty)
     tree = report(found)
     json.dumps(tree, allow_nan=False)
     assert (tree["images"], tree["pixels"], tree["average_per_class_accuracy"]) == (1, 0, None)
@@ -248,8 +236,7 @@ def test_the_report_by_hand() -> None:
         ("hard", [7, 7, 7, 7], [7, 7, 12, 3]),
         ("C", [31, 31], [31, 31]),
     ):
-        one = seen_image(subset, labels, predicted)
-        found.add(one, one.labels)
+        found.add(seen_image(subset, labels, predicted))
     tree = report(found)
     json.dumps(tree, allow_nan=False)
     assert list(tree["subsets"]) == ["C", "people", "hard"], "the paper's first"
@@ -267,15 +254,6 @@ def test_the_report_by_hand() -> None:
     assert tree["risk_coverage"]["risk"][-1] == round(4 / 11, 5)
     assert tree["confidence"]["ece"] == round(4 / 11, 5), "sure of everything"
     assert tree["thresholds"][0]["share_of_pixels"] == 1
-    bins = {row["distance"]: (row["pixels"], row["wrong"]) for row in tree["border_distance_px"]}
-    assert bins == {
-        "1": (2, 1),
-        "1-2": (3, 0),
-        "2-4": (0, None),
-        "4-8": (0, None),
-        "8-16": (0, None),
-        ">16": (6, round(2 / 6, 5)),
-    }
     assert np.array(tree["confusion"]).sum() == 11
 
 
@@ -284,16 +262,12 @@ def test_scores_stay_small() -> None:
     scores = Scores()
 
     def size() -> int:
-        assert scores.confidences is not None and scores.borders is not None
+        assert scores.confidences is not None
         counts = scores.confidences
-        return sum(
-            array.nbytes
-            for array in (scores.confusion.counts, counts.counts, counts.sums, counts.by_class, scores.borders.counts)
-        )
+        return sum(array.nbytes for array in (scores.confusion.counts, counts.counts, counts.sums, counts.by_class))
 
     before = size()
-    one = seen_image("A", [0, 1] * 50_000, [0, 2] * 50_000)
-    scores.add(one, one.labels)
+    scores.add(seen_image("A", [0, 1] * 50_000, [0, 2] * 50_000))
     assert scores.confusion.pixels == 100_000
     assert size() == before < 200_000
 
@@ -309,7 +283,7 @@ def test_the_picture_keeps_the_first_of_each_subset_and_the_worst(
         picture.watch(one, accuracy)
         seen.append((accuracy, one.subset, one.key))
 
-    evaluate(network, open_images(str(small_set)), watch=watch, extras=())
+    evaluate(network, open_images(str(small_set)), watch=watch, confidences=False)
     first = {subset: key for _, subset, key in reversed(seen)}
     assert {name: one.key for name, (_, one) in picture._first.items()} == first
     assert picture._worst is not None and picture._worst[1].key == min(seen)[2]
@@ -358,14 +332,14 @@ def test_the_command_writes_scores_and_figures(
         with Image.open(path) as picture:
             sizes[path.name] = picture.size
             assert len(set(picture.convert("L").resize((300, 300)).tobytes())) > 20, f"{path.name} is blank"
-    assert set(sizes) == {"parts.png", "confusion.png", "confidence.png", "border_distance.png", "samples.png"}
+    assert set(sizes) == {"parts.png", "confusion.png", "confidence.png", "samples.png"}
 
     again = tmp_path / "again.json"
     assert call(*words[:4], "--json", again, "--frames", 0, "--num-workers", 0, "--batch-size", 3) == 0
     other = json.loads(again.read_text())
     assert other["milliseconds_per_frame"] is None
-    assert {name: other[name] for name in ("parts", "confusion", "thresholds", "border_distance_px")} == {
-        name: tree[name] for name in ("parts", "confusion", "thresholds", "border_distance_px")
+    assert {name: other[name] for name in ("parts", "confusion", "thresholds")} == {
+        name: tree[name] for name in ("parts", "confusion", "thresholds")
     }
 
 
@@ -402,8 +376,7 @@ def test_several_sets_are_one_evaluation_unless_they_share_samples(
         (["--variant", "noise", "--artifacts", '{"losses": {"most": 0.5}}'], "for a variant that has missing_data"),
         (["--seed", "-1"], "a seed must be a whole number from 0"),
         (["--json", "no/folder/x.json"], "--json needs a file in a folder that is there"),
-        (["--figures", "no/folder/figures"], "--figures cannot be the folder no/folder/figures"),
-        (["--figures", "file"], "--figures cannot be the folder file"),
+        (["--figures", "file"], "cannot make the folder file"),
     ],
 )
 def test_one_line_says_what_is_wrong(

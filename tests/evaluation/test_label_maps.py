@@ -96,7 +96,6 @@ def test_a_network_of_classes_is_scored_by_its_classes(small_set: Path) -> None:
     total = found.total()
     np.testing.assert_array_equal(total.confusion.counts, counts)
     assert total.confidences is not None and total.confidences.pixels == counts.sum()
-    assert total.borders is not None and total.borders.counts.sum() == counts.sum()
     assert total.confidences.above(0.0).average_per_class_accuracy == pytest.approx(
         total.confusion.average_per_class_accuracy()
     )
@@ -106,7 +105,6 @@ def test_a_network_of_classes_is_scored_by_its_classes(small_set: Path) -> None:
     assert [part["name"] for part in tree["parts"]] == list(LIMBS.names)
     assert tree["swaps"]["left_right"] is not None
     assert tree["swaps"]["front_back"] is tree["swaps"]["both"] is None
-    assert all(row["both"] is None and row["other"] is not None for row in tree["border_distance_px"][:3])
 
 
 def test_parts_of_a_network_are_joined(small_set: Path) -> None:
@@ -119,14 +117,6 @@ def test_parts_of_a_network_are_joined(small_set: Path) -> None:
     assert joined.confusion.pixel_accuracy() > parts.confusion.pixel_accuracy()
     assert parts.confidences is not None and joined.confidences is not None
     assert joined.confidences.mean() == parts.confidences.mean(), "a label keeps its own confidence"
-
-
-def test_borders_between_joined_parts_are_none(small_set: Path) -> None:
-    one = LabelMap("one", (("body", PARTS33.names),))
-    found = evaluate(Places(0, 20), open_images(str(small_set), "md", labels=one), label_map=PARTS33).total()
-    assert found.borders is not None
-    assert found.borders.counts[:-1].sum() == 0 and found.borders.counts[-1].sum() == found.confusion.pixels
-    assert found.confusion.pixel_accuracy() == 1
 
 
 def test_scores_of_other_classes_are_refused(small_set: Path) -> None:
@@ -174,9 +164,7 @@ def test_the_command_scores_the_classes_of_the_network(
     if not drawn:
         return
     pictures = sorted((tmp_path / "figures").iterdir())
-    assert [path.name for path in pictures] == [
-        "border_distance.png", "confidence.png", "confusion.png", "parts.png", "samples.png",
-    ]  # fmt: skip
+    assert [path.name for path in pictures] == ["confidence.png", "confusion.png", "parts.png", "samples.png"]
     with Image.open(tmp_path / "figures" / "samples.png") as picture:
         shown = {tuple(colour) for colour in np.asarray(picture.convert("RGB")).reshape(-1, 3).tolist()}
     assert {tuple(colour) for colour in label_map.colours.tolist()} <= shown

@@ -64,12 +64,12 @@ def test_another_pixel_size_is_told(factor: float, line: str) -> None:
 @pytest.mark.parametrize(
     ("change", "difference"),
     [
-        ({"range_step_mm": 2.0}, "step of range"),
-        ({"camera": replace(PAPER.camera, rows=600)}, "image size"),
+        ({"range_step_mm": 2.0}, "range_step_mm"),
+        ({"camera": replace(PAPER.camera, rows=600)}, "camera"),
         ({"projector": replace(PAPER.projector, position_m=(0.1, 0.0, 0.0))}, "projector"),
         (
             {"stand_off_m": 2.505, "second_projector": replace(PAPER.projector, position_m=(0.75, 0.0, 0.0))},
-            "stand-off, projector",
+            "stand_off_m, second_projector",
         ),
     ],
 )

@@ -46,7 +46,7 @@ class GivenScores(Validation):
     calls: list[int] = dataclasses.field(default_factory=list)
 
     def scores(self, *arguments: Any) -> Scores:
-        found = Scores(())
+        found = Scores(confidences=False)
         if (accuracy := self.accuracies[len(self.calls)]) == accuracy:
             right = round(1000 * accuracy)
             found.confusion.counts[3, 3:5] = right, 1000 - right

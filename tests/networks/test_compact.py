@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F  # noqa: N812
+from benches.model.chosen import parameters
 
 from bodyseg_data.core import BadConfig
 from bodyseg_model.networks import build, predict, predict_each
 from bodyseg_model.networks.compact import Compact, CompactSettings, _mean_over_body, _spread
-from bodyseg_model.networks.registry import parameters
 
 SMALL = CompactSettings(patch=8, widths=(6, 8), blocks=(1, 1))
 

@@ -273,7 +273,7 @@ def small(name: bytes = b"conv1_b_0", dims: bytes = field(1, 96), data: bytes = 
     ("name", "data", "said"),
     [
         ("a.pth", b"x", "come as .onnx or .caffemodel"),
-        ("a.onnx", b"", "must be a file of 1 to"),
+        ("a.onnx", b"", "has no weight of AlexNet's layer conv1"),
         ("a.onnx", b"hello, world", "is not a whole .onnx file"),
         ("a.onnx", small()[:-9], "is not a whole .onnx file: a field of"),
         ("a.onnx", small(), "has no weight of AlexNet's layer conv1"),

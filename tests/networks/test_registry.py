@@ -15,12 +15,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from benches.model.chosen import parameters
 from folders import HELPERS
 from toy_network import Toy
 
 from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_model.networks import Network, build, network_class, predict, predict_each, registry
-from bodyseg_model.networks.registry import NETWORKS, parameters
+from bodyseg_model.networks.registry import NETWORKS
 from bodyseg_model.training.loss import NetworkWithLoss
 from bodyseg_model.training.recipes import PRESETS
 

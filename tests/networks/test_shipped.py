@@ -42,5 +42,5 @@ def test_the_shipped_network_knows_people_it_never_saw(tmp_path: Path, monkeypat
     with ThreadPoolExecutor(1) as executor:
         pack(bodies, tmp_path / "shards", executor, 1)
     images = RangeImages(tmp_path / "shards", "all", "test")
-    found = evaluate(load_network().network, images, extras=())
+    found = evaluate(load_network().network, images, confidences=False)
     assert found.total().confusion.average_per_class_accuracy() > 0.75

@@ -13,7 +13,7 @@ from torch import nn
 from bodyseg_data.core import BadConfig
 from bodyseg_model.evaluation import over_seeds
 from bodyseg_model.networks import Trained
-from bodyseg_model.stability import Group, Run, Sweep, draw_stability, group, group_of, motion_over_seeds, summarise
+from bodyseg_model.stability import Group, Run, Sweep, draw_stability, group, group_of, summarise
 from bodyseg_model.stability.scenes import CLEAN, SweepPoint
 from bodyseg_model.stability.summary import _styles, corruption_error, falls_below, relative_robustness
 
@@ -133,13 +133,6 @@ def test_sweeps_that_do_not_count_alone_give_no_score() -> None:
     only = summarise(GROUPS, {"hard": SWEEPS["hard"]}, FOUND, GROUPS[1])["groups"]["all"]
     assert only["mrr"] is None and only["mce"] is None
     assert list(only["clean"]) == ["stored"]
-
-
-def test_scores_of_motion_are_over_seeds() -> None:
-    networks = {run.name: {"all": {"tc": 0.5 + 0.1 * run.seed, "vc": None}} for each in GROUPS for run in each.runs}
-    found = motion_over_seeds(GROUPS, networks)
-    assert found["all"]["all"]["tc"] == {"mean": 0.6, "sd": 0.1, "seeds": [0.5, 0.6, 0.7]}
-    assert found["none"]["all"]["vc"] is None
 
 
 def test_groups_differ_by_more_than_the_seed() -> None:

@@ -6,11 +6,12 @@ from pathlib import Path
 
 import pytest
 import torch
+from benches.model.chosen import recipe_from_json
 from small_training import train
 
 from bodyseg_data.core import BadConfig
 from bodyseg_model.networks import build, load_network
-from bodyseg_model.training import Recipe, recipe_for
+from bodyseg_model.training import recipe_for
 from bodyseg_model.training.recipes import AveragedNetwork
 
 
@@ -52,6 +53,6 @@ def test_an_averaged_training_saves_the_averages_and_trains_as_without(small_set
 
 def test_the_decay_belongs_to_the_recipe() -> None:
     recipe = recipe_for("compact", ema=0.999)
-    assert Recipe.from_json(recipe.to_json()) == recipe
+    assert recipe_from_json(recipe.to_json()) == recipe
     with pytest.raises(BadConfig, match="ema must be from 0 to 0.999999, found 1.0"):
         recipe_for("compact", ema=1.0)

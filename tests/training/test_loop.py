@@ -240,7 +240,7 @@ def test_another_training_is_not_overwritten(small_set: Path, tmp_path: Path) ->
     before = files(tmp_path / "run")
     with pytest.raises(BadConfig, match="holds this training already: --resume carries it on"):
         train(small_set, tmp_path / "run")
-    with pytest.raises(BadConfig, match="holds another training: --seed was 0, now 1"):
+    with pytest.raises(BadConfig, match="holds another training: seed was 0, now 1"):
         train(small_set, tmp_path / "run", resume=True, seed=1)
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "letter.txt").write_text("dear")

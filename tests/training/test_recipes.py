@@ -10,10 +10,11 @@ from typing import Any
 
 import pytest
 import torch
+from benches.model.chosen import recipe_from_json
 
 from bodyseg_data.core import BadConfig
 from bodyseg_model.networks import build
-from bodyseg_model.training import Recipe, recipe_for
+from bodyseg_model.training import recipe_for
 from bodyseg_model.training.recipes import PRESETS, fill_optimiser, make_optimiser, optimiser_tensors, set_learning_rate
 
 
@@ -111,7 +112,7 @@ def test_bad_recipes_are_refused(changes: dict[str, Any], message: str) -> None:
 
 def test_a_recipe_comes_back_from_json() -> None:
     for recipe in PRESETS.values():
-        assert Recipe.from_json(json.loads(json.dumps(dataclasses.asdict(recipe)))) == recipe
+        assert recipe_from_json(json.loads(json.dumps(dataclasses.asdict(recipe)))) == recipe
 
 
 def test_an_unknown_recipe_is_refused() -> None:

@@ -14,12 +14,10 @@ from small_training import RECIPE, TINY, CutError, GivenScores, cut_at, log, tra
 
 from bodyseg_data import RangeImages
 from bodyseg_data.artifacts import Noise, load_sensor_model
-from bodyseg_data.commands.options import flag_of
 from bodyseg_data.core import BadConfig
-from bodyseg_model.commands.train import Options
 from bodyseg_model.networks import load_network
 from bodyseg_model.training import RunOptions
-from bodyseg_model.training.plan import FLAGS, check_plan, differences, option_of
+from bodyseg_model.training.plan import check_plan, differences
 
 SELDOM = RunOptions(1, 100, 0)
 
@@ -98,38 +96,42 @@ def with_noise(data: Path, most: float) -> RangeImages:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (lambda data: {"learning_rate": 0.02}, "--lr was 0.01, now 0.02"),
-        (lambda data: {"seed": 1}, "--seed was 0, now 1"),
-        (lambda data: {"seed": 1, "steps": 9}, "--seed was 0, now 1"),
-        (lambda data: {"settings": {**TINY, "patch": 8}}, "--settings patch was 16, now 8"),
-        (lambda data: {"bf16": True}, "--precision was float32, now bfloat16"),
-        (lambda data: {"ema": 0.9}, "--ema was not given, now 0.9"),
-        (lambda data: {"momentum": 0.5}, "--recipe momentum was 0.9, now 0.5"),
+        (lambda data: {"learning_rate": 0.02}, "recipe.learning_rate was 0.01, now 0.02"),
+        (lambda data: {"seed": 1}, "seed was 0, now 1"),
+        (lambda data: {"seed": 1, "steps": 9}, "seed was 0, now 1"),
+        (lambda data: {"settings": {**TINY, "patch": 8}}, "settings.patch was 16, now 8"),
+        (lambda data: {"bf16": True}, "recipe.bf16 was false, now true"),
+        (lambda data: {"ema": 0.9}, "recipe.ema was not given, now 0.9"),
+        (lambda data: {"momentum": 0.5}, "recipe.momentum was 0.9, now 0.5"),
         (
             lambda data: {"geometric_augmentation": dataclasses.replace(RECIPE.geometric_augmentation, zoom=0.5)},
-            "--no-geometric-augmentation zoom was 0.0, now 0.5",
+            "recipe.geometric_augmentation.zoom was 0.0, now 0.5",
         ),
-        (lambda data: {"batch_size": 4, "accumulate": 2}, "--batch-size was 2, now 4; --accumulate was 1, now 2"),
+        (
+            lambda data: {"batch_size": 4, "accumulate": 2},
+            "recipe.batch_size was 2, now 4; recipe.accumulate was 1, now 2",
+        ),
         (
             lambda data: {"batch_size": 4, "accumulate": 2, "learning_rate": 0.02, "balance": 0, "clip": 0},
-            "--batch-size was 2, now 4; --accumulate was 1, now 2; --lr was 0.01, now 0.02 and 2 more",
+            "recipe.batch_size was 2, now 4; recipe.accumulate was 1, now 2; recipe.learning_rate was 0.01, now 0.02 "
+            "and 2 more",
         ),
-        (lambda data: {"images": RangeImages(data, "noise", "train")}, '--variant was "all", now "noise"'),
-        (lambda data: {"images": with_noise(data, 50.0)}, "--artifacts noise high_mm was 100.0, now 50.0"),
-        (lambda data: {"images": RangeImages(data, "all", "train", only=("*",))}, '--only was not given, now ["*"]'),
+        (lambda data: {"images": RangeImages(data, "noise", "train")}, 'variant was "all", now "noise"; '),
+        (lambda data: {"images": with_noise(data, 50.0)}, "sensor.artifacts.noise.high_mm was 100.0, now 50.0; "),
+        (lambda data: {"images": RangeImages(data, "all", "train", only=("*",))}, 'data.only was not given, now ["*"]'),
         (
             lambda data: {
                 "images": RangeImages(data, "all", "train", labels="limbs14"),
                 "settings": {**TINY, "classes": 14},
             },
-            '--labels was not given, now "limbs14"',
+            "settings.classes was not given, now 14; ",
         ),
-        (lambda data: {"images": RangeImages(data, "all", "train", sensor="kinect_v1")}, "--sensor name was "),
-        (lambda data: {"images": RangeImages(data / "train-*0.tar", "all", "train")}, '--data set was "'),
-        (lambda data: {"validation": held_out(data)}, "--val-share was not given, now given"),
+        (lambda data: {"images": RangeImages(data, "all", "train", sensor="kinect_v1")}, "sensor.name was "),
+        (lambda data: {"images": RangeImages(data / "train-*0.tar", "all", "train")}, 'data.set was "'),
+        (lambda data: {"validation": held_out(data)}, "validation was not given, now given"),
     ],
 )
-def test_a_refusal_names_the_option_that_differs(
+def test_a_refusal_names_the_field_that_differs(
     small_set: Path, tmp_path: Path, changes: Callable[[Path], dict[str, Any]], message: str
 ) -> None:
     train(small_set, tmp_path, steps=1)
@@ -141,12 +143,12 @@ def test_a_refusal_names_the_option_that_differs(
         assert said.endswith(message)
 
 
-def test_a_refusal_names_the_option_of_validation_that_differs(small_set: Path, tmp_path: Path) -> None:
+def test_a_refusal_names_the_field_of_validation_that_differs(small_set: Path, tmp_path: Path) -> None:
     train(small_set, tmp_path, steps=1, validation=held_out(small_set, 3))
     for validation, message in (
-        (held_out(small_set, 4), "--val-images was 3, now 4"),
-        (held_out(small_set, 3, 2), "--val-every was 1, now 2"),
-        (None, "--val-share was given, now not given"),
+        (held_out(small_set, 4), "validation.images was 3, now 4"),
+        (held_out(small_set, 3, 2), "validation.every was 1, now 2"),
+        (None, "validation was given, now not given"),
     ):
         with pytest.raises(BadConfig, match=message):
             train(small_set, tmp_path, steps=1, validation=validation, resume=True)
@@ -157,12 +159,7 @@ def test_another_rig_is_named_by_its_fields(small_set: Path, tmp_path: Path, pac
     train(small_set, tmp_path / "run", steps=1)
     with pytest.raises(BadConfig) as caught:
         train(farther, tmp_path / "run", steps=1, resume=True)
-    assert str(caught.value).endswith("holds another training: --data rig stand_off_m was 2.5, now 3.0")
-
-
-def test_options_in_refusals_are_those_of_the_command() -> None:
-    known = {flag_of(field) for field in dataclasses.fields(Options)}
-    assert {flag.split()[0] for flag in FLAGS.values()} <= known
+    assert str(caught.value).endswith("holds another training: rig.stand_off_m was 2.5, now 3.0")
 
 
 def test_differences_are_found_in_lists_of_objects_by_name() -> None:
@@ -175,8 +172,6 @@ def test_differences_are_found_in_lists_of_objects_by_name() -> None:
         ("sets", "1"),
         ("new",),
     ]
-    assert option_of(("recipe", "learning_rate")) == ("--lr", ())
-    assert option_of(("unknown", "field")) == ("unknown", ("field",))
 
 
 def test_differences_of_mixtures_are_named_like_those_of_sets(tmp_path: Path) -> None:
@@ -186,9 +181,14 @@ def test_differences_of_mixtures_are_named_like_those_of_sets(tmp_path: Path) ->
     one, other = {"set": "a", "weight": 1.0}, {"set": "b", "weight": 2.0}
     check_plan(tmp_path, plan(one, other), plan(one, other), 0)
     for found, wanted, message in (
-        (plan(one, other), plan(one, {**other, "weight": 3.0}), "--weights was 2.0, now 3.0"),
-        (plan(one, other), plan({**one, "set": "c"}, other), '--data set was "a", now "c"'),
-        (plan(one), plan(one, other), "--data was 1 set, now 2 sets"),
+        (plan(one, other), plan(one, {**other, "weight": 3.0}), "data.mixture.1.weight was 2.0, now 3.0"),
+        (plan(one, other), plan({**one, "set": "c"}, other), 'data.mixture.0.set was "a", now "c"'),
+        (
+            plan(one),
+            plan(one, other),
+            'data.mixture was not given, now [{"set": "a", "weight": 1.0}, {"set": "b", "weight": 2.0}]; '
+            'data.seed was not given, now 0; data.set was "a", now not given and 1 more',
+        ),
     ):
         with pytest.raises(BadConfig) as caught:
             check_plan(tmp_path, found, wanted, 0)

@@ -73,7 +73,7 @@ def test_a_training_that_was_cut_resumes_with_the_same_bits(small_set: Path, tmp
         train(out=tmp_path / "cut", report=cut, **options())
     with pytest.raises(BadConfig, match="holds this training already"):
         train(out=tmp_path / "cut", **options())
-    with pytest.raises(BadConfig, match="holds another training: --seed was 0, now 1"):
+    with pytest.raises(BadConfig, match="holds another training: seed was 0, now 1"):
         train(out=tmp_path / "cut", resume=True, **options(seed=1))
     train(out=tmp_path / "cut", resume=True, **options())
     assert written(tmp_path / "cut") == written(tmp_path / "whole")

@@ -184,4 +184,4 @@ def test_a_resumed_training_keeps_the_name_of_the_weights_that_it_started_from(
     another = earlier.rename(tmp_path / "another")
     capsys.readouterr()
     assert main(command(small_set, out, *more, "--pretrained", str(another))) == 2
-    assert '--pretrained file was "earlier", now "another"' in capsys.readouterr().err
+    assert 'pretrained.file was "earlier", now "another"' in capsys.readouterr().err

@@ -28,7 +28,7 @@ def held_out(small_set: Path) -> RangeImages:
 def test_scores_are_those_of_evaluate(small_set: Path, held_out: RangeImages, tmp_path: Path, ema: float) -> None:
     said = train(small_set, tmp_path, validation=Validation([held_out], 2, 5, keep="last"), ema=ema)
     assert [metrics.val_accuracy is not None for metrics in said] == [False, True, False, True]
-    scores = evaluate(load_network(tmp_path).network, held_out, 5, extras=()).total().confusion
+    scores = evaluate(load_network(tmp_path).network, held_out, 5, confidences=False).total().confusion
     last = log(tmp_path)[-1]
     assert last["val_accuracy"] == said[-1].val_accuracy == round(scores.average_per_class_accuracy(), 5)
     assert last["val_pixel_accuracy"] == round(scores.pixel_accuracy(), 5)
@@ -39,7 +39,7 @@ def test_several_sets_are_scored_together(held_out: RangeImages, small_set: Path
     other = RangeImages(small_set, "none", "test", only=("*A-*",))
     train(small_set, tmp_path, steps=1)
     network = load_network(tmp_path).network
-    each = [evaluate(network, images, 3, extras=()).total().confusion.counts for images in (held_out, other)]
+    each = [evaluate(network, images, 3, confidences=False).total().confusion.counts for images in (held_out, other)]
     found = Validation([held_out, other], count=3).scores(network)
     assert found.images == 6
     assert (found.confusion.counts == each[0] + each[1]).all()

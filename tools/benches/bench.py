@@ -99,6 +99,7 @@ BENCHES: Final = {
         "model.ablation.bench", "figure", required=("data", "runs"), optional=("images", "hard", "clothes")
     ),
     "real": Bench("model.real.bench", "figure", "frames, 50", required=("data",), optional=("runs", "flip_average")),
+    "motion": Bench("model.motion", required=("data", "runs")),
     "steady": Bench("model.real.steady", None, "frames, 100", required=("data",), optional=("runs", "flip_average")),
     "training": Bench("model.training_speed", required=("data",), optional=("steps",)),
     "gpu": Bench("model.gpu", None, "samples of a pass, 2000", required=("data",), optional=("num_workers", "steps")),
@@ -138,8 +139,8 @@ class Options:
     data: str | None = option(f"for {_takers('data')}: folder or address of the set", None, address=True)
     runs: tuple[Path, ...] | None = option(
         "for variants: folder of runs VARIANT-SEED, where missing ones are trained; for architectures and ablation: "
-        "folders of runs NAME-SEED; for network, runtimes, numerical, sensors, things, windows, people, real, steady "
-        "and failures: runs",
+        "folders of runs NAME-SEED; for motion: runs, all of them; for network, runtimes, numerical, sensors, things, "
+        "windows, people, real, steady and failures: runs",
         None,
     )
     seeds: int | None = option("for variants: trainings of each variant (default 3)", None)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benches.model.chosen import parameters
 from benches.model.networks import architectures as bench
 from benches.model.networks import architectures_runs
 from benches.model.networks.architectures import bench_architectures
@@ -20,7 +21,6 @@ from slow_accuracy import slow_accuracy
 from bodyseg_data.core import BadConfig
 from bodyseg_data.loading import RangeImages
 from bodyseg_model.networks import build, load_network, save_network
-from bodyseg_model.networks.registry import parameters
 
 TINY = {"patch": 16, "widths": [8], "blocks": [0]}
 NARROW = {"width": 1 / 16}

@@ -297,7 +297,7 @@ def test_the_answer_adds_up(figures_set: Path) -> None:
     assert found["training_bodies"] is None, "plain figures have no joint angles"
     for name, images in (("test", 3), ("hard", 8)):
         answer = found["sets"][name]
-        matrix = evaluate(Places(0, 20), open_images(str(figures_set)), images, extras=()).total().confusion
+        matrix = evaluate(Places(0, 20), open_images(str(figures_set)), images, confidences=False).total().confusion
         assert (answer["images"], answer["pixels"]) == (images, matrix.pixels)
         assert answer["accuracy"] == pytest.approx(matrix.average_per_class_accuracy(), abs=1e-4)
         check_causes(answer)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from benches.model.chosen import parameters
 from benches.model.networks import network as bench
 from benches.model.networks.network import bench_network
 from benches.model.networks.network_figure import _MARKS, draw_network
@@ -17,7 +18,6 @@ from torch import nn
 
 from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_model.networks import Network, build, save_network
-from bodyseg_model.networks.registry import parameters
 
 TINY: dict[str, dict[str, Any]] = {
     "fcn_alexnet": {"width": 1 / 16},

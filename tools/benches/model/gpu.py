@@ -19,6 +19,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from benches.model.chosen import parameters
 from benches.model.networks.network_frames import SENSOR_SIZE, as_batch, stretched, typical_frames
 from benches.model.networks.network_times import (
     BUDGET_S,
@@ -34,7 +35,6 @@ from bodyseg_data.core import BadConfig, ProgressCallback, check_int, silent
 from bodyseg_data.loading import Batch, RangeImages, WorkerMethod, loader
 from bodyseg_model.networks import Network, build, load_network, predict
 from bodyseg_model.networks.checkpoints import SHIPPED
-from bodyseg_model.networks.registry import parameters
 from bodyseg_model.training import Metrics, RunFolder, RunOptions, Training, recipe_for
 from bodyseg_model.training.distributed import ProcessGroup
 

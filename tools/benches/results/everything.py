@@ -45,8 +45,7 @@ def pages(results: Path) -> tuple[str, ...]:
 PAGES: Final = pages(Path(__file__).parents[3] / RESULTS)
 """The pages of this checkout."""
 
-_STILL_IMAGES: Final = ("--parts", "images", "--images", "25", "--threads", "1")
-_MOTION: Final = ("--parts", "temporal", "--threads", "1")
+_ALL_SWEEPS: Final = ("--images", "25", "--threads", "1")
 
 
 def everything() -> Graph:
@@ -167,19 +166,19 @@ def _stability() -> Iterator[Step]:
     yield _stability_of("stability_fcn_alexnet", ALEXNET_RUNS)
     yield _stability_of("stability_networks", (*seeds("runs/variants/all"), BOX, *LOSSES_RUNS), BOX_LINKS)
     yield _stability_of("stability_architectures", NETWORK_RUNS, COMPACT_LINKS)
-    yield _stability_of("stability_motion", VARIANT_RUNS, parts=_MOTION)
-    yield _stability_of("stability_fcn_alexnet_motion", ALEXNET_RUNS, parts=_MOTION)
-    hidden = ("--parts", "images", "--sweeps", "hidden", "hidden_shown", "--images", "14", "--threads", "1")
-    yield _stability_of("stability_hidden", (BOX,), BOX_LINKS, parts=hidden)
-    sweeps = ("patches", "stripes", "crop_above", "crop_below", "tilt")
-    harms = ("--parts", "images", "--sweeps", *sweeps, "--images", "20", "--threads", "1")
-    yield _stability_of("stability_shipped", (BOX,), BOX_LINKS, parts=harms)
+    for to, runs in (("stability_motion", VARIANT_RUNS), ("stability_fcn_alexnet_motion", ALEXNET_RUNS)):
+        yield _bench("motion", "--data", OPEN, "--runs", *runs, to=to)
+    hidden = ("--sweeps", "hidden", "hidden_shown", "--images", "14", "--threads", "1")
+    yield _stability_of("stability_hidden", (BOX,), BOX_LINKS, sweeps=hidden)
+    harmful = ("patches", "stripes", "crop_above", "crop_below", "tilt")
+    harms = ("--sweeps", *harmful, "--images", "20", "--threads", "1")
+    yield _stability_of("stability_shipped", (BOX,), BOX_LINKS, sweeps=harms)
 
 
-def _stability_of(name: str, runs: tuple[str, ...], links: Links = (), parts: tuple[str, ...] = _STILL_IMAGES) -> Step:
+def _stability_of(name: str, runs: tuple[str, ...], links: Links = (), sweeps: tuple[str, ...] = _ALL_SWEEPS) -> Step:
     out = f"stability/{name}"
-    compared = ("--reference", *REFERENCE_RUNS, "--hard", HARD) if parts == _STILL_IMAGES else ()
-    words = ("bodyseg", "stability", "--run", *runs, "--data", OPEN, "--out", out, *compared, *parts)
+    compared = ("--reference", *REFERENCE_RUNS, "--hard", HARD) if sweeps == _ALL_SWEEPS else ()
+    words = ("bodyseg", "stability", "--run", *runs, "--data", OPEN, "--out", out, *compared, *sweeps)
     results = [(f"{out}/stability.json", f"{name}.json")]
     if compared:
         results.append((f"{out}/stability.png", f"{name}.png"))

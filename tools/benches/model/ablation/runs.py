@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benches.model.ablation.rows import BASE, ROW_OF_BASE, ROWS, AblationRow, Source, Tree
+from benches.model.chosen import recipe_from_json
 from bodyseg_data.commands import last_name
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import read_json
@@ -64,7 +65,7 @@ def plan_of(run: Run) -> Plan:
         if card["network"] != NETWORK:
             raise BadConfig(f"{run.path} must be a training of {NETWORK}, found {card['network']!r}")
         preset = asdict(PRESETS[NETWORK])
-        return Plan(Recipe.from_json(preset | card["recipe"]), build(NETWORK, card["settings"]).settings)
+        return Plan(recipe_from_json(preset | card["recipe"]), build(NETWORK, card["settings"]).settings)
     except (KeyError, TypeError, ValueError) as error:
         raise BadConfig(f"{run.path} must name recipe and settings of a training: {error!r}") from error
 

@@ -67,7 +67,7 @@ def bench_failures(
         def show(done: int, _: int, before: int = before) -> None:
             progress(before + done, total)
 
-        evaluate(trained.network, chosen, count, extras=(), progress=show, watch=counts.watch)
+        evaluate(trained.network, chosen, count, confidences=False, progress=show, watch=counts.watch)
         before += counts.images
         results[name] = counts.results(names)
         pictures[name] = [failure.picture for failure in counts.worst]

@@ -13,13 +13,13 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.model.border_distance import EDGES, distance_bins
 from bodyseg_data.artifacts import RangeImage
 from bodyseg_data.core import MissingLibrary
 from bodyseg_data.labels import BACKGROUND, MIRRORED_LABELS, PART_COUNT, PARTS, PARTS33
 from bodyseg_data.rigs import Camera
 from bodyseg_data.samples import Sample
 from bodyseg_model.evaluation import KINDS, kinds_of
-from bodyseg_model.evaluation.scores import EDGES, distance_bins
 
 About = Literal["a place", "a mistake", "an image"]
 

@@ -16,6 +16,7 @@ from typing import Any, Final
 import torch
 from numpy.typing import NDArray
 
+from benches.model.chosen import parameters
 from benches.model.networks.architectures_forest import SHOTTONS_IMAGES, DepthForest, ForestScale, fit_forest
 from benches.model.networks.architectures_runs import SHARED, Run, groups_in, is_shipped
 from benches.model.networks.network import FILLED, TYPICAL
@@ -27,7 +28,6 @@ from bodyseg_data.loading import RangeImages
 from bodyseg_data.machine import processors
 from bodyseg_model.evaluation import evaluate, over_seeds, report
 from bodyseg_model.networks import Network, find_device
-from bodyseg_model.networks.registry import parameters
 
 FOREST: Final = "forest"
 TITLES: Final = {
@@ -100,7 +100,7 @@ def bench_architectures(
             scores[name].append(evaluator.scores(run.path, run.network.to(device), TABLE["all"], extras=False))
             did(f"evaluated {run.path.name}")
     if scale is not None:
-        answer = evaluate(networks[FOREST], test_images, images, extras=(), batch_size=1)
+        answer = evaluate(networks[FOREST], test_images, images, confidences=False, batch_size=1)
         scores[FOREST].append(report(answer))
         did("evaluated the forest")
     recipe = next(iter(groups.values()))[0].recipe

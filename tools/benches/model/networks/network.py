@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from benches.model.chosen import parameters
 from benches.model.networks.baselines import with_baselines
 from benches.model.networks.network_frames import SENSOR_SIZE, as_batch, body_rectangle, stretched, typical_frames
 from benches.model.networks.network_times import (
@@ -33,7 +34,7 @@ from bodyseg_data.files import read_json
 from bodyseg_data.machine import processors
 from bodyseg_model.networks import Network, build, load_network
 from bodyseg_model.networks.checkpoints import SHIPPED
-from bodyseg_model.networks.registry import NETWORKS, parameters
+from bodyseg_model.networks.registry import NETWORKS
 from bodyseg_model.runtimes import on_backend
 
 REFERENCE: Final = "compact"

@@ -88,7 +88,7 @@ def bench_runtimes(
     for name, network in networks.items():
         if name == PAPERS:
             continue
-        found = evaluate(network, test_images, images, extras=(), batch_size=1).total()
+        found = evaluate(network, test_images, images, confidences=False, batch_size=1).total()
         rows[name] = {
             "average_per_class_accuracy": round(found.confusion.average_per_class_accuracy(), 5),
             "labels_that_differ": _differing(networks[REFERENCE], network, typical),

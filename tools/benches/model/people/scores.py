@@ -22,12 +22,11 @@ from bodyseg_data.packing import Packing, pack
 from bodyseg_data.packing.sampler import body_key
 from bodyseg_data.samples import ViewGrid, split_key
 from bodyseg_model.evaluation import ConfusionMatrix, count_pairs, evaluate, open_images, pairs_of
-from bodyseg_model.evaluation.evaluation import Extra, PredictedImage
+from bodyseg_model.evaluation.evaluation import PredictedImage
 from bodyseg_model.networks import Network
 
 VARIANTS: Final = ("all", "none")
 
-_EXTRAS: Final[tuple[Extra, ...]] = ("confidences",)
 _SOURCE: Final = "folder"
 _SPAN_DEG: Final = 360
 _AZIMUTHS: Final = 36
@@ -81,7 +80,7 @@ def scored(
         def show(done: int, total: int, before: int = number * len(images)) -> None:
             progress(before + done, len(VARIANTS) * total)
 
-        evaluation = evaluate(network, images, extras=_EXTRAS, progress=show, watch=watch)
+        evaluation = evaluate(network, images, progress=show, watch=watch)
         confidences = evaluation.total().confidences
         calibration = None if confidences is None else _rounded(confidences.ece())
         results[variant] = by_groups(counts) | {"calibration_error": calibration}

@@ -1,7 +1,7 @@
 """`bench steady`: how often labels change from frame to frame, each frame alone and with evidence carried along.
 
 Of a still person, the points of the surface that a real recording's frames show together; of moving bodies, the points
-of `stability`. docs/how-to/steady.md says how to read the results.
+of `bench motion`. docs/how-to/steady.md says how to read the results.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.model.chosen import chosen_network
+from benches.model.motion import CARRIED, temporal
 from benches.model.real.bench import Answer, scored, settled, true_labels
 from benches.model.real.fusion import FusedSurface, fitted, fuse
 from benches.model.real.labels import ON_SURFACE_M, load_placements
@@ -26,8 +27,6 @@ from bodyseg_data.machine import torch_threads
 from bodyseg_model.networks import Trained
 from bodyseg_model.segmentation import CarriedLabels, Segmenter
 from bodyseg_model.segmentation.carried_labels import Carrying
-from bodyseg_model.stability import temporal
-from bodyseg_model.stability.motion import CARRIED
 
 ALONE: Final = "alone"
 CARRIED_ALONG: Final = "parts"

@@ -14,6 +14,7 @@ from typing import Any, Final
 
 import torch
 
+from benches.model.chosen import parameters
 from benches.model.variants.claims import ScoresOf, Tree, accuracies, claims
 from benches.model.variants.runs import NETWORK, Plan, Run, common_plan, origin, runs_in, train
 from benches.model.variants.scores import SWEEPS, SWEEPS_ALONE, TABLE, Condition, Evaluator, Sweep
@@ -21,7 +22,6 @@ from bodyseg_data.artifacts import VARIANTS, VariantName
 from bodyseg_data.core import BadConfig, NotedProgress, check_int, silent
 from bodyseg_model.evaluation import over_seeds
 from bodyseg_model.networks import build, find_device, load_network
-from bodyseg_model.networks.registry import parameters
 from bodyseg_model.training import Metrics
 from bodyseg_model.training.distributed import ProcessGroup
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from benches.model.chosen import recipe_from_json
 from bodyseg_data.artifacts import VARIANTS, VariantName
 from bodyseg_data.commands import last_name, provenance
 from bodyseg_data.core import BadConfig, check_int
@@ -85,7 +86,7 @@ def common_plan(runs: list[Run], data: str, steps: int | None) -> Plan:
     if there:
         run, first = there[0]
         try:
-            shared = Plan(Recipe.from_json(first["recipe"]), dict(first["settings"]), identity)
+            shared = Plan(recipe_from_json(first["recipe"]), dict(first["settings"]), identity)
         except (KeyError, TypeError, ValueError) as error:
             raise BadConfig(f"{run.path} must name recipe and settings of a training: {error!r}") from error
         if steps is not None and shared.recipe.steps != steps:

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from benches.model.border_distance import BorderErrors
 from benches.result_cache import ResultCache, network_identity
 from bodyseg_data.artifacts import VARIANTS, VariantName
 from bodyseg_data.loading import RangeImages
 from bodyseg_model.evaluation import evaluate, open_images, report
-from bodyseg_model.evaluation.evaluation import EXTRAS
 from bodyseg_model.networks import Network, device_of
 
 FILE: Final = "cached_results.json"
@@ -28,7 +28,6 @@ MISSING: Final = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 _SEED: Final = 0  # of the tests' draws, whatever the training's was: all networks see the same images
 _BATCH: Final = 1  # as a sensor gives them
 _KEPT: Final = ("images", "pixels", "average_per_class_accuracy", "pixel_accuracy", "mean_iou", "swaps", "subsets")
-_KEPT_OF_EXTRAS: Final = ("confidence", "border_distance_px")
 
 
 @dataclass(frozen=True)
@@ -107,9 +106,13 @@ class Evaluator:
         cache = self._cache(folder, type(condition).__module__)
         found = cache.get(query)
         if found is None:
-            chosen = EXTRAS if extras else ()
-            answer = report(evaluate(network, images, self._count, extras=chosen, batch_size=_BATCH))
-            found = {name: answer[name] for name in (*_KEPT, *(_KEPT_OF_EXTRAS if extras else ()))}
+            borders = BorderErrors(images)
+            watch = borders.watch if extras else None
+            judged = evaluate(network, images, self._count, confidences=extras, batch_size=_BATCH, watch=watch)
+            answer = report(judged)
+            found = {name: answer[name] for name in _KEPT}
+            if extras:
+                found |= {"confidence": answer["confidence"], "border_distance_px": borders.to_json()}
             cache.put(query, found)
         return found
 

@@ -4,11 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import pytest
 import torch
+from benches.charts import stability_tables
+from benches.model import motion
+from benches.model.motion import (
+    AZIMUTHS_DEG,
+    NEAR_M,
+    NOT_SEEN,
+    TemporalConsistency,
+    Tracks,
+    bench_motion,
+    choose_shots,
+    find_tracks,
+    follow,
+    motion_over_seeds,
+    render_shot,
+    temporal,
+)
 from fakes import Figures
 from numpy.typing import NDArray
 from shapes import ball, figure
@@ -24,20 +41,9 @@ from bodyseg_data.rendering import RasterRenderer
 from bodyseg_data.rendering.embree import EmbreeRenderer
 from bodyseg_data.rigs import Camera, load_rig
 from bodyseg_data.samples import View
-from bodyseg_model.networks import Network, predict
-from bodyseg_model.stability import temporal
-from bodyseg_model.stability.motion import (
-    AZIMUTHS_DEG,
-    NEAR_M,
-    NOT_SEEN,
-    RenderedBody,
-    TemporalConsistency,
-    Tracks,
-    choose_shots,
-    find_tracks,
-    follow,
-    render_shot,
-)
+from bodyseg_model.networks import Network, Trained, build, predict, save_network
+from bodyseg_model.stability import Group, Run
+from bodyseg_model.stability.scenes import RenderedBody
 
 RIG = load_rig()
 COLUMNS = RIG.camera.columns
@@ -232,10 +238,10 @@ class Walk:
         self.step_m = step_m
 
     def bodies(self) -> Sequence[BodyRef]:
-        def motion(name: str, frames: int, split: Literal["train", "test"]) -> list[BodyRef]:
+        def posed(name: str, frames: int, split: Literal["train", "test"]) -> list[BodyRef]:
             return [BodyRef("B", "B", f"B-{name}-{number:03d}", name, split) for number in range(frames)]
 
-        return [*motion("walk", 7, "test"), *motion("wave", 2, "test"), *motion("jump", 9, "train")]
+        return [*posed("walk", 7, "test"), *posed("wave", 2, "test"), *posed("jump", 9, "train")]
 
     def missing(self) -> Sequence[str]:
         return ()
@@ -396,3 +402,39 @@ def test_options_that_cannot_be(options: dict[str, Any], message: str) -> None:
 def test_figures_that_do_not_move_are_no_motion() -> None:
     with pytest.raises(BadConfig, match="needs a motion of 16 frames to test on, found at most 1"):
         temporal({}, Figures())
+
+
+def seed_of(name: str, seed: int) -> Run:
+    return Run(name, Path(name), Trained(ByRange(), {"seed": seed}))
+
+
+def test_scores_are_over_seeds() -> None:
+    groups = [
+        Group("all", (seed_of("all-0", 0), seed_of("all-1", 1), seed_of("all-2", 2))),
+        Group("none", (seed_of("none-0", 0), seed_of("none-1", 1))),
+    ]
+    networks = {
+        run.name: {"all": {"tc": 0.5 + 0.1 * run.trained.card["seed"], "vc": None}}
+        for each in groups
+        for run in each.runs
+    }
+    found = motion_over_seeds(groups, networks)
+    assert found["all"]["all"]["tc"] == {"mean": 0.6, "sd": 0.1, "seeds": [0.5, 0.6, 0.7]}
+    assert found["none"]["all"]["vc"] is None
+
+
+def test_the_bench_films_with_the_rig_of_the_set(
+    small_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for seed in range(2):
+        network = build("compact", {"patch": 16, "widths": (8,), "blocks": (0,)}, seed)
+        save_network(tmp_path / f"all-{seed}.safetensors", network, "compact", {"variant": "all", "seed": seed})
+
+    def one_score(networks: Any, **options: Any) -> dict[str, Any]:
+        assert options["rig"] == SMALL
+        return {"networks": {name: {"all": dict.fromkeys(TemporalConsistency().to_json(), 0.5)} for name in networks}}
+
+    monkeypatch.setattr(motion, "temporal", one_score)
+    found = bench_motion(str(small_set), [tmp_path / f"all-{seed}.safetensors" for seed in range(2)])
+    assert found["temporal"]["groups"]["all"]["all"]["tc"] == {"mean": 0.5, "sd": 0.0, "seeds": [0.5, 0.5]}
+    assert stability_tables.tables(found)["motion"][0]["TC, %"] == "50.0 ± 0.0"

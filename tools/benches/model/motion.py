@@ -1,4 +1,4 @@
-"""Temporal consistency of labels while a body moves, with new artifacts in every frame: the scores TC and VC.
+"""`bench motion`: consistency of labels while a body moves, with new artifacts in every frame: the scores TC and VC.
 
 TC is the mIoU of a prediction and the next one warped onto it (Liu et al., "Efficient semantic video segmentation with
 per-frame inference", 2020); VC is the share of points whose label stays the same through a window of frames (Miao et
@@ -11,69 +11,36 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cached_property
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from benches.charts.stability_tables import FORMAT
 from bodyseg_data.artifacts import Augmentation, RangeImage, VariantName
 from bodyseg_data.bodies import FRAMES_PER_SECOND, Body, BodyRef, BodySource, open_source
 from bodyseg_data.core import BadConfig, ProgressCallback, check_int, counter, silent
 from bodyseg_data.labels import BACKGROUND
-from bodyseg_data.meshes import Mesh, Partition
-from bodyseg_data.packing import faces_towards, sample_key, surface_points
-from bodyseg_data.rendering import Surface, open_renderer
+from bodyseg_data.loading import RangeImages
+from bodyseg_data.machine import torch_threads
+from bodyseg_data.meshes import Mesh
+from bodyseg_data.packing import faces_towards, sample_key
+from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rigs import PlacedCamera, Rig, load_rig
 from bodyseg_data.samples import Sample, SampleInfo, View, metres, steps
-from bodyseg_model.evaluation import ConfusionMatrix
+from bodyseg_model.evaluation import ConfusionMatrix, over_seeds
 from bodyseg_model.networks import Network, device_of, predict
 from bodyseg_model.segmentation import CarriedLabels
+from bodyseg_model.stability import Group, group, load_runs
+from bodyseg_model.stability.scenes import RenderedBody
 
 NEAR_M: Final = 0.005
 """A point counts as seen by the pixel it projects into if the surface at the pixel's centre is at most this far from
 it, metres. A pixel is about 3.4 mm wide at 2.55 m."""
 
 NOT_SEEN: Final = -1
-
-
-@dataclass(frozen=True, repr=False)
-class RenderedBody:
-    """A body in front of a camera, and its rendered surface."""
-
-    mesh: Mesh
-    camera: PlacedCamera
-    surface: Surface
-
-    def __repr__(self) -> str:
-        return f"RenderedBody({self.mesh.name!r}, {len(self.pixels)} pixels)"
-
-    @cached_property
-    def pixels(self) -> NDArray[np.intp]:
-        """The pixels that see the body, int [N], row * columns + column, ascending."""
-        return np.flatnonzero(self.surface.face >= 0)
-
-    @cached_property
-    def faces(self) -> NDArray[np.int32]:
-        """The triangle that each of `pixels` sees, int32 [N]."""
-        return self.surface.face.take(self.pixels)
-
-    @cached_property
-    def points(self) -> NDArray[np.float64]:
-        """The surface points at the centres of `pixels`, [N, 3], metres, body frame."""
-        return surface_points(self.surface, self.camera, *np.divmod(self.pixels, self.surface.face.shape[1]))
-
-    @cached_property
-    def weights(self) -> NDArray[np.float64]:
-        """Barycentric weights of `points` in `faces`, [N, 3]."""
-        return self.mesh.barycentric(self.faces, self.points)
-
-    def labels(self, parts: Partition) -> NDArray[np.uint8]:
-        """Label image of the body, uint8 [H, W], BACKGROUND where the camera does not see it."""
-        labels = np.full(self.surface.face.shape, BACKGROUND, np.uint8)
-        labels.ravel()[self.pixels] = parts.labels_at(self.mesh, self.faces, self.points)
-        return labels
 
 
 def follow(first: RenderedBody, later: RenderedBody) -> NDArray[np.intp]:
@@ -89,7 +56,8 @@ def follow(first: RenderedBody, later: RenderedBody) -> NDArray[np.intp]:
         raise BadConfig(
             f"only bodies that share their triangles can be followed, found {first.mesh.name} and {later.mesh.name}"
         )
-    points = np.einsum("nc,ncx->nx", first.weights, later.mesh.vertices[later.mesh.faces[first.faces]])
+    weights = first.mesh.barycentric(first.faces, first.points)
+    points = np.einsum("nc,ncx->nx", weights, later.mesh.vertices[later.mesh.faces[first.faces]])
     image, range_m = later.camera.project(points)
     rows, columns = later.surface.face.shape
     inside = (range_m > 0) & (image >= 0).all(axis=1) & (image < (columns, rows)).all(axis=1)
@@ -307,6 +275,37 @@ class TemporalConsistency:
 def _along(flat: NDArray[Any], start: int, pixels: NDArray[np.intp]) -> NDArray[Any]:
     """Values of flat images [frames, H * W] at pixels [n, P] of the frames from `start` on, [n, P]."""
     return np.stack([image.take(row) for image, row in zip(flat[start:], pixels, strict=False)])
+
+
+def bench_motion(data: str, runs: Sequence[Path], progress: ProgressCallback = silent) -> dict[str, Any]:
+    """Measure `temporal` for networks of the set `data`, whose rig films the bodies, and its means over their seeds.
+
+    runs: folders of trainings, or .safetensors files; seeds of one training make a group. Computes on one thread of the
+    processor. Raises BadConfig as `load_runs` and `temporal`, and as `RangeImages`.
+    """
+    trained = load_runs(runs)
+    rig = RangeImages(data, "none", "test").manifest.rig
+    with torch_threads(1):
+        found = temporal({each.name: each.trained.network for each in trained}, rig=rig, progress=progress)
+    return {"format": FORMAT, "temporal": found | {"groups": motion_over_seeds(group(trained), found["networks"])}}
+
+
+def motion_over_seeds(groups: Sequence[Group], networks: Mapping[str, Mapping[str, dict[str, Any]]]) -> dict[str, Any]:
+    """Scores of `temporal` over the seeds of each group: group -> variant -> score; None if a network lacks it.
+
+    networks: run's name -> variant -> score -> number.
+    """
+    found: dict[str, Any] = {}
+    for each in groups:
+        rows = [networks[run.name] for run in each.runs]
+        found[each.label] = {
+            variant: {
+                score: None if None in values else over_seeds(values)
+                for score, values in ((score, [row[variant][score] for row in rows]) for score in scores)
+            }
+            for variant, scores in rows[0].items()
+        }
+    return found
 
 
 def temporal(

@@ -1,13 +1,17 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from benches.model.border_distance import BIN_NAMES, EDGES, BorderErrors, distance_bins
+from label_networks import Places
 from scipy import ndimage
 from skimage.segmentation import find_boundaries
 
-from bodyseg_data.labels import BACKGROUND
-from bodyseg_model.evaluation import KINDS, pairs_of
-from bodyseg_model.evaluation.scores import BIN_NAMES, EDGES, BorderErrors, distance_bins
+from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap
+from bodyseg_data.loading import RangeImages
+from bodyseg_model.evaluation import evaluate, open_images
 
 
 def by_transform(labels: np.ndarray) -> np.ndarray:
@@ -73,13 +77,29 @@ def test_labels_at_both_ends_of_the_range_make_borders() -> None:
     assert distance_bins(labels).tolist() == [[0, 0, 0, 0]]
 
 
-def test_errors_are_counted_by_distance_and_kind() -> None:
-    truth = np.array([0, 4, 4, 3], np.uint8)
-    predicted = np.array([0, 5, 14, 3], np.uint8)
-    errors = BorderErrors()
-    errors.add(pairs_of(truth, predicted), np.array([0, 5, 5, 5], np.uint8))
-    expected = np.zeros((6, 5), np.int64)
-    expected[0, KINDS.index("right")] = 1
-    for kind in ("left/right", "both", "right"):
-        expected[5, KINDS.index(kind)] = 1
-    assert np.array_equal(errors.counts, expected)
+@pytest.mark.parametrize("variant", ["all", "none"])
+def test_errors_are_counted_by_distance_in_the_clean_image(small_set: Path, variant: str) -> None:
+    images, network = RangeImages(small_set, variant, "test"), Places(0, 20)
+    errors = BorderErrors(images)
+    confusion = evaluate(network, images, watch=errors.watch).total().confusion
+    assert errors.counts[:, 0].sum() == confusion.counts.trace() and errors.counts.sum() == confusion.pixels
+    near = 0
+    for index in range(len(images)):
+        shown = images[index]["labels"].numpy()
+        near += int((by_transform(images.clean(index).labels)[shown != BACKGROUND] == 0).sum())
+    rows = errors.to_json()
+    assert [row["distance"] for row in rows] == [*BIN_NAMES]
+    assert rows[0]["pixels"] == near and rows[0]["wrong"] == round(errors.counts[0, 1] / near, 5)
+
+
+def test_a_bin_without_a_pixel_has_no_share(small_set: Path) -> None:
+    rows = BorderErrors(RangeImages(small_set, "all", "test")).to_json()
+    assert all(row["pixels"] == 0 and row["wrong"] is None for row in rows)
+
+
+def test_borders_between_joined_parts_are_none(small_set: Path) -> None:
+    images = open_images(str(small_set), "md", labels=LabelMap("one", (("body", PARTS33.names),)))
+    errors = BorderErrors(images)
+    found = evaluate(Places(0, 20), images, label_map=PARTS33, watch=errors.watch).total()
+    assert errors.counts[:-1].sum() == 0 and errors.counts[-1].tolist() == [found.confusion.pixels, 0]
+    assert found.confusion.pixel_accuracy() == 1
