@@ -369,6 +369,7 @@ def test_a_state_that_cannot_be_read_is_one_line(tmp_path: Path, figures: Callab
         figures(tmp_path / "out", Frail)
 
 
+@pytest.mark.usefixtures("packing_here")
 def test_the_command_lists_every_fault_then_skips(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = people(tmp_path / "people")
     words = ["shard", "--source", "folder", "--path", str(folder), "--out", str(tmp_path / "out"), "--views", "1"]
