@@ -79,31 +79,14 @@ if TYPE_CHECKING:
         SensorModel,
         load_sensor_model,
     )
-    from bodyseg_data.bodies import (
-        Body,
-        BodyRef,
-        BodySource,
-        open_source,
-    )
-    from bodyseg_data.core import (
-        BadConfig,
-        BadSample,
-        BadShard,
-        BodysegError,
-        Draws,
-    )
+    from bodyseg_data.bodies import Body, BodyRef, BodySource, open_source
+    from bodyseg_data.core import BadConfig, BadSample, BadShard, BodysegError, Draws
     from bodyseg_data.shards import Unreachable
     from bodyseg_data.loading import BadTransform
     from bodyseg_data.loading import WorkerLost
     from bodyseg_data.drawing import colour_range
     from bodyseg_data.example import example_set
-    from bodyseg_data.labels import (
-        BACKGROUND,
-        PARTS,
-        LabelMap,
-        colour_labels,
-        load_label_map,
-    )
+    from bodyseg_data.labels import BACKGROUND, PARTS, LabelMap, colour_labels, load_label_map
     from bodyseg_data.loading import (
         Batch,
         BodyCrop,
@@ -119,21 +102,10 @@ if TYPE_CHECKING:
         loader,
     )
     from bodyseg_data.meshes import Mesh
-    from bodyseg_data.packing import (
-        Packing,
-        pack,
-        plan,
-    )
-    from bodyseg_data.rigs import (
-        Camera,
-        Rig,
-        load_rig,
-    )
+    from bodyseg_data.packing import Packing, pack, plan
+    from bodyseg_data.rigs import Camera, Rig, load_rig
     from bodyseg_data.samples import Sample
-    from bodyseg_data.shards import (
-        RetryPolicy,
-        decode_sample,
-    )
+    from bodyseg_data.shards import RetryPolicy, decode_sample
 
     __version__: str
 else:

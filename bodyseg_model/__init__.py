@@ -39,38 +39,11 @@ __all__ = [
 
 if TYPE_CHECKING:
     from bodyseg_data import __version__ as __version__
-    from bodyseg_model.evaluation import (
-        Evaluation,
-        evaluate,
-        open_images,
-    )
-    from bodyseg_model.networks import (
-        Network,
-        Trained,
-        load_network,
-        predict,
-    )
-    from bodyseg_model.recordings import (
-        LiveRecording,
-        frame_camera,
-        open_recording,
-        orbbec,
-        realsense,
-        to_metres,
-    )
+    from bodyseg_model.evaluation import Evaluation, evaluate, open_images
+    from bodyseg_model.networks import Network, Trained, load_network, predict
+    from bodyseg_model.recordings import LiveRecording, frame_camera, open_recording, orbbec, realsense, to_metres
     from bodyseg_model.runtimes import on_backend
-    from bodyseg_model.segmentation import (
-        Background,
-        FrameLabeller,
-        Segmenter,
-        shipped_score,
-    )
-    from bodyseg_model.training import (
-        Recipe,
-        RunOptions,
-        Validation,
-        recipe_for,
-        train,
-    )
+    from bodyseg_model.segmentation import Background, FrameLabeller, Segmenter, shipped_score
+    from bodyseg_model.training import Recipe, RunOptions, Validation, recipe_for, train
 else:
     __getattr__, __dir__, _ = lazy_door(__name__)

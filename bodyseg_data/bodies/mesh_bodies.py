@@ -17,13 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.alignment import (
-    UPRIGHT_DEG,
-    Alignment,
-    check_standing,
-    find_alignment,
-    metres_a_unit,
-)
+from bodyseg_data.bodies.alignment import UPRIGHT_DEG, Alignment, check_standing, find_alignment, metres_a_unit
 from bodyseg_data.bodies.source import DEFAULTS, Body, BodyRef, ListedBodies, MeshOptions
 from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh
 from bodyseg_data.labels import LANDMARKS

@@ -30,15 +30,7 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import PARTS33, LabelMap, label_map_names
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, ImageSet, WorkerMethod, find_rank
 from bodyseg_data.samples import ReadSplit
-from bodyseg_model.networks import (
-    CardWords,
-    CheckpointName,
-    Network,
-    NetworkName,
-    build,
-    load_network,
-    network_class,
-)
+from bodyseg_model.networks import CardWords, CheckpointName, Network, NetworkName, build, load_network, network_class
 from bodyseg_model.training import (
     DEFAULT_EVERY,
     GeometricAugmentation,

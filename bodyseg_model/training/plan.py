@@ -22,13 +22,7 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.files import make_folder, read_json, write_json
 from bodyseg_data.labels import PARTS33
 from bodyseg_data.loading import ImageSet
-from bodyseg_model.networks import (
-    CardWords,
-    Checkpoint,
-    Network,
-    RunFiles,
-    read_checkpoint,
-)
+from bodyseg_model.networks import CardWords, Checkpoint, Network, RunFiles, read_checkpoint
 from bodyseg_model.training.recipes import Recipe
 from bodyseg_model.training.validation import Validation
 

@@ -8,14 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
-from bodyseg_data.artifacts import (
-    PAIRS,
-    VARIANTS,
-    Artifact,
-    SensorModel,
-    load_sensor_model,
-    sensor_model_names,
-)
+from bodyseg_data.artifacts import PAIRS, VARIANTS, Artifact, SensorModel, load_sensor_model, sensor_model_names
 from bodyseg_data.core import BadConfig, BodysegError
 from bodyseg_data.samples import READ_SPLITS, SPLITS, ReadSplit
 from bodyseg_model.viewing.page import Page
