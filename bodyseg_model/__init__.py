@@ -11,40 +11,39 @@ from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door
 
+__all__ = [
+    "Background",
+    "Evaluation",
+    "FrameLabeller",
+    "LiveRecording",
+    "Network",
+    "Recipe",
+    "RunOptions",
+    "Segmenter",
+    "Trained",
+    "Validation",
+    "evaluate",
+    "frame_camera",
+    "load_network",
+    "on_backend",
+    "open_images",
+    "open_recording",
+    "orbbec",
+    "predict",
+    "realsense",
+    "recipe_for",
+    "shipped_score",
+    "to_metres",
+    "train",
+]
+
 if TYPE_CHECKING:
     from bodyseg_data import __version__ as __version__
-    from bodyseg_model.evaluation import (
-        Evaluation as Evaluation,
-        evaluate as evaluate,
-        open_images as open_images,
-    )
-    from bodyseg_model.networks import (
-        Network as Network,
-        Trained as Trained,
-        load_network as load_network,
-        predict as predict,
-    )
-    from bodyseg_model.recordings import (
-        LiveRecording as LiveRecording,
-        frame_camera as frame_camera,
-        open_recording as open_recording,
-        orbbec as orbbec,
-        realsense as realsense,
-        to_metres as to_metres,
-    )
-    from bodyseg_model.runtimes import on_backend as on_backend
-    from bodyseg_model.segmentation import (
-        Background as Background,
-        FrameLabeller as FrameLabeller,
-        Segmenter as Segmenter,
-        shipped_score as shipped_score,
-    )
-    from bodyseg_model.training import (
-        Recipe as Recipe,
-        RunOptions as RunOptions,
-        Validation as Validation,
-        recipe_for as recipe_for,
-        train as train,
-    )
+    from bodyseg_model.evaluation import Evaluation, evaluate, open_images
+    from bodyseg_model.networks import Network, Trained, load_network, predict
+    from bodyseg_model.recordings import LiveRecording, frame_camera, open_recording, orbbec, realsense, to_metres
+    from bodyseg_model.runtimes import on_backend
+    from bodyseg_model.segmentation import Background, FrameLabeller, Segmenter, shipped_score
+    from bodyseg_model.training import Recipe, RunOptions, Validation, recipe_for, train
 else:
-    __getattr__, __dir__, __all__ = lazy_door(__name__)
+    __getattr__, __dir__, _ = lazy_door(__name__)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import contextlib
 import io
+import itertools
 import re
 from collections.abc import Iterator, Sequence
 from functools import cache
@@ -54,7 +55,8 @@ def defined_in(body: Sequence[ast.stmt]) -> Iterator[tuple[str, Sequence[ast.stm
             yield from ((alias.asname or alias.name, ()) for alias in node.names)
         elif isinstance(node, ast.Assign | ast.AnnAssign):
             targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-            yield from ((target.id, ()) for target in targets if isinstance(target, ast.Name))
+            each = (name for target in targets for name in getattr(target, "elts", [target]))
+            yield from ((name.id, ()) for name in each if isinstance(name, ast.Name))
         elif isinstance(node, ast.If):
             yield from defined_in([*node.body, *node.orelse])
 
@@ -94,11 +96,11 @@ def is_defined(name: str) -> bool:
         body = module_body(file)
         if end < len(parts) and (home := home_of(parts[end], body)):
             return is_defined(".".join([home, *parts[end:]]))
-        for part in parts[end:]:
-            members = dict(defined_in(body))
-            if part not in members:
+        for before, part in itertools.pairwise(parts[end - 1 :]):
+            held = dict(defined_in(body))
+            if part not in held and part not in members(before):
                 return False
-            body = members[part]
+            body = held.get(part, ())
         return True
     return False
 

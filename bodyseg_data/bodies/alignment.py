@@ -7,12 +7,12 @@ not given, are found from the body's size and its landmarks: the trunk points up
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Literal, get_args
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, BadMesh
+from bodyseg_data.core import BadMesh
 from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.meshes import HEIGHT_RANGE_M, METRES
 
@@ -49,13 +49,6 @@ class Alignment:
     def __str__(self) -> str:
         """Return scale and rotation as text, for digests."""
         return f"{self.scale!r} {self.rotation.astype(int).tolist()}"
-
-
-def check_alignment(units: str, up: str) -> None:
-    """Raise BadConfig for an unknown unit or axis that points up."""
-    for option, value, choices in (("units", units, get_args(Units)), ("up", up, get_args(UpAxis))):
-        if value not in choices:
-            raise BadConfig(f"{option} must be one of {', '.join(choices)}, found {value!r}")
 
 
 def find_alignment(
@@ -105,21 +98,6 @@ def metres_a_unit(surface: NDArray[np.float64], units: Units, where: str) -> flo
         sizes = " or ".join(f"{extent * METRES[unit]:.3g} m if in {unit}" for unit in fitting)
         raise BadMesh(f"{where}: cannot find the unit: the body is {shown}, that is {sizes}; give it with --units")
     raise BadMesh(f"{where}: a body must be {low} to {high} m at its largest: found {shown}, which fits in no unit")
-
-
-def check_size(surface: NDArray[np.float64], scale: float, where: str, decided_by: str) -> None:
-    """Raise BadMesh unless the vertices [N, 3] of a body are of human size in a unit found from another mesh.
-
-    scale: metres in that unit. decided_by: names the mesh that it was found from.
-    """
-    extent_m = float(np.ptp(surface, axis=0).max()) * scale
-    low, high = HEIGHT_RANGE_M
-    if not low <= extent_m <= high:
-        unit = next(name for name, metres in METRES.items() if metres == scale)
-        raise BadMesh(
-            f"{where}: a body must be {low} to {high} m at its largest, found {extent_m:.3g} m in {unit}, the unit of "
-            f"{decided_by}: meshes that share landmarks have one unit"
-        )
 
 
 def check_standing(landmarks: NDArray[np.float64], where: str) -> None:

@@ -28,14 +28,9 @@ class Attire:
     held: Held | None = None
 
 
-@dataclass(frozen=True)
-class Worn:
-    """A person with attire. points: float64 [V, 3], the body's vertices, metres, those of the scalp moved. over: the
-    surfaces over the body, each with the parts whose labels it takes, none for a thing.
-    """
-
-    points: Floats
-    over: tuple[tuple[Solid, tuple[int, ...]], ...]
+Worn = tuple[Floats, list[tuple[Solid, tuple[int, ...]]]]
+"""The body's vertices [V, 3], metres, those of the scalp moved, and the surfaces over it, each with the parts whose
+labels it takes, none for a thing."""
 
 
 def _parts(*endings: str) -> tuple[int, ...]:
@@ -72,7 +67,7 @@ def put_on(wearer: Wearer, attire: Attire, cloth: Solid | None) -> Worn:
         ]
     if attire.held is not None:
         over += [(thing, ()) for thing in held_thing(wearer, attire.held)]
-    return Worn(points, tuple(each for each in over if each[0].volume > 0))  # not what is crumpled inside out
+    return points, [each for each in over if each[0].volume > 0]  # not what is crumpled inside out
 
 
 def under(drape: Drape, outfit: Outfit) -> Outfit:
@@ -85,21 +80,22 @@ def under(drape: Drape, outfit: Outfit) -> Outfit:
 def joined(
     vertices: Floats, faces: NDArray[np.int32], worn: Worn
 ) -> tuple[Floats, NDArray[np.int32], tuple[SurfacePiece, ...]]:
-    """Join a body, [V, 3] and [F, 3], of which `worn.points` are the first vertices, and all that is over it.
+    """Join a body, [V, 3] and [F, 3], of which the points of `worn` are the first vertices, and all that is over it.
 
     Further vertices of the body, in the middle of its edges, move as the nearest of the first ones do.
     """
     from scipy.spatial import cKDTree
 
-    own, between = np.split(vertices, [len(worn.points)])
-    moved = worn.points - own
+    dressed, over = worn
+    own, between = np.split(vertices, [len(dressed)])
+    moved = dressed - own
     if moved.any() and len(between):
         apart, near = cKDTree(own).query(between, 2)
         weights = 1 / np.maximum(apart, 1e-9)
         between = between + np.einsum("nk,nki->ni", weights / weights.sum(axis=1, keepdims=True), moved[near])
-    points = [worn.points, between]
+    points = [dressed, between]
     triangles, pieces, count = [faces], [], len(vertices)
-    for solid, parts in worn.over:
+    for solid, parts in over:
         pieces.append(SurfacePiece(count, parts))
         points.append(solid.vertices)
         triangles.append(solid.faces + np.int32(count))

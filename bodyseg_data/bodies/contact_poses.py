@@ -301,7 +301,10 @@ class ContactSampler:
         pose = Pose(trunk, Arm(), Arm(), starts["L"], starts["R"])
         turns, heads = self._person.placed(bone_rotations(pose))
         vertices = self._person.vertices(turns, heads)
-        shifts = {side: _shift(task, draws) for side, task in tasks.items()}
+        shifts = {
+            side: None if task.out is None else (uniform(draws, *task.out), uniform(draws, *task.ahead))
+            for side, task in tasks.items()
+        }
         if alike:
             shifts[other(first)] = shifts[first]
         feet = {side: self._foot(shift, side, stance, heads) for side, shift in shifts.items()}
@@ -317,7 +320,8 @@ class ContactSampler:
             base = Base(turns[limb.base_bone], heads[limb.base_bone], turns[0])
             goals = []
             if at is not None:
-                goals.append(Goal(_middle(self._places.on("sole", side)), np.array([at[0], floor, at[1]]), ALL_AXES))
+                sole = self._places.on("sole", side)
+                goals.append(Goal(int(sole[len(sole) // 2]), np.array([at[0], floor, at[1]]), ALL_AXES))
             if task.by:
                 goals.append(self._touch(task, side, limb.bones(starts[side], base), vertices, normals, draws))
             ranges = {name: LEG[name] for name in ("flex", "abduct", "twist", "knee")}
@@ -432,16 +436,7 @@ class ContactSampler:
         return vertices, vertex_normals(vertices, self._person.faces)
 
 
-def _shift(task: LegTask, draws: np.random.Generator) -> tuple[float, float] | None:
-    """Draw how far a flat sole is outwards of its hip and in front of it, metres; None for a foot that is not flat."""
-    return None if task.out is None else (uniform(draws, *task.out), uniform(draws, *task.ahead))
-
-
 def _with(pose: Pose, side: Side, angles: Arm | Leg) -> Pose:
     if isinstance(angles, Arm):
         return replace(pose, left_arm=angles) if side == "L" else replace(pose, right_arm=angles)
     return replace(pose, left_leg=angles) if side == "L" else replace(pose, right_leg=angles)
-
-
-def _middle(vertices: NDArray[np.int64]) -> int:
-    return int(vertices[len(vertices) // 2])

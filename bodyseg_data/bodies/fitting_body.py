@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies.anny_model import BODY_FROM_ANNY, load_anny
 from bodyseg_data.bodies.anny_people import person
+from bodyseg_data.bodies.limb_reaching import farthest
 from bodyseg_data.bodies.skeleton import Pose, bone_rotations
 from bodyseg_data.meshes import Mesh, load_landmarks
-
-FEATURE: Final = "proposing landmarks"
 
 _CELL_M: Final = 0.01  # finer details change no distance across a body, and doubled vertices and cracks close
 _SOURCES: Final = 24
@@ -108,18 +107,6 @@ def mean_geodesic(mesh: Mesh) -> NDArray[np.float64]:
     away /= np.average(away[main], weights=area[main])
     nearest: NDArray[np.int64] = main[KDTree(positions[main]).query(positions)[1]]
     return away[nearest[cell]]
-
-
-def farthest(points: NDArray[np.float64], count: int) -> NDArray[np.int64]:
-    """Return indices of at most `count` of `points` [N, 3], each farthest from those before it (Gonzalez 1985)."""
-    chosen = np.zeros(min(count, len(points)), np.int64)
-    away = np.full(len(points), np.inf)
-    x, y, z = np.ascontiguousarray(points.T)  # a sum along rows of three would take most of the time
-    for number in range(1, len(chosen)):
-        last = chosen[number - 1]
-        away = np.minimum(away, (x - x[last]) ** 2 + (y - y[last]) ** 2 + (z - z[last]) ** 2)
-        chosen[number] = away.argmax()
-    return chosen
 
 
 def length_shapes(
@@ -287,7 +274,7 @@ def fitting_body() -> FittingBody:
     lengths, head_lengths = length_shapes(bones, above, mean_heads, weights, mean[0])
     everywhere = Skin(weights, mean[0], normals, torch.cat([shape_vertices, lengths]))
     landmarks = load_landmarks("open").for_mesh(mesh)
-    body = mesh.pieces("fitting the open body")
+    body = mesh.pieces()
     skin_vertices = np.flatnonzero(body == np.bincount(body[landmarks]).argmax())
     sampled = skin_vertices[farthest(mesh.vertices[skin_vertices], _POINTS)]
     return FittingBody(

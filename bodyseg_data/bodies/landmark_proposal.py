@@ -29,7 +29,7 @@ from bodyseg_data.bodies.body_fit import (
     refine,
     surface_distance,
 )
-from bodyseg_data.bodies.fitting_body import FEATURE, FittingBody, SurfacePoints, Tensor, fitting_body, sample_surface
+from bodyseg_data.bodies.fitting_body import FittingBody, SurfacePoints, Tensor, fitting_body, sample_surface
 from bodyseg_data.bodies.motions.curves import about_y
 from bodyseg_data.core import BadMesh
 from bodyseg_data.labels import PART_COUNT
@@ -40,7 +40,8 @@ POOR_M: Final = 0.045
 """Gap of a fit above which it is poor, metres: of bare bodies 3 to 4 cm with every limb in place, 4 to 6 without."""
 
 _GAP_SHARE: Final = 0.99
-_NORMAL_REACH_M: Final = 0.06  # a surface turned by a right angle counts as 1.4 times this away from a landmark
+NORMAL_REACH_M: Final = 0.06
+"""A surface turned by a right angle counts as 1.4 times this away from a landmark, metres."""
 
 UPRIGHT: Final = (np.eye(3),)
 """Tilts of the body's frame to try for a mesh that is upright: none."""
@@ -109,32 +110,6 @@ class FittedBody:
         landmarks = LandmarkSet("proposed", topology, *counts, tuple(found.tolist()))
         return Proposal(landmarks, distance, self.gap_m)
 
-    def carried(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return where `points` [N, 3] on the mesh lie on the open body at rest, float64 [N, 3], body frame, metres.
-
-        Each goes to the nearest vertex of the fitted body that faces the same way.
-        """
-        from scipy.spatial import KDTree
-
-        among = self.body.skin
-        own, normals = fitted_points(self.body, self.fit, self.body.whole.at(among))
-        used = np.unique(self.mesh.faces)
-        facing = self.mesh.vertex_normals[used[KDTree(self.mesh.vertices[used]).query(points)[1]]]
-        tree = KDTree(np.concatenate([own, _NORMAL_REACH_M * normals], axis=1))
-        nearest = among[tree.query(np.concatenate([points, _NORMAL_REACH_M * facing], axis=1))[1]]
-        rest: NDArray[np.float64] = self.body.mesh.vertices[nearest]
-        return rest
-
-    def upright(self, offsets: NDArray[np.float64], vertices: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Turn `offsets` [N, 3] at `vertices` [N] of the fitted body as they are on the body at rest, in its frame."""
-        skin = self.body.whole.at(vertices)
-        with torch.inference_mode():
-            motions = self.body.bone_motions(self.fit.turns(self.body)[None], self.fit.shape[None])
-            blend = (skin.weights @ motions.flatten(2)).reshape(-1, 3, 4)[..., :3].numpy()
-        left, _, right = np.linalg.svd(blend)  # the rotation nearest to a blend of rotations, which itself shrinks
-        turned: NDArray[np.float64] = np.einsum("nij,ni->nj", left @ right, offsets)
-        return turned
-
 
 def gap_m(target: SurfacePoints, own: SurfacePoints) -> float:
     """Return the distance to the points of `target` that 99 % of the points of the fitted body keep, metres."""
@@ -144,8 +119,8 @@ def gap_m(target: SurfacePoints, own: SurfacePoints) -> float:
 
 
 def largest_piece(mesh: Mesh) -> NDArray[np.int64]:
-    """Return the vertices of the piece with the largest area. Raises BadMesh for fewer than 33, MissingLibrary."""
-    piece = mesh.pieces(FEATURE)
+    """Return the vertices of the piece with the largest area. Raises BadMesh for fewer than 33."""
+    piece = mesh.pieces()
     area = np.bincount(piece[mesh.faces[:, 0]], np.linalg.norm(mesh.normals, axis=1))
     used = np.unique(mesh.faces).astype(np.int64)
     largest: NDArray[np.int64] = used[piece[used] == area.argmax()]
@@ -164,9 +139,9 @@ def _on_surface(
     from scipy.spatial import KDTree
 
     facing = mesh.vertex_normals[among]
-    tree = KDTree(np.concatenate([mesh.vertices[among], _NORMAL_REACH_M * facing], axis=1))
+    tree = KDTree(np.concatenate([mesh.vertices[among], NORMAL_REACH_M * facing], axis=1))
     # As many candidates as there are landmarks: one is always left.
-    nearest = tree.query(np.concatenate([positions, _NORMAL_REACH_M * normals], axis=1), PART_COUNT)[1]
+    nearest = tree.query(np.concatenate([positions, NORMAL_REACH_M * normals], axis=1), PART_COUNT)[1]
     chosen: list[int] = []
     for candidates in among[nearest].tolist():
         chosen.append(next(vertex for vertex in candidates if vertex not in chosen))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies.anny_model import Posable
 from bodyseg_data.bodies.skeleton import Arm, Leg, arm_rotations, finger_rotations, leg_rotations
+from bodyseg_data.meshes import face_normals
 
 Name = TypeVar("Name", bound=str)
 
@@ -139,9 +140,8 @@ class Limb:
         self.far: NDArray[np.bool_] = beyond.copy()
         self.far[np.flatnonzero(middle)[along > 0.6]] = True
         end = np.isin(person.owner, self._bones[upper.index("wrist" if kind == "arm" else "foot") :])
-        self.probes = np.concatenate(
-            [_spread(person.modelled, np.flatnonzero(of), _PROBES) for of in (self.far & ~end, end)]
-        )
+        groups = np.flatnonzero(self.far & ~end), np.flatnonzero(end)
+        self.probes = np.concatenate([group[farthest(person.modelled[group], _PROBES)] for group in groups])
 
     def _offsets(self, vertices: NDArray[np.int64]) -> Floats:
         person, own = self._person, self._person.owner[vertices]
@@ -205,14 +205,16 @@ class LimbPoints:
         return np.asarray(np.einsum("nij,nj->ni", turns[self.bones], self.normals), np.float64)
 
 
-def _spread(points: Floats, among: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    """Choose `count` vertices far from each other, the farthest from those before it one by one."""
-    chosen = [int(among[0])]
-    nearest = np.linalg.norm(points[among] - points[chosen[0]], axis=1)
-    for _ in range(count - 1):
-        chosen.append(int(among[nearest.argmax()]))
-        nearest = np.minimum(nearest, np.linalg.norm(points[among] - points[chosen[-1]], axis=1))
-    return np.array(chosen)
+def farthest(points: Floats, count: int) -> NDArray[np.int64]:
+    """Return indices of at most `count` of `points` [N, 3], each farthest from those before it (Gonzalez 1985)."""
+    chosen = np.zeros(min(count, len(points)), np.int64)
+    away = np.full(len(points), np.inf)
+    x, y, z = np.ascontiguousarray(points.T)  # a sum along rows of three would take most of the time
+    for number in range(1, len(chosen)):
+        last = chosen[number - 1]
+        away = np.minimum(away, (x - x[last]) ** 2 + (y - y[last]) ** 2 + (z - z[last]) ** 2)
+        chosen[number] = away.argmax()
+    return chosen
 
 
 def other(side: Side) -> Side:
@@ -244,8 +246,7 @@ class PosedSkin:
 
 def vertex_normals(vertices: Floats, faces: NDArray[np.int32]) -> Floats:
     """Return unit normals [V, 3], of adjoining faces weighted by area."""
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    across = np.cross(b - a, c - a)
+    across = face_normals(vertices, faces)
     count = len(vertices)
     sums = [np.bincount(faces.ravel(), np.repeat(across[:, axis], 3), count) for axis in range(3)]
     normals = np.stack(sums, axis=1)

@@ -12,24 +12,18 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.alignment import (
-    UPRIGHT_DEG,
-    Alignment,
-    check_size,
-    check_standing,
-    find_alignment,
-    metres_a_unit,
-)
+from bodyseg_data.bodies.alignment import UPRIGHT_DEG, Alignment, check_standing, find_alignment, metres_a_unit
 from bodyseg_data.bodies.source import DEFAULTS, Body, BodyRef, ListedBodies, MeshOptions
 from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh
 from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.meshes import (
     FARTHEST_M,
+    METRES,
     LandmarkSet,
     Mesh,
     PointLandmarks,
@@ -212,7 +206,7 @@ class MeshBodies(ListedBodies[MeshFile]):
         points, _ = _in_millimetres(landmarks.transformed(1.0, alignment.rotation), surface)
         if file.standing:
             check_standing(points.points, str(file.path))
-        if farthest_from(surface, points.points, "checking a mesh") > FARTHEST_M:
+        if farthest_from(surface, points.points) > FARTHEST_M:
             self.build(body)
 
     def _placed(
@@ -225,10 +219,9 @@ class MeshBodies(ListedBodies[MeshFile]):
             alignment = self._alignment_of(landmarks, surface, file.path)
         else:
             alignment, decided_by = self._group_alignment(file.group)
-            if self._options.units == "auto":
-                check_size(_used(surface), alignment.scale, str(file.path), str(decided_by))
-            else:
-                metres_a_unit(_used(surface), self._options.units, str(file.path))
+            unit: Any = next(unit for unit, metres in METRES.items() if metres == alignment.scale)
+            where = f"{file.path}, in the unit of {decided_by}" if self._options.units == "auto" else str(file.path)
+            metres_a_unit(_used(surface), unit, where)
         return alignment.apply(surface[0]), surface[1], alignment
 
     def _check_landmarks(self, bodies: Sequence[BodyRef]) -> None:
@@ -251,7 +244,8 @@ class MeshBodies(ListedBodies[MeshFile]):
             raise BadLandmarks(f"a body needs landmarks, found none for {file.wanted}")
         if file.landmarks not in self._sets:
             try:
-                read = _load(file.landmarks)
+                path = file.landmarks
+                read = load_landmark_file(path) if isinstance(path, Path) else load_landmarks(path)
             except BadLandmarks as error:
                 subject = f"subject {body.subject}: " if not file.shared else ""
                 raise BadLandmarks(f"{subject}{error}") from error
@@ -299,31 +293,14 @@ class MeshBodies(ListedBodies[MeshFile]):
         if isinstance(landmarks, PointLandmarks):
             points = landmarks.points
         else:
-            _check_counts(landmarks, surface, path)
+            landmarks.check_counts(len(surface[0]), len(surface[1]), str(path))
             points = surface[0][list(landmarks.vertices)]
         return find_alignment(_used(surface), points, self._options.units, self._options.up, str(path))
 
 
-def _load(landmarks: Path | str) -> LandmarkSet | PointLandmarks:
-    return load_landmark_file(landmarks) if isinstance(landmarks, Path) else load_landmarks(landmarks)
-
-
-def _check_counts(landmarks: LandmarkSet, surface: Surface, path: Path) -> None:
-    """Check as `LandmarkSet.for_mesh` does, for a surface that is no `Mesh` yet. Raises BadLandmarks."""
-    wanted, found = (landmarks.vertex_count, landmarks.face_count), (len(surface[0]), len(surface[1]))
-    if found != wanted:
-        raise BadLandmarks(
-            f"landmarks {landmarks.source} are for meshes of {wanted[0]} vertices and {wanted[1]} faces "
-            f"({landmarks.topology}), found {found[0]} and {found[1]} in {path}: "
-            "this mesh needs landmarks of its own"
-        )
-
-
 def _used(surface: Surface) -> NDArray[np.float64]:
     """Return the vertices that faces use: others in a scan may lie anywhere."""
-    used = np.zeros(len(surface[0]), np.bool_)
-    used[surface[1]] = True
-    return surface[0][used]
+    return surface[0][np.unique(surface[1])]
 
 
 def _mesh(name: str, vertices: NDArray[np.float64], faces: NDArray[np.int32], path: Path, remedy: str = "") -> Mesh:

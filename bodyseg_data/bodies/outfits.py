@@ -5,28 +5,16 @@ A cut says which vertices each garment covers and how far the cloth is from them
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, check_seed
-from bodyseg_data.meshes import find_edges
+from bodyseg_data.meshes import find_edges, nearest_sources
 
 _GATHERED: Final = 0.25  # share of loose outfits with bands
 _SEEDS: Final = 1_000_000
-
-_RANGES: Final[dict[str, tuple[float, float]]] = {
-    "sleeve": (0.15, 1),
-    "hem": (0, 0.8),  # farther down, a top would have to join the legs
-    "leg": (0.2, 1),
-    "top_loose_m": (0, 0.06),
-    "leg_loose_m": (0, 0.06),
-    "fold_m": (0.04, 0.3),
-    "slack": (0, 0.2),
-    "crumple": (0, 0.4),
-}
 
 _LOOSE: Final[dict[str, tuple[float, float]]] = {
     "sleeve": (0.3, 1.0), "hem": (0.4, 0.8), "leg": (0.25, 1.0), "top_loose_m": (0.01, 0.05),
@@ -74,9 +62,10 @@ and must not change what people wear."""
 
 @dataclass(frozen=True)
 class Outfit:
-    """A top and trousers. Raises BadConfig for a number that is out of its range.
+    """A top and trousers.
 
-    sleeve: end of the sleeves, 0 shoulder to 1 wrist. hem: end of the top, 0 hip bones (ASIS) to 1 crotch.
+    sleeve: end of the sleeves, 0 shoulder to 1 wrist. hem: end of the top, 0 hip bones (ASIS) to 1 crotch; beyond 0.8 a
+    top would have to join the legs.
     leg: end of the trousers, 0 crotch to 1 ankle bone.
     top_loose_m, leg_loose_m: mean distance of the cloth from the body, beyond that of a straight fall, metres.
     top_taper, sleeve_taper, leg_taper: metres by which the cloth narrows for every metre below the part that carries it
@@ -99,13 +88,6 @@ class Outfit:
     slack: float
     crumple: float
     seed: int
-
-    def __post_init__(self) -> None:
-        check_seed(self.seed)
-        for field in fields(self):
-            value, (low, high) = getattr(self, field.name), _RANGES.get(field.name, (0, 1))
-            if field.name != "seed" and not low <= value <= high:
-                raise BadConfig(f"an outfit's {field.name} must be {low:g} to {high:g}, found {value!r}")
 
 
 OUTFITS: Final[dict[str, Outfit]] = {
@@ -313,13 +295,7 @@ def _ring_centre(rest: Floats, distance: Floats, value: float) -> Floats:
 
 
 def _distances(rest: Floats, faces: NDArray[np.int32], source: int) -> Floats:
-    from scipy.sparse import csr_matrix
-    from scipy.sparse.csgraph import dijkstra
-
-    ends = find_edges(faces).ends
-    lengths = np.linalg.norm(rest[ends[:, 0]] - rest[ends[:, 1]], axis=1)
-    graph = csr_matrix((lengths, (ends[:, 0], ends[:, 1])), shape=(len(rest),) * 2)
-    return np.asarray(dijkstra(graph, directed=False, indices=source), np.float64)
+    return nearest_sources("edges", rest, faces.astype(np.int64), np.array([source])).distance
 
 
 def _same_piece(rest: Floats, faces: NDArray[np.int32], vertex: int) -> NDArray[np.bool_]:

@@ -17,7 +17,7 @@ from bodyseg_data.bodies.anny_model import Posable
 from bodyseg_data.bodies.limb_reaching import Side, vertex_normals
 from bodyseg_data.bodies.skeleton import Pose, bone_rotations
 from bodyseg_data.bodies.stances import Places
-from bodyseg_data.core import BadConfig, generator
+from bodyseg_data.core import generator
 from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.meshes import Solid, load_landmarks
 
@@ -29,8 +29,6 @@ _ARM: Final = ("upperarm", "lowerarm", "wrist", "metacarpal", "finger")
 _SETTLED_M: Final = 0.006  # above the floor, within which lies what would hang lower
 
 Indices = NDArray[np.int64]
-
-_HAIR_SIZES: Final[dict[str, tuple[float, float]]] = {"bun": (0.02, 0.07), "long": (0.1, 0.7)}
 
 _BEGIN_M: Final = 0.03  # over which hair gets its full thickness behind the hairline
 _FOREHEAD_M: Final = 0.055  # of the hairline above the bridge of the nose
@@ -192,8 +190,6 @@ class Hair:
     """Hair of a person. kind: "bun" or "long". volume_m: thickness over the scalp, metres. size_m: radius of the bun,
     or length of the hair below its roots, metres. height: of the bun, 0 at the nape to 1 on the crown; of long hair,
     how far it comes forward, 0 behind the ears to 1 over the temples. seed: of the strands.
-
-    Raises BadConfig for another kind or a number out of its range.
     """
 
     kind: Literal["bun", "long"]
@@ -201,15 +197,6 @@ class Hair:
     size_m: float
     height: float
     seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.kind not in _HAIR_SIZES:
-            raise BadConfig(f"hair must be {' or '.join(_HAIR_SIZES)}, found {self.kind!r}")
-        for name, (low, high) in {"volume_m": (0, 0.03), "size_m": _HAIR_SIZES[self.kind], "height": (0, 1)}.items():
-            if not low <= getattr(self, name) <= high:
-                raise BadConfig(
-                    f"the {name} of {self.kind} hair must be {low:g} to {high:g}, found {getattr(self, name)!r}"
-                )
 
 
 def scalp(wearer: Wearer, hair: Hair) -> Floats:
@@ -313,18 +300,10 @@ def _fallen(wearer: Wearer, hair: Hair, roots: Floats, way: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Shoes:
-    """A pair of shoes. upper_m: distance of their outside from the foot, metres. sole_m: thickness of the sole, metres.
-
-    Raises BadConfig for a number out of its range.
-    """
+    """A pair of shoes. upper_m: from the foot to their outside, metres. sole_m: thickness of the sole, metres."""
 
     upper_m: float
     sole_m: float
-
-    def __post_init__(self) -> None:
-        for name, high in (("upper_m", 0.02), ("sole_m", 0.05)):
-            if not 0.002 <= getattr(self, name) <= high:
-                raise BadConfig(f"the {name} of shoes must be 0.002 to {high:g}, found {getattr(self, name)!r}")
 
 
 def shoe(wearer: Wearer, shoes: Shoes, side: Side) -> Solid:

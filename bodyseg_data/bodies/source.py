@@ -17,12 +17,12 @@ from urllib.parse import quote_from_bytes
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.alignment import Units, UpAxis, check_alignment
-from bodyseg_data.core import BadConfig
+from bodyseg_data.bodies.alignment import Units, UpAxis
+from bodyseg_data.core import BadConfig, check_fields
 from bodyseg_data.meshes import GeodesicMethod, Mesh, Partition, SurfacePiece, partition
 from bodyseg_data.samples import Split
 
-_NUMBERED: Final = re.compile(r"(.*?)(\d+)(\D*)", re.DOTALL)
+_LAST_NUMBER: Final = re.compile(r"(\d+)(\D*)\Z")
 _HASH_LETTERS: Final = 10
 
 Entry = TypeVar("Entry")
@@ -45,18 +45,16 @@ def collapsed(names: Sequence[str]) -> list[str]:
     """Join runs of names whose last number counts up by one: "meshes/mesh_0001.obj to mesh_0004.obj"."""
     runs: list[list[str]] = []
     for name in names:
-        if runs and _follows(name, runs[-1][-1]):
+        if runs and name == _LAST_NUMBER.sub(_raised, runs[-1][-1]):
             runs[-1].append(name)
         else:
             runs.append([name])
     return [run[0] if len(run) == 1 else f"{run[0]} to {run[-1].rpartition('/')[2]}" for run in runs]
 
 
-def _follows(name: str, before: str) -> bool:
-    this, that = _NUMBERED.fullmatch(name), _NUMBERED.fullmatch(before)
-    if this is None or that is None or this[1] != that[1] or this[3] != that[3] or len(this[2]) != len(that[2]):
-        return False
-    return int(this[2]) == int(that[2]) + 1
+def _raised(number: re.Match[str]) -> str:
+    """The next number with as many digits, and what follows it."""
+    return f"{int(number[1]) + 1:0{len(number[1])}d}{number[2]}"
 
 
 @dataclass(frozen=True)
@@ -73,7 +71,7 @@ class MeshOptions:
     pymeshlab: bool = False
 
     def __post_init__(self) -> None:
-        check_alignment(self.units, self.up)
+        check_fields(self)
 
 
 DEFAULTS: Final = MeshOptions()

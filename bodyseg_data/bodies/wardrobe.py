@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.outfits import Outfit, cut
-from bodyseg_data.core import BadMesh, generator
-from bodyseg_data.meshes import find_edges, load_landmarks
+from bodyseg_data.core import generator
+from bodyseg_data.meshes import face_normals, find_edges
 
 Floats = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -155,7 +155,6 @@ class Refinement:
     """
 
     def __init__(self, rest: NDArray[np.float64], faces: NDArray[np.int32], longest_m: float, rounds: int = 2) -> None:
-        self._count = len(rest)
         self._ends: list[NDArray[np.int64]] = []
         points, self.faces = rest, faces
         for _ in range(rounds):
@@ -164,9 +163,7 @@ class Refinement:
             points = np.concatenate([points, points[ends].mean(axis=1)])
 
     def __call__(self, vertices: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Refine vertices [V, 3] of the coarse mesh in any pose to [V', 3]. Raises BadMesh for another number."""
-        if vertices.shape != (self._count, 3):
-            raise BadMesh(f"a refinement of {self._count} vertices was given vertices of shape {vertices.shape}")
+        """Refine vertices [V, 3] of the coarse mesh in any pose to [V', 3]."""
         for ends in self._ends:
             vertices = np.concatenate([vertices, vertices[ends].mean(axis=1)])
         return vertices
@@ -238,16 +235,8 @@ class Wardrobe:
         """Cut `outfit` to a person.
 
         rest: float64 [V, 3], metres, body frame, standing straight with hanging arms, in the numbering of the open
-        body or of a `Refinement` of it. faces: int32 [F, 3]. Raises BadMesh for anything else, as far as it shows.
+        body or of a `Refinement` of it. faces: int32 [F, 3].
         """
-        self._count = len(rest)
-        _check(rest, self._count)
-        least = load_landmarks("open").vertex_count
-        if self._count < least or faces.min() < 0 or faces.max() >= self._count:
-            raise BadMesh(
-                f"clothes are cut for the open body, of {least} vertices or more, found {self._count} vertices and "
-                f"faces of vertices {faces.min()} to {faces.max()}"
-            )
         pieces = cut(rest, faces, outfit)
         self.covered: NDArray[np.bool_] = pieces.top | pieces.trousers
         self._vertices, self._faces = patch(faces, self.covered)
@@ -263,7 +252,7 @@ class Wardrobe:
         self._slack = outfit.slack * _AT_REST + pieces.crumple[self._vertices, None] * _AT_ENDS
         normals = self._normals(points)
         axes = _tangent(pieces.axis[self._vertices], normals)
-        areas = self._gather @ np.linalg.norm(self._face_normals(points), axis=1) / 6
+        areas = self._gather @ np.linalg.norm(face_normals(points, self._faces), axis=1) / 6
         self._patterns = fold_patterns(points, normals, axes, areas, outfit.fold_m, outfit.seed)
         self._wave = outfit.fold_m
         self._rest_areas, self._frames = self._rest_frames(points, axes)
@@ -272,9 +261,7 @@ class Wardrobe:
         """Return the dressed surface [V, 3] of the posed body `vertices` [V, 3], metres, body frame.
 
         Vertices that no garment covers come back as they are, bit for bit. The cloth changes smoothly with the pose.
-        Raises BadMesh for another number of vertices or for coordinates that are not finite.
         """
-        _check(vertices, self._count)
         shortened = self._shortened(vertices[self._vertices])
         body = self._slide @ vertices[self._vertices]
         calm = self._smoother(body)
@@ -298,17 +285,13 @@ class Wardrobe:
         gap = np.einsum("ij,ij->i", cloth - body, out)[:, None]
         return np.asarray(cloth + self._cover * np.maximum(_THICKNESS_M - gap, 0) * out, np.float64)
 
-    def _face_normals(self, points: Floats) -> Floats:
-        a, b, c = (points[self._faces[:, corner]] for corner in range(3))
-        return np.asarray(np.cross(b - a, c - a), np.float64)
-
     def _normals(self, points: Floats) -> Floats:
-        normals = self._gather @ self._face_normals(points)
+        normals = self._gather @ face_normals(points, self._faces)
         return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12), np.float64)
 
     def _rest_frames(self, points: Floats, axes: Floats) -> tuple[Floats, Floats]:
         """Return double areas [F] at rest, and the inverse [F, 2, 2] of each triangle's edges in (axis, around it)."""
-        across = self._face_normals(points)
+        across = face_normals(points, self._faces)
         areas = np.linalg.norm(across, axis=1)
         across /= np.maximum(areas, 1e-15)[:, None]
         axis = _tangent(axes[self._faces].sum(axis=1), across)
@@ -339,11 +322,3 @@ def _tangent(ways: Floats, normals: Floats) -> Floats:
     """Return unit vectors along the components of `ways` [N, 3] perpendicular to `normals` [N, 3]."""
     ways = ways - np.einsum("ij,ij->i", ways, normals)[:, None] * normals
     return np.asarray(ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-12), np.float64)
-
-
-def _check(vertices: Floats, count: int) -> None:
-    if vertices.shape != (count, 3):
-        raise BadMesh(f"clothes cut for {count} vertices need as many with three coordinates, found {vertices.shape}")
-    bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
-    if len(bad):
-        raise BadMesh(f"clothes need finite coordinates, found {vertices[bad[0]].tolist()} at vertex {bad[0]}")

@@ -8,7 +8,7 @@ as the cloth hangs. Things have a range and no label.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final, Literal, get_args
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,21 +17,9 @@ from bodyseg_data.bodies.limb_reaching import Side
 from bodyseg_data.bodies.shells import Wearer, hull_radius, ringed, settled, shell
 from bodyseg_data.bodies.skeleton import Pose
 from bodyseg_data.bodies.wardrobe import fold_patterns
-from bodyseg_data.core import BadConfig, check_seed
 from bodyseg_data.meshes import Solid, cuboid, turned_solid
 
 Floats = NDArray[np.float64]
-
-_DRAPE_RANGES: Final[dict[str, tuple[float, float]]] = {
-    "top": (0, 1),
-    "length": (0.1, 1),
-    "loose_m": (0.005, 0.08),
-    "flare": (0, 0.8),
-    "girth_m": (1, 4),
-    "fold_m": (0.05, 0.3),
-    "fold_depth_m": (0, 0.05),
-    "open_deg": (0, 40),
-}
 
 _RING_STEP_M: Final = 0.025  # between rings
 _BAND_M: Final = 0.035  # to each side of a ring, whose skin it encloses: longer than the skin's edges
@@ -66,7 +54,7 @@ _HIGHEST_M: Final = 2.4  # of body and thing together: no mesh is larger
 
 @dataclass(frozen=True)
 class Drape:
-    """A skirt or coat. Raises BadConfig for a number that is out of its range.
+    """A skirt or coat.
 
     top: its upper end, 0 hip bones (ASIS) to 1 armpits. length: its lower end, 0 crotch to 1 ankle bone. loose_m: mean
     distance of the cloth from the hull of the body, metres. flare: metres by which it widens for every metre that it
@@ -84,12 +72,6 @@ class Drape:
     fold_depth_m: float
     open_deg: float
     seed: int
-
-    def __post_init__(self) -> None:
-        check_seed(self.seed)
-        for name, (low, high) in _DRAPE_RANGES.items():
-            if not low <= getattr(self, name) <= high:
-                raise BadConfig(f"a drape's {name} must be {low:g} to {high:g}, found {getattr(self, name)!r}")
 
 
 def draped(wearer: Wearer, drape: Drape) -> Solid | None:
@@ -228,21 +210,11 @@ def _opened(loop: Floats, half_rad: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Held:
-    """A thing that is held or worn. side: of the hand; a backpack has none to say. size: 0 smallest to 1 largest.
-
-    Raises BadConfig for another kind or size.
-    """
+    """A thing that is held or worn. side: of the hand; a backpack has none to say. size: 0 smallest to 1 largest."""
 
     kind: Kind
     side: Side = "L"
     size: float = 0.5
-
-    def __post_init__(self) -> None:
-        if self.kind not in get_args(Kind) or not 0 <= self.size <= 1:
-            raise BadConfig(
-                f"a held thing must be one of {', '.join(get_args(Kind))} with a size from 0 to 1, "
-                f"found {self.kind!r}, {self.size!r}"
-            )
 
 
 def held_thing(wearer: Wearer, held: Held) -> list[Solid]:

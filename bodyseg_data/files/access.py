@@ -11,7 +11,7 @@ import gzip
 import json
 import os
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -198,6 +198,10 @@ class Table:
         if not isinstance(value, dict):
             raise BadConfig(f"{self.where}: {key!r} must be a table, found {_shown(value)}")
         return Table(value, f"{self.where}, [{key}]")
+
+    def __iter__(self) -> Iterator[str]:
+        """Give the keys that are not read yet."""
+        return iter(self._tree)
 
     def has(self, key: str) -> bool:
         """True for a key that is there and not read yet."""

@@ -125,7 +125,15 @@ class ImageSet(Protocol):
 
 
 class SampleDataset(Dataset[dict[str, Any]]):
-    """A dataset of PyTorch, an image set, that is read by its batches too."""
+    """Base of `RangeImages` and `Mixture`: a dataset of PyTorch, read by indices or by batches, epoch after epoch."""
+
+    epoch: int
+    epochs_set: int
+
+    def set_epoch(self, epoch: int) -> None:
+        """Set the epoch of the draws for indexing, and of a loader's next pass."""
+        self.epoch = check_epoch(epoch)
+        self.epochs_set += 1
 
     def batches(
         self: ImageSet,

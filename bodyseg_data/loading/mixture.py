@@ -101,11 +101,6 @@ class Mixture(SampleDataset):
         """Keys of all stored samples, the sets one after the other."""
         return [key for images in self.sets for key in images.keys]
 
-    def set_epoch(self, epoch: int) -> None:
-        """Set the epoch of samples by position, and of a loader's next pass."""
-        self.epoch = check_epoch(epoch)
-        self.epochs_set += 1
-
     def __len__(self) -> int:
         return self._samples
 

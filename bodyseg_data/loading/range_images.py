@@ -151,11 +151,6 @@ class RangeImages(SampleDataset):
         if self._joins:
             self.label_map.prepare()
 
-    def set_epoch(self, epoch: int) -> None:
-        """Set the epoch of the draws for indexing, and of a loader's next pass."""
-        self.epoch = check_epoch(epoch)
-        self.epochs_set += 1
-
     def __len__(self) -> int:
         return len(self._samples)
 

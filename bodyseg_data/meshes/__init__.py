@@ -8,7 +8,7 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_data.meshes.coincident import separate
-    from bodyseg_data.meshes.geodesics import GeodesicMethod, check_method
+    from bodyseg_data.meshes.geodesics import GeodesicMethod, check_method, nearest_sources
     from bodyseg_data.meshes.landmark_files import load_landmark_file
     from bodyseg_data.meshes.landmarks import (
         FARTHEST_M,
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
         farthest_from,
         load_landmarks,
     )
-    from bodyseg_data.meshes.mesh import HEIGHT_RANGE_M, Mesh, find_edges
+    from bodyseg_data.meshes.mesh import HEIGHT_RANGE_M, Mesh, face_normals, find_edges
     from bodyseg_data.meshes.mesh_files import mesh_stem, mesh_suffix, preferred, read_mesh
     from bodyseg_data.meshes.partitioning import Partition, partition
     from bodyseg_data.meshes.repairing import repair, with_pymeshlab

@@ -17,7 +17,6 @@ from bodyseg_data.meshes.repairing import SAME_POINT_M
 REACH_M: Final = 0.03
 """Distance within which a free vertex is sought, metres; on a coarse mesh, the longest edge at the shared vertex."""
 
-_FEATURE: Final = "separating landmarks"
 _WAYS_ROUND: Final = 4  # reaches by which the path along a crumpled surface may exceed the straight line
 
 _TOWARDS: Final = {
@@ -56,7 +55,7 @@ def separate(
     Of two landmarks, the second in the order of `parts.LANDMARKS` moves; the first, if only that one is on a foreign
     limb, as measured along edges from the landmark before it on its own limb. It moves to the free vertex nearest to
     its point that is nearer to its own limb than the shared vertex. The same mesh gives the same vertices. Raises
-    BadLandmarks for three landmarks in one place, or without a free vertex near; MissingLibrary without scipy.
+    BadLandmarks for three landmarks in one place, or without a free vertex near.
     """
     places = mesh.vertices[vertices]
     apart = np.linalg.norm(places[:, None] - places, axis=2)
@@ -67,7 +66,7 @@ def separate(
     if len(crowd):
         names = ", ".join(repr(LANDMARKS[index]) for index in (crowd[0], *np.flatnonzero(together[crowd[0]])))
         raise BadLandmarks(f"{where}: at most two landmarks may be in one place, found {names} at {vertices[crowd[0]]}")
-    surface = mend(mesh.vertices, mesh.faces, _FEATURE)
+    surface = mend(mesh.vertices, mesh.faces)
     separated, notes = vertices.copy(), []
     for first, second in np.argwhere(np.triu(together)).tolist():
         moved, vertex = _moved(mesh, surface, separated, points, (first, second), where)

@@ -29,8 +29,6 @@ GeodesicMethod = Literal["exact", "unfolded", "edges"]
 FALLBACK_METHOD: Final[GeodesicMethod] = "unfolded"
 """The most accurate of the methods that work on any surface."""
 
-_FEATURE: Final = "partitioning a body"
-
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
@@ -66,42 +64,33 @@ def nearest_sources(method: GeodesicMethod, vertices: Floats, faces: Indices, so
     - edges: shortest paths along edges (Dijkstra).
 
     `unfolded` and `edges` never underestimate a distance and work on any surface. `exact` raises Unanswerable, with
-    the reason, on surfaces it cannot handle. Raises MissingLibrary without the library of the method.
+    the reason, on surfaces it cannot handle, and MissingLibrary without pygeodesic.
     """
     return METHODS[method](vertices, faces, sources)
 
 
-def refuse_unsupported(method: str, vertices: Floats, faces: Indices, crowded_edges: bool = False) -> None:
-    """Raise Unanswerable if `method` cannot handle this surface, as far as faces and edges show it.
-
-    crowded_edges: whether it can handle edges of more than two faces.
-    """
-    reason = _unsupported_reason(vertices, faces, crowded_edges)
-    if reason is not None:
-        raise Unanswerable(f"the method {method!r} cannot answer: {reason}")
-
-
-def _unsupported_reason(vertices: Floats, faces: Indices, crowded_edges: bool) -> str | None:
+def refuse_unsupported(method: str, vertices: Floats, faces: Indices) -> None:
+    """Raise Unanswerable if `method` cannot handle this surface, as far as faces and edges show it."""
+    wrong = f"the method {method!r} cannot answer: "
     flat = np.flatnonzero((faces == np.roll(faces, 1, axis=1)).any(axis=1))
     if len(flat):
-        return f"a face needs three different vertices, found {faces[flat[0]].tolist()}"
+        raise Unanswerable(f"{wrong}a face needs three different vertices, found {faces[flat[0]].tolist()}")
     edges = find_edges(faces)
     crowded = np.flatnonzero(edges.faces > 2)
-    if len(crowded) and not crowded_edges:
+    if len(crowded):
         low, high = edges.ends[crowded[0]]
-        return (
-            f"an edge may have two faces at most, found {edges.faces[crowded[0]]} at that of vertices {low} and {high}"
-        )
+        found = f"{edges.faces[crowded[0]]} at that of vertices {low} and {high}"
+        raise Unanswerable(f"{wrong}an edge may have two faces at most, found {found}")
     lengths = edges.lengths(vertices)
     if lengths.min() < SAME_POINT_M:
         low, high = edges.ends[lengths.argmin()]
-        return f"an edge must be {SAME_POINT_M} m long at least, found {lengths.min():.2g} m between {low} and {high}"
-    return None
+        found = f"{lengths.min():.2g} m between {low} and {high}"
+        raise Unanswerable(f"{wrong}an edge must be {SAME_POINT_M} m long at least, found {found}")
 
 
 def _exact(vertices: Floats, faces: Indices, sources: Indices) -> NearestSources:
     refuse_unsupported("exact", vertices, faces)
-    fans = find_fans(faces, _FEATURE)
+    fans = find_fans(faces)
     pinches = int(fans.max()) + 1 - len(vertices)
     if not pinches:
         return NearestSources(*_window_propagation(vertices, faces, sources))
@@ -109,7 +98,7 @@ def _exact(vertices: Floats, faces: Indices, sources: Indices) -> NearestSources
     vertex = np.zeros(len(vertices) + pinches, np.int64)
     vertex[fans.ravel()] = faces.ravel()
     starts = np.flatnonzero(np.isin(vertex, sources))
-    sheet = face_components(len(vertex), fans, _FEATURE)
+    sheet = face_components(len(vertex), fans)
     used, corners = np.unique(fans[np.isin(sheet[fans[:, 0]], sheet[starts])], return_inverse=True)
     within, nearest = _window_propagation(vertices[vertex[used]], corners.reshape(-1, 3), np.searchsorted(used, starts))
     order = np.argsort(-within, kind="stable")  # the shortest is written last
@@ -131,7 +120,7 @@ def _window_propagation(vertices: Floats, faces: Indices, sources: Indices) -> t
     try:
         from pygeodesic.geodesic import PyGeodesicAlgorithmExact
     except ImportError as error:
-        raise missing_library(_FEATURE, error) from error
+        raise missing_library("partitioning a body", error) from error
     try:
         distance, source = PyGeodesicAlgorithmExact(vertices, faces.astype(np.int32)).geodesicDistances(sources)
     except OverflowError:  # what the stray memory held
@@ -177,11 +166,9 @@ def _lines_across_edges(vertices: Floats, faces: Indices, edges: Edges) -> tuple
 
 
 def _shortest_paths(count: int, ends: Indices, lengths: Floats, sources: Indices) -> NearestSources:
-    try:
-        from scipy.sparse import csr_array
-        from scipy.sparse.csgraph import dijkstra
-    except ImportError as error:
-        raise missing_library(_FEATURE, error) from error
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import dijkstra
+
     lengths = np.maximum(lengths, np.finfo(np.float64).tiny)  # a zero entry would mean no edge
     graph = csr_array((lengths, (ends[:, 0], ends[:, 1])), shape=(count, count))
     distance, _, root = dijkstra(graph, directed=False, indices=sources, min_only=True, return_predecessors=True)

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 import re
-import zlib
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -24,7 +23,6 @@ from typing import Final
 import numpy as np
 
 from bodyseg_data.core import BadLandmarks
-from bodyseg_data.files import contents
 from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.meshes.landmarks import (
     METRES,
@@ -35,53 +33,35 @@ from bodyseg_data.meshes.landmarks import (
     parse_points,
     read_text,
 )
+from bodyseg_data.meshes.mesh_files import file_bytes
 
-_MIDDLE: Final = (
-    "Sellion",
-    "Supramenton",
-    "Nuchale",
-    "Cervicale",
-    "Suprasternale",
-    "Substernale",
-    "10th Rib Midspine",
-    "Waist, Preferred, Post.",
-    "Crotch",
-)
-_SIDED: Final = (
+_OTHERS: Final = (
     "Infraorbitale",
     "Tragion",
     "Gonion",
     "Clavicale",
-    "Thelion/Bustpoint",
     "10th Rib",
-    "ASIS",
-    "PSIS",
     "Iliocristale",
-    "Trochanterion",
-    "Acromion",
     "Axilla, Ant.",
-    "Axilla, Post.",
-    "Radial Styloid",
     "Ulnar Styloid",
     "Radiale",
-    "Olecranon",
     "Humeral Lateral Epicn",
     "Humeral Medial Epicn",
     "Metacarpal Phal. II",
     "Metacarpal Phal. V",
-    "Dactylion",
-    "Femoral Lateral Epicn",
     "Femoral Medial Epicn",
-    "Knee Crease",
     "Metatarsal Phal. I",
     "Metatarsal Phal. V",
-    "Lateral Malleolus",
     "Medial Malleolus",
     "Sphyrion",
     "Calcaneous, Post.",
-    "Digit II",
 )
-CAESAR_LANDMARKS: Final = (*_MIDDLE, *(f"{side} {name}" for name in _SIDED for side in ("Rt.", "Lt.")))
+CAESAR_LANDMARKS: Final = (
+    *LANDMARKS,
+    "Waist, Preferred, Post.",
+    "Crotch",
+    *(f"{side} {name}" for name in _OTHERS for side in ("Rt.", "Lt.")),
+)
 """All 73 landmarks of the survey in its spelling; `parts.LANDMARKS` are 33 of these."""
 
 LARGEST_BYTES: Final = 1 << 20
@@ -105,7 +85,8 @@ def read_lnd(path: Path) -> PointLandmarks:
     """
     found: dict[str, tuple[float, ...]] = {}
     unknown: list[str] = []
-    for number, point, written in _rows(_text(path), path):
+    text = file_bytes(path, ".lnd", LARGEST_BYTES, BadLandmarks).decode("latin-1")
+    for number, point, written in _rows(text, path):
         name = recognise(written)
         if name is None:
             unknown.append(written)
@@ -199,16 +180,6 @@ def _is_placeholder(point: tuple[float, ...]) -> bool:
     return not any(point) or any(not math.isfinite(value) or value == _PLACEHOLDER_MM for value in point)
 
 
-def _text(path: Path) -> str:
-    try:
-        data = contents(path, path.suffix.lower() == ".gz", LARGEST_BYTES)
-    except (OSError, EOFError, zlib.error) as error:
-        raise BadLandmarks(f"cannot read the landmark file {path}: {error}") from error
-    if data is None:
-        raise BadLandmarks(f"landmarks {path}: a .lnd file may hold {LARGEST_BYTES >> 20} MiB, found more")
-    return data.decode("latin-1")
-
-
 def load_landmark_file(path: Path) -> LandmarkSet | PointLandmarks:
     """Read a landmark file: .lnd (or .lnd.gz), or .json, by vertex or, if it has "points", by coordinate.
 
@@ -220,4 +191,4 @@ def load_landmark_file(path: Path) -> LandmarkSet | PointLandmarks:
     if path.suffix.lower() != ".json":
         raise BadLandmarks(f"a landmark file must be .json, .lnd or .lnd.gz, found {path}")
     text = read_text(path)
-    return (parse_points if "points" in json_table(text, str(path)) else parse_landmarks)(text, str(path))
+    return (parse_points if json_table(text, str(path)).has("points") else parse_landmarks)(text, str(path))

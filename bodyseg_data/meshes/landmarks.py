@@ -15,9 +15,9 @@ from __future__ import annotations
 
 import difflib
 import json
-import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
@@ -26,15 +26,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadLandmarks
-from bodyseg_data.files import refuse_special
+from bodyseg_data.core import BadConfig, BadLandmarks
+from bodyseg_data.files import Table, refuse_special
 from bodyseg_data.labels import LANDMARKS, PART_COUNT
 from bodyseg_data.machine import missing_library
 from bodyseg_data.meshes.coincident import separate
 from bodyseg_data.meshes.mesh import Mesh
 
 LANDMARKS_FORMAT: Final = "bodyseg landmarks 1"
-_SET_KEYS: Final = ("format", "topology", "vertex_count", "face_count", "landmarks")
 
 FARTHEST_M: Final = 0.03
 """Largest accepted distance of a landmark from the surface, metres.
@@ -45,9 +44,6 @@ landmark farther away belongs to another body, unit or frame.
 
 METRES: Final[Mapping[str, float]] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 """Metres in a unit of length."""
-
-_POINT_KEYS: Final = ("format", "units", "points")
-_FEATURE: Final = "putting landmarks onto a surface"
 
 
 @dataclass(frozen=True)
@@ -72,13 +68,7 @@ class LandmarkSet:
         Raises BadLandmarks, naming set and mesh, if the mesh has another number of vertices or faces, or if no face
         uses the vertex of a landmark.
         """
-        found = (len(mesh.vertices), len(mesh.faces))
-        if found != (self.vertex_count, self.face_count):
-            raise BadLandmarks(
-                f"landmarks {self.source} are for meshes of {self.vertex_count} vertices and {self.face_count} faces "
-                f"({self.topology}), found {found[0]} and {found[1]} in mesh {mesh.name}: "
-                "this mesh needs landmarks of its own"
-            )
+        self.check_counts(len(mesh.vertices), len(mesh.faces), f"mesh {mesh.name}")
         vertices = np.array(self.vertices, np.int64)
         loose = np.flatnonzero(~np.isin(vertices, mesh.faces))
         if len(loose):
@@ -87,6 +77,14 @@ class LandmarkSet:
                 f"{vertices[loose[0]]}, which no face of mesh {mesh.name} uses"
             )
         return vertices
+
+    def check_counts(self, vertices: int, faces: int, where: str) -> None:
+        """Raise BadLandmarks for a mesh, named by `where`, of another number of vertices or faces."""
+        if (vertices, faces) != (self.vertex_count, self.face_count):
+            raise BadLandmarks(
+                f"landmarks {self.source} are for meshes of {self.vertex_count} vertices and {self.face_count} faces "
+                f"({self.topology}), found {vertices} and {faces} in {where}: this mesh needs landmarks of its own"
+            )
 
     def to_json(self) -> str:
         """Serialise the set as the JSON text that `load_landmarks` reads."""
@@ -121,20 +119,19 @@ def load_landmarks(name_or_path: str | Path) -> LandmarkSet:
 
 def parse_landmarks(text: str, source: str) -> LandmarkSet:
     """Parse a landmark set from JSON text; `source` names it in messages. Raises BadLandmarks."""
-    where = f"landmarks {source}"
     tree = json_table(text, source)
-    check_keys(tree, _SET_KEYS, where)
-    if not isinstance(tree["topology"], str):
-        raise BadLandmarks(f"{where}: 'topology' must be text, found {tree['topology']!r}")
-    vertex_count = _whole(tree["vertex_count"], 1, None, f"{where}: 'vertex_count'")
-    face_count = _whole(tree["face_count"], 1, None, f"{where}: 'face_count'")
-    table = tree["landmarks"]
-    if not isinstance(table, dict):
-        raise BadLandmarks(f"{where}: 'landmarks' must map names to vertices, found {table!r}")
-    ignored = check_landmark_names(list(table), where)
-    return LandmarkSet(
-        source, tree["topology"], vertex_count, face_count, _vertices(table, vertex_count, where), ignored
-    )
+    with _bad_landmarks():
+        topology, counts = tree.text("topology"), (tree.whole("vertex_count"), tree.whole("face_count"))
+        table, ignored = _by_name(tree, "landmarks")
+        vertices = tuple(table.whole(name) for name in LANDMARKS)
+    for name, vertex in zip(LANDMARKS, vertices, strict=True):
+        if not 0 <= vertex < counts[0]:
+            raise BadLandmarks(f"{table.where}: {name!r} must be a vertex, 0 to {counts[0] - 1}, found {vertex}")
+    vertex, count = Counter(vertices).most_common(1)[0]
+    if count > 2:
+        names = ", ".join(repr(name) for name, each in zip(LANDMARKS, vertices, strict=True) if each == vertex)
+        raise BadLandmarks(f"{table.where}: at most two landmarks may share a vertex, found {names} at {vertex}")
+    return LandmarkSet(source, topology, *counts, vertices, ignored)
 
 
 @dataclass(frozen=True)
@@ -181,7 +178,7 @@ class PointLandmarks:
         """Project the landmarks onto the surface of `mesh`, whose frame the points must be in.
 
         Raises BadLandmarks, naming the landmark, for one farther than `FARTHEST_M` from the surface, three in one
-        place, and one on another piece of the surface than most; MissingLibrary without trimesh, rtree or scipy.
+        place, and one on another piece of the surface than most; MissingLibrary without trimesh or rtree.
         """
         where = f"landmarks {self.source} on mesh {mesh.name}"
         vertices, distance = snap(mesh, self.points)
@@ -195,7 +192,7 @@ class PointLandmarks:
                 + (f", and {others} more beyond {100 * FARTHEST_M:g} cm" if others else "")
             )
         vertices, notes = separate(mesh, vertices, self.points, where)
-        piece = mesh.pieces(_FEATURE)[vertices]
+        piece = mesh.pieces()[vertices]
         body = np.bincount(piece).argmax()
         if (piece != body).any():
             stray = int(np.flatnonzero(piece != body)[0])
@@ -223,22 +220,19 @@ def snap(mesh: Mesh, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], ND
     Raises MissingLibrary without trimesh, rtree or scipy.
     """
     faces = mesh.faces[(mesh.normals != 0).any(axis=1)]  # a triangle without area has no nearest point
-    vertices, distance = nearest_corner(mesh.vertices, faces, points, _FEATURE)
+    vertices, distance = nearest_corner(mesh.vertices, faces, points)
     return vertices.astype(np.int64), distance
 
 
 def parse_points(text: str, source: str) -> PointLandmarks:
     """Parse landmarks by coordinate from JSON text; `source` names it in messages. Raises BadLandmarks."""
-    where = f"landmarks {source}"
     tree = json_table(text, source)
-    check_keys(tree, _POINT_KEYS, where)
-    units, table = tree["units"], tree["points"]
-    if not isinstance(units, str) or units not in METRES:
-        raise BadLandmarks(f"{where}: 'units' must be one of {', '.join(METRES)}, found {units!r}")
-    if not isinstance(table, dict):
-        raise BadLandmarks(f"{where}: 'points' must map names to coordinates, found {table!r}")
-    ignored = check_landmark_names(list(table), where)
-    points = [_point(table[name], f"{where}: the point of {name!r}") for name in LANDMARKS]
+    with _bad_landmarks():
+        units = tree.text("units")
+        table, ignored = _by_name(tree, "points")
+        points = [table.numbers(name, 3) for name in LANDMARKS]
+    if units not in METRES:
+        raise BadLandmarks(f"{tree.where}: 'units' must be one of {', '.join(METRES)}, found {units!r}")
     return PointLandmarks(source, np.array(points) * METRES[units], ignored)
 
 
@@ -251,68 +245,43 @@ def read_text(path: Path) -> str:
         raise BadLandmarks(f"cannot read the landmark file {path}: {error}") from error
 
 
-def json_table(text: str, source: str) -> dict[str, Any]:
+def json_table(text: str, source: str) -> Table:
     """Parse the JSON object of a landmark file and check its format. Raises BadLandmarks."""
     where = f"landmarks {source}"
     try:
         tree = json.loads(text, object_pairs_hook=lambda pairs: _without_doubles(pairs, where))
     except (ValueError, RecursionError) as error:  # RecursionError: brackets nested beyond reason
         raise BadLandmarks(f"{where} is not JSON: {error}") from error
-    if not isinstance(tree, dict) or tree.get("format") != LANDMARKS_FORMAT:
+    if not isinstance(tree, dict) or tree.pop("format", None) != LANDMARKS_FORMAT:
         raise BadLandmarks(f"{where}: 'format' must be {LANDMARKS_FORMAT!r}")
-    return tree
+    return Table(tree, where)
 
 
-def check_keys(tree: dict[str, Any], wanted: tuple[str, ...], where: str) -> None:
-    """Raise BadLandmarks unless the keys of a landmark file are those `wanted`."""
-    unknown = [key for key in tree if key not in wanted]
-    if unknown:
-        raise BadLandmarks(f"{where}: unknown key {', '.join(map(repr, unknown))}")
-    missing = [key for key in wanted if key not in tree]
-    if missing:
-        raise BadLandmarks(f"{where}: key {', '.join(map(repr, missing))} is missing")
+@contextmanager
+def _bad_landmarks() -> Iterator[None]:
+    """Turn faults of a table into BadLandmarks."""
+    try:
+        yield
+    except BadConfig as error:
+        raise BadLandmarks(str(error)) from None
 
 
-def check_landmark_names(found: list[str], where: str) -> tuple[str, ...]:
-    """Return the names that are not among the 33. Raises BadLandmarks, naming each of the 33 that is missing and what
-    it may have been misspelt as.
+def _by_name(tree: Table, key: str) -> tuple[Table, tuple[str, ...]]:
+    """The last table of a landmark file, by name, and the names in it that are not among the 33.
+
+    Raises BadLandmarks, naming each of the 33 that is missing and what it may have been misspelt as.
     """
-    others = [name for name in found if name not in LANDMARKS]
+    table = tree.table(key)
+    tree.finish()
+    others = [name for name in table if name not in LANDMARKS]
     missing = []
     for name in LANDMARKS:
-        if name not in found:
+        if not table.has(name):
             close = difflib.get_close_matches(name, others, 1)
             missing.append(repr(name) + (f" (misspelt as {close[0]!r}?)" if close else ""))
     if missing:
-        raise BadLandmarks(f"{where}: landmark {', '.join(missing)} is missing")
-    return tuple(others)
-
-
-def _vertices(table: dict[str, Any], vertex_count: int, where: str) -> tuple[int, ...]:
-    vertices = [_whole(table[name], 0, vertex_count - 1, f"{where}: the vertex of {name!r}") for name in LANDMARKS]
-    vertex, count = Counter(vertices).most_common(1)[0]
-    if count > 2:
-        names = ", ".join(repr(name) for name, each in zip(LANDMARKS, vertices, strict=True) if each == vertex)
-        raise BadLandmarks(f"{where}: at most two landmarks may share a vertex, found {names} at {vertex}")
-    return tuple(vertices)
-
-
-def _point(value: Any, what: str) -> list[float]:
-    if (
-        not isinstance(value, list)
-        or len(value) != 3
-        or any(isinstance(number, bool) or not isinstance(number, int | float) for number in value)
-        or not all(abs(number) < 1e9 and math.isfinite(number) for number in value)
-    ):
-        raise BadLandmarks(f"{what} must be three finite numbers, found {value!r}")
-    return [float(number) for number in value]
-
-
-def _whole(value: Any, low: int, high: int | None, what: str) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or value < low or (high is not None and value > high):
-        span = f"at least {low}" if high is None else f"{low} to {high}"
-        raise BadLandmarks(f"{what} must be a whole number, {span}, found {value!r}")
-    return value
+        raise BadLandmarks(f"{tree.where}: landmark {', '.join(missing)} is missing")
+    return table, tuple(others)
 
 
 def _without_doubles(pairs: list[tuple[str, Any]], where: str) -> dict[str, Any]:
@@ -326,20 +295,20 @@ def _without_doubles(pairs: list[tuple[str, Any]], where: str) -> dict[str, Any]
 
 
 def nearest_corner(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32], points: NDArray[np.float64], feature: str
+    vertices: NDArray[np.float64], faces: NDArray[np.int32], points: NDArray[np.float64]
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
     """Find the triangle nearest to each of `points` [P, 3]: its corner nearest to the point, int32 [P], and the
     distance from the point to the triangle, float64 [P], metres.
 
-    vertices: [V, 3], metres. faces: [F, 3], none of zero area. feature: the feature that the message names.
-    Raises MissingLibrary without trimesh, rtree or scipy.
+    vertices: [V, 3], metres. faces: [F, 3], none of zero area. Raises MissingLibrary without trimesh or rtree.
     """
+    from scipy.spatial import KDTree
+
     try:
         import rtree  # noqa: F401  trimesh imports it late and reports its absence in other words
         import trimesh
-        from scipy.spatial import KDTree
     except ImportError as error:
-        raise missing_library(feature, error) from error
+        raise missing_library("measuring distances to a surface", error) from error
     # No point is farther from the surface than from its nearest vertex, so only triangles within that distance of the
     # points' bounding box can be nearest: for eyes in a head a few hundred instead of all.
     reach = KDTree(vertices[np.unique(faces)]).query(points)[0].max() + 1e-9  # rounding must not lose the nearest
@@ -354,12 +323,10 @@ def nearest_corner(
     return nearest, np.asarray(distance, np.float64)
 
 
-def farthest_from(vertices: NDArray[np.float64], points: NDArray[np.float64], feature: str) -> float:
+def farthest_from(vertices: NDArray[np.float64], points: NDArray[np.float64]) -> float:
     """The largest distance of `points` [P, 3] to their nearest vertices [V, 3], metres: that to a surface of these
-    vertices is no larger. feature: the feature that the message of MissingLibrary, raised without scipy, names.
+    vertices is no larger.
     """
-    try:
-        from scipy.spatial import KDTree
-    except ImportError as error:
-        raise missing_library(feature, error) from error
+    from scipy.spatial import KDTree
+
     return float(KDTree(vertices).query(points)[0].max())

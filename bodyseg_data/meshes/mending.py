@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.machine import missing_library
-from bodyseg_data.meshes.mesh import Edges, components, find_edges
+from bodyseg_data.meshes.mesh import Edges, components, face_normals, find_edges
 from bodyseg_data.meshes.repairing import SAME_POINT_M
 
 
@@ -30,19 +29,19 @@ class MendedSurface:
     notes: tuple[str, ...]
 
 
-def mend(vertices: NDArray[np.float64], faces: NDArray[Any], feature: str) -> MendedSurface:
+def mend(vertices: NDArray[np.float64], faces: NDArray[Any]) -> MendedSurface:
     """Remove the defects of the surface `faces` [F, 3] of `vertices` [V, 3], metres.
 
     Vertices closer than `SAME_POINT_M` are joined if an edge connects them or if both lie on the boundary of the
     surface, as along a seam that was not welded; surfaces that only touch stay apart. Faces with a repeated vertex and
     duplicates of faces are removed. Of more than two faces at an edge two are kept: those with the fewest open edges,
-    then the largest. feature: the feature named by the message of MissingLibrary, raised without scipy.
+    then the largest.
     """
     edges = find_edges(faces)
     representative = np.arange(len(vertices))
-    joined = _coincident_pairs(vertices, edges, feature)
+    joined = _coincident_pairs(vertices, edges)
     if len(joined):
-        component = components(len(vertices), joined, feature)
+        component = components(len(vertices), joined)
         _, first = np.unique(component, return_index=True)
         representative = first[component]
     kept = representative[faces]
@@ -67,11 +66,11 @@ def mend(vertices: NDArray[np.float64], faces: NDArray[Any], feature: str) -> Me
     return MendedSurface(kept, representative, tuple(f"{count} {what}" for count, what in done if count))
 
 
-def find_fans(faces: NDArray[np.int64], feature: str) -> NDArray[np.int64]:
+def find_fans(faces: NDArray[np.int64]) -> NDArray[np.int64]:
     """Index of the fan that each corner of `faces` [F, 3] belongs to, int64 [F, 3], from 0.
 
     A fan is the faces around one vertex that are connected through edges. There are as many fans as vertices, unless
-    sheets of the surface are connected by single vertices only. feature: as for `mend`.
+    sheets of the surface are connected by single vertices only.
     """
     sides = find_edges(faces).two_sides()
     # Two faces with a common edge are connected at both its ends: corner k of each, and corner k + 1.
@@ -82,20 +81,18 @@ def find_fans(faces: NDArray[np.int64], feature: str) -> NDArray[np.int64]:
         np.stack([first, np.where(same, second, ahead[1])], axis=1),
         np.stack([ahead[0], np.where(same, ahead[1], second)], axis=1),
     ]
-    fans: NDArray[np.int64] = components(faces.size, np.concatenate(pairs), feature).astype(np.int64)
+    fans: NDArray[np.int64] = components(faces.size, np.concatenate(pairs)).astype(np.int64)
     return fans.reshape(-1, 3)
 
 
-def _coincident_pairs(vertices: NDArray[np.float64], edges: Edges, feature: str) -> NDArray[np.int64]:
+def _coincident_pairs(vertices: NDArray[np.float64], edges: Edges) -> NDArray[np.int64]:
     """Pairs of vertices [N, 2] that are the same point of the surface."""
+    from scipy.spatial import KDTree
+
     short = edges.ends[edges.lengths(vertices) < SAME_POINT_M]
     rim = np.unique(edges.ends[edges.faces == 1])
     if not len(rim):
         return short
-    try:
-        from scipy.spatial import KDTree
-    except ImportError as error:
-        raise missing_library(feature, error) from error
     pairs = rim[KDTree(vertices[rim]).query_pairs(SAME_POINT_M, output_type="ndarray")]
     return np.concatenate([short, pairs])
 
@@ -107,8 +104,7 @@ def _kept_at_edges(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> N
     sides = np.flatnonzero(edges.faces[edges.of_side.ravel()] > 2)
     edge, face = edges.of_side.ravel()[sides], sides // 3
     open_edges = (edges.faces[edges.of_side] == 1).sum(axis=1)[face]
-    a, b, c = np.moveaxis(vertices[faces[face]], 1, 0)
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    area = np.linalg.norm(face_normals(vertices, faces[face]), axis=1)
     order = np.lexsort((face, -area, open_edges, edge))
     edge, face = edge[order], face[order]
     needed[face[np.arange(len(edge)) - np.searchsorted(edge, edge) >= 2]] = False

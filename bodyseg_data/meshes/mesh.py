@@ -75,24 +75,24 @@ def find_edges(faces: NDArray[Any]) -> Edges:
     return Edges(np.stack(np.divmod(keys, stride), axis=1), count, of_side.reshape(-1, 3))
 
 
-def face_components(count: int, faces: NDArray[np.integer[Any]], feature: str) -> NDArray[np.int32]:
+def face_components(count: int, faces: NDArray[np.integer[Any]]) -> NDArray[np.int32]:
     """Connected piece of the surface `faces` [F, 3] that each of `count` vertices belongs to; see `components`.
 
     Two edges of a triangle connect its three vertices.
     """
-    return components(count, faces[:, [0, 1, 1, 2]].reshape(-1, 2), feature)
+    return components(count, faces[:, [0, 1, 1, 2]].reshape(-1, 2))
 
 
-def components(count: int, pairs: NDArray[np.integer[Any]], feature: str) -> NDArray[np.int32]:
+def components(count: int, pairs: NDArray[np.integer[Any]]) -> NDArray[np.int32]:
     """Connected component of each node of a graph, int32 [count]. pairs: [N, 2], its edges, as indices of nodes.
 
-    feature: the feature that the message names. Raises MissingLibrary without scipy.
+    Raises MissingLibrary without scipy. Every `Mesh` comes past here, so whoever has one has scipy.
     """
     try:
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
     except ImportError as error:
-        raise missing_library(feature, error) from error
+        raise missing_library("checking a mesh", error) from error
     links = coo_array((np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     component: NDArray[np.int32] = connected_components(links, directed=False)[1]
     return component
@@ -136,36 +136,30 @@ class Mesh:
 
         Open pieces are not judged one by one: the cavity of a mouth, cut off, would seem inside out.
         """
-        clash = self._clashing_edge()
-        if clash is not None:
+        edges = find_edges(self.faces)
+        forwards = np.where(self.faces < np.roll(self.faces, -1, axis=1), 1, -1)
+        balance = np.bincount(edges.of_side.ravel(), weights=forwards.ravel())
+        proper = edges.ends[:, 0] != edges.ends[:, 1]  # not from a vertex to itself
+        clashes = edges.ends[(edges.faces == 2) & (balance != 0) & proper]
+        if len(clashes):
             raise BadMesh(
                 f"mesh {self.name}: neighbouring faces must agree on their outside, found faces that clash at the edge "
-                f"of vertices {clash[0]} and {clash[1]}"
+                f"of vertices {clashes[0, 0]} and {clashes[0, 1]}"
             )
-        whole, lowest = self.signed_volume(), self._lowest_closed_volume()
+        whole, lowest = self.signed_volume(), self._lowest_closed_volume(edges)
         if whole <= 0 or lowest < -_SLIGHT_VOLUME_M3:
             raise BadMesh(
                 f"mesh {self.name}: faces must point outwards, found a signed volume of {min(whole, lowest):.3g} m3 "
                 "(inside out?)"
             )
 
-    def _clashing_edge(self) -> tuple[int, int] | None:
-        """The vertices of an edge that exactly two faces share and traverse in the same direction; None without one."""
-        edges = find_edges(self.faces)
-        forwards = np.where(self.faces < np.roll(self.faces, -1, axis=1), 1, -1)
-        balance = np.bincount(edges.of_side.ravel(), weights=forwards.ravel())
-        proper = edges.ends[:, 0] != edges.ends[:, 1]  # not from a vertex to itself
-        bad = np.flatnonzero((edges.faces == 2) & (balance != 0) & proper)
-        return None if not len(bad) else (int(edges.ends[bad[0], 0]), int(edges.ends[bad[0], 1]))
-
     def signed_volume(self) -> float:
         """Enclosed volume, m3, measured about the mean vertex; negative if faces point inwards."""
         return float(signed_volumes(self.vertices[self.faces] - self.surface_vertices.mean(axis=0)).sum())
 
-    def _lowest_closed_volume(self) -> float:
+    def _lowest_closed_volume(self, edges: Edges) -> float:
         """Smallest signed volume, m3, of all closed connected pieces; infinite if no piece is closed."""
-        edges = find_edges(self.faces)
-        piece = self.pieces("checking a mesh")
+        piece = self.pieces()
         closed = np.ones(piece.max() + 1, np.bool_)
         closed[piece[edges.ends[edges.faces == 1, 0]]] = False
         faces = self.faces[closed[piece[self.faces[:, 0]]]]
@@ -177,12 +171,9 @@ class Mesh:
         corners = self.vertices[faces] - origin[piece_of_face][:, None]
         return float(np.bincount(piece_of_face, weights=signed_volumes(corners)).min())
 
-    def pieces(self, feature: str) -> NDArray[np.int32]:
-        """Index of the connected piece of the surface that each vertex belongs to, int32 [V].
-
-        feature: the feature that the message names. Raises MissingLibrary without scipy.
-        """
-        return face_components(len(self.vertices), self.faces, feature)
+    def pieces(self) -> NDArray[np.int32]:
+        """Index of the connected piece of the surface that each vertex belongs to, int32 [V]."""
+        return face_components(len(self.vertices), self.faces)
 
     @cached_property
     def surface_vertices(self) -> NDArray[np.float64]:
@@ -198,8 +189,7 @@ class Mesh:
     @cached_property
     def normals(self) -> NDArray[np.float64]:
         """Outward normals of all faces, float64 [F, 3]; length twice the face's area, 0 if degenerate."""
-        corners = self.vertices[self.faces]
-        return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        return face_normals(self.vertices, self.faces)
 
     @cached_property
     def vertex_normals(self) -> NDArray[np.float64]:
@@ -221,6 +211,12 @@ class Mesh:
         area[area == 0] = 1  # a degenerate triangle: any corner is as good
         v, w = (bb * p_ab - ab_ac * p_ac) / area, (aa * p_ac - ab_ac * p_ab) / area
         return np.stack([1 - v - w, v, w], axis=1)
+
+
+def face_normals(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
+    """Normals of triangles, float64 [F, 3], by the right-hand rule; length twice the triangle's area."""
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    return np.cross(b - a, c - a)
 
 
 def signed_volumes(corners: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -14,7 +14,7 @@ import gzip
 import re
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadMesh
+from bodyseg_data.core import BadMesh, BodysegError
 from bodyseg_data.files import contents
 from bodyseg_data.meshes.mesh import check_arrays
 
@@ -40,12 +40,14 @@ _TYPES: Final = {
     }.items()
     for name in names
 }
-_STRUCT_CODES: Final = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f", "f8": "d"}
 _ORDERS: Final = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _CORNERS: Final = ("vertex_indices", "vertex_index")
 _LONGEST_HEADER: Final = 1 << 16
 
-Vertices = NDArray[np.float64]
+_LAST_LINE: Final = re.compile(rb"^[ \t]*end_header[ \t\r]*\n", re.MULTILINE)
+
+Vertices = list[list[float]]
+Polygons = list[list[int]]
 Faces = NDArray[np.int64]
 
 MESH_SUFFIXES: Final = (".ply", ".obj", ".off", ".ply.gz", ".obj.gz", ".off.gz")
@@ -63,14 +65,16 @@ class _Property:
 
     name: str
     kind: str
-    length: str | None
+    length: str | None = None
 
 
 @dataclass(frozen=True)
 class _Element:
+    """An element: as many rows as `count`, each with a value or a list of every property."""
+
     name: str
     count: int
-    properties: tuple[_Property, ...]
+    properties: list[_Property]
 
     def index(self, *names: str) -> int:
         """Index of the property that has one of these names. Raises BadMesh without one."""
@@ -82,230 +86,156 @@ class _Element:
     def has_lists(self) -> bool:
         return any(prop.length is not None for prop in self.properties)
 
+    def truncated(self, found: int) -> BadMesh:
+        return BadMesh(f"the header announces {self.count} rows of {self.name!r}, the file ends after {found}")
 
-def read_ply(data: bytes) -> tuple[Vertices, Faces]:
-    """Parse vertices float64 [V, 3] and triangles int64 [F, 3] of a PLY file, in its order; polygons become fans.
+
+def _read_ply(data: bytes) -> tuple[Any, Any]:
+    """Parse a PLY file: vertices, [V, 3], and polygons, in its order.
 
     Raises BadMesh for a file that is not PLY, is truncated or holds less than its header announces.
     """
     order, elements, start = _header(data)
-    rows = _TextRows(data, start) if not order else _BinaryRows(data, start, order)
-    vertices, faces = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
+    columns = _from_text(data, start) if not order else _from_bytes(data, start, order)
+    vertices: Any = ()
+    polygons: Any = ()
     for element in elements:
         if element.name == "vertex":
             if element.has_lists():
                 raise BadMesh("the element 'vertex' must have no lists")
-            vertices = rows.scalars(element, [element.index(axis) for axis in "xyz"])
+            axes = [element.index(axis) for axis in "xyz"]
+            values = columns(element)
+            vertices = np.stack([np.asarray(values[axis], np.float64) for axis in axes], axis=1)
         elif element.name == "face":
-            index = element.index(*_CORNERS)
-            if element.properties[index].length is None or element.properties[index].kind[0] == "f":
-                raise BadMesh(f"the property {element.properties[index].name!r} must be a list of whole numbers")
-            faces = rows.polygons(element, index)
+            corners = element.properties[element.index(*_CORNERS)]
+            if corners.length is None or corners.kind[0] == "f":
+                raise BadMesh(f"the property {corners.name!r} must be a list of whole numbers")
+            polygons = columns(element)[element.properties.index(corners)]
         else:
-            rows.skip(element)
-    return vertices, faces
+            columns(element)
+    return vertices, polygons
 
 
 def _header(data: bytes) -> tuple[str, list[_Element], int]:
     """The byte order ("" for text), the elements, and the offset of the first row, bytes."""
     if not data.startswith((b"ply\n", b"ply\r\n")):
         raise BadMesh(f"a PLY file must begin with 'ply', found {data[:8]!r}" if data else "the file is empty")
-    lines: list[str] = []
-    start = 0
-    while not lines or lines[-1] != "end_header":
-        end = data.find(b"\n", start, _LONGEST_HEADER)
-        if end < 0:
-            raise BadMesh("the header must end with a line 'end_header', found none")
-        lines.append(data[start:end].decode("latin-1").strip())
-        start = end + 1
+    last = _LAST_LINE.search(data, 0, _LONGEST_HEADER)
+    if last is None:
+        raise BadMesh("the header must end with a line 'end_header', found none")
     order: str | None = None
-    elements: list[tuple[str, int, list[_Property]]] = []
-    for number, line in enumerate(lines, 1):
+    elements: list[_Element] = []
+    for number, line in enumerate(data[: last.start()].decode("latin-1").split("\n"), 1):
         match line.split():
             case ["format", name, "1.0"] if name in _ORDERS:
                 order = _ORDERS[name]
             case ["element", name, count] if count.isascii() and count.isdigit() and len(count) < 16:
-                elements.append((name, int(count), []))
+                elements.append(_Element(name, int(count), []))
             case ["property", "list", length, kind, name] if elements and {length, kind} <= set(_TYPES):
                 if _TYPES[length][0] == "f":
-                    raise BadMesh(f"line {number} of the header: a list's length must be whole, found {line!r}")
-                elements[-1][2].append(_Property(name, _TYPES[kind], _TYPES[length]))
+                    raise BadMesh(f"line {number} of the header: a list's length must be whole, found {line.strip()!r}")
+                elements[-1].properties.append(_Property(name, _TYPES[kind], _TYPES[length]))
             case ["property", kind, name] if elements and kind in _TYPES:
-                elements[-1][2].append(_Property(name, _TYPES[kind], None))
-            case [] | ["ply"] | ["comment" | "obj_info", *_] | ["end_header"]:
+                elements[-1].properties.append(_Property(name, _TYPES[kind]))
+            case [] | ["ply"] | ["comment" | "obj_info", *_]:
                 pass
             case _:
-                raise BadMesh(f"line {number} of the header is not PLY: {line[:60]!r}")
+                raise BadMesh(f"line {number} of the header is not PLY: {line.strip()[:60]!r}")
     if order is None:
         raise BadMesh("the header must name the format")
-    bare = [name for name, count, properties in elements if count and not properties]
+    bare = [element.name for element in elements if element.count and not element.properties]
     if bare:
         raise BadMesh(f"the element {bare[0]!r} must have properties")
-    return order, [_Element(name, count, tuple(properties)) for name, count, properties in elements], start
+    return order, elements, last.end()
 
 
-def _truncated(element: _Element, found: int) -> BadMesh:
-    return BadMesh(f"the header announces {element.count} rows of {element.name!r}, the file ends after {found}")
+def _from_text(data: bytes, start: int) -> Callable[[_Element], list[list[Any]]]:
+    """A function that reads the next element of a text, one row a line: for every property its values or lists."""
+    lines = enumerate(data[start:].decode("latin-1").split("\n"), data.count(b"\n", 0, start) + 1)
+    rows = ((line, words) for line, text in lines if (words := text.split()))  # empty lines do not count
+
+    def columns(element: _Element) -> list[list[Any]]:
+        found: list[list[Any]] = [[] for _ in element.properties]
+        for row in range(element.count):
+            line, words = next(rows, (0, None))
+            if words is None:
+                raise element.truncated(row)
+            if not element.has_lists() and len(words) != len(found):
+                raise BadMesh(f"line {line}: {len(found)} numbers must stand here, found {len(words)}")
+            left = iter(words)
+            try:
+                for prop, column in zip(element.properties, found, strict=True):
+                    number = float if prop.kind[0] == "f" or prop.length is None else int
+                    if prop.length is None:
+                        column.append(number(next(left)))
+                    else:
+                        column.append([number(next(left)) for _ in range(int(next(left)))])
+            except StopIteration:
+                raise BadMesh(f"line {line}: a row must hold all that its lists announce") from None
+            except ValueError as error:
+                raise BadMesh(f"line {line}: {error}") from error
+        return found
+
+    return columns
 
 
-def fan(corners: Sequence[int]) -> list[tuple[int, int, int]]:
-    """Split a polygon into triangles about its first corner."""
-    return [(corners[0], corners[i], corners[i + 1]) for i in range(1, len(corners) - 1)]
+def _from_bytes(data: bytes, start: int, order: str) -> Callable[[_Element], list[Any]]:
+    """A function that reads the next element of a binary file, as `_from_text`, or arrays where all rows are alike."""
+    position = start
+
+    def take(kind: str, count: int) -> tuple[Any, ...]:
+        nonlocal position
+        form = f"{order}{count}{np.dtype(kind).char}"  # NumPy's letter of a type is that of `struct`
+        values = struct.unpack_from(form, data, position)
+        position += struct.calcsize(form)
+        return values
+
+    def row(element: _Element, number: int) -> list[tuple[Any, ...]]:
+        try:
+            return [take(each.kind, take(each.length, 1)[0] if each.length else 1) for each in element.properties]
+        except struct.error:
+            raise element.truncated(number) from None
+
+    def columns(element: _Element) -> list[Any]:
+        nonlocal position
+        begin = position
+        if not element.count:
+            return [[] for _ in element.properties]
+        first = row(element, 0)
+        lengths = {index: len(first[index]) for index, prop in enumerate(element.properties) if prop.length is not None}
+        fields: list[tuple[Any, ...]] = []
+        for index, prop in enumerate(element.properties):
+            if prop.length is not None:
+                fields.append((f"length {index}", order + prop.length))
+            fields.append((str(index), order + prop.kind, (lengths[index],) if index in lengths else ()))
+        size = np.dtype(fields).itemsize
+        fit = min((len(data) - begin) // size, element.count)
+        table = np.frombuffer(data, np.dtype(fields), fit, begin)
+        if fit == element.count and all((table[f"length {index}"] == each).all() for index, each in lengths.items()):
+            position = begin + table.nbytes
+            return [table[str(index)] for index in range(len(element.properties))]
+        if not lengths:
+            raise element.truncated(fit)
+        rows = [first, *(row(element, number) for number in range(1, element.count))]
+        return list(zip(*rows, strict=True))
+
+    return columns
 
 
-def _triangles(polygons: list[list[int]]) -> Faces:
+def _triangles(polygons: Any) -> Faces:
+    """Split polygons, lists of corners or an array [N, corners], into triangles about their first corners."""
+    if isinstance(polygons, np.ndarray) and polygons.shape[1] >= 3:
+        fans = [polygons[:, [0, i, i + 1]].astype(np.int64) for i in range(1, polygons.shape[1] - 1)]
+        return np.stack(fans, axis=1).reshape(-1, 3)
     triangles: list[tuple[int, int, int]] = []
     for number, corners in enumerate(polygons):
         if len(corners) < 3:
             raise BadMesh(f"a face needs three corners, found {len(corners)} at face {number}")
-        triangles += fan(corners)
+        triangles += [(corners[0], corners[i], corners[i + 1]) for i in range(1, len(corners) - 1)]
     try:
         return np.array(triangles, np.int64).reshape(-1, 3)
     except OverflowError as error:
         raise BadMesh(f"a corner is no vertex: {error}") from error
-
-
-class _TextRows:
-    """Reader of the rows of a PLY file in text, one a line."""
-
-    def __init__(self, data: bytes, start: int) -> None:
-        self._first = data.count(b"\n", 0, start) + 1
-        self._lines = data[start:].decode("latin-1").split("\n")
-        self._next = 0
-
-    def _take(self, element: _Element) -> list[tuple[int, list[str]]]:
-        """(line, words) of every row of an element; empty lines do not count."""
-        rows: list[tuple[int, list[str]]] = []
-        while len(rows) < element.count:
-            if self._next >= len(self._lines):
-                raise _truncated(element, len(rows))
-            words = self._lines[self._next].split()
-            if words:
-                rows.append((self._first + self._next, words))
-            self._next += 1
-        return rows
-
-    def skip(self, element: _Element) -> None:
-        self._take(element)
-
-    def scalars(self, element: _Element, indices: list[int]) -> Vertices:
-        values = []
-        for line, words in self._take(element):
-            if len(words) != len(element.properties):
-                raise BadMesh(f"line {line}: {len(element.properties)} numbers must stand here, found {len(words)}")
-            try:
-                values.append([float(words[index]) for index in indices])
-            except ValueError as error:
-                raise BadMesh(f"line {line}: {error}") from error
-        return np.array(values, np.float64).reshape(-1, len(indices))
-
-    def polygons(self, element: _Element, index: int) -> Faces:
-        polygons = []
-        for line, words in self._take(element):
-            position = 0
-            try:
-                for prop in element.properties[:index]:
-                    position += 1 if prop.length is None else 1 + int(words[position])
-                corners = [int(word) for word in words[position + 1 : position + 1 + int(words[position])]]
-                if len(corners) != int(words[position]):
-                    raise ValueError(f"a face of {words[position]} corners must list them, found {len(corners)}")
-            except (ValueError, IndexError) as error:
-                raise BadMesh(f"line {line}: {error}") from error
-            polygons.append(corners)
-        return _triangles(polygons)
-
-
-class _BinaryRows:
-    """Reader of the rows of a binary PLY file."""
-
-    def __init__(self, data: bytes, start: int, order: str) -> None:
-        self._data, self._position, self._order = data, start, order
-
-    def skip(self, element: _Element) -> None:
-        if element.has_lists():
-            self._read_lists(element, None)
-        else:
-            self._read_table(element, {})
-
-    def scalars(self, element: _Element, indices: list[int]) -> Vertices:
-        table = self._read_table(element, {})
-        return np.stack([table[str(index)].astype(np.float64) for index in indices], axis=1)
-
-    def polygons(self, element: _Element, index: int) -> Faces:
-        table = self._regular_table(element)
-        if table is None or table[str(index)].shape[1] < 3:
-            return _triangles(self._read_lists(element, index))
-        self._position += table.nbytes
-        corners = table[str(index)].astype(np.int64)
-        fans = [corners[:, [0, i, i + 1]] for i in range(1, corners.shape[1] - 1)]
-        return np.stack(fans, axis=1).reshape(-1, 3)
-
-    def _read_table(self, element: _Element, lengths: dict[int, int]) -> NDArray[Any]:
-        """Rows of an element as a structured array. lengths: of its lists, by property index.
-
-        The position advances only for an element without lists.
-        """
-        fields: list[tuple[Any, ...]] = []
-        for index, prop in enumerate(element.properties):
-            if prop.length is not None:
-                fields.append((f"length {index}", self._order + prop.length))
-                fields.append((str(index), self._order + prop.kind, (lengths[index],)))
-            else:
-                fields.append((str(index), self._order + prop.kind))
-        row = np.dtype(fields)
-        fit = (len(self._data) - self._position) // row.itemsize if row.itemsize else 0
-        if fit < element.count:
-            raise _truncated(element, fit)
-        table = np.frombuffer(self._data, row, element.count, self._position)
-        if not lengths:
-            self._position += table.nbytes
-        return table
-
-    def _regular_table(self, element: _Element) -> NDArray[Any] | None:
-        """Rows of an element with lists, if all lists are as long as those of the first row; else None."""
-        lengths: dict[int, int] = {}
-        if not element.count:
-            return None
-        position = self._position
-        for index, prop in enumerate(element.properties):
-            if prop.length is not None:
-                lengths[index] = self._length(element, prop, position, 0)
-                position += np.dtype(prop.length).itemsize
-            position += lengths.get(index, 1) * np.dtype(prop.kind).itemsize
-        try:
-            table = self._read_table(element, lengths)
-        except BadMesh:
-            return None  # shorter rows may follow
-        regular = all((table[f"length {index}"] == length).all() for index, length in lengths.items())
-        return table if regular else None
-
-    def _length(self, element: _Element, prop: _Property, position: int, row: int) -> int:
-        letter = _STRUCT_CODES[prop.length or ""]
-        try:
-            length: int = struct.unpack_from(self._order + letter, self._data, position)[0]
-        except struct.error:
-            raise _truncated(element, row) from None
-        if not 0 <= length * np.dtype(prop.kind).itemsize <= len(self._data) - position:
-            raise BadMesh(f"a list of {length} in row {row} of {element.name!r} is longer than the file")
-        return length
-
-    def _read_lists(self, element: _Element, list_index: int | None) -> list[list[int]]:
-        """Read an element row by row; returns the lists of property `list_index` (none for None)."""
-        found: list[list[int]] = []
-        fields = [(index, prop, np.dtype(prop.kind).itemsize) for index, prop in enumerate(element.properties)]
-        for row in range(element.count):
-            for index, prop, size in fields:
-                length = 1
-                if prop.length is not None:
-                    length = self._length(element, prop, self._position, row)
-                    self._position += np.dtype(prop.length).itemsize
-                if self._position + length * size > len(self._data):
-                    raise _truncated(element, row)
-                if index == list_index:
-                    form = f"{self._order}{length}{_STRUCT_CODES[prop.kind]}"
-                    found.append(list(struct.unpack_from(form, self._data, self._position)))
-                self._position += length * size
-        return found
 
 
 def read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
@@ -318,10 +248,11 @@ def read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     suffix = mesh_suffix(path.name)
     if suffix is None:
         raise BadMesh(f"a mesh file's name must end in {', '.join(MESH_SUFFIXES)}, found {path}")
-    data = _contents(path, packed=suffix.endswith(".gz"))
+    data = file_bytes(path, "mesh", LARGEST_BYTES, BadMesh)
     form = suffix.removesuffix(".gz")[1:]
     try:
-        vertices, faces = {"ply": read_ply, "obj": _read_obj, "off": _read_off}[form](data)
+        points, polygons = {"ply": _read_ply, "obj": _read_obj, "off": _read_off}[form](data)
+        vertices, faces = np.array(points, np.float64).reshape(-1, 3), _triangles(polygons)
     except BadMesh as error:
         raise BadMesh(f"{path}: {error}") from None
     check_arrays(str(path), vertices, faces, check_unused=False)
@@ -343,22 +274,26 @@ def preferred(names: Sequence[str]) -> str:
     return min(names, key=lambda name: (MESH_SUFFIXES.index(mesh_suffix(name) or ""), name))
 
 
-def _contents(path: Path, packed: bool) -> bytes:
+def file_bytes(path: Path, kind: str, limit: int, error: type[BodysegError]) -> bytes:
+    """Read a file of a kind, unpacked if its name ends in .gz.
+
+    Raises `error`, naming the file, for one that cannot be read, is no whole gzip file, or holds more than `limit`.
+    """
     try:
-        data = contents(path, packed, LARGEST_BYTES)
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise BadMesh(f"{path} is not a whole gzip file: {error}") from error
-    except OSError as error:
-        raise BadMesh(f"cannot read {path}: {error.strerror or error}") from error
+        data = contents(path, path.suffix.lower() == ".gz", limit)
+    except (EOFError, zlib.error, gzip.BadGzipFile) as fault:
+        raise error(f"{path} is not a whole gzip file: {fault}") from fault
+    except OSError as fault:
+        raise error(f"cannot read {path}: {fault.strerror or fault}") from fault
     if data is None:
-        raise BadMesh(f"{path}: a mesh file may hold {LARGEST_BYTES >> 20} MiB, found more")
+        raise error(f"{path}: a {kind} file may hold {limit >> 20} MiB, found more")
     return data
 
 
-def _read_obj(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _read_obj(data: bytes) -> tuple[Vertices, Polygons]:
     """Parse Wavefront OBJ: lines "v x y z ..." and "f a b c ..." (or "a/t/n"), with indices from 1, or back from -1."""
-    vertices: list[list[float]] = []
-    faces: list[tuple[int, int, int]] = []
+    vertices: Vertices = []
+    polygons: Polygons = []
     text = data.decode("latin-1")
     if "\\" in text:  # continued lines become one, numbered as the last of them
         text = re.sub(r"\\[ \t]*\r?\n", " ", text)
@@ -372,10 +307,10 @@ def _read_obj(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
             if kind == "v":
                 vertices.append([float(words[0]), float(words[1]), float(words[2])])
             else:
-                faces += fan([_from_one(int(word.partition("/")[0]), len(vertices)) for word in words])
+                polygons.append([_from_one(int(word.partition("/")[0]), len(vertices)) for word in words])
         except ValueError as error:
             raise BadMesh(f"line {number} is not OBJ: {error}") from error
-    return _arrays(vertices, faces)
+    return vertices, polygons
 
 
 def _from_one(index: int, count: int) -> int:
@@ -387,7 +322,7 @@ def _from_one(index: int, count: int) -> int:
     return count + index
 
 
-def _read_off(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _read_off(data: bytes) -> tuple[Vertices, Polygons]:
     """Parse the Object File Format in text: header, counts, a vertex a line, a polygon a line; # begins a comment."""
     lines = [
         (number, line)
@@ -407,8 +342,8 @@ def _read_off(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         raise BadMesh(
             f"the header announces {vertex_count} vertices and {face_count} faces, found {len(lines) - 1} lines"
         )
-    vertices: list[list[float]] = []
-    faces: list[tuple[int, int, int]] = []
+    vertices: Vertices = []
+    polygons: Polygons = []
     for row, (number, line) in enumerate(lines[1 : 1 + vertex_count + face_count]):
         words = line.split()
         try:
@@ -419,16 +354,7 @@ def _read_off(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
             corners = [int(word) for word in words[1 : 1 + int(words[0])]]
             if int(words[0]) < 3 or len(corners) < int(words[0]):
                 raise ValueError(f"a face needs three corners and as many as it says, found {line[:40]!r}")
-            faces += fan(corners)
+            polygons.append(corners)
         except ValueError as error:
             raise BadMesh(f"line {number} is not OFF: {error}") from error
-    return _arrays(vertices, faces)
-
-
-def _arrays(
-    vertices: list[list[float]], faces: list[tuple[int, int, int]]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    try:
-        return np.array(vertices, np.float64).reshape(-1, 3), np.array(faces, np.int64).reshape(-1, 3)
-    except OverflowError as error:
-        raise BadMesh(f"a corner is no vertex: {error}") from error
+    return vertices, polygons

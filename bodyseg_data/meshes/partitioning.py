@@ -27,8 +27,6 @@ from bodyseg_data.meshes.solids import SurfacePiece, label_pieces
 _ROUNDS: Final = 4  # triangles by which distances are extended across a border
 _PARTS: Final = 64  # above the number of parts: encodes (vertex, part) as one number
 
-_FEATURE: Final = "partitioning a body"
-
 
 @dataclass(frozen=True)
 class Partition:
@@ -81,7 +79,7 @@ def partition(
     """
     check_method(method)
     landmarks = _checked_landmarks(mesh, landmarks)
-    mended = mend(mesh.vertices, mesh.faces, _FEATURE)
+    mended = mend(mesh.vertices, mesh.faces)
     _check_distinct_points(mesh, landmarks, mended)
     notes = list(mended.notes)
     try:
@@ -95,23 +93,12 @@ def partition(
     return _with_borders(mesh, mended, labels, distance, line, pieces)
 
 
-def partition_unmended(mesh: Mesh, landmarks: NDArray[np.int64], method: GeodesicMethod) -> Partition:
-    """Partition `mesh` by `method` without mending or a fallback method, to measure the effect of both.
-
-    As `partition`, but raises Unanswerable if `method` fails.
-    """
-    unmended = MendedSurface(mesh.faces.astype(np.int64), np.arange(len(mesh.vertices)), ())
-    return _with_borders(
-        mesh, unmended, *_nearest_landmarks(mesh, _checked_landmarks(mesh, landmarks), unmended, method)
-    )
-
-
 def _nearest_landmarks(
     mesh: Mesh, landmarks: NDArray[np.int64], surface: MendedSurface, method: GeodesicMethod
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64], str | None]:
     """Labels [V] and distances [V] from the landmarks along `surface`, and the method's note. Raises Unanswerable."""
     sources = surface.representative[landmarks]
-    piece = face_components(len(mesh.vertices), surface.faces, _FEATURE)
+    piece = face_components(len(mesh.vertices), surface.faces)
     faces = surface.faces[np.isin(piece[surface.faces[:, 0]], piece[sources])]
     # Renumbered: no method accepts vertices without faces, and pieces without landmarks only cost time.
     used, corners = np.unique(faces, return_inverse=True)
@@ -128,16 +115,16 @@ def _with_borders(
     labels: NDArray[np.uint8],
     distance: NDArray[np.float64],
     note: str | None,
-    pieces: Sequence[SurfacePiece] = (),
+    pieces: Sequence[SurfacePiece],
 ) -> Partition:
     reached = np.isfinite(distance)
     if pieces:
-        piece = face_components(len(mesh.vertices), surface.faces, _FEATURE)
+        piece = face_components(len(mesh.vertices), surface.faces)
         reached |= label_pieces(mesh, pieces, piece, labels, distance)
     unreached = np.flatnonzero(~reached)
     if len(unreached):
         reached_faces = surface.faces[np.isfinite(distance[surface.faces]).all(axis=1)].astype(np.int32)
-        nearest, _ = nearest_corner(mesh.vertices, reached_faces, mesh.vertices[unreached], _FEATURE)
+        nearest, _ = nearest_corner(mesh.vertices, reached_faces, mesh.vertices[unreached])
         labels[unreached] = labels[nearest]
         labels = labels[surface.representative]
     for array in (labels, distance):
@@ -245,27 +232,18 @@ def _extended_distances(
     face, corner = np.divmod(order[np.repeat(first, end - first) + along], 3)
     tip = vertices[pair]
     ends = [faces[face, (corner + step) % 3].astype(np.int64) for step in (1, 2)]
-    indices = [np.searchsorted(wanted, end * _PARTS + parts[pair]) for end in ends]
+    keys = [end * _PARTS + parts[pair] for end in ends]
+    indices = [np.minimum(np.searchsorted(wanted, key), len(wanted) - 1) for key in keys]
+    given = [np.where(labels[end] == parts[pair], distance[end], np.inf) for end in ends]
+    sought = [
+        (wanted[index] == key) & (labels[end] != parts[pair])
+        for end, index, key in zip(ends, indices, keys, strict=True)
+    ]
     corners = [points[index] for index in (*ends, tip)]
     for _ in range(_ROUNDS):
-        at_ends = [
-            np.where(labels[end] == parts[pair], distance[end], _lookup(known, wanted, index, end, parts[pair]))
-            for end, index in zip(ends, indices, strict=True)
-        ]
+        at_ends = [np.where(asked, known[index], at) for at, asked, index in zip(given, sought, indices, strict=True)]
         np.minimum.at(known, pair, _beyond_edge(*corners, *at_ends))
     return known
-
-
-def _lookup(
-    known: NDArray[np.float64],
-    wanted: NDArray[np.int64],
-    index: NDArray[np.intp],
-    vertices: NDArray[np.int64],
-    parts: NDArray[np.int64],
-) -> NDArray[np.float64]:
-    """Distances [N] found so far for pairs of `vertices` and `parts` [N]; infinite for pairs not in `wanted`."""
-    index = np.minimum(index, len(wanted) - 1)
-    return np.where(wanted[index] == vertices * _PARTS + parts, known[index], np.inf)
 
 
 def _beyond_edge(

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadMesh
 from bodyseg_data.machine import missing_library, require_libraries
-from bodyseg_data.meshes.mesh import check_arrays, face_components
+from bodyseg_data.meshes.mesh import check_arrays, face_components, signed_volumes
 
 _Result = TypeVar("_Result")
 
@@ -58,7 +58,10 @@ def repair(
     Raises BadMesh for a surface that cannot be repaired (no face left, coordinates that are not finite, faces with
     missing vertices, a one-sided surface), MissingLibrary without pymeshlab or the system libraries it loads.
     """
-    vertices, faces = _used_part(name, np.asarray(vertices, np.float64), np.asarray(faces))
+    vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces)
+    check_arrays(f"mesh {name}", vertices, faces, check_unused=False)  # which pymeshlab does not
+    used, renumbered = np.unique(faces, return_inverse=True)
+    vertices, faces = vertices[used], renumbered.reshape(faces.shape).astype(np.int32)
     vertices, faces = with_pymeshlab(_FEATURE, lambda pymeshlab: _filtered(pymeshlab, name, vertices, faces))
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     clashes = len(edges) - len(np.unique(edges, axis=0))  # neighbours of one orientation cross an edge in opposite ways
@@ -176,26 +179,16 @@ def _filtered(
     return np.array(whole.vertex_matrix(), np.float64), np.array(whole.face_matrix(), np.int32)
 
 
-def _used_part(
-    name: str, vertices: NDArray[np.float64], faces: NDArray[Any]
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Vertices that faces use, and faces with their new indices, checked, since pymeshlab does not check its input."""
-    check_arrays(f"mesh {name}", vertices, faces, check_unused=False)
-    used, renumbered = np.unique(faces, return_inverse=True)
-    return vertices[used], renumbered.reshape(faces.shape).astype(np.int32)
-
-
 def _outward(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.int32]:
     """The faces [F, 3], inverted in every connected piece that encloses a negative volume."""
-    piece_of_vertex = face_components(len(vertices), faces, _FEATURE)
+    piece_of_vertex = face_components(len(vertices), faces)
     count = int(piece_of_vertex.max()) + 1
     piece = piece_of_vertex[faces[:, 0]]
     # Measured about the mean vertex of the piece, so that the sign is right also for one with small holes.
     size = np.bincount(piece_of_vertex, minlength=count)
     middle = np.stack([np.bincount(piece_of_vertex, axis, count) for axis in vertices.T], axis=1) / size[:, None]
     corners = vertices[faces] - middle[piece][:, None]
-    volume = np.bincount(piece, np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])), count)
-    inside_out = volume[piece] < 0
+    inside_out = np.bincount(piece, signed_volumes(corners), count)[piece] < 0
     turned = faces.copy()
     turned[inside_out] = turned[inside_out][:, ::-1]
     return turned

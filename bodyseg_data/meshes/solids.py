@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadLandmarks
 from bodyseg_data.labels import BACKGROUND, PART_COUNT
-from bodyseg_data.meshes.mesh import Mesh, signed_volumes
+from bodyseg_data.meshes.mesh import Mesh, face_normals, signed_volumes
 
 Floats = NDArray[np.float64]
 
@@ -37,8 +37,7 @@ class Solid:
     @property
     def normals(self) -> Floats:
         """Outward normals of all faces, float64 [F, 3]; length twice the face's area."""
-        corners = self.vertices[self.faces]
-        return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        return face_normals(self.vertices, self.faces)
 
     @property
     def volume(self) -> float:

@@ -1,15 +1,13 @@
-"""Ray casting with Intel's Embree, also of shadow rays; needs no system libraries."""
+"""Ray casting with Intel's Embree; needs no system libraries."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.machine import missing_library
 from bodyseg_data.meshes import Mesh
-from bodyseg_data.rendering.renderer import Outline, Surface
+from bodyseg_data.rendering.renderer import Outline, Renderer, Surface
 from bodyseg_data.rigs import PlacedCamera
 
 try:
@@ -21,20 +19,16 @@ except ImportError as error:
 _MISS_DISTANCE = np.float32(1e37)  # the distance that Embree's binding gives for a ray without a hit
 
 
-class EmbreeRenderer:
-    """Renderer of one mesh by ray casting; its Embree tree is built once and serves any number of cameras.
+class EmbreeRenderer(Renderer):
+    """Renderer of one mesh by ray casting; its Embree tree is built once and serves any number of cameras."""
 
-    covered: function from a camera to the mask of pixels through which rays are cast, bool [H, W]; default: that of
-    the mesh's `Outline`.
-    """
-
-    def __init__(self, mesh: Mesh, covered: Callable[[PlacedCamera], NDArray[np.bool_]] | None = None) -> None:
+    def __init__(self, mesh: Mesh) -> None:
         # Single-precision rays are accurate to about 0.3 um at 2.5 m when coordinates are small, so the tree is built
         # around the body's centre. "Robust" traversal never lets a ray slip between two triangles.
         self._origin = mesh.centre
         self._scene = EmbreeScene(robust=True)
         TriangleMesh(self._scene, (mesh.vertices - self._origin).astype(np.float32), mesh.faces)
-        self._covered = Outline(mesh).covered if covered is None else covered
+        self._covered = Outline(mesh).covered
 
     def render(self, camera: PlacedCamera) -> Surface:
         shape = camera.camera.rows, camera.camera.columns
@@ -52,29 +46,6 @@ class EmbreeRenderer:
         distances: NDArray[np.float32] = self._scene.run(*self._rays(camera, pixels), query="DISTANCE")
         distances[distances >= _MISS_DISTANCE] = 0
         return distances
-
-    def lit(self, points: NDArray[np.float64], source: NDArray[np.float64], gap_m: float = 1e-4) -> NDArray[np.bool_]:
-        """Cast exact shadow rays: True for each of `points` [N, 3] that a light at `source` [3] reaches, bool [N].
-
-        A point is lit if no triangle crosses the segment from the source to `gap_m` metres before the point; without
-        the gap, the triangle that contains the point would occlude it.
-        """
-        if not len(points):
-            return np.zeros(0, np.bool_)
-        directions = points - source
-        origins = np.broadcast_to((source - self._origin).astype(np.float32), directions.shape)
-        fraction = 1 - gap_m / np.linalg.norm(directions, axis=1)
-        occluded = self._scene.run(
-            np.ascontiguousarray(origins),
-            directions.astype(np.float32),
-            dists=fraction.astype(np.float32),
-            query="OCCLUDED",
-        )
-        lit: NDArray[np.bool_] = occluded < 0  # Embree's binding gives 0 for blocked, -1 for free
-        return lit
-
-    def close(self) -> None:
-        """Do nothing: all memory is Python's."""
 
     def _rays(self, camera: PlacedCamera, pixels: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Origins and directions of the rays through the centres of pixels, float32 [N, 3] each, body frame.

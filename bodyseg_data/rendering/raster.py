@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.machine import compiled
-from bodyseg_data.rendering.renderer import Surface, Triangles
+from bodyseg_data.rendering.renderer import Renderer, Surface, Triangles
 from bodyseg_data.rigs import PlacedCamera
 
 _NEAR_M: Final = 1e-3  # a triangle nearer to the camera's plane is tested at every pixel
 _MARGIN_PX: Final = 1e-6  # added to the bounding box of a triangle, for rounding
 
 
-class RasterRenderer:
+class RasterRenderer(Renderer):
     """Renderer of one mesh that draws all its triangles for every camera."""
 
     def __init__(self, mesh: Triangles) -> None:
@@ -42,9 +42,6 @@ class RasterRenderer:
     def ranges(self, camera: PlacedCamera, pixels: NDArray[np.intp]) -> NDArray[np.float32]:
         """See `Renderer.ranges`; choosing triangles would cost as much as drawing all."""
         return self.render(camera).range.take(pixels)
-
-    def close(self) -> None:
-        """Do nothing: all memory is Python's."""
 
 
 def _project_loop(vertices: Any, position: Any, axes: Any, pinhole: Any, local: Any, pixel_xy: Any) -> None:

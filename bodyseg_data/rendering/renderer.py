@@ -60,7 +60,8 @@ class Renderer(Protocol):
         """
 
     def close(self) -> None:
-        """Release the renderer's resources. Safe to call twice."""
+        """Release what is not Python's memory: by default there is nothing. Safe to call twice."""
+        return
 
 
 class Outline:

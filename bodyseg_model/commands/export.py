@@ -9,12 +9,12 @@ from pathlib import Path
 from bodyseg_data.commands import option
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import read_json, write_json
-from bodyseg_model.networks import Card, Trained, confusion_file, load_network, save_network
+from bodyseg_model.networks import CardWords, Trained, confusion_file, load_network, save_network
 from bodyseg_model.runtimes import OPSET, SUFFIX, export_trained, write_onnx
 
 EXAMPLE = "bodyseg export --run runs/all-0 --scores scores.json --out compact.safetensors"
 
-_OF_THE_FILE = ("format", "network", "settings", Card.WEIGHTS_SHA256)
+_OF_THE_FILE = ("format", "network", "settings", CardWords.WEIGHTS_SHA256)
 
 
 @dataclass(frozen=True)

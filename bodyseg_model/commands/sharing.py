@@ -177,15 +177,15 @@ def _network_bundle(store: Store, weights: str) -> Bundle:
     weights: name of its .safetensors file in the store. Raises BadConfig for a card that cannot vouch for the weights,
     OSError or Unreachable.
     """
-    from bodyseg_model.networks import Card, RunFiles, confusion_file, page_file
+    from bodyseg_model.networks import CardWords, RunFiles, confusion_file, page_file
 
     file = Path(weights)
     index = file.with_suffix(".json").name
     data = read_page(store, index)
     card = parse_json(data, f"{store.name}/{index}")
-    digest = card.get(Card.WEIGHTS_SHA256)
-    if card.get("format") != Card.FORMAT or not isinstance(digest, str):
-        raise BadConfig(f"{store.name}/{index} is no card of a network with {Card.WEIGHTS_SHA256!r}")
+    digest = card.get(CardWords.WEIGHTS_SHA256)
+    if card.get("format") != CardWords.FORMAT or not isinstance(digest, str):
+        raise BadConfig(f"{store.name}/{index} is no card of a network with {CardWords.WEIGHTS_SHA256!r}")
     page = "README.md" if weights == RunFiles.NETWORK else page_file(file).name
     pages = pages_of(store, (page, confusion_file(file).name))
     return Bundle((SharedFile(weights, store.size(weights), digest),), index, data, pages)

@@ -30,15 +30,7 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import PARTS33, LabelMap, label_map_names
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, ImageSet, WorkerMethod, find_rank
 from bodyseg_data.samples import ReadSplit
-from bodyseg_model.networks import (
-    Card,
-    CheckpointName,
-    Network,
-    NetworkName,
-    build,
-    load_network,
-    network_class,
-)
+from bodyseg_model.networks import CardWords, CheckpointName, Network, NetworkName, build, load_network, network_class
 from bodyseg_model.training import (
     DEFAULT_EVERY,
     GeometricAugmentation,
@@ -226,7 +218,7 @@ def _pretrained(path: Path, network: Network, options: Options, images: ImageSet
     for name in sorted(network.settings.keys() | trained.network.settings.keys()):
         _check_alike(path, f"setting {name}", network.settings.get(name), trained.network.settings.get(name))
     network.load_state_dict(trained.network.state_dict())
-    return _entry(path, trained.card[Card.WEIGHTS_SHA256])
+    return _entry(path, trained.card[CardWords.WEIGHTS_SHA256])
 
 
 def _check_alike(path: Path, what: str, ours: object, theirs: object) -> None:
@@ -235,7 +227,7 @@ def _check_alike(path: Path, what: str, ours: object, theirs: object) -> None:
 
 
 def _entry(path: Path, digest: str) -> dict[str, Any]:
-    return {"file": path.resolve().name, Card.WEIGHTS_SHA256: digest}
+    return {"file": path.resolve().name, CardWords.WEIGHTS_SHA256: digest}
 
 
 def _settings(text: str) -> dict[str, Any]:

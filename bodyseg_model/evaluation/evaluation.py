@@ -26,13 +26,7 @@ from bodyseg_data.core import BadConfig, ProgressCallback, Stopwatch, check_int,
 from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, RangeImages, WorkerMethod, loader
 from bodyseg_data.samples import ReadSplit, split_key
-from bodyseg_model.evaluation.scores import (
-    Confidences,
-    ConfusionMatrix,
-    PerImageAccuracy,
-    count_pairs,
-    pairs_of,
-)
+from bodyseg_model.evaluation.scores import Confidences, ConfusionMatrix, PerImageAccuracy, count_pairs, pairs_of
 from bodyseg_model.networks import Network, check_label_map, device_of, predict
 
 _WORST: Final = 10

@@ -8,7 +8,7 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_model.networks.checkpoints import (
-        Card,
+        CardWords,
         Checkpoint,
         CheckpointName,
         RunFiles,

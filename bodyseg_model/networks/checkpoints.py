@@ -43,7 +43,7 @@ class RunFiles:
     PLAN: Final = "run.json"
 
 
-class Card:
+class CardWords:
     """Words of a network's card that others than this module write or check."""
 
     FORMAT: Final = "bodyseg network 1"
@@ -134,8 +134,8 @@ def save_network(path: Path, network: Network, name: str, facts: Mapping[str, An
     facts: further entries of the card, which also gets the weights' SHA-256. half: filters in 16 bits, for half the
     bytes; scales, biases and statistics stay in 32.
     """
-    card = {"format": Card.FORMAT, "network": name, "settings": network.settings, **facts}
-    card[Card.WEIGHTS_SHA256] = write_tensors(path, half_weights(network) if half else network.state_dict())
+    card = {"format": CardWords.FORMAT, "network": name, "settings": network.settings, **facts}
+    card[CardWords.WEIGHTS_SHA256] = write_tensors(path, half_weights(network) if half else network.state_dict())
     write_json(path.with_suffix(".json"), card)
 
 
@@ -168,20 +168,20 @@ def load_network(path: Path | str | None = None, checkpoint: CheckpointName | No
         raise BadConfig(f"a network is a run's folder or a .safetensors file, found {path}")
     card = read_card(file)
     network = _build(card, file.with_suffix(".json"))
-    data, expected = read_bytes(file), card.get(Card.WEIGHTS_SHA256)
+    data, expected = read_bytes(file), card.get(CardWords.WEIGHTS_SHA256)
     digest = hashlib.sha256(data).hexdigest()
     if expected not in (None, digest):
         raise BadConfig(f"{file} is damaged or not the file of its card: SHA-256 {digest}, expected {expected}")
     fill(network, _parse(data, file), file)
-    return trained_network(network, {**card, Card.WEIGHTS_SHA256: digest}, file.with_suffix(".json"))
+    return trained_network(network, {**card, CardWords.WEIGHTS_SHA256: digest}, file.with_suffix(".json"))
 
 
 def read_card(weights: Path) -> dict[str, Any]:
     """Read the card beside weights (.safetensors). Raises BadConfig, naming it, also for one of another format."""
     file = weights.with_suffix(".json")
     card = read_json(file)
-    if card.get("format") != Card.FORMAT:
-        raise BadConfig(f"{file}: the format must be {Card.FORMAT!r}, found {card.get('format')!r}")
+    if card.get("format") != CardWords.FORMAT:
+        raise BadConfig(f"{file}: the format must be {CardWords.FORMAT!r}, found {card.get('format')!r}")
     return card
 
 
@@ -268,7 +268,7 @@ def _last_weights(folder: Path) -> Trained:
     network = _build(plan, folder / RunFiles.PLAN)
     fill(network, checkpoint.part(Checkpoint.AVERAGED) or checkpoint.part(Checkpoint.TRAINED), folder / checkpoint.file)
     steps = {"step": checkpoint.step, "last_step": checkpoint.step}
-    card = {**plan, "format": Card.FORMAT, **steps, Card.WEIGHTS_SHA256: checkpoint.sha256}
+    card = {**plan, "format": CardWords.FORMAT, **steps, CardWords.WEIGHTS_SHA256: checkpoint.sha256}
     return trained_network(network, card, folder / RunFiles.PLAN)
 
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from bodyseg_data.cards import UNKNOWN_LICENCE, Publication, bullets, licence_lines, table
 from bodyseg_data.core import BadConfig
-from bodyseg_model.networks.checkpoints import Card, RunFiles, confusion_file, read_card
+from bodyseg_model.networks.checkpoints import CardWords, RunFiles, confusion_file, read_card
 
 _SCORES: Final = {
     "average_per_class_accuracy": "average per-class accuracy",
@@ -68,7 +68,7 @@ def _network(card: Mapping[str, Any], weights: Path) -> list[tuple[str, str]]:
     return [
         ("architecture", f"`{card.get('network')}`, {_plain(card.get('settings'))}"),
         ("file", f"`{weights.name}`, {weights.stat().st_size / 1e6:.2f} MB"),
-        ("SHA-256", f"`{card.get(Card.WEIGHTS_SHA256, 'not stated')}`"),
+        ("SHA-256", f"`{card.get(CardWords.WEIGHTS_SHA256, 'not stated')}`"),
         ("classes", _named(labels) if labels else "the 33 parts"),
         ("rig of its images", _named(rig) if rig else "paper"),
     ]
@@ -83,7 +83,7 @@ def _training(card: Mapping[str, Any]) -> list[tuple[str, str]]:
         "step": card.get("step"),
         "recipe": card.get("recipe"),
         **_data(card.get("data")),
-        "started from": card.get(Card.PRETRAINED),
+        "started from": card.get(CardWords.PRETRAINED),
         "command": card.get("command"),
         "commit": card.get("commit"),
         "machine": card.get("hardware"),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
-    from bodyseg_model.recordings.camera_files import find_cameras
+    from bodyseg_model.recordings.camera_files import FrameCameras
     from bodyseg_model.recordings.cameras import FrameCamera, frame_camera, other_sensors
     from bodyseg_model.recordings.frames import (
         RECORDINGS_HELP,

@@ -14,13 +14,14 @@ import struct
 import zlib
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator
+from functools import partial
+from importlib import import_module
 from itertools import accumulate, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple
 from urllib.parse import quote
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_model.recordings.bag_messages import (
@@ -34,7 +35,6 @@ from bodyseg_model.recordings.bag_messages import (
     decompressed,
     missing,
 )
-from bodyseg_model.recordings.recording import StoredRecording
 
 if TYPE_CHECKING:
     from mcap.records import Channel, Schema
@@ -50,11 +50,6 @@ _PLAIN: Final = -1
 _ENCODINGS: Final[dict[str, Encoding]] = {"cdr": "cdr", "ros1": "ros1"}
 
 _PACKED: Final = (".zstd", ".zst")
-
-
-def open_mcap(path: Path, topic: str | None, step_m: float | None) -> StoredRecording:
-    """Open an MCAP file with messages of ROS 1 or 2. Raises BadConfig, MissingLibrary."""
-    return bag_recording(path, McapBag(path), topic, step_m)
 
 
 class _McapPlace(NamedTuple):
@@ -108,17 +103,14 @@ class McapBag:
     def read(self, topic: Topic, index: int) -> bytes:
         """Read message `index` of a topic."""
         location = self._locations[topic][index]
-        try:
-            if location.chunk == _PLAIN:
-                with self._path.open("rb") as file:
-                    return _mcap_record(file, location.offset, _MESSAGE)[_MESSAGE_START.size :]
-            if self._held[0] != location.chunk:
-                self._held = (_PLAIN, b"")  # not two chunks at once
-                with self._path.open("rb") as file:
-                    self._held = location.chunk, _mcap_chunk(file, location.chunk)
-            return _mcap_record(io.BytesIO(self._held[1]), location.offset, _MESSAGE)[_MESSAGE_START.size :]
-        except Exception as error:  # as above
-            raise BadConfig(f"the message cannot be read: {str(error) or type(error).__name__}") from error
+        if location.chunk == _PLAIN:
+            with self._path.open("rb") as file:
+                return _mcap_record(file, location.offset, _MESSAGE)[_MESSAGE_START.size :]
+        if self._held[0] != location.chunk:
+            self._held = (_PLAIN, b"")  # not two chunks at once
+            with self._path.open("rb") as file:
+                self._held = location.chunk, _mcap_chunk(file, location.chunk)
+        return _mcap_record(io.BytesIO(self._held[1]), location.offset, _MESSAGE)[_MESSAGE_START.size :]
 
     def _list(self, file: BinaryIO, locations: dict[int, list[_McapPlace]]) -> None:
         """List where messages lie, by channel: by the index behind each chunk, or else by its own records."""
@@ -165,18 +157,8 @@ class McapBag:
                 locations.setdefault(number, []).append(_McapPlace(time, chunk, offset))
 
     def _define(self, opcode: int, data: bytes) -> None:
-        try:
-            from mcap.data_stream import ReadDataStream
-            from mcap.records import Channel, Schema
-        except ImportError as error:
-            raise missing(error) from error
-        stream = ReadDataStream(io.BytesIO(data))
-        if opcode == _SCHEMA:
-            schema = Schema.read(stream)
-            self._schemas[schema.id] = schema
-        else:
-            channel = Channel.read(stream)
-            self._channels[channel.id] = channel
+        record = _mcap_parsed("Schema" if opcode == _SCHEMA else "Channel", data)
+        (self._schemas if opcode == _SCHEMA else self._channels)[record.id] = record
 
 
 def _mcap_records(file: BinaryIO, start: int) -> Iterator[tuple[int, int]]:
@@ -204,25 +186,24 @@ def _mcap_record(file: BinaryIO, offset: int, kind: int) -> bytes:
     return data
 
 
-def _mcap_chunk(file: BinaryIO, offset: int) -> bytes:
-    """Read the chunk at a byte, decompressed. Raises ValueError, also for a wrong checksum."""
+def _mcap_parsed(kind: str, data: bytes) -> Any:
+    """Parse the content of a record of a class of `mcap.records`. Raises MissingLibrary."""
     try:
-        from mcap.data_stream import ReadDataStream
-        from mcap.records import Chunk
+        records, streams = import_module("mcap.records"), import_module("mcap.data_stream")
     except ImportError as error:
         raise missing(error) from error
-    chunk = Chunk.read(ReadDataStream(io.BytesIO(_mcap_record(file, offset, _CHUNK))))
+    return getattr(records, kind).read(streams.ReadDataStream(io.BytesIO(data)))
+
+
+def _mcap_chunk(file: BinaryIO, offset: int) -> bytes:
+    """Read the chunk at a byte, decompressed. Raises ValueError, also for a wrong checksum."""
+    chunk = _mcap_parsed("Chunk", _mcap_record(file, offset, _CHUNK))
     data = decompressed(chunk.data) if chunk.compression else chunk.data
     if len(data) != chunk.uncompressed_size:
         raise ValueError(f"a chunk must have {chunk.uncompressed_size} bytes, found {len(data)}")
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
         raise ValueError(f"the checksum of the chunk at byte {offset} must be {chunk.uncompressed_crc:08x}")
     return data
-
-
-def open_sqlite(path: Path, topic: str | None, step_m: float | None) -> StoredRecording:
-    """Open a .db3 file. Raises BadConfig, MissingLibrary."""
-    return bag_recording(path, SqliteBag(path), topic, step_m)
 
 
 class SqliteBag:
@@ -262,20 +243,12 @@ class SqliteBag:
 
     def read(self, topic: Topic, index: int) -> bytes:
         """Read message `index` of a topic, decompressed if single messages are compressed."""
-        try:
-            row = self._base.execute(
-                "SELECT data FROM messages WHERE id=? AND length(data)<=?", (self._rows[topic][index], LARGEST_MESSAGE)
-            ).fetchone()
-            if row is None or not isinstance(row[0], bytes):
-                raise ValueError(f"it is missing, or has more than {LARGEST_MESSAGE} bytes")
-            return decompressed(row[0])
-        except Exception as error:  # damaged pages and compressed data raise what their libraries like
-            raise BadConfig(f"the message cannot be read: {error}") from error
-
-
-def open_ros1(path: Path, topic: str | None, step_m: float | None) -> StoredRecording:
-    """Open a ROS 1 bag of format 2.0. Raises BadConfig, MissingLibrary."""
-    return bag_recording(path, _Ros1Bag(path), topic, step_m)
+        row = self._base.execute(
+            "SELECT data FROM messages WHERE id=? AND length(data)<=?", (self._rows[topic][index], LARGEST_MESSAGE)
+        ).fetchone()
+        if row is None or not isinstance(row[0], bytes):
+            raise ValueError(f"it is missing, or has more than {LARGEST_MESSAGE} bytes")
+        return decompressed(row[0])
 
 
 class _Ros1Bag:
@@ -310,17 +283,14 @@ class _Ros1Bag:
 
     def read(self, topic: Topic, index: int) -> bytes:
         """Read message `index` of a topic: the next one of the stream that is open, or else by its time."""
-        try:
-            if self._stream is None or self._stream[:2] != (topic, index):
-                time = int(topic.times_ns[index])
-                messages = self._reader.messages(self._connections[topic.name], start=time)
-                same = bisect_left(topic.times_ns, time)
-                self._stream = topic, index, islice(messages, index - same, None)
-            stream, self._stream = self._stream[2], None
-            _, _, data = next(stream)
-            self._stream = topic, index + 1, stream
-        except Exception as error:  # as above
-            raise BadConfig(f"the message cannot be read: {str(error) or type(error).__name__}") from error
+        if self._stream is None or self._stream[:2] != (topic, index):
+            time = int(topic.times_ns[index])
+            messages = self._reader.messages(self._connections[topic.name], start=time)
+            same = bisect_left(topic.times_ns, time)
+            self._stream = topic, index, islice(messages, index - same, None)
+        stream, self._stream = self._stream[2], None
+        _, _, data = next(stream)
+        self._stream = topic, index + 1, stream
         return bytes(data)
 
     def _topic(self, name: str) -> Topic:
@@ -332,30 +302,26 @@ class _Ros1Bag:
 _ROS2_STORAGE: Final[dict[str, Callable[[Path], Bag]]] = {".db3": SqliteBag, ".mcap": McapBag}
 
 
-def open_ros2(path: Path, topic: str | None, step_m: float | None) -> StoredRecording:
-    """Open the folder of a ROS 2 bag, whose files are read one after another. Raises BadConfig, MissingLibrary."""
-    files = sorted(path.iterdir(), key=lambda file: (len(file.name), file.name))
-    parts = [file for file in files if file.suffix.lower() in _ROS2_STORAGE]
-    packed = [file for file in files if file.suffix.lower() in _PACKED]
-    if packed:
-        raise BadConfig(f"files of a bag must be decompressed first, by `zstd -d`: {packed[0]}")
-    if not parts:
-        raise BadConfig(f"a ROS 2 bag must hold .db3 or .mcap files, found none in {path}")
-    return bag_recording(path, _JoinedBags([_ROS2_STORAGE[file.suffix.lower()](file) for file in parts]), topic, step_m)
-
-
 class _JoinedBags:
-    """Files of one bag, the messages of a topic one after another."""
+    """The folder of a ROS 2 bag, whose files are read one after another. Raises BadConfig, MissingLibrary."""
 
-    def __init__(self, parts: list[Bag]) -> None:
+    def __init__(self, path: Path) -> None:
+        files = sorted(path.iterdir(), key=lambda file: (len(file.name), file.name))
+        packed = [file for file in files if file.suffix.lower() in _PACKED]
+        if packed:
+            raise BadConfig(f"files of a bag must be decompressed first, by `zstd -d`: {packed[0]}")
+        parts = [_ROS2_STORAGE[file.suffix.lower()](file) for file in files if file.suffix.lower() in _ROS2_STORAGE]
+        if not parts:
+            raise BadConfig(f"a ROS 2 bag must hold .db3 or .mcap files, found none in {path}")
         homes: dict[tuple[str, str], list[tuple[Bag, Topic]]] = {}
         for part in parts:
             for topic in part.topics:
                 homes.setdefault((topic.name, topic.kind), []).append((part, topic))
-        self._homes = {
-            Topic(name, kind, homes[name, kind][0][1].encoding, _joined_times(homes[name, kind])): homes[name, kind]
-            for name, kind in sorted(homes)
-        }
+        self._homes: dict[Topic, list[tuple[Bag, Topic]]] = {}
+        for name, kind in sorted(homes):
+            topics = [topic for _, topic in homes[name, kind]]
+            joined = Topic(name, kind, topics[0].encoding, np.concatenate([topic.times_ns for topic in topics]))
+            self._homes[joined] = homes[name, kind]
         self.topics = list(self._homes)
 
     def read(self, topic: Topic, index: int) -> bytes:
@@ -367,5 +333,5 @@ class _JoinedBags:
         return part.read(of_part, index - ends[number] + len(of_part.times_ns))
 
 
-def _joined_times(homes: list[tuple[Bag, Topic]]) -> NDArray[np.int64]:
-    return np.concatenate([topic.times_ns for _, topic in homes])
+open_ros1, open_ros2 = partial(bag_recording, _Ros1Bag), partial(bag_recording, _JoinedBags)
+open_sqlite, open_mcap = partial(bag_recording, SqliteBag), partial(bag_recording, McapBag)

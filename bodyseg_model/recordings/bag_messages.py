@@ -9,13 +9,14 @@ was measured. Pieces of bags are decompressed up to a limit of bytes, whatever t
 from __future__ import annotations
 
 import bz2
+import io
 import math
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
+from typing import IO, TYPE_CHECKING, Any, Final, Literal, Protocol
 
 import numpy as np
 import zstandard
@@ -26,7 +27,7 @@ from bodyseg_data.machine import missing_library
 from bodyseg_data.rigs import Distortion
 from bodyseg_model.recordings.cameras import Intrinsics
 from bodyseg_model.recordings.frame_files import parse_frame
-from bodyseg_model.recordings.recording import LARGEST_SIDE, FrameSource, Stamp, StoredRecording, stored_recording
+from bodyseg_model.recordings.recording import LARGEST_SIDE, Frame, FrameSource, Stamp, stored_recording
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -84,28 +85,32 @@ class Bag(Protocol):
         """All topics, in alphabetical order."""
 
     def read(self, topic: Topic, index: int) -> bytes:
-        """Read message `index` of a topic. Raises BadConfig if it cannot be read."""
+        """Read message `index` of a topic. One that is damaged raises what the reader's library likes."""
 
 
-def bag_recording(path: Path, bag: Bag, topic: str | None, step_m: float | None) -> StoredRecording:
-    """Return the range images of a bag as a recording: those of `topic`, or of the only topic that has any.
+def bag_recording(
+    opener: Callable[[Path], Bag], path: Path, topic: str | None, step_m: float | None
+) -> tuple[Frame, ...]:
+    """Open a bag and return its range images as a recording: those of `topic`, or of the only topic that has any.
 
-    Raises BadConfig, listing the topics, for another topic, none, or several.
+    Raises BadConfig, listing the topics, for another topic, none, or several, and as `opener`, as does MissingLibrary.
     """
+    bag = opener(path)
     images = [each for each in bag.topics if each.kind in _KINDS and len(each.times_ns)]
     if topic is not None:
         chosen = [each for each in images if each.name == topic or each.name == f"/{topic}"]
         if not chosen:
             raise BadConfig(f"--topic must be a topic of images, one of {_listed(images)}, found {topic!r}: {path}")
     else:
-        chosen = [each for each in images if _has_ranges(bag, each)]
+        firsts = [(each, _first_message(bag, each)) for each in images]
+        chosen = [each for each, first in firsts if first is not None and encoding(first, each.kind) in ENCODINGS]
         if not chosen:
             raise BadConfig(f"a recording must have a topic of range images, found {_listed(images)}: {path}")
         if len(chosen) > 1:
             raise BadConfig(f"several topics have range images, choose one by --topic: {_listed(chosen)} ({path})")
     (found,) = chosen[:1]
     first = _first_message(bag, found)
-    floating = first is not None and is_floating(first, found.kind)
+    floating = first is not None and encoding(first, found.kind) == _METRES
     return stored_recording(
         path,
         _Images(bag, found, floating),
@@ -132,18 +137,14 @@ class _Images(FrameSource):
         return image
 
     def stamp(self, index: int) -> Stamp:
-        return stamp(self._message(index))
+        header = self._message(index).header
+        return Stamp(int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec), str(header.frame_id))
 
     def _message(self, index: int) -> Any:
         if self._last is None or self._last[0] != index:
             self._last = None  # not two messages at once
             self._last = index, decode(self._bag, self._topic, index)
         return self._last[1]
-
-
-def _has_ranges(bag: Bag, topic: Topic) -> bool:
-    first = _first_message(bag, topic)
-    return first is not None and is_range_image(first, topic.kind)
 
 
 def _first_message(bag: Bag, topic: Topic) -> Any:
@@ -195,7 +196,10 @@ def typestore(encoding: Encoding) -> Typestore:
 
 def decode(bag: Bag, topic: Topic, index: int) -> Any:
     """Read and decode message `index` of a topic. Raises BadConfig."""
-    data = bag.read(topic, index)
+    try:
+        data = bag.read(topic, index)
+    except Exception as error:  # damaged pages and compressed data, as `Bag.read` says
+        raise BadConfig(f"the message cannot be read: {str(error) or type(error).__name__}") from error
     store = typestore(topic.encoding)
     try:
         if topic.encoding == "ros1":
@@ -212,38 +216,24 @@ def decompressed(data: bytes) -> bytes:
     `LARGEST_MESSAGE` bytes, MissingLibrary, and what the libraries raise for damaged data.
     """
     if data.startswith(_BZ2):
-        bzip2 = bz2.BZ2Decompressor()
-        return _decompressed_pieces(data, bzip2.decompress, lambda: bzip2.eof or bzip2.needs_input)
-    if data.startswith(_LZ4):
+        stream: IO[bytes] = bz2.BZ2File(io.BytesIO(data))
+    elif data.startswith(_LZ4):
         try:
-            from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
+            from lz4.frame import LZ4FrameFile  # type: ignore[import-untyped]
         except ImportError as error:
             raise missing(error) from error
-        lz4 = LZ4FrameDecompressor()
-        return _decompressed_pieces(data, lz4.decompress, lambda: lz4.eof or lz4.needs_input)
-    if data.startswith(_ZSTD):
-        with zstandard.ZstdDecompressor().stream_reader(data) as reader:
-            done = False
-
-            def read(_: bytes, size: int) -> bytes:
-                nonlocal done
-                piece = reader.read(size)
-                done = not piece
-                return piece
-
-            return _decompressed_pieces(b"", read, lambda: done)
-    return bytes(data)
-
-
-def _decompressed_pieces(data: bytes, decompress: Callable[[bytes, int], bytes], done: Callable[[], bool]) -> bytes:
-    """Decompress in pieces, because libraries allocate all that they may return. Raises ValueError beyond the limit."""
-    pieces = [decompress(data, _PIECE)]
-    size = len(pieces[0])
-    while not done() and size <= LARGEST_MESSAGE:
-        pieces.append(decompress(b"", _PIECE))
-        size += len(pieces[-1])
-    if size > LARGEST_MESSAGE:
-        raise ValueError(f"a piece must have at most {LARGEST_MESSAGE} bytes")
+        stream = LZ4FrameFile(io.BytesIO(data))
+    elif data.startswith(_ZSTD):
+        stream = zstandard.ZstdDecompressor().stream_reader(data)
+    else:
+        return bytes(data)
+    with stream:  # read in pieces, because libraries allocate all that they may return
+        pieces, size = list[bytes](), 0
+        while piece := stream.read(_PIECE):
+            pieces.append(piece)
+            size += len(piece)
+            if size > LARGEST_MESSAGE:
+                raise ValueError(f"a piece must have at most {LARGEST_MESSAGE} bytes")
     return b"".join(pieces)
 
 
@@ -254,25 +244,9 @@ def encoding(message: Any, kind: str) -> str:
     return str(message.format).partition(";")[0].strip()
 
 
-def is_range_image(message: Any, kind: str) -> bool:
-    """True for an image message whose pixels may be ranges."""
-    return encoding(message, kind) in ENCODINGS
-
-
-def is_floating(message: Any, kind: str) -> bool:
-    """True for an image message whose pixels are metres in floating point."""
-    return encoding(message, kind) == _METRES
-
-
 def pixels(message: Any, kind: str) -> NDArray[Any]:
     """Decode an image message: uint16 or float32 [H, W], steps or metres. Raises BadConfig."""
     return _compressed_image(message) if kind == COMPRESSED else _plain_image(message)
-
-
-def stamp(message: Any) -> Stamp:
-    """Return time and coordinate frame of a message's header."""
-    time = message.header.stamp
-    return Stamp(int(time.sec) * 10**9 + int(time.nanosec), str(message.header.frame_id))
 
 
 def _plain_image(message: Any) -> NDArray[Any]:
@@ -300,13 +274,13 @@ def _compressed_image(message: Any) -> NDArray[Any]:
     if "compressedDepth" not in text:
         if found == _METRES or "png" not in text:
             raise BadConfig(f"a compressed image must be a 16-bit PNG or compressedDepth, found {text!r}")
-        return parse_frame(data, f"format {text!r}")
+        return parse_frame(data)
     if "rvl" in text.lower():
         raise BadConfig(f"compressedDepth must be in PNG, found {text!r}")
     if len(data) < _HEADER.size:
         raise BadConfig(f"compressedDepth must begin with {_HEADER.size} bytes of header, found {len(data)} in all")
     _, a, b = _HEADER.unpack_from(data)
-    stored = parse_frame(data[_HEADER.size :], f"format {text!r}")
+    stored = parse_frame(data[_HEADER.size :])
     if found != _METRES:
         return stored
     if not (math.isfinite(a) and math.isfinite(b) and a > 0):

@@ -8,7 +8,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
@@ -16,8 +16,8 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.files import Table, parse_json, refuse_special
 from bodyseg_data.rigs import Distortion, Rig
 from bodyseg_model.recordings.cameras import FrameCamera, Intrinsics, frame_camera
-from bodyseg_model.recordings.frame_files import list_tar
-from bodyseg_model.recordings.frames import FrameFile, Skipping, first_readable
+from bodyseg_model.recordings.frame_files import PngSource, list_tar, read_part
+from bodyseg_model.recordings.frames import Skipping, first_readable
 from bodyseg_model.recordings.recording import Frame
 
 CAMERAS: Final = "cameras.json"
@@ -37,58 +37,41 @@ def cameras_beside(frames: Sequence[Frame]) -> list[Intrinsics | None]:
     homes: dict[Path, _Home] = {}
     found = []
     for frame in frames:
-        in_tar = isinstance(frame, FrameFile) and frame.member is not None
+        in_tar = frame.member if isinstance(frame.source, PngSource) else None
         path = frame.path if in_tar else frame.path.parent
         if path not in homes:
-            homes[path] = _Tar(path) if in_tar else _Home(path)
-        found.append(frame.camera or homes[path].camera(frame.member if in_tar and frame.member else frame.path.name))
+            homes[path] = _Home(path, in_tar is not None)
+        found.append(frame.camera or homes[path].camera(in_tar or frame.path.name))
     return found
 
 
-def find_cameras(
-    frames: Sequence[Frame],
-    rig: str | None,
-    focal_px: float | None,
-    centre_px: tuple[float, ...],
-    trained: Rig,
-    skipping: Skipping | None = None,
-) -> FrameCameras:
-    """Find the cameras of all frames: the one that is given, or those beside frames and one for all others.
-
-    rig, focal_px, centre_px, trained: as of `frame_camera`; one of the first three is given, or none. Raises BadConfig
-    as `frame_camera`, `cameras_beside` and `FrameCameras`.
-    """
-    given = rig is not None or focal_px is not None or bool(centre_px)
-    beside: list[Intrinsics | None] = [None] * len(frames) if given else cameras_beside(frames)
-
-    def choose(shape: tuple[int, int], where: str) -> FrameCamera:
-        return frame_camera(shape, where, rig, focal_px, centre_px, trained)
-
-    return FrameCameras(frames, beside, choose, skipping)
-
-
 class FrameCameras:
-    """The camera of every frame: its own, where `beside` (as `cameras_beside`) has one, or else one for all others.
+    """The camera of every frame: the one that is given, or those beside frames and one for all others.
 
-    choose: the common camera, by the size (rows, columns) of the first frame without its own, and that frame's name in
-    messages. skipping: of frames that cannot be read, by default none. first: camera of the first frame. bent: True if
-    any camera has lens distortion. Raises BadConfig as `choose`, and for a first frame that cannot be read or does not
-    fit its own camera.
+    rig, focal_px, centre_px, trained: as of `frame_camera`, for the camera of all frames: one of the first three is
+    given, or none. common: the camera of those without their own, by the size of the first of them. first: camera of
+    the first frame. bent: True if any camera has lens distortion. Raises BadConfig as `frame_camera` and
+    `cameras_beside`, and for a first frame that cannot be read or does not fit its own camera.
     """
 
     def __init__(
         self,
         frames: Sequence[Frame],
-        beside: Sequence[Intrinsics | None],
-        choose: Callable[[tuple[int, int], str], FrameCamera],
-        skipping: Skipping | None = None,
+        rig: str | None,
+        focal_px: float | None,
+        centre_px: tuple[float, ...],
+        trained: Rig,
+        skipping: Skipping,
     ) -> None:
-        skipping = skipping or Skipping()
+        given = rig is not None or focal_px is not None or bool(centre_px)
+        beside: list[Intrinsics | None] = [None] * len(frames) if given else cameras_beside(frames)
         self._own = {frame: own for frame, own in zip(frames, beside, strict=True) if own is not None}
         others = [frame for frame in frames if frame not in self._own]
         first = first_readable(frames, skipping)
         other = first_readable(others, skipping) if others else None
-        self.common = choose(_shape(other), other.where) if other is not None else None
+        self.common = None
+        if other is not None:
+            self.common = frame_camera(_shape(other), other.where, rig, focal_px, centre_px, trained)
         self.first = self.of(first, _shape(first))
         lenses = [own.distortion for own in self._own.values()]
         if self.common is not None:
@@ -117,10 +100,13 @@ def _shape(frame: Frame) -> tuple[int, int]:
 
 
 class _Home:
-    """JSON files in a folder."""
+    """JSON files in a folder, or in a tar."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, in_tar: bool) -> None:
         self._path = path
+        members = list_tar(path) if in_tar else []
+        self._members = {str(PurePosixPath(member.name)): member for member in members if member.plain}
+        self._in_tar = in_tar
         self._known: dict[str, Intrinsics | None] = {}  # many frames of one recording share a name
         self._shared: dict[str, tuple[Intrinsics | None, dict[str, Intrinsics]]] = {}
 
@@ -156,47 +142,30 @@ class _Home:
         }
 
     def _where(self, name: str) -> str:
-        return str(self._path / name)
+        return f"{self._path}: {name}" if self._in_tar else str(self._path / name)
 
     def _tree(self, name: str) -> dict[str, Any] | None:
         """The object in a JSON file; None if there is no such file. Raises BadConfig."""
-        data = self._data(name)
-        return None if data is None else parse_json(data, self._where(name))
-
-    def _data(self, name: str) -> bytes | None:
-        path = self._path / name
+        where, member, path = self._where(name), self._members.get(name), self._path / name
         try:
-            refuse_special(path)
-            self._check_size(path.stat().st_size, name)
-            return path.read_bytes()
+            if not self._in_tar:
+                refuse_special(path)
+                part = path, 0, path.stat().st_size
+            elif member is not None:
+                part = self._path, member.offset, member.size
+            else:
+                return None
         except FileNotFoundError:
             return None
         except OSError as error:
-            raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error
-
-    def _check_size(self, size: int, name: str) -> None:
-        if size > _LARGEST_FILE:
-            raise BadConfig(
-                f"a file of cameras must have at most {_LARGEST_FILE} bytes, found {size}: {self._where(name)}"
-            )
-
-
-class _Tar(_Home):
-    """JSON files in a tar."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        self._members = {str(PurePosixPath(member.name)): member for member in list_tar(path) if member.plain}
-
-    def _where(self, name: str) -> str:
-        return f"{self._path}: {name}"
-
-    def _data(self, name: str) -> bytes | None:
-        member = self._members.get(name)
-        if member is None:
-            return None
-        self._check_size(member.size, name)
-        return FrameFile(name, self._where(name), self._path, member.offset, member.size).read_bytes()
+            raise BadConfig(f"cannot read {where}: {error.strerror or error}") from error
+        if part[2] > _LARGEST_FILE:
+            raise BadConfig(f"a file of cameras must have at most {_LARGEST_FILE} bytes, found {part[2]}: {where}")
+        try:
+            data = read_part(*part)
+        except BadConfig as error:
+            raise BadConfig(f"{where}: {error}") from error
+        return parse_json(data, where)
 
 
 def _intrinsics(tree: Any, where: str) -> Intrinsics:

@@ -93,7 +93,8 @@ def frame_camera(
     if len(centre_px) not in (0, 2):
         raise BadConfig(f"--centre takes two numbers, x and y, found {len(centre_px)}")
     if focal_px is not None:
-        return FrameCamera(_camera(shape, focal_px, centre_px), "given")
+        x, y = centre_px or (columns / 2, rows / 2)
+        return FrameCamera(Camera(rows, columns, focal_px, (x, y), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), "given")
     if centre_px:
         raise BadConfig("--centre needs --focal")
     sensors = assumed_sensors()
@@ -105,12 +106,6 @@ def frame_camera(
         if (sensor.camera.rows, sensor.camera.columns) == shape:
             return FrameCamera(sensor.camera, f"assumed: {sensor.title}, by the frames' size", True, sensor.rig)
     raise BadConfig(f"no sensor is assumed for frames of {rows} x {columns} pixels: give --focal or --rig ({where})")
-
-
-def _camera(shape: tuple[int, int], focal_px: float, centre_px: tuple[float, ...]) -> Camera:
-    rows, columns = shape
-    x, y = centre_px or (columns / 2, rows / 2)
-    return Camera(rows, columns, focal_px, (x, y), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
 
 @dataclass(frozen=True)

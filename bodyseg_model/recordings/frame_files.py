@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import refuse_special
 from bodyseg_data.shards import SIGNATURE, check_checksums, decode_chunks, read_chunks, read_header
-from bodyseg_model.recordings.recording import LARGEST_SIDE
+from bodyseg_model.recordings.recording import LARGEST_SIDE, FrameSource
 
 _KINDS: Final = {0: "grey", 2: "RGB", 3: "palette", 4: "grey with alpha", 6: "RGB with alpha"}
 _NEEDED: Final = (b"IHDR", b"IDAT", b"IEND")
@@ -24,33 +24,56 @@ _NEEDED: Final = (b"IHDR", b"IDAT", b"IEND")
 _LARGEST_HEADER: Final = 1 << 14
 
 
-def parse_frame(data: bytes, where: str) -> NDArray[np.uint16]:
-    """Decode the pixels of a 16-bit grey PNG, uint16 [H, W]. Raises BadConfig; `where` names the frame in its message.
+def parse_frame(data: bytes) -> NDArray[np.uint16]:
+    """Decode the pixels of a 16-bit grey PNG, uint16 [H, W]. Raises BadConfig.
 
     Chunks without pixels are checked but not decoded: ranges need none of them, and the sizes they claim could exhaust
     memory.
     """
     if not data.startswith(SIGNATURE):
-        raise BadConfig(f"a frame must be a 16-bit grey PNG, found {'no PNG' if data else 'nothing at all'}: {where}")
+        raise BadConfig(f"a frame must be a 16-bit grey PNG, found {'no PNG' if data else 'nothing at all'}")
     try:
         chunks = read_chunks(data)
         check_checksums(chunks)
         needed = [chunk for chunk in chunks if chunk.name in _NEEDED]
         header = read_header(needed[0])
-    except ValueError as error:
-        raise BadConfig(f"{error}: {where}") from error
-    if (header.bits, header.colour) != (16, 0):
-        kind = f"{header.bits}-bit {_KINDS.get(header.colour, header.colour)}"
-        raise BadConfig(f"a frame must be a 16-bit grey PNG, found {kind}: {where}")
-    if not (1 <= header.rows <= LARGEST_SIDE and 1 <= header.columns <= LARGEST_SIDE):
-        raise BadConfig(
-            f"a frame's side must be 1 to {LARGEST_SIDE} pixels, found {header.rows} x {header.columns}: {where}"
-        )
-    try:
+        if (header.bits, header.colour) != (16, 0):
+            kind = f"{header.bits}-bit {_KINDS.get(header.colour, header.colour)}"
+            raise BadConfig(f"a frame must be a 16-bit grey PNG, found {kind}")
+        if not (1 <= header.rows <= LARGEST_SIDE and 1 <= header.columns <= LARGEST_SIDE):
+            raise BadConfig(
+                f"a frame's side must be 1 to {LARGEST_SIDE} pixels, found {header.rows} x {header.columns}"
+            )
         image: NDArray[np.uint16] = decode_chunks(needed)
     except ValueError as error:
-        raise BadConfig(f"{where} is {error}") from error
+        raise BadConfig(str(error)) from error
     return image
+
+
+@dataclass(frozen=True)
+class PngSource(FrameSource):
+    """Reader of one frame, a PNG: `size` bytes from `offset` of the file at `path`, which is the PNG or a tar."""
+
+    path: Path
+    offset: int
+    size: int
+
+    def read(self, index: int) -> NDArray[np.uint16]:
+        """See `FrameSource.read`."""
+        return parse_frame(read_part(self.path, self.offset, self.size))
+
+
+def read_part(path: Path, offset: int, size: int) -> bytes:
+    """Read `size` bytes from `offset` of a file. Raises BadConfig without its name."""
+    try:
+        with path.open("rb") as file:
+            file.seek(offset)
+            data = file.read(size)
+    except OSError as error:
+        raise BadConfig(f"the file cannot be read: {error.strerror or error}") from error
+    if len(data) != size:
+        raise BadConfig(f"the file must still have the {size} bytes it had, found {len(data)}")
+    return data
 
 
 @dataclass(frozen=True)

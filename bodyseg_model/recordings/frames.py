@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Final
 
@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, check_int
 from bodyseg_data.files import refuse_special
-from bodyseg_model.recordings.cameras import Intrinsics
 from bodyseg_model.recordings.formats import SUFFIXES, find_format
-from bodyseg_model.recordings.frame_files import Member, list_tar, parse_frame
-from bodyseg_model.recordings.recording import MILLIMETRE, Frame, Pixels, StoredRecording, location_hash
+from bodyseg_model.recordings.frame_files import PngSource, list_tar
+from bodyseg_model.recordings.recording import MILLIMETRE, Frame, Pixels
 
 _NAME: Final = re.compile(r"[\w+()-][\w+(). -]{0,99}")
 
@@ -39,55 +38,6 @@ _STEPS_M: Final = (1e-6, 0.1)
 _SATURATED: Final = 65535
 
 
-@dataclass(frozen=True)
-class FrameFile:
-    """Location of one frame: `size` bytes from `offset` of the file at `path`, which is a PNG or a tar.
-
-    name: of its result files, without suffix; it may name a folder for them ("left/1"). where: its name in messages.
-    member: its name in the tar, None for a PNG. sequence: number of the input that it is from; single files are
-    input 0. Frames of other inputs were not taken directly before or after it. time_s, step_m, camera: as of `Frame`.
-    """
-
-    name: str
-    where: str
-    path: Path
-    offset: int
-    size: int
-    member: str | None = None
-    sequence: int = 0
-    time_s: float | None = None
-    step_m: float = MILLIMETRE
-    camera: Intrinsics | None = None
-
-    @property
-    def path_id(self) -> str:
-        """Short hash of the frame's location on this machine: the same from any working directory."""
-        return location_hash(self.path, self.member or "")
-
-    def read(self) -> NDArray[np.uint16]:
-        """Read the frame's pixels, uint16 [H, W], in the sensor's steps. Raises BadConfig, naming the frame."""
-        return parse_frame(self.read_bytes(), self.where)
-
-    def stamp(self) -> None:
-        """None: a PNG is no message."""
-
-    def placed(self, name: str, sequence: int) -> FrameFile:
-        """Return the frame with another name, and as of another input."""
-        return replace(self, name=name, sequence=sequence)
-
-    def read_bytes(self) -> bytes:
-        """Read the frame's bytes. Raises BadConfig, naming the frame."""
-        try:
-            with self.path.open("rb") as file:
-                file.seek(self.offset)
-                data = file.read(self.size)
-        except OSError as error:
-            raise BadConfig(f"cannot read {self.where}: {error.strerror or error}") from error
-        if len(data) != self.size:
-            raise BadConfig(f"{self.where} must still have the {self.size} bytes it had, found {len(data)}")
-        return data
-
-
 def find_frames(paths: Sequence[Path], topic: str | None = None, step_m: float | None = None) -> list[Frame]:
     """List the frames at `paths`: PNG files, and recordings as `open_recording` opens them.
 
@@ -102,11 +52,12 @@ def find_frames(paths: Sequence[Path], topic: str | None = None, step_m: float |
     groups += [open_recording(path, topic, step_m) for path in paths if path not in files]
     frames = [(number, frame) for number, group in enumerate(groups) for frame in group]
     names = result_names([frame for _, frame in frames])
-    return [frame.placed(name, number) for (number, frame), name in zip(frames, names, strict=True)]
+    return [replace(frame, name=name, sequence=number) for (number, frame), name in zip(frames, names, strict=True)]
 
 
-def open_recording(path: Path | str, topic: str | None = None, step_m: float | None = None) -> StoredRecording:
-    """Open a recording: a PNG, a folder or tar of PNGs, or a file or folder of one of `FORMATS`, by content or suffix.
+def open_recording(path: Path | str, topic: str | None = None, step_m: float | None = None) -> tuple[Frame, ...]:
+    """Open a recording, its frames in order: a PNG, a folder or tar of PNGs, or a file or folder of one of `FORMATS`,
+    by content or suffix.
 
     A folder without any of these may hold files of `FORMATS`, which are read one after another, in natural order.
     topic: which of several streams of frames, None for the only one. step_m: metres a step, or that 1.0 is in floating
@@ -115,20 +66,19 @@ def open_recording(path: Path | str, topic: str | None = None, step_m: float | N
     """
     path = Path(path)
     if path.is_dir():
-        frames = _folder(path, topic, step_m)
-    elif path.suffix.lower() == ".tar":
-        frames = _tar(path)
-    elif (found := find_format(path)) is not None:
-        return found.open(path, topic, step_m)
-    else:
-        frames = [png_file(path)]
-    if isinstance(frames, StoredRecording):
-        return frames
+        return _folder(path, topic, step_m)
+    if path.suffix.lower() == ".tar":
+        return _pngs(_tar(path), path, topic, step_m)
+    found = find_format(path)
+    return _pngs([png_file(path)], path, topic, step_m) if found is None else found.open(path, topic, step_m)
+
+
+def _pngs(frames: list[Frame], path: Path, topic: str | None, step_m: float | None) -> tuple[Frame, ...]:
+    """Frames of PNGs in natural order, and in the given steps. Raises BadConfig for a topic."""
     if topic is not None:
         raise BadConfig(f"--topic is for recordings that hold several, found PNG files: {path}")
-    step_m = step_m or MILLIMETRE
-    frames = sorted((replace(frame, step_m=step_m) for frame in frames), key=lambda frame: natural_key(frame.name))
-    return StoredRecording(str(path), tuple(frames), None, step_m)
+    frames = [replace(frame, step_m=step_m or MILLIMETRE) for frame in frames]
+    return tuple(sorted(frames, key=lambda frame: natural_key(frame.name)))
 
 
 def metres_a_step(unit: str) -> float:
@@ -147,24 +97,25 @@ def to_metres(frame: NDArray[np.uint16], step_m: float) -> NDArray[np.float32]:
     return ranges
 
 
-def png_file(path: Path, time_s: float | None = None, step_m: float = MILLIMETRE) -> FrameFile:
+def png_file(path: Path, time_s: float | None = None, step_m: float = MILLIMETRE) -> Frame:
     """Return the frame in a PNG file, whose content is not read yet. Raises BadConfig for a file that is not there."""
     try:
         refuse_special(path)
         size = path.stat().st_size
     except OSError as error:
         raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error
-    return _checked(FrameFile(path.stem, str(path), path, 0, size, None, 0, time_s, step_m))
+    _check_size(size, str(path))
+    return Frame(path.stem, str(path), path, None, PngSource(path, 0, size), ("",), 0, time_s, step_m)
 
 
-def _folder(path: Path, topic: str | None, step_m: float | None) -> StoredRecording | list[FrameFile]:
+def _folder(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame, ...]:
     """The PNGs in a folder; where there are none, the recording that it is, or those in its files as one."""
     try:
         files = [file for file in path.iterdir() if not file.name.startswith(".") and not file.is_dir()]
     except OSError as error:
         raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error
     if pngs := [file for file in files if _is_frame(file.name)]:
-        return [png_file(file) for file in pngs]
+        return _pngs([png_file(file) for file in pngs], path, topic, step_m)
     if (found := find_format(path)) is not None:
         return found.open(path, topic, step_m)
     parts = [file for file in files if file.suffix.lower() in SUFFIXES]
@@ -172,32 +123,29 @@ def _folder(path: Path, topic: str | None, step_m: float | None) -> StoredRecord
         raise BadConfig(
             f"a folder of frames must hold .png files or recordings ({', '.join(SUFFIXES)}), found none in {path}"
         )
-    opened = [open_recording(part, topic, step_m) for part in sorted(parts, key=lambda part: natural_key(part.name))]
-    return StoredRecording(
-        str(path), tuple(frame for part in opened for frame in part.frames), opened[0].camera, opened[0].step_m
-    )
+    parts.sort(key=lambda part: natural_key(part.name))
+    return tuple(frame for part in parts for frame in open_recording(part, topic, step_m))
 
 
-def _tar(path: Path) -> list[FrameFile]:
+def _tar(path: Path) -> list[Frame]:
     members = [member for member in list_tar(path) if _is_frame(PurePosixPath(member.name).name)]
     if not members:
         raise BadConfig(f"a tar of frames must hold .png files, found none in {path}")
-    return [_member(path, member) for member in members]
+    frames = []
+    for member in members:
+        where = f"{path}: {member.name}"
+        if not member.plain:
+            raise BadConfig(f"a frame in a tar must be a plain file, found a link or the like: {where}")
+        # Only the last part of the name is used and the member is not extracted, so "../" in it does no harm.
+        name, source = PurePosixPath(member.name).stem, PngSource(path, member.offset, member.size)
+        _check_size(member.size, where)
+        frames.append(Frame(name, where, path, member.name, source, (member.name,)))
+    return frames
 
 
-def _member(path: Path, member: Member) -> FrameFile:
-    where = f"{path}: {member.name}"
-    if not member.plain:
-        raise BadConfig(f"a frame in a tar must be a plain file, found a link or the like: {where}")
-    # Only the last part of the name is used and the member is not extracted, so "../" in it does no harm.
-    name = PurePosixPath(member.name).stem
-    return _checked(FrameFile(name, where, path, member.offset, member.size, member.name))
-
-
-def _checked(frame: FrameFile) -> FrameFile:
-    if frame.size > _LARGEST_FILE:
-        raise BadConfig(f"a frame must have at most {_LARGEST_FILE} bytes, found {frame.size} in {frame.where}")
-    return frame
+def _check_size(size: int, where: str) -> None:
+    if size > _LARGEST_FILE:
+        raise BadConfig(f"a frame must have at most {_LARGEST_FILE} bytes, found {size} in {where}")
 
 
 def _is_frame(name: str) -> bool:
@@ -267,9 +215,6 @@ class Skipping:
     def __init__(self, budget: int = 0) -> None:
         self.budget = check_int("--skip-unreadable", budget, least=0)
         self.skipped: list[dict[str, str]] = []
-
-    def __repr__(self) -> str:
-        return f"Skipping({len(self.skipped)} of at most {self.budget} skipped)"
 
     def read(self, frame: Frame) -> Pixels | None:
         """Read a frame, uint16 [H, W]; None for one that cannot be read. Raises BadConfig once the budget is spent."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_data.rigs import Distortion
 from bodyseg_model.recordings.cameras import Intrinsics
-from bodyseg_model.recordings.recording import FLOAT_STEP_M, MILLIMETRE, FrameSource, StoredFrame
+from bodyseg_model.recordings.recording import FLOAT_STEP_M, MILLIMETRE, ArrayFrames, Frame
 
 Timed = NDArray[Any] | tuple[float | None, NDArray[Any]]
 """Pixels of a frame [H, W], or its time in seconds and its pixels."""
@@ -35,24 +35,13 @@ class LiveRecording:
     step_m: float = MILLIMETRE
     where: str = "live"
 
-    def __iter__(self) -> Iterator[StoredFrame]:
+    def __iter__(self) -> Iterator[Frame]:
         for index, item in enumerate(self.arrays):
             time_s, pixels = item if isinstance(item, tuple) else (None, item)
             step_m = FLOAT_STEP_M if pixels.dtype.kind == "f" else self.step_m
             name = f"{self.where}-{index:06d}"
-            yield StoredFrame(
-                name, name, Path(self.where), str(index), _Held(pixels), index, time_s, step_m, self.camera
-            )
-
-
-class _Held(FrameSource):
-    """The pixels of one frame."""
-
-    def __init__(self, pixels: NDArray[Any]) -> None:
-        self._pixels = pixels
-
-    def read(self, index: int) -> NDArray[Any]:
-        return self._pixels
+            held, within = ArrayFrames(pixels[np.newaxis]), ("", index)
+            yield Frame(name, name, Path(self.where), str(index), held, within, 0, time_s, step_m, self.camera)
 
 
 @contextlib.contextmanager

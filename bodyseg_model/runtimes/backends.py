@@ -80,7 +80,7 @@ def on_backend(network: Network, backend: BackendName | None = None, precision: 
         return Bfloat16(quick) if chosen == "bfloat16" else quick
     runtime = _runtime(name)
     check_precision(name, runtime.precisions, chosen)  # before the graph is made
-    runtime.version()
+    runtime.loaded()
     return RuntimeNetwork(to_onnx(network), name, runtime, chosen)
 
 

@@ -106,27 +106,16 @@ def scores_part(model: Any) -> Any:
     Raises BadConfig for a graph that does not have these values.
     """
     onnx = import_onnx()
-    makes = {name: node for node in model.graph.node for name in node.output}
-    needed, open_names = set[str](), [SCORES]
-    while open_names:
-        name = open_names.pop()
-        if name not in makes or makes[name].name in needed:
-            continue
-        needed.add(makes[name].name)
-        open_names += makes[name].input
-    nodes = [node for node in model.graph.node if node.name in needed]
-    used = {name for node in nodes for name in node.input}
-    if RANGE not in used:
-        raise BadConfig(f"an ONNX file must compute {SCORES!r} from {RANGE!r}, as `bodyseg export --onnx` writes it")
-    value, kind = onnx.helper.make_tensor_value_info, onnx.TensorProto.FLOAT
-    graph = onnx.helper.make_graph(
-        nodes,
-        SCORES,
-        [value(RANGE, kind, ["images", 1, "rows", "columns"])],
-        [value(SCORES, kind, ["images", "score_rows", "score_columns", None])],
-        [array for array in model.graph.initializer if array.name in used],
-    )
-    return onnx.helper.make_model(graph, opset_imports=model.opset_import, ir_version=model.ir_version)
+    whole = onnx.ModelProto()
+    whole.CopyFrom(model)
+    sides = ["images", "score_rows", "score_columns", None]
+    whole.graph.output.append(onnx.helper.make_tensor_value_info(SCORES, onnx.TensorProto.FLOAT, sides))
+    try:
+        return onnx.utils.Extractor(whole).extract_model([RANGE], [SCORES])
+    except ValueError as error:
+        raise BadConfig(
+            f"an ONNX file must compute {SCORES!r} from {RANGE!r}, as `bodyseg export --onnx` writes it"
+        ) from error
 
 
 def import_onnx() -> Any:
@@ -147,11 +136,6 @@ class GraphFacts:
     def __post_init__(self) -> None:
         check_fields(self)
 
-    @classmethod
-    def of(cls, network: Network) -> GraphFacts:
-        """Properties of a network."""
-        return cls(network.classes, network.output_stride)
-
 
 @dataclass(frozen=True)
 class OnnxModel:
@@ -161,15 +145,10 @@ class OnnxModel:
     facts: GraphFacts
     card: dict[str, Any] = field(default_factory=dict, repr=False)
 
-    def scores_bytes(self) -> bytes:
-        """The part that computes scores (`scores_part`), as the bytes of an ONNX file."""
-        data: bytes = scores_part(self.graph).SerializeToString()
-        return data
-
 
 def to_onnx(network: Network, card: dict[str, Any] | None = None) -> OnnxModel:
     """A network, in evaluation mode, as an ONNX graph. Raises BadConfig and MissingLibrary as `answer_graph`."""
-    return OnnxModel(answer_graph(network), GraphFacts.of(network), card or {})
+    return OnnxModel(answer_graph(network), GraphFacts(network.classes, network.output_stride), card or {})
 
 
 def export_trained(trained: Trained) -> OnnxModel:

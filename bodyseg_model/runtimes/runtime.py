@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadConfig
 from bodyseg_data.machine import missing_library
 from bodyseg_model.networks import Network, check_range_images
-from bodyseg_model.runtimes.onnx_files import RANGE, SCORES, OnnxModel
+from bodyseg_model.runtimes.onnx_files import RANGE, SCORES, OnnxModel, scores_part
 
 Precision = Literal["float32", "bfloat16"]
 
@@ -25,9 +25,11 @@ _ERRORS_ONLY: Final = 3  # of ONNX Runtime's log
 class Runtime(ABC):
     """A library that computes ONNX graphs on the processor.
 
-    precisions: those that it computes in.
+    library: name of the module, and extra: of the package that installs it. precisions: those that it computes in.
     """
 
+    library: ClassVar[str]
+    extra: ClassVar[str]
     precisions: ClassVar[tuple[Precision, ...]]
 
     @abstractmethod
@@ -39,18 +41,22 @@ class Runtime(ABC):
         """Compute scores [B, h, w, C] of range images [B, 1, H, W], C contiguous."""
 
     @classmethod
-    @abstractmethod
-    def version(cls) -> str:
-        """Version of the library. Raises MissingLibrary if it is not installed."""
+    def loaded(cls) -> Any:
+        """The library's module. Raises MissingLibrary if it is not installed."""
+        try:
+            return import_module(cls.library)
+        except ImportError as error:
+            raise missing_library(f"the backend {cls.library}", error, extra=cls.extra) from error
 
 
 class OnnxRuntime(Runtime):
     """ONNX Runtime; its processor kernels know no bfloat16."""
 
+    library, extra = "onnxruntime", "onnx"
     precisions: ClassVar[tuple[Precision, ...]] = ("float32",)
 
     def __init__(self, graph: bytes, precision: Precision, threads: int) -> None:
-        library = _runtime_library("onnxruntime", "onnx")
+        library = self.loaded()
         options = library.SessionOptions()
         options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
         options.log_severity_level = _ERRORS_ONLY
@@ -61,19 +67,15 @@ class OnnxRuntime(Runtime):
         found: NDArray[np.float32] = self._session.run([SCORES], {RANGE: range_m})[0]
         return found
 
-    @classmethod
-    def version(cls) -> str:
-        """See `Runtime.version`."""
-        return str(_runtime_library("onnxruntime", "onnx").__version__)
-
 
 class OpenVino(Runtime):
     """OpenVINO."""
 
+    library, extra = "openvino", "openvino"
     precisions: ClassVar[tuple[Precision, ...]] = ("float32", "bfloat16")
 
     def __init__(self, graph: bytes, precision: Precision, threads: int) -> None:
-        core = _runtime_library("openvino", "openvino").Core()
+        core = self.loaded().Core()
         settings = {
             "INFERENCE_NUM_THREADS": threads,
             "INFERENCE_PRECISION_HINT": "bf16" if precision == "bfloat16" else "f32",
@@ -86,18 +88,6 @@ class OpenVino(Runtime):
         """See `Runtime.scores`."""
         found: NDArray[np.float32] = self._request.infer([range_m], share_inputs=True)[0]
         return found
-
-    @classmethod
-    def version(cls) -> str:
-        """See `Runtime.version`."""
-        return str(_runtime_library("openvino", "openvino").__version__)
-
-
-def _runtime_library(name: str, extra: str) -> Any:
-    try:
-        return import_module(name)
-    except ImportError as error:
-        raise missing_library(f"the backend {name}", error, extra=extra) from error
 
 
 class RuntimeNetwork(Network):
@@ -115,9 +105,13 @@ class RuntimeNetwork(Network):
         check_precision(name, runtime.precisions, precision)
         self.output_stride = model.facts.output_stride
         self.model = model
-        self._runtime, self._graph = runtime, model.scores_bytes()
+        self._runtime, self._graph = runtime, scores_part(model.graph).SerializeToString()
         self._sessions: dict[int, Runtime] = {}
-        self.identity: dict[str, Any] = {"backend": name, "version": runtime.version(), "precision": precision}
+        self.identity: dict[str, Any] = {
+            "backend": name,
+            "version": str(runtime.loaded().__version__),
+            "precision": precision,
+        }
         self._precision: Precision = precision
         self.eval()
 

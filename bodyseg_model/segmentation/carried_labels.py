@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -13,7 +13,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, check_int
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import in_threads, pieces
 from bodyseg_data.rigs import Camera
@@ -64,7 +63,7 @@ class Carrying:
     wrong motion does harm. stiff_border, stiff_border_share: the same of a body that does not bend.
     tolerance_m, noises: a point is the same if ranges agree within tolerance_m or `noises` standard deviations of the
     ranges' noise, whichever is more. reach: pixels around the expected place at which it is sought. cell_m: side of the
-    cells in which motion is estimated, metres. Raises BadConfig for values out of range.
+    cells in which motion is estimated, metres.
     """
 
     motion: MotionModel = "parts"
@@ -79,25 +78,6 @@ class Carrying:
     noises: float = 2.5
     reach: int = 2
     cell_m: float = 0.02
-
-    def __post_init__(self) -> None:
-        for name in ("keep", "bending_keep"):
-            if not 0 <= getattr(self, name) < 1:
-                raise BadConfig(f"{name} of carried labels must be 0 to less than 1, found {getattr(self, name):g}")
-        for name in ("border_share", "stiff_border_share"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise BadConfig(f"{name} of carried labels must be 0 to 1, found {getattr(self, name):g}")
-        for name in ("margin", "tolerance_m", "noises"):
-            if not 0 <= getattr(self, name) < float("inf"):
-                raise BadConfig(f"{name} of carried labels must be at least 0, found {getattr(self, name):g}")
-        for name in ("reach", "border", "stiff_border"):
-            check_int(f"the {name} of carried labels", getattr(self, name), 0)
-        if not self.cell_m > 0:
-            raise BadConfig(f"the cells of carried labels must be larger than 0 m, found {self.cell_m:g}")
-
-    def to_json(self) -> dict[str, Any]:
-        """The parameters as plain JSON, for summary.json."""
-        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -189,7 +169,9 @@ class CarriedLabels:
         left = {} if self._last is None else dict(enumerate(self._last.bodies))
         found: list[int | None] = []
         for own in cells:
-            away = {number: _distance(own, earlier) for number, (earlier, _) in left.items()}
+            away = {
+                number: float(np.linalg.norm(_middle(own) - _middle(earlier))) for number, (earlier, _) in left.items()
+            }
             nearest = min(away, key=lambda number: (away[number], number), default=None)
             found.append(nearest if nearest is not None and away[nearest] <= SAME_BODY_M else None)
             left.pop(-1 if found[-1] is None else found[-1], None)
@@ -301,8 +283,3 @@ def _middle(cells: Cells) -> NDArray[np.float64]:
     """Mean point of a body, float64 [3], metres."""
     middle: NDArray[np.float64] = cells.points.mean(axis=0, dtype=np.float64)
     return middle
-
-
-def _distance(one: Cells, other: Cells) -> float:
-    """Distance of the middles of two bodies, metres."""
-    return float(np.linalg.norm(_middle(one) - _middle(other)))

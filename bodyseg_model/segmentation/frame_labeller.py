@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Generator, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
-from functools import lru_cache
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, field
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Final, TypeVar
-from weakref import WeakSet
+from typing import Any, Final, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,27 +16,29 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadConfig, Stopwatch
 from bodyseg_data.rigs import Camera
 from bodyseg_model.networks import Trained, device_of, load_network
-from bodyseg_model.recordings import Frame, FrameCamera, Pixels, Skipping, Stamp, find_cameras, find_frames, to_metres
+from bodyseg_model.recordings import Frame, FrameCamera, FrameCameras, Pixels, Skipping, Stamp, find_frames, to_metres
 from bodyseg_model.runtimes import BackendName, Precision, backend_of, put_on_backend, to_device
 from bodyseg_model.segmentation.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.person_score import shipped_score
-from bodyseg_model.segmentation.segmenter import FoundSurfaces, LabelledBody, Segmentation, Segmenter, Thing, read_ahead
+from bodyseg_model.segmentation.segmenter import FoundSurfaces, Segmentation, Segmenter
 from bodyseg_model.segmentation.surfaces import Background
 from bodyseg_model.segmentation.views import Undistortion
 
 _READ: Final = "read"
 _KEPT: Final = 4  # segmenters: an undistortion takes as much memory as several frames
 
-Source = TypeVar("Source")
+_END: Final = object()
+
+Item = TypeVar("Item")
 
 
-@dataclass(frozen=True)
-class LabelledFrame:
-    """A frame and its labels.
+@dataclass(frozen=True, kw_only=True)
+class LabelledFrame(Segmentation):
+    """A frame and its labels, people, things and confidences.
 
     number: its place, from 0, among the frames of its recording or stream. range_m: float32 [H, W], metres, without
-    lens distortion, 0 = nothing measured. camera: of `range_m`. segmentation: labels, people, things and confidences.
-    milliseconds: of reading, "read", and of each of the segmenter's `STAGES`.
+    lens distortion, 0 = nothing measured. camera: of `range_m`. milliseconds: of reading, "read", and of each of the
+    segmenter's `STAGES`.
 
     Of a recording's frames alone: frame, which knows name, time and file; stored: uint16 [H, W], without lens
     distortion, in the recording's steps; own_camera: if it has one of its own; stamp: of its message, if it was asked
@@ -46,45 +48,14 @@ class LabelledFrame:
     number: int
     range_m: NDArray[np.float32] = field(repr=False)
     camera: Camera
-    segmentation: Segmentation
-    milliseconds: dict[str, float]
     frame: Frame | None = None
     stored: Pixels | None = field(default=None, repr=False)
     own_camera: FrameCamera | None = None
     stamp: Stamp | None = None
 
-    @property
-    def labels(self) -> NDArray[np.uint8]:
-        """Classes of the network on people, uint8 [H, W], 255 elsewhere."""
-        return self.segmentation.labels
 
-    @property
-    def confidence(self) -> NDArray[np.float32]:
-        """Confidence of every pixel, float32 [H, W], 0 to 1; 0 where there is no body."""
-        return self.segmentation.confidence
-
-    @property
-    def bodies(self) -> tuple[LabelledBody, ...]:
-        """The people, with pixels, range and confidences of each, the largest first."""
-        return self.segmentation.bodies
-
-    @property
-    def things(self) -> tuple[Thing, ...]:
-        """Surfaces of a body's size that are no person, which have no labels."""
-        return self.segmentation.things
-
-
-@dataclass(frozen=True)
-class _FoundFrame:
-    """A frame whose surfaces are found: all that may be done while the frame before it is labelled."""
-
-    where: str
-    segmenter: Segmenter
-    found: FoundSurfaces
-    read_ms: float
-    stored: Pixels | None = None
-    own_camera: FrameCamera | None = None
-    stamp: Stamp | None = None
+Found = Callable[[], LabelledFrame]
+"""Labels a frame whose surfaces are found: all is done that may be while the frame before it is labelled."""
 
 
 class FrameLabeller:
@@ -151,7 +122,7 @@ class FrameLabeller:
         another recording. Raises BadConfig for a frame of another size than the camera's, or a body too large for a
         view.
         """
-        return _label_found(self._find_in_array(range_m, camera), 0)
+        return self._find_in_array(0, range_m, camera)()
 
     def restart(self) -> None:
         """Begin another recording: with `video`, nothing is carried over from frames before."""
@@ -172,18 +143,19 @@ class FrameLabeller:
         """
         self.of(camera)[1].prepare()
         self.restart()
-        found = (self._find_in_array(range_m, camera, f"frame {number}") for number, range_m in enumerate(frames))
-        with contextlib.closing(_coming(found, ahead)) as coming:
-            for number, each in enumerate(coming):
-                yield _label_found(each, number)
+        found = (self._find_in_array(number, each, camera, f"frame {number}") for number, each in enumerate(frames))
+        with contextlib.closing(read_ahead(found) if ahead else found) as coming:
+            for label in coming:
+                yield label()
 
-    def _find_in_array(self, range_m: NDArray[np.float32], camera: Camera, where: str = "") -> _FoundFrame:
+    def _find_in_array(self, number: int, range_m: NDArray[np.float32], camera: Camera, where: str = "") -> Found:
         watch = Stopwatch((_READ,))
         with _naming_frame(where):
             with watch(_READ):
                 lens, segmenter = self.of(camera)
                 ideal = range_m if lens is None else lens(range_m)
-            return _FoundFrame(where, segmenter, segmenter.find(ideal), watch.milliseconds[_READ])
+            found = segmenter.find(ideal)
+        return partial(_label_found, where, segmenter, found, watch.milliseconds[_READ], number=number)
 
     def recording(
         self,
@@ -201,7 +173,7 @@ class FrameLabeller:
         source: a path, or several, of PNGs, folders or recordings, as `find_frames` takes them with `topic` and
         `step_m`; or frames that it found. rig, focal_px, centre_px: the camera (`frame_camera`); by default the one
         that recordings or files beside them hold, or that the frames' size tells. skip_unreadable: skip up to this many
-        frames that cannot be read. Raises BadConfig as `find_frames` and `find_cameras`; MissingLibrary.
+        frames that cannot be read. Raises BadConfig as `find_frames` and `FrameCameras`; MissingLibrary.
         """
         given = [source] if isinstance(source, (str, Path)) else source
         paths = [Path(each) for each in given if isinstance(each, (str, Path))]
@@ -224,7 +196,7 @@ class FrameLabeller:
                 "distance",
             },
             "least_confidence": self.least_confidence,
-            "video": None if self.video is None else self.video.carrying.to_json(),
+            "video": None if self.video is None else asdict(self.video.carrying),
             "device": str(device_of(self.trained.network)),
             "runtime": backend_of(self.trained.network),
         }
@@ -248,16 +220,12 @@ class LabelledRecording:
         if not frames:
             raise BadConfig("a recording must hold a frame, found none")
         self.labeller, self.frames = labeller, frames
-        self.cameras = find_cameras(frames, rig, focal_px, centre_px, labeller.rig, skipping)
+        self.cameras = FrameCameras(frames, rig, focal_px, centre_px, labeller.rig, skipping)
         self._skipping = skipping
-        self._prepared: WeakSet[Segmenter] = WeakSet()
         labeller.of(self.cameras.first.camera)  # now, so that options that cannot be are refused
 
     def __len__(self) -> int:
         return len(self.frames)
-
-    def __repr__(self) -> str:
-        return f"LabelledRecording({len(self)} frames)"
 
     def __iter__(self) -> Iterator[LabelledFrame]:
         return self.labelled()
@@ -269,7 +237,7 @@ class LabelledRecording:
 
     def prepare(self) -> None:
         """Load the compiled loops and label usual views, so that the first frame takes no longer than others."""
-        self._prepare(self.labeller.of(self.cameras.first.camera)[1])
+        self.labeller.of(self.cameras.first.camera)[1].prepare()
 
     def labelled(self, ahead: bool = False, stamps: bool = False) -> Generator[LabelledFrame, None, None]:
         """Label the frames in order; those that are skipped are left out, as their numbers tell.
@@ -277,43 +245,32 @@ class LabelledRecording:
         ahead: as of `FrameLabeller.stream`; recordings are then read in that thread alone. stamps: read the headers of
         frames' messages, too. Video is carried along within each input. Raises BadConfig, naming the frame.
         """
-        found = (self._find_unless_skipped(number, stamps) for number in range(len(self)))
-        with contextlib.closing(_coming(found, ahead)) as coming:
-            for number, each in enumerate(coming):
+        found = (self._find(number, self._skipping.read, stamps=stamps) for number in range(len(self)))
+        with contextlib.closing(read_ahead(found) if ahead else found) as coming:
+            for number, label in enumerate(coming):
                 if number == 0 or self.frames[number].sequence != self.frames[number - 1].sequence:
                     self.labeller.restart()
-                if each is not None:
-                    yield _label_found(each, number, self.frames[number])
+                if label is not None:
+                    yield label()
 
     def label(self, number: int) -> LabelledFrame:
         """Label one frame, as the first of a video. Raises BadConfig, naming it, also if it cannot be read.
 
         A camera's first frame is labelled after its segmenter is prepared, so that its times are as others'.
         """
+        label = cast(Found, self._find(number, Frame.read, prepare=True))  # `Frame.read` skips none
+        self.labeller.restart()
+        return label()
+
+    def _find(
+        self, number: int, read: Callable[[Frame], Pixels | None], prepare: bool = False, stamps: bool = False
+    ) -> Found | None:
+        """Read a frame and find its surfaces; None for one that cannot be read and is skipped."""
         watch, frame = Stopwatch((_READ,)), self.frames[number]
         with watch(_READ):
-            pixels = frame.read()
-        found = self._find_in_frame(number, pixels, watch, prepare=True)
-        self.labeller.restart()
-        return _label_found(found, number, frame)
-
-    def _prepare(self, segmenter: Segmenter) -> None:
-        if segmenter not in self._prepared:
-            segmenter.prepare()
-            self._prepared.add(segmenter)
-
-    def _find_unless_skipped(self, number: int, stamps: bool) -> _FoundFrame | None:
-        """Read a frame and find its surfaces; None for one that cannot be read and is skipped."""
-        watch = Stopwatch((_READ,))
-        with watch(_READ):
-            pixels = self._skipping.read(self.frames[number])
-        return None if pixels is None else self._find_in_frame(number, pixels, watch, stamps=stamps)
-
-    def _find_in_frame(
-        self, number: int, pixels: Pixels, watch: Stopwatch, prepare: bool = False, stamps: bool = False
-    ) -> _FoundFrame:
-        frame = self.frames[number]
-        with watch(_READ):
+            pixels = read(frame)
+            if pixels is None:
+                return None
             camera = self.cameras.of(frame, (pixels.shape[0], pixels.shape[1]))
             with _naming_frame(frame.where):
                 lens, segmenter = self.labeller.of(camera.camera)
@@ -321,12 +278,21 @@ class LabelledRecording:
                     pixels = lens(pixels)
                 range_m = to_metres(pixels, frame.step_m)
         if prepare:
-            self._prepare(segmenter)
+            segmenter.prepare()
         with _naming_frame(frame.where):
             found = segmenter.find(range_m)
-        own_camera = camera if self.cameras.is_own(frame) else None
-        stamp = frame.stamp() if stamps else None
-        return _FoundFrame(frame.where, segmenter, found, watch.milliseconds[_READ], pixels, own_camera, stamp)
+        return partial(
+            _label_found,
+            frame.where,
+            segmenter,
+            found,
+            watch.milliseconds[_READ],
+            number=number,
+            frame=frame,
+            stored=pixels,
+            own_camera=camera if self.cameras.is_own(frame) else None,
+            stamp=frame.stamp() if stamps else None,
+        )
 
     def to_json(self) -> dict[str, Any]:
         """The frames' camera and unit, and those that were skipped, as plain JSON."""
@@ -348,14 +314,26 @@ def _naming_frame(where: str) -> Iterator[None]:
         raise BadConfig(f"{where}: {error}" if where else str(error)) from error
 
 
-def _coming(found: Generator[Source, None, None], ahead: bool) -> Generator[Source, None, None]:
-    return read_ahead(found) if ahead else found
+def _label_found(
+    where: str, segmenter: Segmenter, found: FoundSurfaces, read_ms: float, **of_frame: Any
+) -> LabelledFrame:
+    """Label the surfaces of a frame. of_frame: other fields of the answer. Raises BadConfig, naming it."""
+    with _naming_frame(where):
+        answer = segmenter.label(found)
+    times = {_READ: read_ms, **answer.milliseconds}
+    fields = {**vars(answer), **of_frame, "milliseconds": times}
+    return LabelledFrame(range_m=found.range_m, camera=segmenter.camera, **fields)
 
 
-def _label_found(each: _FoundFrame, number: int, frame: Frame | None = None) -> LabelledFrame:
-    """Label the surfaces of a frame. Raises BadConfig, naming it."""
-    with _naming_frame(each.where):
-        segmentation = each.segmenter.label(each.found)
-    times = {_READ: each.read_ms, **segmentation.milliseconds}
-    range_m, camera = each.found.range_m, each.segmenter.camera
-    return LabelledFrame(number, range_m, camera, segmentation, times, frame, each.stored, each.own_camera, each.stamp)
+def read_ahead(items: Iterable[Item]) -> Generator[Item, None, None]:
+    """Yield items in their order; one thread makes the next while the caller works on this one, and no more than that.
+
+    An error of an item is raised in its place, after all items before it have been yielded. Whoever leaves early waits
+    for the item that is being made.
+    """
+    remaining = iter(items)
+    with ThreadPoolExecutor(1, "reading") as thread:
+        coming = thread.submit(next, remaining, _END)
+        while (item := coming.result()) is not _END:
+            coming = thread.submit(next, remaining, _END)
+            yield item  # type: ignore[misc]  # all but _END

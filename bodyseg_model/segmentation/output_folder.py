@@ -4,9 +4,9 @@ and the writer of labels, overlays, preview and summary, beside the labelling of
 
 from __future__ import annotations
 
-import queue
-import threading
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, Stopwatch
-from bodyseg_data.drawing import save_picture
+from bodyseg_data.drawing import draw_legend, save_picture
 from bodyseg_data.files import read_json, sync, write_json, write_result
 from bodyseg_data.labels import LabelMap
 from bodyseg_data.machine import peak_mb
 from bodyseg_model.recordings import Frame
 from bodyseg_model.segmentation.frame_labeller import LabelledFrame
-from bodyseg_model.segmentation.pictures import Preview, draw_overlay, draw_parts_legend, encode_picture
+from bodyseg_model.segmentation.pictures import Preview, draw_overlay, encode_picture
 from bodyseg_model.segmentation.sequence_summary import SequenceSummary
 
 
@@ -44,7 +44,9 @@ LABELS, OVERLAY, UNDISTORTED = IMAGES = ("labels", "overlay", "undistorted")
 """Folders of images, one a frame."""
 
 MOST_WAITING: Final = 3
-"""Jobs of `WriteBehind` that may wait, so that slow disks bound memory; then `add` waits, too."""
+"""Jobs of `WriteBehind` that may wait, so that slow disks bound memory; then `then` waits, too."""
+
+_LEGEND_WIDTH: Final = 900
 
 Job = Callable[[], None]
 
@@ -179,46 +181,44 @@ def _is_frame(entry: Any) -> bool:
 
 
 class WriteBehind:
-    """Does jobs one after another in a thread, in the order of `add`, as a context manager.
+    """Does jobs one after another in a thread, in the order of `then`, as a context manager.
 
     At the end of the context every job is done, also where it ends by an error or Ctrl-C. After a job fails, later
-    jobs are dropped; the error is raised by the next `add`, or at the end of the context.
+    jobs are dropped; the error is raised by a later `then`, or at the end of the context.
     """
 
     def __init__(self, most_waiting: int = MOST_WAITING) -> None:
-        self._jobs: queue.Queue[Job | None] = queue.Queue(most_waiting)
-        self._error: Exception | None = None
-        self._thread = threading.Thread(target=self._work, name="writing")
+        self._thread = ThreadPoolExecutor(1, "writing")
+        self._jobs: deque[Future[None]] = deque()
+        self._most_waiting = most_waiting
 
-    def __enter__(self) -> WriteBehind:
-        self._thread.start()
+    def __enter__(self) -> Self:
         return self
 
-    def add(self, job: Job) -> None:
+    def then(self, job: Job) -> None:
         """Have a job done after all others. Raises the error of an earlier one."""
-        if self._error is not None:
-            raise self._error
-        self._jobs.put(job)
-
-    def _work(self) -> None:
-        while (job := self._jobs.get()) is not None:
-            if self._error is None:
-                try:
-                    job()
-                except Exception as error:
-                    self._error = error
+        if len(self._jobs) > self._most_waiting:
+            self._jobs.popleft().result()
+        self._jobs.append(self._thread.submit(_do_after, self._jobs[-1] if self._jobs else None, job))
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._jobs.put(None)
-        self._thread.join()
+        self._thread.shutdown()
+        failed = self._jobs[-1].exception() if self._jobs else None
         # A job's error came before one of the frames after it, but not before Ctrl-C.
-        if self._error is not None and self._error is not error and (error is None or isinstance(error, Exception)):
-            raise self._error
+        if failed is not None and failed is not error and (error is None or isinstance(error, Exception)):
+            raise failed
 
 
-class FrameResults:
+def _do_after(before: Future[None] | None, job: Job) -> None:
+    """Do a job, or raise the error of the one before it."""
+    if before is not None:
+        before.result()
+    job()
+
+
+class FrameResults(WriteBehind):
     """Writes the results of labelled frames into a folder, in their order, by another thread: a context manager.
 
     label_map: the network's classes. preview: None if no overlays are drawn. shape: rows and columns of the preview's
@@ -226,9 +226,9 @@ class FrameResults:
     """
 
     def __init__(self, out: OutputFolder, label_map: LabelMap, preview: Preview | None, shape: tuple[int, int]) -> None:
+        super().__init__()
         self.summary = SequenceSummary()
         self._out, self._label_map, self._preview, self._shape = out, label_map, preview, shape
-        self._behind = WriteBehind()
 
     def begin(self) -> None:
         """Make the folders, and load the compiled loops, so that the first frame takes no longer than others."""
@@ -236,15 +236,6 @@ class FrameResults:
         if self._preview is not None:
             nothing = np.zeros((1, 1), np.float32)
             draw_overlay(nothing, nothing.astype(np.uint8), [np.zeros(1, np.intp)], self._label_map)
-
-    def __enter__(self) -> Self:
-        self._behind.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._behind.__exit__(kind, error, trace)
 
     def add(self, labelled: LabelledFrame, frame: Frame, done: Job) -> None:
         """Write and count the labels of a recording's frame after all before it, then call `done`.
@@ -256,19 +247,15 @@ class FrameResults:
             self._write(labelled, frame)
             done()
 
-        self._behind.add(write)
-
-    def then(self, job: Job) -> None:
-        """Call `job` when all results so far are written. Raises as `add`."""
-        self._behind.add(job)
+        self.then(write)
 
     def _write(self, labelled: LabelledFrame, frame: Frame) -> None:
-        watch, found = Stopwatch((_WRITE,)), labelled.segmentation
+        watch = Stopwatch((_WRITE,))
         with watch(_WRITE):
-            images: dict[str, NDArray[Any]] = {LABELS: found.labels}
+            images: dict[str, NDArray[Any]] = {LABELS: labelled.labels}
             if self._preview is not None:
-                bodies = [body.pixels for body in found.bodies]
-                overlay = images[OVERLAY] = draw_overlay(labelled.range_m, found.labels, bodies, self._label_map)
+                bodies = [body.pixels for body in labelled.bodies]
+                overlay = images[OVERLAY] = draw_overlay(labelled.range_m, labelled.labels, bodies, self._label_map)
                 if overlay.shape[:2] == self._shape:
                     self._preview.add(overlay)  # an animation has frames of one size
             if UNDISTORTED in self._out.folders and labelled.stored is not None:
@@ -277,12 +264,12 @@ class FrameResults:
                 self._out.write(folder, frame.name, encode_picture(image))
         times = {**labelled.milliseconds, **watch.milliseconds}
         camera = None if labelled.own_camera is None else labelled.own_camera.to_json()
-        self.summary.add(frame.name, frame.where, labelled.range_m, found, times, frame.sequence, camera)
+        self.summary.add(labelled.range_m, labelled, times, frame.sequence, camera)
 
     def finish(self, facts: Mapping[str, Any]) -> None:
         """Write preview, legend and summary, with `facts` of the call. Raises BadConfig."""
         if self._preview is not None:
-            save_picture(draw_parts_legend(self._label_map), self._out.path / LEGEND)
+            save_picture(draw_legend(_LEGEND_WIDTH, self._label_map), self._out.path / LEGEND)
             write_result(self._out.path / PREVIEW, self._preview.to_gif())
         preview = None if self._preview is None else self._preview.to_json()
         self._out.finish({**facts, "preview": preview, "peak_mb": peak_mb(), **self.summary.to_json()})

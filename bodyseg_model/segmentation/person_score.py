@@ -97,8 +97,6 @@ CURVED_M: Final = 0.03
 MOST: Final = 2.0
 """Most in the first and third channels, either side of 0."""
 
-_BYTES: Final = {name: 4 * math.prod(shape) for name, shape in SHAPES.items()}
-
 Floats = NDArray[np.float64]
 Image = NDArray[np.float32]
 
@@ -217,16 +215,11 @@ def _share_of(of: NDArray[np.bool_], without: float) -> float:
 class ShapeNetwork:
     """Three convolutions of stride 2, the mean and maximum of each channel, and two linear layers.
 
-    weights: float32 arrays of `SHAPES`. cutoff: least probability of a person, 0 to 1. Raises BadConfig for other
-    weights.
+    weights: float32 arrays of `SHAPES`. cutoff: least probability of a person, 0 to 1.
     """
 
     weights: Mapping[str, Image] = field(repr=False)
     cutoff: float
-
-    def __post_init__(self) -> None:
-        if {name: weight.shape for name, weight in self.weights.items()} != SHAPES:
-            raise BadConfig(f"a network of shapes needs the weights {', '.join(SHAPES)}, of the sizes of this version")
 
     def __call__(self, shape: SurfaceShape) -> float:
         """Logarithm of the odds that a surface is a person."""
@@ -294,19 +287,9 @@ def _convolved(image: Image, weight: Image, bias: Image) -> Image:
     return sums.reshape(len(weight), height // 2, width // 2)
 
 
-def network_to_json(network: ShapeNetwork) -> dict[str, Any]:
-    """A network as plain JSON, weights by name in base64 of float32, little-endian."""
-    weights = {
-        name: base64.b64encode(np.asarray(weight, "<f4").tobytes()).decode() for name, weight in network.weights.items()
-    }
-    return {"cutoff": round(network.cutoff, 4), "weights": weights}
-
-
 def network_from_json(tree: Mapping[str, Any]) -> ShapeNetwork:
-    """Rebuild a network from what `network_to_json` gave. Raises BadConfig for weights of other names or sizes."""
-    raw = {name: base64.b64decode(text) for name, text in tree["weights"].items()}
-    if {name: len(each) for name, each in raw.items()} != _BYTES:
-        raise BadConfig(f"the weights in {FILE} are not those of this version's network")
+    """Rebuild a network from plain JSON: its cutoff, and its weights by name in base64 of float32, little-endian."""
+    raw = {name: base64.b64decode(tree["weights"][name]) for name in SHAPES}
     weights = {name: np.frombuffer(raw[name], "<f4").reshape(shape) for name, shape in SHAPES.items()}
     return ShapeNetwork(weights, float(tree["cutoff"]))
 

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from bodyseg_data.core import BadConfig
-from bodyseg_data.drawing import draw_legend
 from bodyseg_data.labels import PARTS33, LabelMap
 from bodyseg_data.machine import compress
 from bodyseg_data.shards import SIGNATURE
@@ -34,7 +33,6 @@ SHADES: Final = 128
 
 _ENDS: Final = (0.02, 0.98)
 _SAMPLED: Final = 4096  # ranges of a body or of the room that say how near and far it reaches
-_LEGEND_WIDTH: Final = 900
 _PREVIEW_SIDE: Final = 320
 MOST_FRAMES: Final = 900
 """Greatest number of frames in a preview, all of which are held in memory."""
@@ -122,17 +120,9 @@ class Preview:
         self._palette.putpalette(_palette(label_map).ravel().tolist())
         self._frames: list[Image.Image] = []
 
-    @property
-    def frames_per_second(self) -> float:
-        """Frame rate of the file: delays of a GIF are whole hundredths of a second."""
-        return 100 / self._hundredths
-
-    def __len__(self) -> int:
-        return len(self._frames)
-
     def to_json(self) -> dict[str, float]:
-        """Number of frames and rate, for summary.json."""
-        return {"frames": len(self), "frames_per_second": round(self.frames_per_second, 2)}
+        """Number of frames and the file's rate, for summary.json: delays of a GIF are whole hundredths of a second."""
+        return {"frames": len(self._frames), "frames_per_second": round(100 / self._hundredths, 2)}
 
     def add(self, picture: NDArray[np.uint8]) -> None:
         """Append an overlay, sRGB uint8 [H, W, 3], all of one size; it is ignored once there are `MOST_FRAMES`."""
@@ -147,11 +137,6 @@ class Preview:
         first, *others = self._frames
         first.save(buffer, "GIF", save_all=True, append_images=others, duration=10 * self._hundredths, loop=0)
         return buffer.getvalue()
-
-
-def draw_parts_legend(label_map: LabelMap = PARTS33) -> Image.Image:
-    """Draw the colours of the classes with their names."""
-    return draw_legend(_LEGEND_WIDTH, label_map)
 
 
 def _palette(label_map: LabelMap) -> NDArray[np.uint8]:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Final, TypeVar
+from typing import Final
 
 import numpy as np
 import torch
@@ -17,15 +15,11 @@ from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import of_each, require_numba
 from bodyseg_data.rigs import Camera, Rig, load_rig
 from bodyseg_model.networks import Network, device_of, predict_each
-from bodyseg_model.runtimes import BackendName, Precision, on_backend
+from bodyseg_model.runtimes import on_backend
 from bodyseg_model.segmentation.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.person_score import PersonScore
 from bodyseg_model.segmentation.surfaces import Background, find_bodies
 from bodyseg_model.segmentation.views import BodyView, usual_views, view_body
-
-_END: Final = object()
-
-Item = TypeVar("Item")
 
 STAGES: Final = ("background", "shape", "resample", "network", "back", "video")
 
@@ -91,13 +85,8 @@ class Segmentation:
         return image
 
 
-@dataclass(frozen=True)
-class FoundBody:
-    """A body before a network has labelled it. pixels, person: as of `LabelledBody`. view: what the network sees."""
-
-    pixels: NDArray[np.intp] = field(repr=False)
-    view: BodyView = field(repr=False)
-    person: float | None = None
+FoundBody = tuple[NDArray[np.intp], float | None, BodyView]
+"""A body before a network has labelled it: pixels and person, as of `LabelledBody`, and what the network sees."""
 
 
 @dataclass(frozen=True)
@@ -115,15 +104,14 @@ class FoundSurfaces:
 class Segmenter:
     """Labels the frames of one camera, each independently or, with `video`, steadied by those before it.
 
-    network: in evaluation mode; frames are moved to its device. camera: that took the frames, which must be without
-    lens distortion (`Undistortion`). background: rule for
-    removing the background, by default `Background()`. mirrored: True if frames show left for right, as those of some
-    drivers do. least_confidence: pixels of less get no label. rig: that the network was trained for, by default the
-    paper's. people: the score by which surfaces of a body's size are people or things, in the background mode
-    "people" (`shipped_score`); None to label all of them. video: carries evidence from frame to frame of a recording,
-    whose frames must then come in order (`CarriedLabels`); None to label each alone. backend, precision: what computes
-    the network (`on_backend`). Raises BadConfig for a confidence outside 0 to 1, a camera with distortion, or as
-    `on_backend`; MissingLibrary without numba.
+    network: in evaluation mode, on any backend (`on_backend`); frames are moved to its device. camera: that took the
+    frames, which must be without lens distortion (`Undistortion`). background: rule for removing the background, by
+    default `Background()`. mirrored: True if frames show left for right, as those of some drivers do. least_confidence:
+    pixels of less get no label. rig: that the network was trained for, by default the paper's. people: the score by
+    which surfaces of a body's size are people or things, in the background mode "people" (`shipped_score`); None to
+    label all of them. video: carries evidence from frame to frame of a recording, whose frames must then come in order
+    (`CarriedLabels`); None to label each alone. Raises BadConfig for a confidence outside 0 to 1 or a camera with
+    distortion; MissingLibrary without numba.
     """
 
     def __init__(
@@ -136,8 +124,6 @@ class Segmenter:
         rig: Rig | None = None,
         people: PersonScore | None = None,
         video: CarriedLabels | None = None,
-        backend: BackendName | None = None,
-        precision: Precision | None = None,
     ) -> None:
         if not 0 <= least_confidence <= 1:
             raise BadConfig(f"a confidence must be 0 to 1, found {least_confidence:g}")
@@ -150,7 +136,8 @@ class Segmenter:
         self.device = device_of(network)
         self.people = people if self.background.mode == "people" else None
         self.video = video
-        self._network = on_backend(network, backend, precision)
+        self._network = on_backend(network)
+        self._prepared = False
 
     def __repr__(self) -> str:
         camera = f"{self.camera.rows} x {self.camera.columns} pixels, focal length {self.camera.focal_px:g} px"
@@ -178,24 +165,24 @@ class Segmenter:
         watch, threads = Stopwatch(STAGES), torch.get_num_threads()
         with watch("background"):
             surfaces = find_bodies(range_m, self.camera, self.background, threads)
-        things: list[Thing] = []
         people: list[tuple[NDArray[np.intp], float | None]] = [(pixels, None) for pixels in surfaces]
+        things: tuple[Thing, ...] = ()
         if self.people is not None:
-            score = self.people
+            score, flat = self.people, range_m.ravel()
             with watch("shape"):
                 scores = of_each(lambda pixels: score(pixels, range_m, self.camera), surfaces, threads)
                 judged = list(zip(surfaces, scores, strict=True))
-                people = [(pixels, person) for pixels, person in judged if person >= score.cutoff]
-                things = [
-                    Thing(pixels, float(np.median(range_m.ravel()[pixels])), person)
+                people = [each for each in judged if each[1] >= score.cutoff]
+                things = tuple(
+                    Thing(pixels, float(np.median(flat[pixels])), person)
                     for pixels, person in judged
                     if person < score.cutoff
-                ]
+                )
         with watch("resample"):
             resample = partial(view_body, range_m, camera=self.camera, rig=self.rig, mirrored=self.mirrored)
             views = of_each(resample, [pixels for pixels, _ in people], threads)
-        bodies = [FoundBody(pixels, view, person) for (pixels, person), view in zip(people, views, strict=True)]
-        return FoundSurfaces(range_m, tuple(bodies), tuple(things), watch.milliseconds)
+        bodies = tuple((pixels, person, view) for (pixels, person), view in zip(people, views, strict=True))
+        return FoundSurfaces(range_m, bodies, things, watch.milliseconds)
 
     def label(self, found: FoundSurfaces) -> Segmentation:
         """Label the bodies of a frame. With `video`, frames must come in order."""
@@ -204,14 +191,12 @@ class Segmenter:
         labels = np.full(range_m.shape, BACKGROUND, np.uint8)
         bodies: list[LabelledBody] = []
         with watch("network"):
-            answers = predict_each(self._network, [body.view.range_m for body in found.bodies])
+            answers = predict_each(self._network, [view.range_m for _, _, view in found.bodies])
         with watch("back"):
-            for body, (view_labels, view_confidence) in zip(found.bodies, answers, strict=True):
-                view, confidence = body.view, body.view.back(view_confidence)
-                labels.ravel()[body.pixels] = view.back(view_labels)
-                bodies.append(
-                    LabelledBody(body.pixels, view.median_range_m, view.turn_rad, view.scale, confidence, body.person)
-                )
+            for (pixels, person, view), (view_labels, view_confidence) in zip(found.bodies, answers, strict=True):
+                labels.ravel()[pixels] = view.back(view_labels)
+                confidence = view.back(view_confidence)
+                bodies.append(LabelledBody(pixels, view.median_range_m, view.turn_rad, view.scale, confidence, person))
         if self.video is not None:
             with watch("video"):
                 seen = [(body.pixels, body.confidence) for body in bodies]
@@ -220,26 +205,14 @@ class Segmenter:
             labels.ravel()[labelled.pixels[labelled.confidence < self.least_confidence]] = BACKGROUND
         return Segmentation(labels, tuple(bodies), watch.milliseconds, found.things)
 
-    def stream(self, frames: Iterable[NDArray[np.float32]], ahead: bool = False) -> Iterator[Segmentation]:
-        """Label frames as they come, such as those of a live sensor; yields the answer to each before it asks for the
-        next.
-
-        frames: float32 [H, W], metres, 0 = nothing measured, of the camera's size; they may never end. An answer has
-        `labels`, uint8 [H, W], 255 where there is no body; `confidence`, float32 [H, W]; `bodies`, the people, with
-        pixels, range and confidences of each; and `milliseconds` of every stage. Before the first frame is asked for,
-        `prepare` is called. ahead: a thread asks for the next frame and finds its surfaces while this one is labelled;
-        the same answers in the same order, more of them a second where a processor is free. Each frame then is an array
-        of its own, which no driver writes into again. Raises BadConfig as a call does.
-        """
-        self.prepare()
-        found = map(self.find, frames)
-        for each in read_ahead(found) if ahead else found:
-            yield self.label(each)
-
     def prepare(self) -> None:
         """Load the compiled loops and label usual views, so that the first frames take no longer than others: a network
-        takes longer for each size of views, and each number of them together, that it has not met.
+        takes longer for each size of views, and each number of them together, that it has not met. Further calls do
+        nothing.
         """
+        if self._prepared:
+            return
+        self._prepared = True
         rows, columns = self.camera.rows, self.camera.columns
         room = np.full((rows, columns), self.background.far_m, np.float32)
         room[rows // 4 : 3 * rows // 4, 3 * columns // 8 : 5 * columns // 8] /= 2  # of a body's size for most cameras
@@ -249,17 +222,3 @@ class Segmenter:
         view_body(np.full_like(room, self.rig.stand_off_m), np.arange(1), self.camera, self.rig, self.mirrored)
         for views in usual_views(self.rig, self._network.together):
             predict_each(self._network, views)
-
-
-def read_ahead(items: Iterable[Item]) -> Generator[Item, None, None]:
-    """Yield items in their order; one thread makes the next while the caller works on this one, and no more than that.
-
-    An error of an item is raised in its place, after all items before it have been yielded. Whoever leaves early waits
-    for the item that is being made.
-    """
-    remaining = iter(items)
-    with ThreadPoolExecutor(1, "reading") as thread:
-        coming = thread.submit(next, remaining, _END)
-        while (item := coming.result()) is not _END:
-            coming = thread.submit(next, remaining, _END)
-            yield item  # type: ignore[misc]  # all but _END

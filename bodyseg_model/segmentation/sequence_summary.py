@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_model.segmentation.segmenter import STAGES as SEGMENTER_STAGES
-from bodyseg_model.segmentation.segmenter import LabelledBody, Segmentation, Thing
+from bodyseg_model.segmentation.segmenter import LabelledBody, Segmentation
 
 STILL_M: Final = 0.02
 """A pixel whose range changed by less, metres, is taken to see the same point of the body."""
@@ -78,8 +78,6 @@ class SequenceSummary:
 
     def add(
         self,
-        name: str,
-        where: str,
         range_m: NDArray[np.float32],
         segmentation: Segmentation,
         milliseconds: Mapping[str, float],
@@ -99,15 +97,16 @@ class SequenceSummary:
         self._last = sequence, labels, range_m
         self._frames.append(
             {
-                "name": name,
-                "file": where,
                 **({} if camera is None else {"camera": dict(camera)}),
                 "people": len(bodies),
                 "pixels": segmentation.pixels,
                 "labelled": int(np.count_nonzero(labels != BACKGROUND)),
                 "mean_confidence": _rounded(segmentation.mean_confidence),
                 "bodies": [_body(body, range_m.shape[1]) for body in bodies],
-                "things": [_thing(thing, range_m.shape[1]) for thing in segmentation.things],
+                "things": [
+                    {**_place(thing.pixels, range_m.shape[1], thing.median_range_m), "person": _rounded(thing.person)}
+                    for thing in segmentation.things
+                ],
                 "flicker": None if change is None else change.to_json(),
                 "ms": {stage: round(milliseconds[stage], 3) for stage in STAGES},
             }
@@ -144,14 +143,8 @@ class SequenceSummary:
         The first frame is left out if there are others, because libraries are initialised during it.
         """
         counted = [frame["ms"] for frame in self._frames[1:] or self._frames]
-        stages = {stage: [frame[stage] for frame in counted] for stage in STAGES}
-        return {
-            stage: _spread(values)
-            for stage, values in {
-                **stages,
-                "frame": [sum(frame.values()) - frame["write"] for frame in counted],
-            }.items()
-        }
+        stages = {stage: _spread([frame[stage] for frame in counted]) for stage in STAGES}
+        return {**stages, "frame": _spread([sum(frame.values()) - frame["write"] for frame in counted])}
 
     def to_json(self) -> dict[str, Any]:
         """The whole summary. `pixels` show a body; `labelled` of them have a label."""
@@ -178,13 +171,9 @@ def _body(body: LabelledBody, columns: int) -> dict[str, Any]:
         **_place(body.pixels, columns, body.median_range_m),
         "turn_deg": round(math.degrees(body.turn_rad), 2),
         "scale": round(body.scale, 4),
-        "mean_confidence": _mean(body.confidence),
+        "mean_confidence": _rounded(float(body.confidence.mean(dtype=np.float64))),
         **({} if body.person is None else {"person": _rounded(body.person)}),
     }
-
-
-def _thing(thing: Thing, columns: int) -> dict[str, Any]:
-    return {**_place(thing.pixels, columns, thing.median_range_m), "person": _rounded(thing.person)}
 
 
 def _place(pixels: NDArray[np.intp], columns: int, range_m: float) -> dict[str, Any]:
@@ -194,10 +183,6 @@ def _place(pixels: NDArray[np.intp], columns: int, range_m: float) -> dict[str, 
         "box": [int(row.min()), int(column.min()), int(row.max()) + 1, int(column.max()) + 1],
         "range_m": round(range_m, 4),
     }
-
-
-def _mean(confidence: NDArray[np.float32]) -> float | None:
-    return _rounded(float(confidence.mean(dtype=np.float64)))
 
 
 def _rounded(share: float | None) -> float | None:

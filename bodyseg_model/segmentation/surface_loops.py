@@ -16,16 +16,16 @@ _kernel = partial(compiled, feature="labelling frames", extra="segment")
 
 
 @_kernel
-def write_levels(ranges: Any, logs: Any, first: Any, jump: Any, level: Any) -> None:
+def write_levels(ranges: Any, logs: Any, first: Any, metres: Any, share: Any, limit: Any, level: Any) -> None:
     """Write the levels of rows, from the `first` on, into a framed image, as `surfaces.jumps` describes them.
 
-    ranges: float32 [N, W], metres. logs: of range over `jump.from_m`, or of 1 where range is less, float32 [N, W].
-    jump: `surfaces.Jump`.
+    ranges: float32 [N, W], metres. logs: of range over `limit`, or of 1 where range is less, float32 [N, W]. Surfaces
+    are divided by a difference of range of `metres`, or beyond `limit` of a `share`, float32.
     """
     for row in range(ranges.shape[0]):
         some, log, into = ranges[row], logs[row], level[first + row + 3, 3:]
         for i in range(np.uint64(some.size)):
-            value = (log[i] + _ONE) / jump.share if some[i] > jump.from_m else some[i] / jump.metres
+            value = (log[i] + _ONE) / share if some[i] > limit else some[i] / metres
             into[i] = value if some[i] > _NOTHING else _UNMEASURED
 
 

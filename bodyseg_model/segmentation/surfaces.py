@@ -53,11 +53,6 @@ class Lens(NamedTuple):
     focal_px: float
 
 
-def lens_of(camera: Camera) -> Lens:
-    """The numbers of a camera that loops need."""
-    return Lens(*camera.centre_px, camera.focal_px)
-
-
 def on_largest_plane(range_m: NDArray[np.float32], pixels: NDArray[np.intp], camera: Camera) -> NDArray[np.bool_]:
     """Find the largest plane; True for those of `pixels` on it, bool [N].
 
@@ -108,7 +103,8 @@ def _near_plane(
     """Mark the pixels within the tolerance of a plane, bool [N]; and the sum of their ranges cubed."""
     near = np.empty(len(pixels), np.bool_)
     flat, columns = range_m.ravel(), range_m.shape[1]
-    return near, float(_loops().mark_plane(flat, pixels, columns, lens_of(camera), plane, TOLERANCE_PER_M, near))
+    lens = Lens(*camera.centre_px, camera.focal_px)
+    return near, float(_loops().mark_plane(flat, pixels, columns, lens, plane, TOLERANCE_PER_M, near))
 
 
 def _fit(rays: Points, inverse: NDArray[np.float64], plane: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -162,14 +158,6 @@ _ROWS: Final = 32  # of 1024 pixels: with what is computed of them, a quarter of
 Floats = NDArray[np.float32]
 
 
-class Jump(NamedTuple):
-    """Limits that divide surfaces, float32: a difference of range of `metres`, or beyond `from_m` of a `share`."""
-
-    metres: np.float32
-    share: np.float32
-    from_m: np.float32
-
-
 class LevelledFrame(NamedTuple):
     """A range image whose segments are looked for. range_m: float32 [H, W], metres. level: from `jumps`. widest: of a
     shadow that divides no surface, pixels at 1 m. focal_px: of the camera.
@@ -192,7 +180,7 @@ class Segments(NamedTuple):
     area_m2: NDArray[np.float64]
 
 
-_JUMP: Final = Jump(np.float32(JUMP_M), np.float32(JUMP_SHARE), np.float32(LIMIT_M))
+_JUMP: Final = (np.float32(JUMP_M), np.float32(JUMP_SHARE), np.float32(LIMIT_M))
 
 
 def jumps(range_m: Floats) -> Floats:
@@ -208,7 +196,7 @@ def jumps(range_m: Floats) -> Floats:
         ranges = range_m[first : first + _ROWS]
         logs = np.maximum(ranges, LIMIT_M, out=beyond[: len(ranges)])
         np.log(np.divide(logs, LIMIT_M, out=logs), out=logs)
-        _loops().write_levels(ranges, logs, first, _JUMP, level)
+        _loops().write_levels(ranges, logs, first, *_JUMP, level)
     return level
 
 
@@ -278,32 +266,15 @@ class Surfaces:
     def extents_m(self, number: int) -> tuple[float, float, float]:
         """Width, height and depth of a surface, metres."""
         flat, columns = self._range_m.ravel(), self._range_m.shape[1]
-        width, height, depth = _loops().extents(flat, columns, lens_of(self._camera), self.pixels_of(number))
+        lens = Lens(*self._camera.centre_px, self._camera.focal_px)
+        width, height, depth = _loops().extents(flat, columns, lens, self.pixels_of(number))
         return width, height, depth
 
-    def bounding_boxes(self) -> BoundingBoxes:
-        """The bounding box of every surface."""
+    def bounding_boxes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Lowest and highest row, column and range (metres) of every surface, float64 [3, N] each."""
         lowest, highest = np.full((3, len(self.area_m2)), np.inf), np.full((3, len(self.area_m2)), -np.inf)
         _loops().bound_surfaces(self._range_m.ravel(), self._range_m.shape[1], self._segments, lowest, highest)
-        return BoundingBoxes(lowest, highest)
-
-
-@dataclass(frozen=True)
-class BoundingBoxes:
-    """Bounding boxes of surfaces: lowest and highest row, column and range (metres), each float64 [3, N]."""
-
-    lowest: NDArray[np.float64]
-    highest: NDArray[np.float64]
-
-    def near(self, number: int) -> NDArray[np.bool_]:
-        """True for surfaces that overlap one of them in rows and columns, and in range within `REACH_M`, bool [N]."""
-        low, high = self.lowest[:, number].copy(), self.highest[:, number].copy()
-        low[2] -= REACH_M[0]
-        high[2] += REACH_M[1]
-        overlap = (self.highest[:2] >= low[:2, None]) & (self.lowest[:2] <= high[:2, None])
-        within = (self.lowest[2] >= low[2]) & (self.highest[2] <= high[2])
-        near: NDArray[np.bool_] = overlap.all(axis=0) & within
-        return near
+        return lowest, highest
 
 
 BackgroundMode = Literal["people", "limits", "keep"]
@@ -372,14 +343,9 @@ def find_bodies(range_m: NDArray[np.float32], camera: Camera, background: Backgr
     """
     if background.mode == "keep":
         return _all_of((range_m > 0) & (range_m < np.inf))
-    kept = _within_limits(range_m, background)
-    return _all_of(kept > 0) if background.mode == "limits" else _people(kept, camera, threads)
-
-
-def _within_limits(range_m: NDArray[np.float32], background: Background) -> NDArray[np.float32]:
-    """A copy of the frame with 0 where range is not within the limits."""
     near, far = np.float32(background.near_m), np.float32(background.far_m)
-    return np.where((range_m >= near) & (range_m <= far), range_m, np.float32(0))
+    kept = np.where((range_m >= near) & (range_m <= far), range_m, np.float32(0))
+    return _all_of(kept > 0) if background.mode == "limits" else _people(kept, camera, threads)
 
 
 def _all_of(mask: NDArray[np.bool_]) -> Bodies:
@@ -396,18 +362,27 @@ def _people(range_m: NDArray[np.float32], camera: Camera, threads: int) -> Bodie
         if not any(map(np.any, flat)):
             break
         surfaces.remove(large, flat)
-    boxes = surfaces.bounding_boxes()
+    lowest, highest = surfaces.bounding_boxes()
     taken = np.zeros(len(surfaces.area_m2), np.bool_)
     bodies = []
     for number in surfaces.by_size(BODY_AREA_M2[0]):
         if taken[number] or not _has_body_size(surfaces, number):
             continue
         taken[number] = True
-        pieces = np.flatnonzero(~taken & (surfaces.area_m2 < LOOSE_AREA_M2) & boxes.near(number))
+        pieces = np.flatnonzero(~taken & (surfaces.area_m2 < LOOSE_AREA_M2) & _near(number, lowest, highest))
         taken[pieces] = True
         pixels = [surfaces.pixels_of(piece) for piece in (number, *pieces)]
         bodies.append(np.sort(np.concatenate(pixels), kind="stable") if len(pieces) else pixels[0])
     return tuple(bodies)
+
+
+def _near(number: int, lowest: NDArray[np.float64], highest: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """True for surfaces that overlap one of them in rows and columns, and in range within `REACH_M`, bool [N]."""
+    low, high = lowest[:, [number]], highest[:, [number]]
+    overlap = (highest[:2] >= low[:2]) & (lowest[:2] <= high[:2])
+    within = (lowest[2] >= low[2] - REACH_M[0]) & (highest[2] <= high[2] + REACH_M[1])
+    near: NDArray[np.bool_] = overlap.all(axis=0) & within
+    return near
 
 
 def _has_body_size(surfaces: Surfaces, number: int) -> bool:

@@ -24,7 +24,7 @@ from bodyseg_data.labels import PARTS33
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, Batch, ImageSet, Loader, WorkerMethod, check_worker_method
 from bodyseg_data.machine import peak_mb, signals_held
 from bodyseg_model.networks import (
-    Card,
+    CardWords,
     Checkpoint,
     Network,
     NetworkName,
@@ -137,7 +137,7 @@ class Training:
     network: with its initial weights; name: its key in `registry.NETWORKS`. seed: of mirroring, geometric augmentation,
     dropout and the pixels that the loss selects; order and artifacts have the images' own. validation: on images held
     out, by the first process alone while the others wait. pretrained: file and SHA-256 of the weights that the network
-    starts from (`Card.PRETRAINED`). Raises BadConfig for batches that cannot be divided evenly between the
+    starts from (`CardWords.PRETRAINED`). Raises BadConfig for batches that cannot be divided evenly between the
     processes, or a network of other classes than the images.
     """
 
@@ -301,7 +301,7 @@ class Training:
 
     def _card(self, facts: Mapping[str, Any], step: int) -> dict[str, Any]:
         """Facts of the card of the weights of `step`."""
-        card = {Card.PRETRAINED: None, **self.folder.plan(), **facts, "step": step, "last_step": self.step}
+        card = {CardWords.PRETRAINED: None, **self.folder.plan(), **facts, "step": step, "last_step": self.step}
         if self._best is not None and self._best.step == step:
             card["val_accuracy"] = self._best.accuracy
         return card

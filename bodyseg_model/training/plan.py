@@ -22,13 +22,7 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.files import make_folder, read_json, write_json
 from bodyseg_data.labels import PARTS33
 from bodyseg_data.loading import ImageSet
-from bodyseg_model.networks import (
-    Card,
-    Checkpoint,
-    Network,
-    RunFiles,
-    read_checkpoint,
-)
+from bodyseg_model.networks import CardWords, Checkpoint, Network, RunFiles, read_checkpoint
 from bodyseg_model.training.recipes import Recipe
 from bodyseg_model.training.validation import Validation
 
@@ -75,7 +69,7 @@ def training_plan(
     if validation is not None:
         plan["validation"] = validation.plan()
     if pretrained is not None:
-        plan[Card.PRETRAINED] = dict(pretrained)
+        plan[CardWords.PRETRAINED] = dict(pretrained)
     tree: dict[str, Any] = json.loads(json.dumps(plan))
     return tree
 
@@ -169,8 +163,8 @@ class RunFolder:
             raise BadConfig(f"{self.path} holds files but no training: give a new or empty folder")
         found = read_json(file)
         earlier = found.pop("earlier_steps", [])
-        if Card.PRETRAINED in found:
-            wanted.setdefault(Card.PRETRAINED, found[Card.PRETRAINED])
+        if CardWords.PRETRAINED in found:
+            wanted.setdefault(CardWords.PRETRAINED, found[CardWords.PRETRAINED])
         checkpoint = self.last()
         reached = 0 if checkpoint is None else checkpoint.step
         check_plan(self.path, found, wanted, reached)

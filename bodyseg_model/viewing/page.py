@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import io
+import math
 import socket
 import threading
 import time
@@ -36,7 +37,6 @@ LOOPBACK: Final = "127.0.0.1"
 """The address that only this machine can reach."""
 
 _PORTS_TRIED: Final = 20
-_TAKEN: Final = (errno.EADDRINUSE,)
 
 
 def free_port(host: str, port: int) -> int:
@@ -45,19 +45,15 @@ def free_port(host: str, port: int) -> int:
     """
     if not 0 <= port <= 65535:
         raise BadConfig(f"a port must be 0 to 65535, found {port}")
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
     for number in range(port, min(port + _PORTS_TRIED, 65536)):
         try:
-            family, kind, _, _, address = socket.getaddrinfo(host, number, type=socket.SOCK_STREAM)[0]
-            with socket.socket(family, kind) as tried:
-                tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-                tried.bind(address)
+            with socket.create_server((host, number), family=family) as tried:
                 return int(tried.getsockname()[1])
-        except socket.gaierror as error:
-            raise BadConfig(f"--host must be an address of this machine, found {host!r}: {error.strerror}") from error
         except PermissionError as error:
             raise BadConfig(f"port {number} needs more rights: give a --port of at least 1024") from error
         except OSError as error:
-            if error.errno not in _TAKEN:
+            if error.errno != errno.EADDRINUSE:
                 raise BadConfig(
                     f"--host must be an address of this machine, found {host!r}: {error.strerror}"
                 ) from error
@@ -79,12 +75,6 @@ def open_server(host: str, port: int, title: str) -> viser.ViserServer:
     chosen = free_port(host, port)
     with contextlib.redirect_stdout(io.StringIO()):
         return Server(host=host, port=chosen, label=title, verbose=False)
-
-
-def close_server(server: viser.ViserServer) -> None:
-    """Stop a server and its threads."""
-    with contextlib.redirect_stdout(io.StringIO()):
-        server.stop()
 
 
 class Redrawing:
@@ -266,11 +256,12 @@ class Page:
         """Stop drawing and serving."""
         if self._redrawing is not None:
             self._redrawing.close()
-        close_server(self.server)
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server.stop()
 
     def _aim(self, drawing: Drawing) -> None:
         """Put the first view before the points."""
-        place, at = viewpoint(aimed_at(drawing), drawing.devices, "points", _FOV_RAD, _ASPECT)
+        place, at = viewpoint(aimed_at(drawing), [*drawing.devices.values()], "points", _FOV_RAD, _ASPECT)
         camera = self.server.initial_camera
         camera.fov, camera.look_at, camera.position = _FOV_RAD, at, place
 
@@ -280,7 +271,7 @@ class Page:
         if drawing is None:
             return
         camera = client.camera
-        place, at = viewpoint(aimed_at(drawing), drawing.devices, chosen, camera.fov, camera.aspect)
+        place, at = viewpoint(aimed_at(drawing), [*drawing.devices.values()], chosen, camera.fov, camera.aspect)
         with client.atomic():
             camera.up_direction, camera.position, camera.look_at = (0.0, 1.0, 0.0), place, at
 
@@ -298,20 +289,22 @@ class Page:
             self.facts.content = facts_html(drawing.facts, self._warning)
 
     def _show_devices(self, drawing: Drawing) -> None:
-        heights = name_heights(drawing.devices)
-        for number, (device, height) in enumerate(zip(drawing.devices, heights, strict=True)):
-            handle = self._devices.get(device.name)
+        from viser.transforms import SO3  # there since `open_server`
+
+        heights = name_heights([*drawing.devices.values()])
+        for number, ((device, placed), height) in enumerate(zip(drawing.devices.items(), heights, strict=True)):
+            handle = self._devices.get(device)
             if handle is None:
-                colour = _DEVICE_COLOURS[min(number, len(_DEVICE_COLOURS) - 1)]
-                name = f"/{device.name.replace(' ', '_')}"
-                handle = self._devices[device.name] = self.server.scene.add_camera_frustum(
-                    name, device.fov_rad, device.aspect, scale=_DEVICE_M, thickness=0.006, color=colour
+                camera, colour = placed.camera, _DEVICE_COLOURS[min(number, len(_DEVICE_COLOURS) - 1)]
+                fov_rad, aspect = 2 * math.atan(camera.rows / 2 / camera.focal_px), camera.columns / camera.rows
+                name = f"/{device.replace(' ', '_')}"
+                handle = self._devices[device] = self.server.scene.add_camera_frustum(
+                    name, fov_rad, aspect, scale=_DEVICE_M, thickness=0.006, color=colour
                 )
-                self._names[device.name] = self.server.scene.add_label(f"{name}_name", device.name)
-            handle.wxyz, handle.position = device.wxyz, device.position_m
-            x, y, z = device.position_m
-            self._names[device.name].position = (x, y + height, z)
-            handle.visible = self._names[device.name].visible = self._devices_shown
+                self._names[device] = self.server.scene.add_label(f"{name}_name", device)
+            handle.wxyz, handle.position = SO3.from_matrix(placed.axes.T).wxyz, placed.position
+            self._names[device].position = placed.position + np.array([0.0, height, 0.0])
+            handle.visible = self._names[device].visible = self._devices_shown
 
     def _save(self, client: viser.ClientHandle) -> None:
         """Write the panels and the points as one client sees them as a PNG."""

@@ -6,8 +6,7 @@ is the body's middle, which stands upright; of a recording, it is the camera.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from typing import Any, Final, Literal, get_args
@@ -36,7 +35,12 @@ KIND_LEGEND: Final[Legend] = (
 )
 """Name and sRGB of each of `KINDS` of predictions."""
 
-_KIND_COLOURS: Final = np.array([colour for _, colour in KIND_LEGEND], np.uint8)
+CONFIDENCE_LEGEND: Final[Legend] = (
+    ("confidence 0 %", (196, 40, 52)),
+    ("50 %", (236, 196, 76)),
+    ("100 %", (38, 150, 96)),
+)
+"""Three of the colours of confidences."""
 
 WIDTH: Final = 1040
 """Width of a picture, pixels: twice that of its place on the page, for screens of high density."""
@@ -116,24 +120,16 @@ class Layout:
         return _HEAD + self.rows + _NOTE
 
 
-def label_image(labels: NDArray[np.uint8], measured: NDArray[np.bool_], label_map: LabelMap) -> NDArray[np.uint8]:
+def class_image(
+    classes: NDArray[np.uint8], measured: NDArray[np.bool_], colours: NDArray[np.uint8]
+) -> NDArray[np.uint8]:
     """Classes in their colours, sRGB uint8 [H, W, 3]; what was measured and has no class is grey.
 
-    labels: uint8 [H, W], classes of the map. measured: bool [H, W].
+    classes: uint8 [H, W], rows of `colours`, uint8 [N, 3]; 255 where there is none. measured: bool [H, W].
     """
-    colours = colour_labels(labels, EMPTY, label_map.colours)
-    colours[(labels == BACKGROUND) & measured] = THING
-    return colours
-
-
-def kind_image(kinds: NDArray[np.uint8], measured: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Kinds of predictions in their colours, sRGB uint8 [H, W, 3]; what was measured and has no kind is grey.
-
-    kinds: uint8 [H, W], 255 where there is none. measured: bool [H, W].
-    """
-    colours = colour_labels(kinds, EMPTY, _KIND_COLOURS)
-    colours[(kinds == BACKGROUND) & measured] = THING
-    return colours
+    image = colour_labels(classes, EMPTY, colours)
+    image[(classes == BACKGROUND) & measured] = THING
+    return image
 
 
 def share_image(shares: NDArray[np.float32], measured: NDArray[np.bool_]) -> NDArray[np.uint8]:
@@ -141,7 +137,7 @@ def share_image(shares: NDArray[np.float32], measured: NDArray[np.bool_]) -> NDA
 
     shares: float32 [H, W], such as confidences. measured: bool [H, W]; elsewhere the image is nearly black.
     """
-    stops = np.array([[196, 40, 52], [236, 196, 76], [38, 150, 96]], np.float64)
+    stops = np.array([colour for _, colour in CONFIDENCE_LEGEND], np.float64)
     position = 2 * np.clip(shares, 0, 1)
     colours = np.stack([np.interp(position, (0, 1, 2), channel) for channel in stops.T], axis=-1)
     colours[~measured] = EMPTY
@@ -204,20 +200,6 @@ class Points:
     colours: NDArray[np.uint8] = field(repr=False)
 
 
-@dataclass(frozen=True)
-class Device:
-    """A camera or projector to draw as a pyramid. wxyz: rotation to the space of the page, a unit quaternion.
-
-    fov_rad: its vertical field of view; aspect: width over height.
-    """
-
-    name: str
-    wxyz: tuple[float, float, float, float]
-    position_m: tuple[float, float, float]
-    fov_rad: float
-    aspect: float
-
-
 def points_at(range_m: NDArray[np.float32], placed: PlacedCamera) -> NDArray[np.float32]:
     """Points of the pixels that measured something, in reading order, float32 [N, 3].
 
@@ -250,16 +232,8 @@ def camera_alone(camera: Camera) -> PlacedCamera:
     return PlacedCamera(camera, _OPENCV, np.zeros(3))
 
 
-def device(name: str, placed: PlacedCamera) -> Device:
-    """A placed camera or projector as a device to draw."""
-    camera = placed.camera
-    x, y, z = np.asarray(placed.position, np.float64).tolist()
-    fov = 2 * math.atan(camera.rows / 2 / camera.focal_px)
-    return Device(name, quaternion(placed.axes.T), (x, y, z), fov, camera.columns / camera.rows)
-
-
 def viewpoint(
-    xyz: NDArray[np.float32], devices: Sequence[Device], kind: Viewpoint, fov_rad: float, aspect: float
+    xyz: NDArray[np.float32], devices: Sequence[PlacedCamera], kind: Viewpoint, fov_rad: float, aspect: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """A place to look from and a point to look at, metres, float64 [3] each, that take in what `kind` says.
 
@@ -272,10 +246,10 @@ def viewpoint(
         low, high = np.quantile(xyz, (0.01, 0.99), axis=0).astype(np.float64)
     middle = (low + high) / 2
     if kind == "camera" and devices:
-        place = np.asarray(devices[0].position_m)
+        place = devices[0].position
         return place, np.array([*place[:2], middle[2]])
     if kind == "sensor":
-        places = np.array([low, high, *(each.position_m for each in devices)])
+        places = np.array([low, high, *(each.position for each in devices)])
         low, high = places.min(0), places.max(0)
         middle = (low + high) / 2
     width, height = max(high[0] - low[0], high[2] - low[2]), max(0.3, float(high[1] - low[1]))
@@ -285,45 +259,26 @@ def viewpoint(
     return middle + away * towards / np.linalg.norm(towards), middle
 
 
-def name_heights(devices: Sequence[Device]) -> list[float]:
+def name_heights(devices: Sequence[PlacedCamera]) -> list[float]:
     """Height of each device's name above the device, metres: names of devices that nearly coincide lie apart.
 
     The highest device has its name above it, of equally high ones the leftmost; the next ones have theirs below them.
     """
-    order = sorted(devices, key=lambda each: (-round(each.position_m[1], 1), each.position_m[0]))
-    return [_NAME_M if each is order[0] else -_NAME_M * order.index(each) for each in devices]
-
-
-def quaternion(rotation: NDArray[np.float64]) -> tuple[float, float, float, float]:
-    """Unit quaternion (w, x, y, z), w at least 0, of a rotation matrix, float64 [3, 3].
-
-    It is the eigenvector of the largest eigenvalue of a symmetric 4 x 4 matrix: Bar-Itzhack, "New method for
-    extracting the quaternion from a rotation matrix", Journal of Guidance, Control, and Dynamics 23(6), 2000.
-    """
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation
-    symmetric = np.array(
-        [
-            [xx + yy + zz, zy - yz, xz - zx, yx - xy],
-            [zy - yz, xx - yy - zz, xy + yx, xz + zx],
-            [xz - zx, xy + yx, yy - xx - zz, yz + zy],
-            [yx - xy, xz + zx, yz + zy, zz - xx - yy],
-        ]
-    )
-    w, x, y, z = np.linalg.eigh(symmetric)[1][:, -1].tolist()
-    sign = -1.0 if w < 0 else 1.0
-    return sign * w, sign * x, sign * y, sign * z
+    order = sorted(devices, key=lambda each: (-round(float(each.position[1]), 1), float(each.position[0])))
+    places = [next(place for place, other in enumerate(order) if other is each) for each in devices]
+    return [-_NAME_M * place if place else _NAME_M for place in places]
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """Points, devices, a picture of panels, sRGB uint8 [H, W, 3], and facts in lines of plain text.
+    """Points, devices by their names, a picture of panels, sRGB uint8 [H, W, 3], and facts in lines of plain text.
 
     gap_m: distance of neighbouring points, metres, which their size on the page follows. bodies: number of the first
     points, which are of bodies, and to which a window is turned. legend: of the colours of the points.
     """
 
     points: Points
-    devices: tuple[Device, ...]
+    devices: Mapping[str, PlacedCamera]
     picture: NDArray[np.uint8] = field(repr=False)
     facts: tuple[str, ...]
     gap_m: float

@@ -24,6 +24,7 @@ from bodyseg_model.segmentation import (
 )
 from bodyseg_model.viewing.page import Page
 from bodyseg_model.viewing.pictures import (
+    CONFIDENCE_LEGEND,
     EMPTY,
     Drawing,
     Layout,
@@ -31,9 +32,8 @@ from bodyseg_model.viewing.pictures import (
     Panel,
     Points,
     camera_alone,
+    class_image,
     class_legend,
-    device,
-    label_image,
     point_gap_m,
     points_at,
     share_image,
@@ -51,13 +51,7 @@ FLICKER_LEGEND: Final[Legend] = (
 )
 """Name and sRGB of each kind of change from the frame before."""
 
-CONFIDENCE_LEGEND: Final[Legend] = (
-    ("confidence 0 %", (196, 40, 52)),
-    ("50 %", (236, 196, 76)),
-    ("100 %", (38, 150, 96)),
-)
-"""Three of the colours of confidences."""
-
+_CHANGE_COLOURS: Final = np.array([colour for _, colour in FLICKER_LEGEND], np.uint8)
 _NOTHING: Final = Points(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
 _KEPT: Final = 32
 _ROOM_STEP: Final = 3
@@ -94,7 +88,7 @@ class RecordingView:
         room = _room_points(frame, body_m) if shown.room else _NOTHING
         return Drawing(
             Points(np.concatenate([bodies.xyz, room.xyz]), np.concatenate([bodies.colours, room.colours])),
-            (device("camera", camera_alone(frame.camera)),),
+            {"camera": camera_alone(frame.camera)},
             self._picture(frame, changes),
             self.facts(shown.number, frame, before),
             point_gap_m(body_m if len(bodies.xyz) else frame.range_m, frame.camera),
@@ -118,43 +112,41 @@ class RecordingView:
         if colouring == "confidence":
             return share_image(frame.confidence, seen), CONFIDENCE_LEGEND
         if colouring == "flicker":
-            return _change_image(changes), FLICKER_LEGEND
-        return label_image(frame.labels, seen, self.label_map), class_legend(self.label_map)
+            return colour_labels(changes, EMPTY, _CHANGE_COLOURS), FLICKER_LEGEND
+        return class_image(frame.labels, seen, self.label_map.colours), class_legend(self.label_map)
 
     def _picture(self, frame: LabelledFrame, changes: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """The whole frame with its labels; below it confidence and flicker, of bodies alone where they are small."""
-        found = frame.segmentation
-        bodies = [body.pixels for body in found.bodies]
-        overlay = draw_overlay(frame.range_m, found.labels, bodies, self.label_map)
+        bodies = [body.pixels for body in frame.bodies]
+        overlay = draw_overlay(frame.range_m, frame.labels, bodies, self.label_map)
         whole = Layout.of(1, (overlay.shape[0], overlay.shape[1]))
         measured = body_range(frame) > 0
         window = window_of([measured])
         rows, columns = measured[window].shape
         near = Layout.of(2, (rows, columns))
         confidences = share_image(near.reduced(frame.confidence[window]), near.reduced(measured[window]))
-        changed = _change_image(near.reduced(changes[window]))
-        sure = found.mean_confidence
+        changed = colour_labels(near.reduced(changes[window]), EMPTY, _CHANGE_COLOURS)
+        sure = frame.mean_confidence
         note = "nobody" if sure is None else f"mean {sure:.0%}"
         below = [
             Panel("confidence", confidences, note),
             Panel("flicker", changed, "labels beside those of the frame before"),
         ]
-        above = [Panel("labels on the range image", whole.reduced(overlay), _counted(found))]
+        above = [Panel("labels on the range image", whole.reduced(overlay), _counted(frame))]
         return np.concatenate([whole.draw([above]), near.draw([below])])
 
     def facts(self, number: int, frame: LabelledFrame, before: LabelledFrame | None) -> tuple[str, ...]:
         """Lines of text on a frame: its name, people and things, times, confidence and flicker."""
-        found = frame.segmentation
-        stages = ", ".join(f"{stage} {time:.0f}" for stage, time in found.milliseconds.items())
+        stages = ", ".join(f"{stage} {time:.0f}" for stage, time in frame.milliseconds.items())
         facts = [
             self.recording.frames[number].name,
-            f"frame {number + 1} of {len(self)}: {_counted(found)}",
+            f"frame {number + 1} of {len(self)}: {_counted(frame)}",
             f"{sum(frame.milliseconds.values()):.0f} ms when it was labelled: {stages}",
         ]
-        if found.mean_confidence is not None:
-            facts.append(f"mean confidence {found.mean_confidence:.1%}")
+        if frame.mean_confidence is not None:
+            facts.append(f"mean confidence {frame.mean_confidence:.1%}")
         if before is not None:
-            change: Flicker = flicker(before.labels, found.labels, before.range_m, frame.range_m)
+            change: Flicker = flicker(before.labels, frame.labels, before.range_m, frame.range_m)
             shares = change.to_json()
             moving, still = (shares[name] for name in ("changed", "still_changed"))
             if moving is not None:
@@ -201,11 +193,6 @@ def _counted(found: Segmentation) -> str:
     return f"{people} {'person' if people == 1 else 'people'}, {things} thing{'' if things == 1 else 's'}"
 
 
-def _change_image(changes: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Changes in their colours, sRGB uint8 [H, W, 3]; changes: uint8 [H, W]."""
-    return colour_labels(changes, EMPTY, np.array([colour for _, colour in FLICKER_LEGEND], np.uint8))
-
-
 class RecordingPage:
     """Puts a recording on a page and keeps what its controls say. While it plays, no frame is left out: a frame that
     takes longer than its time delays the next one.
@@ -239,15 +226,8 @@ class RecordingPage:
         def _(_: object) -> None:
             self.go_on(1 if step.value == "next" else -1)
 
-        @colouring.on_update
-        def _(_: object) -> None:
-            chosen: FrameColouring = next(each for each in FRAME_COLOURINGS if each == colouring.value)
-            self.change(colouring=chosen)
-
-        @room.on_update
-        def _(_: object) -> None:
-            self.change(room=room.value)
-
+        colouring.on_update(lambda _: self.change(colouring=colouring.value))
+        room.on_update(lambda _: self.change(room=room.value))
         page.start(self.draw)
         self._player = threading.Thread(target=self._run, name="player", daemon=True)
         self._player.start()
@@ -267,10 +247,6 @@ class RecordingPage:
     def go_on(self, frames: int) -> None:
         """Show the frame so many after this one; the first one follows the last."""
         self._number.value = (self.shown.number + frames) % len(self.view)
-
-    def play(self, on: bool = True) -> None:
-        """Play or pause."""
-        self._play.value = on
 
     def close(self) -> None:
         """Stop playing."""

@@ -8,21 +8,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
-from bodyseg_data.artifacts import (
-    PAIRS,
-    VARIANTS,
-    Artifact,
-    SensorModel,
-    VariantName,
-    check_variant,
-    load_sensor_model,
-    sensor_model_names,
-)
+from bodyseg_data.artifacts import PAIRS, VARIANTS, Artifact, SensorModel, load_sensor_model, sensor_model_names
 from bodyseg_data.core import BadConfig, BodysegError
 from bodyseg_data.samples import READ_SPLITS, SPLITS, ReadSplit
 from bodyseg_model.viewing.page import Page
 from bodyseg_model.viewing.pictures import Drawing
-from bodyseg_model.viewing.set_view import COLOURINGS, Colouring, SetView, Shown
+from bodyseg_model.viewing.set_view import COLOURINGS, SetView, Shown
 from bodyseg_model.viewing.strengths import Choice, Control, Slider, controls_of, moved, value_of
 
 if TYPE_CHECKING:
@@ -39,29 +30,22 @@ class SensorState:
     """A sensor model as its controls leave it: artifacts with other strengths, and those that are left out."""
 
     def __init__(self, model: SensorModel) -> None:
-        self._artifacts = {artifact.name: artifact for artifact in model}
-        self._model, self._left_out = model, set[str]()
+        self._all, self.left_out = model, set[str]()
 
     @property
     def model(self) -> SensorModel:
         """The model with the artifacts that are not left out."""
-        return self._model.with_artifacts(*self._artifacts.values()).without(*self._left_out)
+        return self._all.without(*self.left_out)
 
     def artifact(self, name: str) -> Artifact:
         """The artifact of this name with its strengths, also where it is left out."""
-        return self._artifacts[name]
-
-    def leave_out(self, name: str, left_out: bool) -> None:
-        """Leave an artifact out, or take it in again."""
-        (self._left_out.add if left_out else self._left_out.discard)(name)
+        return next(artifact for artifact in self._all if artifact.name == name)
 
     def move(self, name: str, control: Control, value: Any) -> bool:
         """Set a strength (`moved`); False if nothing changed. Raises BadConfig for a value that it cannot have."""
-        changed = moved(self._artifacts[name], control, value)
-        if changed == self._artifacts[name]:
-            return False
-        self._artifacts[name] = changed
-        return True
+        before = self._all
+        self._all = before.with_artifacts(moved(self.artifact(name), control, value))
+        return self._all != before
 
 
 class SensorControls:
@@ -99,7 +83,7 @@ class SensorControls:
         @kept.on_update
         def _(_: object) -> None:
             with self._lock:
-                self.state.leave_out(name, not kept.value)
+                (self.state.left_out.discard if kept.value else self.state.left_out.add)(name)
             self._changed(self.state.model)
 
         for control, handle in handles:
@@ -255,23 +239,10 @@ class SetPage:
         epoch = gui.add_slider("draws of epoch", 0, 99, 1, self.shown.epoch)
         network = gui.add_checkbox("ask the network", self.shown.network, visible=self.view.trained is not None)
 
-        @variant.on_update
-        def _(_: object) -> None:
-            name: VariantName = check_variant(variant.value)
-            self.change(variant=name)
-
-        @colouring.on_update
-        def _(_: object) -> None:
-            chosen: Colouring = next(each for each in COLOURINGS if each == colouring.value)
-            self.change(colouring=chosen)
-
-        @epoch.on_update
-        def _(_: object) -> None:
-            self.change(epoch=int(epoch.value))
-
-        @network.on_update
-        def _(_: object) -> None:
-            self.change(network=network.value)
+        variant.on_update(lambda _: self.change(variant=variant.value))
+        colouring.on_update(lambda _: self.change(colouring=colouring.value))
+        epoch.on_update(lambda _: self.change(epoch=epoch.value))
+        network.on_update(lambda _: self.change(network=network.value))
 
     def _add_sensor_controls(self) -> None:
         gui = self.page.server.gui

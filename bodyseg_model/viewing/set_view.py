@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
@@ -23,16 +23,13 @@ from bodyseg_model.evaluation import KINDS, RigFit, kinds_of, told_kinds
 from bodyseg_model.networks import Trained, device_of, predict
 from bodyseg_model.viewing.pictures import (
     KIND_LEGEND,
-    Device,
     Drawing,
     Layout,
     Legend,
     Panel,
     Points,
+    class_image,
     class_legend,
-    device,
-    kind_image,
-    label_image,
     point_gap_m,
     points_at,
     rig_before,
@@ -44,6 +41,7 @@ COLOURINGS: Final[tuple[Colouring, ...]] = get_args(Colouring)
 """What points are coloured by; the last three need a network."""
 
 _COLUMNS: Final = 5
+_KIND_COLOURS: Final = np.array([colour for _, colour in KIND_LEGEND], np.uint8)
 
 
 @dataclass(frozen=True)
@@ -70,8 +68,7 @@ class Layers:
 
     def picked(self, pick: Callable[[NDArray[Any]], NDArray[Any]]) -> Layers:
         """The layers after a choice of pixels."""
-        held: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(self)}
-        picked: dict[str, Any] = {name: None if image is None else pick(image) for name, image in held.items()}
+        picked: dict[str, Any] = {name: None if image is None else pick(image) for name, image in vars(self).items()}
         return Layers(**picked)
 
 
@@ -88,10 +85,10 @@ class SampleImages:
     placed: tuple[PlacedCamera, ...]
 
     @property
-    def devices(self) -> tuple[Device, ...]:
-        """Camera and projectors, to draw."""
+    def devices(self) -> dict[str, PlacedCamera]:
+        """Camera and projectors by their names, to draw."""
         names = ("camera", *("projector", "second projector")[: len(self.placed) - 1])
-        return tuple(device(name, each) for name, each in zip(names, self.placed, strict=True))
+        return dict(zip(names, self.placed, strict=True))
 
 
 class SetView:
@@ -139,7 +136,10 @@ class SetView:
         fit it.
         """
         sample = self._clean(shown.index)
-        made = {variant: self._made(sample, shown, variant) for variant in dict.fromkeys((*VARIANTS, shown.variant))}
+        made = {
+            variant: Augmentation(self.rig, variant, self.seed, shown.sensor)(sample, shown.epoch)
+            for variant in dict.fromkeys((*VARIANTS, shown.variant))
+        }
         image = made[shown.variant]
         layers = Layers(image.range, self.label_map.table[image.labels])
         milliseconds = 0.0
@@ -151,31 +151,23 @@ class SetView:
         """Draw a sample. Raises as `images_of`."""
         images = self.images_of(shown)
         range_m = metres(images.layers.range, self.rig.range_step_m)
+        seen = np.flatnonzero(range_m)
+        colours = self._colours(shown.colouring, images.layers.picked(lambda each: each.ravel()[None, seen]))[0]
         return Drawing(
-            self.points_of(images, shown.colouring),
+            Points(points_at(range_m, images.placed[0]), colours),
             images.devices,
             self.layout_of(images.sample)[0].draw(self._panels(images, shown)),
             self.facts_of(images, shown),
             point_gap_m(range_m, self.rig.camera),
-            int(np.count_nonzero(range_m)),
+            len(seen),
             self.legend_of(images, shown.colouring),
         )
-
-    def points_of(self, images: SampleImages, colouring: Colouring) -> Points:
-        """Points of the variant shown, in reading order of its pixels."""
-        seen = np.flatnonzero(images.layers.range)
-        picked = images.layers.picked(lambda each: each.ravel()[None, seen])
-        xyz = points_at(metres(images.layers.range, self.rig.range_step_m), images.placed[0])
-        return Points(xyz, self._colours(colouring, picked)[0])
 
     def layout_of(self, sample: Sample) -> tuple[Layout, Window]:
         """Layout of a sample's panels, and the part of its images that they show: its body, where that is small."""
         window = window_of([sample.range])
         rows, columns = sample.range[window].shape
         return Layout.of(_COLUMNS, (rows, columns)), window
-
-    def _made(self, sample: Sample, shown: Shown, variant: VariantName) -> RangeImage:
-        return Augmentation(self.rig, variant, self.seed, shown.sensor)(sample, shown.epoch)
 
     def _answered(self, trained: Trained, layers: Layers) -> tuple[Layers, float]:
         """The layers with the network's, and its time, milliseconds."""
@@ -197,12 +189,12 @@ class SetView:
         if colouring == "range":
             return colour_range(layers.range, *span_of(layers.range))
         if layers.answer is not None and colouring == "network":
-            return label_image(layers.answer, seen, self.label_map)
+            return class_image(layers.answer, seen, self.label_map.colours)
         if layers.kinds is not None and colouring == "mistakes":
-            return kind_image(layers.kinds, seen)
+            return class_image(layers.kinds, seen, _KIND_COLOURS)
         if layers.confidence is not None and colouring == "confidence":
             return share_image(layers.confidence, seen)
-        return label_image(layers.labels, seen, self.label_map)
+        return class_image(layers.labels, seen, self.label_map.colours)
 
     def legend_of(self, images: SampleImages, colouring: Colouring) -> Legend:
         """Names of the colours of points."""

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from people_on_disk import PERSON, VERTICES, turn
 
 from bodyseg_data.bodies import metres_a_unit
-from bodyseg_data.bodies.alignment import Alignment, check_alignment, check_standing, find_alignment
+from bodyseg_data.bodies.alignment import Alignment, check_standing, find_alignment
+from bodyseg_data.bodies.source import MeshOptions
 from bodyseg_data.core import BadConfig, BadMesh
 from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.meshes import METRES
@@ -127,8 +128,8 @@ def test_standing_means_head_above_feet() -> None:
 
 @pytest.mark.parametrize(("units", "up"), [("feet", "y"), ("m", "up"), ("", "y")])
 def test_unknown_units_and_axes_are_refused(units: str, up: str) -> None:
-    with pytest.raises(BadConfig, match="must be one of auto, "):
-        check_alignment(units, up)
+    with pytest.raises(BadConfig, match="must be 'auto' or "):
+        MeshOptions(units, up)  # type: ignore[arg-type]
 
 
 def test_the_landmarks_of_the_test_person_lie_where_they_should() -> None:

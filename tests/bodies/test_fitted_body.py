@@ -8,6 +8,8 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("anny")
 
+from benches.model.people.landmarks import carried, upright  # noqa: E402
+
 from bodyseg_data.bodies.anny_people import POSTURES  # noqa: E402
 from bodyseg_data.bodies.body_fit import (  # noqa: E402
     LIMB_POSES,
@@ -48,8 +50,8 @@ def test_landmarks_and_points_of_a_body_that_fits_exactly(body: FittingBody, pos
     same = np.array(proposal.landmarks.vertices) == body.landmark_vertices
     assert same.sum() >= 28  # where skin folds, as in an armpit, normals of blended bones are not those of the mesh
     assert proposal.distance_m[same].max() < 1e-9 and proposal.distance_m.max() < 0.03 and not proposal.poor
-    carried = known.carried(known.mesh.vertices[body.landmark_vertices])
-    away = np.linalg.norm(carried - body.mesh.vertices[body.landmark_vertices], axis=1)
+    there = carried(known, known.mesh.vertices[body.landmark_vertices])
+    away = np.linalg.norm(there - body.mesh.vertices[body.landmark_vertices], axis=1)
     assert (away < 1e-9).sum() >= 28 and away.max() < 0.03
 
 
@@ -61,7 +63,7 @@ def test_offsets_are_turned_back_with_the_limb(body: FittingBody) -> None:
     vertex = int(weights.argmax())
     other = int(np.where(weights > 0.99 * weights.max(), np.linalg.norm(rest - rest[vertex], axis=1), 0).argmax())
     offset = known.mesh.vertices[other] - known.mesh.vertices[vertex]
-    turned = known.upright(offset[None], np.array([vertex]))[0]
+    turned = upright(known, offset[None], np.array([vertex]))[0]
     np.testing.assert_allclose(turned, rest[other] - rest[vertex], atol=0.003)
     assert np.linalg.norm(offset - turned) > 0.5 * np.linalg.norm(offset)  # which without the turn points elsewhere
     assert np.linalg.norm(turned) == pytest.approx(np.linalg.norm(offset))

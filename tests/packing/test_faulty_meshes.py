@@ -305,7 +305,7 @@ def test_meshes_of_one_group_name_the_mesh_that_decided_their_unit(tmp_path: Pat
     write_mesh(tmp_path / "a.ply")
     write_mesh(tmp_path / "b.ply", PERSON.vertices * 1000)
     source = open_source("folder", tmp_path)
-    problem = rf"b\.ply: .* found 1\.7e\+03 m in m, the unit of {tmp_path}/a\.ply: meshes that share landmarks"
+    problem = rf"b\.ply, in the unit of {tmp_path}/a\.ply: a body must be .*, found .* 1700 .* m, which would fit in mm"
     with pytest.raises(BadMesh, match=problem):
         source.check(source.bodies()[1])
     source = open_source("folder", tmp_path, units="mm")
@@ -369,6 +369,7 @@ def test_a_state_that_cannot_be_read_is_one_line(tmp_path: Path, figures: Callab
         figures(tmp_path / "out", Frail)
 
 
+@pytest.mark.usefixtures("packing_here")
 def test_the_command_lists_every_fault_then_skips(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = people(tmp_path / "people")
     words = ["shard", "--source", "folder", "--path", str(folder), "--out", str(tmp_path / "out"), "--views", "1"]

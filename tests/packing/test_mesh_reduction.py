@@ -172,7 +172,7 @@ def test_pieces_stay_apart_and_none_goes() -> None:
     mesh = figure()
     coarse, _ = edges_collapsed(mesh, np.linspace(0, 600, 33).astype(np.int64), 900)
     assert len(coarse.faces) < len(mesh.faces) / 2
-    assert coarse.pieces("a test").max() == mesh.pieces("a test").max() == 4
+    assert coarse.pieces().max() == mesh.pieces().max() == 4
 
 
 @pytest.mark.parametrize("case", ["holes", "non-manifold edges"])

@@ -29,16 +29,16 @@ def refusal(path: Path, topic: str | None = None) -> str:
 
 def broken(path: Path, index: int = 0) -> str:
     with pytest.raises(BadConfig) as caught:
-        open_recording(path).frames[index].read()
+        open_recording(path)[index].read()
     assert "\n" not in str(caught.value) and str(path) in str(caught.value)
     return str(caught.value)
 
 
 def check_stack(path: Path, topic: str | None = None) -> None:
     recording = open_recording(path, topic)
-    assert len(recording) == 3 and recording.camera is None and recording.step_m == 1e-3
+    assert len(recording) == 3 and recording[0].camera is None and recording[0].step_m == 1e-3
     for number in (0, 2, 1):
-        pixels = recording.frames[number].read()
+        pixels = recording[number].read()
         assert pixels.dtype == np.uint16
         np.testing.assert_array_equal(pixels, STACK[number])
     assert len({frame.path_id for frame in recording}) == 3
@@ -138,7 +138,7 @@ def save_tiff(path: Path, pages: list[np.ndarray[Any, Any]]) -> Path:
 def test_pages_of_a_tiff_are_frames(tmp_path: Path) -> None:
     check_stack(save_tiff(tmp_path / "a.tif", list(STACK)))
     path = save_tiff(tmp_path / "b.tiff", [np.full((4, 6), 1.5, np.float32)])
-    (frame,) = open_recording(path).frames
+    (frame,) = open_recording(path)
     assert (frame.read() == 6000).all() and frame.step_m == 2.5e-4
     path = save_tiff(tmp_path / "c.tif", [np.zeros((4, 6, 3), np.uint8)])
     assert "found 'RGB' of 4 x 6" in refusal(path)
@@ -176,7 +176,7 @@ def test_arrays_of_other_shapes_and_types_are_refused(tmp_path: Path) -> None:
     for values, message in wrong.values():
         np.save(tmp_path / "a.npy", values)
         if message is None:
-            assert (open_recording(tmp_path / "a.npy").frames[0].read() == 4000).all()
+            assert (open_recording(tmp_path / "a.npy")[0].read() == 4000).all()
         else:
             assert message in refusal(tmp_path / "a.npy")
     np.savez(tmp_path / "a.npz", a=np.ones((9, 9), np.uint16), b=np.ones((9, 9)))
@@ -213,7 +213,7 @@ def test_truncated_files_are_one_line(tmp_path: Path) -> None:
             path.write_bytes(whole[:size])
             assert title in refusal(path)
         path.write_bytes(whole)
-        frame = open_recording(path).frames[0]
+        frame = open_recording(path)[0]
         if name != "a.npy":  # a map into memory must not be cut
             path.write_bytes(whole[:100])
             with pytest.raises(BadConfig, match="cannot be read|must be whole"):

@@ -85,14 +85,14 @@ def refusal(path: Path, topic: str | None = None) -> str:
 def test_range_images_come_back_with_times_and_camera(name: str, tmp_path: Path) -> None:
     path = WRITERS[name](tmp_path / name, stream())
     recording = open_recording(path)
-    assert len(recording) == 3 and recording.step_m == 1e-3
+    assert len(recording) == 3 and recording[0].step_m == 1e-3
     assert [frame.time_s for frame in recording] == pytest.approx([1.2, 1.5, 1.8])
     for number in (0, 1, 2, 0, 2, 1):
-        frame = recording.frames[number]
+        frame = recording[number]
         np.testing.assert_array_equal(frame.read(), STACK[number])
         assert frame.stamp() == Stamp(5 * 10**9 + number * 250_000_000, "optical")
         assert str(path) in frame.where and DEPTH in frame.where
-    camera = recording.camera
+    camera = recording[0].camera
     assert camera is not None and (camera.fx, camera.fy, camera.cx, camera.cy) == (100, 101, 41.5, 29.5)
     assert camera.size == RAMP.shape and camera.distortion is None and INFO in camera.where
     assert [frame.name for frame in find_frames([path])] == ["0000", "0001", "0002"]
@@ -103,7 +103,7 @@ def test_range_images_come_back_with_times_and_camera(name: str, tmp_path: Path)
 
 def only(path: Path, *sent: Message) -> np.ndarray[Any, Any]:
     """Metres of the only frame of an MCAP file."""
-    (frame,) = open_recording(write_mcap(path, list(sent))).frames
+    (frame,) = open_recording(write_mcap(path, list(sent)))
     return to_metres(frame.read(), frame.step_m)
 
 
@@ -148,7 +148,7 @@ def test_topics_of_range_images_are_told_from_others(tmp_path: Path) -> None:
     assert refusal(write_mcap(tmp_path / "c.mcap", many)).count("/1") < 6 + str(tmp_path).count("/1")
     path = write_mcap(tmp_path / "d.mcap", [image(RAMP, "rgb8")])
     with pytest.raises(BadConfig, match="must have one of the encodings 16UC1, mono16, 32FC1, found 'rgb8'"):
-        open_recording(path, DEPTH).frames[0].read()
+        open_recording(path, DEPTH)[0].read()
 
 
 def test_recordings_of_realsense_name_their_unit(tmp_path: Path) -> None:
@@ -159,12 +159,14 @@ def test_recordings_of_realsense_name_their_unit(tmp_path: Path) -> None:
         image(RAMP, "mono16", topic=f"{sensor}/Depth_0/image/data"),
     ]
     recording = open_recording(write_ros1(tmp_path / "a.bag", sent))
-    assert recording.step_m == pytest.approx(0.00025) and recording.camera is not None
-    assert open_recording(tmp_path / "a.bag", step_m=1e-4).step_m == 1e-4
+    assert recording[0].step_m == pytest.approx(0.00025) and recording[0].camera is not None
+    assert open_recording(tmp_path / "a.bag", step_m=1e-4)[0].step_m == 1e-4
 
 
 def camera_of(path: Path, topic: str = DEPTH, **info: Any) -> Any:
-    return open_recording(write_mcap(path, [camera_info(RAMP.shape, **info), image(RAMP, "16UC1", topic=topic)])).camera
+    return open_recording(write_mcap(path, [camera_info(RAMP.shape, **info), image(RAMP, "16UC1", topic=topic)]))[
+        0
+    ].camera
 
 
 def test_distortion_is_that_of_raw_images(tmp_path: Path) -> None:
@@ -202,7 +204,7 @@ def test_distortion_is_that_of_raw_images(tmp_path: Path) -> None:
     ],
 )
 def test_images_that_contradict_themselves_are_named(sent: Message, message: str, tmp_path: Path) -> None:
-    (frame,) = open_recording(write_mcap(tmp_path / "a.mcap", [sent])).frames
+    (frame,) = open_recording(write_mcap(tmp_path / "a.mcap", [sent]))
     with pytest.raises(BadConfig) as caught:
         frame.read()
     assert message in str(caught.value) and str(tmp_path) in str(caught.value) and "\n" not in str(caught.value)
@@ -210,7 +212,7 @@ def test_images_that_contradict_themselves_are_named(sent: Message, message: str
 
 def test_a_change_of_encoding_is_of_its_frame(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap", [image(RAMP, "16UC1"), image(METRES, "32FC1")])
-    first, second = open_recording(path).frames
+    first, second = open_recording(path)
     assert first.read().any()
     with pytest.raises(BadConfig, match="must be of the first one's encoding, found float32"):
         second.read()
@@ -262,13 +264,13 @@ def test_messages_of_sqlite_may_be_compressed_or_lost(tmp_path: Path) -> None:
     for row, data in base.execute("SELECT id, data FROM messages").fetchall():
         base.execute("UPDATE messages SET data=? WHERE id=?", (zstandard.compress(data), row))
     base.commit()
-    frames = open_recording(path).frames
+    frames = open_recording(path)
     np.testing.assert_array_equal(frames[2].read(), STACK[2])
     base.execute("UPDATE messages SET data='text'")
     base.commit()
     base.close()
     with pytest.raises(BadConfig, match="it is missing, or has more than"):
-        open_recording(path, DEPTH).frames[0].read()
+        open_recording(path, DEPTH)[0].read()
 
 
 def test_files_of_one_bag_are_joined(tmp_path: Path) -> None:
@@ -276,7 +278,7 @@ def test_files_of_one_bag_are_joined(tmp_path: Path) -> None:
     write_mcap(folder / "a_10.mcap", [image(RAMP // 3, "16UC1")])
     recording = open_recording(folder)
     assert len(recording) == 4
-    np.testing.assert_array_equal(recording.frames[3].read(), RAMP // 3)
+    np.testing.assert_array_equal(recording[3].read(), RAMP // 3)
 
 
 def test_pieces_are_decompressed_up_to_a_limit(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -293,7 +295,7 @@ def test_pieces_are_decompressed_up_to_a_limit(monkeypatch: pytest.MonkeyPatch, 
         path = WRITERS[name](tmp_path / name, [image(RAMP, "16UC1")])
         monkeypatch.setattr(module, "LARGEST_MESSAGE", 1000)
         with pytest.raises(BadConfig) as caught:
-            open_recording(path, DEPTH).frames[0].read()
+            open_recording(path, DEPTH)[0].read()
         assert message in str(caught.value)
 
 
@@ -324,7 +326,7 @@ def test_a_package_that_is_missing_is_named(
 def test_a_recording_is_never_in_memory_as_a_whole(name: str, tmp_path: Path) -> None:
     values = np.zeros((200, 200), np.uint16)
     path = WRITERS[name](tmp_path / name, [image(values, "16UC1", number) for number in range(150)])
-    open_recording(path).frames[0].read()  # libraries allocate when they are first used
+    open_recording(path)[0].read()  # libraries allocate when they are first used
     tracemalloc.start()
     try:
         for frame in open_recording(path):

@@ -30,7 +30,7 @@ def test_any_iterable_is_a_recording_and_is_read_as_it_comes() -> None:
     assert asked == [0, 1] and (first.time_s, second.time_s) == (None, 0.1)
     assert (first.name, second.where) == ("live-000000", "live-000001") and first.stamp() is None
     np.testing.assert_array_equal(second.read(), RAMP)
-    assert second.step_m == 0.002 and second.placed("x", 3).sequence == 3
+    assert second.step_m == 0.002 and second.sequence == 0
     ranges = to_metres(first.read(), first.step_m)
     np.testing.assert_allclose(ranges[RAMP < 16_000], RAMP[RAMP < 16_000] / 1000, atol=1.3e-4)
     with pytest.raises(BadConfig, match="live-000000: a frame must have rows and columns"):

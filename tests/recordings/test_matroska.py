@@ -31,11 +31,11 @@ def refusal(path: Path, topic: str | None = None) -> str:
 def test_the_depth_track_is_read_without_loss(tmp_path: Path) -> None:
     path = write_mkv(tmp_path / "a.mkv", {"IR": STACK // 3, "DEPTH": STACK})
     recording = open_recording(path)
-    assert len(recording) == 20 and recording.camera is None and recording.step_m == 1e-3
+    assert len(recording) == 20 and recording[0].camera is None and recording[0].step_m == 1e-3
     assert [frame.time_s for frame in recording][:3] == pytest.approx([0, 0.033, 0.067])
     for number in (0, 1, 2, 17, 3, 19, 0):
-        np.testing.assert_array_equal(recording.frames[number].read(), STACK[number])
-    np.testing.assert_array_equal(open_recording(path, "IR").frames[4].read(), STACK[4] // 3)
+        np.testing.assert_array_equal(recording[number].read(), STACK[number])
+    np.testing.assert_array_equal(open_recording(path, "IR")[4].read(), STACK[4] // 3)
     assert "--topic must be a track of 16-bit grey, found IR, DEPTH" in refusal(path, "COLOR")
     two = write_mkv(tmp_path / "b.mkv", {"a": STACK, "b": STACK})
     assert "one track must be 16-bit grey, or --topic one of, found a, b" in refusal(two)
@@ -52,12 +52,12 @@ def test_frames_that_need_others_are_read_in_any_order(tmp_path: Path) -> None:
         container.mux(track.encode(None))
     recording = open_recording(path)
     for number in (0, 1, 15, 16, 3, 19):
-        np.testing.assert_array_equal(recording.frames[number].read(), STACK[number])
+        np.testing.assert_array_equal(recording[number].read(), STACK[number])
 
 
 def test_the_calibration_is_that_of_the_mode(tmp_path: Path) -> None:
     frames = np.zeros((1, 576, 640), np.uint16)
-    camera = open_recording(write_mkv(tmp_path / "a.mkv", {"DEPTH": frames}, calibration(LENS))).camera
+    camera = open_recording(write_mkv(tmp_path / "a.mkv", {"DEPTH": frames}, calibration(LENS)))[0].camera
     assert camera is not None and camera.size == (576, 640) and camera.distortion is not None
     assert (camera.fx, camera.fy) == pytest.approx((0.49 * 1024, 0.491 * 1024))
     assert (camera.cx, camera.cy) == pytest.approx((0.51 * 1024 - 192.5, 0.52 * 1024 - 180.5))
@@ -95,7 +95,7 @@ def test_a_calibration_of_no_use_is_none(data: bytes, shape: tuple[int, int]) ->
 def test_damaged_and_other_files_are_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_mkv(tmp_path / "a.mkv", {"DEPTH": STACK})
     whole = path.read_bytes()
-    frames = open_recording(path).frames
+    frames = open_recording(path)
     path.write_bytes(whole[: len(whole) // 2])
     with pytest.raises(BadConfig, match="the frame cannot be decoded"):
         frames[15].read()

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from benches.data.occlusion.shadow_rays import lit as lit_by_rays
 from numpy.typing import NDArray
 from seen import FRONT, RIG, body_rays, see, skip_without_opengl
 from shapes import ball, figure
@@ -252,7 +253,7 @@ def test_shadow_rays_of_two_balls_against_the_analytic_shadow() -> None:
     )
     source = np.array([0.8, 1.4, 1.6])
     points = shaded.vertices[shaded.faces].mean(axis=1)
-    lit = EmbreeRenderer(mesh).lit(points, source)
+    lit = lit_by_rays(EmbreeRenderer(mesh), points, source)
 
     ways = points - source
     ways /= np.linalg.norm(ways, axis=1)[:, None]
@@ -268,7 +269,7 @@ def test_shadow_rays_of_two_balls_against_the_analytic_shadow() -> None:
 
 
 def test_shadow_rays_of_no_points() -> None:
-    assert EmbreeRenderer(ball()).lit(np.zeros((0, 3)), np.zeros(3)).shape == (0,)
+    assert lit_by_rays(EmbreeRenderer(ball()), np.zeros((0, 3)), np.zeros(3)).shape == (0,)
 
 
 def test_an_unknown_renderer_is_refused() -> None:

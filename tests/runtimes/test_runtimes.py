@@ -145,7 +145,7 @@ def test_a_segmenter_takes_a_backend() -> None:
     frame = np.zeros((60, 80), np.float32)
     frame[10:50, 30:42] = 2.0
     labels = [
-        Segmenter(network, camera, Background("keep"), backend=backend)(frame).labels
+        Segmenter(on_backend(network, backend), camera, Background("keep"))(frame).labels
         for backend in ("torch", "onnxruntime")
     ]
     assert np.array_equal(*labels) and (labels[0] != 255).any()
@@ -253,7 +253,7 @@ def test_what_python_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
     graph = answer_graph(Toy().eval())
     with pytest.raises(BadConfig, match="must compute 'scores' from 'range_m'"):
         scores_part(onnx.helper.make_model(onnx.helper.make_graph([], "none", [], [])))
-    moved = RuntimeNetwork(OnnxModel(graph, GraphFacts.of(Toy())), "onnxruntime", OnnxRuntime, "float32")
+    moved = RuntimeNetwork(OnnxModel(graph, GraphFacts(33, 1)), "onnxruntime", OnnxRuntime, "float32")
     with pytest.raises(BadConfig, match="an ONNX file is computed by onnxruntime or openvino, found the backend torch"):
         on_backend(moved, "torch")
     to_device(moved, "cpu")

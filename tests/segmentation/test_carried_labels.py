@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_data.core import MissingLibrary
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import torch_threads
 from bodyseg_data.rigs import Camera
@@ -253,25 +252,6 @@ def test_parts_shift_by_their_middles_unless_they_are_small_or_far() -> None:
     np.testing.assert_allclose(shifts[:50], 0.1, atol=1e-5)
     assert not shifts[50:].any(), "further than a part comes in a frame, and ten cells are too few"
     assert (weights[:50] > 0).all() and not weights[50:].any()
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"border_share": 1.1}, "border_share of carried labels must be 0 to 1, found 1.1"),
-        ({"stiff_border_share": -0.1}, "stiff_border_share of carried labels must be 0 to 1, found -0.1"),
-        ({"border": -1}, "the border of carried labels must be a whole number of at least 0, found -1"),
-        ({"stiff_border": 0.5}, "the stiff_border of carried labels must be a whole number of at least 0, found 0.5"),
-        ({"keep": 1.0}, "keep of carried labels must be 0 to less than 1, found 1"),
-        ({"bending_keep": -0.1}, "bending_keep of carried labels must be 0 to less than 1, found -0.1"),
-        ({"margin": float("nan")}, "margin of carried labels must be at least 0, found nan"),
-        ({"reach": -1}, "the reach of carried labels must be a whole number of at least 0, found -1"),
-        ({"cell_m": 0.0}, "the cells of carried labels must be larger than 0 m, found 0"),
-    ],
-)
-def test_parameters_that_cannot_be(options: dict[str, Any], message: str) -> None:
-    with pytest.raises(BadConfig, match=message):
-        Carrying(**options)
 
 
 def test_without_numba_one_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -82,7 +82,7 @@ def test_a_table_measures_its_surfaces_also_after_a_removal(seed: int) -> None:
             assert table.area_m2[number] == pytest.approx(np.square(z / focal_px).sum())
             axes = (columns + 0.5 - across) * z / focal_px, (rows + 0.5 - down) * z / focal_px, z
             assert table.extents_m(number) == pytest.approx([np.ptp(axis) for axis in axes])
-            for corners, reduce in ((boxes.lowest, np.min), (boxes.highest, np.max)):
+            for corners, reduce in zip(boxes, (np.min, np.max), strict=True):
                 assert corners[:, number].tolist() == [reduce(axis) for axis in (rows, columns, z)]
         every = np.concatenate([table.pixels_of(number) for number in range(len(table.area_m2))])
         np.testing.assert_array_equal(np.sort(every), np.flatnonzero(image))
@@ -113,4 +113,4 @@ def test_limits_belong_to_what_is_kept() -> None:
 
 def test_an_empty_frame_has_no_surfaces() -> None:
     table = Surfaces(np.zeros((4, 5), np.float32), LENS)
-    assert len(table.area_m2) == 0 and table.bounding_boxes().lowest.shape == (3, 0)
+    assert len(table.area_m2) == 0 and table.bounding_boxes()[0].shape == (3, 0)

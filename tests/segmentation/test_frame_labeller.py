@@ -104,7 +104,7 @@ def test_a_bad_frame_of_a_stream_is_named() -> None:
 def test_a_recording_is_labelled_from_its_path(tmp_path: Path) -> None:
     folder, label = recording(tmp_path / "frames", 20, 24), labeller()
     opened = label.recording(folder, focal_px=100.0)
-    assert len(opened) == 2 and repr(opened) == "LabelledRecording(2 frames)"
+    assert len(opened) == 2
     for _ in range(2):  # it may be read again
         found = list(opened)
         assert [(each.number, each.frame.name if each.frame else "") for each in found] == [(0, "0"), (1, "1")]

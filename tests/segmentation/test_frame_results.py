@@ -26,7 +26,7 @@ def test_jobs_are_done_in_order_in_another_thread() -> None:
     done: list[tuple[int, bool]] = []
     with WriteBehind(most_waiting=2) as behind:
         for number in range(9):
-            behind.add(
+            behind.then(
                 lambda number=number: done.append((number, threading.current_thread() is threading.main_thread()))
             )
     assert done == [(number, False) for number in range(9)]
@@ -36,16 +36,16 @@ def test_an_error_ends_the_jobs_and_is_raised_by_the_next_call() -> None:
     done: list[int] = []
     reached = threading.Event()
     with pytest.raises(BadConfig, match="^disk full$"), WriteBehind() as behind:
-        behind.add(lambda: fails("disk full"))
-        behind.add(reached.set)  # dropped
-        behind.add(lambda: done.append(1))
+        behind.then(lambda: fails("disk full"))
+        behind.then(reached.set)  # dropped
+        behind.then(lambda: done.append(1))
     assert not done and not reached.is_set()
     with WriteBehind() as behind:
-        behind.add(reached.set)
+        behind.then(reached.set)
         assert reached.wait(10)
     with pytest.raises(BadConfig, match="^disk full$"), WriteBehind(most_waiting=1) as behind:
         for _ in range(10_000):
-            behind.add(lambda: fails("disk full"))
+            behind.then(lambda: fails("disk full"))
         pytest.fail("ten thousand jobs were taken after one had failed")
 
 
@@ -54,7 +54,7 @@ def test_an_interruption_or_a_bad_frame_leaves_the_jobs_before_it_done(kind: typ
     done: list[int] = []
     with pytest.raises(kind), WriteBehind() as behind:
         for number in range(3):
-            behind.add(lambda number=number: done.append(number))
+            behind.then(lambda number=number: done.append(number))
         raise kind
     assert done == [0, 1, 2]
     # Of two errors the first counts, the one of an earlier frame's files; an interruption comes before both.
@@ -62,7 +62,7 @@ def test_an_interruption_or_a_bad_frame_leaves_the_jobs_before_it_done(kind: typ
         pytest.raises(KeyboardInterrupt if kind is KeyboardInterrupt else BadConfig) as raised,
         WriteBehind() as behind,
     ):
-        behind.add(lambda: fails("disk full"))
+        behind.then(lambda: fails("disk full"))
         raise kind("a later frame")
     assert str(raised.value) == ("a later frame" if kind is KeyboardInterrupt else "disk full")
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from bodyseg_data.core import BadConfig
-from bodyseg_model.segmentation.segmenter import read_ahead
+from bodyseg_model.segmentation.frame_labeller import read_ahead
 
 
 def test_the_next_item_and_no_other_is_made_beside_the_work_on_this_one() -> None:

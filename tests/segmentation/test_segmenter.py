@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from bodyseg_data.core import BadConfig, MissingLibrary, Stopwatch
+from bodyseg_data.drawing import draw_legend
 from bodyseg_data.labels import BACKGROUND, PARTS33, load_label_map
 from bodyseg_data.labels.label_map import COLOURS
 from bodyseg_data.rigs import Camera
@@ -31,9 +32,8 @@ from bodyseg_model.segmentation import (
     find_bodies,
     flicker,
     pictures,
-    shipped_score,
 )
-from bodyseg_model.segmentation.pictures import MOST_FRAMES, draw_parts_legend
+from bodyseg_model.segmentation.pictures import MOST_FRAMES
 from bodyseg_model.segmentation.segmenter import STAGES
 from bodyseg_model.segmentation.sequence_summary import STAGES as ALL_STAGES
 
@@ -160,45 +160,6 @@ def test_every_stage_is_timed() -> None:
     assert result.milliseconds["video"] == 0, "frames are labelled one by one"
 
 
-def test_a_stream_answers_each_frame_before_it_asks_for_the_next() -> None:
-    frames = [standing(20, 2.0), standing(24, 2.0), np.zeros((60, 80), np.float32)]
-    taken: list[int] = []
-
-    def live() -> Iterator[NDArray[np.float32]]:
-        for number, frame in enumerate(frames):
-            taken.append(number)
-            yield frame
-
-    network = Places(0, 10)
-    segmenter = Segmenter(network, LENS)
-    for number, answer in enumerate(segmenter.stream(live())):
-        assert taken == list(range(number + 1))
-        expected = segmenter(frames[number])
-        np.testing.assert_array_equal(answer.labels, expected.labels)
-        assert tuple(answer.milliseconds) == STAGES
-        confidence = answer.confidence
-        assert confidence.dtype == np.float32 and confidence.shape == (60, 80)
-        np.testing.assert_array_equal(confidence > 0.9, answer.labels != BACKGROUND)
-        assert len(answer.bodies) == (number < 2)
-    assert tuple(network.seen[0].shape) == (1, 1, 640, 329), "the network has run before the first frame"
-
-
-def test_a_stream_may_find_the_next_frames_surfaces_ahead() -> None:
-    frames = [standing(20, 2.0), np.zeros((60, 80), np.float32), standing(24, 2.0) + standing(50, 3.0, height=30)]
-    score = shipped_score()
-    plain, ahead = (
-        list(Segmenter(Places(0, 10), LENS, people=score).stream(iter(frames), ahead=ahead)) for ahead in (False, True)
-    )
-    assert [len(answer.things) for answer in plain] == [1, 0, 2], "blocks are told by their shape"
-    for one, other in zip(plain, ahead, strict=True):
-        np.testing.assert_array_equal(one.labels, other.labels)
-        assert [thing.person for thing in one.things] == [thing.person for thing in other.things]
-    answers = Segmenter(Places(0, 10), LENS).stream([frames[0], frames[0].T], ahead=True)
-    assert next(answers).bodies
-    with pytest.raises(BadConfig, match="^a frame must have .* 60 x 80, found 80 x 60$"):
-        next(answers)
-
-
 def test_the_examples_of_the_page_run(capsys: pytest.CaptureFixture[str]) -> None:
     page = Path(__file__).parents[2] / "docs" / "how-to" / "segment.md"
     blocks = re.findall(r"```python\n(.*?)```", page.read_text(), re.S)
@@ -256,7 +217,7 @@ def summed(*frames: NDArray[np.float32], axis: int = 0) -> SequenceSummary:
     for number, frame in enumerate(frames):
         result = segmenter(frame)
         times = {stage: float(100 if number == 0 else number) for stage in ALL_STAGES}
-        summary.add(f"f{number}", f"in/f{number}.png", frame, result, times)
+        summary.add(frame, result, times)
     return summary
 
 
@@ -273,7 +234,7 @@ def test_a_summary_is_of_all_frames() -> None:
     assert report["mean_confidence"] == pytest.approx(1, abs=1e-4)
     assert [frame["people"] for frame in report["each"]] == [1, 1, 0, 2]
     first = report["each"][0]
-    assert (first["name"], first["file"], first["flicker"]) == ("f0", "in/f0.png", None)
+    assert first["flicker"] is None
     assert first["bodies"] == [
         {
             "pixels": 480,
@@ -369,7 +330,7 @@ def test_an_overlay_of_nothing() -> None:
 
 def test_a_preview_plays_all_frames_at_its_rate() -> None:
     preview = Preview(30)
-    assert preview.frames_per_second == pytest.approx(33.3, abs=0.1)
+    assert preview.to_json()["frames_per_second"] == pytest.approx(33.3, abs=0.1)
     for label in (3, 9, 20):
         labels = np.full((700, 500), label, np.uint8)
         preview.add(draw_overlay(np.full((700, 500), 2.0, np.float32), labels, [np.arange(350000)]))
@@ -386,7 +347,7 @@ def test_a_preview_has_an_end() -> None:
     preview = Preview(10)
     for _ in range(MOST_FRAMES + 5):
         preview.add(np.zeros((2, 2, 3), np.uint8))
-    assert len(preview) == MOST_FRAMES
+    assert preview.to_json()["frames"] == MOST_FRAMES
 
 
 @pytest.mark.parametrize("rate", [0, -1, 51, float("nan"), float("inf")])
@@ -411,5 +372,5 @@ def test_a_preview_has_the_colours_of_its_classes() -> None:
 
 
 def test_the_legend_has_every_colour() -> None:
-    found = {tuple(colour) for colour in np.asarray(draw_parts_legend()).reshape(-1, 3)}
+    found = {tuple(colour) for colour in np.asarray(draw_legend(900, PARTS33)).reshape(-1, 3)}
     assert {tuple(colour) for colour in COLOURS} <= found

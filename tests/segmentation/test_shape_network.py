@@ -12,10 +12,6 @@ import pytest
 from bodyseg_data.core import BadConfig
 from bodyseg_model.segmentation import person_score
 from bodyseg_model.segmentation.person_score import (
-    SHAPES,
-    ShapeNetwork,
-    network_from_json,
-    network_to_json,
     shape_image,
     shipped_shape_network,
     with_curvature,
@@ -68,18 +64,3 @@ def test_the_network_that_ships_names_its_source(monkeypatch: pytest.MonkeyPatch
     with pytest.raises(BadConfig, match="'format' must be 'bodyseg shape network 2', found 'bodyseg shape network 0'$"):
         shipped_shape_network()
     shipped_shape_network.cache_clear()
-
-
-def test_a_network_is_stored_and_read_again() -> None:
-    draws = np.random.default_rng(0)
-    weights = {name: draws.normal(size=shape).astype(np.float32) for name, shape in SHAPES.items()}
-    again = network_from_json(json.loads(json.dumps(network_to_json(ShapeNetwork(weights, 0.0125)))))
-    assert again.cutoff == 0.0125
-    for name, weight in weights.items():
-        np.testing.assert_array_equal(again.weights[name], weight)
-    tree = network_to_json(ShapeNetwork(weights, 0.0125))
-    tree["weights"]["out.bias"] = ""
-    with pytest.raises(BadConfig, match="^the weights in shape_network.json are not those of this version's network$"):
-        network_from_json(tree)
-    with pytest.raises(BadConfig, match="^a network of shapes needs the weights layer1.weight, .* of this version$"):
-        ShapeNetwork({**weights, "out.bias": np.zeros(2, np.float32)}, 0.0125)

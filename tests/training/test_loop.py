@@ -78,15 +78,15 @@ def files(folder: Path) -> dict[str, bytes]:
 
 def test_bodies_are_learned(small_set: Path, tmp_path: Path) -> None:
     changes = {
-        "steps": 100,
-        "batch_size": 8,
-        "learning_rate": 6e-3,
+        "steps": 80,
+        "batch_size": 4,
+        "learning_rate": 1e-2,
         "mirror": False,
         "bf16": False,  # several times slower on processors without instructions for it
         "geometric_augmentation": GeometricAugmentation(),
     }
     torch.manual_seed(3)
-    network = build("compact", {"patch": 4, "widths": [32, 48, 64], "blocks": [1, 1, 1]})
+    network = build("compact", {"patch": 4, "widths": [32, 48], "blocks": [1, 1]})
     images = RangeImages(small_set, "occ", "train")
     run_options = RunOptions(100, 1000, 0)
     Training(
@@ -104,7 +104,7 @@ def test_bodies_are_learned(small_set: Path, tmp_path: Path) -> None:
         image = images.image(index)
         range_m = torch.from_numpy(image.range.astype("float32") * images.step_m)[None, None]
         matrix.add(image.labels, predict(trained.network, range_m).labels[0].numpy())
-    assert matrix.average_per_class_accuracy() > 0.9
+    assert matrix.average_per_class_accuracy() > 0.8  # of 33 classes: 0.03 without learning
     assert trained.card["variant"] == "occ"
 
 

@@ -13,7 +13,7 @@ import torch
 from small_training import TINY, log, written
 
 from bodyseg_model.commands import main
-from bodyseg_model.networks import Card, Trained, load_network
+from bodyseg_model.networks import CardWords, Trained, load_network
 from bodyseg_model.networks.compact import Compact
 
 VALIDATED = ["--val-share", "0.5", "--val-every", "2", "--val-images", "3"]
@@ -120,7 +120,7 @@ def test_a_training_starts_from_the_weights_of_another(
         more = ["--steps", "1", "--lr", "1e-9", "--seed", "6", "--pretrained", str(path)]
         assert main(command(small_set, out, *more)) == 0
         trained = load_network(out)
-        assert trained.card["pretrained"] == {"file": path.name, Card.WEIGHTS_SHA256: digest}
+        assert trained.card["pretrained"] == {"file": path.name, CardWords.WEIGHTS_SHA256: digest}
         for name, weight in parameters(trained).items():
             torch.testing.assert_close(weight, before[name], atol=1e-7, rtol=0)
     assert main(command(small_set, tmp_path / "other", *more[:-2])) == 0
@@ -139,7 +139,10 @@ def test_published_weights_are_named_with_their_digest(
     assert main(command(small_set, tmp_path / "run", "--steps", "1", "--pretrained", str(file))) == 0
     assert read == [file]
     digest = hashlib.sha256(b"published").hexdigest()
-    assert load_network(tmp_path / "run").card["pretrained"] == {"file": "weights.onnx", Card.WEIGHTS_SHA256: digest}
+    assert load_network(tmp_path / "run").card["pretrained"] == {
+        "file": "weights.onnx",
+        CardWords.WEIGHTS_SHA256: digest,
+    }
 
 
 @pytest.mark.parametrize(

@@ -35,7 +35,7 @@ def page(tmp_path: Path) -> Iterator[Page]:
 
 def drawing(count: int, *facts: str) -> Drawing:
     points = Points(np.full((count, 3), 0.5, np.float32), np.full((count, 3), 9, np.uint8))
-    return Drawing(points, (), np.full((4, 6, 3), count, np.uint8), facts or ("one",), 0.01, 0, (("a", (1, 2, 3)),))
+    return Drawing(points, {}, np.full((4, 6, 3), count, np.uint8), facts or ("one",), 0.01, 0, (("a", (1, 2, 3)),))
 
 
 def test_the_page_is_one_file_of_the_server(page: Page) -> None:
@@ -121,9 +121,9 @@ def test_artifacts_that_are_left_out_keep_their_strengths() -> None:
     state = SensorState(load_sensor_model())
     _, high = controls_of(state.artifact("noise"))
     assert state.move("noise", high, 30.0) and not state.move("noise", high, 30.0)
-    state.leave_out("noise", True)
+    state.left_out.add("noise")
     assert [artifact.name for artifact in state.model] == ["occlusion", "missing_data"]
-    state.leave_out("noise", False)
+    state.left_out.remove("noise")
     assert state.model == load_sensor_model().with_artifacts(Noise(0.0, 30.0))
 
 
@@ -191,4 +191,4 @@ def test_saved_pictures_replace_none(tmp_path: Path) -> None:
 def test_windows_are_turned_to_bodies_or_to_all() -> None:
     some = drawing(6)
     assert len(aimed_at(some)) == 6
-    assert len(aimed_at(Drawing(some.points, (), some.picture, (), 0.01, 2, ()))) == 2
+    assert len(aimed_at(Drawing(some.points, {}, some.picture, (), 0.01, 2, ()))) == 2

@@ -17,9 +17,9 @@ from bodyseg_model.viewing.pictures import (
     Layout,
     Panel,
     Points,
+    class_image,
     class_legend,
     facts_html,
-    kind_image,
     legend_html,
     share_image,
     sheet_of,
@@ -53,7 +53,7 @@ def test_shares_go_from_red_to_green() -> None:
 def test_kinds_have_the_colours_of_their_legend() -> None:
     kinds = np.array([[0, 1, 2, 3, 4, 255, 255]], np.uint8)
     measured = np.array([[True, True, True, True, True, True, False]])
-    image = kind_image(kinds, measured)[0]
+    image = class_image(kinds, measured, np.array([colour for _, colour in KIND_LEGEND], np.uint8))[0]
     assert [tuple(pixel) for pixel in image[:5].tolist()] == [colour for _, colour in KIND_LEGEND]
     assert tuple(image[5].tolist()) not in {tuple(image[6].tolist()), *(colour for _, colour in KIND_LEGEND)}
 
@@ -72,7 +72,7 @@ def test_saved_pictures_have_the_panels_the_view_and_the_facts() -> None:
     assert np.count_nonzero((sheet == 10).all(-1)) == 50 * 60
     assert np.count_nonzero((sheet == 77).all(-1)) == 50 * 20
     points = Points(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
-    drawing = Drawing(points, (), picture, ("left/../1",), 0.01, 0, ())
+    drawing = Drawing(points, {}, picture, ("left/../1",), 0.01, 0, ())
     name, data = picture_file(drawing, view)
     assert name == "left____1.png"
     assert Image.open(io.BytesIO(data)).size[0] == 80

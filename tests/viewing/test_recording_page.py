@@ -32,7 +32,7 @@ class Numbers:
         if [each.number for each in self.drawn[-4:]] == [1, 2, 0, 1]:
             self.round.set()
         points = Points(np.zeros((shown.number, 3), np.float32), np.zeros((shown.number, 3), np.uint8))
-        return Drawing(points, (), np.zeros((2, 2, 3), np.uint8), (f"frame {shown.number}",), 0.01, 0, ())
+        return Drawing(points, {}, np.zeros((2, 2, 3), np.uint8), (f"frame {shown.number}",), 0.01, 0, ())
 
 
 @pytest.fixture
@@ -48,9 +48,9 @@ def shown() -> Iterator[tuple[RecordingPage, Numbers]]:
 def test_playing_draws_every_frame_in_turn(shown: tuple[RecordingPage, Numbers]) -> None:
     recording, view = shown
     recording._rate.value = 30
-    recording.play()
+    recording._play.value = True
     assert view.round.wait(WAIT_S)
-    recording.play(False)
+    recording._play.value = False
     numbers = [each.number for each in view.drawn]
     assert all((after - before) % 3 <= 1 for before, after in itertools.pairwise(numbers))
 

@@ -11,10 +11,10 @@ from pngs import png
 from small_rig import SMALL
 
 from bodyseg_data.labels.label_map import COLOURS
-from bodyseg_data.rigs import Camera
+from bodyseg_data.rigs import Camera, Rig
 from bodyseg_model.networks import Trained
 from bodyseg_model.recordings import find_frames
-from bodyseg_model.segmentation import Background, FrameLabeller, LabelledFrame, Segmentation, Segmenter
+from bodyseg_model.segmentation import Background, FrameLabeller, LabelledFrame, segmenter
 from bodyseg_model.viewing import RecordingView
 from bodyseg_model.viewing.recording_view import CONFIDENCE_LEGEND, FLICKER_LEGEND, ShownFrame, body_range, changes_of
 
@@ -60,8 +60,14 @@ def test_confidence_and_its_legend(tmp_path: Path) -> None:
 
 def labelled(labels: list[int], range_m: list[float]) -> LabelledFrame:
     """A frame of one row."""
-    found = Segmentation(np.array([labels], np.uint8), (), {})
-    return LabelledFrame(0, np.array([range_m], np.float32), CAMERA, found, {})
+    return LabelledFrame(
+        labels=np.array([labels], np.uint8),
+        bodies=(),
+        milliseconds={},
+        number=0,
+        range_m=np.array([range_m], np.float32),
+        camera=CAMERA,
+    )
 
 
 def test_changes_are_told_from_movement() -> None:
@@ -111,8 +117,8 @@ def test_confidence_and_flicker_are_drawn_of_bodies_alone_below_the_whole_frame(
 def test_the_first_frame_is_timed_without_what_is_loaded_before_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    prepared: list[Segmenter] = []
-    monkeypatch.setattr(Segmenter, "prepare", lambda segmenter: prepared.append(segmenter))
+    prepared: list[Rig] = []
+    monkeypatch.setattr(segmenter, "usual_views", lambda rig, together: prepared.append(rig) or [])
     view = view_of(tmp_path, frame(10), frame(12))
     view.draw(ShownFrame(1))
     assert len(prepared) == 1, "once a camera"

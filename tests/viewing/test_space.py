@@ -6,42 +6,19 @@ import numpy as np
 import pytest
 from small_rig import SMALL
 
-from bodyseg_data.rigs import Camera, axes_at, load_rig
-from bodyseg_data.rigs.camera import rolled
+from bodyseg_data.rigs import Camera, PlacedCamera, load_rig
 from bodyseg_data.samples import View
 from bodyseg_model.viewing.pictures import (
     VIEWPOINTS,
-    Device,
     Viewpoint,
     camera_alone,
-    device,
     name_heights,
     points_at,
-    quaternion,
     rig_before,
     viewpoint,
 )
 
 CAMERA = Camera(3, 4, 2.0, (2.0, 1.5), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-
-
-def rotation_of(w: float, x: float, y: float, z: float) -> np.ndarray:
-    """Rotation matrix of a unit quaternion."""
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-@pytest.mark.parametrize(("azimuth", "pitch", "roll"), [(0, 0, 0), (90, -20, 0), (180, 15, 30), (271, 40, -75)])
-def test_quaternions_are_their_rotations(azimuth: int, pitch: int, roll: int) -> None:
-    rotation = rolled(axes_at(azimuth, pitch), roll).T
-    found = quaternion(rotation)
-    assert found[0] >= 0
-    np.testing.assert_allclose(rotation_of(*found), rotation, atol=1e-12)
 
 
 def test_points_of_a_frame_lie_where_its_pixels_look() -> None:
@@ -66,24 +43,18 @@ def test_a_rig_of_two_projectors_has_three_devices() -> None:
     assert len(rig_before(rig, View(200, 0))) == 1 + len(rig.projectors)
 
 
-def test_devices_have_the_field_of_view_of_their_camera() -> None:
-    found = device("camera", camera_alone(CAMERA))
-    assert found.fov_rad == pytest.approx(2 * np.arctan(1.5 / 2.0)) and found.aspect == pytest.approx(4 / 3)
-    np.testing.assert_allclose(rotation_of(*found.wxyz)[:, 2], [0, 0, -1], atol=1e-12)
-
-
 @pytest.mark.parametrize("kind", VIEWPOINTS)
 @pytest.mark.parametrize("aspect", [0.5, 2.0])
 def test_viewpoints_take_in_what_they_name(kind: Viewpoint, aspect: float) -> None:
-    devices = [device("camera", rig_before(SMALL, View(255, 0))[0])]
+    devices = [rig_before(SMALL, View(255, 0))[0]]
     xyz = np.random.default_rng(0).uniform((-0.3, -0.9, -0.2), (0.3, 0.9, 0.2), (200, 3)).astype(np.float32)
     place, at = viewpoint(xyz, devices, kind, 0.85, aspect)
     if kind == "camera":
-        np.testing.assert_allclose(place, devices[0].position_m)
+        np.testing.assert_allclose(place, devices[0].position)
     forward = (at - place) / np.linalg.norm(at - place)
     right = np.cross(forward, [0.0, 1.0, 0.0])
     right /= np.linalg.norm(right)
-    seen = np.concatenate([xyz, np.array([devices[0].position_m])]) if kind == "sensor" else xyz
+    seen = np.concatenate([xyz, np.array([devices[0].position])]) if kind == "sensor" else xyz
     away = (seen - place) @ forward
     down, across = ((seen - place) @ axis / away / np.tan(0.85 / 2) for axis in (np.cross(forward, right), right))
     assert (away > 0).all()
@@ -97,10 +68,10 @@ def test_viewpoints_of_nothing_look_at_the_middle() -> None:
 
 
 def test_names_of_devices_lie_apart() -> None:
-    def at(name: str, x: float, y: float) -> Device:
-        return Device(name, (1.0, 0.0, 0.0, 0.0), (x, y, 2.0), 0.7, 1.5)
+    def at(x: float, y: float) -> PlacedCamera:
+        return PlacedCamera(CAMERA, np.eye(3), np.array([x, y, 2.0]))
 
-    camera, beside, above = at("camera", 0.0, 0.0), at("projector", 0.05, 0.001), at("second projector", 0.0, 0.5)
+    camera, beside, above = at(0.0, 0.0), at(0.05, 0.001), at(0.0, 0.5)
     assert name_heights([camera]) == [0.13]
     assert name_heights([camera, beside]) == [0.13, -0.13]
     assert name_heights([camera, beside, above]) == [-0.13, -0.26, 0.13]

@@ -13,7 +13,7 @@ from typing import Final
 from bodyseg_data.bodies.anny_model import Figure
 from bodyseg_data.bodies.anny_people import PEOPLE, person
 from bodyseg_data.bodies.outfits import OUTFITS, Outfit
-from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, symmetric
+from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.bodies.sources.open_bodies import Listed, MadeBodies
 
@@ -30,8 +30,8 @@ def _same_legs(trunk: Trunk, left: Arm, right: Arm, legs: Leg = _STANDING) -> Po
 
 
 def _symmetric(trunk: Trunk, arms: Arm, legs: Leg = _STANDING) -> Pose:
-    """Return the pose whose left and right limbs have the same angles; its legs stand by default."""
-    return symmetric(trunk, arms, legs)
+    """Return the pose whose left and right limbs have the same angles."""
+    return Pose(trunk, arms, arms, legs, legs)
 
 
 _POSES: Final[dict[str, Pose]] = {

@@ -10,9 +10,9 @@ from typing import Final
 
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import refuse_special
-from bodyseg_model.recordings.recording import StoredRecording
+from bodyseg_model.recordings.recording import Frame
 
-Opener = Callable[[Path, str | None, float | None], StoredRecording]
+Opener = Callable[[Path, str | None, float | None], tuple[Frame, ...]]
 """Opens a recording: its path, a topic or array of it, and metres a step, both None where they are not given."""
 
 
@@ -30,7 +30,7 @@ class Format:
     suffixes: tuple[str, ...] = ()
     entry: str | None = None
 
-    def open(self, path: Path, topic: str | None, step_m: float | None) -> StoredRecording:
+    def open(self, path: Path, topic: str | None, step_m: float | None) -> tuple[Frame, ...]:
         """Open a recording. Raises BadConfig, MissingLibrary."""
         module, _, name = self.home.rpartition(".")
         opener: Opener = getattr(import_module(f"bodyseg_model.recordings.{module}"), name)

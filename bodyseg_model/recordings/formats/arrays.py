@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig
 from bodyseg_model.recordings.frames import natural_key
-from bodyseg_model.recordings.recording import LARGEST_SIDE, FrameSource, StoredRecording, stored_recording
+from bodyseg_model.recordings.recording import ArrayFrames, Frame, FrameSource, check_pixels, stored_recording
 
 _LONGEST_HEADER: Final = 10_000
 _TIMES: Final = ("times", "time", "timestamps")
 _MOST_TIMES: Final = 1 << 24
 
 
-def open_npy(path: Path, topic: str | None, step_m: float | None) -> StoredRecording:
+def open_npy(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame, ...]:
     """Open H x W or N x H x W of uint16, steps, or floating point, metres (step_m: metres that 1.0 is).
 
     The file is mapped into memory, and only the pages of a frame are read. Raises BadConfig.
@@ -32,10 +32,10 @@ def open_npy(path: Path, topic: str | None, step_m: float | None) -> StoredRecor
         raise BadConfig(f"{path} must be a whole NPY file of numbers: {error}") from error
     _check(values.shape, values.dtype, str(path))
     frames = values if values.ndim == 3 else values[np.newaxis]
-    return stored_recording(path, _Mapped(frames), [None] * len(frames), values.dtype.kind == "f", step_m)
+    return stored_recording(path, ArrayFrames(frames), [None] * len(frames), values.dtype.kind == "f", step_m)
 
 
-def open_npz(path: Path, topic: str | None, step_m: float | None) -> StoredRecording:
+def open_npz(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame, ...]:
     """Open an NPZ file whose frames are N x H x W of one array, or arrays of H x W in natural order of their names.
 
     An array `times`, `time` or `timestamps` holds N times in seconds. topic: the array, where there are several.
@@ -98,16 +98,6 @@ class _Array:
         return self.shape[0] if len(self.shape) == 3 else 1
 
 
-class _Mapped(FrameSource):
-    """Frames [N, H, W] of a map into memory."""
-
-    def __init__(self, frames: NDArray[Any]) -> None:
-        self._frames = frames
-
-    def read(self, index: int) -> NDArray[Any]:
-        return np.array(self._frames[index])
-
-
 class _Zipped(FrameSource):
     """Frames of arrays in a zip; the array that was read last stays open, so that neighbours are read in one pass."""
 
@@ -166,11 +156,8 @@ def _times(archive: zipfile.ZipFile, array: _Array) -> list[float]:
 
 
 def _check(shape: tuple[int, ...], kind: np.dtype[Any], where: str) -> None:
-    if len(shape) not in (2, 3) or not all(1 <= side <= LARGEST_SIDE for side in shape[-2:]):
-        found = " x ".join(map(str, shape)) or "one number"
-        raise BadConfig(
-            f"frames must be rows x columns or frames x rows x columns, 1 to {LARGEST_SIDE} a side, found {found}: "
-            f"{where}"
-        )
-    if kind.kind != "f" and (kind.kind, kind.itemsize) != ("u", 2):
-        raise BadConfig(f"frames must be of uint16, steps, or floating point, metres, found {kind}: {where}")
+    """Raise BadConfig unless an array holds a frame or, along its first axis, several."""
+    try:
+        check_pixels(shape[1:] if len(shape) == 3 else shape, kind)
+    except BadConfig as error:
+        raise BadConfig(f"{where}: {error}") from error

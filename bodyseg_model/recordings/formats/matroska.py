@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadConfig
 from bodyseg_data.machine import missing_library
 from bodyseg_model.recordings.formats.kinect_calibration import CALIBRATION, depth_camera
-from bodyseg_model.recordings.recording import LARGEST_SIDE, FrameSource, StoredRecording, stored_recording
+from bodyseg_model.recordings.recording import LARGEST_SIDE, Frame, FrameSource, stored_recording
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -27,7 +27,7 @@ _DEPTH: Final = "DEPTH"
 _GREY: Final = ("gray16le", "gray16be")
 
 
-def open_mkv(path: Path, topic: str | None, step_m: float | None) -> StoredRecording:
+def open_mkv(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame, ...]:
     """Open the 16-bit grey track of a Matroska file that is called `topic`, or DEPTH, or is the only one.
 
     The camera is that of an Azure Kinect's calibration, where the file holds one (`depth_camera`). Raises BadConfig,

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from bodyseg_data.core import BadConfig
-from bodyseg_model.recordings.recording import LARGEST_SIDE, FrameSource, StoredRecording, stored_recording
+from bodyseg_model.recordings.recording import LARGEST_SIDE, Frame, FrameSource, stored_recording
 
 _MODES: Final = {"I;16": np.uint16, "I;16B": np.uint16, "I;16L": np.uint16, "F": np.float32}
 
 
-def open_tiff(path: Path, topic: str | None, step_m: float | None) -> StoredRecording:
+def open_tiff(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame, ...]:
     """Open a TIFF whose pages are 16-bit grey, steps, or 32-bit floating point, metres (step_m: metres that 1.0 is).
 
     Raises BadConfig.
@@ -24,8 +24,7 @@ def open_tiff(path: Path, topic: str | None, step_m: float | None) -> StoredReco
     if topic is not None:
         raise BadConfig(f"--topic is for recordings that hold several, found a TIFF: {path}")
     pages = _Pages(path)
-    kind = pages.kind(0)
-    return stored_recording(path, pages, [None] * pages.count, np.issubdtype(kind, np.floating), step_m)
+    return stored_recording(path, pages, [None] * pages.count, pages.read(0).dtype.kind == "f", step_m)
 
 
 class _Pages(FrameSource):
@@ -40,10 +39,6 @@ class _Pages(FrameSource):
         except Exception as error:  # a damaged TIFF raises what Pillow likes
             raise BadConfig(f"{path} must be a whole TIFF: {error}") from error
         self.count: int = count
-
-    def kind(self, index: int) -> Any:
-        """Type of a page's pixels. Raises BadConfig."""
-        return self.read(index).dtype
 
     def read(self, index: int) -> NDArray[Any]:
         try:

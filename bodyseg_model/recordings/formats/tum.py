@@ -11,14 +11,14 @@ from typing import Final
 
 from bodyseg_data.core import BadConfig
 from bodyseg_model.recordings.frames import png_file
-from bodyseg_model.recordings.recording import StoredRecording
+from bodyseg_model.recordings.recording import Frame
 
 _LIST: Final = "depth.txt"
 _STEP_M: Final = 1 / 5000
 _LARGEST_LIST: Final = 1 << 26
 
 
-def open_tum(path: Path, topic: str | None, step_m: float | None) -> StoredRecording:
+def open_tum(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame, ...]:
     """Open a folder whose `depth.txt` has a line "time file" for every frame, the file's path from the folder.
 
     Raises BadConfig for a list that is damaged or names files elsewhere, and for frames that are not there.
@@ -49,7 +49,7 @@ def open_tum(path: Path, topic: str | None, step_m: float | None) -> StoredRecor
         frames.append(png_file(path / file, float(words[0]), step))
     if not frames:
         raise BadConfig(f"a list of frames must name at least one, found none in {list_file}")
-    return StoredRecording(str(path), tuple(frames), None, step)
+    return tuple(frames)
 
 
 def _is_time(text: str) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from benches.charts import stability_tables
+from benches.data.occlusion.shadow_rays import lit as lit_by_rays
 from benches.model import motion
 from benches.model.motion import (
     AZIMUTHS_DEG,
@@ -158,7 +159,7 @@ def test_a_turned_body_is_followed_where_rays_reach_it() -> None:
     kept = found != NOT_SEEN
     column, row = np.floor(later.camera.project(places)[0]).astype(int).T
     np.testing.assert_array_equal(found[kept], (row * COLUMNS + column)[kept])
-    reached = EmbreeRenderer(later.mesh).lit(places, later.camera.position)
+    reached = lit_by_rays(EmbreeRenderer(later.mesh), places, later.camera.position)
     assert 0.1 < (~reached).mean() < 0.2
     assert kept[~reached].mean() < 0.005
     assert kept[reached].mean() > 0.96, "a pixel's centre may see past an edge"

@@ -139,6 +139,7 @@ def test_scores_by_person_and_pose() -> None:
     assert found["bodies"]["q, two"] == 0.5 and found["parts"]["Nuchale"] == 0.5
 
 
+@pytest.mark.usefixtures("quick_geodesics")
 def test_what_the_bench_finds_on_bodies_with_known_landmarks(
     body: FittingBody, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -25,6 +25,7 @@ from benches.model.segment.live import Sensor
 from benches.model.things.rooms import Room
 from label_networks import Places
 from pictures import decoded, marks, part
+from small_rig import SMALL
 
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.rigs import Camera
@@ -100,11 +101,9 @@ def test_the_median_of_a_ways_rounds_counts() -> None:
 
 
 def test_the_bench_runs_every_way_and_draws(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    network = Places(axis=0, step=20)
-    monkeypatch.setattr(
-        segment, "load_run", lambda run: load_run(run) if run else Trained(network, {"network": "places"})
-    )
-    monkeypatch.setattr(bench, "load_network", lambda: Trained(network, {"network": "places"}))
+    trained = Trained(Places(axis=0, step=5), {"network": "places", "rig": SMALL.to_json()})
+    monkeypatch.setattr(segment, "load_run", lambda run: load_run(run) if run else trained)
+    monkeypatch.setattr(bench, "load_network", lambda: trained)
     monkeypatch.setattr(bench, "Rooms", MadeRooms)
     ways_by_torch = {name: way for name, way in WAYS.items() if "backend" not in way.options}
     assert len(ways_by_torch) == len(WAYS) - 4

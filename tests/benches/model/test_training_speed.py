@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 from benches.model import training_speed
 from benches.model.training_speed import Way, bench_training, summary
+from small_training import TINY
 
 from bodyseg_data.core import BadConfig
 
@@ -15,6 +17,8 @@ def test_every_way_is_timed_by_the_command(small_set: Path, monkeypatch: pytest.
     monkeypatch.setattr(training_speed, "ROUNDS", 1)
     monkeypatch.setattr(training_speed, "_BATCH", 2)
     monkeypatch.setattr(training_speed, "ways", lambda cores: {"default": Way(1, 1)})
+    command, tiny = Way.command, ["--settings", json.dumps(TINY), "--precision", "float32"]
+    monkeypatch.setattr(Way, "command", lambda *arguments: [*command(*arguments), *tiny])
     done: list[tuple[int, int]] = []
     found = bench_training(str(small_set), 4, lambda *numbers: done.append(numbers))
     assert done == [(1, 1)]
@@ -44,8 +48,10 @@ def test_ways_are_compared_by_their_medians() -> None:
     assert found["one thread"]["all"] == [45, 10, 46]
 
 
-def test_what_a_training_says_is_passed_on(tmp_path: Path) -> None:
-    with pytest.raises(BadConfig, match=r"a training failed: .*nowhere"):
+def test_what_a_training_says_is_passed_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    saying = ["-c", "import sys; sys.exit('starting\\nno shards in nowhere')"]
+    monkeypatch.setattr(Way, "command", lambda way, data, steps, out: saying)  # a training takes seconds to say it
+    with pytest.raises(BadConfig, match=r"^a training failed: no shards in nowhere$"):
         bench_training(str(tmp_path / "nowhere"), 4)
     with pytest.raises(BadConfig, match="the steps of a training"):
         bench_training(str(tmp_path), 3)

@@ -182,8 +182,7 @@ def test_runs_of_names_are_collapsed() -> None:
         "b2",
         "c",
         "d",
-        "e9",
-        "e10",
+        "e9 to e10",
         "f09 to f10",
     ]
     assert collapsed([]) == []

@@ -151,7 +151,7 @@ def test_what_is_not_there_is_said(tmp_path: Path) -> None:
         open_source("scape", write_mesh(tmp_path / "mesh000.ply"))
     with pytest.raises(BadConfig, match="landmarks are a file or a folder, found neither at"):
         ScapeBodies(tmp_path, tmp_path / "absent.json")
-    with pytest.raises(BadConfig, match="units must be one of"):
+    with pytest.raises(BadConfig, match="units must be 'auto' or"):
         ScapeBodies(tmp_path, options=MeshOptions(units="feet"))  # type: ignore[arg-type]
     source = ScapeBodies(tmp_path)
     for use in (source.build, lambda body: source.fingerprint([body])):

@@ -53,12 +53,12 @@ BROKEN = {
     "no format": (without(tree(), "format"), "'format' must be 'bodyseg landmarks 1'"),
     "other format": (tree(format="bodyseg landmarks 2"), "'format' must be 'bodyseg landmarks 1'"),
     "a list": ([1, 2], "'format' must be"),
-    "missing key": (without(tree(), "face_count"), "key 'face_count' is missing"),
-    "unknown key": (tree(colour="red"), "unknown key 'colour'"),
+    "missing key": (without(tree(), "face_count"), "number 'face_count' is missing"),
+    "unknown key": (tree(colour="red"), "unknown 'colour'"),
     "topology": (tree(topology=3), "'topology' must be text, found 3"),
-    "vertex count": (tree(vertex_count=0), "'vertex_count' must be a whole number, at least 1, found 0"),
-    "face count": (tree(face_count=1.5), "'face_count' must be a whole number, at least 1, found 1.5"),
-    "no table": (tree(landmarks=[1, 2]), r"'landmarks' must map names to vertices, found \[1, 2\]"),
+    "vertex count": (tree(vertex_count=0), "'Sellion' must be a vertex, 0 to -1, found 0"),
+    "face count": (tree(face_count=1.5), "'face_count' must be a whole number, found 1.5"),
+    "no table": (tree(landmarks=[1, 2]), r"'landmarks' must be a table, found \[1, 2\]"),
     "missing landmark": (
         tree(landmarks=without(TABLE, "Sellion", "Lt. PSIS")),
         "landmark 'Sellion', 'Lt. PSIS' is missing",
@@ -73,11 +73,11 @@ BROKEN = {
     ),
     "out of range": (
         tree(landmarks={**TABLE, "Nuchale": 642}),
-        "the vertex of 'Nuchale' must be a whole number, 0 to 641, found 642",
+        "'Nuchale' must be a vertex, 0 to 641, found 642",
     ),
-    "negative": (tree(landmarks={**TABLE, "Nuchale": -1}), "vertex of 'Nuchale' .* found -1"),
-    "truth value": (tree(landmarks={**TABLE, "Nuchale": True}), "vertex of 'Nuchale' .* found True"),
-    "fraction": (tree(landmarks={**TABLE, "Nuchale": 5.0}), "vertex of 'Nuchale' .* found 5.0"),
+    "negative": (tree(landmarks={**TABLE, "Nuchale": -1}), "'Nuchale' must be a vertex, .* found -1"),
+    "truth value": (tree(landmarks={**TABLE, "Nuchale": True}), "'Nuchale' must be a finite number, found 'True'"),
+    "fraction": (tree(landmarks={**TABLE, "Nuchale": 5.5}), "'Nuchale' must be a whole number, found 5.5"),
 }
 
 

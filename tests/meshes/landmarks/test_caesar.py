@@ -205,12 +205,12 @@ def test_a_file_without_its_frame_is_refused(tmp_path: Path, gone: str, lacking:
 
 
 def test_a_file_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(BadLandmarks, match=r"cannot read the landmark file .*absent\.lnd"):
+    with pytest.raises(BadLandmarks, match=r"cannot read .*absent\.lnd"):
         read_lnd(tmp_path / "absent.lnd")
     for content in (b"not gzip", gzip.compress(text(rows()).encode())[:-20]):
         path = tmp_path / "cut.lnd.gz"
         path.write_bytes(content)
-        with pytest.raises(BadLandmarks, match=r"cannot read the landmark file .*cut\.lnd\.gz"):
+        with pytest.raises(BadLandmarks, match=r"cut\.lnd\.gz is not a whole gzip file"):
             read_lnd(path)
 
 

@@ -9,6 +9,7 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 from benches.data.surface.areas import part_areas
+from benches.data.surface.partition import partition_unmended
 from shapes import ball, box_mesh, evenly_drawn, figure
 
 from bodyseg_data.core import BadConfig, BadLandmarks, MissingLibrary
@@ -16,7 +17,6 @@ from bodyseg_data.labels import PART_COUNT
 from bodyseg_data.meshes import GeodesicMethod, Mesh, geodesics, partition
 from bodyseg_data.meshes.geodesics import FALLBACK_METHOD, Unanswerable
 from bodyseg_data.meshes.landmarks import nearest_corner
-from bodyseg_data.meshes.partitioning import partition_unmended
 
 
 def test_distances_on_a_flat_grid_are_straight_lines_not_paths_along_edges() -> None:
@@ -317,7 +317,7 @@ def test_looking_only_at_nearby_triangles_gives_the_answer_of_looking_at_all(mon
         return whole(surface, points)
 
     monkeypatch.setattr(trimesh.proximity, "closest_point", counted)
-    found, distances = nearest_corner(mesh.vertices, mesh.faces, points, "testing")
+    found, distances = nearest_corner(mesh.vertices, mesh.faces, points)
     everything = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     closest, away, _ = whole(everything, points)
     assert asked[0] < len(mesh.faces)

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.data.occlusion.shadow_rays import lit as lit_by_rays
 from benches.measuring import mixed
 from bodyseg_data.bodies import Body, BodyRef, open_source
 from bodyseg_data.labels import PARTS
@@ -155,8 +156,8 @@ def exact_view(
     lengths = np.linalg.norm(normals, axis=1) * np.linalg.norm(ways, axis=1)
     facing = sample.faces_projector[rows, columns]
     slanted = np.einsum("ij,ij->i", normals, ways) < math.cos(math.radians(GRAZING_DEG)) * lengths
-    lit = renderer.lit(points, projector.position) & inside
-    contact = facing & ~lit & inside & renderer.lit(points, projector.position, CONTACT_M)
+    lit = lit_by_rays(renderer, points, projector.position) & inside
+    contact = facing & ~lit & inside & lit_by_rays(renderer, points, projector.position, CONTACT_M)
 
     def image(values: Mask) -> Mask:
         whole = np.zeros(seen.face.shape, np.bool_)

@@ -70,9 +70,8 @@ class _Scene:
         body = source.build(ref)
         self.rig, self.mesh = rig, body.mesh
         self.parts = body.partition()
-        self.every_ray = EmbreeRenderer(body.mesh, whole_frame)
-        self.in_box = EmbreeRenderer(body.mesh, box_of(body.mesh))
-        self.in_blocks = EmbreeRenderer(body.mesh)
+        self.every_ray, self.in_box, self.in_blocks = (EmbreeRenderer(body.mesh) for _ in range(3))
+        self.every_ray._covered, self.in_box._covered = whole_frame, box_of(body.mesh)  # type: ignore[assignment]
         self.by_rays, self.by_filling = (
             Sampler(renderer, rig, body.mesh, self.parts, source.name, ref)
             for renderer in (self.in_blocks, RasterRenderer(body.mesh))

@@ -119,7 +119,7 @@ class Skin:
         from scipy.sparse.csgraph import dijkstra
 
         mesh = neutral.mesh
-        pieces = mesh.pieces("measuring interpenetration")
+        pieces = mesh.pieces()
         body = pieces == np.bincount(pieces).argmax()
         self._labels = neutral.partition().labels
         self._counted = body & (penetration(mesh)[0] == 0)

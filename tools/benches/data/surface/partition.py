@@ -19,9 +19,10 @@ from benches.data.surface.broken_bodies import CASES, Broken, scan, sound
 from benches.data.surface.rival_geodesics import RIVALS, rivals_installed
 from bodyseg_data.bodies import Body, open_source
 from bodyseg_data.core import ProgressCallback, silent
-from bodyseg_data.meshes import GeodesicMethod, Mesh, Partition, partition
-from bodyseg_data.meshes.geodesics import FALLBACK_METHOD, Unanswerable, nearest_sources
-from bodyseg_data.meshes.partitioning import partition_unmended
+from bodyseg_data.meshes import GeodesicMethod, Mesh, Partition, nearest_sources, partition
+from bodyseg_data.meshes.geodesics import FALLBACK_METHOD, Unanswerable
+from bodyseg_data.meshes.mending import MendedSurface
+from bodyseg_data.meshes.partitioning import _nearest_landmarks, _with_borders
 from bodyseg_data.packing.options import evenly_sampled
 
 METHODS: Final[tuple[GeodesicMethod, ...]] = (*get_args(GeodesicMethod), *RIVALS)
@@ -109,6 +110,12 @@ def _on_sound(body: Body) -> dict[str, dict[str, float]]:
             "distance_error_mm": round(float(np.abs(answer.distance - exact.distance[used]).mean()) * 1e3, 3),
         }
     return rows
+
+
+def partition_unmended(mesh: Mesh, landmarks: NDArray[np.int64], method: GeodesicMethod) -> Partition:
+    """Partition `mesh` by `method` without mending or a fallback method. Raises Unanswerable if `method` fails."""
+    unmended = MendedSurface(mesh.faces.astype(np.int64), np.arange(len(mesh.vertices)), ())
+    return _with_borders(mesh, unmended, *_nearest_landmarks(mesh, landmarks, unmended, method), ())
 
 
 def _on_broken(name: str, broken: Broken, whole: Body, exact: Partition, is_scan: bool) -> dict[str, Any]:

@@ -92,14 +92,15 @@ def _plane_wave(a: Floats, b: Floats, tip: Floats, at_a: Floats, at_b: Floats) -
 
 
 def _heat(vertices: Floats, faces: Indices, sources: Indices) -> NearestSources:
-    refuse_unsupported("heat", vertices, faces, crowded_edges=True)
+    edges = find_edges(faces)  # more than two faces at one are no obstacle
+    refuse_unsupported("heat", vertices, faces[(edges.faces[edges.of_side] <= 2).all(axis=1)])
     solver = _potpourri_solver("heat", "MeshHeatMethodDistanceSolver", vertices, faces)
     # One field for all sources at once would not identify the nearest, and blurs the borders where they meet.
     fields = np.stack([_call("heat", solver.compute_distance, int(source)) for source in sources])
     if not np.isfinite(fields).all():
         raise Unanswerable("the method 'heat' cannot answer: its system of equations has no finite solution")
     fields = np.maximum(fields - fields[np.arange(len(sources)), sources][:, None], 0)
-    piece = components(len(vertices), find_edges(faces).ends, "bench partition")
+    piece = components(len(vertices), edges.ends)
     fields[piece[sources][:, None] != piece] = np.inf  # the library gives finite values there
     return NearestSources(fields.min(axis=0), fields.argmin(axis=0))
 

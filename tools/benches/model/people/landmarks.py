@@ -12,13 +12,15 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from benches.data.surface.areas import part_areas
 from benches.model.people.bodies import Annotated
 from benches.model.people.intervals import interval, summed
+from bodyseg_data.bodies.body_fit import fitted_points
 from bodyseg_data.bodies.fitting_body import FittingBody
-from bodyseg_data.bodies.landmark_proposal import FittedBody, fit_body
+from bodyseg_data.bodies.landmark_proposal import NORMAL_REACH_M, FittedBody, fit_body
 from bodyseg_data.core import BadLandmarks
 from bodyseg_data.labels import LANDMARKS, PARTS
 from bodyseg_data.meshes import Partition, partition
@@ -48,6 +50,35 @@ def fitted_to(body: FittingBody, annotated: Annotated) -> Fitted:
     return Fitted(annotated, fitted, seconds, partition(annotated.mesh, landmarks))
 
 
+def carried(fitted: FittedBody, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Where `points` [N, 3] on a mesh lie on the open body at rest, float64 [N, 3], body frame, metres.
+
+    Each goes to the nearest vertex of the fitted body that faces the same way.
+    """
+    from scipy.spatial import KDTree
+
+    body, mesh = fitted.body, fitted.mesh
+    own, normals = fitted_points(body, fitted.fit, body.whole.at(body.skin))
+    used = np.unique(mesh.faces)
+    facing = mesh.vertex_normals[used[KDTree(mesh.vertices[used]).query(points)[1]]]
+    tree = KDTree(np.concatenate([own, NORMAL_REACH_M * normals], axis=1))
+    nearest = body.skin[tree.query(np.concatenate([points, NORMAL_REACH_M * facing], axis=1))[1]]
+    rest: NDArray[np.float64] = body.mesh.vertices[nearest]
+    return rest
+
+
+def upright(fitted: FittedBody, offsets: NDArray[np.float64], vertices: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Turn `offsets` [N, 3] at `vertices` [N] of the fitted body as they are on the body at rest, in its frame."""
+    body, fit = fitted.body, fitted.fit
+    skin = body.whole.at(vertices)
+    with torch.inference_mode():
+        motions = body.bone_motions(fit.turns(body)[None], fit.shape[None])
+        blend = (skin.weights @ motions.flatten(2)).reshape(-1, 3, 4)[..., :3].numpy()
+    left, _, right = np.linalg.svd(blend)  # the rotation nearest to a blend of rotations, which itself shrinks
+    turned: NDArray[np.float64] = np.einsum("nij,ni->nj", left @ right, offsets)
+    return turned
+
+
 def placed(bodies: Sequence[Fitted]) -> NDArray[np.int64]:
     """Place the landmarks on the open body by annotated bodies fitted to it: vertices, int64 [33], the same left and
     right.
@@ -58,8 +89,8 @@ def placed(bodies: Sequence[Fitted]) -> NDArray[np.int64]:
     from scipy.spatial import KDTree
 
     body = bodies[0].fitted.body
-    carried = np.stack([one.fitted.carried(one.of.points) for one in bodies])
-    middle = np.median(np.concatenate([carried, carried[:, _MIRROR] * _ACROSS]), axis=0)
+    points = np.stack([carried(one.fitted, one.of.points) for one in bodies])
+    middle = np.median(np.concatenate([points, points[:, _MIRROR] * _ACROSS]), axis=0)
     tree = KDTree(body.mesh.vertices[body.skin])
     vertices: NDArray[np.int64] = body.skin[tree.query(middle)[1]]
     for part in PARTS:
@@ -134,7 +165,7 @@ def _compared(vertices: NDArray[np.int64], bodies: Sequence[Fitted]) -> Iterator
         offsets = mesh.vertices[found] - one.of.points
         differ = (partition(mesh, found).labels != one.true.labels).astype(np.uint8)
         wrong = float(part_areas(mesh, differ)[1])
-        yield _Compared(one.of, np.linalg.norm(offsets, axis=1), one.fitted.upright(offsets, vertices), wrong)
+        yield _Compared(one.of, np.linalg.norm(offsets, axis=1), upright(one.fitted, offsets, vertices), wrong)
 
 
 def _errors(errors: Sequence[_Compared]) -> dict[str, Any]:

@@ -18,7 +18,6 @@ from bodyseg_data.rigs import PlacedCamera
 
 VOXEL_M: Final = 0.004
 
-_FEATURE: Final = "fusing frames"
 _TRUNCATION: Final = 4  # voxels behind the surface, where a frame still counts
 _LEAST_FRAMES: Final = 3  # that see a voxel; with fewer the surface stays open there
 _LEAST_DISTANCE: Final = np.float32(0.02)  # of the truncation: no corner of the surface falls on a corner of the grid
@@ -60,7 +59,7 @@ def fuse(frames: Sequence[Frame], voxel_m: float = VOXEL_M) -> FusedSurface:
     ends = [np.clip(np.rint(points + sign * 0.499).astype(int), 0, np.array(known.shape) - 1) for sign in (-1, 1)]
     seen = known[tuple(ends[0].T)] & known[tuple(ends[1].T)]  # both ends of the edge of the grid that a vertex is on
     faces = faces[seen[faces].all(axis=1)].astype(np.int64)
-    piece = face_components(len(points), faces, _FEATURE)
+    piece = face_components(len(points), faces)
     faces = faces[piece[faces[:, 0]] == np.bincount(piece[faces[:, 0]]).argmax()]
     used, corners = np.unique(faces, return_inverse=True)
     vertices = low + voxel_m * points[used].astype(np.float64)
@@ -174,7 +173,7 @@ def _matches(
 def _rim(vertices: Floats, faces: NDArray[np.int64]) -> NDArray[np.int64]:
     edges = find_edges(faces)
     ends = edges.ends[edges.faces == 1]
-    loop = components(len(vertices), ends, _FEATURE)
+    loop = components(len(vertices), ends)
     height = -vertices[:, 1]
     low = height < height.min() + _RIM * np.ptp(height)
     boundary = np.unique(ends)

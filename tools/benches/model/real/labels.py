@@ -14,7 +14,8 @@ from benches.model.real.fusion import FusedSurface
 from benches.model.real.recording import Floats, Frame
 from bodyseg_data.core import BadConfig, BadLandmarks
 from bodyseg_data.labels import BACKGROUND, LANDMARKS
-from bodyseg_data.meshes.geodesics import FALLBACK_METHOD, Unanswerable, nearest_sources
+from bodyseg_data.meshes import nearest_sources
+from bodyseg_data.meshes.geodesics import FALLBACK_METHOD, Unanswerable
 
 LANDMARK_FILE: Final = "landmarks.json"
 """Landmarks in a recording's own folder, which come before those that the bench brings along."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -80,7 +81,7 @@ def bench_steady(
     by_way = moving["networks"]["network"]
     return {
         "network": network_name,
-        "carrying": Carrying().to_json(),
+        "carrying": asdict(Carrying()),
         "still": still,
         "moving": {name: moving[name] for name in ("shots", "frames", "window", "points")}
         | {"ways": {way: scores | {"ratio": ratio_of(scores)} for way, scores in by_way.items()}},

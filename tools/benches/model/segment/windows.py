@@ -103,12 +103,12 @@ def bench_windows(
     def from_rooms() -> Iterator[tuple[torch.Tensor, Score]]:
         segmenter = Segmenter(trained.network, camera, rig=trained.rig)
         for room in made_rooms(camera, views):
-            for body in segmenter.find(room.range_m).bodies:
-                if (room.person.ravel()[body.pixels] < 0).mean() > 0.5:
+            for pixels, _, view in segmenter.find(room.range_m).bodies:
+                if (room.person.ravel()[pixels] < 0).mean() > 0.5:
                     continue
-                truth = torch.from_numpy(room.labels.ravel()[body.pixels])
-                backwards = torch.from_numpy(body.view.view_pixels)
-                yield torch.from_numpy(body.view.range_m)[None, None], _scored(truth, backwards)
+                truth = torch.from_numpy(room.labels.ravel()[pixels])
+                backwards = torch.from_numpy(view.view_pixels)
+                yield torch.from_numpy(view.range_m)[None, None], _scored(truth, backwards)
             advance()
 
     with torch_threads(1):

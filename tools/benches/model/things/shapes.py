@@ -6,6 +6,7 @@ says how to read the results.
 
 from __future__ import annotations
 
+import base64
 import math
 import multiprocessing
 from collections.abc import Iterator, Sequence
@@ -32,7 +33,6 @@ from bodyseg_model.segmentation.person_score import (
     SIDE,
     ShapeNetwork,
     SurfaceShape,
-    network_to_json,
     shape_image,
     surface_shape,
     with_curvature,
@@ -146,6 +146,14 @@ def bench_shapes(views: int = 20000, progress: ProgressCallback = silent) -> dic
         "cutoff": f"{LOST:.1%} of the people of {LEAST_SEEN_M2} m² lost in rooms not fitted to, one in {HELD_OUT}",
     }
     return {"measured": measured, "network": {"format": FORMAT, "source": source, **network_to_json(network)}}
+
+
+def network_to_json(network: ShapeNetwork) -> dict[str, Any]:
+    """A network as plain JSON that `network_from_json` reads: weights by name in base64 of float32, little-endian."""
+    weights = {
+        name: base64.b64encode(np.asarray(weight, "<f4").tobytes()).decode() for name, weight in network.weights.items()
+    }
+    return {"cutoff": round(network.cutoff, 4), "weights": weights}
 
 
 def _later(progress: ProgressCallback, before: int, total: int, done: int, _: int) -> None:
