@@ -49,6 +49,7 @@ __all__ = [
     "Sample",
     "Scene",
     "SensorModel",
+    "ShardWriter",
     "Transform",
     "Unreachable",
     "WorkerLost",
@@ -102,7 +103,7 @@ if TYPE_CHECKING:
         loader,
     )
     from bodyseg_data.meshes import Mesh
-    from bodyseg_data.packing import Packing, pack, plan
+    from bodyseg_data.packing import Packing, ShardWriter, pack, plan
     from bodyseg_data.rigs import Camera, Rig, load_rig
     from bodyseg_data.samples import Sample
     from bodyseg_data.shards import RetryPolicy, decode_sample
