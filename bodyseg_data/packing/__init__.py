@@ -8,6 +8,7 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_data.packing.engines import PROCESSES, check_engine, open_engine
+    from bodyseg_data.packing.joining import join
     from bodyseg_data.packing.options import Packing
     from bodyseg_data.packing.packer import pack, plan
     from bodyseg_data.packing.sampler import Sampler, faces_towards, sample_key, surface_points

@@ -15,8 +15,11 @@ from numpy.typing import NDArray
 
 from bodyseg_data.rigs import Rig
 
-_ONE_SURFACE: Final = 3.0
+_ONE_SURFACE: Final = 1.5
 """Slopes on both sides of a pixel that differ by more than this factor are not of one surface."""
+
+_BENT: Final = 4.0
+"""The same for slopes of one side, at the pixel and beyond."""
 
 
 def projector_places(rig: Rig) -> list[NDArray[np.float64]]:
@@ -47,16 +50,22 @@ def facing_from_range(rig: Rig, range_m: NDArray[np.floating[Any]]) -> list[NDAr
 
 
 def _slopes(inverse: NDArray[np.float32], measured: NDArray[np.bool_], axis: int) -> NDArray[np.float32]:
-    """The change of inverse range from pixel to pixel along an axis, float32 [H, W]; 0 where no neighbour is."""
+    """The change of inverse range from pixel to pixel along an axis, float32 [H, W]; 0 where no neighbour is.
+
+    The mean of both sides where they are of one surface; else that of the flatter side, carried on by half of its own
+    change from the pixel beyond, as surfaces bend away towards their outline.
+    """
     values, known = np.moveaxis(inverse, axis, 0), np.moveaxis(measured, axis, 0)
     steps = np.diff(values, axis=0)
     steps[~(known[1:] & known[:-1])] = np.inf
     edge = np.full((1, values.shape[1]), np.inf, np.float32)
     before, after = np.concatenate([edge, steps]), np.concatenate([steps, edge])
-    small = np.where(np.abs(before) <= np.abs(after), before, after)
-    large = np.where(np.abs(before) <= np.abs(after), after, before)
-    both = np.abs(large) <= _ONE_SURFACE * np.abs(small)
-    slopes = np.where(both, (small + large) / 2, small)
+    first = np.abs(before) <= np.abs(after)
+    near, other = np.where(first, before, after), np.where(first, after, before)
+    beyond = np.where(first, np.concatenate([edge, before[:-1]]), np.concatenate([after[1:], edge]))
+    with np.errstate(invalid="ignore"):  # infinite less infinite, which is not chosen below
+        bent = np.where(np.abs(beyond) <= _BENT * np.abs(near), 1.5 * near - 0.5 * beyond, near)
+        slopes = np.where(np.abs(other) <= _ONE_SURFACE * np.abs(near), (near + other) / 2, bent)
     slopes[~np.isfinite(slopes)] = 0
     return np.moveaxis(slopes, 0, axis)
 

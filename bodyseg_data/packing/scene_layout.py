@@ -19,7 +19,7 @@ from bodyseg_data.labels import BACKGROUND, UNLABELLED, Classes
 from bodyseg_data.packing.occluders import exact_range, occluder_range
 from bodyseg_data.packing.range_facing import facing_from_normals, facing_from_range
 from bodyseg_data.rigs import Rig
-from bodyseg_data.samples import Sample, SampleInfo, Value, check_key, kind_of, steps
+from bodyseg_data.samples import Sample, SampleInfo, Value, kind_of, steps
 from bodyseg_data.shards import RIG_FIELD, Fields, ProjectorKind, check_plane, encode_sample
 
 FacingOrigin = Literal["given", "range"]
@@ -80,7 +80,6 @@ class Layout:
 
     def taken(self, scene: Scene) -> TakenScene:
         """Check a scene and copy its arrays. Raises BadSample, naming the key and the rule."""
-        check_key(scene.key)
         if isinstance(scene.rig, bool) or scene.rig not in range(len(self.rigs)):
             raise BadSample(f"{scene.key}: rig must number one of the set's {len(self.rigs)} rigs, found {scene.rig!r}")
         rig = self.rigs[scene.rig]

@@ -16,7 +16,6 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, get_args
@@ -30,6 +29,7 @@ from bodyseg_data.packing.scene_layout import (
     Layout,
     ProjectorRanges,
     Scene,
+    TakenScene,
     facing_origin,
     fields_of,
     learned_fields,
@@ -37,7 +37,7 @@ from bodyseg_data.packing.scene_layout import (
 )
 from bodyseg_data.packing.writing import claimed, finished_shards, record_shard
 from bodyseg_data.rigs import Rig, load_rig
-from bodyseg_data.samples import SHADOW_THRESHOLDS, Split
+from bodyseg_data.samples import SHADOW_THRESHOLDS, Split, check_key
 from bodyseg_data.shards import (
     MANIFEST_FORMAT,
     MANIFEST_NAME,
@@ -62,6 +62,8 @@ _RENDERERS: Final[dict[FacingOrigin, str]] = {"given": EXTERNAL, "range": FACING
 _LEARNED: Final = "learned.json"
 
 RigLike = Rig | str | Path
+Encoded = tuple[Split, dict[str, bytes]]
+"""Split of a scene and its members, extension -> bytes."""
 
 
 class ShardWriter:
@@ -75,9 +77,10 @@ class ShardWriter:
     "shadow", as far as the shadow test with this rig needs it; "exact", as rendered; "none". planes: name -> "uint8" or
     "uint16" of further images. fields: name -> kind ("text", "int", "float", "flag", "numbers") of the descriptions.
     What is None of these three is as the first scene has it. source: name of the origin, for cards. codec: by name.
-    shard_samples: samples a shard. workers: threads that encode, 0 for none. part: (i, n) for the i-th of n writers,
-    0 <= i < n, each with its share of the scenes: it writes a set of its own in a folder of `out`, and `bodyseg join`
-    makes one of all. progress: called with the number of scenes written, twice.
+    shard_samples: samples a shard. workers: threads that encode, 0 for none. executor: encodes in their place, such as
+    that of a Dask client, of which `workers` are kept busy. part: (i, n) for the i-th of n writers, 0 <= i < n, each
+    with its share of the scenes: it writes a set of its own in a folder of `out`, and `bodyseg join` makes one of all.
+    progress: called with the number of scenes written, twice.
 
     The manifest is written when the context ends without an error. After an error finished shards stay, and the same
     writer with the same scenes carries on: scenes of finished shards are skipped. Raises BadConfig for an argument out
@@ -98,6 +101,7 @@ class ShardWriter:
         codec: str = "bsi",
         shard_samples: int = 1080,
         workers: int = 2,
+        executor: Executor | None = None,
         part: tuple[int, int] | None = None,
         progress: ProgressCallback = silent,
     ) -> None:
@@ -123,6 +127,7 @@ class ShardWriter:
         self._workers = check_int("workers", workers, 0)
         self._out = Path(out) / part_name(*part) if part is not None else Path(out)
         self._progress = progress
+        self._pool = executor
         self._context = contextlib.ExitStack()
         self._layout: Layout | None = None
         self._state: Path | None = None
@@ -132,7 +137,7 @@ class ShardWriter:
         self._seen: set[str] = set()
         self._open: dict[Split, TarWriter] = {}
         self._counts: dict[Split, int] = {}
-        self._waiting: deque[tuple[str, Split, Future[dict[str, bytes]]]] = deque()
+        self._waiting: deque[tuple[str, Future[Encoded]]] = deque()
         self._failed: BaseException | None = None
 
     def __enter__(self) -> ShardWriter:
@@ -145,8 +150,8 @@ class ShardWriter:
             )
             self._digest, self._state = digest, state
             self._carry_on(state)
-            if self._workers:
-                self._pool: Executor = self._context.enter_context(_stopped(ThreadPoolExecutor(self._workers)))
+            if self._workers and self._pool is None:
+                self._pool = self._context.enter_context(_stopped(ThreadPoolExecutor(self._workers)))
         except OSError as error:
             self._context.close()
             raise self._unwritable(error) from error
@@ -191,13 +196,7 @@ class ShardWriter:
 
         Raises BadSample, naming the key, for what breaks a rule: the scene is then not written, and the writer goes on.
         """
-        self._opened()
-        if self._failed is not None:
-            raise self._failed
-        if key in self._seen:
-            raise BadSample(f"{key}: this key was written before")
-        if key in self._finished:
-            self._seen.add(key)
+        if not self._is_new(key):
             return False
         scene = Scene(key, range_m, labels, projector_range_m, projector, facing, normals, split, fields, planes, rig)
         layout = self._layout or self._learned(scene)
@@ -207,20 +206,50 @@ class ShardWriter:
         if self._layout is None:
             self._learn(layout)
         self._seen.add(key)
-        encode = partial(layout.members, taken)
-        self._enqueue(key, taken.info.split, self._pool.submit(encode) if self._workers else _done(encode))
+        self._enqueue(key, _encoded, layout, taken)
         return True
 
-    def _enqueue(self, key: str, split: Split, encoded: Future[dict[str, bytes]]) -> None:
-        self._waiting.append((key, split, encoded))
+    def write_all(self, scenes: Mapping[str, Any], function: Callable[[Any], Mapping[str, Any]]) -> None:
+        """Make scenes with a function where they are encoded, in the writer's threads or executor, and write them.
+
+        scenes: key -> whatever the function needs to make the scene, a path say. function: returns the arguments of
+        `write` but `key`. Scenes of finished shards are not made again. Functions and what they are given must be such
+        as can be pickled where the executor is of processes or of a cluster. Raises as `write`; the writer then does
+        not go on.
+        """
+        for key, reference in scenes.items():
+            if not self._is_new(key):
+                continue
+            if self._layout is None or self._complete:
+                self.write(key=key, **function(reference))  # here: it shows what all the others must have
+            else:
+                self._seen.add(key)
+                self._enqueue(key, _made, self._layout, key, function, reference)
+
+    def _is_new(self, key: str) -> bool:
+        """False for a scene of a finished shard. Raises BadSample for a bad key, or one that was written before."""
+        self._opened()
+        if self._failed is not None:
+            raise self._failed
+        check_key(key if isinstance(key, str) else f"<{key!r}>")
+        if key in self._seen:
+            raise BadSample(f"{key}: this key was written before")
+        if key in self._finished:
+            self._seen.add(key)
+            return False
+        return True
+
+    def _enqueue(self, key: str, work: Callable[..., Encoded], *given: Any) -> None:
+        encoded = _done(work, *given) if self._pool is None else self._pool.submit(work, *given)
+        self._waiting.append((key, encoded))
         while len(self._waiting) > 2 * self._workers:
             self._append_next()
 
     def _append_next(self) -> None:
         """Append the scene that was written first of those under way to its shard."""
-        key, split, encoded = self._waiting.popleft()
+        key, encoded = self._waiting.popleft()
         try:
-            self._append(key, split, encoded.result())
+            self._append(key, *encoded.result())
         except OSError as error:
             self._failed = self._unwritable(error)
             raise self._failed from error
@@ -259,7 +288,7 @@ class ShardWriter:
         except OSError as failure:
             raise self._unwritable(failure) from failure
         finally:
-            for _, _, encoded in self._waiting:
+            for _, encoded in self._waiting:
                 encoded.cancel()
             for writer in self._open.values():
                 writer.__exit__(KeyboardInterrupt, None, None)  # as after any error: its file goes
@@ -361,11 +390,19 @@ def _stopped(pool: ThreadPoolExecutor) -> Iterator[Executor]:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _done(work: Callable[[], dict[str, bytes]]) -> Future[dict[str, bytes]]:
+def _encoded(layout: Layout, taken: TakenScene) -> Encoded:
+    return taken.info.split, layout.members(taken)
+
+
+def _made(layout: Layout, key: str, function: Callable[[Any], Mapping[str, Any]], reference: Any) -> Encoded:
+    return _encoded(layout, layout.taken(Scene(key, **function(reference))))
+
+
+def _done(work: Callable[..., Encoded], *given: Any) -> Future[Encoded]:
     """A future of work that is done at once."""
-    future: Future[dict[str, bytes]] = Future()
+    future: Future[Encoded] = Future()
     try:
-        future.set_result(work())
+        future.set_result(work(*given))
     except Exception as error:
         future.set_exception(error)
     return future
