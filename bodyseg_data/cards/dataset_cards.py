@@ -93,6 +93,7 @@ def _made(facts: SetFacts) -> str:
     view = [f"{name.replace('_', ' ')}: {low} to {high}" for name, (low, high) in facts.views.items() if low or high]
     rows = [
         ("rendered by", f"`{facts.renderer}`"),
+        *([("facing", _FACING)] if facts.renderer == FACING_FROM_RANGE else []),
         ("rig", f"`{rig.name}`, made for a distance of {rig.stand_off_m:g} m, baseline {rig.baseline_m:g} m"),
         ("camera", camera(rig.camera)),
         *(("projector", camera(projector)) for projector in rig.projectors),

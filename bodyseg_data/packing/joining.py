@@ -40,7 +40,7 @@ class _Place(NamedTuple):
     key: str
     part: int
     shard: int
-    index: int
+    number: int
 
 
 def join(
@@ -77,7 +77,7 @@ def join(
                     continue
                 with TarWriter(out / name, state / f"{name}.part", split, joined.fields) as writer:
                     for place in places:
-                        writer.write(*readers[place.part].members(place.shard, place.index))
+                        writer.write(*readers[place.part].members(place.shard, place.number))
                         done += 1
                         progress(done, total)
                 if writer.record is not None:
