@@ -24,7 +24,7 @@ from bodyseg_data.cards.facts import (
     terms_text,
 )
 from bodyseg_data.labels import PARTS
-from bodyseg_data.shards import CODECS, Store
+from bodyseg_data.shards import CODECS, FACING_FROM_RANGE, Store
 
 _HUB_LICENCES: Final = frozenset(
     {"apache-2.0", "mit", "cc0-1.0", "cc-by-4.0", "cc-by-sa-4.0", "cc-by-nc-4.0", "cc-by-nc-sa-4.0", "cc-by-nd-4.0"}
@@ -46,6 +46,11 @@ _SIZE_CLASSES: Final = (
 )
 
 CARD_NAMES: Final = (CROISSANT_NAME, CARD_NAME)
+
+_FACING: Final = (
+    "found from the range images: on bodies, 0.9 % of these bits differ from those of exact rays, and 0.6 % of the "
+    "pixels are lit or dark by mistake"
+)
 
 _LARGEST_CARD: Final = 1 << 28
 _DIGEST_LINE: Final = re.compile(rf"^{DIGEST_FIELD}: ([0-9a-f]{{64}})$", re.MULTILINE)

@@ -47,6 +47,12 @@ MOST_RIGS: Final = 4096
 RIG_FIELD: Final = "rig"
 """Field of a sample's description that numbers its rig, in sets that have several."""
 
+EXTERNAL: Final = "external"
+"""The renderer of a set whose scenes were rendered elsewhere, with facing bits that came with them."""
+
+FACING_FROM_RANGE: Final = f"{EXTERNAL}, facing from range images"
+"""The same of a set whose facing bits were found from the range images (docs/how-to/writing_shards.md)."""
+
 _FIELDS: Final = frozenset(
     ["format", "rigs", "classes", "fields", "projector", "planes", "codec", "source", "renderer", "plan", "shards"]
 )
