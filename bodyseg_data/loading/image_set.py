@@ -63,8 +63,8 @@ class Batch(TypedDict):
     """Batch of B samples. range: float32 [B, 1, H, W], metres, 0 is background; with `metres=False` uint16 in steps.
 
     labels: uint8 [B, H, W], classes of `RangeImages.label_map`, by default the set's own; 255 is background. key: the B
-    samples' keys. epoch: the B epochs of their draws, which differ in a batch of a `Mixture` only. planes: name -> uint8
-    or uint16 [B, H, W], only of images that were opened with `planes`.
+    samples' keys. epoch: the B epochs of their draws, which differ in a batch of a `Mixture` only. planes: only of
+    images that were opened with `planes`, name -> uint8 or uint16 [B, H, W].
     """
 
     range: torch.Tensor

@@ -78,10 +78,10 @@ class RangeImages(SampleDataset):
     and not 255 to surfaces that have no class, so that 255 means that nothing was measured. planes: names of further
     images of the set, like "instances", that items and batches hold, too, as stored, also where artifacts lose pixels.
     occluder: "camera" makes the projector's range out of what the camera sees, also for a set that holds none; what the
-    camera does not see then casts no shadow (docs/how-to/streaming.md). only: patterns as for file names ("open-A-*", "*-d255-*"), one or several; a sample's key must match one of them. where: conditions like
-    "distance_cm<=255", one or several, which a sample's description must all meet (docs/how-to/streaming.md).
-    val_share: share of train, 0 to 1, that is read as "val" and not as "train": whole people and motions
-    (docs/how-to/splits.md).
+    camera does not see then casts no shadow (docs/how-to/streaming.md). only: patterns as for file names ("open-A-*",
+    "*-d255-*"), one or several; a sample's key must match one of them. where: conditions like "distance_cm<=255", one
+    or several, which a sample's description must all meet (docs/how-to/streaming.md). val_share: share of train, 0 to
+    1, that is read as "val" and not as "train": whole people and motions (docs/how-to/splits.md).
 
     For remote sets (docs/how-to/remote.md): cache: folder that keeps fetched shards, None for `bodyseg` in the user's
     cache folder. cache_bytes: its limit, None for 20 GB, 0 for no cache. storage_options: for the fsspec filesystem.
@@ -256,7 +256,8 @@ class RangeImages(SampleDataset):
             if self.planes:
                 made = replace(made, planes=_in_order(sample, self.planes))
             if self.transforms:
-                seen = with_camera(made, self.manifest.rig_of(sample).camera, self.step_m, sample, self.manifest.classes)
+                camera = self.manifest.rig_of(sample).camera
+                seen = with_camera(made, camera, self.step_m, sample, self.manifest.classes)
                 draws = Draws(self.seed, epoch, made.key)
                 made = transform_image(seen, self.transforms, draws, self.unlabelled)
         except BadSample as error:

@@ -140,7 +140,7 @@ class Slots:
         self._map(state["_file"].detach())
 
     def arrays(self, slot: int) -> list[NDArray[Any]]:
-        """Return a slot's memory as range float32 or uint16 [B, 1, H, W], labels uint8 [B, H, W], and planes [B, H, W]."""
+        """Return a slot's memory: range float32 or uint16 [B, 1, H, W], labels uint8 [B, H, W], planes [B, H, W]."""
         pixels, start = math.prod(self._shape), slot * self._stride
         ranges, *others = (
             np.frombuffer(self._memory, dtype, pixels, start + offset).reshape(self._shape)

@@ -224,9 +224,7 @@ def _called(transform: Transform, image: CameraImage, random: np.random.Generato
         raise failed from error
 
 
-def _checked_image(
-    found: Any, image: CameraImage, name: str, shape: tuple[int, int], unlabelled: int
-) -> CameraImage:
+def _checked_image(found: Any, image: CameraImage, name: str, shape: tuple[int, int], unlabelled: int) -> CameraImage:
     where = f"{image.key}: transform {name!r}"
     if not isinstance(found, CameraImage):
         raise BadTransform(f"{where} must return a CameraImage, found {type(found).__name__}")
