@@ -30,8 +30,26 @@ def seen_by_projectors(camera_range: NDArray[np.uint16], rig: Rig) -> NDArray[np
         rows = slice(first, first + test.rig.projector.rows)
         slopes = (each.astype(np.float32) for each in (test.of_columns, test.of_rows))
         places = np.empty((3, *camera_range.shape), np.float32)
-        _loop()(np.ascontiguousarray(camera_range), *slopes, test.offsets, test.edge_steps, places, found[rows])
+        joined = (
+            _joined(camera_range, test.edge_steps),
+            np.ascontiguousarray(_joined(camera_range.T, test.edge_steps).T),
+        )
+        _loop()(np.ascontiguousarray(camera_range), *slopes, test.offsets, *joined, places, found[rows])
         first = rows.stop
+    return found
+
+
+def _joined(ranges: NDArray[np.uint16], edge: np.float32) -> NDArray[np.bool_]:
+    """Whether a pixel and the one below it are on one surface, bool [H - 1, W], where both see any.
+
+    Their ranges differ by less than an edge; or, as on a floor seen at a grazing angle, by about as much as those of
+    the next pixels do.
+    """
+    jump = np.diff(ranges.astype(np.int32), axis=0)
+    found: NDArray[np.bool_] = np.abs(jump) < edge
+    straight = np.abs(np.diff(jump, axis=0)) < edge
+    found[1:] |= straight
+    found[:-1] |= straight
     return found
 
 
@@ -39,7 +57,8 @@ def prepare_occluder() -> None:
     """Compile or load the loop, so that workers forked from this process have it, too."""
     nothing = np.zeros((3, 2), np.float32)
     places, image = np.zeros((3, 2, 2), np.float32), np.zeros((2, 2), np.uint16)
-    _loop()(image, nothing, nothing, np.zeros(3, np.float32), np.float32(1), places, image.copy())
+    joined = np.zeros((1, 2), np.bool_), np.zeros((2, 1), np.bool_)
+    _loop()(image, nothing, nothing, np.zeros(3, np.float32), *joined, places, image.copy())
 
 
 @lru_cache(maxsize=1)
@@ -47,10 +66,12 @@ def _loop() -> Any:
     return compiled(_cast, "shadows of what the camera sees")
 
 
-def _cast(ranges: Any, of_columns: Any, of_rows: Any, offsets: Any, edge: Any, places: Any, found: Any) -> None:
+def _cast(
+    ranges: Any, of_columns: Any, of_rows: Any, offsets: Any, below: Any, beside: Any, places: Any, found: Any
+) -> None:
     """Draw the camera's mesh into `found`, uint16 [Hp, Wp]; places: float32 [3, H, W], for x, y and 1 / range there.
 
-    of_columns, of_rows, offsets: as of `ShadowTest`, float32. edge: steps between neighbours on two surfaces.
+    of_columns, of_rows, offsets: as of `ShadowTest`, float32. below, beside: `_joined` to the pixel there.
     """
     rows, columns = ranges.shape
     high, wide = found.shape
@@ -66,10 +87,8 @@ def _cast(ranges: Any, of_columns: Any, of_rows: Any, offsets: Any, edge: Any, p
         for c in range(columns - 1):
             for half in range(2):  # upper left and lower right triangle of four pixels
                 r0, c0 = r + half, c + half
-                if places[2, r0, c0] == 0 or places[2, r + 1, c] == 0 or places[2, r, c + 1] == 0:
-                    continue
-                z0, z1, z2 = np.int64(ranges[r0, c0]), np.int64(ranges[r + 1, c]), np.int64(ranges[r, c + 1])
-                if max(z0, z1, z2) - min(z0, z1, z2) >= edge:
+                seen = places[2, r0, c0] > 0 and places[2, r + 1, c] > 0 and places[2, r, c + 1] > 0
+                if not (seen and below[r, c + half] and beside[r + half, c]):
                     continue
                 x0, y0 = places[0, r0, c0], places[1, r0, c0]
                 x1, y1 = places[0, r + 1, c] - x0, places[1, r + 1, c] - y0

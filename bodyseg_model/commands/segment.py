@@ -192,7 +192,9 @@ def _remarks(
         f"wrote {frames} frames to {options.out}, {rate_text(per_second, 'frames')}, "
         f"{summary.milliseconds['frame']['mean']:.0f} ms from a frame to its labels"
     ]
-    if summary.mean_confidence is not None:
+    if recording.labeller.background.mode == "frame":
+        lines[0] += f", mean confidence {summary.mean_confidence or 0:.0%}"
+    elif summary.mean_confidence is not None:
         lines[0] += f", {summary.people / frames:.2g} people a frame, mean confidence {summary.mean_confidence:.0%}"
     else:
         lines.append("nobody was found: are --units, --near and --far right?")
@@ -202,6 +204,8 @@ def _remarks(
         lines.append(f"{summary.things / frames:.2g} things a frame got no label: --keep-things labels them, too")
     if camera.assumed:
         lines.append(f"camera {camera.origin}: give --focal or --rig if it is another")
+    if recording.labeller.background.mode == "frame":
+        return lines  # what follows is about bodies
     mirrored = shadows.mirrored(camera)
     if mirrored is not None and mirrored != options.mirrored:
         shown = "mirrored: give" if mirrored else "not mirrored: leave out"
