@@ -10,11 +10,11 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
-from bodyseg_data.core import BadConfig, BadShard
+from bodyseg_data.core import BadConfig, BadSample, BadShard
 from bodyseg_data.files import write_atomically
 from bodyseg_data.labels import PART_CLASSES, Classes, classes_from_json
 from bodyseg_data.rigs import Rig, rig_from_json
-from bodyseg_data.samples import Split
+from bodyseg_data.samples import Sample, Split
 from bodyseg_data.shards.codecs import CODECS
 from bodyseg_data.shards.earlier import EARLIER_FORMATS, manifest_as_current
 from bodyseg_data.shards.index import INDEX_NAME, IndexedShards, ShardTable, table_from_json, write_index
@@ -97,6 +97,15 @@ class Manifest:
     def rig(self) -> Rig:
         """The first rig, of most sets the only one."""
         return self.rigs[0]
+
+    def rig_of(self, sample: Sample) -> Rig:
+        """The rig of a sample. Raises BadSample, naming the key, for a number that is none of the set's rigs."""
+        if len(self.rigs) == 1:
+            return self.rig
+        number = sample.info.get(RIG_FIELD)
+        if type(number) is not int or not 0 <= number < len(self.rigs):
+            raise BadSample(f"{sample.key}: {RIG_FIELD!r} must be 0 to {len(self.rigs) - 1}, found {number!r}")
+        return self.rigs[number]
 
     def __repr__(self) -> str:
         size = f"{self.samples()} samples in {len(self.shards)} shards"

@@ -61,7 +61,7 @@ class Options:
     focal: float | None = option("frames: focal length of the camera, pixels (default: told by their size)", None)
     centre: tuple[float, ...] = option("frames: principal point of the camera, x y (default: the image's middle)", ())
     mirrored: bool = option("frames: they show left for right, as some drivers give them", False)
-    background: BackgroundMode = option("frames: as for `segment`", "people")
+    background: BackgroundMode | None = option("frames: as for `segment`", None)
     keep_things: bool = option("frames: label things of a body's size like people", False)
     confidence: float = option("frames: give no label to pixels of less confidence, 0 to 1", 0.0)
 
@@ -126,15 +126,10 @@ def check_options(options: Options, kind: str) -> None:
 
 
 def _set_view(options: Options, trained: Trained) -> SetView:
-    return SetView(
-        options.source[0],
-        trained,
-        options.split,
-        options.only,
-        options.where,
-        options.val_share,
-        options.seed,
-    )
+    chosen = options.split, options.only, options.where, options.val_share, options.seed
+    view = SetView(options.source[0], None, *chosen)
+    shipped_fits = view.images.manifest.classes == trained.label_map.of
+    return SetView(options.source[0], trained, *chosen) if options.run is not None or shipped_fits else view
 
 
 def _recording_view(options: Options, trained: Trained) -> RecordingView:
@@ -148,7 +143,7 @@ def _recording_view(options: Options, trained: Trained) -> RecordingView:
         raise BadConfig(f"{error}; a set of shards has {MANIFEST_NAME}, which is written last") from error
     labeller = FrameLabeller(
         trained,
-        Background(options.background),
+        None if options.background is None else Background(options.background),
         mirrored=options.mirrored,
         least_confidence=options.confidence,
         keep_things=options.keep_things,

@@ -159,6 +159,8 @@ class Training:
                 f"batch_size must be a multiple of the {processes.world_size} processes, found {recipe.batch_size}"
             )
         check_label_map(network, images.label_map)
+        if recipe.mirror and not images.label_map.has_mirror_image:
+            _ = images.label_map.mirrored  # raises, and says for which class
         self.name, self.images, self.recipe, self.folder = name, images, recipe, folder
         self.processes, self.seed, self.run_options = processes, seed, run_options or RunOptions()
         self.network = network.to(processes.device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
