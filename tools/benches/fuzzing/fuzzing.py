@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benches.environment import child_environment
 from benches.fuzzing.hostile import declared_bytes
@@ -168,7 +169,8 @@ def _seen(given: object) -> bytes:
     """The pixels of a sample that was read."""
     if not isinstance(given, Sample):
         return b"read"
-    images = [given.range, given.labels, given.faces_projector, *(plane for _, plane in sorted(given.planes.items()))]
+    images: list[NDArray[Any]] = [given.range, given.labels, given.faces_projector]
+    images += [given.planes[name] for name in sorted(given.planes)]
     if given.projector_range is not None:
         images.append(given.projector_range)
     return b"".join(image.tobytes() for image in images)

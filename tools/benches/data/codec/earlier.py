@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,5 +47,5 @@ def earlier_images(sample: Sample) -> bytes:
 def earlier_pngs(sample: Sample) -> dict[str, bytes]:
     """A sample's images as the three PNGs of formats 5 and 6."""
     stored = label_bytes(sample.labels, sample.faces_projector)
-    images = {"range": sample.range, "projector": sample.occluder_range(), "labels": stored}
+    images: dict[str, NDArray[Any]] = {"range": sample.range, "projector": sample.occluder_range(), "labels": stored}
     return {f"{name}.png": encode_png(image) for name, image in images.items()}
