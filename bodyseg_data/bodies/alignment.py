@@ -100,6 +100,17 @@ def metres_a_unit(surface: NDArray[np.float64], units: Units, where: str) -> flo
     raise BadMesh(f"{where}: a body must be {low} to {high} m at its largest: found {shown}, which fits in no unit")
 
 
+def upright_rotation(up: UpAxis) -> NDArray[np.float64]:
+    """Return the rotation [3, 3] of `Alignment` for a scene, of which only the axis that points up is known.
+
+    The x axis points left; where it points up, -y does. So a scene with z up, as programs of robotics write it, shows
+    its side of -y at azimuth 0.
+    """
+    upward = _axis(up)
+    left = _axis("-y" if up.endswith("x") else "x")
+    return np.stack([left, upward, np.cross(left, upward)])
+
+
 def check_standing(landmarks: NDArray[np.float64], where: str) -> None:
     """Raise BadMesh unless landmarks [33, 3], metres, body frame, are of a body that stands and faces the front.
 

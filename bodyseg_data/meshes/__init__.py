@@ -19,9 +19,18 @@ if TYPE_CHECKING:
         farthest_from,
         load_landmarks,
     )
-    from bodyseg_data.meshes.mesh import HEIGHT_RANGE_M, Mesh, face_normals, find_edges
-    from bodyseg_data.meshes.mesh_files import mesh_stem, mesh_suffix, preferred, read_mesh
-    from bodyseg_data.meshes.partitioning import Partition, partition
+    from bodyseg_data.meshes.mending import welded
+    from bodyseg_data.meshes.mesh import HEIGHT_RANGE_M, Mesh, SceneMesh, face_normals, find_edges
+    from bodyseg_data.meshes.mesh_files import (
+        FaceNames,
+        MeshContent,
+        mesh_stem,
+        mesh_suffix,
+        preferred,
+        read_mesh,
+        read_mesh_content,
+    )
+    from bodyseg_data.meshes.partitioning import Partition, SurfaceLabels, partition
     from bodyseg_data.meshes.repairing import repair, with_pymeshlab
     from bodyseg_data.meshes.solids import Solid, SurfacePiece, cuboid, together, turned_solid
 else:
