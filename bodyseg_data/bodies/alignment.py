@@ -23,6 +23,7 @@ UPRIGHT_DEG: Final = 25.0
 """Largest lean of trunk and legs of a body that counts as upright, degrees."""
 
 _TOO_LEANING_DEG: Final = 40.0  # at 45 degrees the next axis is as near
+_LARGER, _OTHER_UNIT = 1.4, 9.0  # times its landmarks' extent that no body is; from the second on, other units may be
 _FOUND_BY_SIZE: Final = ("m", "cm", "mm")
 
 
@@ -60,7 +61,13 @@ def find_alignment(
     axes, whatever their unit. where: names the file in messages. Raises BadMesh if no unit gives a body of human
     size, or if the axis that points up is to be found and the trunk points along none.
     """
-    scale = metres_a_unit(surface, units, where)
+    try:
+        scale = metres_a_unit(surface, units, where)
+    except BadMesh as error:
+        ratio = np.ptp(surface, axis=0).max() / max(np.ptp(landmarks, axis=0).max(), 1e-9)
+        if not _LARGER < ratio < _OTHER_UNIT:
+            raise
+        raise BadMesh(f"{error} (landmarks span 1 / {ratio:.2g} of it: is a floor or a wall in the mesh?)") from None
     points = dict(zip(LANDMARKS, landmarks, strict=True))
     pelvis = (points["Rt. PSIS"] + points["Lt. PSIS"]) / 2
     feet = (points["Rt. Lateral Malleolus"] + points["Lt. Lateral Malleolus"]) / 2

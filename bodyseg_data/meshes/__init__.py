@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
+    from bodyseg_data.meshes.body_checks import check_body
     from bodyseg_data.meshes.coincident import separate
     from bodyseg_data.meshes.geodesics import GeodesicMethod, check_method, nearest_sources
     from bodyseg_data.meshes.landmark_files import load_landmark_file

@@ -282,4 +282,4 @@ def test_every_pixel_has_the_class_of_what_it_shows(tmp_path: Path, soup: bool) 
         assert labels[middle] == seen and labels[-1, middle[1]] == 2
         assert (labels == 1 - seen).sum() < (labels == seen).sum()
         lit = lit_images[at]["range"][0].numpy() > 0
-        assert lit[labels == 2].mean() > 0.8
+        assert lit[labels == 2].mean() > 0.5
