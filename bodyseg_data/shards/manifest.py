@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
@@ -174,15 +174,18 @@ def write_manifest(manifest: Manifest, folder: Path) -> Manifest:
     return manifest
 
 
-def read_manifest(where: Path | Store) -> Manifest:
+def read_manifest(where: Path | Store, keep: Callable[[bytes], object] | None = None) -> Manifest:
     """Read and check the manifest of a set. Raises BadShard, naming the file and the broken rule, or Unreachable.
 
-    Of a set with an index, the shards' table is checked; the samples of a shard are when they are read.
+    Of a set with an index, the shards' table is checked; the samples of a shard are when they are read. keep: is called
+    with the file's bytes, and again if they are read again.
     """
     store = store_at(where)
     path = f"{store.name}/{MANIFEST_NAME}"
     for attempt in range(1, READ_ATTEMPTS + 1):
         data = _contents(store, path)
+        if keep is not None:
+            keep(data)
         try:
             tree = _tree(data, path)
             del data  # a large one, no longer needed

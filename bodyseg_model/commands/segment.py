@@ -87,6 +87,11 @@ class Options:
 
 def run(options: Options) -> int:
     """Label every frame, then write the summary."""
+    with contextlib.ExitStack() as claim:  # until the summary is written
+        return _segment(options, claim)
+
+
+def _segment(options: Options, claim: contextlib.ExitStack) -> int:
     keep_freed_memory()
     use_threads(options.threads)
     step_m, trained = None if options.units is None else metres_a_step(options.units), load_run(options.run)
@@ -115,11 +120,11 @@ def run(options: Options) -> int:
     cameras = recording.cameras
     images = [LABELS, *([] if options.no_overlay else [OVERLAY]), *([UNDISTORTED] if cameras.bent else [])]
     shape = cameras.first.camera.rows, cameras.first.camera.columns
-    results = FrameResults(
-        OutputFolder(options.out, options.frames, frames, images), labeller.label_map, preview, shape
-    )
+    out = OutputFolder(options.out, options.frames, frames, images)
+    results = FrameResults(out, labeller.label_map, preview, shape)
     shadows = ShadowFrames(len(frames), _SHADOW_FRAMES)
     with _labels_out(options, labeller.label_map) as messages:
+        claim.enter_context(out.claimed())
         results.begin()
         recording.prepare()
         start = time.perf_counter()
