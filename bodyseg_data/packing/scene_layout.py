@@ -1,7 +1,7 @@
 """Samples from the arrays of a scene: what all samples of a set have in common, and the checks that each must pass.
 
-Checks and copies of the arrays (`SceneLayout.taken`) are quick and run where the scene is handed over, so that a mistake is
-reported there and buffers may be used again; the rest (`SceneLayout.members`) may run in any thread or process.
+Checks and copies of the arrays (`SceneLayout.taken`) are quick and run where the scene is handed over, so that a
+mistake is reported there and buffers may be used again; the rest (`SceneLayout.members`) may run anywhere.
 """
 
 from __future__ import annotations
