@@ -25,7 +25,6 @@ from bodyseg_data.artifacts import (
     artifacts_to_json,
     check_variant,
     load_sensor_model,
-    prepare_occluder,
     seen_by_projectors,
 )
 from bodyseg_data.core import BadConfig, BadSample, BadShard, Draws, check_epoch, check_seed
@@ -169,7 +168,8 @@ class RangeImages(SampleDataset):
         """Compile or load the loops that samples need, so that workers forked from this process have them too."""
         self.augmentation.prepare()
         if self._casts:
-            prepare_occluder()
+            camera = self.manifest.rig.camera
+            seen_by_projectors(np.zeros((camera.rows, camera.columns), np.uint16), self.manifest.rig)
         if self._joins:
             self.label_map.prepare()
 
