@@ -25,7 +25,6 @@ from bodyseg_data.artifacts import (
     artifacts_to_json,
     check_variant,
     load_sensor_model,
-    prepare_occluder,
     seen_by_projectors,
 )
 from bodyseg_data.core import BadConfig, BadSample, BadShard, Draws, check_epoch, check_seed
@@ -121,7 +120,9 @@ class RangeImages(SampleDataset):
         self.augmentation = Augmentation(self.manifest.rig, check_variant(variant), seed, model)
         """Of the set's first rig; see `augmentation_of`."""
         self._augmentations: dict[int, Augmentation] = {}
-        self.occluder = check_occluder(occluder)
+        self.occluder = occluder
+        if occluder not in OCCLUDERS:
+            raise BadConfig(f"occluder must be {' or '.join(map(repr, OCCLUDERS))}, found {occluder!r}")
         if self.augmentation.needs_projector and self.manifest.projector == "none" and occluder == "stored":
             raise BadConfig(
                 f"{path} holds no projector range, which variant {variant!r} needs: use 'none', 'noise' or 'md', or "
@@ -169,7 +170,8 @@ class RangeImages(SampleDataset):
         """Compile or load the loops that samples need, so that workers forked from this process have them too."""
         self.augmentation.prepare()
         if self._casts:
-            prepare_occluder()
+            camera = self.manifest.rig.camera
+            seen_by_projectors(np.zeros((camera.rows, camera.columns), np.uint16), self.manifest.rig)
         if self._joins:
             self.label_map.prepare()
 
@@ -370,14 +372,6 @@ class RangeImages(SampleDataset):
     def urls(self) -> list[str]:
         """Return the paths of the shards that hold the chosen samples, in stored order."""
         return [f"{self.path}/{self.manifest.shards[number].name}" for number in self._samples.shards]
-
-
-def check_occluder(name: Any) -> OccluderName:
-    """`name` if projector ranges can come from there: "stored" or "camera". Raises BadConfig."""
-    for known in OCCLUDERS:
-        if name == known:
-            return known
-    raise BadConfig(f"occluder must be {' or '.join(map(repr, OCCLUDERS))}, found {name!r}")
 
 
 def _chosen_planes(names: Any, manifest: Manifest) -> dict[str, np.dtype[Any]]:
