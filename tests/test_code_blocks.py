@@ -30,6 +30,7 @@ DOCUMENTS: Final = sorted([ROOT / "README.md", *PAGES])
 ELSEWHERE: Final = {
     "add_your_own.md": "each example runs by itself in test_how_to.py",
     "cards.md": "needs the cards of a set; tests/cards reads one by both libraries",
+    "your_renders.md": "needs the set of its commands; test_your_renders.py runs both",
     "remote.md": "the addresses are of nobody; tests/shards/test_stores.py reads from servers on loopback",
 }
 """Documents whose Python is not run here, and why."""
@@ -127,8 +128,8 @@ WALKED: Final = {
 }
 """Documents whose command lines run here, and commands among them that take longer and have tests of their own.
 
-test_tutorial.py runs those of your_camera.md. Those of all other documents take minutes to days and are only read, with
-every option and value, as the command itself reads them.
+test_tutorial.py runs those of your_camera.md, test_your_renders.py those of your_renders.md. Those of all others
+take minutes to days and are only read, with every option and value, as the command itself reads them.
 """
 
 SIZES: Final = {
