@@ -68,7 +68,8 @@ class LabelTable:
                 raise BadSample(
                     f"{where}: label {number} ({count} pixels) is neither a class nor background in {self.said_by}"
                 )
-        return np.array([self.numbers[number] for number in found.tolist()], np.uint8)[np.searchsorted(found, whole)]
+        labels = np.array([self.numbers[number] for number in found.tolist()], np.uint8)
+        return labels[np.searchsorted(found, whole)]
 
     def _of_colours(self, image: NDArray[Any], where: str) -> NDArray[np.uint8]:
         if image.dtype != np.uint8 or image.shape[2] not in (3, 4):
@@ -91,7 +92,8 @@ class LabelTable:
                 f"{where}: {total} pixels have {len(strange)} colours that are neither a class nor background in "
                 f"{self.said_by}, most of them #{colour:06x} ({count}){why}"
             )
-        return np.array([self.colours[int(colour)] for colour in found], np.uint8)[np.searchsorted(found, packed)]
+        labels = np.array([self.colours[int(colour)] for colour in found], np.uint8)
+        return labels[np.searchsorted(found, packed)]
 
 
 @dataclass(frozen=True)

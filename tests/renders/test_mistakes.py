@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from rendered_scenes import CAMERA, PROJECTOR, SET_TOML, blenderproc, isaac, millimetres, plain, save, seen_by
+from rendered_scenes import plain, save
 
 from bodyseg_data.commands.cli import main
 
@@ -86,7 +85,11 @@ def both(*steps: Callable[[Path], None]) -> Callable[[Path], None]:
 
 
 def table(text: str) -> Callable[[Path], None]:
-    return lambda folder: [(folder / "samples.jsonl").unlink(), (folder / "samples.csv").write_text(text)] and None
+    def apply(folder: Path) -> None:
+        (folder / "samples.jsonl").unlink()
+        (folder / "samples.csv").write_text(text)
+
+    return apply
 
 
 MISTAKES: dict[str, tuple[Callable[[Path], Any], str]] = {

@@ -68,4 +68,4 @@ def test_a_command_packs_them(tmp_path: Path, write: Any) -> None:
     if write is blenderproc:
         pytest.importorskip("h5py")
     images = packed(write(tmp_path / "cell"))
-    assert sorted(images.classes.names) == sorted(NAMES)
+    assert sorted(images.manifest.classes.names) == sorted(NAMES)
