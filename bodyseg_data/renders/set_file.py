@@ -1,11 +1,13 @@
 """The file `set.toml` of a folder of renders, which says what its images mean, and its table of samples.
 
-format = "bodyseg renders 1"
-classes = ["floor", "table", "arm"]   # or [[classes]] with name, label, colour, mirror, within
-first_label = 1                       # the number of the first class in label images
-background = [0]                      # numbers or colours of pixels without a class
-rig = "rig.toml"                      # a rig file in this folder, the name of a rig, or a table [rig]
-unit_m = 0.001                        # metres of one step of range images of integers
+    format = "bodyseg renders 1"
+    classes = ["floor", "table", "arm"]   # or [[classes]] with name, label, colour, mirror, within
+    first_label = 1                       # the number of the first class in label images
+    background = [0]                      # numbers or colours of pixels without a class
+    rig = "rig.toml"                      # a rig file in this folder, the name of a rig, or a table [rig]
+    unit_m = 0.001                        # metres of one step of range images of integers
+
+Further keys are those of `SetFile`.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import contextlib
 import csv
 import io
 import re
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -57,7 +60,8 @@ class LabelTable:
             image = image[..., 0]  # grey that was saved as a picture in colours
         if image.ndim == 3:
             return self._of_colours(image, where)
-        whole = np.rint(image).astype(np.int64) if image.dtype.kind == "f" else image.astype(np.int64)
+        with np.errstate(invalid="ignore"):  # NaN is no whole number, which the next lines say
+            whole = np.rint(image).astype(np.int64) if image.dtype.kind == "f" else image.astype(np.int64)
         if image.dtype.kind == "f" and not np.array_equal(whole, image):
             raise BadSample(f"{where}: a label must be a whole number, found {image[whole != image][0]:.6g}")
         small = whole.min() >= 0 and whole.max() < _SMALL
@@ -122,8 +126,6 @@ class SetFile:
 
 def read_set(folder: Path) -> SetFile:
     """Read the `set.toml` of a folder; an empty one if there is none. Raises BadConfig, naming file and key."""
-    import tomllib
-
     path = folder / SET_NAME
     if not path.exists():
         return SetFile(path)
@@ -203,9 +205,8 @@ def _rigs(one: Any, several: Any, path: Path) -> dict[str, Rig]:
         raise BadConfig(f"{path}: a set has 'rig' or [rigs], found both")
     if several is not None and not (isinstance(several, dict) and several):
         raise BadConfig(f"{path}: [rigs] must give names to rig files, found {several!r:.60}")
-    return {
-        name: _rig(value, path) for name, value in ({} if one is None else {"": one}).items() | (several or {}).items()
-    }
+    named = {"": one} if one is not None else several or {}
+    return {name: _rig(value, path) for name, value in named.items()}
 
 
 def _rig(value: Any, path: Path) -> Rig:
@@ -298,11 +299,15 @@ def _csv_rows(text: str, path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
         for name, column in zip(header, words, strict=True)
     ]
     for at in range(len(cells)):
-        yield at + 2, {name: column[at] for name, column in zip(header, columns, strict=True) if column[at] is not None}
+        yield (
+            at + 2,
+            {name: column[at] for name, column in zip(header, columns, strict=True) if column[at] not in (None, "")},
+        )
 
 
 def _typed(column: Sequence[str]) -> Sequence[Value | None]:
-    for read in (int, float, {"true": True, "false": False}.__getitem__, str):
+    flags = {"true": True, "false": False}
+    for read in (int, float, lambda word: flags[word.lower()], str):
         with contextlib.suppress(ValueError, KeyError):
             return [read(word) if word else None for word in column]
     return []
