@@ -17,10 +17,11 @@ from typing import Final, NamedTuple
 from bodyseg_data.core import BadConfig, ProgressCallback, check_int, silent
 from bodyseg_data.files import make_folder
 from bodyseg_data.packing.options import PACKING_VERSION
-from bodyseg_data.packing.shard_writer import EXTERNAL, part_name
+from bodyseg_data.packing.shard_writer import part_name
 from bodyseg_data.packing.writing import claimed, finished_shards, record_shard
 from bodyseg_data.samples import SPLITS, Split
 from bodyseg_data.shards import (
+    EXTERNAL,
     MANIFEST_NAME,
     Fields,
     Manifest,

@@ -39,6 +39,8 @@ from bodyseg_data.packing.writing import claimed, finished_shards, record_shard
 from bodyseg_data.rigs import Rig, load_rig
 from bodyseg_data.samples import SHADOW_THRESHOLDS, Split, check_key
 from bodyseg_data.shards import (
+    EXTERNAL,
+    FACING_FROM_RANGE,
     MANIFEST_FORMAT,
     MANIFEST_NAME,
     Manifest,
@@ -51,12 +53,6 @@ from bodyseg_data.shards import (
     read_manifest,
     write_manifest,
 )
-
-EXTERNAL: Final = "external"
-"""The renderer of a set whose scenes were rendered elsewhere, with facing bits that came with them."""
-
-FACING_FROM_RANGE: Final = f"{EXTERNAL}, facing from range images"
-"""The same of a set whose facing bits were found from the range images (docs/how-to/writing_shards.md)."""
 
 _RENDERERS: Final[dict[FacingOrigin, str]] = {"given": EXTERNAL, "range": FACING_FROM_RANGE}
 _LEARNED: Final = "learned.json"

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from bodyseg_data.shards.codecs.png import SIGNATURE, check_checksums, decode_chunks, read_chunks, read_header
     from bodyseg_data.shards.faults import find_faults, find_index_faults
     from bodyseg_data.shards.manifest import (
+        EXTERNAL,
+        FACING_FROM_RANGE,
         LARGEST_MANIFEST,
         MANIFEST_FORMAT,
         MANIFEST_NAME,
