@@ -118,7 +118,7 @@ MISTAKES: dict[str, tuple[Callable[[Path], Any], str]] = {
         replaced("projector", lambda image: image[:8]),
         "24 rows and 30 columns as the rig's projector",
     ),
-    "label": (replaced("labels", lambda image: np.where(image == 2, 9, image).astype(np.uint8)), "label 9 ("),
+    "label": (replaced("labels", lambda image: np.where(image == 2, 9, image).astype(np.uint8)), "most of them 9 ("),
     "half labels": (replaced("labels", lambda image: image / 2, ending=".npy"), "a label must be a whole number"),
     "coloured labels": (replaced("labels", coloured), "no class of set.toml has a colour"),
     "strange colour": (both(IN_COLOURS, all_replaced(("labels",), coloured)), "most of them #000000"),
