@@ -9,9 +9,9 @@ import sys
 import time
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
-from bodyseg_data.bodies import SourceName, Units, UpAxis, collapsed
+from bodyseg_data.bodies import SOURCES, Units, UpAxis, collapsed
 from bodyseg_data.commands.options import command_line, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.records import check_target, provenance, write_figures
@@ -31,7 +31,6 @@ from bodyseg_data.packing import (
     pack,
     pack_renders,
     plan,
-    plan_renders,
 )
 from bodyseg_data.rendering import RendererName
 from bodyseg_data.renders import LayoutName, RenderSource, open_renders
@@ -44,6 +43,11 @@ EXAMPLE = "bodyseg shard --source open --meshes 40 --out shards"
 RENDERS: Final = "renders"
 """The source of scenes that another program has rendered."""
 
+if TYPE_CHECKING:
+    ShardSource = str
+else:
+    ShardSource = Literal[(*SOURCES, RENDERS)]
+
 _OF_ALL: Final = ("source", "path", "out", "codec", "shard_samples", "workers", "report", "plan")
 _OF_RENDERS: Final = ("layout", "projector")
 
@@ -52,7 +56,7 @@ _OF_RENDERS: Final = ("layout", "projector")
 class Options:
     """Options of the command."""
 
-    source: Literal[SourceName, "renders"] = option("source of the bodies, or renders: scenes rendered elsewhere")
+    source: ShardSource = option("source of the bodies, or renders: scenes rendered elsewhere")
     path: Path | None = option("folder of the source's meshes or renders, for sources that read one", None)
     layout: LayoutName | None = option("renders: layout of their folder (default: by its files)", None)
     projector: ProjectorKind | None = option(
@@ -198,7 +202,9 @@ def _run_renders(options: Options) -> int:
     if len(splits) == 1:
         sys.stderr.write(f"bodyseg shard: note: all {len(keys)} renders are of the split {splits.pop()}\n")
     if options.plan:
-        sys.stdout.write(json.dumps(plan_renders(source), indent=2) + "\n")
+        counts: dict[str, Any] = {split: sum(source.split(key) == split for key in keys) for split in SPLITS}
+        counts |= {"classes": source.classes.names, "rigs": len(source.rigs), "planes": dict(source.planes)}
+        sys.stdout.write(json.dumps({"source": RENDERS, "views": len(keys), **counts}, indent=2) + "\n")
         return 0
     if options.out is None:
         raise BadConfig("--out is missing: the folder for the shards (or --plan to see the counts only)")

@@ -1,4 +1,8 @@
-"""From finished renders to shards: files are read ahead by threads and written in the source's order."""
+"""From finished renders to shards: files are read ahead by threads and written in the source's order.
+
+Of the first renders, what camera and projector see is compared: whether the two can be of one scene, as the rig places
+them.
+"""
 
 from __future__ import annotations
 
@@ -8,24 +12,28 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.core import ProgressCallback, silent
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core import BadSample, ProgressCallback, silent
 from bodyseg_data.machine import processors
 from bodyseg_data.packing.jobs import ordered
 from bodyseg_data.packing.shard_writer import ShardWriter
-from bodyseg_data.renders import Render, RenderSource, check_plausible
-from bodyseg_data.samples import SPLITS
+from bodyseg_data.renders import Render, RenderSource
+from bodyseg_data.rigs import Camera, Rig
 from bodyseg_data.shards import CodecName, Manifest, ProjectorKind, read_manifest
 
 _CHECKED: Final = 4
 """Number of renders whose two views are compared: a mistake in a set is in all of it."""
 
+_POINTS: Final = 4000
+_FEWEST: Final = 100
+_SLACK: Final = 0.02
+"""Metres, and share of the range, that two renderers may differ by."""
+_REFUSED: Final = 0.2
+_FITTING: Final = 0.1
 
-def plan_renders(source: RenderSource) -> dict[str, Any]:
-    """Counts per split, classes and planes, without reading any image; plain JSON."""
-    splits = list(map(source.split, source.keys()))
-    counts = {split: splits.count(split) for split in SPLITS}
-    described = {"classes": list(source.classes.names), "planes": dict(source.planes), "fields": dict(source.fields)}
-    return {"source": "renders", "views": len(splits), **counts, "rigs": len(source.rigs), **described}
+Ranges = NDArray[np.floating[Any]]
 
 
 def pack_renders(
@@ -74,3 +82,61 @@ def pack_renders(
             done += writer.write(**given)
             progress(done, len(keys))
     return read_manifest(out)
+
+
+def check_plausible(render: Render, rig: Rig, where: str) -> None:
+    """Raise BadSample if what the camera sees contradicts what the first projector sees.
+
+    A point that one of the two sees lies where the other sees a surface, or behind it; one before it, or where the
+    other sees nothing, contradicts. Up to `_REFUSED` of the points may, as thin things and small offsets make them.
+    Mirrored images are told by their fitting once they are turned; nothing can be told of scenes that look the same in
+    a mirror, nor of images that are all upside down before a rig whose devices lie side by side.
+    """
+    if render.projector_range_m is None:
+        return
+    seen, lit = render.range_m, render.projector_range_m[: rig.projector.rows]
+    found = contradicting(rig, seen, lit)
+    if found <= _REFUSED:
+        return
+    causes = {
+        "the projector's images look mirrored left to right": (seen, lit[:, ::-1]),
+        "the camera's images look mirrored left to right": (seen[:, ::-1], lit),
+        "all images look mirrored left to right, as a left-handed export makes them": (seen[:, ::-1], lit[:, ::-1]),
+    }
+    rates = {cause: contradicting(rig, *images) for cause, images in causes.items()}
+    cause = min(rates, key=lambda each: rates[each])
+    if rates[cause] > min(_FITTING, found / 3):
+        cause = "is the projector's pose, its focal length or a unit another than set.toml and the rig say?"
+    share = f"{100 * found:.0f} % of their points"
+    raise BadSample(f"{where}: camera and projector contradict each other at {share}: {cause}")
+
+
+def contradicting(rig: Rig, range_m: Ranges, projector_m: Ranges) -> float:
+    """Share of the points of one device that the other sees past: the larger of both ways; 0 for too few points."""
+    rotation, offset = rig.camera_to_projector()
+    back = rotation.T, -rotation.T @ offset
+    return max(
+        _seen_past((rig.camera, range_m), (rig.projector, projector_m), rotation, offset),
+        _seen_past((rig.projector, projector_m), (rig.camera, range_m), *back),
+    )
+
+
+def _seen_past(
+    one: tuple[Camera, Ranges], other: tuple[Camera, Ranges], rotation: NDArray[np.float64], offset: NDArray[np.float64]
+) -> float:
+    """The same of one way; rotation and offset: from the frame of `one` to the other's."""
+    (device, range_m), (target, target_m) = one, other
+    rows, columns = np.nonzero(range_m)
+    stride = max(1, len(rows) // _POINTS)
+    rows, columns = rows[::stride], columns[::stride]
+    points = device.pixel_rays()[rows, columns] * range_m[rows, columns, None] @ rotation.T + offset
+    points = points[points[:, 2] > 0]
+    across, down = (points[:, :2] / points[:, 2:] * target.focal_px + target.centre_px).T
+    inside = (across >= 0) & (across < target.columns) & (down >= 0) & (down < target.rows)
+    if np.count_nonzero(inside) < _FEWEST:
+        return 0.0
+    # The nearest surface of a pixel and those around it: at an edge either side will do, and beyond the image any.
+    padded = np.pad(np.where(target_m == 0, np.inf, target_m), 1)
+    nearest = np.min([padded[y : y + target.rows, x : x + target.columns] for y in range(3) for x in range(3)], axis=0)
+    seen = nearest[down[inside].astype(np.intp), across[inside].astype(np.intp)]
+    return float(np.mean(seen > points[inside, 2] * (1 + _SLACK) + _SLACK))

@@ -8,7 +8,6 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_data.renders.layouts import LayoutName, open_renders
-    from bodyseg_data.renders.plausibility import check_plausible
     from bodyseg_data.renders.source import Render, RenderSource
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -135,7 +135,7 @@ def as_metres(
         nothing |= ~np.isfinite(image) | (image >= NOTHING)
     for number in (*(_SENTINELS if floats else _SENTINELS[1:]), *no_range):
         nothing |= image == number
-    numbers = image.astype(np.float32 if floats else np.float64, copy=True)
+    numbers: NDArray[np.floating[Any]] = image.astype(np.float32 if floats else np.float64)
     numbers[nothing] = 0
     if numbers.min() < 0:
         raise BadSample(

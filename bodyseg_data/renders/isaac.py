@@ -11,7 +11,6 @@ set.toml names them.
 
 from __future__ import annotations
 
-import ast
 import math
 import re
 from collections.abc import Mapping
@@ -38,6 +37,9 @@ _MEANINGS: Final = _IMAGE + _SUFFIX
 _PARAMS: Final = "camera_params"
 _NONE: Final = ("BACKGROUND", "UNLABELLED")
 _POSE: Final = "camera_pose"
+_KEY: Final = re.compile(
+    r"(?P<number>\d{1,9})|\((?P<red>\d{1,3}), ?(?P<green>\d{1,3}), ?(?P<blue>\d{1,3})(, ?\d{1,3})?\)"
+)
 _TO_OURS: Final = np.diag([1.0, -1.0, -1.0, 1.0])  # USD's cameras look along -z, with y up
 
 
@@ -84,13 +86,14 @@ class IsaacRenders(StoredRenders):
             if name not in (*_NONE, *self.classes.names):
                 raise BadSample(f"{path}: {name!r} is no class of {self._content.path.name}")
             label = BACKGROUND if name in _NONE else self.classes.names.index(name)
-            value = _key_value(words)
-            if value is None:
+            match = _KEY.fullmatch(words)
+            if match is None:
                 raise BadSample(f"{path}: a key must be like '3' or the colour '(140, 25, 255, 255)', found {words!r}")
-            if isinstance(value, int):
-                numbers[value] = label
+            if match["number"]:
+                numbers[int(match["number"])] = label
             else:
-                colours[value[0] << 16 | value[1] << 8 | value[2]] = label
+                red, green, blue = map(int, match.group("red", "green", "blue"))
+                colours[red << 16 | green << 8 | blue] = label
         return LabelTable(numbers, colours, path.name)
 
     def further(self, key: str) -> Mapping[str, Value]:
@@ -111,7 +114,7 @@ class IsaacRenders(StoredRenders):
             seen = _device(eye, (0.0, 0.0, 0.0), (0.0, 0.0, away))
             return Rig("isaac", away, seen, _device(light, *vectors), self._step_mm)
         except BadConfig as error:
-            raise BadConfig(f"{camera} and {projector} make no rig: {error}") from None
+            raise BadConfig(f"{camera} and {projector} are no rig: {error}") from None
 
 
 def frames(folder: Path, annotator: str, ending: str) -> dict[str, Path]:
@@ -143,17 +146,6 @@ def _meanings(path: Path) -> dict[str, str]:
             raise BadConfig(f"{path}: {key!r} must name a class, found {entry!r:.60}")
         found[key] = value
     return found
-
-
-def _key_value(key: str) -> int | tuple[int, ...] | None:
-    """The number or colour that a key of a labels' file stands for; None for another text."""
-    try:
-        value = ast.literal_eval(key)
-    except (ValueError, SyntaxError, RecursionError, MemoryError):
-        return None
-    numbers = (value,) if type(value) is int else value if isinstance(value, tuple) and len(value) in (3, 4) else ()
-    fits = bool(numbers) and all(type(each) is int and each >= 0 for each in numbers)
-    return value if fits and (type(value) is int or max(numbers) < 256) else None
 
 
 @lru_cache(maxsize=64)

@@ -1,11 +1,13 @@
 """The file `set.toml` of a folder of renders, which says what its images mean, and its table of samples.
 
-format = "bodyseg renders 1"
-classes = ["floor", "table", "arm"]   # or [[classes]] with name, label, colour, mirror, within
-first_label = 1                       # the number of the first class in label images
-background = [0]                      # numbers or colours of pixels without a class
-rig = "rig.toml"                      # a rig file in this folder, the name of a rig, or a table [rig]
-unit_m = 0.001                        # metres of one step of range images of integers
+    format = "bodyseg renders 1"
+    classes = ["floor", "table", "arm"]   # or [[classes]] with name, label, colour, mirror, within
+    first_label = 1                       # the number of the first class in label images
+    background = [0]                      # numbers or colours of pixels without a class
+    rig = "rig.toml"                      # a rig file in this folder, the name of a rig, or a table [rig]
+    unit_m = 0.001                        # metres of one step of range images of integers
+
+Further keys are those of `SetFile`.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import contextlib
 import csv
 import io
 import re
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -55,43 +58,39 @@ class LabelTable:
         """Labels of an image, uint8 [H, W]. Raises BadSample for a number or colour that stands for nothing."""
         if image.ndim == 3 and not self.colours and (image[..., :3] == image[..., :1]).all():
             image = image[..., 0]  # grey that was saved as a picture in colours
-        if image.ndim == 3:
-            return self._of_colours(image, where)
-        whole = np.rint(image).astype(np.int64) if image.dtype.kind == "f" else image.astype(np.int64)
-        if image.dtype.kind == "f" and not np.array_equal(whole, image):
-            raise BadSample(f"{where}: a label must be a whole number, found {image[whole != image][0]:.6g}")
-        small = whole.min() >= 0 and whole.max() < _SMALL
-        found = np.flatnonzero(np.bincount(whole.ravel())) if small else np.unique(whole)
-        for number in found.tolist():
-            if number not in self.numbers:
-                count = np.count_nonzero(whole == number)
-                raise BadSample(
-                    f"{where}: label {number} ({count} pixels) is neither a class nor background in {self.said_by}"
-                )
-        return np.array([self.numbers[number] for number in found.tolist()], np.uint8)[np.searchsorted(found, whole)]
-
-    def _of_colours(self, image: NDArray[Any], where: str) -> NDArray[np.uint8]:
-        if image.dtype != np.uint8 or image.shape[2] not in (3, 4):
-            raise BadSample(f"{where}: a label image in colours must be of 8 bits, found {image.dtype} {image.shape}")
-        if not self.colours:
+        in_colours = image.ndim == 3
+        if in_colours and not self.colours:
             raise BadSample(f"{where}: the image is in colours, and no class of {self.said_by} has a colour")
-        packed = (image[..., 0].astype(np.int64) << 16) | (image[..., 1].astype(np.int64) << 8) | image[..., 2]
-        found, counts = np.unique(packed, return_counts=True)
-        strange = [
-            (int(count), int(colour))
-            for colour, count in zip(found, counts, strict=True)
-            if int(colour) not in self.colours
-        ]
-        if strange:
-            count, colour = max(strange)
-            total = sum(each for each, _ in strange)
-            blended = len(strange) > 2 and total < _BORDER * packed.size
+        table, values = (self.colours, _packed(image, where)) if in_colours else (self.numbers, _whole(image, where))
+        small = values.min() >= 0 and values.max() < _SMALL
+        found = np.flatnonzero(np.bincount(values.ravel())) if small else np.unique(values)
+        if not table.keys() >= set(found.tolist()):
+            strange, counts = np.unique(values[~np.isin(values, list(table))], return_counts=True)
+            most = f"#{strange[counts.argmax()]:06x}" if in_colours else str(strange[counts.argmax()])
+            blended = in_colours and len(strange) > 2 and counts.sum() < _BORDER * values.size
             why = ": borders are blended, labels need rendering without antialiasing" if blended else ""
             raise BadSample(
-                f"{where}: {total} pixels have {len(strange)} colours that are neither a class nor background in "
-                f"{self.said_by}, most of them #{colour:06x} ({count}){why}"
+                f"{where}: {counts.sum()} pixels have {len(strange)} {'colours' if in_colours else 'numbers'} that are "
+                f"neither a class nor background in {self.said_by}, most of them {most} ({counts.max()}){why}"
             )
-        return np.array([self.colours[int(colour)] for colour in found], np.uint8)[np.searchsorted(found, packed)]
+        labels = np.array([table[value] for value in found.tolist()], np.uint8)
+        return labels[np.searchsorted(found, values)]
+
+
+def _whole(image: NDArray[Any], where: str) -> NDArray[np.int64]:
+    with np.errstate(invalid="ignore"):  # NaN is no whole number, which the next lines say
+        whole = image.astype(np.int64)
+    if image.dtype.kind == "f" and not np.array_equal(whole, image):
+        raise BadSample(f"{where}: a label must be a whole number, found {image[whole != image][0]:.6g}")
+    return whole
+
+
+def _packed(image: NDArray[Any], where: str) -> NDArray[np.int64]:
+    """Colours of 8 bits a channel as numbers 0xrrggbb."""
+    if image.dtype != np.uint8 or image.shape[2] not in (3, 4):
+        raise BadSample(f"{where}: a label image in colours must be of 8 bits, found {image.dtype} {image.shape}")
+    red, green, blue = np.moveaxis(image[..., :3].astype(np.int64), 2, 0)
+    return red << 16 | green << 8 | blue
 
 
 @dataclass(frozen=True)
@@ -120,8 +119,6 @@ class SetFile:
 
 def read_set(folder: Path) -> SetFile:
     """Read the `set.toml` of a folder; an empty one if there is none. Raises BadConfig, naming file and key."""
-    import tomllib
-
     path = folder / SET_NAME
     if not path.exists():
         return SetFile(path)
@@ -201,9 +198,8 @@ def _rigs(one: Any, several: Any, path: Path) -> dict[str, Rig]:
         raise BadConfig(f"{path}: a set has 'rig' or [rigs], found both")
     if several is not None and not (isinstance(several, dict) and several):
         raise BadConfig(f"{path}: [rigs] must give names to rig files, found {several!r:.60}")
-    return {
-        name: _rig(value, path) for name, value in ({} if one is None else {"": one}).items() | (several or {}).items()
-    }
+    named = {"": one} if one is not None else several or {}
+    return {name: _rig(value, path) for name, value in named.items()}
 
 
 def _rig(value: Any, path: Path) -> Rig:
@@ -296,11 +292,15 @@ def _csv_rows(text: str, path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
         for name, column in zip(header, words, strict=True)
     ]
     for at in range(len(cells)):
-        yield at + 2, {name: column[at] for name, column in zip(header, columns, strict=True) if column[at] is not None}
+        yield (
+            at + 2,
+            {name: column[at] for name, column in zip(header, columns, strict=True) if column[at] not in (None, "")},
+        )
 
 
 def _typed(column: Sequence[str]) -> Sequence[Value | None]:
-    for read in (int, float, {"true": True, "false": False}.__getitem__, str):
+    flags = {"true": True, "false": False}
+    for read in (int, float, lambda word: flags[word.lower()], str):
         with contextlib.suppress(ValueError, KeyError):
             return [read(word) if word else None for word in column]
     return []

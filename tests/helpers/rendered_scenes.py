@@ -41,8 +41,8 @@ unit_m = 0.001
 
 
 def seen_by(device: Camera, number: int) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """Range in metres along the axis, 0 for nothing, and labels (255 for nothing) of scene `number`: a floor, an upright
-    arm and a box, all boxes along the axes of the rig.
+    """Range in metres along the axis, 0 for nothing, and labels (255 for nothing) of scene `number`: a floor, an
+    upright arm and a box, all boxes along the axes of the rig.
     """
     shift = 0.05 * (number % 3)
     boxes = [((-1.0, 0.35, 1.0), (1.0, 0.4, 2.2)), ((-0.4, -0.3, 1.3), (-0.25, 0.3, 1.45))]
@@ -103,6 +103,7 @@ def plain(folder: Path, count: int = 4, ending: str = ".png", table: bool = True
             }
             for n in range(count)
         ]
+        rows[-1]["split"] = "test"
         (folder / "samples.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
     return folder
 
@@ -167,7 +168,7 @@ def isaac(folder: Path, count: int = 3, colours: bool = True, ray: bool = False,
             params = {
                 "cameraAperture": [20.0, 16.0],
                 "cameraApertureOffset": [0.0, 0.0],
-                "cameraFocalLength": 24.0 if device is CAMERA else 24.0,
+                "cameraFocalLength": 24.0,
                 "cameraModel": "pinhole",
                 "cameraViewTransform": view_transform(device, 0.01),
                 "metersPerSceneUnit": 0.01,
