@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from bodyseg_data.bodies import SourceName, Units, UpAxis, collapsed
+from bodyseg_data.bodies import SOURCES, Units, UpAxis, collapsed
 from bodyseg_data.commands.options import command_line, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.records import check_target, provenance, write_figures
@@ -43,7 +43,7 @@ EXAMPLE = "bodyseg shard --source open --meshes 40 --out shards"
 class Options:
     """Options of the command."""
 
-    source: SourceName = option("source of the bodies")
+    source: str = option(f"source of the bodies: {', '.join(SOURCES)}, or one that an installed package adds")
     path: Path | None = option("folder of the source's meshes, for sources that read one", None)
     landmarks: Path | None = option("landmark file, or folder of them (default: beside the meshes)", None)
     units: Units = option("unit of the mesh files", Packing.units)

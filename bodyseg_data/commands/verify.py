@@ -9,7 +9,19 @@ from bodyseg_data.cards import stale_cards
 from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core import BadConfig, BadShard
-from bodyseg_data.shards import LocalFolder, Store, find_faults, find_index_faults, open_store, read_manifest
+from bodyseg_data.shards import (
+    LocalFolder,
+    Manifest,
+    Store,
+    column_names,
+    column_tar,
+    find_column_faults,
+    find_faults,
+    find_index_faults,
+    open_store,
+    read_column,
+    read_manifest,
+)
 
 EXAMPLE = "bodyseg verify shards"
 
@@ -44,7 +56,9 @@ def run(options: Options) -> int:
             done += len(shard)
             progress.update(done, total)
     listed = {shard.name for shard in manifest.shards}
-    for stray in _strays(store, listed):
+    columns, column_faults = _check_columns(store, manifest)
+    faults += column_faults
+    for stray in _strays(store, listed, columns):
         sys.stdout.write(f"{stray}: -: offset 0: not in the manifest\n")
         faults += 1
     for line in stale_cards(store, manifest.digest):
@@ -58,11 +72,33 @@ def run(options: Options) -> int:
         return 1
     size = sum(shard.size for shard in manifest.shards)
     sys.stdout.write(f"{store.name}: {total} samples in {len(listed)} shards, {size / 1e6:.1f} MB: no fault\n")
+    if columns:
+        sys.stdout.write(f"columns: {', '.join(columns)}: no fault\n")
     return 0
 
 
-def _strays(store: Store, listed: set[str]) -> list[str]:
-    """List shards that the manifest does not name; only a local folder can be listed."""
+def _check_columns(store: Store, manifest: Manifest) -> tuple[list[str], int]:
+    """Print one line a fault of the set's columns. Returns their names and the number of faults."""
+    try:
+        names = column_names(store)
+    except BadShard as error:
+        sys.stdout.write(f"{error}\n")
+        return [], 1
+    faults = 0
+    for name in names:
+        try:
+            for fault in find_column_faults(store, read_column(store, manifest, name)):
+                sys.stdout.write(f"{fault}\n")
+                faults += 1
+        except (BadConfig, BadShard) as error:
+            sys.stdout.write(f"{error}\n")
+            faults += 1
+    return names, faults
+
+
+def _strays(store: Store, listed: set[str], columns: list[str]) -> list[str]:
+    """List tars of no shard and no column; only a local folder can be listed."""
     if not isinstance(store, LocalFolder):
         return []
-    return sorted(path.name for path in store.path.glob("*.tar") if path.name not in listed)
+    known = listed | {column_tar(shard, name) for shard in listed for name in columns}
+    return sorted(path.name for path in store.path.glob("*.tar") if path.name not in known)
