@@ -75,8 +75,9 @@ class Bundle:
 
 
 def set_bundle(store: Store) -> Bundle:
-    """Return the bundle of a set: index, shards, columns, cards, manifest. Raises as `read_manifest`, and `read_columns`
-    for a column that is damaged or of another set.
+    """Return the bundle of a set: index, shards, columns, cards, manifest.
+
+    Raises as `read_manifest`, and as `read_columns` for a column that is damaged or of another set.
     """
     manifest = read_manifest(store)
     columns = read_columns(store, manifest)
