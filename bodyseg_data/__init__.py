@@ -53,6 +53,7 @@ __all__ = [
     "Transform",
     "Unreachable",
     "VariantMaker",
+    "ViewGrid",
     "WorkerLost",
     "Zoom",
     "colour_labels",
@@ -109,7 +110,7 @@ if TYPE_CHECKING:
     from bodyseg_data.meshes import Mesh
     from bodyseg_data.packing import Packing, pack, plan
     from bodyseg_data.rigs import Camera, Rig, load_rig
-    from bodyseg_data.samples import Sample
+    from bodyseg_data.samples import Sample, ViewGrid
     from bodyseg_data.shards import ColumnWriter, RetryPolicy, decode_sample
 
     __version__: str

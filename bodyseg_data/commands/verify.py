@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from dataclasses import dataclass
 
@@ -11,15 +12,12 @@ from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core import BadConfig, BadShard
 from bodyseg_data.shards import (
     LocalFolder,
-    Manifest,
     Store,
     column_names,
-    column_tar,
     find_column_faults,
     find_faults,
     find_index_faults,
     open_store,
-    read_column,
     read_manifest,
 )
 
@@ -56,9 +54,10 @@ def run(options: Options) -> int:
             done += len(shard)
             progress.update(done, total)
     listed = {shard.name for shard in manifest.shards}
-    columns, column_faults = _check_columns(store, manifest)
-    faults += column_faults
-    for stray in _strays(store, listed, columns):
+    for line in find_column_faults(store, manifest):
+        sys.stdout.write(f"{line}\n")
+        faults += 1
+    for stray in _strays(store, listed):
         sys.stdout.write(f"{stray}: -: offset 0: not in the manifest\n")
         faults += 1
     for line in stale_cards(store, manifest.digest):
@@ -71,34 +70,16 @@ def run(options: Options) -> int:
     if faults:
         return 1
     size = sum(shard.size for shard in manifest.shards)
-    sys.stdout.write(f"{store.name}: {total} samples in {len(listed)} shards, {size / 1e6:.1f} MB: no fault\n")
-    if columns:
+    sys.stdout.write(f"{store.name}: {total} samples in {len(manifest.shards)} shards, {size / 1e6:.1f} MB: no fault\n")
+    if columns := column_names(store):
         sys.stdout.write(f"columns: {', '.join(columns)}: no fault\n")
     return 0
 
 
-def _check_columns(store: Store, manifest: Manifest) -> tuple[list[str], int]:
-    """Print one line a fault of the set's columns. Returns their names and the number of faults."""
-    try:
-        names = column_names(store)
-    except BadShard as error:
-        sys.stdout.write(f"{error}\n")
-        return [], 1
-    faults = 0
-    for name in names:
-        try:
-            for fault in find_column_faults(store, read_column(store, manifest, name)):
-                sys.stdout.write(f"{fault}\n")
-                faults += 1
-        except (BadConfig, BadShard) as error:
-            sys.stdout.write(f"{error}\n")
-            faults += 1
-    return names, faults
-
-
-def _strays(store: Store, listed: set[str], columns: list[str]) -> list[str]:
+def _strays(store: Store, listed: set[str]) -> list[str]:
     """List tars of no shard and no column; only a local folder can be listed."""
     if not isinstance(store, LocalFolder):
         return []
-    known = listed | {column_tar(shard, name) for shard in listed for name in columns}
-    return sorted(path.name for path in store.path.glob("*.tar") if path.name not in known)
+    with contextlib.suppress(BadShard):  # which was printed
+        listed |= {f"{name.removesuffix('.tar')}.{column}.tar" for name in listed for column in column_names(store)}
+    return sorted(path.name for path in store.path.glob("*.tar") if path.name not in listed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from importlib import import_module
 from itertools import accumulate
 from typing import Any, Final
 
@@ -68,7 +69,7 @@ def _array(values: Sequence[Value | None], kind: str) -> NDArray[Any]:
 def arrow_table(columns: dict[str, NDArray[Any]]) -> Any:
     """A `pyarrow.Table` of what `table_of` gives. Raises MissingLibrary if pyarrow is not installed."""
     try:
-        import pyarrow
+        pyarrow = import_module("pyarrow")
     except ImportError as error:
         raise MissingLibrary("a table of Arrow needs the package 'pyarrow': pip install pyarrow") from error
     return pyarrow.table({name: pyarrow.array(_plain(column)) for name, column in columns.items()})

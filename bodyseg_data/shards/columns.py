@@ -29,6 +29,7 @@ from bodyseg_data.shards.records import (
     BLOCK,
     LARGEST_SAMPLE,
     LARGEST_SHARD,
+    CheckedFile,
     Descriptions,
     Entry,
     Fields,
@@ -164,10 +165,11 @@ def column_names(store: Store) -> list[str]:
     return list(names)
 
 
-def read_columns(where: Path | Store, manifest: Manifest) -> dict[str, Column]:
-    """Read all columns of a set, by name. Raises as `read_column`."""
-    store = store_at(where)
-    return {name: read_column(store, manifest, name) for name in column_names(store)}
+def column_files(store: Store, manifest: Manifest) -> tuple[list[CheckedFile], list[str]]:
+    """The tars of a set's columns, and the names of the small files that describe them. Raises as `read_column`."""
+    names = column_names(store)
+    tars: list[CheckedFile] = [tar for name in names for tar in read_column(store, manifest, name).tars]
+    return tars, [*map(column_file, names), *([COLUMNS_NAME] if names else ())]
 
 
 def read_column(where: Path | Store, manifest: Manifest, name: str) -> Column:
@@ -294,7 +296,7 @@ class _JoinedShard(ShardRecord):
         return self._own.entry(index)
 
     @cached_property
-    def descriptions(self) -> Descriptions:  # type: ignore[override]
+    def descriptions(self) -> Descriptions:
         own = self._own.descriptions
         tables, rows = list(own.tables), list(own.rows)
         for values in self._added.values():

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadSample, BadShard
-from bodyseg_data.shards.columns import Column
+from bodyseg_data.core import BadConfig, BadSample, BadShard
+from bodyseg_data.shards.columns import column_names, read_column
 from bodyseg_data.shards.index import IndexedShards
 from bodyseg_data.shards.manifest import RIG_FIELD, Manifest
 from bodyseg_data.shards.records import CheckedFile, ShardRecord, check_bytes, difference, location
@@ -99,10 +99,22 @@ def find_faults(where: Path | Store, manifest: Manifest, shard: ShardRecord) -> 
     yield from _file_faults(store_at(where), shard, partial(_check_content, manifest, shard))
 
 
-def find_column_faults(where: Path | Store, column: Column) -> Iterator[Fault]:
-    """Find all faults of a column's tars, as `find_faults` does of a shard; its own file was checked when read."""
-    for number, tar in enumerate(column.tars):
-        yield from _file_faults(store_at(where), tar, partial(column.decoded, number))
+def find_column_faults(where: Path | Store, manifest: Manifest) -> Iterator[str]:
+    """Find all faults of a set's columns, one line each: of their list, their own files, and their tars."""
+    store = store_at(where)
+    try:
+        names = column_names(store)
+    except BadShard as error:
+        yield str(error)
+        return
+    for name in names:
+        try:
+            column = read_column(store, manifest, name)
+        except (BadConfig, BadShard) as error:
+            yield str(error)
+            continue
+        for number, tar in enumerate(column.tars):
+            yield from map(str, _file_faults(store, tar, partial(column.decoded, number)))
 
 
 def _file_faults(store: Store, file: CheckedFile, check: Callable[[int, bytes], object]) -> Iterator[Fault]:

@@ -10,7 +10,7 @@ import contextlib
 import fcntl
 import hashlib
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Protocol
@@ -19,19 +19,16 @@ from bodyseg_data.cards import CARD_NAMES
 from bodyseg_data.core import BadConfig, BadShard
 from bodyseg_data.files import sync, write_atomically
 from bodyseg_data.shards import (
-    COLUMNS_NAME,
     LARGEST_MANIFEST,
     MANIFEST_NAME,
     READ_ATTEMPTS,
     CheckedFile,
-    Column,
     LocalFolder,
     Manifest,
     RemoteFolder,
     Store,
-    column_file,
+    column_files,
     open_file,
-    read_columns,
     read_manifest,
 )
 
@@ -77,25 +74,22 @@ class Bundle:
 def set_bundle(store: Store) -> Bundle:
     """Return the bundle of a set: index, shards, columns, cards, manifest.
 
-    Raises as `read_manifest`, and as `read_columns` for a column that is damaged or of another set.
+    Raises as `read_manifest`, and as `column_files` for a column that is damaged or of another set.
     """
     manifest = read_manifest(store)
-    columns = read_columns(store, manifest)
-    pages = (*CARD_NAMES, *map(column_file, columns), *([COLUMNS_NAME] if columns else ()))
+    tars, pages = column_files(store, manifest)
     return Bundle(
-        tuple(SharedFile(file.name, file.size, file.sha256) for file in _large_files(manifest, columns.values())),
+        tuple(SharedFile(file.name, file.size, file.sha256) for file in (*_large_files(manifest), *tars)),
         MANIFEST_NAME,
         read_page(store, MANIFEST_NAME),
-        pages_of(store, pages),
+        pages_of(store, (*CARD_NAMES, *pages)),
     )
 
 
-def _large_files(manifest: Manifest, columns: Iterable[Column]) -> Iterator[CheckedFile]:
-    """Yield the index of a set that has one, its shards, and the tars of its columns."""
+def _large_files(manifest: Manifest) -> Iterator[CheckedFile]:
+    """Yield the index of a set that has one, and its shards."""
     yield from () if manifest.index is None else (manifest.index,)
     yield from manifest.shards
-    for column in columns:
-        yield from column.tars
 
 
 def read_page(store: Store, name: str) -> bytes:
@@ -117,10 +111,9 @@ def superseded(store: Store, bundle: Bundle) -> list[str]:
     held: list[str] = []
     with contextlib.suppress(BadConfig, BadShard):  # a network, or a set of another format: what it holds is not known
         manifest = read_manifest(store)
-        held += [file.name for file in _large_files(manifest, ())]
-        columns = read_columns(store, manifest)
-        held += [tar.name for column in columns.values() for tar in column.tars]
-        held += [*map(column_file, columns), *([COLUMNS_NAME] if columns else ())]
+        held += [file.name for file in _large_files(manifest)]
+        tars, pages = column_files(store, manifest)
+        held += [*(tar.name for tar in tars), *pages]
     cards = pages_of(store, CARD_NAMES) if bundle.index == MANIFEST_NAME else {}
     return [name for name in (*held, *cards) if name not in bundle.names]
 

@@ -16,7 +16,8 @@ from servers import web_server
 
 from bodyseg_data import BadConfig, BadSample, BadShard, ColumnWriter, RangeImages, loader
 from bodyseg_data.shards import manifest as manifests
-from bodyseg_data.shards import read_column, read_manifest, write_manifest
+from bodyseg_data.shards import read_manifest, write_manifest
+from bodyseg_data.shards.columns import read_column
 from bodyseg_data.shards.manifest import stamped
 from bodyseg_model.commands import main
 

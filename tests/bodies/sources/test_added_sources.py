@@ -9,8 +9,7 @@ import pytest
 from small_rig import SMALL_FILE
 
 from bodyseg_data import BadConfig, RangeImages, open_source
-from bodyseg_data.bodies import source_names
-from bodyseg_data.bodies.sources import ENTRY_POINT
+from bodyseg_data.bodies.sources import ENTRY_POINT, source_names
 from bodyseg_data.commands import main
 
 ADDED = """
