@@ -50,6 +50,7 @@ __all__ = [
     "Sample",
     "Scene",
     "SensorModel",
+    "ShardWriter",
     "Transform",
     "Unreachable",
     "VariantMaker",
@@ -108,7 +109,7 @@ if TYPE_CHECKING:
         loader,
     )
     from bodyseg_data.meshes import Mesh
-    from bodyseg_data.packing import Packing, pack, plan
+    from bodyseg_data.packing import Packing, ShardWriter, pack, plan
     from bodyseg_data.rigs import Camera, Rig, load_rig
     from bodyseg_data.samples import Sample, ViewGrid
     from bodyseg_data.shards import ColumnWriter, RetryPolicy, decode_sample

@@ -37,6 +37,7 @@ ELSEWHERE: Final = {
 NOT_RUN: Final = {
     'init_process_group("nccl")': "needs a GPU and torchrun; tests/training/test_torchrun.py has ranks",
     "from webdataset import": "tests/loading/test_pipelines.py has these steps; readers of streams leave files open",
+    'planes=("instances",)': "needs a set with planes; tests/loading/test_open_sets.py has one",
     "import webdataset as wds": "names shards of somebody else; bench loader reads by it",
     "from streaming import": "needs MosaicML Streaming; bench loader reads by it",
     "from litdata import": "needs LitData; bench loader reads by it",

@@ -23,6 +23,7 @@ UPRIGHT_DEG: Final = 25.0
 """Largest lean of trunk and legs of a body that counts as upright, degrees."""
 
 _TOO_LEANING_DEG: Final = 40.0  # at 45 degrees the next axis is as near
+_LARGER, _OTHER_UNIT = 1.4, 9.0  # times its landmarks' extent that no body is; from the second on, other units may be
 _FOUND_BY_SIZE: Final = ("m", "cm", "mm")
 
 
@@ -60,7 +61,13 @@ def find_alignment(
     axes, whatever their unit. where: names the file in messages. Raises BadMesh if no unit gives a body of human
     size, or if the axis that points up is to be found and the trunk points along none.
     """
-    scale = metres_a_unit(surface, units, where)
+    try:
+        scale = metres_a_unit(surface, units, where)
+    except BadMesh as error:
+        ratio = np.ptp(surface, axis=0).max() / max(np.ptp(landmarks, axis=0).max(), 1e-9)
+        if not _LARGER < ratio < _OTHER_UNIT:
+            raise
+        raise BadMesh(f"{error} (landmarks span 1 / {ratio:.2g} of it: is a floor or a wall in the mesh?)") from None
     points = dict(zip(LANDMARKS, landmarks, strict=True))
     pelvis = (points["Rt. PSIS"] + points["Lt. PSIS"]) / 2
     feet = (points["Rt. Lateral Malleolus"] + points["Lt. Lateral Malleolus"]) / 2
@@ -98,6 +105,17 @@ def metres_a_unit(surface: NDArray[np.float64], units: Units, where: str) -> flo
         sizes = " or ".join(f"{extent * METRES[unit]:.3g} m if in {unit}" for unit in fitting)
         raise BadMesh(f"{where}: cannot find the unit: the body is {shown}, that is {sizes}; give it with --units")
     raise BadMesh(f"{where}: a body must be {low} to {high} m at its largest: found {shown}, which fits in no unit")
+
+
+def upright_rotation(up: UpAxis) -> NDArray[np.float64]:
+    """Return the rotation [3, 3] of `Alignment` for a scene, of which only the axis that points up is known.
+
+    The x axis points left; where it points up, -y does. So a scene with z up, as programs of robotics write it, shows
+    its side of -y at azimuth 0.
+    """
+    upward = _axis(up)
+    left = _axis("-y" if up.endswith("x") else "x")
+    return np.stack([left, upward, np.cross(left, upward)])
 
 
 def check_standing(landmarks: NDArray[np.float64], where: str) -> None:

@@ -28,6 +28,7 @@ from bodyseg_data.meshes import (
     Mesh,
     PointLandmarks,
     SnappedLandmarks,
+    check_body,
     farthest_from,
     load_landmark_file,
     load_landmarks,
@@ -185,6 +186,7 @@ class MeshBodies(ListedBodies[MeshFile]):
             built = _snapped((vertices, faces), body.mesh, file.path, landmarks, self._options.pymeshlab)
         if file.standing:
             check_standing(built.mesh.vertices[built.landmarks], str(file.path))
+        check_body(built.mesh.vertices, built.mesh.faces, built.mesh.vertices[built.landmarks], str(file.path))
         return built
 
     def check(self, body: BodyRef) -> None:
@@ -206,6 +208,7 @@ class MeshBodies(ListedBodies[MeshFile]):
         points, _ = _in_millimetres(landmarks.transformed(1.0, alignment.rotation), surface)
         if file.standing:
             check_standing(points.points, str(file.path))
+        check_body(vertices, faces, points.points, str(file.path))
         if farthest_from(surface, points.points) > FARTHEST_M:
             self.build(body)
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies.alignment import Units, UpAxis
 from bodyseg_data.core import BadConfig, check_fields
-from bodyseg_data.meshes import GeodesicMethod, Mesh, Partition, SurfacePiece, partition
+from bodyseg_data.meshes import GeodesicMethod, Mesh, Partition, SurfaceLabels, SurfacePiece, partition
 from bodyseg_data.samples import Split
 
 _LAST_NUMBER: Final = re.compile(r"(\d+)(\D*)\Z")
@@ -108,6 +108,10 @@ class Body:
     def partition(self, method: GeodesicMethod = "exact") -> Partition:
         """Label every vertex of the mesh, as `partition` does and with its errors."""
         return partition(self.mesh, self.landmarks, method, self.pieces)
+
+    def surface_labels(self, method: GeodesicMethod = "exact") -> SurfaceLabels:
+        """The labels of its samples: by default those of `partition`, with its errors."""
+        return self.partition(method)
 
 
 class BodySource(Protocol):

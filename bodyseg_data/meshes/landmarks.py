@@ -31,7 +31,8 @@ from bodyseg_data.files import Table, refuse_special
 from bodyseg_data.labels import LANDMARKS, PART_COUNT
 from bodyseg_data.machine import missing_library
 from bodyseg_data.meshes.coincident import separate
-from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.mending import welded
+from bodyseg_data.meshes.mesh import Mesh, face_components
 
 LANDMARKS_FORMAT: Final = "bodyseg landmarks 1"
 
@@ -193,6 +194,9 @@ class PointLandmarks:
             )
         vertices, notes = separate(mesh, vertices, self.points, where)
         piece = mesh.pieces()[vertices]
+        if (piece != piece[0]).any():  # pieces for want of common vertices are one surface
+            kept, place = welded(mesh.vertices)
+            piece = face_components(len(kept), place[mesh.faces])[place[vertices]]
         body = np.bincount(piece).argmax()
         if (piece != body).any():
             stray = int(np.flatnonzero(piece != body)[0])

@@ -66,6 +66,20 @@ def mend(vertices: NDArray[np.float64], faces: NDArray[Any]) -> MendedSurface:
     return MendedSurface(kept, representative, tuple(f"{count} {what}" for count, what in done if count))
 
 
+def welded(vertices: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Join vertices [V, 3] whose coordinates are the same numbers, as where a file repeats them for each triangle or
+    along a seam of textures.
+
+    Returns the vertices kept, int64 [W], the first in each place, ascending; and the index among them of each vertex's
+    place, int64 [V].
+    """
+    _, first, place = np.unique(vertices + 0.0, axis=0, return_index=True, return_inverse=True)  # -0.0 is 0.0
+    order = np.argsort(first)
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    return first[order].astype(np.int64), rank[place.ravel()]
+
+
 def find_fans(faces: NDArray[np.int64]) -> NDArray[np.int64]:
     """Index of the fan that each corner of `faces` [F, 3] belongs to, int64 [F, 3], from 0.
 

@@ -213,6 +213,40 @@ class Mesh:
         return np.stack([1 - v - w, v, w], axis=1)
 
 
+SCENE_RANGE_M: Final = (0.02, 100.0)
+"""A scene's largest extent must lie in this range."""
+
+
+@dataclass(frozen=True)
+class SceneMesh(Mesh):
+    """Surfaces of a scene, in the frame of bodies. They need be neither closed nor of one piece, and whichever side of
+    a triangle is seen counts as its outside. middle: float64 [3], metres, the point that views aim at; None: the centre
+    of the bounding box.
+
+    Raises BadMesh as `Mesh` does, but for other extents, 2 cm to 100 m, and not for the order of faces.
+    """
+
+    middle: NDArray[np.float64] | None = None
+
+    def _check_extent(self, vertices: NDArray[np.float64], faces: NDArray[Any]) -> None:
+        extent = float(np.ptp(vertices[np.unique(faces)], axis=0).max())
+        low, high = SCENE_RANGE_M
+        if not low <= extent <= high:
+            raise BadMesh(
+                f"mesh {self.name}: a scene must be {low} to {high:g} m at its largest, found {extent:.3g} m (--units "
+                "gives the unit of its files)"
+            )
+
+    def _check_orientation(self) -> None:
+        """Any order of corners will do."""
+
+    @cached_property
+    def centre(self) -> NDArray[np.float64]:
+        """Point that views aim at, float64 [3], metres."""
+        points = self.surface_vertices
+        return (points.min(axis=0) + points.max(axis=0)) / 2 if self.middle is None else self.middle
+
+
 def face_normals(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
     """Normals of triangles, float64 [F, 3], by the right-hand rule; length twice the triangle's area."""
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))

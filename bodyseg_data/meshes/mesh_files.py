@@ -14,8 +14,8 @@ import gzip
 import re
 import struct
 import zlib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -58,6 +58,59 @@ LARGEST_BYTES: Final = 1 << 28
 
 _OFF_HEADER: Final = re.compile(r"(?:ST)?C?N?OFF\b|OFF(?=\d)")
 
+OBJ_NAMES: Final = {"g": "groups", "o": "objects", "usemtl": "materials"}
+"""Word that begins a line of an OBJ file -> what it names: the faces that follow, up to the next such line."""
+
+
+@dataclass(frozen=True)
+class FaceNames:
+    """Names that a mesh file gives its polygons. numbers: int64 [P], index of each polygon's in `names`; -1: none."""
+
+    names: tuple[str, ...]
+    numbers: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class MeshContent:
+    """Everything in a mesh file in which labels may stand.
+
+    vertices: float64 [V, 3]; faces: int32 [F, 3], in the file's order, units and axes. polygon: int64 [F], of which of
+    the file's P polygons each triangle is a part. of_vertices, of_polygons: numbers by their name in the file, in lower
+    case, [V] or [P]. names: by kind, "groups", "objects", "materials" or "nodes".
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    polygon: NDArray[np.int64]
+    of_vertices: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    of_polygons: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    names: Mapping[str, FaceNames] = field(default_factory=dict)
+
+    @property
+    def polygons(self) -> int:
+        """Number of polygons."""
+        return int(self.polygon[-1]) + 1
+
+
+@dataclass
+class _Parsed:
+    """Content of a file: vertices, polygons, and what it says of them."""
+
+    vertices: Any = ()
+    polygons: Any = ()
+    of_vertices: dict[str, Any] = field(default_factory=dict)
+    of_polygons: dict[str, Any] = field(default_factory=dict)
+    names: dict[str, list[tuple[int, str]]] = field(default_factory=dict)  # kind -> first polygon, name
+
+    def named(self, kind: str) -> FaceNames:
+        marks = self.names[kind]
+        names = tuple(dict.fromkeys(name for _, name in marks if name))
+        numbers = np.full(len(self.polygons), -1, np.int64)
+        place = {name: at for at, name in enumerate(names)}
+        for (start, name), (end, _) in zip(marks, [*marks[1:], (len(numbers), "")], strict=True):
+            numbers[start:end] = place.get(name, -1)
+        return FaceNames(names, numbers)
+
 
 @dataclass(frozen=True)
 class _Property:
@@ -86,34 +139,41 @@ class _Element:
     def has_lists(self) -> bool:
         return any(prop.length is not None for prop in self.properties)
 
+    def numbers(self, columns: Sequence[Any]) -> dict[str, Any]:
+        """Columns of the properties that are no lists, by name in lower case."""
+        pairs = zip(self.properties, columns, strict=True)
+        return {each.name.lower(): column for each, column in pairs if each.length is None}
+
     def truncated(self, found: int) -> BadMesh:
         return BadMesh(f"the header announces {self.count} rows of {self.name!r}, the file ends after {found}")
 
 
-def _read_ply(data: bytes) -> tuple[Any, Any]:
-    """Parse a PLY file: vertices, [V, 3], and polygons, in its order.
+def _read_ply(data: bytes) -> _Parsed:
+    """Parse a PLY file, in its order.
 
     Raises BadMesh for a file that is not PLY, is truncated or holds less than its header announces.
     """
     order, elements, start = _header(data)
     columns = _from_text(data, start) if not order else _from_bytes(data, start, order)
-    vertices: Any = ()
-    polygons: Any = ()
+    parsed = _Parsed()
     for element in elements:
         if element.name == "vertex":
             if element.has_lists():
                 raise BadMesh("the element 'vertex' must have no lists")
             axes = [element.index(axis) for axis in "xyz"]
             values = columns(element)
-            vertices = np.stack([np.asarray(values[axis], np.float64) for axis in axes], axis=1)
+            parsed.vertices = np.stack([np.asarray(values[axis], np.float64) for axis in axes], axis=1)
+            parsed.of_vertices = element.numbers(values)
         elif element.name == "face":
             corners = element.properties[element.index(*_CORNERS)]
             if corners.length is None or corners.kind[0] == "f":
                 raise BadMesh(f"the property {corners.name!r} must be a list of whole numbers")
-            polygons = columns(element)[element.properties.index(corners)]
+            values = columns(element)
+            parsed.polygons = values[element.properties.index(corners)]
+            parsed.of_polygons = element.numbers(values)
         else:
             columns(element)
-    return vertices, polygons
+    return parsed
 
 
 def _header(data: bytes) -> tuple[str, list[_Element], int]:
@@ -245,18 +305,38 @@ def read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     Raises BadMesh, naming the file and, for text, the line, for a file that cannot be read, is truncated, is larger
     than `LARGEST_BYTES`, has no vertices or faces, or has faces with missing or non-finite vertices.
     """
+    return _read(path)[:2]
+
+
+def read_mesh_content(path: Path) -> MeshContent:
+    """Read a mesh file with all in which labels may stand. Raises BadMesh, as `read_mesh` does."""
+    vertices, faces, parsed = _read(path)
+    polygons = parsed.polygons
+    alike = isinstance(polygons, np.ndarray)
+    sizes = [polygons.shape[1] - 2] * len(polygons) if alike else [len(polygon) - 2 for polygon in polygons]
+    return MeshContent(
+        vertices,
+        faces,
+        np.repeat(np.arange(len(sizes)), sizes),
+        {name: np.ravel(values) for name, values in parsed.of_vertices.items()},
+        {name: np.ravel(values) for name, values in parsed.of_polygons.items()},
+        {kind: parsed.named(kind) for kind in parsed.names},
+    )
+
+
+def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32], _Parsed]:
     suffix = mesh_suffix(path.name)
     if suffix is None:
         raise BadMesh(f"a mesh file's name must end in {', '.join(MESH_SUFFIXES)}, found {path}")
     data = file_bytes(path, "mesh", LARGEST_BYTES, BadMesh)
     form = suffix.removesuffix(".gz")[1:]
     try:
-        points, polygons = {"ply": _read_ply, "obj": _read_obj, "off": _read_off}[form](data)
-        vertices, faces = np.array(points, np.float64).reshape(-1, 3), _triangles(polygons)
+        parsed = {"ply": _read_ply, "obj": _read_obj, "off": _read_off}[form](data)
+        vertices, faces = np.array(parsed.vertices, np.float64).reshape(-1, 3), _triangles(parsed.polygons)
     except BadMesh as error:
         raise BadMesh(f"{path}: {error}") from None
     check_arrays(str(path), vertices, faces, check_unused=False)
-    return vertices, faces.astype(np.int32)
+    return vertices, faces.astype(np.int32), parsed
 
 
 def mesh_suffix(name: str) -> str | None:
@@ -290,27 +370,37 @@ def file_bytes(path: Path, kind: str, limit: int, error: type[BodysegError]) -> 
     return data
 
 
-def _read_obj(data: bytes) -> tuple[Vertices, Polygons]:
-    """Parse Wavefront OBJ: lines "v x y z ..." and "f a b c ..." (or "a/t/n"), with indices from 1, or back from -1."""
+def _read_obj(data: bytes) -> _Parsed:
+    """Parse Wavefront OBJ: lines "v x y z ..." and "f a b c ..." (or "a/t/n"), with indices from 1, or back from -1.
+
+    Of the names that lines give to faces, those of `OBJ_NAMES` are kept; colours may follow a vertex's coordinates.
+    """
     vertices: Vertices = []
     polygons: Polygons = []
+    colours: Vertices = []
+    names: dict[str, list[tuple[int, str]]] = {}
     text = data.decode("latin-1")
     if "\\" in text:  # continued lines become one, numbered as the last of them
         text = re.sub(r"\\[ \t]*\r?\n", " ", text)
     for number, line in enumerate(text.split("\n"), 1):
         kind, *words = line.split() or ("",)
         if kind not in ("v", "f"):
+            if kind in OBJ_NAMES:
+                names.setdefault(OBJ_NAMES[kind], []).append((len(polygons), " ".join(words)))
             continue
         try:
             if len(words) < 3:
                 raise ValueError(f"three numbers must follow {kind!r}, found {len(words)}")
             if kind == "v":
                 vertices.append([float(words[0]), float(words[1]), float(words[2])])
+                if len(words) >= 6:
+                    colours.append([float(words[3]), float(words[4]), float(words[5])])
             else:
                 polygons.append([_from_one(int(word.partition("/")[0]), len(vertices)) for word in words])
         except ValueError as error:
             raise BadMesh(f"line {number} is not OBJ: {error}") from error
-    return vertices, polygons
+    channels = zip(("red", "green", "blue"), zip(*colours, strict=True), strict=False)
+    return _Parsed(vertices, polygons, dict(channels) if len(colours) == len(vertices) else {}, names=names)
 
 
 def _from_one(index: int, count: int) -> int:
@@ -322,7 +412,7 @@ def _from_one(index: int, count: int) -> int:
     return count + index
 
 
-def _read_off(data: bytes) -> tuple[Vertices, Polygons]:
+def _read_off(data: bytes) -> _Parsed:
     """Parse the Object File Format in text: header, counts, a vertex a line, a polygon a line; # begins a comment."""
     lines = [
         (number, line)
@@ -357,4 +447,4 @@ def _read_off(data: bytes) -> tuple[Vertices, Polygons]:
             polygons.append(corners)
         except ValueError as error:
             raise BadMesh(f"line {number} is not OFF: {error}") from error
-    return vertices, polygons
+    return _Parsed(vertices, polygons)

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadLandmarks
-from bodyseg_data.labels import LANDMARKS, PART_COUNT
+from bodyseg_data.labels import BACKGROUND, LANDMARKS, PART_COUNT
 from bodyseg_data.meshes.geodesics import FALLBACK_METHOD, GeodesicMethod, Unanswerable, check_method, nearest_sources
 from bodyseg_data.meshes.landmarks import nearest_corner
 from bodyseg_data.meshes.mending import MendedSurface, mend
@@ -26,6 +26,20 @@ from bodyseg_data.meshes.solids import SurfacePiece, label_pieces
 
 _ROUNDS: Final = 4  # triangles by which distances are extended across a border
 _PARTS: Final = 64  # above the number of parts: encodes (vertex, part) as one number
+
+
+class SurfaceLabels(Protocol):
+    """Labels of the points of a mesh, as a sample takes them; `BACKGROUND` on surfaces without a class."""
+
+    @property
+    def holding(self) -> bool:
+        """True for a body that holds or wears a thing without a class."""
+
+    def corners(self, mesh: Mesh) -> NDArray[np.uint8]:
+        """Labels at the corners of all triangles, uint8 [F, 3]."""
+
+    def labels_at(self, mesh: Mesh, faces: NDArray[np.int32], points: NDArray[np.float64]) -> NDArray[np.uint8]:
+        """Labels of `points` [N, 3], metres, which lie in the triangles `faces` [N] of `mesh`, uint8 [N]."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +57,15 @@ class Partition:
     distance: NDArray[np.float64]
     borders: Borders
     note: str | None = None
+
+    @property
+    def holding(self) -> bool:
+        """True for a body that holds or wears a thing."""
+        return bool((self.labels == BACKGROUND).any())
+
+    def corners(self, mesh: Mesh) -> NDArray[np.uint8]:
+        """Labels at the corners of all triangles, uint8 [F, 3]."""
+        return self.labels[mesh.faces]
 
     def labels_at(self, mesh: Mesh, faces: NDArray[np.int32], points: NDArray[np.float64]) -> NDArray[np.uint8]:
         """Labels of `points` [N, 3], metres, which lie in the triangles `faces` [N] of `mesh`, uint8 [N].

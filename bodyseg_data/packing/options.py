@@ -10,6 +10,7 @@ from typing import Final
 
 from bodyseg_data.bodies import SOURCES, BodyRef, BodySource, SourceEntry, Units, UpAxis, open_source
 from bodyseg_data.core import BadConfig, check_fields
+from bodyseg_data.labels import PART_CLASSES, Classes
 from bodyseg_data.meshes import GeodesicMethod, check_method
 from bodyseg_data.packing.mesh_reduction import check_tolerance
 from bodyseg_data.packing.sampler import body_key
@@ -78,6 +79,12 @@ class Packing:
         if self.path is None:
             return _source(SOURCES.get(self.source), self.source, self.landmarks, self.units, self.up)
         return _read_source(self.source, self.path, self.landmarks, self.units, self.up, self.pymeshlab, plan)
+
+
+def classes_from(source: BodySource) -> Classes:
+    """Return the classes of a source's labels: the 33 parts, unless it has the attribute `classes`."""
+    classes: Classes = getattr(source, "classes", PART_CLASSES)
+    return classes
 
 
 def evenly_sampled(bodies: Sequence[BodyRef], count: int | None) -> list[BodyRef]:

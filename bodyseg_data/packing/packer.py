@@ -20,8 +20,9 @@ from typing import Any
 
 from bodyseg_data.bodies import BodyRef, collapsed
 from bodyseg_data.core import BadConfig, BodysegError, ProgressCallback, silent
+from bodyseg_data.labels import PART_CLASSES
 from bodyseg_data.packing.mesh_reduction import reduced_body
-from bodyseg_data.packing.options import PACKING_VERSION, Packing, forget_sources
+from bodyseg_data.packing.options import PACKING_VERSION, Packing, classes_from, forget_sources
 from bodyseg_data.packing.sampler import Sampler
 from bodyseg_data.packing.skipping import STOP, OnFaults, SkipList, find_faults
 from bodyseg_data.packing.writing import (
@@ -84,6 +85,7 @@ def _describe(packing: Packing, bodies: Sequence[BodyRef], faulty: Sequence[str]
         "shadow_thresholds": asdict(SHADOW_THRESHOLDS),
         "renderer": packing.renderer,
         "codec": packing.codec,
+        **({} if (classes := classes_from(packing.opened())) is PART_CLASSES else {"classes": classes.to_json()}),
         "shards": [shard.name for shard in cut(packing, bodies)],
         "shard_samples": packing.shard_samples,
         **({"skipped": list(faulty)} if faulty else {}),
@@ -120,12 +122,14 @@ def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...], plan: s
     source = packing.opened(plan)
     seen_from = packing.rig, min(packing.views.distances_cm), packing.views.pitches_deg
     built = reduced_body(source.build(body), packing.tolerance_mm, *seen_from, packing.pymeshlab)
-    parts = built.partition(packing.geodesics)
+    parts = built.surface_labels(packing.geodesics)
     renderer = open_renderer(packing.renderer, built.mesh)
     try:
-        sampler = Sampler(renderer, packing.rig, built.mesh, parts, source.name, body, packing.things)
+        sampler = Sampler(
+            renderer, packing.rig, built.mesh, parts, source.name, body, packing.things, len(classes_from(source))
+        )
         samples = (sampler.take(view) for view in views)
-        notes = (*built.notes, *(() if parts.note is None else (parts.note,)))
+        notes = (*built.notes, *(() if (note := getattr(parts, "note", None)) is None else (note,)))
         return Rendered([(sample.key, encode_sample(sample, packing.codec)) for sample in samples], notes)
     finally:
         renderer.close()
@@ -184,6 +188,7 @@ def pack(
             manifest = Manifest(
                 rigs=(packing.rig,),
                 codec=packing.codec,
+                classes=classes_from(packing.opened()),
                 source=packing.source,
                 renderer=packing.renderer,
                 plan=digest,

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts import ShadowTest, shadow_tests
 from bodyseg_data.bodies import BodyRef
-from bodyseg_data.labels import BACKGROUND, UNLABELLED
-from bodyseg_data.meshes import Mesh, Partition
+from bodyseg_data.labels import BACKGROUND, PART_COUNT, UNLABELLED
+from bodyseg_data.meshes import Mesh, SceneMesh, SurfaceLabels
 from bodyseg_data.packing.occluders import occluder_range
 from bodyseg_data.packing.things import Things, ThingsPlace, draw_things, nearest
 from bodyseg_data.rendering import Renderer, Surface
@@ -33,9 +33,9 @@ def sample_key(source: str, body: BodyRef, view: View) -> str:
 
 
 class Sampler:
-    """Takes samples of one body with one rig; everything that does not depend on the view is computed once.
+    """Takes samples of one body or scene with one rig; all that does not depend on the view is computed once.
 
-    things: where things stand that are drawn for each sample (`draw_things`).
+    parts: its labels, below `classes`. things: where things stand that are drawn for each sample (`draw_things`).
     """
 
     def __init__(
@@ -43,17 +43,18 @@ class Sampler:
         renderer: Renderer,
         rig: Rig,
         mesh: Mesh,
-        parts: Partition,
+        parts: SurfaceLabels,
         source: str,
         body: BodyRef,
         things: ThingsPlace = "none",
+        classes: int = PART_COUNT,
     ) -> None:
         self._renderer, self._rig, self._mesh, self._parts = renderer, rig, mesh, parts
-        self._source, self._body, self._place = source, body, things
+        self._source, self._body, self._place, self._classes = source, body, things, classes
         self._tests = shadow_tests(rig)
-        corners = parts.labels[mesh.faces]
+        corners = parts.corners(mesh)
         whole = (corners == corners[:, :1]).all(axis=1)
-        self._holding = bool((parts.labels == BACKGROUND).any())
+        self._holding = parts.holding
         self._part_of_face = np.where(whole, corners[:, 0], _SHARED)
         self._normals, self._offsets = (
             mesh.normals,
@@ -87,7 +88,7 @@ class Sampler:
         facing, occluders = [], []
         for test, projector in zip(self._tests, projectors, strict=True):
             facing.append(np.zeros(seen.face.shape, np.bool_))
-            facing[-1].ravel()[pixels] = self._facing(faces, points, projector.position)
+            facing[-1].ravel()[pixels] = self._facing(faces, points, projector.position, camera.position)
             if things is not None:
                 facing[-1].ravel()[measured[on_thing]] = things.facing(of_thing[on_thing], projector.position)
             occluders.append(self._occluder(test, projector, range_image, facing[-1], key, things))
@@ -101,7 +102,7 @@ class Sampler:
         info = SampleInfo(body.split, {**fields, "things": place, "hidden_pct": hidden_pct})
         second = facing[1] if len(facing) == 2 else None
         sample = Sample(key, range_image, np.concatenate(occluders), labels, facing[0], info, faces_second=second)
-        sample.check()
+        sample.check(self._classes)
         return sample
 
     def _occluder(
@@ -132,9 +133,17 @@ class Sampler:
         labels[labels == BACKGROUND] = UNLABELLED  # a thing that is held or worn
         return labels
 
-    def _facing(self, faces: NDArray[np.int32], points: _Points, source: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """As `faces_towards`, computed once a triangle wherever rounding of its points cannot change the answer."""
+    def _facing(
+        self, faces: NDArray[np.int32], points: _Points, source: NDArray[np.float64], eye: NDArray[np.float64]
+    ) -> NDArray[np.bool_]:
+        """As `faces_towards`, computed once a triangle wherever rounding of its points cannot change the answer.
+
+        Of a scene, whose triangles have no outside, what the camera at `eye` [3] and the light see of the same side.
+        """
         towards = self._normals @ source - self._offsets
+        if isinstance(self._mesh, SceneMesh):
+            same: NDArray[np.bool_] = (towards * (self._normals @ eye - self._offsets) > 0).take(faces)
+            return same
         answer: NDArray[np.bool_] = (towards > 0).take(faces)
         unsure = np.flatnonzero((np.abs(towards) <= self._sure).take(faces))
         answer[unsure] = faces_towards(self._mesh, faces[unsure], points.take(unsure), source)

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from bodyseg_data.shards.columns import ColumnReader, column_files, column_names, open_columns, with_columns
     from bodyseg_data.shards.faults import find_column_faults, find_faults, find_index_faults
     from bodyseg_data.shards.manifest import (
+        EXTERNAL,
+        FACING_FROM_RANGE,
         LARGEST_MANIFEST,
         MANIFEST_FORMAT,
         MANIFEST_NAME,

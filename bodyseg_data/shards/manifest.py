@@ -5,16 +5,16 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
-from bodyseg_data.core import BadConfig, BadShard
+from bodyseg_data.core import BadConfig, BadSample, BadShard
 from bodyseg_data.files import write_atomically
 from bodyseg_data.labels import PART_CLASSES, Classes, classes_from_json
 from bodyseg_data.rigs import Rig, rig_from_json
-from bodyseg_data.samples import Split
+from bodyseg_data.samples import Sample, Split
 from bodyseg_data.shards.codecs import CODECS
 from bodyseg_data.shards.earlier import EARLIER_FORMATS, manifest_as_current
 from bodyseg_data.shards.index import INDEX_NAME, IndexedShards, ShardTable, table_from_json, write_index
@@ -46,6 +46,12 @@ MOST_RIGS: Final = 4096
 
 RIG_FIELD: Final = "rig"
 """Field of a sample's description that numbers its rig, in sets that have several."""
+
+EXTERNAL: Final = "external"
+"""The renderer of a set whose scenes were rendered elsewhere, with facing bits that came with them."""
+
+FACING_FROM_RANGE: Final = f"{EXTERNAL}, facing from range images"
+"""The same of a set whose facing bits were found from the range images (docs/how-to/writing_shards.md)."""
 
 _FIELDS: Final = frozenset(
     ["format", "rigs", "classes", "fields", "projector", "planes", "codec", "source", "renderer", "plan", "shards"]
@@ -91,6 +97,15 @@ class Manifest:
     def rig(self) -> Rig:
         """The first rig, of most sets the only one."""
         return self.rigs[0]
+
+    def rig_of(self, sample: Sample) -> Rig:
+        """The rig of a sample. Raises BadSample, naming the key, for a number that is none of the set's rigs."""
+        if len(self.rigs) == 1:
+            return self.rig
+        number = sample.info.get(RIG_FIELD)
+        if type(number) is not int or not 0 <= number < len(self.rigs):
+            raise BadSample(f"{sample.key}: {RIG_FIELD!r} must be 0 to {len(self.rigs) - 1}, found {number!r}")
+        return self.rigs[number]
 
     def __repr__(self) -> str:
         size = f"{self.samples()} samples in {len(self.shards)} shards"
@@ -165,15 +180,18 @@ def write_manifest(manifest: Manifest, folder: Path) -> Manifest:
     return manifest
 
 
-def read_manifest(where: Path | Store) -> Manifest:
+def read_manifest(where: Path | Store, keep: Callable[[bytes], object] | None = None) -> Manifest:
     """Read and check the manifest of a set. Raises BadShard, naming the file and the broken rule, or Unreachable.
 
-    Of a set with an index, the shards' table is checked; the samples of a shard are when they are read.
+    Of a set with an index, the shards' table is checked; the samples of a shard are when they are read. keep: is called
+    with the file's bytes, and again if they are read again.
     """
     store = store_at(where)
     path = f"{store.name}/{MANIFEST_NAME}"
     for attempt in range(1, READ_ATTEMPTS + 1):
         data = _contents(store, path)
+        if keep is not None:
+            keep(data)
         try:
             tree = stamped_from(data, path, (*EARLIER_FORMATS, MANIFEST_FORMAT))
             del data  # a large one, no longer needed

@@ -174,14 +174,22 @@ class ShardReader:
         rig; Unreachable if a remote set cannot be reached.
         """
         record = self._manifest.shards[shard]
-        data, key = read_checked(self._store, record, index), record.entry(index).key
+        key, members = self.members(shard, index)
         try:
-            members = parse_members(key, data)
             sample = decode_sample(key, members, projector, out, self._projectors, unlabelled, planes)
             check_sizes(sample, *self._sizes)
         except BadSample as error:
             raise BadShard(f"{location(record, index)}: {error}") from error
         return sample
+
+    def members(self, shard: int, index: int) -> tuple[str, dict[str, bytes]]:
+        """Read the key and the members, extension -> bytes, of a sample, which is not decoded. Raises as `read`."""
+        record = self._manifest.shards[shard]
+        data, key = read_checked(self._store, record, index), record.entry(index).key
+        try:
+            return key, parse_members(key, data)
+        except BadSample as error:
+            raise BadShard(f"{location(record, index)}: {error}") from error
 
 
 def parse_members(key: str, data: bytes) -> dict[str, bytes]:

@@ -43,6 +43,7 @@ SOURCES: Final[dict[str, SourceEntry]] = {
     "mit": SourceEntry("paper.MitBodies", reads="I_crane and the other sequences"),
     "caesar": SourceEntry("paper.CaesarBodies", reads="one mesh and one .lnd file a subject"),
     "folder": SourceEntry("folder.FolderBodies", reads="meshes and landmark files"),
+    "labelled": SourceEntry("labelled.LabelledScenes", reads="meshes with labels of their own, or scene files"),
     "paper": SourceEntry("paper.PaperBodies", reads="scape, mit and caesar"),
 }
 """Name -> class. The order is that of messages and of `--help`."""

@@ -8,7 +8,9 @@ training and for testing, all others for training.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Final
 
 from bodyseg_data.bodies.mesh_bodies import MeshBodies, MeshFile, files_below, given_landmarks, landmark_file, meshes_in
@@ -43,17 +45,23 @@ class FolderBodies(MeshBodies):
                     "`bodyseg landmarks --mesh` proposes them"
                 )
                 group = None if own else str(labels)
-                files[_ref(inside / stem)] = MeshFile(file, labels, wanted, shared=own is None, group=group)
+                files[body_ref(self.name, inside / stem)] = MeshFile(
+                    file, labels, wanted, shared=own is None, group=group
+                )
         if not files:
             raise BadConfig(f"the source 'folder' needs meshes (.ply, .obj, .off): found none in {path}")
         lacking = [f"landmarks of {body.mesh}" for body, file in files.items() if file.landmarks is None]
         super().__init__(files, lacking, options)
 
 
-def _ref(inside: Path) -> BodyRef:
-    """Name the mesh at a path, given without its suffix, inside the folder."""
+def body_ref(source: str, inside: Path, said: Mapping[str, str] = MappingProxyType({})) -> BodyRef:
+    """Name the mesh at a path, given without its suffix, inside the folder of a source.
+
+    said: "subject", "pose" and "split" where the user gives them.
+    """
     first = inside.parts[0].lower() if len(inside.parts) > 1 else ""
-    split: Split = "test" if first == "test" else "train"
+    split: Split = "test" if said.get("split", first) == "test" else "train"
     person = inside.parts[1:] if first in ("train", "test") else inside.parts
-    mesh = key_name(inside.as_posix(), _LONGEST_MESH)
-    return BodyRef("folder", key_name(person[0], _LONGEST_SUBJECT), mesh, key_name(inside.name, _LONGEST_MESH), split)
+    mesh = key_name(inside.as_posix(), _LONGEST_MESH - max(0, len(source) - len("folder")))
+    subject = key_name(said.get("subject", person[0]), _LONGEST_SUBJECT)
+    return BodyRef(source, subject, mesh, key_name(said.get("pose", inside.name), _LONGEST_MESH), split)

@@ -1,0 +1,279 @@
+"""Labels that a mesh brings along: of its vertices or polygons, by names, numbers, lists of vertices or colours.
+
+Every triangle gets a name at each of its three corners. Where they differ, a point of the triangle has that of the
+nearest corner, by barycentric weight: the border of two classes crosses the triangles between their vertices half way.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core import BadMesh
+from bodyseg_data.labels import BACKGROUND, UNLABELLED
+from bodyseg_data.meshes import FaceNames, Mesh, MeshContent
+
+LABEL_PROPERTIES: Final = (
+    "label",
+    "labels",
+    "class",
+    "class_id",
+    "classification",
+    "category",
+    "category_id",
+    "semantic",
+    "segment",
+    "scalar_label",
+    "scalar_classification",
+)
+"""Properties of a PLY file that hold labels, in lower case; of several, the first."""
+
+NO_CLASS: Final = (-1, UNLABELLED, BACKGROUND)
+"""Numbers that mark a surface without a class, unless a class is numbered so."""
+
+NAMING: Final = ("groups", "nodes", "objects", "materials")
+"""What names polygons in mesh files."""
+
+_CHANNELS: Final = ("red", "green", "blue")
+
+
+@dataclass(frozen=True)
+class GivenLabels:
+    """Labels of a mesh that brings them. of_corners: uint8 [F, 3]; `BACKGROUND` without a class."""
+
+    of_corners: NDArray[np.uint8]
+    holding: bool = False
+
+    def corners(self, _: Mesh) -> NDArray[np.uint8]:
+        """Labels at the corners of all triangles, uint8 [F, 3]."""
+        return self.of_corners
+
+    def labels_at(self, mesh: Mesh, faces: NDArray[np.int32], points: NDArray[np.float64]) -> NDArray[np.uint8]:
+        """Labels of the corners nearest to points, as `SurfaceLabels.labels_at`."""
+        nearest = mesh.barycentric(faces, points).argmax(axis=1)
+        return self.of_corners[faces, nearest]
+
+
+@dataclass(frozen=True)
+class NamedCorners:
+    """Names at the corners of triangles. corners: int64 [F, 3], index in `names`, -1 for none. notes: for the owner."""
+
+    names: tuple[str, ...]
+    corners: NDArray[np.int64]
+    notes: tuple[str, ...] = ()
+
+
+def labels_of_parts(parts: Mapping[str, Any], content: MeshContent, where: str) -> NamedCorners:
+    """Labels from lists of vertices by name, as SMPL's parts are published: {"head": [0, 1, ...], ...}.
+
+    A triangle is of the first part that holds all of its corners; the others get those of their corners, each the first
+    that holds it: published parts share the vertices of their borders. Raises BadMesh, naming `where`, for what is no
+    list of vertices of the mesh.
+    """
+    count = len(content.vertices)
+    of_vertex = np.full(count, -1, np.int64)
+    of_face = np.full(len(content.faces), -1, np.int64)
+    shared = 0
+    for number, (name, given) in enumerate(parts.items()):
+        vertices = np.asarray(given) if isinstance(given, list) else None
+        if vertices is None or vertices.ndim != 1 or (vertices.size and vertices.dtype.kind not in "iu"):
+            raise BadMesh(f"{where}: the part {name!r} must be a list of vertices, whole numbers, found {given!r:.40}")
+        outside = vertices[(vertices < 0) | (vertices >= count)] if vertices.size else vertices
+        if len(outside):
+            raise BadMesh(
+                f"{where}: the part {name!r} must hold vertices 0 to {count - 1}, found {outside[0]}: is it for a mesh "
+                "of another topology?"
+            )
+        member = np.zeros(count, np.bool_)
+        member[vertices.astype(np.int64)] = True
+        shared += int((member & (of_vertex >= 0)).sum())
+        of_vertex[member & (of_vertex < 0)] = number
+        of_face[member[content.faces].all(axis=1) & (of_face < 0)] = number
+    corners = of_vertex[content.faces]
+    corners[of_face >= 0] = of_face[of_face >= 0, None]
+    notes = (f"{shared} vertices are in two parts: their triangles go by all three corners",) if shared else ()
+    return NamedCorners(tuple(parts), corners, notes)
+
+
+def labels_of_numbers(
+    values: NDArray[Any], content: MeshContent, table: Mapping[int, str], where: str, of: str = ""
+) -> NamedCorners:
+    """Labels from a number for each vertex or polygon. values: whole numbers [V], [P] or [F].
+
+    table: number -> name. of: "vertices" or "faces"; "" tells it by the count. Raises BadMesh, naming `where`, for
+    another count, one that both have, numbers that are not whole, or a number of no class.
+    """
+    found = np.asarray(values)
+    if found.ndim == 2 and 1 in found.shape:
+        found = found.ravel()
+    if found.ndim != 1 or found.dtype.kind not in "iuf" or (found.dtype.kind == "f" and (found % 1 != 0).any()):
+        raise BadMesh(f"{where}: labels must be whole numbers in one row, found {found.dtype} {found.shape}")
+    numbers = found.astype(np.int64)
+    corners = _at_corners(numbers, content, where, of)
+    names = tuple(table.values())
+    place = {number: at for at, number in enumerate(table)}
+    distinct, index = np.unique(corners, return_inverse=True)
+    unknown = [number for number in distinct.tolist() if number not in place and number not in NO_CLASS]
+    if unknown:
+        known = f"{min(table)} to {max(table)}" if table else "none"
+        raise BadMesh(f"{where}: labels must be numbers of classes, {known}, found {unknown[0]}")
+    coded = np.array([place.get(number, -1) for number in distinct.tolist()], np.int64)
+    return NamedCorners(names, coded[index.reshape(corners.shape)])
+
+
+def _at_corners(numbers: NDArray[np.int64], content: MeshContent, where: str, of: str) -> NDArray[np.int64]:
+    """Numbers of vertices or polygons at the corners of triangles, [F, 3]."""
+    vertices, polygons, triangles = len(content.vertices), content.polygons, len(content.faces)
+    counts = {"vertices": (vertices,), "faces": (polygons, triangles)}
+    fits = [kind for kind, sizes in counts.items() if len(numbers) in sizes and of in ("", kind)]
+    if not fits:
+        what = f"{vertices} vertices" if of == "vertices" else f"{polygons} faces"
+        both = f"{vertices} vertices or {polygons} faces"
+        raise BadMesh(
+            f"{where}: there must be one label for each of the mesh's {what if of else both}, found {len(numbers)} (a "
+            "program that splits vertices along seams of textures changes their number and order)"
+        )
+    if len(fits) == 2:
+        raise BadMesh(
+            f"{where}: the mesh has as many faces as vertices, {len(numbers)}: call the file vertex_labels or "
+            "face_labels"
+        )
+    if fits[0] == "vertices":
+        return numbers[content.faces]
+    of_triangle = numbers if len(numbers) != polygons else numbers[content.polygon]
+    return np.repeat(of_triangle[:, None], 3, axis=1)
+
+
+def labels_of_names(given: FaceNames, content: MeshContent) -> NamedCorners:
+    """Labels from names of polygons."""
+    return NamedCorners(given.names, np.repeat(given.numbers[content.polygon][:, None], 3, axis=1))
+
+
+def labels_of_colours(content: MeshContent, table: Mapping[str, str], where: str) -> NamedCorners:
+    """Labels from colours of polygons or, without those, of vertices. table: "#rrggbb" -> name.
+
+    Raises BadMesh, naming `where`, for a mesh without colours, or a colour of no class, such as a blend of two.
+    """
+    of = _coloured(content)
+    if not of:
+        raise BadMesh(f"{where}: labels by colour need colours of vertices or faces, found none")
+    columns = content.of_polygons if of == "faces" else content.of_vertices
+    channels = np.stack([np.asarray(columns[name], np.float64) for name in _CHANNELS], axis=1)
+    kinds = {np.asarray(columns[name]).dtype.kind for name in _CHANNELS}
+    if kinds == {"f"} and channels.max(initial=0.0) <= 1.0:
+        channels = channels * 255
+    values = np.rint(channels).astype(np.int64) @ np.array([1 << 16, 1 << 8, 1])
+    known = {int(colour[1:], 16): name for colour, name in table.items()}
+    for number in np.unique(values).tolist():
+        if number not in known:
+            first = int(np.flatnonzero(values == number)[0])
+            raise BadMesh(
+                f"{where}: the colour #{number:06x} of number {first} of the {of} is no class's (a blend of two, where "
+                "a program has interpolated colours?)"
+            )
+    return labels_of_numbers(values, content, known, where, of)
+
+
+def label_property(content: MeshContent, name: str | None = None) -> tuple[str, str] | None:
+    """Where a file holds numbers of classes: "faces" or "vertices", and the property; None if nowhere.
+
+    name: of the property, in any case; None: one of `LABEL_PROPERTIES`.
+    """
+    wanted: Sequence[str] = LABEL_PROPERTIES if name is None else (name.lower(),)
+    for of, columns in (("faces", content.of_polygons), ("vertices", content.of_vertices)):
+        for each in wanted:
+            if each in columns:
+                return of, each
+    return None
+
+
+def labels_from_file(path: Path, content: MeshContent, table: Mapping[int, str]) -> NamedCorners:
+    """Labels of a mesh from a file: .npy, or .json with lists of vertices by name or one list of numbers or names.
+
+    table: number -> name. The names "face_labels" and "vertex_labels" of a file say whose labels it holds. Raises
+    BadMesh, naming the file, for one that cannot be read, or labels that do not fit the mesh.
+    """
+    said = {"faces": "face_labels", "vertices": "vertex_labels"}
+    of = next((of for of, name in said.items() if name in path.name.lower()), "")
+    try:
+        if path.suffix.lower() == ".npy":
+            given: Any = np.load(path, allow_pickle=False)
+        else:
+            given = json.loads(path.read_bytes())
+    except (OSError, ValueError, EOFError, RecursionError) as error:
+        raise BadMesh(f"cannot read the labels {path}: {error}") from error
+    if isinstance(given, dict):
+        return labels_of_parts(given, content, str(path))
+    if isinstance(given, list) and given and all(isinstance(each, str) for each in given):
+        names = list(dict.fromkeys(given))
+        place = {name: at for at, name in enumerate(names)}
+        return labels_of_numbers(
+            np.array([place[name] for name in given]), content, dict(enumerate(names)), str(path), of
+        )
+    if not isinstance(given, np.ndarray):
+        whole = isinstance(given, list) and {*map(type, given)} == {int}
+        if not whole:
+            raise BadMesh(f"{path}: labels must be lists of vertices by name, or one list of numbers or of names")
+        given = np.array(given)
+    return _numbered(given, content, table, str(path), of)
+
+
+def file_labels(
+    content: MeshContent,
+    wanted: str | None,
+    table: Mapping[int, str],
+    colours: Mapping[str, str],
+    known: Callable[[Sequence[str]], bool],
+    where: str,
+) -> NamedCorners:
+    """Labels that stand in the mesh's own file.
+
+    wanted: "groups", "objects", "materials", "nodes", "colours", or "property NAME"; None: the first that is there of
+    a property that holds labels, names of polygons, and colours. table: number -> name. colours: "#rrggbb" -> name.
+    known: whether all of some names are those of classes. Raises BadMesh, naming `where`, for a mesh without such.
+    """
+    kind, _, name = (wanted or "").partition(" ")
+    if wanted is not None and kind not in (*NAMING, "colours", "property"):
+        raise BadMesh(
+            f"{where}: 'labels' must be a .json or .npy file, {', '.join(NAMING)}, colours or property NAME, found "
+            f"{wanted!r}"
+        )
+    if kind in ("", "property") and (found := label_property(content, name or None)) is not None:
+        of, column = found
+        values = (content.of_polygons if of == "faces" else content.of_vertices)[column]
+        return _numbered(np.asarray(values), content, table, f"{where}: property {column!r}", of)
+    naming = [each for each in NAMING if each in content.names and content.names[each].names and kind in ("", each)]
+    if naming:
+        fitting = [each for each in naming if known(content.names[each].names)]
+        several = [each for each in naming if len(content.names[each].names) > 1]
+        return labels_of_names(content.names[(*fitting, *several, *naming)[0]], content)
+    if kind == "colours" or (not kind and colours and _coloured(content)):
+        return labels_of_colours(content, colours, where)
+    if wanted is not None:
+        raise BadMesh(f"{where}: labels were asked for by {wanted!r}, the file has none")
+    why = "files of this kind hold none" if where.lower().endswith((".stl", ".off")) else "the file holds none"
+    raise BadMesh(
+        f"{where}: a mesh needs labels, {why}: put a .labels.json or .labels.npy beside it, or give its 'class' in "
+        "scene.json"
+    )
+
+
+def _numbered(
+    values: NDArray[Any], content: MeshContent, table: Mapping[int, str], where: str, of: str
+) -> NamedCorners:
+    """Labels from numbers of the set's classes, which classes.json must name."""
+    if not table:
+        raise BadMesh(f"{where}: labels are numbers: classes.json must name the classes, in their order")
+    return labels_of_numbers(values, content, table, where, of)
+
+
+def _coloured(content: MeshContent) -> str:
+    """Whose colours a file holds: "faces", "vertices" or ""."""
+    both = (("faces", content.of_polygons), ("vertices", content.of_vertices))
+    return next((of for of, columns in both if all(name in columns for name in _CHANNELS)), "")

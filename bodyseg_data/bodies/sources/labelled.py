@@ -1,0 +1,331 @@
+"""Meshes with labels of their own; the subset "labelled".
+
+A member is a scene: below the folder, every NAME.scene.json or FOLDER/scene.json if there are any, else every mesh
+file. Its labels come from a file beside it, from the mesh file itself, or are one class for all of a mesh; the set's
+classes are those of classes.json in the folder, else all names found (docs/how-to/labelled_meshes.md).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from functools import cached_property
+from os.path import normpath
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.bodies.alignment import Alignment, upright_rotation
+from bodyseg_data.bodies.given_labels import GivenLabels, NamedCorners, file_labels, labels_from_file
+from bodyseg_data.bodies.mesh_bodies import files_below
+from bodyseg_data.bodies.scene_files import content_suffix, mesh_content
+from bodyseg_data.bodies.source import DEFAULTS, Body, BodyRef, ListedBodies, MeshOptions
+from bodyseg_data.bodies.sources.folder import body_ref
+from bodyseg_data.core import BadConfig, BadMesh
+from bodyseg_data.files import Table, read_json
+from bodyseg_data.labels import BACKGROUND, Classes, LabelClass, classes_from_json
+from bodyseg_data.meshes import METRES, GeodesicMethod, MeshContent, SceneMesh, SurfaceLabels, welded
+from bodyseg_data.samples import SPLITS
+
+CLASSES_NAME: Final = "classes.json"
+SCENE_NAME: Final = "scene.json"
+SCENE_FORMAT: Final = "bodyseg scene 1"
+
+_BESIDE: Final = ("{}.labels.json", "{}.labels.npy", "{}.face_labels.npy", "{}.vertex_labels.npy", "{}.json", "{}.npy")
+_SHARED: Final = ("labels.json", "labels.npy", "face_labels.npy", "vertex_labels.npy")
+_OTHER_SIDE: Final = {"left": "right", "Left": "Right", "LEFT": "RIGHT", "L": "R", "l": "r"}
+_SIDE: Final = re.compile(r"[Ll]eft|LEFT|[Rr]ight|RIGHT|(?:(?<=^)|(?<=[_. -]))[LlRr](?=$|[_. -])")
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """One mesh of a scene. labels: what gives them: a file, "groups" and the like, or None for what is found first.
+
+    label: one class for all of it. metres: in the unit of its file. pose: float64 [4, 4], into the scene, metres.
+    """
+
+    mesh: Path
+    labels: Path | str | None
+    label: str | None
+    metres: float
+    pose: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _SceneFiles:
+    """A member. path: its file, for messages. centre: float64 [3], metres, axes of the files."""
+
+    path: Path
+    pieces: tuple[_Piece, ...]
+    centre: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True)
+class LabelledScene(Body):
+    """A scene ready to be packed; it has no landmarks. given: of its mesh."""
+
+    given: GivenLabels = field(kw_only=True)
+
+    def surface_labels(self, _: GeodesicMethod = "exact") -> SurfaceLabels:
+        """The labels that its files give."""
+        return self.given
+
+
+class _ClassTable:
+    """What classes.json says; without it, every name is a class of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.classes: Classes | None = None
+        self.numbers: dict[int, str] = {}
+        self.colours: dict[str, str] = {}
+        self.labels: str | None = None
+        self._also: list[tuple[str, str | None]] = []
+        self.path = folder / CLASSES_NAME
+        if not self.path.exists():
+            return
+        tree = read_json(self.path)
+        self._also += [(pattern, None) for pattern in _texts(tree.pop("unlabelled", []), f"{self.path}: 'unlabelled'")]
+        self.labels = tree.pop("labels", None)
+        rows = tree.get("classes")
+        rows = [{"name": row} if isinstance(row, str) else row for row in rows] if isinstance(rows, list) else rows
+        for at, row in enumerate(rows if isinstance(rows, list) else []):
+            if not isinstance(row, dict) or not isinstance(row.get("name"), str):
+                raise BadConfig(f"{self.path}: a class is a name, or an object with one, found {row!r:.60}")
+            number = row.pop("number", at)
+            if type(number) is not int or number in self.numbers:
+                raise BadConfig(f"{self.path}: the 'number' of {row['name']!r} must be whole and its own: {number!r}")
+            self.numbers[number] = row["name"]
+            self._also += [(each, row["name"]) for each in _texts(row.pop("also", []), f"{self.path}: 'also'")]
+        classes = classes_from_json({"name": folder.name or "labelled", **tree, "classes": rows}, str(self.path))
+        self.classes = with_sides(classes)
+        self.colours = {entry.colour: entry.name for entry in classes.entries if entry.colour is not None}
+
+    def class_of(self, name: str, where: str) -> str | None:
+        """The class that a name stands for, None for none. Raises BadMesh for one that classes.json does not know."""
+        if self.classes is not None and name in self.classes.names:
+            return name
+        for pattern, found in self._also:
+            if fnmatchcase(name, pattern):
+                return found
+        if self.classes is None:
+            return name
+        raise BadMesh(
+            f"{where}: {name!r} is no class of {self.path} (its 'also' names what else is of a class, 'unlabelled' "
+            "what is of none)"
+        )
+
+
+class LabelledScenes(ListedBodies[_SceneFiles]):
+    """Scenes found below a folder, sorted by their paths. Raises BadConfig if there are none."""
+
+    name = "labelled"
+
+    def __init__(self, path: Path, landmarks: Path | None = None, options: MeshOptions = DEFAULTS) -> None:
+        if landmarks is not None:
+            raise BadConfig("the source 'labelled' has labels of its own and needs no --landmarks: leave it out")
+        self._folder, self._table = path, _ClassTable(path)
+        self._metres = 1.0 if options.units == "auto" else METRES[options.units]
+        self._rotation = upright_rotation("y" if options.up == "auto" else options.up)
+        files = files_below(path)
+        scenes = [file for file in files if file.name == SCENE_NAME or file.name.endswith(f".{SCENE_NAME}")]
+        found = [self._scene(file) for file in scenes] if scenes else self._meshes(files)
+        if not found:
+            raise BadConfig(
+                f"the source 'labelled' needs meshes (.ply, .obj, .off, .glb, .gltf) or {SCENE_NAME}: found none in "
+                f"{path}"
+            )
+        super().__init__(dict(found))
+
+    @cached_property
+    def classes(self) -> Classes:
+        """Classes of the set: those of classes.json, or all names in the order in which the scenes have them."""
+        if self._table.classes is not None:
+            return self._table.classes
+        names: dict[str, None] = {}
+        for scene in self._entries.values():
+            for piece in scene.pieces:
+                with contextlib.suppress(BadMesh):  # the check of the meshes names it
+                    names |= dict.fromkeys(self._named(piece, mesh_content(piece.mesh)).names)
+        return with_sides(Classes(self._folder.name or "labelled", tuple(map(LabelClass, names))))
+
+    def fingerprint(self, bodies: Sequence[BodyRef]) -> str:
+        """Return a digest of every byte of the files. Raises BadMesh for one that cannot be read."""
+        digest = hashlib.sha256(repr((self._metres, self._rotation.tolist())).encode())
+        files = {self._table.path} if self._table.classes is not None else set()
+        for body in bodies:
+            scene = self.entry(body)
+            files.add(scene.path)
+            for piece in scene.pieces:
+                files |= {piece.mesh, *([piece.labels] if isinstance(piece.labels, Path) else [])}
+                files |= set(piece.mesh.parent.glob("*.bin")) if piece.mesh.suffix.lower() == ".gltf" else set()
+        for file in sorted(files):
+            digest.update(file.name.encode())
+            try:
+                digest.update(hashlib.sha256(file.read_bytes()).digest())
+            except OSError as error:
+                raise BadMesh(f"cannot read {file}: {error.strerror or error}") from error
+        return digest.hexdigest()
+
+    def check(self, body: BodyRef) -> None:
+        """Read the files of one scene, with the errors of `build`."""
+        _, named = self._placed(body)
+        for piece, labels in named:
+            if self._table.classes is not None:
+                self._coded(labels, self._table.classes, str(piece.mesh))
+
+    def build(self, body: BodyRef) -> LabelledScene:
+        """Build one scene. Raises BadMesh, naming the file, for one that cannot be read, or whose labels do not fit."""
+        mesh, named = self._placed(body)
+        corners = [self._coded(labels, self.classes, str(piece.mesh)) for piece, labels in named]
+        notes = tuple(f"{piece.mesh.name}: {note}" for piece, labels in named for note in labels.notes)
+        given = GivenLabels(np.concatenate(corners))
+        return LabelledScene(mesh, np.zeros(0, np.int64), notes, given=given)
+
+    def _placed(self, body: BodyRef) -> tuple[SceneMesh, list[tuple[_Piece, NamedCorners]]]:
+        """One mesh of all pieces of a scene, and the labels of each, in their order."""
+        scene = self.entry(body)
+        points, faces, named, count = [], [], [], 0
+        for piece in scene.pieces:
+            content = mesh_content(piece.mesh)
+            named.append((piece, self._named(piece, content)))
+            vertices = content.vertices * piece.metres @ piece.pose[:3, :3].T + piece.pose[:3, 3]
+            kept, place = welded(vertices)
+            points.append(vertices[kept])
+            faces.append(place[content.faces] + count)
+            count += len(kept)
+        turn = Alignment(1.0, self._rotation, 0.0).apply
+        middle = None if scene.centre is None else turn(scene.centre[None])[0]
+        try:
+            mesh = SceneMesh(body.mesh, turn(np.concatenate(points)), np.concatenate(faces), middle)
+        except BadMesh as error:
+            raise BadMesh(f"{error} (read from {scene.path})") from error
+        return mesh, named
+
+    def _named(self, piece: _Piece, content: MeshContent) -> NamedCorners:
+        """Names at the corners of a piece's triangles."""
+        table, where = self._table, str(piece.mesh)
+        if piece.label is not None:
+            return NamedCorners((piece.label,), np.zeros(content.faces.shape, np.int64))
+        if isinstance(piece.labels, Path):
+            return labels_from_file(piece.labels, content, table.numbers)
+
+        def known(names: Sequence[str]) -> bool:
+            with contextlib.suppress(BadMesh):
+                for name in names:
+                    table.class_of(name, where)
+                return table.classes is not None
+            return False
+
+        return file_labels(content, piece.labels, table.numbers, table.colours, known, where)
+
+    def _coded(self, named: NamedCorners, classes: Classes, where: str) -> NDArray[np.uint8]:
+        """Labels at the corners, uint8 [F, 3]."""
+        code = np.full(len(named.names) + 1, BACKGROUND, np.uint8)  # its last entry is that of -1
+        for at in np.unique(named.corners).tolist():
+            found = None if at < 0 else self._table.class_of(named.names[at], where)
+            if found is not None:
+                code[at] = classes.names.index(found)
+        return code[named.corners]
+
+    def _meshes(self, files: Sequence[Path]) -> list[tuple[BodyRef, _SceneFiles]]:
+        """Scenes of one mesh file each. Raises BadConfig for two of one name."""
+        forms: dict[Path, list[Path]] = {}
+        for file in files:
+            if (suffix := content_suffix(file.name)) is not None:
+                forms.setdefault(file.with_name(file.name[: -len(suffix)]), []).append(file)
+        found = []
+        for stem, each in sorted(forms.items()):
+            if len(each) > 1:
+                names = " and ".join(file.name for file in each)
+                raise BadConfig(f"{stem.parent}: a scene is one mesh file, found {names}: move one away")
+            mesh = each[0]
+            piece = _Piece(mesh, self._labels_of(mesh, stem.name), None, self._metres, np.eye(4))
+            found.append((body_ref(self.name, stem.relative_to(self._folder)), _SceneFiles(mesh, (piece,))))
+        return found
+
+    def _labels_of(self, mesh: Path, stem: str) -> Path | str | None:
+        """The label file beside a mesh, else what classes.json says, else one in its folder or the next one above."""
+        beside = (mesh.with_name(form.format(stem)) for form in _BESIDE)
+        own = next((file for file in beside if file.is_file() and file != self._table.path), None)
+        folders = [each for each in (mesh.parent, *mesh.parent.parents) if each.is_relative_to(self._folder)]
+        shared = (folder / name for folder in folders for name in _SHARED if (folder / name).is_file())
+        return own or self._table.labels or next(shared, None)
+
+    def _scene(self, path: Path) -> tuple[BodyRef, _SceneFiles]:
+        """Read a scene file. Raises BadConfig, naming it."""
+        tree = read_json(path)
+        if tree.pop("format", None) != SCENE_FORMAT:
+            raise BadConfig(f"{path}: 'format' must be {SCENE_FORMAT!r}")
+        rows = tree.pop("meshes", None)
+        if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
+            raise BadConfig(f"{path}: 'meshes' must be a list of objects, each with a 'mesh'")
+        table = Table(tree, str(path))
+        centre = np.array(table.numbers("centre_m", 3)) if table.has("centre_m") else None
+        own = {name: table.text(name) for name in ("subject", "pose", "split") if table.has(name)}
+        table.finish()
+        if own.get("split", "train") not in SPLITS:
+            raise BadConfig(f"{path}: 'split' must be one of {', '.join(SPLITS)}, found {own['split']!r}")
+        pieces = tuple(self._piece(Table(row, f"{path}, mesh {at}"), path) for at, row in enumerate(rows))
+        name = path.parent if path.name == SCENE_NAME else path.with_name(path.name.removesuffix(f".{SCENE_NAME}"))
+        inside = name.relative_to(self._folder)
+        return body_ref(self.name, inside if inside.parts else Path("scene"), own), _SceneFiles(path, pieces, centre)
+
+    def _piece(self, row: Table, path: Path) -> _Piece:
+        mesh = Path(normpath(path.parent / row.text("mesh")))
+        label = row.text("class") if row.has("class") else None
+        labels: Path | str | None = row.text("labels") if row.has("labels") else None
+        if label is not None and labels is not None:
+            raise BadConfig(f"{row.where}: a mesh has one 'class' or 'labels', found both")
+        if isinstance(labels, str) and labels.lower().endswith((".json", ".npy")):
+            labels = path.parent / labels
+        elif labels is None and label is None:
+            suffix = content_suffix(mesh.name)
+            labels = self._labels_of(mesh, mesh.name[: -len(suffix)]) if suffix else None
+        metres, pose = self._metres, np.eye(4)
+        if row.has("units"):
+            units = row.text("units")
+            if units not in METRES:
+                raise BadConfig(f"{row.where}: 'units' must be one of {', '.join(METRES)}, found {units!r}")
+            metres = METRES[units]
+        if row.has("pose") and row.has("position_m"):
+            raise BadConfig(f"{row.where}: a mesh has one 'pose' or 'position_m', found both")
+        if row.has("position_m"):
+            pose[:3, 3] = row.numbers("position_m", 3)
+        if row.has("pose"):
+            pose = np.array(row.numbers("pose", 16)).reshape(4, 4)
+            if pose[3].tolist() != [0, 0, 0, 1]:
+                raise BadConfig(f"{row.where}: the last row of 'pose' must be 0 0 0 1, found {pose[3].tolist()}")
+            if np.linalg.det(pose[:3, :3]) <= 0:
+                raise BadConfig(
+                    f"{row.where}: 'pose' must not mirror or flatten the mesh, found the determinant "
+                    f"{np.linalg.det(pose[:3, :3]):.3g}"
+                )
+        row.finish()
+        return _Piece(mesh, labels, label, metres, pose)
+
+
+def with_sides(classes: Classes) -> Classes:
+    """Classes in which those without a mirror image have the one of their name with left and right exchanged."""
+    names = set(classes.names)
+    taken = {name for entry in classes.entries if entry.mirror for name in (entry.name, entry.mirror)}
+    entries = []
+    for entry in classes.entries:
+        other = _SIDE.sub(lambda found: _EXCHANGED[found[0]], entry.name)
+        pair = entry.mirror is None and other != entry.name and other in names and not {entry.name, other} & taken
+        entries.append(LabelClass(**{**vars(entry), "mirror": other}) if pair else entry)
+    return Classes(classes.name, tuple(entries))
+
+
+_EXCHANGED: Final[Mapping[str, str]] = {**_OTHER_SIDE, **{right: left for left, right in _OTHER_SIDE.items()}}
+
+
+def _texts(given: Any, where: str) -> list[str]:
+    if not isinstance(given, list) or not all(isinstance(each, str) for each in given):
+        raise BadConfig(f"{where} must be a list of names, found {given!r:.60}")
+    return given

@@ -1,0 +1,110 @@
+"""Checks of meshes that people bring as bodies: faults that no rule of meshes finds, but landmarks do.
+
+Programs with left-handed axes write meshes that are mirrored, with landmarks that are, too: such a body looks whole,
+but its front and back, or right and left, are exchanged. Scans often hold the floor or plate under the feet.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core import BadMesh
+from bodyseg_data.labels import LANDMARKS
+from bodyseg_data.meshes.mending import welded
+from bodyseg_data.meshes.mesh import face_components, face_normals
+
+_TRUNK_M: Final = 0.5  # from the PSIS to the Cervicale of a person; the lengths below are for that and grow with it
+_LEAST_TRUNK_M: Final = 0.1
+_PLATE_M: Final = 0.3  # least width of a plate
+_THIN: Final = 0.1  # of its width
+_NEAR_FEET_M: Final = 0.1
+_LEVEL: Final = 0.94  # vertical part of a floor's normal
+_AWAY_M: Final = 0.25  # no point of a body's underside is as far from all landmarks, whatever its posture
+_FLOOR_M2: Final = 0.1
+
+
+def check_body(
+    vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]], landmarks: NDArray[np.float64], where: str
+) -> None:
+    """Raise BadMesh, naming `where`, for a mirrored body, or one with a floor, a plate or a wall in its mesh.
+
+    vertices: [V, 3]; faces: [F, 3]; landmarks: [33, 3]; metres, body frame.
+    """
+    points = dict(zip(LANDMARKS, landmarks, strict=True))
+    pelvis = _middle(points, "Rt. PSIS", "Lt. PSIS")
+    up = points["Cervicale"] - pelvis
+    size = float(np.linalg.norm(up)) / _TRUNK_M
+    if size * _TRUNK_M < _LEAST_TRUNK_M:
+        raise BadMesh(
+            f"{where}: a body's trunk must be at least {100 * _LEAST_TRUNK_M:.0f} cm long, found "
+            f"{100 * size * _TRUNK_M:.1f}: does the mesh hold more than the body?"
+        )
+    chest = _middle(points, "Suprasternale", "Substernale") - _middle(points, "Cervicale", "10th Rib Midspine")
+    belly = _middle(points, "Rt. ASIS", "Lt. ASIS") - pelvis
+    handed = _handed(points, ("Acromion", "Axilla, Post."), up, chest)
+    if handed + _handed(points, ("ASIS", "PSIS", "Trochanterion"), up, belly) < 0:
+        raise BadMesh(
+            f"{where}: with the trunk upright and the left side on the left, chest and belly must be in front, found "
+            "them behind: the mesh is mirrored, as from a program with left-handed axes (or right and left landmarks "
+            "are exchanged): negate one axis"
+        )
+    _check_plates(vertices, faces, landmarks, size, where)
+
+
+def _handed(
+    points: dict[str, NDArray[np.float64]], pairs: tuple[str, ...], up: NDArray[np.float64], front: NDArray[np.float64]
+) -> float:
+    """1 where left x up is the front, -1 where it is the back; left: from the right ones of pairs to the left ones."""
+    left = np.sum([points[f"Lt. {name}"] - points[f"Rt. {name}"] for name in pairs], axis=0)
+    lengths = np.linalg.norm(left) * np.linalg.norm(up) * np.linalg.norm(front)
+    return float(np.cross(left, up) @ front / max(lengths, 1e-12))
+
+
+def _middle(points: dict[str, NDArray[np.float64]], *names: str) -> NDArray[np.float64]:
+    middle: NDArray[np.float64] = np.mean([points[name] for name in names], axis=0)
+    return middle
+
+
+def _check_plates(
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.integer[Any]],
+    landmarks: NDArray[np.float64],
+    size: float,
+    where: str,
+) -> None:
+    """Raise BadMesh for a flat piece without a landmark, or a level surface away from all of them at the bottom."""
+    from scipy.spatial import KDTree
+
+    kept, place = welded(vertices)
+    points, corners = vertices[kept], place[faces]
+    used = np.unique(corners)
+    piece = face_components(len(points), corners)
+    own = np.unique(piece[used[KDTree(points[used]).query(landmarks)[1]]])
+    bottom = float(points[used[np.isin(piece[used], own)], 1].min())
+    body_width = float(np.sort(np.ptp(landmarks, axis=0))[1])
+    for other in np.setdiff1d(np.unique(piece[used]), own).tolist():
+        plate = points[piece == other]
+        if np.sort(np.ptp(plate, axis=0))[1] < _PLATE_M * size:
+            continue
+        axes = np.linalg.svd(plate - plate.mean(axis=0), full_matrices=False)[2]
+        long, wide, thin = np.ptp(plate @ axes.T, axis=0).tolist()
+        under = plate[:, 1].max() < bottom + _NEAR_FEET_M * size and abs(axes[2, 1]) > _LEVEL
+        if thin < _THIN * wide and wide > (_PLATE_M * size if under else body_width):
+            raise BadMesh(
+                f"{where}: a body must be alone in its mesh, found a flat piece of {long:.2g} x {wide:.2g} m without a "
+                f"landmark{' under it' if under else ''}: take the floor, plate or wall out"
+            )
+    normals = face_normals(points, corners)
+    double_area = np.maximum(np.linalg.norm(normals, axis=1), 1e-12)
+    level = (np.abs(normals[:, 1]) > _LEVEL * double_area) & np.isin(piece[corners[:, 0]], own)
+    low = points[corners, 1].max(axis=1) < points[used, 1].min() + _NEAR_FEET_M * size
+    away = KDTree(landmarks).query(points)[0][corners].max(axis=1) > _AWAY_M * size
+    floor_m2 = float(double_area[level & low & away].sum()) / 2
+    if floor_m2 > _FLOOR_M2 * size**2:
+        raise BadMesh(
+            f"{where}: a body must be alone in its mesh, found {floor_m2:.2g} m2 of level surface at its bottom, away "
+            "from all landmarks: take the floor or plate out"
+        )

@@ -1,0 +1,57 @@
+"""The plain layout: a folder a kind of image, in it one file a sample, named by its key.
+
+set.toml  [samples.jsonl | samples.csv]  range/  labels/  [projector/  facing/  normals/  planes/NAME/]
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from bodyseg_data.core import BadConfig
+from bodyseg_data.renders.images import SUFFIXES, read_array
+from bodyseg_data.renders.set_file import SetFile, read_rows
+from bodyseg_data.renders.source import (
+    FACING,
+    LABELS,
+    NORMALS,
+    PROJECTOR,
+    RANGE,
+    Stored,
+    StoredRenders,
+    by_key,
+    in_order,
+)
+
+_PLANES = "planes"
+
+
+class PlainRenders(StoredRenders):
+    """Renders in folders of images. Raises BadConfig for a folder, key or partner that is missing or unknown."""
+
+    def __init__(self, folder: Path, content: SetFile) -> None:
+        optional = [kind for kind in (PROJECTOR, FACING, NORMALS) if (folder / kind).is_dir()]
+        home = folder / _PLANES
+        planes = in_order(each.name for each in home.iterdir() if each.is_dir()) if home.is_dir() else []
+        folders = {kind: folder / kind for kind in (RANGE, LABELS, *optional)} | {name: home / name for name in planes}
+        super().__init__(content, read_rows(folder, content), {kind: _images(each) for kind, each in folders.items()})
+        first = self._keys[0]
+        self.planes = {name: str(read_array(self._files[name][first]).dtype) for name in planes}
+
+    def read(self, key: str) -> Mapping[str, Stored]:
+        """Read the images of a sample by their kinds. Raises BadSample, naming the file."""
+        ray = self._content.along == "ray"
+        return {kind: Stored(read_array(files[key]), str(files[key]), ray) for kind, files in self._files.items()}
+
+
+def _images(folder: Path) -> dict[str, Path]:
+    """The images of a folder by key. Raises BadConfig for a file of another kind, or none."""
+    if not folder.is_dir():
+        raise BadConfig(f"{folder}: a set of renders needs this folder, with one image a sample")
+    paths = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
+    for path in paths:
+        if path.suffix.lower() not in SUFFIXES or path.is_dir():
+            raise BadConfig(f"{path}: an image must end in {', '.join(SUFFIXES)}, which keep numbers as they are")
+    if not paths:
+        raise BadConfig(f"{folder}: a set of renders has images here, found none")
+    return by_key((path.stem, path) for path in paths)

@@ -1,0 +1,80 @@
+"""Whether the range images of camera and projector can be of one scene, as the rig places the two."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core import BadSample
+from bodyseg_data.renders.source import Render
+from bodyseg_data.rigs import Camera, Rig
+
+Ranges = NDArray[np.floating[Any]]
+
+_POINTS: Final = 4000
+_FEWEST: Final = 100
+_SLACK: Final = 0.02
+"""Metres, and share of the range, that two renderers may differ by."""
+_REFUSED: Final = 0.2
+_FITTING: Final = 0.1
+
+
+def check_plausible(render: Render, rig: Rig, where: str) -> None:
+    """Raise BadSample if what the camera sees contradicts what the first projector sees.
+
+    A point that one of the two sees lies where the other sees a surface, or behind it; one before it, or where the
+    other sees nothing, contradicts. Up to `_REFUSED` of the points may, as thin things and small offsets make them. Mirrored
+    images are told by their fitting once they are turned; of scenes that look the same in a mirror nothing can be told,
+    nor of images that are all upside down before a rig whose devices lie side by side.
+    """
+    if render.projector_range_m is None:
+        return
+    seen, lit = render.range_m, render.projector_range_m[: rig.projector.rows]
+    found = contradicting(rig, seen, lit)
+    if found <= _REFUSED:
+        return
+    causes = {
+        "the projector's images look mirrored left to right": (seen, lit[:, ::-1]),
+        "the camera's images look mirrored left to right": (seen[:, ::-1], lit),
+        "all images look mirrored left to right, as a left-handed export makes them": (seen[:, ::-1], lit[:, ::-1]),
+    }
+    rates = {cause: contradicting(rig, *images) for cause, images in causes.items()}
+    cause = min(rates, key=lambda each: rates[each])
+    if rates[cause] > min(_FITTING, found / 3):
+        cause = "is the projector's pose, its focal length or a unit another than set.toml and the rig say?"
+    raise BadSample(
+        f"{where}: camera and projector contradict each other at {100 * found:.0f} % of their points: {cause}"
+    )
+
+
+def contradicting(rig: Rig, range_m: Ranges, projector_m: Ranges) -> float:
+    """Share of the points of one device that the other sees past: the larger of both ways; 0 for too few points."""
+    rotation, offset = rig.camera_to_projector()
+    back = rotation.T, -rotation.T @ offset
+    return max(
+        _seen_past((rig.camera, range_m), (rig.projector, projector_m), rotation, offset),
+        _seen_past((rig.projector, projector_m), (rig.camera, range_m), *back),
+    )
+
+
+def _seen_past(
+    one: tuple[Camera, Ranges], other: tuple[Camera, Ranges], rotation: NDArray[np.float64], offset: NDArray[np.float64]
+) -> float:
+    """The same of one way; rotation and offset: from the frame of `one` to the other's."""
+    (device, range_m), (target, target_m) = one, other
+    rows, columns = np.nonzero(range_m)
+    stride = max(1, len(rows) // _POINTS)
+    rows, columns = rows[::stride], columns[::stride]
+    points = device.pixel_rays()[rows, columns] * range_m[rows, columns, None] @ rotation.T + offset
+    points = points[points[:, 2] > 0]
+    across, down = (points[:, :2] / points[:, 2:] * target.focal_px + target.centre_px).T
+    inside = (across >= 0) & (across < target.columns) & (down >= 0) & (down < target.rows)
+    if np.count_nonzero(inside) < _FEWEST:
+        return 0.0
+    # The nearest surface of a pixel and those around it: at an edge either side will do, and beyond the image any.
+    padded = np.pad(np.where(target_m == 0, np.inf, target_m), 1)
+    nearest = np.min([padded[y : y + target.rows, x : x + target.columns] for y in range(3) for x in range(3)], axis=0)
+    seen = nearest[down[inside].astype(np.intp), across[inside].astype(np.intp)]
+    return float(np.mean(seen > points[inside, 2] * (1 + _SLACK) + _SLACK))

@@ -1,0 +1,285 @@
+"""Meshes with labels of their own: where labels stand, what does not fit, and what every pixel of a sample says."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from people_on_disk import obj
+from small_rig import SMALL_FILE
+
+from bodyseg_data import RangeImages
+from bodyseg_data.bodies import Body, open_source
+from bodyseg_data.bodies.sources.labelled import with_sides
+from bodyseg_data.commands.cli import main
+from bodyseg_data.core import BadConfig, BadMesh
+from bodyseg_data.labels import classes_of
+from bodyseg_data.meshes import cuboid
+from bodyseg_data.shards import read_manifest
+
+BOX = cuboid((0.6, 1.0, 0.4), (0.0, 0.5, 0.0))
+"""A box of 8 vertices and 12 triangles; vertices 0 to 3 lie at its back."""
+
+FRONT = [int(at) for at in np.flatnonzero(BOX.vertices[:, 2] > 0)]
+BACK = [int(at) for at in np.flatnonzero(BOX.vertices[:, 2] < 0)]
+UPPER = BOX.vertices[:, 1] > 0.5
+
+
+def write(path: Path, content: Any) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if isinstance(content, bytes):
+        path.write_bytes(content)
+    elif isinstance(content, np.ndarray):
+        np.save(path, content)
+    else:
+        path.write_text(content if isinstance(content, str) else json.dumps(content))
+    return path
+
+
+def scene(folder: Path, at: int = 0) -> tuple[Body, NDArray[np.uint8], tuple[str, ...]]:
+    """A member, its labels at the corners of triangles, and the names of classes."""
+    source: Any = open_source("labelled", folder)
+    ref = source.bodies()[at]
+    source.check(ref)
+    built = source.build(ref)
+    return built, built.surface_labels().corners(built.mesh), source.classes.names
+
+
+def reason(folder: Path) -> str:
+    """The one line that says why a folder's first member cannot be read."""
+    with pytest.raises((BadMesh, BadConfig)) as caught:
+        scene(folder)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def ply(vertex: dict[str, NDArray[Any]] | None = None, face: dict[str, NDArray[Any]] | None = None) -> str:
+    """The box as text, with further properties of vertices or faces."""
+    vertex, face = vertex or {}, face or {}
+    lines = ["ply", "format ascii 1.0", "element vertex 8", *(f"property float {axis}" for axis in "xyz")]
+    lines += [f"property uchar {name}" for name in vertex]
+    lines += ["element face 12", "property list uchar int vertex_indices", *(f"property uchar {n}" for n in face)]
+    lines.append("end_header")
+    for at, point in enumerate(BOX.vertices.tolist()):
+        lines.append(" ".join(map(str, [*point, *(values[at] for values in vertex.values())])))
+    for at, corners in enumerate(BOX.faces.tolist()):
+        lines.append(" ".join(map(str, [3, *corners, *(values[at] for values in face.values())])))
+    return "\n".join([*lines, ""])
+
+
+def named_faces(word: str) -> bytes:
+    """The box as OBJ: its twelve faces in four groups, objects or materials of three."""
+    lines = obj(*map(np.asarray, (BOX.vertices, BOX.faces))).decode().splitlines()
+    faces = [line for line in lines if line.startswith("f")]
+    parts = [[f"{word} part {at}", *faces[3 * at : 3 * at + 3]] for at in range(4)]
+    return "\n".join([*lines[:8], *(line for part in parts for line in part), ""]).encode()
+
+
+BOX_OBJ = obj(BOX.vertices, BOX.faces)
+QUARTERS = np.repeat(np.arange(4, dtype=np.uint8), 3)
+
+
+def test_parts_by_lists_of_vertices(tmp_path: Path) -> None:
+    """As SMPL's are published: the vertices of a border are in both parts."""
+    write(tmp_path / "a.obj", BOX_OBJ)
+    write(tmp_path / "labels.json", {"front": FRONT, "back": BACK + FRONT[:1], "none of it": []})
+    built, corners, names = scene(tmp_path)
+    assert names == ("front", "back", "none of it")
+    assert np.array_equal(corners, np.where(BOX.vertices[BOX.faces][:, :, 2] > 0, 0, 1))
+    assert built.notes == ("a.obj: 1 vertices are in two parts: their triangles go by all three corners",)
+
+
+@pytest.mark.parametrize("of", ["vertices", "faces"])
+def test_numbers_by_the_array_of_numpy(tmp_path: Path, of: str) -> None:
+    write(tmp_path / "a.obj", BOX_OBJ)
+    write(tmp_path / "classes.json", {"classes": ["low", "high", "c", "d"]})
+    write(tmp_path / "a.labels.npy", UPPER.astype(np.int32) if of == "vertices" else QUARTERS)
+    expected = UPPER[BOX.faces] if of == "vertices" else np.repeat(QUARTERS[:, None], 3, axis=1)
+    assert np.array_equal(scene(tmp_path)[1], expected)
+
+
+@pytest.mark.parametrize("of", ["vertex", "face"])
+@pytest.mark.parametrize("name", ["label", "scalar_Label"])
+def test_numbers_in_a_property(tmp_path: Path, of: str, name: str) -> None:
+    values = {name: UPPER.astype(np.uint8) if of == "vertex" else QUARTERS}
+    write(tmp_path / "a.ply", ply(**{of: values}))
+    write(tmp_path / "classes.json", {"classes": ["low", {"name": "high", "colour": "#ff0000"}, "c", "d"]})
+    expected = UPPER[BOX.faces] if of == "vertex" else np.repeat(QUARTERS[:, None], 3, axis=1)
+    assert np.array_equal(scene(tmp_path)[1], expected)
+
+
+@pytest.mark.parametrize("of", ["vertex", "face"])
+def test_colours_with_a_table(tmp_path: Path, of: str) -> None:
+    red = 255 * (UPPER if of == "vertex" else QUARTERS > 1).astype(np.uint8)
+    write(tmp_path / "a.ply", ply(**{of: {"red": red, "green": 0 * red, "blue": 255 - red}}))
+    table = [{"name": "low", "colour": "#0000ff"}, {"name": "high", "colour": "#ff0000"}]
+    write(tmp_path / "classes.json", {"classes": table})
+    expected = UPPER[BOX.faces] if of == "vertex" else np.repeat(QUARTERS[:, None] > 1, 3, axis=1)
+    assert np.array_equal(scene(tmp_path)[1], expected)
+    write(tmp_path / "classes.json", {"classes": table[:1]})
+    assert "the colour #ff0000 of number" in reason(tmp_path)
+
+
+@pytest.mark.parametrize("word", ["g", "o", "usemtl"])
+def test_names_in_obj(tmp_path: Path, word: str) -> None:
+    write(tmp_path / "a.obj", named_faces(word))
+    _, corners, names = scene(tmp_path)
+    assert names == ("part 0", "part 1", "part 2", "part 3")
+    assert np.array_equal(corners, np.repeat(QUARTERS[:, None], 3, axis=1))
+    classes = [{"name": "first", "also": ["part 0", "part 1"]}, "part 3"]
+    write(tmp_path / "classes.json", {"classes": classes, "unlabelled": ["*2"]})
+    assert scene(tmp_path)[1][:, 0].tolist() == [0] * 6 + [255] * 3 + [1] * 3
+    write(tmp_path / "classes.json", {"classes": classes})
+    assert "'part 2' is no class of" in reason(tmp_path)
+
+
+def test_nodes_and_materials_of_gltf(tmp_path: Path) -> None:
+    import trimesh
+
+    whole = trimesh.Scene()
+    for name, height in (("base", 0.0), ("arm", 1.0)):
+        part = trimesh.Trimesh(BOX.vertices, BOX.faces, process=False)
+        steel = trimesh.visual.material.PBRMaterial(name=f"steel {name}")
+        part.visual = trimesh.visual.TextureVisuals(material=steel)
+        move = trimesh.transformations.translation_matrix([0, height, 0])
+        whole.add_geometry(part, node_name=name, geom_name=f"{name} mesh", transform=move)
+    write(tmp_path / "a.glb", whole.export(file_type="glb"))
+    built, corners, names = scene(tmp_path)
+    assert set(names) == {"base", "arm"}
+    heights = built.mesh.vertices[built.mesh.faces][:, :, 1].max(axis=1)
+    assert ((heights > 1.4) == (corners[:, 0] == names.index("arm")))[heights > 1.1].all()
+    write(tmp_path / "classes.json", {"classes": ["steel base", "steel arm"]})
+    assert scene(tmp_path)[2] == ("steel base", "steel arm")
+
+
+def test_vertices_of_triangles_and_seams_are_joined_and_keep_their_labels(tmp_path: Path) -> None:
+    soup = BOX.vertices[BOX.faces].reshape(-1, 3)
+    write(tmp_path / "a.obj", obj(soup, np.arange(36, dtype=np.int32).reshape(-1, 3)))
+    write(tmp_path / "classes.json", {"classes": ["a", "b", "c", "d"]})
+    write(tmp_path / "a.vertex_labels.npy", np.repeat(QUARTERS, 3))
+    built, corners, _ = scene(tmp_path)
+    assert len(built.mesh.vertices) == 8
+    assert np.array_equal(corners, np.repeat(QUARTERS[:, None], 3, axis=1))
+    assert np.array_equal(built.mesh.vertices[built.mesh.faces], BOX.vertices[BOX.faces])
+
+
+def test_faults_are_one_line(tmp_path: Path) -> None:
+    write(tmp_path / "a.obj", BOX_OBJ)
+    assert "the file holds none: put a .labels.json" in reason(tmp_path)
+    write(tmp_path / "a.json", {"front": [*FRONT, 8]})
+    assert "a.json: the part 'front' must hold vertices 0 to 7, found 8" in reason(tmp_path)
+    write(tmp_path / "a.json", {"front": [0.5]})
+    assert "the part 'front' must be a list of vertices" in reason(tmp_path)
+    write(tmp_path / "a.json", [0, 1])
+    assert "labels are numbers: classes.json must name" in reason(tmp_path)
+    write(tmp_path / "classes.json", {"classes": ["low", "high"]})
+    assert "one label for each of the mesh's 8 vertices or 12 faces, found 2" in reason(tmp_path)
+    write(tmp_path / "a.json", [0, 1, 2, 0, 0, 0, 0, 0])
+    assert "labels must be numbers of classes, 0 to 1, found 2" in reason(tmp_path)
+    write(tmp_path / "a.json", "[")
+    assert "cannot read the labels" in reason(tmp_path)
+    (tmp_path / "a.json").unlink()
+    write(tmp_path / "a.npy", np.array([[0.5] * 8]))
+    assert "labels must be whole numbers in one row" in reason(tmp_path)
+    write(tmp_path / "classes.json", {"classes": [{"colour": "#000000"}]})
+    assert "a class is a name, or an object with one" in reason(tmp_path)
+
+
+def test_stl_has_no_labels(tmp_path: Path) -> None:
+    facet = "facet normal 0 0 0\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 0 1\nendloop\nendfacet\n"
+    write(tmp_path / "floor.stl", f"solid floor\n{facet}endsolid floor\n")
+    assert "files of this kind hold none" in reason(tmp_path)
+    write(tmp_path / "scene.json", {"format": "bodyseg scene 1", "meshes": [{"mesh": "floor.stl", "class": "floor"}]})
+    assert scene(tmp_path)[2] == ("floor",)
+
+
+def test_as_many_faces_as_vertices_are_told_apart_by_the_files_name(tmp_path: Path) -> None:
+    faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]], np.int32)
+    write(tmp_path / "a.obj", obj(np.concatenate([np.zeros((1, 3)), np.eye(3)]), faces))
+    write(tmp_path / "classes.json", {"classes": ["a", "b"]})
+    write(tmp_path / "a.labels.npy", np.array([0, 0, 0, 1]))
+    assert "as many faces as vertices, 4" in reason(tmp_path)
+    (tmp_path / "a.labels.npy").rename(tmp_path / "a.face_labels.npy")
+    assert scene(tmp_path)[1].tolist() == [[0] * 3] * 3 + [[1] * 3]
+
+
+def test_a_scene_places_its_meshes(tmp_path: Path) -> None:
+    write(tmp_path / "box.obj", BOX_OBJ)
+    write(tmp_path / "box.json", {"front": FRONT, "back": BACK})
+    turned = [0, 0, 1, 0, 0, 1, 0, 0, -1, 0, 0, 2, 0, 0, 0, 1]
+    meshes = [
+        {"mesh": "box.obj", "pose": turned},
+        {"mesh": "box.obj", "class": "floor", "position_m": [0, -1, 0], "units": "cm"},
+    ]
+    tree = {"format": "bodyseg scene 1", "meshes": meshes, "subject": "anna", "split": "test", "centre_m": [0, 1, 0]}
+    write(tmp_path / "one" / "scene.json", "{}")
+    assert "'format' must be 'bodyseg scene 1'" in reason(tmp_path)
+    (tmp_path / "one" / "scene.json").unlink()
+    write(tmp_path / "one.scene.json", tree)
+    built, corners, names = scene(tmp_path)
+    assert names == ("front", "back", "floor") and (corners[12:] == 2).all()
+    first, second = built.mesh.vertices[:8], built.mesh.vertices[8:]
+    assert np.allclose(first, np.stack([BOX.vertices[:, 2], BOX.vertices[:, 1], 2 - BOX.vertices[:, 0]], axis=1))
+    assert np.allclose(second, BOX.vertices / 100 + (0, -1, 0))
+    assert built.mesh.centre.tolist() == [0, 1, 0]
+    (ref,) = open_source("labelled", tmp_path).bodies()
+    assert (ref.subset, ref.subject, ref.mesh, ref.split) == ("labelled", "anna", "one", "test")
+    up: Any = open_source("labelled", tmp_path, up="z")
+    assert up.build(ref).mesh.centre.tolist() == [0, 0, -1]
+    for wrong, why in (
+        ({"pose": [-1, *turned[1:]]}, "must not mirror"),
+        ({"pose": turned, "position_m": [0, 0, 0]}, "one 'pose' or 'position_m'"),
+        ({"class": "a", "labels": "groups"}, "one 'class' or 'labels'"),
+        ({"colour": "red"}, "unknown 'colour'"),
+    ):
+        if why == "must not mirror":
+            wrong = {"pose": [-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]}
+        write(tmp_path / "one.scene.json", {**tree, "meshes": [{"mesh": "box.obj", **wrong}]})
+        assert why in reason(tmp_path)
+
+
+def test_names_of_two_sides_are_mirror_images() -> None:
+    names = ["head", "leftHand", "rightHand", "Arm.L", "Arm.R", "lap", "left"]
+    assert with_sides(classes_of(names)).mirrored[:7].tolist() == [0, 2, 1, 4, 3, 5, 6]
+
+
+def pack(folder: Path, out: Path, *more: str) -> int:
+    words = ["--views", "2", "--azimuths", "2", "--azimuth-span", "360", "--distances", "215", "--workers", "1"]
+    given = ["--source", "labelled", "--path", str(folder), "--out", str(out), "--rig", str(SMALL_FILE)]
+    return main(["shard", *given, *words, *more])
+
+
+@pytest.mark.parametrize("soup", [False, True])
+def test_every_pixel_has_the_class_of_what_it_shows(tmp_path: Path, soup: bool) -> None:
+    """A box on a floor whose only side turns downwards, which light reaches from above."""
+    vertices, faces = BOX.vertices, BOX.faces
+    floor = np.array([[-2, 0, -2], [2, 0, -2], [2, 0, 2], [-2, 0, 2]], np.float64)
+    meshes: list[dict[str, Any]] = [{"mesh": "box.obj"}, {"mesh": "floor.obj", "class": "floor"}]
+    write(tmp_path / "in" / "box.json", {"front": FRONT, "back": BACK})
+    if soup:
+        (tmp_path / "in" / "box.json").unlink()
+        write(tmp_path / "in" / "box.npy", np.isin(faces.ravel(), BACK).astype(np.uint8))
+        write(tmp_path / "in" / "classes.json", {"classes": ["front", "back", "floor"]})
+        vertices, faces = vertices[faces].reshape(-1, 3), np.arange(36, dtype=np.int32).reshape(-1, 3)
+    write(tmp_path / "in" / "box.obj", obj(vertices, faces))
+    write(tmp_path / "in" / "floor.obj", obj(floor, np.array([[0, 1, 2], [0, 2, 3]], np.int32)))
+    tree = {"format": "bodyseg scene 1", "meshes": meshes, "centre_m": [0, 0.5, 0]}
+    write(
+        tmp_path / "in" / "cell" / "scene.json", {**tree, "meshes": [{**m, "mesh": f"../{m['mesh']}"} for m in meshes]}
+    )
+    assert pack(tmp_path / "in", tmp_path / "set", "--pitch", "-20") == 0
+    manifest = read_manifest(tmp_path / "set")
+    assert manifest.classes.names == ("front", "back", "floor")
+    images = RangeImages(str(tmp_path / "set"), variant="none", split="train")
+    lit_images = RangeImages(str(tmp_path / "set"), variant="occ", split="train")
+    for at, seen in enumerate((0, 1)):
+        labels = images[at]["labels"].numpy()
+        middle = labels.shape[0] // 2, labels.shape[1] // 2
+        assert labels[middle] == seen and labels[-1, middle[1]] == 2
+        assert (labels == 1 - seen).sum() < (labels == seen).sum()
+        lit = lit_images[at]["range"][0].numpy() > 0
+        assert lit[labels == 2].mean() > 0.5
