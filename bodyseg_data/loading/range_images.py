@@ -87,8 +87,8 @@ class RangeImages(SampleDataset):
     "*-d255-*"), one or several; a sample's key must match one of them. where: conditions like "distance_cm<=255", one
     or several, which a sample's description must all meet (docs/how-to/streaming.md). columns: names of columns to
     open, planes or fields that the set got later (docs/how-to/columns.md); those that `where` and `planes` name are
-    opened in any case. val_share: share of train, 0 to 1, that is read as "val" and not as "train": whole people and motions
-    (docs/how-to/splits.md).
+    opened in any case. val_share: share of train, 0 to 1, that is read as "val" and not as "train": whole people and
+    motions (docs/how-to/splits.md).
 
     For remote sets (docs/how-to/remote.md): cache: folder that keeps fetched shards, None for `bodyseg` in the user's
     cache folder. cache_bytes: its limit, None for 20 GB, 0 for no cache. storage_options: for the fsspec filesystem.

@@ -13,7 +13,7 @@ from samples import GOOD
 
 from bodyseg_data import RangeImages
 from bodyseg_data.core import MissingLibrary
-from bodyseg_data.samples import SampleInfo
+from bodyseg_data.samples import SampleInfo, Value
 from bodyseg_data.shards import Fields, Manifest, TarWriter, encode_sample, read_manifest, write_manifest
 
 
@@ -49,7 +49,7 @@ def test_a_table_is_of_the_chosen_samples(without_shards: Path) -> None:
 
 def test_fields_that_some_samples_lack_are_masked(tmp_path: Path) -> None:
     kinds = {"n": "int", "x": "float", "on": "flag", "word": "text", "pose": "numbers", "odd": "numbers"}
-    first = {"n": 3, "x": 0.5, "on": True, "word": "a", "pose": (1.0, 2.0), "odd": (1.0,)}
+    first: dict[str, Value] = {"n": 3, "x": 0.5, "on": True, "word": "a", "pose": (1.0, 2.0), "odd": (1.0,)}
     fields = Fields(tuple(((name, kind),) for name, kind in kinds.items()))
     infos = [SampleInfo("train", first), SampleInfo("train", {}), SampleInfo("train", {**first, "odd": ()})]
     with TarWriter(tmp_path / "train-00000.tar", tmp_path / "part", "train", fields) as shard:
