@@ -1,12 +1,12 @@
 """Samples from the arrays of a scene: what all samples of a set have in common, and the checks that each must pass.
 
 Checks and copies of the arrays (`SceneLayout.taken`) are quick and run where the scene is handed over, so that a
-mistake is reported there and buffers may be used again; the rest (`SceneLayout.members`) may run anywhere.
+mistake is reported there and buffers may be used again; the rest (`SceneLayout.sample`) may run anywhere.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
@@ -18,36 +18,17 @@ from bodyseg_data.core import BadConfig, BadSample, one_line
 from bodyseg_data.labels import BACKGROUND, UNLABELLED, Classes
 from bodyseg_data.packing.occluders import exact_range, occluder_range
 from bodyseg_data.packing.range_facing import facing_from_normals, facing_from_range
+from bodyseg_data.renders import ProjectorRanges, Render
 from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import Sample, SampleInfo, Value, kind_of, steps
-from bodyseg_data.shards import RIG_FIELD, Fields, ProjectorKind, check_plane, encode_sample
+from bodyseg_data.shards import RIG_FIELD, Fields, ProjectorKind, check_plane
 
 FacingOrigin = Literal["given", "range"]
 """Whether facing was given (as bits or as normals), or is found from the range images."""
 
-ProjectorRanges = Callable[[NDArray[np.intp], NDArray[np.intp]], Any]
-"""Rows and columns [N] of texels of the projector's image -> ranges in metres [N], 0 for nothing."""
-
 Images = NDArray[Any]
 
 _ROWS: Final = 64
-
-
-@dataclass(frozen=True)
-class GivenScene:
-    """The arguments of `ShardWriter.write`, which describes them; nothing is checked."""
-
-    key: str
-    range_m: Any
-    labels: Any
-    projector_range_m: Any = None
-    projector: ProjectorRanges | None = None
-    facing: Any = None
-    normals: Any = None
-    split: Any = "train"
-    fields: Mapping[str, Any] | None = None
-    planes: Mapping[str, Any] | None = None
-    rig: int = 0
 
 
 @dataclass(frozen=True)
@@ -78,7 +59,7 @@ class SceneLayout:
     facing: FacingOrigin
     codec: str
 
-    def taken(self, scene: GivenScene) -> TakenScene:
+    def taken(self, scene: Render) -> TakenScene:
         """Check a scene and copy its arrays. Raises BadSample, naming the key and the rule."""
         if isinstance(scene.rig, bool) or scene.rig not in range(len(self.rigs)):
             raise BadSample(f"{scene.key}: rig must number one of the set's {len(self.rigs)} rigs, found {scene.rig!r}")
@@ -91,10 +72,6 @@ class SceneLayout:
         facing = self._facing(scene, rig, range_m)
         projector = self._projector(scene, rig, range_m, facing)
         return TakenScene(scene.key, range_m, labels, projector, facing, info, planes, int(scene.rig))
-
-    def members(self, taken: TakenScene) -> dict[str, bytes]:
-        """Encode a scene as tar members: extension -> bytes. Raises BadSample."""
-        return encode_sample(self.sample(taken), self.codec)
 
     def sample(self, taken: TakenScene) -> Sample:
         """The sample of a scene: ranges in steps, labels that agree with them, the projector's range as the set stores
@@ -119,7 +96,7 @@ class SceneLayout:
             key, range_image, occluder, labels, facing[0], taken.info, faces_second=second, planes=taken.planes
         )
 
-    def _labels(self, scene: GivenScene, size: tuple[int, int]) -> NDArray[np.uint8]:
+    def _labels(self, scene: Render, size: tuple[int, int]) -> NDArray[np.uint8]:
         labels = _integers(scene.labels, "labels", size, scene.key)
         allowed = (labels >= 0) & ((labels < len(self.classes)) | (labels == UNLABELLED) | (labels == BACKGROUND))
         if not allowed.all():
@@ -129,8 +106,8 @@ class SceneLayout:
             )
         return labels.astype(np.uint8)
 
-    def _info(self, scene: GivenScene) -> SampleInfo:
-        fields = {name: plain_value(value) for name, value in (scene.fields or {}).items()}
+    def _info(self, scene: Render) -> SampleInfo:
+        fields = {name: plain_value(value) for name, value in scene.fields.items()}
         if len(self.rigs) > 1:
             fields[RIG_FIELD] = int(scene.rig)
         for name, value in fields.items():
@@ -147,8 +124,8 @@ class SceneLayout:
         except BadSample as error:
             raise BadSample(f"{scene.key}: {error}") from error
 
-    def _planes(self, scene: GivenScene, size: tuple[int, int]) -> dict[str, Images]:
-        given = scene.planes or {}
+    def _planes(self, scene: Render, size: tuple[int, int]) -> dict[str, Images]:
+        given = scene.planes
         if set(given) != set(self.planes):
             wanted, found = (", ".join(sorted(names)) or "none" for names in (self.planes, given))
             raise BadSample(f"{scene.key}: the samples of the set have the planes {wanted}, found {found}")
@@ -161,7 +138,7 @@ class SceneLayout:
             planes[name] = plane.astype(kind)
         return planes
 
-    def _facing(self, scene: GivenScene, rig: Rig, range_m: Images) -> tuple[NDArray[np.bool_], ...] | None:
+    def _facing(self, scene: Render, rig: Rig, range_m: Images) -> tuple[NDArray[np.bool_], ...] | None:
         if scene.facing is not None and scene.normals is not None:
             raise BadSample(f"{scene.key}: facing and normals are alternatives, found both")
         origin = facing_origin(scene)
@@ -186,7 +163,7 @@ class SceneLayout:
         return tuple(facing.reshape(count, *size).copy())
 
     def _projector(
-        self, scene: GivenScene, rig: Rig, range_m: Images, facing: tuple[NDArray[np.bool_], ...] | None
+        self, scene: Render, rig: Rig, range_m: Images, facing: tuple[NDArray[np.bool_], ...] | None
     ) -> Images | None:
         ways = (scene.projector_range_m is not None) + (scene.projector is not None)
         if ways != (self.projector != "none"):
@@ -235,7 +212,7 @@ class SceneLayout:
         return image
 
 
-def facing_origin(scene: GivenScene) -> FacingOrigin:
+def facing_origin(scene: Render) -> FacingOrigin:
     """Where a scene's facing bits come from."""
     return "range" if scene.facing is None and scene.normals is None else "given"
 
