@@ -70,7 +70,14 @@ class SceneLayout:
         info = self._info(scene)
         planes = self._planes(scene, size)
         facing = self._facing(scene, rig, range_m)
-        projector = self._projector(scene, rig, range_m, facing)
+        self._check_projector(scene)
+        if scene.projector is not None:
+            facing = facing or tuple(facing_from_range(rig, range_m))
+            projector = self._asked(scene.projector, rig, range_m, facing, scene.key)
+        elif scene.projector_range_m is not None:
+            projector = _ranges(scene.projector_range_m, "projector_range_m", rig.projector_shape, rig, scene.key)
+        else:
+            projector = None
         return TakenScene(scene.key, range_m, labels, projector, facing, info, planes, int(scene.rig))
 
     def sample(self, taken: TakenScene) -> Sample:
@@ -162,29 +169,17 @@ class SceneLayout:
             raise BadSample(f"{scene.key}: facing must be {wanted}, found {facing.dtype} {facing.shape}")
         return tuple(facing.reshape(count, *size).copy())
 
-    def _projector(
-        self, scene: Render, rig: Rig, range_m: Images, facing: tuple[NDArray[np.bool_], ...] | None
-    ) -> Images | None:
+    def _check_projector(self, scene: Render) -> None:
         ways = (scene.projector_range_m is not None) + (scene.projector is not None)
         if ways != (self.projector != "none"):
             wanted = "no projector's range" if self.projector == "none" else "projector_range_m or projector"
             found = ("neither", "one", "both")[ways]
             raise BadSample(f"{scene.key}: the samples of the set come with {wanted}, found {found} of the two")
-        if scene.projector is None:
-            if not ways:
-                return None
-            return _ranges(scene.projector_range_m, "projector_range_m", rig.projector_shape, rig, scene.key)
-        if not callable(scene.projector):
+        if scene.projector is not None and not callable(scene.projector):
             raise BadSample(f"{scene.key}: projector must be a function of rows and columns, found {scene.projector!r}")
-        return self._asked(scene.projector, rig, range_m, facing, scene.key)
 
     def _asked(
-        self,
-        projector: ProjectorRanges,
-        rig: Rig,
-        range_m: Images,
-        facing: tuple[NDArray[np.bool_], ...] | None,
-        key: str,
+        self, projector: ProjectorRanges, rig: Rig, range_m: Images, facing: tuple[NDArray[np.bool_], ...], key: str
     ) -> Images:
         """The projector's range by a function, asked for the texels that the shadow test reads, or for all of them."""
         shape = rig.projector_shape
@@ -197,15 +192,12 @@ class SceneLayout:
         if self.projector == "exact":
             ask(np.arange(image.size))
             return image
-        steps_m = rig.range_step_m
-        range_image = steps(range_m, steps_m, f"{key}: range_m")
-        masks = facing_from_range(rig, range_m) if facing is None else facing
-        first = 0
-        for test, mask in zip(shadow_tests(rig), masks, strict=True):
+        range_image, first = _in_steps(range_m, rig, f"{key}: range_m"), 0
+        for test, mask in zip(shadow_tests(rig), facing, strict=True):
 
             def ranges(texels: NDArray[np.intp], first: int = first) -> NDArray[np.uint16]:
                 ask(texels + first)
-                return steps(image.ravel()[texels + first], steps_m, key)
+                return steps(image.ravel()[texels + first], rig.range_step_m, key)
 
             exact_range(test, range_image, mask & (range_image > 0), ranges)
             first += test.rig.projector.rows * shape[1]
