@@ -92,6 +92,7 @@ ORIGINS: Final[dict[str, Origin]] = {
     "mit": Origin("captured meshes of real people in motion (MIT's I and D sequences)", _OWNERS_TERMS, made=False),
     "caesar": Origin("laser scans of real people, standing (CAESAR survey)", _OWNERS_TERMS, made=False),
     "folder": Origin("meshes that whoever packed the set had in a folder", _OWNERS_TERMS, made=False),
+    "labelled": Origin("meshes with labels of their own, of whoever packed the set", _OWNERS_TERMS, made=False),
     "paper": Origin("the bodies of the sources scape, mit and caesar together", _OWNERS_TERMS, made=False),
 }
 """Source -> its bodies."""
