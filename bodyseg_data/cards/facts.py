@@ -264,17 +264,15 @@ class Publication:
 def summary_text(facts: SetFacts) -> str:
     """Two sentences on a set."""
     what = (
-        "people with a body part, one of 33," if facts.of_bodies else f"scenes with a class, {_one_of(facts.classes)},"
+        "people with a body part, one of 33,"
+        if facts.of_bodies
+        else f"scenes with a class, one of {len(facts.classes)} ({facts.classes.name}),"
     )
     counts = " and ".join(f"{counts.samples} for {_purpose(split)}" for split, counts in facts.splits.items())
     return (
         f"Range images of {what} at each pixel: {counts}. They are stored without artifacts; the package bodyseg makes "
         f"the variants {', '.join(VARIANTS)} of them while it reads them."
     )
-
-
-def _one_of(classes: Classes) -> str:
-    return f"one of {len(classes)} ({classes.name})"
 
 
 def limits_text(facts: SetFacts) -> list[str]:
