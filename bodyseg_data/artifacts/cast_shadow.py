@@ -104,6 +104,6 @@ def _cast(
                                 found[row, column] = away
     for r in range(rows):  # thin things, of which no triangle is left
         for c in range(columns):
-            row, column = np.int64(np.rint(places[1, r, c])), np.int64(np.rint(places[0, r, c]))
-            if places[2, r, c] > 0 and 0 <= row < high and 0 <= column < wide and found[row, column] == 0:
-                found[row, column] = np.uint16(np.rint(1 / places[2, r, c]))
+            y, x = np.int64(np.rint(places[1, r, c])), np.int64(np.rint(places[0, r, c]))
+            if places[2, r, c] > 0 and 0 <= y < high and 0 <= x < wide and found[y, x] == 0:
+                found[y, x] = np.uint16(np.rint(1 / places[2, r, c]))
