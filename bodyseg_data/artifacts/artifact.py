@@ -77,12 +77,14 @@ class RangeImage:
 
     range: uint16 [H, W], in the rig's steps, 0 where nothing was measured; labels: uint8 [H, W], 255 there.
     drawn: the quantities drawn for this image by name (`Artifact.drawn`): "sigma_mm", "missing_rate".
+    planes: name -> uint8 or uint16 [H, W], further images that were asked for: as stored, where pixels are lost, too.
     """
 
     key: str
     range: NDArray[np.uint16]
     labels: NDArray[np.uint8]
     drawn: Mapping[str, float]
+    planes: Mapping[str, NDArray[Any]] = field(default_factory=dict, kw_only=True)
 
     def __repr__(self) -> str:
         measured = int(np.count_nonzero(self.range))

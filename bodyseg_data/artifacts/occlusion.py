@@ -68,9 +68,9 @@ class ShadowTest:
         # Texel centres lie at half-integers of image coordinates; half a texel off, at integers.
         image_plane = np.array([[focal, 0, centre_x - 0.5], [0, focal, centre_y - 0.5], [0, 0, 1]])
         across, down, forward = (image_plane @ rotation).T[:, :, None]
-        rays = rig.camera.pixel_rays()
-        self.of_columns: NDArray[np.float64] = across * rays[0, :, 0]
-        self.of_rows: NDArray[np.float64] = down * rays[:, 0, 1] + forward
+        x, y = rig.camera.slopes
+        self.of_columns: NDArray[np.float64] = across * x
+        self.of_rows: NDArray[np.float64] = down * y + forward
         self.offsets: Floats = (image_plane @ shift_m / rig.range_step_m).astype(np.float32)
         self.gap_steps: np.float32 = SHADOW_THRESHOLDS.gap_steps(rig.range_step_m)
         self.edge_steps: np.float32 = SHADOW_THRESHOLDS.edge_steps(rig.range_step_m)

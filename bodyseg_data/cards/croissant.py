@@ -11,16 +11,16 @@ import json
 from typing import Any, Final
 
 from bodyseg_data.cards.facts import (
-    LIMITS,
     MEMBERS,
     UNKNOWN_LICENCE,
     Publication,
     SetFacts,
     bodies_text,
+    limits_text,
     people_text,
     summary_text,
 )
-from bodyseg_data.labels import PARTS
+from bodyseg_data.labels import PARTS, Classes
 from bodyseg_data.samples import Split
 from bodyseg_data.shards import CODECS
 
@@ -85,14 +85,14 @@ def croissant(facts: SetFacts, publication: Publication) -> dict[str, Any]:
         "version": facts.version,
         "identifier": f"{DIGEST_PREFIX}{facts.digest}",
         "citeAs": ", ".join([*filter(None, [publication.author]), publication.title, f"version {facts.version}"]),
-        "keywords": ["range image", "depth", "body part segmentation", "structured light", "webdataset"],
+        "keywords": ["range image", "depth", "segmentation", "structured light", "webdataset"],
         "rai:dataCollection": " ".join([f"Rendered by {facts.renderer}, rig {facts.rig.name}.", *bodies]),
-        "rai:dataLimitations": list(LIMITS),
-        "rai:personalSensitiveInformation": people_text(facts),
+        "rai:dataLimitations": limits_text(facts),
+        **({"rai:personalSensitiveInformation": people_text(facts)} if facts.of_bodies else {}),
         "distribution": [*_files(facts, publication), *_file_sets(facts, members)],
         "recordSet": [
             *(_records(split, member) for split in facts.splits for member in members),
-            _parts(),
+            _parts() if facts.of_bodies else _classes(facts.classes),
         ],
     }
 
@@ -177,16 +177,28 @@ def _records(split: Split, member: str) -> dict[str, Any]:
 
 def _parts() -> dict[str, Any]:
     """The 33 parts, in the file itself."""
-    fields = {"label": "sc:Integer", "landmark": "sc:Text", "side": "sc:Text"}
+    rows = [{"label": part.label, "landmark": part.landmark, "side": part.side} for part in PARTS]
+    return _table("parts", "The parts, each the surface nearest to one landmark; sides are the subject's own.", rows)
+
+
+def _classes(classes: Classes) -> dict[str, Any]:
+    """The classes of any other set."""
+    rows = [{"label": label, "name": name} for label, name in enumerate(classes.names)]
+    return _table("classes", f"The classes {classes.name}.", rows)
+
+
+def _table(of: str, description: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """A record set that stands in the file itself, its key the label."""
+    kinds = {int: "sc:Integer", str: "sc:Text"}
     return {
         "@type": "cr:RecordSet",
-        "@id": "parts",
-        "name": "parts",
-        "description": "The parts, each the surface nearest to one landmark; sides are the subject's own.",
-        "key": {"@id": "parts/label"},
+        "@id": of,
+        "name": of,
+        "description": description,
+        "key": {"@id": f"{of}/label"},
         "field": [
-            {"@type": "cr:Field", "@id": f"parts/{name}", "name": f"parts/{name}", "dataType": kind}
-            for name, kind in fields.items()
+            {"@type": "cr:Field", "@id": f"{of}/{name}", "name": f"{of}/{name}", "dataType": kinds[type(value)]}
+            for name, value in rows[0].items()
         ],
-        "data": [{f"parts/{name}": getattr(part, name) for name in fields} for part in PARTS],
+        "data": [{f"{of}/{name}": value for name, value in row.items()} for row in rows],
     }

@@ -12,19 +12,18 @@ from typing import Final
 
 from bodyseg_data.cards.croissant import CROISSANT_NAME, DIGEST_PREFIX
 from bodyseg_data.cards.facts import (
-    LIMITS,
     MEMBERS,
     UNKNOWN_LICENCE,
     Publication,
     SetFacts,
     bodies_text,
     camera,
-    people_text,
+    limits_text,
     summary_text,
     terms_text,
 )
-from bodyseg_data.labels import PARTS
-from bodyseg_data.shards import CODECS, Store
+from bodyseg_data.labels import PARTS, Classes
+from bodyseg_data.shards import CODECS, FACING_FROM_RANGE, Store
 
 _HUB_LICENCES: Final = frozenset(
     {"apache-2.0", "mit", "cc0-1.0", "cc-by-4.0", "cc-by-sa-4.0", "cc-by-nc-4.0", "cc-by-nc-sa-4.0", "cc-by-nd-4.0"}
@@ -47,6 +46,11 @@ _SIZE_CLASSES: Final = (
 
 CARD_NAMES: Final = (CROISSANT_NAME, CARD_NAME)
 
+_FACING: Final = (
+    "found from the range images: on bodies, 0.9 % of these bits differ from those of exact rays, and 0.6 % of the "
+    "pixels are lit or dark by mistake"
+)
+
 _LARGEST_CARD: Final = 1 << 28
 _DIGEST_LINE: Final = re.compile(rf"^{DIGEST_FIELD}: ([0-9a-f]{{64}})$", re.MULTILINE)
 
@@ -54,10 +58,13 @@ _DIGEST_LINE: Final = re.compile(rf"^{DIGEST_FIELD}: ([0-9a-f]{{64}})$", re.MULT
 def dataset_card(facts: SetFacts, publication: Publication) -> str:
     """Return the text of a set's README.md."""
     parts = [_header(facts, publication), f"# {publication.title}", summary_text(facts)]
-    parts += ["## Who the bodies are", bullets(bodies_text(facts))]
-    parts += [_made(facts), _splits(facts), _reading(facts), _labels()]
-    limits = [people_text(facts), *LIMITS]
-    parts += ["## Limits", bullets(limits), "## Licences", _licences(facts, publication)]
+    if facts.of_bodies:
+        parts += ["## Who the bodies are", bullets(bodies_text(facts))]
+    parts += [_made(facts), _splits(facts)]
+    if facts.fields:
+        parts.append("## Fields\n\n" + table(("field", "values"), [*facts.fields.items()]))
+    parts += [_reading(facts), _part_labels() if facts.of_bodies else _labels(facts.classes)]
+    parts += ["## Limits", bullets(limits_text(facts)), "## Licences", _licences(facts, publication)]
     if facts.notes:
         parts += ["## Notes on meshes", f"{len(facts.notes)} notes, listed by `bodyseg verify`."]
     return "\n\n".join(parts) + "\n"
@@ -76,7 +83,8 @@ def _header(facts: SetFacts, publication: Publication) -> str:
         "task_categories:",
         "- image-segmentation",
         "tags:",
-        *(f"- {tag}" for tag in ("webdataset", "depth", "range-image", "body-part-segmentation")),
+        *(f"- {tag}" for tag in ("webdataset", "depth", "range-image")),
+        *(["- body-part-segmentation"] if facts.of_bodies else []),
         "size_categories:",
         f"- {size_class(facts.samples)}",
         "configs:",
@@ -93,11 +101,17 @@ def _made(facts: SetFacts) -> str:
     view = [f"{name.replace('_', ' ')}: {low} to {high}" for name, (low, high) in facts.views.items() if low or high]
     rows = [
         ("rendered by", f"`{facts.renderer}`"),
+        *([("facing", _FACING)] if facts.renderer == FACING_FROM_RANGE else []),
         ("rig", f"`{rig.name}`, made for a distance of {rig.stand_off_m:g} m, baseline {rig.baseline_m:g} m"),
         ("camera", camera(rig.camera)),
         *(("projector", camera(projector)) for projector in rig.projectors),
+        *(
+            [("further rigs", f"{facts.rigs - 1}, like this one but for their lenses and places")]
+            if facts.rigs > 1
+            else []
+        ),
         ("step of stored range", f"{rig.range_step_mm:g} mm"),
-        ("views", "; ".join(view)),
+        *([("views", "; ".join(view))] if view else []),
         ("format", f"{facts.format}, codec `{facts.codec}`"),
         ("digest of the manifest", f"`{facts.digest}`"),
     ]
@@ -105,22 +119,24 @@ def _made(facts: SetFacts) -> str:
 
 
 def _splits(facts: SetFacts) -> str:
+    heads = ("split", "samples", "shards", *(("bodies", "people", "samples by subset") if facts.of_bodies else ()))
     rows = [
         (
             split,
             str(counts.samples),
+            f"{counts.shards}, {counts.size / 1e6:.1f} MB",
             str(counts.bodies),
             str(counts.subjects),
             ", ".join(f"{subset} {samples}" for subset, samples in counts.samples_by_subset.items()),
-            f"{counts.shards}, {counts.size / 1e6:.1f} MB",
-        )
+        )[: len(heads)]
         for split, counts in facts.splits.items()
     ]
-    return "## Splits\n\n" + table(("split", "samples", "bodies", "people", "samples by subset", "shards"), rows)
+    return "## Splits\n\n" + table(heads, rows)
 
 
 def _reading(facts: SetFacts) -> str:
     members = [(f"`NAME.{member}`", MEMBERS[member]) for member in (*CODECS[facts.codec].members, "json")]
+    members += [(f"`NAME.plane.{name}.*`", f"the plane `{name}`, whole numbers") for name in facts.planes]
     files = ", ".join(f'"{split}": "{split}-*.tar"' for split in facts.splits)
     return "\n".join(
         [
@@ -149,7 +165,18 @@ def _reading(facts: SetFacts) -> str:
     )
 
 
-def _labels() -> str:
+def _labels(classes: Classes) -> str:
+    rows = [
+        (str(label), each.name, each.within or "", each.mirror or "itself")
+        for label, each in enumerate(classes.entries)
+    ]
+    return (
+        f"## Labels\n\nThe classes `{classes.name}`. 254 is a surface without a class; 255 means that nothing was "
+        "measured.\n\n" + table(("label", "class", "part of", "mirror image"), rows)
+    )
+
+
+def _part_labels() -> str:
     rows = [(str(part.label), part.landmark, part.location, part.side) for part in PARTS]
     return (
         "## Labels\n\nA part is the surface nearest to one landmark; sides are the subject's own. 255 is background."

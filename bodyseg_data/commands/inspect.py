@@ -5,24 +5,28 @@ from __future__ import annotations
 import json
 import sys
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from PIL import Image
 
-from bodyseg_data.artifacts import PAPER_SENSOR, VARIANTS, Augmentation, VariantName
-from bodyseg_data.commands.options import WHERE_HELP, option
+from bodyseg_data.artifacts import PAPER_SENSOR, VARIANTS, RangeImage, VariantName
+from bodyseg_data.commands.options import OCCLUDER_HELP, WHERE_HELP, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.records import check_target
 from bodyseg_data.core import BadConfig, generator
 from bodyseg_data.drawing import Row, check_picture, draw_sheet, save_picture
-from bodyseg_data.labels import PARTS33, label_map_names
-from bodyseg_data.loading import RangeImages
-from bodyseg_data.samples import SPLITS, ReadSplit
+from bodyseg_data.labels import label_map_names
+from bodyseg_data.loading import OccluderName, RangeImages
+from bodyseg_data.samples import SPLITS, ReadSplit, Sample
+from bodyseg_data.shards import BODY_FIELDS
 
 EXAMPLE = "bodyseg inspect shards --variant all --out sheet.png"
+
+MOST_VALUES: Final = 20
+"""A field of more values is not counted by value."""
 
 MOST_ROWS: Final = 500
 """A sheet of more rows is too high for most viewers, and takes gigabytes while it is drawn."""
@@ -35,7 +39,10 @@ class Options:
     folder: str = option("folder or address of a set of shards", positional=True, address=True)
     variant: VariantName = option("the variant that --json counts and whose labels the sheet shows last", "all")
     sensor: str = option("the artifacts: a sensor that ships with the package, or a TOML file", PAPER_SENSOR)
-    labels: str = option(f"classes to count: {', '.join(label_map_names())} or a label map (.toml)", PARTS33.name)
+    labels: str | None = option(
+        f"classes to count (default: the set's): {', '.join(label_map_names())} or a label map (.toml)", None
+    )
+    occluder: OccluderName = option(OCCLUDER_HELP, "stored")
     split: ReadSplit | None = option("only this split (default: train and test)", None)
     val_share: float = option("share of train that is the split val, and not train", 0.0)
     where: tuple[str, ...] = option(WHERE_HELP, ())
@@ -63,6 +70,7 @@ def run(options: Options) -> int:
         where=options.where,
         val_share=options.val_share,
         labels=options.labels,
+        occluder=options.occluder,
     )
     if options.out is not None:
         save_picture(contact_sheet(images, options.rows), options.out)
@@ -75,17 +83,20 @@ def run(options: Options) -> int:
 def contact_sheet(images: RangeImages, rows: int) -> Image.Image:
     """Draw a sheet of `rows` samples spread over the set, or of all if there are fewer."""
     count = min(rows, len(images))
-    augmentations: dict[VariantName, Augmentation] = {
-        name: Augmentation(images.manifest.rig, name, images.seed, images.augmentation.sensor) for name in VARIANTS
-    }
     lines = []
     for number in range(count):
         sample = images.clean(_pick(number, count, len(images)))
-        variants = {name: make(sample, images.epoch) for name, make in augmentations.items()}
-        lines.append(Row(sample, images.step_m, variants))
+        lines.append(Row(sample, images.step_m, _variants(images, sample)))
     sources = f"rig {images.manifest.rig.name}, sensor {images.augmentation.sensor.name}"
     title = f"{images.path.rpartition('/')[2]}: {len(images)} samples, {sources}"
     return draw_sheet(lines, images.augmentation.variant, title, images.augmentation.sensor, images.label_map)
+
+
+def _variants(images: RangeImages, sample: Sample) -> dict[VariantName, RangeImage]:
+    """A sample in each variant that the set can give, before its own rig."""
+    makers = [replace(images.augmentation_of(sample), variant=name) for name in VARIANTS]
+    lit = sample.projector_range is not None
+    return {each.variant: each(sample, images.epoch) for each in makers if lit or not each.needs_projector}
 
 
 def _pick(number: int, count: int, length: int) -> int:
@@ -100,11 +111,14 @@ def summarise(images: RangeImages) -> dict[str, Any]:
     label_map = images.label_map
     pixels = np.zeros(len(label_map), np.int64)
     clean_pixels = kept_pixels = 0
+    fields = {name: Counter[Any]() for name in images.manifest.fields.kinds if name not in BODY_FIELDS.kinds}
     drawn: dict[str, list[float]] = {name: [] for artifact in images.augmentation.sensor for name in artifact.drawn}
     with Progress("inspecting", "samples") as progress:
         for index in range(len(images)):
             sample = images.clean(index)
-            image = images.augmentation(sample, images.epoch)
+            image = images.augmentation_of(sample)(sample, images.epoch)
+            for name, counts in fields.items():
+                counts[sample.info.get(name)] += 1
             splits[sample.info.split] += 1
             subsets.update(filter(None, [sample.info.get("subset")]))
             subjects.update(filter(None, [sample.info.get("subject")]))
@@ -121,6 +135,8 @@ def summarise(images: RangeImages) -> dict[str, Any]:
         "renderer": manifest.renderer,
         "codec": manifest.codec,
         "rig": manifest.rig.name,
+        "rigs": len(manifest.rigs),
+        "planes": dict(manifest.planes),
         "range_step_mm": manifest.rig.range_step_mm,
         "image": [manifest.rig.camera.rows, manifest.rig.camera.columns],
         "shards": len(images.urls()),
@@ -130,14 +146,24 @@ def summarise(images: RangeImages) -> dict[str, Any]:
         "splits": {name: splits[name] for name in SPLITS},
         "subsets": dict(subsets),
         "subjects": len(subjects),
+        "fields": {name: _told(counts) for name, counts in fields.items()},
         "variant": images.variant,
         "sensor": images.augmentation.sensor.name,
         "foreground_pixels_per_image": round(clean_pixels / len(images)),
         "kept": round(kept_pixels / max(clean_pixels, 1), 4),
         **{f"mean_{name}": round(float(np.mean(values)), 4) if values else None for name, values in drawn.items()},
+        "classes": label_map.name,
         "part_shares": {
             name: round(int(count) / max(int(pixels.sum()), 1), 4)
             for name, count in zip(label_map.names, pixels, strict=True)
         },
         "notes": manifest.notes(),
     }
+
+
+def _told(counts: Counter[Any]) -> dict[str, Any]:
+    """A field of N samples: how many have each of a few values, else the number of values, and the ends of numbers."""
+    if len(counts) <= MOST_VALUES:
+        return {str(value): count for value, count in counts.most_common()}
+    numbers = [value for value in counts if type(value) in (int, float)]
+    return {"values": len(counts), **({"least": min(numbers), "greatest": max(numbers)} if numbers else {})}

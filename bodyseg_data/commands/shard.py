@@ -7,11 +7,11 @@ import multiprocessing
 import resource
 import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from bodyseg_data.bodies import SourceName, Units, UpAxis, collapsed
+from bodyseg_data.bodies import SOURCES, Units, UpAxis, collapsed
 from bodyseg_data.commands.options import command_line, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.records import check_target, provenance, write_figures
@@ -29,22 +29,38 @@ from bodyseg_data.packing import (
     check_engine,
     open_engine,
     pack,
+    pack_renders,
     plan,
 )
 from bodyseg_data.rendering import RendererName
+from bodyseg_data.renders import LayoutName, RenderSource, open_renders
 from bodyseg_data.rigs import PAPER, load_rig
 from bodyseg_data.samples import SPLITS, ViewGrid, parse_choice
-from bodyseg_data.shards import CodecName, Manifest
+from bodyseg_data.shards import CodecName, Manifest, ProjectorKind
 
 EXAMPLE = "bodyseg shard --source open --meshes 40 --out shards"
+
+RENDERS: Final = "renders"
+"""The source of scenes that another program has rendered."""
+
+_OF_ALL: Final = ("source", "path", "out", "codec", "shard_samples", "workers", "report", "plan")
+_OF_RENDERS: Final = ("layout", "projector")
 
 
 @dataclass(frozen=True)
 class Options:
     """Options of the command."""
 
-    source: SourceName = option("source of the bodies")
-    path: Path | None = option("folder of the source's meshes, for sources that read one", None)
+    source: str = option(
+        f"source of the bodies: {', '.join(SOURCES)}, or one that an installed package adds; or {RENDERS}: scenes "
+        "rendered elsewhere"
+    )
+    path: Path | None = option("folder of the source's meshes or renders, for sources that read one", None)
+    layout: LayoutName | None = option("renders: layout of their folder (default: by its files)", None)
+    projector: ProjectorKind | None = option(
+        "renders: what is stored of the projector's range (default: shadow, what its shadow needs, if there is any)",
+        None,
+    )
     landmarks: Path | None = option("landmark file, or folder of them (default: beside the meshes)", None)
     units: Units = option("unit of the mesh files", Packing.units)
     up: UpAxis = option("their axis that points up; a negative one as --up=-y", Packing.up)
@@ -109,6 +125,9 @@ class Options:
 
 def run(options: Options) -> int:
     """Pack, or print the plan."""
+    _refuse_foreign(options)
+    if options.source == RENDERS:
+        return _run_renders(options)
     check_engine(options.engine)
     packing = options.packing()
     if options.plan:
@@ -146,13 +165,66 @@ def run(options: Options) -> int:
         made = manifest.samples() - (progress.before or 0)
         figures = _figures(options, manifest, made, time.perf_counter() - start, workers_mb)
         write_figures(options.report, origin | figures)
+    _say_size(options, manifest)
+    for mesh in manifest.skipped:
+        sys.stderr.write(f"skipped {mesh.mesh}: {mesh.why}\n")
+    return 0
+
+
+def _say_size(options: Options, manifest: Manifest) -> None:
     size = sum(shard.size for shard in manifest.shards)
     sys.stdout.write(
         f"{options.out}: {manifest.samples()} samples in {len(manifest.shards)} shards, {size / 1e6:.1f} MB, "
         f"{size / manifest.samples() / 1000:.1f} kB a sample\n"
     )
-    for mesh in manifest.skipped:
-        sys.stderr.write(f"skipped {mesh.mesh}: {mesh.why}\n")
+
+
+def _refuse_foreign(options: Options) -> None:
+    """Raise BadConfig for options of another kind of source."""
+    renders = options.source == RENDERS
+    for each in fields(options):
+        foreign = each.name not in (*_OF_ALL, *_OF_RENDERS) if renders else each.name in _OF_RENDERS
+        if foreign and getattr(options, each.name) != each.default:
+            flag = "--" + each.name.replace("_", "-")
+            why = "they are finished scenes, with rig and classes of their own" if renders else "it is of renders"
+            raise BadConfig(f"{flag} does not go with --source {options.source}: {why}")
+
+
+def _run_renders(options: Options) -> int:
+    """Pack finished renders, or print the plan."""
+    if options.path is None:
+        raise BadConfig(f"--source {RENDERS} needs --path: the folder that holds the renders")
+    source: RenderSource = open_renders(options.path, options.layout)
+    keys = source.keys()
+    splits = set(map(source.split, keys))
+    if len(splits) == 1:
+        sys.stderr.write(f"bodyseg shard: note: all {len(keys)} renders are of the split {splits.pop()}\n")
+    if options.plan:
+        counts: dict[str, Any] = {split: sum(source.split(key) == split for key in keys) for split in SPLITS}
+        counts |= {"classes": source.classes.names, "rigs": len(source.rigs), "planes": dict(source.planes)}
+        sys.stdout.write(json.dumps({"source": RENDERS, "views": len(keys), **counts}, indent=2) + "\n")
+        return 0
+    if options.out is None:
+        raise BadConfig("--out is missing: the folder for the shards (or --plan to see the counts only)")
+    origin: dict[str, Any] = {}
+    if options.report is not None:
+        check_target(options.report, "--report")
+        origin = provenance(command_line("bodyseg shard", options))
+    start = time.perf_counter()
+    with Progress("packing", "renders") as progress:
+        manifest = pack_renders(
+            source,
+            options.out,
+            codec=options.codec,
+            projector=options.projector,
+            shard_samples=options.shard_samples,
+            workers=options.workers,
+            progress=progress.update,
+        )
+    if options.report is not None:
+        made = manifest.samples() - (progress.before or 0)
+        write_figures(options.report, origin | _figures(options, manifest, made, time.perf_counter() - start, []))
+    _say_size(options, manifest)
     return 0
 
 

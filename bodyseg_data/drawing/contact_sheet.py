@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from bodyseg_data.artifacts import VARIANTS, RangeImage, SensorModel, VariantName
+from bodyseg_data.artifacts import RangeImage, SensorModel, VariantName
 from bodyseg_data.drawing.style import FAINT, INK, PAPER, THING, draw_legend, fitted, font
 from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap, colour_labels
 from bodyseg_data.samples import HELD, Sample
@@ -84,7 +84,7 @@ def span_of(image: NDArray[np.uint16 | np.float32]) -> tuple[float, float]:
 def draw_sheet(
     rows: Sequence[Row], shown: VariantName, title: str, sensor: SensorModel, label_map: LabelMap = PARTS33
 ) -> Image.Image:
-    """Draw one line of panels a sample: camera range, occluder range, labels, the five variants, labels in `shown`.
+    """Draw one line of panels a sample: camera range, occluder range, labels, the variants, labels in `shown`.
 
     Where bodies fill less than two fifths of the image, as before a wide camera, all panels are cropped to them, alike.
     sensor: the model that made the variants, which captions name the drawn quantities of. label_map: the classes that
@@ -92,7 +92,8 @@ def draw_sheet(
     """
     seen = window_of([row.sample.range for row in rows])
     panels = [_panels(row, shown, sensor, label_map, seen) for row in rows]
-    heads = ["camera range", "occluder range (projector)", "labels", *VARIANTS, f"labels in {shown}"]
+    lit = ["occluder range (projector)"] if rows[0].sample.projector_range is not None else []
+    heads = ["camera range", *lit, "labels", *rows[0].variants, f"labels in {shown}"]
     widths = [
         max(_text_width(head, 14), *(max(line[column][1].width, _text_width(line[column][0], 12)) for line in panels))
         for column, head in enumerate(heads)
@@ -125,13 +126,11 @@ def _panels(
     seen: rows and columns of the camera's images that are drawn; the projector's are drawn there too if equally large.
     """
     sample = row.sample
-    occluder = sample.occluder_range()
-    span, projector_span = span_of(sample.range), span_of(occluder)
-    panels = [
-        (_metres(sample.range, row.step_m), colour_range(sample.range, *span)),
-        (_metres(occluder, row.step_m), colour_range(occluder, *projector_span)),
-        ("", _colour_labels(sample.labels, sample.range, label_map)),
-    ]
+    span, occluder = span_of(sample.range), sample.projector_range
+    panels = [(_metres(sample.range, row.step_m), colour_range(sample.range, *span))]
+    if occluder is not None:
+        panels.append((_metres(occluder, row.step_m), colour_range(occluder, *span_of(occluder))))
+    panels.append(("", _colour_labels(sample.labels, sample.range, label_map)))
     panels += [(sensor.caption(image.drawn), colour_range(image.range, *span)) for image in row.variants.values()]
     panels.append(("", _colour_labels(row.variants[shown].labels, row.variants[shown].range, label_map)))
     shape = sample.range.shape
@@ -160,7 +159,7 @@ def _metres(image: NDArray[np.uint16], step_m: float) -> str:
 def _caption(sample: Sample) -> str:
     info = sample.info
     place = info.get("things", "")
-    things = f"things {place}: {info.hidden_pct} % hidden" if place else ""
+    things = f"things {place}: {info.get('hidden_pct', 0)} % hidden" if place else ""
     things = "holds a thing" if place == HELD else things
     told = [str(info.get(name, "")) for name in ("subject", "pose")]
     view = info.view.words if info.view else ""

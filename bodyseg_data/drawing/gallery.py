@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw
 from bodyseg_data.artifacts import Scene
 from bodyseg_data.core import BadConfig, generator
 from bodyseg_data.drawing.style import FAINT, INK, PAPER, THING, draw_legend, font
-from bodyseg_data.labels import colour_labels
+from bodyseg_data.labels import PARTS33, LabelMap, colour_labels
 from bodyseg_data.rigs import Camera
 from bodyseg_data.samples import split_key
 
@@ -32,8 +32,8 @@ def choose_views(keys: Sequence[str], count: int) -> list[int]:
     """Choose `count` samples for a gallery, as indices into `keys`, ascending by group and mesh.
 
     They are divided evenly among groups of subjects (P000, P001, … are one group) and, within each, among its meshes
-    by name; the view of a mesh is a random draw seeded by its name. Raises BadConfig for a count outside 1 to the
-    number of keys, or a key that names no view.
+    by name; the view of a mesh is a random draw seeded by its name. Samples whose keys name no view are one group, and
+    each is a mesh. Raises BadConfig for a count outside 1 to the number of keys.
     """
     if not 1 <= count <= len(keys):
         raise BadConfig(f"a gallery of these sets shows 1 to {len(keys)} views, found {count}")
@@ -42,7 +42,8 @@ def choose_views(keys: Sequence[str], count: int) -> list[int]:
         body, view = split_key(key)
         match = _BODY.fullmatch(body)
         if match is None or not view:
-            raise BadConfig(f"a gallery needs keys like SOURCE-SUBJECT-MESH-d215-a010, found {key!r}")
+            groups.setdefault("", {})[key] = [index]
+            continue
         group = f"{match['source']}-{re.sub('[0-9]+', '', match['subject'])}"
         groups.setdefault(group, {}).setdefault(match["mesh"], []).append(index)
     shares = dict.fromkeys(sorted(groups), 0)
@@ -65,13 +66,13 @@ def _from_group(meshes: dict[str, list[int]], share: int) -> list[int]:
     return chosen
 
 
-def draw_gallery(scenes: Sequence[Scene], title: str) -> Image.Image:
-    """Draw a grid of views, twelve a line, with a caption below each and a legend of the parts; RGB."""
-    tiles = [_tile(scene) for scene in scenes]
+def draw_gallery(scenes: Sequence[Scene], title: str, label_map: LabelMap = PARTS33) -> Image.Image:
+    """Draw a grid of views, twelve a line, with a caption below each and a legend of the classes; RGB."""
+    tiles = [_tile(scene, label_map) for scene in scenes]
     width = max(tile.width for tile in tiles)
     lines = -(-len(tiles) // COLUMNS)
     columns = min(COLUMNS, len(tiles))
-    legend = draw_legend(max(columns * (width + _GAP), 900))
+    legend = draw_legend(max(columns * (width + _GAP), 900), label_map)
     words = [(scene.sample.info.view.words if scene.sample.info.view else "").split(", ") for scene in scenes]
     plain = all(len(each) <= 2 for each in words)
     top, step = 44, _TILE_ROWS + (_CAPTION if plain else _HIGHER_CAPTION) + _GAP
@@ -91,13 +92,13 @@ def draw_gallery(scenes: Sequence[Scene], title: str) -> Image.Image:
     return picture
 
 
-def _tile(scene: Scene) -> Image.Image:
+def _tile(scene: Scene, label_map: LabelMap) -> Image.Image:
     sample = scene.sample
     foreground = sample.range > 0
     canvas = np.full((*sample.range.shape, 3), (24, 26, 32), np.uint8)
     shade = surface_shading(sample.range, scene.step_m, scene.rig.camera)[foreground]
     canvas[foreground] = np.clip(
-        colour_labels(sample.labels, THING)[foreground] * (0.35 + 0.7 * shade[:, None]), 0, 255
+        colour_labels(sample.labels, THING, label_map.colours)[foreground] * (0.35 + 0.7 * shade[:, None]), 0, 255
     )
     picture = Image.fromarray(canvas)
     return picture.resize((round(picture.width * _TILE_ROWS / picture.height), _TILE_ROWS), Image.Resampling.LANCZOS)

@@ -10,9 +10,13 @@ if TYPE_CHECKING:
     from bodyseg_data.files.access import (
         Table,
         TomlFiles,
+        claimed,
         contents,
+        is_leftover,
         make_folder,
+        naming,
         parse_json,
+        part_beside,
         read_bytes,
         read_json,
         refuse_special,

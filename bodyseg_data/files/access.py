@@ -10,6 +10,7 @@ import errno
 import gzip
 import json
 import os
+import secrets
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -21,28 +22,54 @@ from bodyseg_data.core import BadConfig
 
 _LARGEST_FILE: Final = 1 << 31
 _CHUNK_BYTES: Final = 1 << 20
+_PART: Final = ".part"
+_LOCK: Final = ".lock"
 
 
 def write_atomically(path: Path, data: bytes | Iterable[bytes], flushed: bool = True) -> None:
-    """Write `data` beside `path`, then rename: `path` never holds a part of it, even after a power cut.
+    """Write `data` beside `path`, then rename: `path` never holds a part of it, even after a power cut, and whole files
+    alone if several processes write it at once.
 
     data: all bytes, or chunks of them; an error of their iterator leaves no file. flushed: False does not wait for the
-    disk, which may take longer than all else; until `sync` is called, a power cut may then leave an empty file.
+    disk, which may take longer than all else; until `sync` is called, a power cut may then leave an empty file. Raises
+    OSError, which names the file.
     """
-    aside = path.with_name(f".{path.name}.part")
+    aside = part_beside(path)
+    with naming(path):
+        try:
+            with aside.open("xb") as file:
+                file.writelines((data,) if isinstance(data, bytes) else data)
+                if flushed:
+                    file.flush()
+                    os.fsync(file.fileno())
+            aside.replace(path)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                aside.unlink(missing_ok=True)
+            raise
+        if flushed:
+            sync(path.parent)
+
+
+@contextlib.contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Give the system's errors within the context that name no file, as of a disk that is full, the name `path`."""
     try:
-        with aside.open("wb") as file:
-            file.writelines((data,) if isinstance(data, bytes) else data)
-            if flushed:
-                file.flush()
-                os.fsync(file.fileno())
-        aside.replace(path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            aside.unlink(missing_ok=True)
+        yield
+    except OSError as error:
+        if error.errno is not None and error.filename is None:
+            error.filename = str(path)
         raise
-    if flushed:
-        sync(path.parent)
+
+
+def part_beside(path: Path) -> Path:
+    """A name that no other writer takes, beside a file or folder that is renamed to `path` when it is whole."""
+    return path.with_name(f".{path.name}.{secrets.token_hex(4)}{_PART}")
+
+
+def is_leftover(name: str) -> bool:
+    """True for the name of a file that a killed process may leave: of `part_beside`, or of `claimed`."""
+    return name == _LOCK or (name.startswith(".") and name.endswith(_PART))
 
 
 def write_result(path: Path, data: bytes, flushed: bool = True) -> None:
@@ -61,6 +88,44 @@ def make_folder(path: Path) -> None:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadConfig(f"cannot make the folder {path}: {error.strerror or error}") from error
+
+
+@contextlib.contextmanager
+def claimed(folder: Path, work: str) -> Iterator[None]:
+    """Hold a folder, made if it is not there, against others who claim it while the context lasts.
+
+    work: what another one does then, for the message. Raises BadConfig if the folder is held, or cannot be written.
+    """
+    make_folder(folder)
+    path = folder / _LOCK
+    try:
+        handle = _locked(path)
+    except BlockingIOError:
+        raise BadConfig(f"another {work} is at work in {folder}: wait for its end, or give another folder") from None
+    except OSError as error:
+        raise BadConfig(f"cannot write {path}: {error.strerror or error}") from error
+    try:
+        yield
+    finally:
+        path.unlink(missing_ok=True)
+        os.close(handle)
+
+
+def _locked(path: Path) -> int:
+    """Open a file and lock it. Raises BlockingIOError where another one has, OSError."""
+    import fcntl  # not on Windows, where streaming needs this module
+
+    while True:
+        handle = os.open(path, os.O_CREAT | os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            with contextlib.suppress(FileNotFoundError):
+                if os.path.samestat(path.lstat(), os.fstat(handle)):
+                    return handle
+        except BaseException:
+            os.close(handle)
+            raise
+        os.close(handle)  # its holder has just removed it
 
 
 def sync(path: Path) -> None:

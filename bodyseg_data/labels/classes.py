@@ -8,7 +8,7 @@ from __future__ import annotations
 import colorsys
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, Final, Literal
 
@@ -48,13 +48,13 @@ class LabelClass:
     mirror: name of the class that it is in the mirror image, such as the left hand of the right one; None for itself.
     colour: sRGB as "#rrggbb"; None for one that is drawn. within: name of a wider class that it is a part of, for
     readers; it need not be a class of the set. side: of a pair, which of the two it is; None: found from the names'
-    order.
+    order. Classes that differ by colour or wider class alone are equal: labels mean the same.
     """
 
     name: str
     mirror: str | None = None
-    colour: str | None = None
-    within: str | None = None
+    colour: str | None = field(default=None, compare=False)
+    within: str | None = field(default=None, compare=False)
     side: Side | None = None
 
 
@@ -62,11 +62,12 @@ class LabelClass:
 class Classes:
     """Classes of a set, 1 to 254; the label of a class is its index.
 
-    name: of the whole, such as "parts33". Raises BadConfig for too many or none, a name that is empty, given twice or
-    cannot be printed, a colour that is none, or a mirror image that is no class or has another mirror image.
+    name: of the whole, such as "parts33", which equal ones need not share. Raises BadConfig for too many or none, a
+    name that is empty, given twice or cannot be printed, a colour that is none, or a mirror image that is no class or
+    has another mirror image.
     """
 
-    name: str
+    name: str = field(compare=False)
     entries: tuple[LabelClass, ...]
 
     def __post_init__(self) -> None:

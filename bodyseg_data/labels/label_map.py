@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module, resources
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Final
 
@@ -232,6 +233,19 @@ class LabelMap:
                 )
             found[label] = targets.pop()
         return found
+
+    def difference(self, other: LabelMap) -> str | None:
+        """In words the first difference between the classes of two label maps, None if labels mean the same.
+
+        Classes that have the same names in the same order do, of whatever sets' classes they are made.
+        """
+        for label, (own, others) in enumerate(zip_longest(self.names, other.names)):
+            if own != others:
+                shown = " and ".join("no class" if name is None else repr(name) for name in (own, others))
+                return f"the labels {self.name!r} and {other.name!r}: {label} is {shown}"
+        if self.has_mirror_image == other.has_mirror_image and np.array_equal(self._opposites, other._opposites):
+            return None
+        return f"the labels {self.name!r} and {other.name!r}, whose classes have other mirror images"
 
     def to_json(self) -> dict[str, Any]:
         """Convert to a JSON object; its classes are a list, since their order matters."""

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import operator
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Protocol, TypedDict, runtime_checkable
+from typing import Any, Final, NotRequired, Protocol, TypedDict, runtime_checkable
 
 import numpy as np
 import torch
@@ -62,14 +62,16 @@ class Requests:
 class Batch(TypedDict):
     """Batch of B samples. range: float32 [B, 1, H, W], metres, 0 is background; with `metres=False` uint16 in steps.
 
-    labels: uint8 [B, H, W], classes of `RangeImages.label_map`, by default the parts 0 to 32; 255 is background. key:
-    the B samples' keys. epoch: the B epochs of their draws, which differ in a batch of a `Mixture` only.
+    labels: uint8 [B, H, W], classes of `RangeImages.label_map`, by default the set's own; 255 is background. key: the B
+    samples' keys. epoch: the B epochs of their draws, which differ in a batch of a `Mixture` only. planes: only of
+    images that were opened with `planes`, name -> uint8 or uint16 [B, H, W].
     """
 
     range: torch.Tensor
     labels: torch.Tensor
     key: list[str]
     epoch: list[int]
+    planes: NotRequired[dict[str, torch.Tensor]]
 
 
 @runtime_checkable
@@ -77,7 +79,8 @@ class ImageSet(Protocol):
     """Images that `loader` and `BatchOrder` read: `RangeImages` or a `Mixture`.
 
     `len()` is the number of samples in an epoch. An index is that of a stored sample. epoch: of the next pass.
-    epochs_set: number of calls of `set_epoch` so far. sets: the sets of shards that are read, in their order.
+    epochs_set: number of calls of `set_epoch` so far. sets: the sets of shards that are read, in their order. planes:
+    name -> type of the further images that batches hold.
     """
 
     @property
@@ -94,6 +97,8 @@ class ImageSet(Protocol):
     def step_m(self) -> float: ...
     @property
     def label_map(self) -> LabelMap: ...
+    @property
+    def planes(self) -> Mapping[str, np.dtype[Any]]: ...
     @property
     def sets(self) -> tuple[Any, ...]: ...  # `RangeImages`, which are made from what stands here
 
@@ -115,8 +120,15 @@ class ImageSet(Protocol):
         """Return the stored sample, without artifacts."""
         ...
 
-    def write(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
-        """Write a sample, as drawn in `epoch`, into arrays [H, W]."""
+    def write(
+        self,
+        index: int,
+        epoch: int,
+        image: NDArray[np.uint16],
+        labels: NDArray[np.uint8],
+        planes: Sequence[NDArray[Any]] = (),
+    ) -> None:
+        """Write a sample, as drawn in `epoch`, into arrays [H, W]; planes: one for each of `self.planes`."""
         ...
 
     def evenly_sampled(self, count: int) -> NDArray[np.int64]:

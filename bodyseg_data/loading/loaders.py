@@ -96,13 +96,14 @@ class _BatchMaker:
 
     def __call__(self, batch: tuple[int, list[Request]]) -> list[Fault]:
         slot, requests = batch
-        ranges, labels = self.slots.arrays(slot)
+        ranges, labels, *planes = self.slots.arrays(slot)
         steps = np.empty(ranges.shape[2:], np.uint16)
         faults: list[Fault] = []
         for number, (epoch, index) in enumerate(requests):
             row = number - len(faults)
             try:
-                self.images.write(index, epoch, steps if self.metres else ranges[row, 0], labels[row])
+                image = steps if self.metres else ranges[row, 0]
+                self.images.write(index, epoch, image, labels[row], *(([p[row] for p in planes],) if planes else ()))
             except BodysegError as error:
                 faults.append((number, with_text(error, str(error))))
                 if self.strict or not isinstance(error, SKIPPABLE):
@@ -212,7 +213,8 @@ class Loader:
 
     def _new_state(self) -> _WorkerState:
         options = self._options
-        slots = Slots(self._prefetched, self.order.largest, *self.images.shape, options.metres)
+        planes = self.images.planes.values()
+        slots = Slots(self._prefetched, self.order.largest, *self.images.shape, options.metres, planes)
         maker = _BatchMaker(self.images, slots, options.metres, self._ledger.strict)
         for images in self.images.sets:
             images.prepare()
@@ -238,8 +240,11 @@ class Loader:
         keys = [key for index, (_, key, _) in enumerate(locations) if index not in missing]
         epochs = [epoch for index, (epoch, _) in enumerate(requests) if index not in missing]
         pin = self._options.pin_memory and torch.cuda.is_available()
-        ranges, labels = state.slots.lend(slot, len(keys), pin)
-        return {"range": ranges, "labels": labels, "key": keys, "epoch": epochs}
+        ranges, labels, *planes = state.slots.lend(slot, len(keys), pin)
+        batch: Batch = {"range": ranges, "labels": labels, "key": keys, "epoch": epochs}
+        if planes:
+            batch["planes"] = dict(zip(self.images.planes, planes, strict=True))
+        return batch
 
 
 def _submit(state: _WorkerState, plan: Pass, number: int) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bisect
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -25,7 +25,7 @@ Part = tuple[RangeImages, Weight] | tuple[RangeImages, Weight, ArrayLike]
 _AGREEING: Final = {
     "shape": "images of one size",
     "step_m": "one step of range",
-    "label_map": "one label map",
+    "planes": "the same planes",
 }
 
 
@@ -50,7 +50,8 @@ class Mixture(SampleDataset):
     Indices are those of the stored samples, the sets one after the other. A sample alone, `mixture[i]`, is the one at
     position i of the epoch last set, in the order of a loader.
 
-    Raises BadConfig for sets whose images differ in size, step or label map, for weights that are negative, not finite
+    Raises BadConfig for sets whose images differ in size, step, planes or classes (other sets' classes may be joined to
+    the same ones by `labels`), for weights that are negative, not finite
     or all 0 in some epoch, and for sample weights that do not fit.
     """
 
@@ -93,8 +94,13 @@ class Mixture(SampleDataset):
 
     @property
     def label_map(self) -> LabelMap:
-        """The sets' label map."""
+        """The first set's label map; those of others have the same classes."""
         return self.sets[0].label_map
+
+    @property
+    def planes(self) -> Mapping[str, np.dtype[Any]]:
+        """Name -> type of the sets' further images that batches hold."""
+        return self.sets[0].planes
 
     @property
     def keys(self) -> list[str]:
@@ -166,11 +172,18 @@ class Mixture(SampleDataset):
         images, within = self._where(index)
         return images.image(within, epoch)
 
-    def write(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
+    def write(
+        self,
+        index: int,
+        epoch: int,
+        image: NDArray[np.uint16],
+        labels: NDArray[np.uint8],
+        planes: Sequence[NDArray[Any]] = (),
+    ) -> None:
         """Write the arrays of `image` into given ones [H, W]. Raises BadShard, naming the set, for a bad sample."""
         images, within = self._where(index)
         try:
-            images.write(within, epoch, image, labels)
+            images.write(within, epoch, image, labels, planes)
         except BadShard as error:
             raise BadShard(f"{images.path}/{error}") from error
 
@@ -232,4 +245,7 @@ def _checked_parts(sets: Any) -> list[tuple[Any, ...]]:
             one, other = getattr(first, name), getattr(images, name)
             if one != other:
                 raise BadConfig(f"a mixture needs {what}: {first.path} has {one!r}, {images.path} has {other!r}")
+        differing = first.label_map.difference(images.label_map)
+        if differing is not None:
+            raise BadConfig(f"a mixture needs one label map: {first.path} and {images.path} have {differing}")
     return list(sets)

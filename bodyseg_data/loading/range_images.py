@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +25,12 @@ from bodyseg_data.artifacts import (
     artifacts_to_json,
     check_variant,
     load_sensor_model,
+    seen_by_projectors,
 )
 from bodyseg_data.core import BadConfig, BadSample, BadShard, Draws, check_epoch, check_seed
 from bodyseg_data.labels import BACKGROUND, UNLABELLED, LabelMap, load_label_map, whole_map
+from bodyseg_data.loading.conditions import named_fields, texts_of
+from bodyseg_data.loading.descriptions import arrow_table, table_of
 from bodyseg_data.loading.image_set import Request, Requests, SampleDataset, check_bool, check_index
 from bodyseg_data.loading.selection import Permutation, Selection, permutation
 from bodyseg_data.loading.skipping import with_text
@@ -42,14 +46,24 @@ from bodyseg_data.loading.transform import (
 )
 from bodyseg_data.samples import ReadSplit, Sample, metres
 from bodyseg_data.shards import (
+    RIG_FIELD,
+    CheckedFile,
+    ColumnReader,
+    Manifest,
     RetryPolicy,
     ShardReader,
     ShardRecord,
+    open_columns,
     open_store,
     read_manifest,
     with_cache,
+    with_columns,
     with_kept_index,
 )
+
+OccluderName = Literal["stored", "camera"]
+OCCLUDERS: Final[tuple[OccluderName, ...]] = get_args(OccluderName)
+"""What the projector's range comes from: the set, or what the camera sees."""
 
 WHOLE_ORDER: Final = 1 << 23
 """Number of samples of an epoch whose order is computed at once; that of more samples in parts."""
@@ -65,11 +79,15 @@ class RangeImages(SampleDataset):
     ships with the package, or a TOML file (docs/how-to/sensors.md). transform: of the samples, applied in the workers,
     one or several in their order (docs/how-to/transforms.md). labels: classes that take the place of the set's own: a
     map, the name of one that ships with the package, or a TOML file (docs/how-to/label_maps.md). unlabelled: give 254
-    and not 255 to surfaces that have no class, so that 255 means that nothing was measured. only: patterns as for file
-    names ("open-A-*", "*-d255-*"), one or several; a sample's key must match one of them. where: conditions like
-    "distance_cm<=255", one or several, which a sample's description must all meet (docs/how-to/streaming.md).
-    val_share: share of train, 0 to 1, that is read as "val" and not as "train": whole people and motions
-    (docs/how-to/splits.md).
+    and not 255 to surfaces that have no class, so that 255 means that nothing was measured. planes: names of further
+    images of the set, like "instances", that items and batches hold, too, as stored, also where artifacts lose pixels.
+    occluder: "camera" makes the projector's range out of what the camera sees, also for a set that holds none; what the
+    camera does not see then casts no shadow (docs/how-to/streaming.md). only: patterns as for file names ("open-A-*",
+    "*-d255-*"), one or several; a sample's key must match one of them. where: conditions like "distance_cm<=255", one
+    or several, which a sample's description must all meet (docs/how-to/streaming.md). columns: names of columns to
+    open, planes or fields that the set got later (docs/how-to/columns.md); those that `where` and `planes` name are
+    opened in any case. val_share: share of train, 0 to 1, that is read as "val" and not as "train": whole people and
+    motions (docs/how-to/splits.md).
 
     For remote sets (docs/how-to/remote.md): cache: folder that keeps fetched shards, None for `bodyseg` in the user's
     cache folder. cache_bytes: its limit, None for 20 GB, 0 for no cache. storage_options: for the fsspec filesystem.
@@ -97,18 +115,32 @@ class RangeImages(SampleDataset):
         where: str | Sequence[str] = (),
         val_share: float = 0.0,
         unlabelled: bool = False,
+        planes: Sequence[str] = (),
+        occluder: OccluderName = "stored",
+        columns: str | Sequence[str] = (),
     ) -> None:
         seed = check_seed(seed)
         model = load_sensor_model(sensor)
         store, pattern = open_store(_checked_path(path), storage_options, retry_policy)
         self.path = store.name
         self.manifest = with_kept_index(read_manifest(store), store, cache, cache_bytes)
+        named = (*named_fields(where), *texts_of("planes", planes))
+        self.columns = open_columns(store, self.manifest, texts_of("columns", columns), named)
+        self.manifest = with_columns(self.manifest, self.columns)
         self.split, self.seed = split, seed
         self.augmentation = Augmentation(self.manifest.rig, check_variant(variant), seed, model)
-        if self.augmentation.needs_projector and self.manifest.projector == "none":
+        """Of the set's first rig; see `augmentation_of`."""
+        self._augmentations: dict[int, Augmentation] = {}
+        self.occluder = occluder
+        if occluder not in OCCLUDERS:
+            raise BadConfig(f"occluder must be {' or '.join(map(repr, OCCLUDERS))}, found {occluder!r}")
+        if self.augmentation.needs_projector and self.manifest.projector == "none" and occluder == "stored":
             raise BadConfig(
-                f"{path} holds no projector range, which variant {variant!r} needs: use 'none', 'noise' or 'md'"
+                f"{path} holds no projector range, which variant {variant!r} needs: use 'none', 'noise' or 'md', or "
+                "occluder='camera', which makes shadows of what the camera sees"
             )
+        self.planes = _chosen_planes(planes, self.manifest)
+        """Name -> type of the further images that items and batches hold."""
         self.transforms = check_transforms(transform)
         classes = self.manifest.classes
         self.label_map = whole_map(classes) if labels is None else load_label_map(labels, classes)
@@ -119,8 +151,13 @@ class RangeImages(SampleDataset):
         self._joins = not self.label_map.is_whole
         self.selection = Selection.of(pattern, split, only, where, val_share, self.manifest.fields)
         self._samples = self.selection.choose(self.manifest, str(path))
-        records = (self.manifest.shards[number] for number in self._samples.shards)
-        self._reader = ShardReader(with_cache(store, records, cache, cache_bytes), self.manifest)
+        chosen = self._samples.shards
+        files: list[CheckedFile] = [self.manifest.shards[number] for number in chosen]
+        files += [column.tars[number] for column in self.columns if column.is_plane for number in chosen]
+        cached = with_cache(store, files, cache, cache_bytes)
+        self._reader = (
+            ColumnReader(cached, self.manifest, self.columns) if self.columns else ShardReader(cached, self.manifest)
+        )
         self.epoch = 0
         self.epochs_set = 0
         self.set_epoch(epoch)
@@ -148,6 +185,9 @@ class RangeImages(SampleDataset):
     def prepare(self) -> None:
         """Compile or load the loops that samples need, so that workers forked from this process have them too."""
         self.augmentation.prepare()
+        if self._casts:
+            camera = self.manifest.rig.camera
+            seen_by_projectors(np.zeros((camera.rows, camera.columns), np.uint16), self.manifest.rig)
         if self._joins:
             self.label_map.prepare()
 
@@ -159,14 +199,41 @@ class RangeImages(SampleDataset):
         shown |= self.selection.filters()
         shown |= {"transforms": list(self.transforms)} if self.transforms else {}
         shown |= {"labels": self.label_map.name} if self._joins else {}
-        shown |= {"samples": len(self), "image": "{} x {}".format(*self.shape), "rig": self.manifest.rig.name}
+        shown |= {"planes": list(self.planes)} if self.planes else {}
+        shown |= {"occluder": self.occluder} if self._casts else {}
+        rigs = self.manifest.rig.name if len(self.manifest.rigs) == 1 else f"{len(self.manifest.rigs)} rigs"
+        shown |= {"samples": len(self), "image": "{} x {}".format(*self.shape), "rig": rigs}
         shown |= {"sensor": self.augmentation.sensor.name}
         return f"RangeImages({self.path!r}, {', '.join(f'{name}={value!r}' for name, value in shown.items())})"
 
     def clean(self, index: int) -> Sample:
-        """Return the stored sample, without artifacts, with all of its planes and the set's own labels."""
+        """Return the stored sample, without artifacts, with all of its planes and the set's own labels.
+
+        Its projector range is the one that artifacts use: with `occluder="camera"`, made of the camera's.
+        """
         shard, within = self._where(index)
-        return self._reader.read(shard, within, unlabelled=self.unlabelled)
+        sample = self._reader.read(shard, within, self.occluder == "stored", unlabelled=self.unlabelled)
+        return self._shaded(sample) if self.occluder == "camera" else sample
+
+    def augmentation_of(self, sample: Sample) -> Augmentation:
+        """The artifacts as made for the sample's own rig. Raises BadSample for a rig that is none of the set's."""
+        if len(self.manifest.rigs) == 1:
+            return self.augmentation
+        rig, number = self.manifest.rig_of(sample), sample.info.get(RIG_FIELD)
+        if number not in self._augmentations:
+            self._augmentations[number] = replace(self.augmentation, rig=rig)
+        return self._augmentations[number]
+
+    @property
+    def _casts(self) -> bool:
+        """Whether images are made with a projector's range that is made of the camera's."""
+        return self.occluder == "camera" and self.augmentation.needs_projector
+
+    def _shaded(self, sample: Sample) -> Sample:
+        """The sample with the projector's range made of the camera's."""
+        known = None if sample.occupancy is None else replace(sample.occupancy, texels=None)
+        cast = seen_by_projectors(sample.range, self.manifest.rig_of(sample))
+        return replace(sample, projector_range=cast, occupancy=known)
 
     def image(self, index: int, epoch: int | None = None) -> RangeImage:
         """Return the sample with artifacts and transforms as drawn in `epoch`, as 16-bit arrays.
@@ -178,24 +245,37 @@ class RangeImages(SampleDataset):
         ranges, labels = SCRATCH.empty(shape, np.uint16), SCRATCH.empty(shape, np.uint8)
         return self._made(index, chosen, ranges, labels)
 
-    def write(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
+    def write(
+        self,
+        index: int,
+        epoch: int,
+        image: NDArray[np.uint16],
+        labels: NDArray[np.uint8],
+        planes: Sequence[NDArray[Any]] = (),
+    ) -> None:
         """Write the arrays of `image` into given ones [H, W], replacing their content. Raises as `image`."""
-        if not self.transforms:
-            self._made(index, epoch, image, labels)
-            return
-        made = self.image(index, epoch)
-        image[...], labels[...] = made.range, made.labels
+        if self.transforms:
+            made = self.image(index, epoch)
+            image[...], labels[...] = made.range, made.labels
+        else:
+            made = self._made(index, epoch, image, labels)
+        for given, name in zip(planes, self.planes, strict=True) if planes else ():
+            given[...] = made.planes[name]
 
     def _made(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> RangeImage:
         """Make the sample in arrays of the camera's size; transforms may return others."""
         try:
             shard, within = self._where(index)
-            sample = self._reader.read(
-                shard, within, self.augmentation.needs_projector, (image, labels), self.unlabelled, ()
-            )
-            made = self.augmentation.into(sample, epoch, image, labels)
+            stored = self.augmentation.needs_projector and self.occluder == "stored"
+            sample = self._reader.read(shard, within, stored, (image, labels), self.unlabelled, (*self.planes,))
+            if self._casts:
+                sample = self._shaded(sample)
+            made = self.augmentation_of(sample).into(sample, epoch, image, labels)
+            if self.planes:
+                made = replace(made, planes=_in_order(sample, self.planes))
             if self.transforms:
-                seen = with_camera(made, self.manifest.rig.camera, self.step_m, sample, self.manifest.classes)
+                camera = self.manifest.rig_of(sample).camera
+                seen = with_camera(made, camera, self.step_m, sample, self.manifest.classes)
                 draws = Draws(self.seed, epoch, made.key)
                 made = transform_image(seen, self.transforms, draws, self.unlabelled)
         except BadSample as error:
@@ -209,7 +289,8 @@ class RangeImages(SampleDataset):
         return made
 
     def __getitem__(self, index: int | Request) -> dict[str, Any]:
-        """Return one sample: range float32 [1, H, W] in metres, labels uint8 [H, W], key.
+        """Return one sample: range float32 [1, H, W] in metres, labels uint8 [H, W], key; and planes, if any were asked
+        for, name -> uint8 or uint16 [H, W].
 
         index: the sample's index, or (epoch, index) as `batches` yields. An index alone takes the epoch last set in
         this process; `set_epoch` does not reach workers that are already running.
@@ -217,7 +298,27 @@ class RangeImages(SampleDataset):
         epoch, index = index if isinstance(index, tuple) else (None, index)
         image = self.image(index, epoch)
         ranges = metres(image.range, self.step_m, SCRATCH.empty(self.shape, np.float32))
-        return {"range": item_tensor(ranges[None]), "labels": item_tensor(image.labels), "key": image.key}
+        item = {"range": item_tensor(ranges[None]), "labels": item_tensor(image.labels), "key": image.key}
+        if self.planes:
+            item["planes"] = {name: item_tensor(plane) for name, plane in image.planes.items()}
+        return item
+
+    def describe(self, index: int) -> dict[str, Any]:
+        """Return key, split and fields of a sample, as the manifest has them: no shard is read."""
+        number, within = self._where(index)
+        shard = self.manifest.shards[number]
+        info = shard.descriptions.info(within, shard.split)
+        return {"key": shard.entry(within).key, "split": info.split, **info.fields}
+
+    def table(self, arrow: bool = False) -> Any:
+        """Return what `describe` gives of all samples: name -> array [N]; no shard is read.
+
+        Text is of NumPy's `str` type, whole numbers int64, other numbers float64, flags bool, tuples of numbers float64
+        [N, K], or objects where they differ in length. Where samples lack a field, its array is masked. arrow: return a
+        `pyarrow.Table`, with nulls there. Raises MissingLibrary if pyarrow is not installed.
+        """
+        columns = table_of(self.manifest.fields, list(self._chosen_records()))
+        return arrow_table(columns) if arrow else columns
 
     def _where(self, index: int) -> tuple[int, int]:
         """Return (shard number, index within the shard) of a sample. Raises as `check_index`."""
@@ -246,6 +347,9 @@ class RangeImages(SampleDataset):
             **({"transforms": transforms_to_json(self.transforms)} if self.transforms else {}),
             **({"labels": self.label_map.to_json()} if self._joins else {}),
             **({"unlabelled": True} if self.unlabelled == UNLABELLED else {}),
+            **({"columns": {each.name: each.digest for each in self.columns}} if self.columns else {}),
+            **({"planes": list(self.planes)} if self.planes else {}),
+            **({"occluder": self.occluder} if self._casts else {}),
         }
 
     @cached_property
@@ -302,6 +406,25 @@ class RangeImages(SampleDataset):
     def urls(self) -> list[str]:
         """Return the paths of the shards that hold the chosen samples, in stored order."""
         return [f"{self.path}/{self.manifest.shards[number].name}" for number in self._samples.shards]
+
+
+def _chosen_planes(names: Any, manifest: Manifest) -> dict[str, np.dtype[Any]]:
+    """Name -> type of the planes that a user asks for. Raises BadConfig for one that the set does not hold."""
+    chosen = texts_of("planes", names)
+    for name in chosen:
+        if name not in manifest.planes:
+            held = f"holds {', '.join(manifest.planes)}" if manifest.planes else "holds no planes"
+            raise BadConfig(f"planes: the set {held}, found {name!r}")
+    return {name: np.dtype(manifest.planes[name]) for name in chosen}
+
+
+def _in_order(sample: Sample, planes: Mapping[str, np.dtype[Any]]) -> dict[str, NDArray[Any]]:
+    """The planes of a sample in the order in which they were asked for. Raises BadSample for one that it lacks."""
+    for name, kind in planes.items():
+        if name not in sample.planes or sample.planes[name].dtype != kind:
+            found = sample.planes[name].dtype if name in sample.planes else "none"
+            raise BadSample(f"{sample.key}: the plane {name!r} must be {kind}, found {found}")
+    return {name: sample.planes[name] for name in planes}
 
 
 def _checked_path(path: str | Path) -> str:

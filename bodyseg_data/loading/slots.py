@@ -12,12 +12,13 @@ receives it clears it when no tensor or view of it is left.
 
 from __future__ import annotations
 
+import itertools
 import math
 import mmap
 import os
 import tempfile
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from multiprocessing import reduction
 from multiprocessing.reduction import ForkingPickler
 from typing import Any, Final
@@ -99,12 +100,20 @@ class Slots:
     are copied instead.
     """
 
-    def __init__(self, in_flight: int, batch_size: int, rows: int, columns: int, metres: bool) -> None:
+    def __init__(
+        self,
+        in_flight: int,
+        batch_size: int,
+        rows: int,
+        columns: int,
+        metres: bool,
+        planes: Iterable[np.dtype[Any]] = (),
+    ) -> None:
         self._shape = (batch_size, rows, columns)
-        self._dtype = np.dtype(np.float32 if metres else np.uint16)
-        pixels = batch_size * rows * columns
-        self._labels_offset = _whole_pages(pixels * self._dtype.itemsize)
-        self._stride = self._labels_offset + _whole_pages(pixels)
+        self._dtypes = [np.dtype(np.float32 if metres else np.uint16), np.dtype(np.uint8), *planes]
+        sizes = [_whole_pages(batch_size * rows * columns * dtype.itemsize) for dtype in self._dtypes]
+        self._offsets = [0, *itertools.accumulate(sizes)]
+        self._stride = self._offsets[-1]
         self._count = in_flight + SPARE
         self._free = list(range(self._count))
         self._lent: dict[int, tuple[weakref.ref[Any], ...]] = {}
@@ -130,13 +139,14 @@ class Slots:
         self.__dict__.update(state)
         self._map(state["_file"].detach())
 
-    def arrays(self, slot: int) -> tuple[NDArray[Any], NDArray[np.uint8]]:
-        """Return a slot's memory as range float32 or uint16 [B, 1, H, W] and labels uint8 [B, H, W]."""
-        count, rows, columns = self._shape
-        pixels, start = count * rows * columns, slot * self._stride
-        ranges = np.frombuffer(self._memory, self._dtype, pixels, start)
-        labels = np.frombuffer(self._memory, np.uint8, pixels, start + self._labels_offset)
-        return ranges.reshape(count, 1, rows, columns), labels.reshape(self._shape)
+    def arrays(self, slot: int) -> list[NDArray[Any]]:
+        """Return a slot's memory: range float32 or uint16 [B, 1, H, W], labels uint8 [B, H, W], planes [B, H, W]."""
+        pixels, start = math.prod(self._shape), slot * self._stride
+        ranges, *others = (
+            np.frombuffer(self._memory, dtype, pixels, start + offset).reshape(self._shape)
+            for dtype, offset in zip(self._dtypes, self._offsets, strict=False)
+        )
+        return [ranges[:, None], *others]
 
     def acquire(self) -> int:
         """Return a free slot, which is then acquired."""
@@ -147,22 +157,22 @@ class Slots:
         """Make an acquired slot free."""
         self._free.append(slot)
 
-    def lend(self, slot: int, count: int, pin: bool = False) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the first `count` images of an acquired slot as tensors (range, labels).
+    def lend(self, slot: int, count: int, pin: bool = False) -> list[torch.Tensor]:
+        """Return the first `count` images of an acquired slot as tensors: range, labels, planes.
 
         The slot becomes free again when no reference to the tensors is left. pin: copy to page-locked memory, which
         torch manages, since copies to a GPU may outlast their tensors.
         """
         self._reclaim()
-        ranges, labels = (array[:count] for array in self.arrays(slot))
-        tensors = torch.from_numpy(ranges), torch.from_numpy(labels)
+        arrays = [array[:count] for array in self.arrays(slot)]
+        tensors = [torch.from_numpy(array) for array in arrays]
         if not pin and len(self._lent) < SPARE:
-            # Every tensor, array or view that shares the storage keeps exactly these two objects alive.
-            self._lent[slot] = (weakref.ref(ranges), weakref.ref(labels))
+            # Every tensor, array or view that shares the storage keeps exactly these objects alive.
+            self._lent[slot] = tuple(weakref.ref(array) for array in arrays)
             return tensors
-        copies = tuple(tensor.pin_memory() if pin else tensor.clone() for tensor in tensors)
+        copies = [tensor.pin_memory() if pin else tensor.clone() for tensor in tensors]
         self._free.append(slot)
-        return copies[0], copies[1]
+        return copies
 
     def _reclaim(self) -> None:
         for slot in [

@@ -50,6 +50,7 @@ class CameraImage(RangeImage):
     classes of the set, 255 where there is none. step_m: one step, metres. focal_px: focal length in pixels. centre_px:
     position (x, y) of the optical axis in image coordinates, in which pixel (row, column) covers x from column to
     column + 1. sample: the stored one, for `info`; its arrays may have been used for this image. classes: of the set.
+    planes: name -> uint8 or uint16 [H, W], moved along with the pixels, 0 outside of the image as it was.
     """
 
     step_m: float
@@ -79,7 +80,8 @@ def with_camera(
 ) -> CameraImage:
     """A range image of a stored sample with the camera of its rig and the classes of its set."""
     focal_px, centre_px = camera.focal_px, camera.centre_px
-    return CameraImage(image.key, image.range, image.labels, image.drawn, step_m, focal_px, centre_px, sample, classes)
+    seen = (image.key, image.range, image.labels, image.drawn, step_m, focal_px, centre_px, sample, classes)
+    return CameraImage(*seen, planes=image.planes)
 
 
 def ends_of(mask: NDArray[Any]) -> Box | None:
@@ -206,7 +208,7 @@ def transform_image(
         purpose = f"transform {each.name}" if count == 1 else f"transform {each.name} {count}"
         shape = each.shape(*image.range.shape)
         found = _called(each, image, draws.generator(purpose))
-        image = _checked_image(found, image.key, each.name, shape, unlabelled)
+        image = _checked_image(found, image, each.name, shape, unlabelled)
     return image
 
 
@@ -222,11 +224,11 @@ def _called(transform: Transform, image: CameraImage, random: np.random.Generato
         raise failed from error
 
 
-def _checked_image(found: Any, key: str, name: str, shape: tuple[int, int], unlabelled: int) -> CameraImage:
-    where = f"{key}: transform {name!r}"
+def _checked_image(found: Any, image: CameraImage, name: str, shape: tuple[int, int], unlabelled: int) -> CameraImage:
+    where = f"{image.key}: transform {name!r}"
     if not isinstance(found, CameraImage):
         raise BadTransform(f"{where} must return a CameraImage, found {type(found).__name__}")
-    if found.key != key:
+    if found.key != image.key:
         raise BadTransform(f"{where} must keep the key, found {found.key!r}")
     for what, array, kind in (("range", found.range, np.uint16), ("labels", found.labels, np.uint8)):
         if not isinstance(array, np.ndarray) or array.dtype != kind or array.shape != shape:
@@ -238,9 +240,21 @@ def _checked_image(found: Any, key: str, name: str, shape: tuple[int, int], unla
     )  # classes wrap around to what is larger than 254 and 255
     if above.min() < unlabelled - count:
         raise BadTransform(f"{where} must return labels 0 to {count - 1} or {BACKGROUND}, found {above.min() + count}")
+    if found.planes.keys() != image.planes.keys():
+        raise BadTransform(f"{where} must return the planes {', '.join(image.planes)}, found {', '.join(found.planes)}")
+    for what, array in found.planes.items():
+        if array.shape != shape or array.dtype != image.planes[what].dtype:
+            raise BadTransform(
+                f"{where} must return the plane {what!r} as {image.planes[what].dtype} {shape}, "
+                f"found {array.dtype} {array.shape}"
+            )
     lost = np.equal(ranges, 0, out=SCRATCH.empty(shape, np.bool_)).view(np.uint8)
     np.negative(lost, out=lost)  # all bits, which are background's
-    return replace(found, range=ranges, labels=np.bitwise_or(labels, lost, out=above))
+    labels = np.bitwise_or(labels, lost, out=above)
+    if not found.planes:
+        return replace(found, range=ranges, labels=labels)
+    planes = {what: np.ascontiguousarray(array) for what, array in found.planes.items()}
+    return replace(found, range=ranges, labels=labels, planes=planes)
 
 
 def _contiguous(array: NDArray[np.uint16]) -> NDArray[np.uint16]:

@@ -6,6 +6,7 @@ A pixel takes its value from the nearest one of the image as it was, so that non
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
@@ -150,6 +151,7 @@ class Flip(Transform):
             range=ranges,
             labels=looked_up(image.labels[:, ::-1], image.classes.mirrored),
             centre_px=(image.range.shape[1] - x, y),
+            planes={name: plane[:, ::-1] for name, plane in image.planes.items()},
         )
 
 
@@ -216,8 +218,10 @@ def magnified(image: CameraImage, by: float, moves_camera: bool) -> CameraImage:
     rows, columns = (np.arange(height) + 0.5 - y) / by + y, (np.arange(width) + 0.5 - x) / by + x
     if not moves_camera:
         return take_grid(image, rows, columns, focal_px=image.focal_px * by)
-    found = take_grid(image, rows, columns)
-    distance_m = image.info.distance_cm / 100
+    found, view = take_grid(image, rows, columns), image.info.view
+    if view is None:
+        raise BadConfig("a camera moves by its view's distance, which the set does not tell: use moves_camera=False")
+    distance_m = view.distance_cm / 100
     return replace(found, range=_farther(found.range, round((distance_m / by - distance_m) / image.step_m)))
 
 
@@ -249,14 +253,14 @@ def take_grid(
 
     rows, columns: increasing, float64 [H], [W]. camera: fields of the camera that change.
     """
-    ranges, labels = background(len(rows), len(columns))
-    box = ends_of(image.range)
+    found = background(image, len(rows), len(columns))
+    box = _held(image)
     if box is not None:
         down, along = _within(np.floor(rows), *box[:2]), _within(np.floor(columns), *box[2:])
         below, across = rows[down].astype(np.intp), columns[along].astype(np.intp)
-        ranges[down, along] = image.range.take(below, axis=0).take(across, axis=1)
-        labels[down, along] = image.labels.take(below, axis=0).take(across, axis=1)
-    return replace(image, range=ranges, labels=labels, **camera)
+        for source, target in _pairs(image, found):
+            target[down, along] = source.take(below, axis=0).take(across, axis=1)
+    return replace(found, **camera)
 
 
 def _within(places: NDArray[np.floating[Any]], first: int, end: int) -> slice:
@@ -264,12 +268,26 @@ def _within(places: NDArray[np.floating[Any]], first: int, end: int) -> slice:
     return slice(*np.searchsorted(places, (first, end)).tolist())
 
 
-def background(rows: int, columns: int) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
-    """Range and labels of an image in which nothing was measured."""
+def background(image: CameraImage, rows: int, columns: int) -> CameraImage:
+    """The image with arrays of another size, in which nothing was measured; planes are 0."""
     ranges, labels = SCRATCH.empty((rows, columns), np.uint16), SCRATCH.empty((rows, columns), np.uint8)
     ranges.fill(0)
     labels.fill(BACKGROUND)
-    return ranges, labels
+    planes = {name: np.zeros((rows, columns), plane.dtype) for name, plane in image.planes.items()}
+    return replace(image, range=ranges, labels=labels, planes=planes)
+
+
+def _held(image: CameraImage) -> Box | None:
+    """The smallest box that holds all that was measured; all of an image with planes, which hold more than that."""
+    return (0, image.range.shape[0], 0, image.range.shape[1]) if image.planes else ends_of(image.range)
+
+
+def _pairs(source: CameraImage, target: CameraImage) -> Iterator[tuple[NDArray[Any], NDArray[Any]]]:
+    """Range, labels and planes of two images, each with its partner."""
+    yield source.range, target.range
+    yield source.labels, target.labels
+    for name, plane in source.planes.items():
+        yield plane, target.planes[name]
 
 
 def take_window(image: CameraImage, top: int, left: int, rows: int, columns: int) -> CameraImage:
@@ -278,14 +296,16 @@ def take_window(image: CameraImage, top: int, left: int, rows: int, columns: int
     centre_px = (x - left, y - top)
     if 0 <= top <= height - rows and 0 <= left <= width - columns:
         window = slice(top, top + rows), slice(left, left + columns)
-        return replace(image, range=image.range[window], labels=image.labels[window], centre_px=centre_px)
-    ranges, labels = background(rows, columns)
+        planes = {name: plane[window] for name, plane in image.planes.items()}
+        cut = {"range": image.range[window], "labels": image.labels[window], "planes": planes}
+        return replace(image, centre_px=centre_px, **cut)
+    found = background(image, rows, columns)
     first, end = max(top, 0), min(top + rows, height)
     start, stop = max(left, 0), min(left + columns, width)
     if first < end and start < stop:
-        ranges[first - top : end - top, start - left : stop - left] = image.range[first:end, start:stop]
-        labels[first - top : end - top, start - left : stop - left] = image.labels[first:end, start:stop]
-    return replace(image, range=ranges, labels=labels, centre_px=centre_px)
+        for source, target in _pairs(image, found):
+            target[first - top : end - top, start - left : stop - left] = source[first:end, start:stop]
+    return replace(found, centre_px=centre_px)
 
 
 def take_turned(image: CameraImage, cos: float, sin: float) -> CameraImage:
@@ -294,8 +314,8 @@ def take_turned(image: CameraImage, cos: float, sin: float) -> CameraImage:
     What leaves the image is lost; what comes into it is background.
     """
     height, width = image.range.shape
-    ranges, labels = background(height, width)
-    box = ends_of(image.range)
+    found = background(image, height, width)
+    box = _held(image)
     if box is not None:
         x, y = image.centre_px
         corners = [(column - x, row - y) for row in box[:2] for column in box[2:]]
@@ -307,9 +327,11 @@ def take_turned(image: CameraImage, cos: float, sin: float) -> CameraImage:
             below = np.arange(rows.start, rows.stop) + 0.5 - y
             from_rows, from_columns = _sums(cos * below + y, sin * across), _sums(x - sin * below, cos * across)
             places, inside = _sources(from_rows, from_columns, box, width)
-            ranges[rows, along] = image.range.take(places, mode="clip") * inside
-            labels[rows, along] = image.labels.take(places, mode="clip") | (inside.view(np.uint8) - np.uint8(1))
-    return replace(image, range=ranges, labels=labels)
+            found.range[rows, along] = image.range.take(places, mode="clip") * inside
+            found.labels[rows, along] = image.labels.take(places, mode="clip") | (inside.view(np.uint8) - np.uint8(1))
+            for name, plane in image.planes.items():
+                found.planes[name][rows, along] = plane.take(places, mode="clip") * inside
+    return found
 
 
 def _span(places: list[float], size: int) -> slice:

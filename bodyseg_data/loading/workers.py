@@ -11,6 +11,7 @@ import contextlib
 import multiprocessing
 import multiprocessing.forkserver
 import os
+import pickle
 import signal
 import threading
 import traceback
@@ -18,6 +19,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from multiprocessing.reduction import ForkingPickler
 from queue import Empty, SimpleQueue
 from typing import Any, Final, Literal, Protocol
 
@@ -237,7 +239,8 @@ class ProcessWorkers:
                 self._pipes.append(ours)
                 with theirs:
                     inherited = tuple(self._pipes) if forked else ()
-                    process = context.Process(target=_serve_process, args=(work, theirs, inherited), daemon=True)
+                    arguments = _Carried(work), theirs, inherited
+                    process = context.Process(target=_serve_process, args=arguments, daemon=True)
                     process.start()
                 self._processes.append(process)
         except OSError as error:
@@ -318,13 +321,39 @@ class ProcessWorkers:
         self._pipes, self._processes = [], []
 
 
-def _serve_process(work: Callable[[Any], Any], pipe: Connection, inherited: Sequence[Connection]) -> None:
+class _Carried:
+    """Work on its way to a process, which unpickles it itself, to say why it cannot. A fork needs no pickles."""
+
+    def __init__(self, work: Callable[[Any], Any] | None, packed: bytes = b"") -> None:
+        self._work, self._packed = work, packed
+
+    def __reduce__(self) -> Any:
+        return _Carried, (None, bytes(ForkingPickler.dumps(self._work)))
+
+    def opened(self) -> Callable[[Any], Any]:
+        """Return the work, or one that fails at every request."""
+        try:
+            return self._work or pickle.loads(self._packed)  # type: ignore[no-any-return]
+        except Exception as error:
+            why = (
+                f"the images cannot be unpickled in a worker: {type(error).__name__}: {error}; what they use, such as "
+                "a transform, must be in a module, not in a notebook's cell or under the main guard; "
+                "worker_method='thread' needs no pickles"
+            )
+
+        def fail(request: Any) -> Any:
+            raise BadConfig(why)
+
+        return fail
+
+
+def _serve_process(carried: _Carried, pipe: Connection, inherited: Sequence[Connection]) -> None:
     """Handle requests in a worker process until it is told to end, or its parent is gone."""
     for other in inherited:
         other.close()  # otherwise sibling workers would keep each other's pipes open
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     torch.set_num_threads(1)
-    parent = os.getppid()
+    work, parent = carried.opened(), os.getppid()
     with contextlib.suppress(EOFError, OSError):  # the parent is gone
         while True:
             while not pipe.poll(_POLL_S):

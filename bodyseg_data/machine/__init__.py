@@ -9,7 +9,14 @@ from bodyseg_data.core import lazy_door
 if TYPE_CHECKING:
     from bodyseg_data.machine.host import computes_bfloat16, hardware, keep_freed_memory, peak_mb, processors
     from bodyseg_data.machine.kernels import compiled, require_numba, use_compiled
-    from bodyseg_data.machine.libraries import SOFTWARE_DRIVER, compress, decompress, missing_library, require_libraries
+    from bodyseg_data.machine.libraries import (
+        SOFTWARE_DRIVER,
+        compress,
+        decompress,
+        missing_library,
+        require_libraries,
+        silence_libtiff,
+    )
     from bodyseg_data.machine.threads import in_threads, of_each, pieces, signals_held, torch_threads, wait_briefly
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

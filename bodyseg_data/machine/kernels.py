@@ -9,6 +9,7 @@ Machine code is kept on disk, in NUMBA_CACHE_DIR or the user's cache folder, und
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import inspect
 import os
@@ -63,9 +64,23 @@ def compiled(loops: Callable[..., Any], feature: str, extra: str = "fast") -> An
             return numba.njit(loops, **options)
         numba.config.CACHE_DIR = str(folder)
         try:
-            return numba.njit(loops, cache=True, **options)
+            return _saved_if_possible(numba.njit(loops, cache=True, **options))
         finally:
             numba.config.CACHE_DIR = before
+
+
+def _saved_if_possible(function: Any) -> Any:
+    """A compiled function that goes on where its code cannot be saved, as on a disk that has filled meanwhile: numba
+    raises OSError then, after it has compiled.
+    """
+    save = function._cache.save_overload
+
+    def save_or_not(signature: Any, code: Any) -> None:
+        with contextlib.suppress(OSError):
+            save(signature, code)
+
+    function._cache.save_overload = save_or_not
+    return function
 
 
 def require_numba(feature: str, extra: str = "fast") -> Any:
@@ -81,8 +96,7 @@ def require_numba(feature: str, extra: str = "fast") -> Any:
 def _folder(named: str, digest: str) -> Path | None:
     """The folder of a digest, in the one named or in the user's cache folder; None if it cannot be written to.
 
-    Only this user may write there, for its files are run. Where it has no code yet, the disk must have room for it:
-    numba would raise OSError at the first call, after it has compiled.
+    Only this user may write there, for its files are run. Where it has no code yet, the disk must have room for it.
     """
     try:
         cache = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()

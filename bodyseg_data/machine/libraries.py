@@ -7,6 +7,7 @@ them, are made by isal where it is installed (`bodyseg[fast]`), else by zlib.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import ctypes.util
 import re
@@ -80,6 +81,17 @@ def can_load(name: str) -> bool:
     except OSError:
         return False
     return True
+
+
+@cache
+def silence_libtiff() -> None:
+    """Have Pillow's libtiff print no lines of its own on standard error: what it cannot read, Pillow raises."""
+    from PIL import _imaging
+
+    with contextlib.suppress(OSError, AttributeError):  # a Pillow without it
+        library = ctypes.CDLL(_imaging.__file__)  # whose dependencies are searched, too
+        for name in ("TIFFSetErrorHandler", "TIFFSetWarningHandler"):
+            getattr(library, name)(None)
 
 
 def _named_in(error: BaseException) -> list[str]:

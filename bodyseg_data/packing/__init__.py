@@ -1,4 +1,4 @@
-"""Packing: bodies are rendered into shards."""
+"""Packing: bodies are rendered into shards, and scenes that were rendered elsewhere are written."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_data.packing.engines import PROCESSES, check_engine, open_engine
+    from bodyseg_data.packing.joining import join
     from bodyseg_data.packing.options import Packing
     from bodyseg_data.packing.packer import pack, plan
+    from bodyseg_data.packing.render_packing import pack_renders
     from bodyseg_data.packing.sampler import Sampler, faces_towards, sample_key, surface_points
+    from bodyseg_data.packing.shard_writer import ShardWriter
     from bodyseg_data.packing.skipping import STOP, FaultyMeshes, OnError, OnFaults
     from bodyseg_data.packing.things import FURNITURE, Numbers, ThingsPlace, draw_things, in_front
 else:

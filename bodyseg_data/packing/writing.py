@@ -34,6 +34,7 @@ from bodyseg_data.samples import SPLITS, Split, View
 from bodyseg_data.shards import (
     BODY_FIELDS,
     MANIFEST_NAME,
+    Fields,
     ShardRecord,
     TarWriter,
     read_manifest,
@@ -181,8 +182,10 @@ def _check_plan(path: Path, description: dict[str, Any], out: Path) -> None:
         )
 
 
-def finished_shards(out: Path, state: Path, names: Sequence[str]) -> dict[str, ShardRecord]:
-    """Records of the shards that an earlier run finished and that still have the bytes it wrote.
+def finished_shards(
+    out: Path, state: Path, names: Sequence[str], fields: Fields = BODY_FIELDS
+) -> dict[str, ShardRecord]:
+    """Records of the shards that an earlier run finished and that still have the bytes it wrote. fields: of the set.
 
     If `out` has a manifest and not all of its shards are intact, the manifest goes: the set is no longer complete.
     """
@@ -193,9 +196,7 @@ def finished_shards(out: Path, state: Path, names: Sequence[str]) -> dict[str, S
     else:
         for name in names:
             with contextlib.suppress(OSError, ValueError, RecursionError, BadShard):
-                known[name] = record_from_json(
-                    json.loads((state / f"{name}.json").read_bytes()), BODY_FIELDS, str(state)
-                )
+                known[name] = record_from_json(json.loads((state / f"{name}.json").read_bytes()), fields, str(state))
     records = {name: known[name] for name in names if name in known and _intact(out / name, known[name])}
     if complete and len(records) < len(names):
         for record in records.values():

@@ -107,9 +107,14 @@ class Camera:
         With that scale the parameter of a point on the ray *is* its range.
         """
         rays = np.ones((self.rows, self.columns, 3))
-        rays[..., 0] = (np.arange(self.columns) + 0.5 - self.centre_px[0]) / self.focal_px
-        rays[..., 1] = ((np.arange(self.rows) + 0.5 - self.centre_px[1]) / self.focal_px)[:, None]
+        rays[..., 0], rays[..., 1] = self.slopes[0], self.slopes[1][:, None]
         return rays
+
+    @property
+    def slopes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The x of the rays through each column [columns] and the y of those through each row [rows], at z = 1."""
+        across, down = np.arange(self.columns) + 0.5, np.arange(self.rows) + 0.5
+        return (across - self.centre_px[0]) / self.focal_px, (down - self.centre_px[1]) / self.focal_px
 
     def _image_plane(self, nodes: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Coordinates x and y, at z = 1, of a lattice that spans the image, each float64 [nodes, nodes]."""

@@ -5,16 +5,16 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
-from bodyseg_data.core import BadConfig, BadShard
+from bodyseg_data.core import BadConfig, BadSample, BadShard
 from bodyseg_data.files import write_atomically
 from bodyseg_data.labels import PART_CLASSES, Classes, classes_from_json
 from bodyseg_data.rigs import Rig, rig_from_json
-from bodyseg_data.samples import Split
+from bodyseg_data.samples import Sample, Split
 from bodyseg_data.shards.codecs import CODECS
 from bodyseg_data.shards.earlier import EARLIER_FORMATS, manifest_as_current
 from bodyseg_data.shards.index import INDEX_NAME, IndexedShards, ShardTable, table_from_json, write_index
@@ -46,6 +46,12 @@ MOST_RIGS: Final = 4096
 
 RIG_FIELD: Final = "rig"
 """Field of a sample's description that numbers its rig, in sets that have several."""
+
+EXTERNAL: Final = "external"
+"""The renderer of a set whose scenes were rendered elsewhere, with facing bits that came with them."""
+
+FACING_FROM_RANGE: Final = f"{EXTERNAL}, facing from range images"
+"""The same of a set whose facing bits were found from the range images (docs/how-to/writing_shards.md)."""
 
 _FIELDS: Final = frozenset(
     ["format", "rigs", "classes", "fields", "projector", "planes", "codec", "source", "renderer", "plan", "shards"]
@@ -92,6 +98,15 @@ class Manifest:
         """The first rig, of most sets the only one."""
         return self.rigs[0]
 
+    def rig_of(self, sample: Sample) -> Rig:
+        """The rig of a sample. Raises BadSample, naming the key, for a number that is none of the set's rigs."""
+        if len(self.rigs) == 1:
+            return self.rig
+        number = sample.info.get(RIG_FIELD)
+        if type(number) is not int or not 0 <= number < len(self.rigs):
+            raise BadSample(f"{sample.key}: {RIG_FIELD!r} must be 0 to {len(self.rigs) - 1}, found {number!r}")
+        return self.rigs[number]
+
     def __repr__(self) -> str:
         size = f"{self.samples()} samples in {len(self.shards)} shards"
         return f"Manifest({size}, codec={self.codec!r}, source={self.source!r}, renderer={self.renderer!r})"
@@ -131,14 +146,20 @@ class Manifest:
             "shards": [record_to_json(each) for each in self.shards] if self.index is None else self.index.to_json(),
             **({"skipped": [asdict(each) for each in self.skipped]} if self.skipped else {}),
         }
-        return {**tree, "digest": _digest(tree)}
+        return stamped(tree)
+
+
+def stamped(tree: dict[str, Any]) -> dict[str, Any]:
+    """Return a JSON object with a digest of its other fields, which `stamped_from` checks."""
+    return {**tree, "digest": _digest(tree)}
 
 
 def _digest(tree: dict[str, Any]) -> str:
-    return hashlib.sha256(_compact(tree)).hexdigest()
+    return hashlib.sha256(compact_json(tree)).hexdigest()
 
 
-def _compact(tree: dict[str, Any]) -> bytes:
+def compact_json(tree: dict[str, Any]) -> bytes:
+    """JSON text with sorted keys and no white space."""
     return json.dumps(tree, sort_keys=True, separators=(",", ":")).encode()
 
 
@@ -153,23 +174,26 @@ def write_manifest(manifest: Manifest, folder: Path) -> Manifest:
         manifest = replace(manifest, shards=IndexedShards(table, manifest.fields, LocalFolder(folder)))
     else:
         manifest = replace(manifest, shards=tuple(manifest.shards))
-    write_atomically(folder / MANIFEST_NAME, _compact(manifest.to_json()) + b"\n")
+    write_atomically(folder / MANIFEST_NAME, compact_json(manifest.to_json()) + b"\n")
     if manifest.index is None:
         (folder / INDEX_NAME).unlink(missing_ok=True)  # of a set that was there before
     return manifest
 
 
-def read_manifest(where: Path | Store) -> Manifest:
+def read_manifest(where: Path | Store, keep: Callable[[bytes], object] | None = None) -> Manifest:
     """Read and check the manifest of a set. Raises BadShard, naming the file and the broken rule, or Unreachable.
 
-    Of a set with an index, the shards' table is checked; the samples of a shard are when they are read.
+    Of a set with an index, the shards' table is checked; the samples of a shard are when they are read. keep: is called
+    with the file's bytes, and again if they are read again.
     """
     store = store_at(where)
     path = f"{store.name}/{MANIFEST_NAME}"
     for attempt in range(1, READ_ATTEMPTS + 1):
         data = _contents(store, path)
+        if keep is not None:
+            keep(data)
         try:
-            tree = _tree(data, path)
+            tree = stamped_from(data, path, (*EARLIER_FORMATS, MANIFEST_FORMAT))
             del data  # a large one, no longer needed
             return _manifest(tree, path, store)
         except BadShard:
@@ -188,15 +212,15 @@ def _contents(store: Store, path: str) -> bytes:
     return data
 
 
-def _tree(data: bytes, path: str) -> dict[str, Any]:
-    """Parse the file as JSON and check format and digest, which stays in it. Raises BadShard."""
+def stamped_from(data: bytes, path: str, formats: Sequence[str]) -> dict[str, Any]:
+    """Parse a file as JSON and check format and digest, which stays in it. Raises BadShard, naming `path`."""
     try:
         tree = json.loads(data)
     except (ValueError, RecursionError) as error:
         raise BadShard(f"{path} cannot be read: {error}") from error
-    if not isinstance(tree, dict) or tree.get("format") not in (MANIFEST_FORMAT, *EARLIER_FORMATS):
+    if not isinstance(tree, dict) or tree.get("format") not in formats:
         found = tree.get("format") if isinstance(tree, dict) else type(tree).__name__
-        known = ", ".join(map(repr, (*EARLIER_FORMATS, MANIFEST_FORMAT)))
+        known = ", ".join(map(repr, formats))
         raise BadShard(f"{path}: 'format' must be one of {known}, found {found!r}")
     stored = tree.pop("digest", None)
     if _is_as_written(data, stored):

@@ -6,17 +6,19 @@ resume, or an address, to which files are uploaded.
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import hashlib
 import os
-from collections.abc import Callable, Iterator, Mapping
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Protocol
 
 from bodyseg_data.cards import CARD_NAMES
 from bodyseg_data.core import BadConfig, BadShard
-from bodyseg_data.files import sync, write_atomically
+from bodyseg_data.files import naming, sync, write_atomically
 from bodyseg_data.shards import (
     LARGEST_MANIFEST,
     MANIFEST_NAME,
@@ -26,11 +28,13 @@ from bodyseg_data.shards import (
     Manifest,
     RemoteFolder,
     Store,
+    column_files,
     open_file,
     read_manifest,
 )
 
 _BLOCK_BYTES: Final = 4 << 20
+_LARGEST_PAGE: Final = 1 << 24
 
 Report = Callable[[int], None]
 """Receiver of numbers of bytes that have just been copied."""
@@ -70,13 +74,19 @@ class Bundle:
 
 
 def set_bundle(store: Store) -> Bundle:
-    """Return the bundle of a set: index, shards, cards, manifest. Raises as `read_manifest`."""
-    manifest = read_manifest(store)
+    """Return the bundle of a set: index, shards, columns, cards, manifest.
+
+    The manifest is read once: the set may be replaced while it is copied. Raises as `read_manifest`, and as
+    `column_files` for a column that is damaged or of another set.
+    """
+    read: list[bytes] = []
+    manifest = read_manifest(store, read.append)
+    tars, pages = column_files(store, manifest)
     return Bundle(
-        tuple(SharedFile(file.name, file.size, file.sha256) for file in _large_files(manifest)),
+        tuple(SharedFile(file.name, file.size, file.sha256) for file in (*_large_files(manifest), *tars)),
         MANIFEST_NAME,
-        read_page(store, MANIFEST_NAME),
-        pages_of(store, CARD_NAMES),
+        read[-1],
+        pages_of(store, (*CARD_NAMES, *pages)),
     )
 
 
@@ -87,25 +97,27 @@ def _large_files(manifest: Manifest) -> Iterator[CheckedFile]:
 
 
 def read_page(store: Store, name: str) -> bytes:
-    """Read a small file. Raises BadShard if it is missing."""
-    data = store.read_file(name, LARGEST_MANIFEST)
+    """Read a small file, of at most 16 MB. Raises BadShard if it is missing."""
+    data = store.read_file(name, _LARGEST_PAGE)
     if data is None:
         raise BadShard(f"{store.name}/{name} is missing")
     return data
 
 
 def pages_of(store: Store, names: tuple[str, ...]) -> dict[str, bytes]:
-    """Read those of the small files `names` that a store holds."""
-    found = {name: store.read_file(name, LARGEST_MANIFEST) for name in names}
+    """Read those of the small files `names`, of at most 16 MB each, that a store holds."""
+    found = {name: store.read_file(name, _LARGEST_PAGE) for name in names}
     return {name: data for name, data in found.items() if data is not None}
 
 
 def superseded(store: Store, bundle: Bundle) -> list[str]:
     """Return names of files of the set in `store` that a bundle which takes its place has not."""
-    try:
-        held = [file.name for file in _large_files(read_manifest(store))]
-    except BadShard:  # a network, or a set of another format: what it holds is not known
-        held = []
+    held: list[str] = []
+    with contextlib.suppress(BadConfig, BadShard):  # a network, or a set of another format: what it holds is not known
+        manifest = read_manifest(store)
+        held += [file.name for file in _large_files(manifest)]
+        tars, pages = column_files(store, manifest)
+        held += [*(tar.name for tar in tars), *pages]
     cards = pages_of(store, CARD_NAMES) if bundle.index == MANIFEST_NAME else {}
     return [name for name in (*held, *cards) if name not in bundle.names]
 
@@ -125,6 +137,9 @@ class Target(Protocol):
 
     def holds(self, file: SharedFile, sizes_only: bool) -> bool:
         """Return whether the target has a file of this size and, unless `sizes_only`, of this SHA-256."""
+
+    def check_room(self, files: Sequence[SharedFile]) -> None:
+        """Raise BadConfig if the target is known to have no room for files that it has not."""
 
     def receive(self, file: SharedFile, report: Report, sizes_only: bool) -> None:
         """Copy a file from the source and check it. Raises BadShard if its bytes are not those expected."""
@@ -151,13 +166,29 @@ class LocalTarget:
             return False
         return sizes_only or sha256_of(self.store, file.name) == file.sha256
 
+    def check_room(self, files: Sequence[SharedFile]) -> None:
+        """See `Target.check_room`: what a server says of its sizes is asked of the disk first."""
+        parts = (self._part(file) for file in files)
+        have = sum(part.lstat().st_size for part in parts if part.is_file())
+        need, free = sum(file.size for file in files) - have, shutil.disk_usage(self._folder).free
+        if need > free:
+            raise BadConfig(f"{self._folder}: no space left: {need / 1e6:.1f} MB are needed, {free / 1e6:.1f} MB free")
+
+    def _part(self, file: SharedFile) -> Path:
+        return self._folder / f".{file.name}.part"
+
     def receive(self, file: SharedFile, report: Report, sizes_only: bool) -> None:
         """See `Target.receive`: continues a part that an interrupted transfer left. The SHA-256 is always checked."""
-        part = self._folder / f".{file.name}.part"
-        with part.open("r+b" if part.exists() else "w+b") as held:
+        part = self._part(file)
+        if part.is_symlink():
+            part.unlink()  # none of a transfer: it would write into another file
+        handle = os.open(part, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+        with naming(part), os.fdopen(handle, "r+b") as held:
             try:
                 fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
+                if not os.path.samestat(part.lstat(), os.fstat(held.fileno())):
+                    raise BlockingIOError
+            except (BlockingIOError, FileNotFoundError):
                 raise BadConfig(f"{part}: another transfer writes this file") from None
             held.truncate(min(os.fstat(held.fileno()).st_size, file.size))
             resumed = held.seek(0, os.SEEK_END)
@@ -206,6 +237,9 @@ class RemoteTarget:
         if self._remote.find_size(file.name) != file.size:
             return False
         return sizes_only or sha256_of(self._remote, file.name) == file.sha256
+
+    def check_room(self, files: Sequence[SharedFile]) -> None:
+        """See `Target.check_room`: an address does not say."""
 
     def receive(self, file: SharedFile, report: Report, sizes_only: bool) -> None:
         """See `Target.receive`: the local bytes are checked before, those at the address after."""
@@ -283,6 +317,7 @@ def transfer(
             report(done)
         else:
             missing.append(file)
+    target.check_room(missing)
     if held is not None and (other or missing):
         target.remove(bundle.index)
     for name in obsolete:

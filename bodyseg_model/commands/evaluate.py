@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from bodyseg_data.artifacts import PAPER_SENSOR, VariantName, load_sensor_model, parse_artifacts
 from bodyseg_data.commands import (
+    OCCLUDER_HELP,
     WHERE_HELP,
     Progress,
     check_target,
@@ -22,8 +23,8 @@ from bodyseg_data.commands import (
 from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import new_chart, save_picture
 from bodyseg_data.files import make_folder
-from bodyseg_data.labels import LabelMap, load_label_map
-from bodyseg_data.loading import DEFAULT_WORKER_METHOD, RangeImages, WorkerMethod
+from bodyseg_data.labels import LabelMap
+from bodyseg_data.loading import DEFAULT_WORKER_METHOD, OccluderName, RangeImages, WorkerMethod
 from bodyseg_data.machine import peak_mb
 from bodyseg_data.samples import ReadSplit
 from bodyseg_model.evaluation import (
@@ -77,6 +78,7 @@ class Options:
     missing: float | None = option("share of pixels missing, the same for every image (default: drawn)", None)
     labels: str | None = option("classes to score, of which the network's are parts (default: the network's)", None)
     sensor: str = option("the artifacts: a sensor that ships with the package, or a TOML file", PAPER_SENSOR)
+    occluder: OccluderName = option(OCCLUDER_HELP, "stored")
     artifacts: str = option("strengths of any artifacts that differ from the sensor's, as JSON", "{}")
     seed: int = option("seed of the artifacts, and of the choice of images", 0)
     figures: Path | None = option("also draw charts and sample images as PNGs into this folder", None)
@@ -98,11 +100,10 @@ def run(options: Options) -> int:
     trained = put_on_backend(trained, options.backend, options.precision, options.flip_average)
     _say_step(trained)
     to_device(trained.network, options.device)
-    label_map = trained.label_map if options.labels is None else load_label_map(options.labels)
-    sets = _open(options, label_map)
+    sets = _open(options, trained.label_map if options.labels is None else options.labels)
     _check_fit(options, trained, sets)
     facts = _facts(options, trained)  # first, as files may change meanwhile
-    picture = None if options.figures is None else SamplePicture(label_map)
+    picture = None if options.figures is None else SamplePicture(sets[0].label_map)
     found = _evaluate(options, trained, sets, picture)
     times = None if options.frames == 0 else _times(trained, sets[0], options.frames)
     scores = report(found)
@@ -154,7 +155,7 @@ def _check(options: Options) -> None:
         check_target(options.figures / "parts.png", "--figures")
 
 
-def _open(options: Options, label_map: LabelMap) -> list[RangeImages]:
+def _open(options: Options, labels: str | LabelMap) -> list[RangeImages]:
     """Open the sets. Raises BadConfig if two of them share a sample, which would count twice."""
     sets, path_of = [], dict[str, str]()
     sensor = load_sensor_model(options.sensor)
@@ -171,7 +172,8 @@ def _open(options: Options, label_map: LabelMap) -> list[RangeImages]:
             sensor,
             options.where,
             options.val_share,
-            label_map,
+            labels,
+            options.occluder,
         )
         for key in images.keys:
             if key in path_of:

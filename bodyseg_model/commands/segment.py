@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from bodyseg_data.commands import Progress, option, rate_text
 from bodyseg_data.core import BadConfig
-from bodyseg_data.labels import LabelMap
+from bodyseg_data.labels import PART_CLASSES, LabelMap
 from bodyseg_data.machine import hardware, keep_freed_memory
 from bodyseg_data.rigs import Rig, rig_names
 from bodyseg_model.networks import Trained
@@ -66,10 +66,11 @@ class Options:
     focal: float | None = option("focal length of the camera, pixels (default: told by the frames' size)", None)
     centre: tuple[float, ...] = option("principal point of the camera, x y (default: the image's middle)", ())
     mirrored: bool = option("frames show left for right, as some drivers give them", False)
-    background: BackgroundMode = option(
+    background: BackgroundMode | None = option(
         "people: keep what is within the limits, on no large plane and of a body's size; limits: keep what is within "
-        "them, as one body; keep: keep all that was measured, as one body",
-        "people",
+        "them, as one body; keep: keep all that was measured, as one body; frame: label whole frames as they stand "
+        "(default: people, or frame for a network of other classes than body parts)",
+        None,
     )
     video: bool = option("frames are a video: labels are steadied by those of the frames before", False)
     keep_things: bool = option("label chairs, boxes and other things of a body's size like people", False)
@@ -86,11 +87,16 @@ class Options:
 
 def run(options: Options) -> int:
     """Label every frame, then write the summary."""
+    with contextlib.ExitStack() as claim:  # until the summary is written
+        return _segment(options, claim)
+
+
+def _segment(options: Options, claim: contextlib.ExitStack) -> int:
     keep_freed_memory()
     use_threads(options.threads)
-    step_m, background = None if options.units is None else metres_a_step(options.units), _background(options)
+    step_m, trained = None if options.units is None else metres_a_step(options.units), load_run(options.run)
+    background = _background(options, trained)
     frames = find_frames(options.frames, options.topic, step_m)
-    trained = load_run(options.run)
     labeller = FrameLabeller(
         trained,
         background,
@@ -114,11 +120,11 @@ def run(options: Options) -> int:
     cameras = recording.cameras
     images = [LABELS, *([] if options.no_overlay else [OVERLAY]), *([UNDISTORTED] if cameras.bent else [])]
     shape = cameras.first.camera.rows, cameras.first.camera.columns
-    results = FrameResults(
-        OutputFolder(options.out, options.frames, frames, images), labeller.label_map, preview, shape
-    )
+    out = OutputFolder(options.out, options.frames, frames, images)
+    results = FrameResults(out, labeller.label_map, preview, shape)
     shadows = ShadowFrames(len(frames), _SHADOW_FRAMES)
     with _labels_out(options, labeller.label_map) as messages:
+        claim.enter_context(out.claimed())
         results.begin()
         recording.prepare()
         start = time.perf_counter()
@@ -164,12 +170,13 @@ def _labels_out(options: Options, label_map: LabelMap) -> contextlib.AbstractCon
     return labels_out(options.labels_out, label_map, options.fps)
 
 
-def _background(options: Options) -> Background:
+def _background(options: Options, trained: Trained) -> Background:
+    mode = options.background or ("people" if trained.label_map.of == PART_CLASSES else "frame")
     limits = {"near_m": options.near, "far_m": options.far}
     given = {name: limit for name, limit in limits.items() if limit is not None}
-    if given and options.background == "keep":
-        raise BadConfig("--near and --far limit what is kept: they contradict --background keep")
-    return Background(options.background, **given)
+    if given and mode in ("keep", "frame"):
+        raise BadConfig(f"--near and --far limit what is kept: they contradict --background {mode}")
+    return Background(mode, **given)
 
 
 def _facts(trained: Trained) -> dict[str, Any]:
@@ -190,7 +197,9 @@ def _remarks(
         f"wrote {frames} frames to {options.out}, {rate_text(per_second, 'frames')}, "
         f"{summary.milliseconds['frame']['mean']:.0f} ms from a frame to its labels"
     ]
-    if summary.mean_confidence is not None:
+    if recording.labeller.background.mode == "frame":
+        lines[0] += f", mean confidence {summary.mean_confidence or 0:.0%}"
+    elif summary.mean_confidence is not None:
         lines[0] += f", {summary.people / frames:.2g} people a frame, mean confidence {summary.mean_confidence:.0%}"
     else:
         lines.append("nobody was found: are --units, --near and --far right?")
@@ -200,6 +209,8 @@ def _remarks(
         lines.append(f"{summary.things / frames:.2g} things a frame got no label: --keep-things labels them, too")
     if camera.assumed:
         lines.append(f"camera {camera.origin}: give --focal or --rig if it is another")
+    if recording.labeller.background.mode == "frame":
+        return lines  # what follows is about bodies
     mirrored = shadows.mirrored(camera)
     if mirrored is not None and mirrored != options.mirrored:
         shown = "mirrored: give" if mirrored else "not mirrored: leave out"

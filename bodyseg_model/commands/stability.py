@@ -14,6 +14,7 @@ from bodyseg_data.commands import WHERE_HELP, Progress, command_line, last_name,
 from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import new_chart
 from bodyseg_data.files import make_folder
+from bodyseg_data.labels import PART_CLASSES
 from bodyseg_data.loading import RangeImages
 from bodyseg_model.networks import find_device
 from bodyseg_model.stability import (
@@ -95,6 +96,12 @@ def _images(
     """Measure the sweeps over images."""
     images = RangeImages(options.data, "none", "test", options.seed, where=options.where)
     hard = None if options.hard is None else RangeImages(options.hard, "none", "test", options.seed)
+    for each in filter(None, (images, hard)):
+        if each.manifest.classes != PART_CLASSES:
+            raise BadConfig(
+                f"{each.path}: stability is measured on the 33 parts of bodies, found the classes "
+                f"{each.manifest.classes.name!r}"
+            )
     conditions = list(
         dict.fromkeys(condition for name, sweep in sweeps.items() for condition in sweep.conditions(name))
     )

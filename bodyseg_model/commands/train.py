@@ -25,10 +25,10 @@ from bodyseg_data.artifacts import (
     parse_artifacts,
     sensor_for,
 )
-from bodyseg_data.commands import WHERE_HELP, Progress, command_line, option, provenance, rate_text
+from bodyseg_data.commands import OCCLUDER_HELP, WHERE_HELP, Progress, command_line, option, provenance, rate_text
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import PARTS33, LabelMap, label_map_names
-from bodyseg_data.loading import DEFAULT_WORKER_METHOD, ImageSet, WorkerMethod, find_rank
+from bodyseg_data.loading import DEFAULT_WORKER_METHOD, ImageSet, OccluderName, WorkerMethod, find_rank
 from bodyseg_data.samples import ReadSplit
 from bodyseg_model.networks import CardWords, CheckpointName, Network, NetworkName, build, load_network, network_class
 from bodyseg_model.training import (
@@ -58,7 +58,11 @@ class Options:
     network: NetworkName = option("which network", "compact")
     weights: tuple[float, ...] = option("weights of the sets (default: their numbers of samples)", ())
     samples: int | None = option("samples in an epoch of several sets (default: all of theirs together)", None)
-    labels: str = option(f"classes to predict: {', '.join(label_map_names())} or a label map (.toml)", PARTS33.name)
+    labels: str | None = option(
+        f"classes to predict (default: the set's): {', '.join(label_map_names())} or a label map (.toml)", None
+    )
+    no_mirror: bool = option("never mirror images, as for classes without a mirror image", False)
+    occluder: OccluderName = option(OCCLUDER_HELP, "stored")
     only: tuple[str, ...] = option("patterns, of which a sample's key must match one, like '*-d255-*'", ())
     where: tuple[str, ...] = option(WHERE_HELP, ())
     noise_mm: float | None = option("largest sigma of the noise, mm (default: 100)", None)
@@ -106,6 +110,7 @@ def run(options: Options) -> int:
         accumulate=options.accumulate,
         learning_rate=options.learning_rate,
         ema=options.ema,
+        mirror=False if options.no_mirror else None,
         geometric_augmentation=GeometricAugmentation() if options.no_geometric_augmentation else None,
         bf16={"recipe": None, "float32": False, "bfloat16": True}[options.precision],
     )
@@ -151,6 +156,7 @@ def _open(options: Options, address: str, split: ReadSplit) -> RangeImages:
         where=options.where,
         val_share=options.val_share or 0.0,
         labels=options.labels,
+        occluder=options.occluder,
     )
 
 
@@ -212,7 +218,7 @@ def _pretrained(path: Path, network: Network, options: Options, images: ImageSet
     trained = load_network(path)
     _check_alike(path, "network", options.network, trained.card["network"])
     ours, theirs = images.label_map, trained.label_map
-    if ours.classes != theirs.classes:
+    if ours.difference(theirs) is not None:
         found = repr(theirs.name) if theirs.name != ours.name else "other classes of that name"
         raise BadConfig(f"--pretrained {path} must have the labels {ours.name!r} of this training, found {found}")
     for name in sorted(network.settings.keys() | trained.network.settings.keys()):

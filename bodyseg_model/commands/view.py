@@ -44,7 +44,8 @@ class Options:
         "folder or address of a set of shards; or frames as `segment` reads them", positional=True, address=True
     )
     run: Path | None = option("a training's folder, or a .safetensors file (default: the network that ships)", None)
-    host: str = option("serve on this address; any but loopback lets other machines in, without a password", LOOPBACK)
+    host: str = option("serve on this address; any but loopback lets other machines in", LOOPBACK)
+    allow_host: tuple[str, ...] = option("serve also under these hosts' names, such as a proxy's", ())
     port: int = option("serve on this port, or the next free one", 8080)
     save: Path | None = option("folder for saved pictures (default: the browser downloads them)", None)
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
@@ -61,7 +62,7 @@ class Options:
     focal: float | None = option("frames: focal length of the camera, pixels (default: told by their size)", None)
     centre: tuple[float, ...] = option("frames: principal point of the camera, x y (default: the image's middle)", ())
     mirrored: bool = option("frames: they show left for right, as some drivers give them", False)
-    background: BackgroundMode = option("frames: as for `segment`", "people")
+    background: BackgroundMode | None = option("frames: as for `segment`", None)
     keep_things: bool = option("frames: label things of a body's size like people", False)
     confidence: float = option("frames: give no label to pixels of less confidence, 0 to 1", 0.0)
 
@@ -76,7 +77,7 @@ def run(options: Options) -> int:
     trained.network.to(find_device(options.device))
     view = _set_view(options, trained) if kind == "set" else _recording_view(options, trained)
     first = Shown(variant=options.variant, sensor=load_sensor_model(options.sensor))
-    page, recording = Page(options.host, options.port, "bodyseg view", options.save), None
+    page, recording = Page(options.host, options.port, "bodyseg view", options.save, options.allow_host), None
     try:
         if isinstance(view, SetView):
             SetPage(page, view, first)
@@ -96,7 +97,7 @@ def welcome(address: str, host: str, port: int) -> str:
     """The line that says where the page is, and who can reach it."""
     if host in ("localhost", "::1") or host.startswith("127."):
         return f"open {address} in a browser; Ctrl-C ends"
-    everyone = f"everyone who reaches port {port} of this machine sees the page and saves pictures, without a password"
+    everyone = f"whoever has this address and reaches port {port} of this machine sees the page and saves pictures"
     return f"open {address} in a browser; {everyone}; Ctrl-C ends"
 
 
@@ -126,15 +127,10 @@ def check_options(options: Options, kind: str) -> None:
 
 
 def _set_view(options: Options, trained: Trained) -> SetView:
-    return SetView(
-        options.source[0],
-        trained,
-        options.split,
-        options.only,
-        options.where,
-        options.val_share,
-        options.seed,
-    )
+    chosen = options.split, options.only, options.where, options.val_share, options.seed
+    view = SetView(options.source[0], None, *chosen)
+    shipped_fits = view.images.manifest.classes == trained.label_map.of
+    return SetView(options.source[0], trained, *chosen) if options.run is not None or shipped_fits else view
 
 
 def _recording_view(options: Options, trained: Trained) -> RecordingView:
@@ -148,7 +144,7 @@ def _recording_view(options: Options, trained: Trained) -> RecordingView:
         raise BadConfig(f"{error}; a set of shards has {MANIFEST_NAME}, which is written last") from error
     labeller = FrameLabeller(
         trained,
-        Background(options.background),
+        None if options.background is None else Background(options.background),
         mirrored=options.mirrored,
         least_confidence=options.confidence,
         keep_things=options.keep_things,

@@ -24,12 +24,13 @@ from bodyseg_data.artifacts import (
 )
 from bodyseg_data.core import BadConfig, ProgressCallback, Stopwatch, check_int, silent
 from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap
-from bodyseg_data.loading import DEFAULT_WORKER_METHOD, RangeImages, WorkerMethod, loader
+from bodyseg_data.loading import DEFAULT_WORKER_METHOD, OccluderName, RangeImages, WorkerMethod, loader
 from bodyseg_data.samples import ReadSplit, split_key
 from bodyseg_model.evaluation.scores import Confidences, ConfusionMatrix, PerImageAccuracy, count_pairs, pairs_of
 from bodyseg_model.networks import Network, check_label_map, device_of, predict
 
 _WORST: Final = 10
+_WHOLE: Final = "all"  # the subset of images whose set names none
 _STAGES: Final = ("network", "scores", "loading")
 
 
@@ -83,11 +84,9 @@ class Scores:
         """Add the counts of other images. Raises BadConfig unless both have the same classes, and both confidences or
         neither.
         """
-        if self.label_map != other.label_map:
-            raise BadConfig(
-                f"scores to merge must be of the same labels, found {self.label_map.name!r} and "
-                f"{other.label_map.name!r}"
-            )
+        differing = self.label_map.difference(other.label_map)
+        if differing is not None:
+            raise BadConfig(f"scores to merge must be of the same labels, found {differing}")
         if (self.confidences is None) != (other.confidences is None):
             raise BadConfig("scores to merge must both have confidences, or neither: found them in one alone")
         self.images += other.images
@@ -99,7 +98,7 @@ class Scores:
 
 @dataclass
 class Evaluation:
-    """Scores of every subset: the paper's A, B, C and people, or those that a source names.
+    """Scores of every subset: the paper's A, B, C and people, those that a source names, or "all" where none is named.
 
     confidences: as of `Scores`. label_map: the classes that are scored. milliseconds: time of the network, of scores,
     and of waiting for images to be loaded. worst: average per-class accuracy and key of the ten images of lowest
@@ -151,18 +150,30 @@ def open_images(
     sensor: str | Path | SensorModel = PAPER_SENSOR,
     where: Sequence[str] = (),
     val_share: float = 0.0,
-    labels: str | Path | LabelMap = PARTS33,
+    labels: str | Path | LabelMap | None = None,
+    occluder: OccluderName = "stored",
 ) -> RangeImages:
     """Open a set for evaluation; where, val_share: as for `RangeImages`.
 
     noise_mm: sigma of the noise of every image, mm; missing: share of missing pixels of every image; both are drawn
-    for each image by default. artifacts: others that replace or follow the sensor's. labels: the classes to score.
+    for each image by default. artifacts: others that replace or follow the sensor's. labels: the classes to score, by
+    default the set's own. occluder: as for `RangeImages`.
     Raises BadConfig for a strength that is invalid, is given twice, or is of an artifact that the variant does not
     have; otherwise as `RangeImages`.
     """
     given = [*artifacts, *fixed_artifacts(noise_mm, missing)]
     model = sensor_for(variant, load_sensor_model(sensor), given)
-    return RangeImages(path, variant, split, seed, sensor=model, where=where, val_share=val_share, labels=labels)
+    return RangeImages(
+        path,
+        variant,
+        split,
+        seed,
+        sensor=model,
+        where=where,
+        val_share=val_share,
+        labels=labels,
+        occluder=occluder,
+    )
 
 
 def fixed_artifacts(noise_mm: float | None, missing: float | None) -> list[Artifact]:
@@ -204,7 +215,8 @@ def evaluate(
     found = Evaluation(confidences, label_map=images.label_map)
     predicts = images.label_map if label_map is None else label_map
     check_label_map(network, predicts)
-    joined = None if predicts == images.label_map else predicts.joined_to(images.label_map)
+    joined = None if predicts.difference(images.label_map) is None else predicts.joined_to(images.label_map)
+    grouped = "subset" in images.manifest.fields.kinds
     index_of, subset_of = {key: index for index, key in enumerate(images.keys)}, dict[str, str]()
     device = device_of(network)
     stage = Stopwatch(_STAGES)
@@ -228,7 +240,8 @@ def evaluate(
             for at, key in enumerate(keys):
                 body, _ = split_key(key)
                 if body not in subset_of:  # read once for all views of a body
-                    subset_of[body] = images.clean(index_of[key]).info.subset
+                    info = images.clean(index_of[key]).info if grouped else None
+                    subset_of[body] = _WHOLE if info is None else str(info.get("subset", _WHOLE))
                 image = PredictedImage(key, subset_of[body], ranges[at], labels[at], predicted[at], confidence[at])
                 accuracy = found.add(image)
                 if watch is not None:

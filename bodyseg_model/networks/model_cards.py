@@ -43,23 +43,25 @@ def model_card(weights: Path, publication: Publication) -> str:
     """Return the page of the network in `weights` (.safetensors), read from the card beside it. Raises BadConfig."""
     card = read_card(weights)
     scores = card.get("scores")
+    labels = card.get("labels")
+    of_parts = not (isinstance(labels, dict) and "of" in labels)
+    what = "of a person in a range image with body parts" if of_parts else f"of a range image as {_named(labels)}"
     parts = [
-        _header(publication),
+        _header(publication, of_parts),
         f"# {publication.title}",
-        "Labels the pixels of a person in a range image with body parts. The package `bodyseg` made it and runs it: "
-        f"`bodyseg segment --run {weights.name}`.",
+        f"Labels the pixels {what}. The package `bodyseg` made it and runs it: `bodyseg segment --run {weights.name}`.",
         "## Network\n\n" + table(("", ""), _network(card, weights)),
         "## Training\n\n" + table(("", ""), _training(card)),
         "## Scores\n\n" + _scores(scores if isinstance(scores, dict) else {}, weights),
-        "## Limits\n\n" + bullets(_LIMITS),
+        "## Limits\n\n" + bullets(_LIMITS if of_parts else _LIMITS[2:]),
         "## Licence\n\n" + _licence(publication),
     ]
     return "\n\n".join(parts) + "\n"
 
 
-def _header(publication: Publication) -> str:
+def _header(publication: Publication, of_parts: bool) -> str:
     lines = ["---", *licence_lines(publication.licence), "library_name: bodyseg", "pipeline_tag: image-segmentation"]
-    tags = [f"- {tag}" for tag in ("depth", "range-image", "body-part-segmentation")]
+    tags = [f"- {tag}" for tag in ("depth", "range-image", *(["body-part-segmentation"] if of_parts else []))]
     return "\n".join([*lines, "tags:", *tags, "---"])
 
 

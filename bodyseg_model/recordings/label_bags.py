@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig
+from bodyseg_data.files import part_beside
 from bodyseg_data.labels import BACKGROUND, LabelMap
 from bodyseg_model.recordings.bag_messages import IMAGE, missing, typestore
 from bodyseg_model.recordings.recording import Frame, Stamp
@@ -32,7 +33,7 @@ def labels_out(path: Path, label_map: LabelMap, frames_per_second: float) -> Ite
     path: an .mcap file, or a folder that does not exist, for a ROS 2 bag. frames_per_second: of frames without times.
     Raises BadConfig for another path or one that cannot be written, MissingLibrary.
     """
-    part = path.with_name(f".{path.name}.part")
+    part = part_beside(path)
     try:
         out: _Out = _McapOut(path, part) if path.suffix.lower() == _SUFFIX else _BagOut(path, part)
         try:

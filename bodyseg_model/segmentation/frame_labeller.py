@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, Stopwatch
+from bodyseg_data.labels import PART_CLASSES
 from bodyseg_data.rigs import Camera
 from bodyseg_model.networks import Trained, device_of, load_network
 from bodyseg_model.recordings import Frame, FrameCamera, FrameCameras, Pixels, Skipping, Stamp, find_frames, to_metres
@@ -65,11 +66,12 @@ class FrameLabeller:
     and labelled, and labels mapped back (`Segmenter`, one for each camera).
 
     trained: the network with its card, by default the one that ships. background: rule for removing the background, by
-    default `Background()`. mirrored: True if frames show left for right, as those of some drivers do. least_confidence:
-    pixels of less get no label. keep_things: label chairs, boxes and other things of a body's size like people. video:
-    frames follow each other in time, and labels are steadied by those of the frames before. backend, precision: what
-    computes the network (`on_backend`; by default torch in float32). flip_average: label the mirror image, too, and
-    average. device: "cpu", "cuda", "cuda:1" ..., by default a GPU if there is one.
+    default `Background()`, and for a network of other classes than body parts `Background("frame")`. mirrored: True if
+    frames show left for right, as those of some drivers do. least_confidence: pixels of less get no label. keep_things:
+    label chairs, boxes and other things of a body's size like people. video: frames follow each other in time, and
+    labels are steadied by those of the frames before. backend, precision: what computes the network (`on_backend`; by
+    default torch in float32). flip_average: label the mirror image, too, and average. device: "cpu", "cuda", "cuda:1"
+    ..., by default a GPU if there is one.
 
     Raises BadConfig for a confidence outside 0 to 1 as soon as a camera is known, or as `on_backend` and `to_device`;
     MissingLibrary.
@@ -92,7 +94,8 @@ class FrameLabeller:
         self.trained = put_on_backend(trained or load_network(), backend, precision, flip_average)
         to_device(self.trained.network, device)
         self.label_map, self.rig = self.trained.label_map, self.trained.rig
-        self.background = background or Background()
+        of_parts = self.label_map.of == PART_CLASSES
+        self.background = background or Background("people" if of_parts else "frame")
         self.mirrored, self.least_confidence = mirrored, least_confidence
         self.video = CarriedLabels() if video else None
         self._people = None if keep_things else shipped_score()

@@ -4,8 +4,9 @@ and the writer of labels, overlays, preview and summary, beside the labelling of
 
 from __future__ import annotations
 
+import contextlib
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, Stopwatch
 from bodyseg_data.drawing import draw_legend, save_picture
-from bodyseg_data.files import read_json, sync, write_json, write_result
+from bodyseg_data.files import claimed, read_json, sync, write_json, write_result
 from bodyseg_data.labels import LabelMap
 from bodyseg_data.machine import peak_mb
 from bodyseg_model.recordings import Frame
@@ -68,7 +69,19 @@ class OutputFolder:
         self._frames = [_entry(frame) for frame in frames]
         self._earlier: list[dict[str, Any]] = []
         _check_apart(path, inputs)
-        held = _entries(path)
+        self._look()
+
+    @contextlib.contextmanager
+    def claimed(self) -> Iterator[None]:
+        """Hold the folder against other calls while the context lasts. Raises BadConfig as the constructor, also for
+        a folder that is held.
+        """
+        with claimed(self.path, "segment"):
+            self._look()  # another call may have ended meanwhile
+            yield
+
+    def _look(self) -> None:
+        path, held = self.path, _entries(self.path)
         if held:
             self._earlier = _earlier_frames(path, held)
             same = {frame["path_id"] for frame in self._frames}

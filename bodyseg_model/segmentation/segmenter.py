@@ -19,7 +19,7 @@ from bodyseg_model.runtimes import on_backend
 from bodyseg_model.segmentation.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.person_score import PersonScore
 from bodyseg_model.segmentation.surfaces import Background, find_bodies
-from bodyseg_model.segmentation.views import BodyView, usual_views, view_body
+from bodyseg_model.segmentation.views import BodyView, usual_views, view_body, view_frame
 
 STAGES: Final = ("background", "shape", "resample", "network", "back", "video")
 
@@ -180,6 +180,8 @@ class Segmenter:
                 )
         with watch("resample"):
             resample = partial(view_body, range_m, camera=self.camera, rig=self.rig, mirrored=self.mirrored)
+            if self.background.mode == "frame":
+                resample = partial(view_frame, range_m, mirrored=self.mirrored)
             views = of_each(resample, [pixels for pixels, _ in people], threads)
         bodies = tuple((pixels, person, view) for (pixels, person), view in zip(people, views, strict=True))
         return FoundSurfaces(range_m, bodies, things, watch.milliseconds)

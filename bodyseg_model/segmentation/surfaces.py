@@ -277,7 +277,7 @@ class Surfaces:
         return lowest, highest
 
 
-BackgroundMode = Literal["people", "limits", "keep"]
+BackgroundMode = Literal["people", "limits", "keep", "frame"]
 
 BODY_AREA_M2: Final = (0.05, 2.0)
 """Least and greatest visible surface of a body, square metres, as if it faced the camera."""
@@ -304,7 +304,8 @@ class Background:
 
     mode: "people" keeps surfaces within the limits that are on no large plane and have the size of a body; "limits"
     keeps every pixel within the limits, as one body; "keep" keeps every measured pixel, as one body, for frames whose
-    background was removed before. near_m, far_m: the limits of range, metres. Raises BadConfig for limits in the wrong
+    background was removed before; "frame" has whole frames labelled as they stand, for networks that were trained on
+    whole images of such a camera. near_m, far_m: the limits of range, metres. Raises BadConfig for limits in the wrong
     order.
     """
 
@@ -321,7 +322,7 @@ class Background:
 
     def to_json(self) -> dict[str, Any]:
         """Everything that the removal depends on, for summary.json."""
-        if self.mode == "keep":
+        if self.mode in ("keep", "frame"):
             return {"mode": self.mode}
         if self.mode == "limits":
             return asdict(self)
@@ -341,7 +342,7 @@ def find_bodies(range_m: NDArray[np.float32], camera: Camera, background: Backgr
     took it. threads: among which the work is divided; the bodies do not depend on it. Raises MissingLibrary without
     numba, in mode "people".
     """
-    if background.mode == "keep":
+    if background.mode in ("keep", "frame"):
         return _all_of((range_m > 0) & (range_m < np.inf))
     near, far = np.float32(background.near_m), np.float32(background.far_m)
     kept = np.where((range_m >= near) & (range_m <= far), range_m, np.float32(0))

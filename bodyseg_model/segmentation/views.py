@@ -63,6 +63,15 @@ class BodyView:
         return image.ravel()[self.view_pixels]
 
 
+def view_frame(range_m: NDArray[np.float32], pixels: NDArray[np.intp], mirrored: bool = False) -> BodyView:
+    """A whole frame as it stands. range_m, pixels, mirrored: as of `view_body`; all else is left out of the view."""
+    shown, (rows, columns) = np.zeros_like(range_m), np.divmod(pixels, range_m.shape[1])
+    ranges = range_m.ravel()[pixels]
+    columns = range_m.shape[1] - 1 - columns if mirrored else columns
+    shown[rows, columns] = ranges
+    return BodyView(shown, (0, 0), rows * range_m.shape[1] + columns, 0.0, float(np.median(ranges)), 1.0)
+
+
 def view_body(
     range_m: NDArray[np.float32],
     pixels: NDArray[np.intp],

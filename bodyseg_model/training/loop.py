@@ -20,6 +20,7 @@ from torch import nn
 
 from bodyseg_data import Mixture, RangeImages, loader
 from bodyseg_data.core import BadConfig, BodysegError, check_int, generator
+from bodyseg_data.files import claimed
 from bodyseg_data.labels import PARTS33
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, Batch, ImageSet, Loader, WorkerMethod, check_worker_method
 from bodyseg_data.machine import peak_mb, signals_held
@@ -92,8 +93,8 @@ def train(
 
     A KeyboardInterrupt ends the training after the step that runs, with a checkpoint; a second one ends it at once.
 
-    Raises BadConfig for a folder that holds another training, or this one without `resume`, a network of other classes
-    than the images or of no registered class, batches that cannot be divided evenly between the processes, or a device
+    Raises BadConfig for a folder in which another training is at work, that holds another one, or this one without
+    `resume`, a network of other classes than the images or of no registered class, batches that cannot be divided evenly between the processes, or a device
     that is absent; Diverged for a loss that is not finite; and as `loader`.
     """
     if isinstance(network, str):
@@ -104,7 +105,8 @@ def train(
     with joined_process_group(device) as processes:
         options = seed, run_options, validation, pretrained
         training = Training(network, name_of(network), images, recipe, folder, processes, *options)
-        training.run(resume, report or (lambda metrics: None), facts or {})
+        with claimed(folder.path, "training") if processes.first else contextlib.nullcontext():
+            training.run(resume, report or (lambda metrics: None), facts or {})
         processes.from_first(True)  # the others wait until the first has written the network
     return load_network(folder.path)
 
@@ -159,6 +161,8 @@ class Training:
                 f"batch_size must be a multiple of the {processes.world_size} processes, found {recipe.batch_size}"
             )
         check_label_map(network, images.label_map)
+        if recipe.mirror and not images.label_map.has_mirror_image:
+            _ = images.label_map.mirrored  # raises, and says for which class
         self.name, self.images, self.recipe, self.folder = name, images, recipe, folder
         self.processes, self.seed, self.run_options = processes, seed, run_options or RunOptions()
         self.network = network.to(processes.device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from bodyseg_data.core import BadConfig
-from bodyseg_data.files import make_folder, read_json, write_json
+from bodyseg_data.files import is_leftover, make_folder, read_json, write_json
 from bodyseg_data.labels import PARTS33
 from bodyseg_data.loading import ImageSet
 from bodyseg_model.networks import CardWords, Checkpoint, Network, RunFiles, read_checkpoint
@@ -155,8 +155,8 @@ class RunFolder:
         make_folder(self.path)
         wanted = json.loads(json.dumps({"format": FORMAT, **plan}))
         file = self.path / RunFiles.PLAN
-        held = {entry.name for entry in self.path.iterdir()}
-        if held <= {RunFiles.PLAN, f".{RunFiles.PLAN}.part"}:
+        held = {entry.name for entry in self.path.iterdir() if not is_leftover(entry.name)}
+        if held <= {RunFiles.PLAN}:
             file.unlink(missing_ok=True)
             return None
         if RunFiles.PLAN not in held:

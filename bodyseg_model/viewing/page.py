@@ -9,9 +9,9 @@ import math
 import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadConfig, BodysegError
 from bodyseg_data.files import write_result
 from bodyseg_data.machine import missing_library
+from bodyseg_model.viewing.guard import Guard, accepted, guarded
 from bodyseg_model.viewing.pictures import (
     VIEWPOINTS,
     Drawing,
@@ -60,8 +61,10 @@ def free_port(host: str, port: int) -> int:
     raise BadConfig(f"ports {port} to {min(port + _PORTS_TRIED, 65536) - 1} of {host} are taken: give another --port")
 
 
-def open_server(host: str, port: int, title: str) -> viser.ViserServer:
-    """Start a server. title: above the page's controls. Raises BadConfig as `free_port`, MissingLibrary."""
+def open_server(host: str, port: int, title: str, guard: Guard) -> viser.ViserServer:
+    """Start a server. title: above the page's controls. guard: decides who is served. Raises BadConfig as `free_port`,
+    MissingLibrary.
+    """
     try:
         import viser
     except ImportError as error:
@@ -73,8 +76,14 @@ def open_server(host: str, port: int, title: str) -> viser.ViserServer:
             return None
 
     chosen = free_port(host, port)
-    with contextlib.redirect_stdout(io.StringIO()):
-        return Server(host=host, port=chosen, label=title, verbose=False)
+    opened: Server
+
+    def control(identifier: str) -> Any:
+        return opened.gui._gui_input_handle_from_uuid.get(identifier)
+
+    with contextlib.redirect_stdout(io.StringIO()), guarded(guard, lambda message: accepted(message, control)):
+        opened = Server(host=host, port=chosen, label=title, verbose=False)
+    return opened
 
 
 class Redrawing:
@@ -146,11 +155,14 @@ class Page:
     """A page with nothing on it yet: controls are added to `server.gui`, and `start` begins to draw.
 
     host, port: as for `open_server`, and raises as it does. title: of the page. save: folder for pictures; None: the
-    browser downloads them.
+    browser downloads them. allowed: names of hosts beside this one's under which it is served, such as a proxy's.
     """
 
-    def __init__(self, host: str, port: int, title: str, save: Path | None = None) -> None:
-        self.server = open_server(host, port, title)
+    def __init__(
+        self, host: str, port: int, title: str, save: Path | None = None, allowed: Collection[str] = ()
+    ) -> None:
+        self.guard = Guard(host, allowed)
+        self.server = open_server(host, port, title, self.guard)
         self.host, self.port = host, self.server.get_port()
         self._save_in, self._warning = save, ""
         self._drawing: Drawing | None = None
@@ -160,9 +172,9 @@ class Page:
 
     @property
     def address(self) -> str:
-        """Address of the page, for a browser on this machine if it is served on all of its addresses."""
+        """Address of the page with its token, for a browser on this machine if it is served on all of its addresses."""
         host = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(self.host, self.host)
-        return f"http://{f'[{host}]' if ':' in host and '[' not in host else host}:{self.port}"
+        return f"http://{f'[{host}]' if ':' in host and '[' not in host else host}:{self.port}/{self.guard.token}/"
 
     def _build(self) -> None:
         gui, scene = self.server.gui, self.server.scene
@@ -226,14 +238,12 @@ class Page:
         def redraw() -> None:
             try:
                 drawing = draw()
+                self._warning = ""
+                self._show(drawing)
             except BodysegError as error:
                 self.warn(str(error))
-                return
             except Exception as error:  # of a user's artifact: the page goes on
                 self.warn(f"{type(error).__name__}: {error}")
-                return
-            self._warning = ""
-            self._show(drawing)
 
         self._redrawing = Redrawing(redraw)
 
@@ -320,7 +330,7 @@ class Page:
             path = unused(self._save_in / name)
             write_result(path, data)
             client.add_notification("Saved", str(path), auto_close_seconds=6)
-        except (BodysegError, OSError, RuntimeError) as error:
+        except Exception as error:  # also of a picture that a browser made up
             self.warn(f"no picture was saved: {error}")
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts import VARIANTS, Augmentation, RangeImage, SensorModel, VariantName, load_sensor_model
 from bodyseg_data.drawing import Window, colour_range, span_of, window_of
-from bodyseg_data.labels import BACKGROUND, PARTS33
+from bodyseg_data.labels import BACKGROUND, load_label_map
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.rigs import PlacedCamera
 from bodyseg_data.samples import ReadSplit, Sample, View, metres
@@ -109,7 +109,8 @@ class SetView:
     ) -> None:
         self.images = RangeImages(path, "none", split, seed, only=only, where=where, val_share=val_share)
         self.path, self.trained, self.val_share, self.seed = path, trained, val_share, seed
-        self.label_map = PARTS33 if trained is None else trained.label_map
+        own = self.images.label_map
+        self.label_map = own if trained is None else load_label_map(trained.label_map, self.images.manifest.classes)
         self.rig = self.images.manifest.rig
         self._clean = lru_cache(maxsize=4)(self.images.clean)
         self._asked = False
@@ -136,16 +137,17 @@ class SetView:
         fit it.
         """
         sample = self._clean(shown.index)
-        made = {
-            variant: Augmentation(self.rig, variant, self.seed, shown.sensor)(sample, shown.epoch)
-            for variant in dict.fromkeys((*VARIANTS, shown.variant))
-        }
-        image = made[shown.variant]
+        rig, lit = self.images.manifest.rig_of(sample), sample.projector_range is not None
+        makers = [
+            Augmentation(rig, each, self.seed, shown.sensor) for each in dict.fromkeys((*VARIANTS, shown.variant))
+        ]
+        made = {each.variant: each(sample, shown.epoch) for each in makers if lit or not each.needs_projector}
+        image = made[shown.variant if shown.variant in made else "none"]
         layers = Layers(image.range, self.label_map.table[image.labels])
         milliseconds = 0.0
         if self.trained is not None and shown.network:
             layers, milliseconds = self._answered(self.trained, layers)
-        return SampleImages(sample, made, layers, milliseconds, rig_before(self.rig, sample.info.view or View(255, 0)))
+        return SampleImages(sample, made, layers, milliseconds, rig_before(rig, sample.info.view or View(255, 0)))
 
     def draw(self, shown: Shown) -> Drawing:
         """Draw a sample. Raises as `images_of`."""
@@ -207,7 +209,7 @@ class SetView:
         """Two lines: what is stored and the network's answer; the five variants."""
         sample, made, layers = images.sample, images.variants, images.layers
         layout, window = self.layout_of(sample)
-        span, projector = span_of(sample.range), sample.occluder_range()
+        span, projector = span_of(sample.range), sample.projector_range
 
         def reduced(image: NDArray[Any]) -> NDArray[Any]:
             return layout.reduced(image[window] if image.shape == sample.range.shape else image)
@@ -215,9 +217,11 @@ class SetView:
         small = layers.picked(reduced)
         stored = [
             Panel("stored range", colour_range(reduced(sample.range), *span), self._in_metres(span)),
-            Panel("projector's view", colour_range(reduced(projector), *span_of(projector)), "what casts shadows"),
             Panel(f"labels, {shown.variant}", self._colours("parts", small), _pixels(layers.range)),
         ]
+        if projector is not None:
+            view = colour_range(reduced(projector), *span_of(projector))
+            stored.insert(1, Panel("projector's view", view, "what casts shadows"))
         if layers.kinds is not None:
             note = f"{shown.variant}, {images.milliseconds:.0f} ms"
             stored += [
@@ -227,18 +231,20 @@ class SetView:
         variants = [
             Panel(name, colour_range(reduced(made[name].range), *span), shown.sensor.caption(made[name].drawn))
             for name in VARIANTS
+            if name in made
         ]
         return [stored, variants]
 
     def facts_of(self, images: SampleImages, shown: Shown) -> tuple[str, ...]:
         """Lines of text on a sample: its key, its view, and how much of it the network has right."""
-        sample, image, layers = images.sample, images.variants[shown.variant], images.layers
+        variant: VariantName = shown.variant if shown.variant in images.variants else "none"
+        sample, image, layers = images.sample, images.variants[variant], images.layers
         info, caption = sample.info, shown.sensor.caption(image.drawn)
         body = [str(info.get(name, "")) for name in ("subject", "pose")]
         facts = [
             sample.key,
             ", ".join(filter(None, (*body, info.view.words if info.view else "", f"split {info.split}"))),
-            f"{_pixels(image.range)} of {np.count_nonzero(sample.range)} measured in {shown.variant}"
+            f"{_pixels(image.range)} of {np.count_nonzero(sample.range)} measured in {variant}"
             + (f": {caption}" if caption else ""),
         ]
         if layers.kinds is not None:

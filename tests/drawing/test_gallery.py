@@ -56,9 +56,8 @@ def test_views_from_above_and_turned_are_views_of_the_same_mesh() -> None:
     assert sorted(name.split("-")[3] for name in chosen) == ["00", "01", "02"]
 
 
-def test_a_key_of_another_kind_is_named() -> None:
-    with pytest.raises(BadConfig, match="found 'elsewhere'"):
-        choose_views(["elsewhere"], 1)
+def test_keys_of_another_kind_are_chosen_evenly() -> None:
+    assert choose_views([f"scene-{number:03d}" for number in range(9)], 3) == [1, 4, 7]
 
 
 def test_shading_follows_the_surface() -> None:

@@ -176,6 +176,23 @@ def test_a_script_without_a_guard_is_told_so(figures_set: Path, tmp_path: Path) 
     assert 'needs `if __name__ == "__main__":` with this start method' in done.stderr.splitlines()[-1]
 
 
+def test_a_transform_of_a_cell_is_said_to_be_one(figures_set: Path) -> None:
+    """As in a notebook, there is no file that a spawned worker could import the transform from."""
+    cell = (
+        "import sys\n"
+        "from bodyseg_data import RangeImages, loader\n"
+        "def mine(image):\n"
+        "    return image\n"
+        "images = RangeImages(sys.argv[1], 'none', transform=mine)\n"
+        "list(loader(images, 4, num_workers=1, worker_method='process', start_method='spawn'))\n"
+    )
+    command = [sys.executable, "-c", cell, str(figures_set)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 1
+    assert "the images cannot be unpickled in a worker: AttributeError: Can't get attribute 'mine'" in done.stderr
+    assert "must be in a module, not in a notebook's cell" in done.stderr and "__name__ ==" not in done.stderr
+
+
 def test_memory_that_cannot_be_had(images: RangeImages, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(file: int, size: int) -> None:
         raise OSError(12, "Cannot allocate memory")

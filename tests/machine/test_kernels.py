@@ -164,6 +164,17 @@ def _no_room(**where: Any) -> None:
     raise OSError(28, "No space left on device")
 
 
+def test_a_disk_that_fills_while_code_is_written_takes_nothing_but_the_cache(
+    sources: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*given: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("numba.core.caching.IndexDataCacheFile.save", full)
+    assert answer(sources) == 1024
+    assert not kept(tmp_path)
+
+
 def test_a_folder_may_be_named(sources: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "named"))
     assert answer(sources) == 1024

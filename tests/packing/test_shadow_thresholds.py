@@ -72,7 +72,7 @@ pack.pack(options.Packing("open", meshes=2, views=views), out, ThreadPoolExecuto
 
 def test_a_change_of_threshold_is_a_change_of_format() -> None:
     """Sets do not say which thresholds they were packed for: their format does."""
-    assert MANIFEST_FORMAT == "bodyseg shards 5"
+    assert MANIFEST_FORMAT == "bodyseg shards 7"
     assert asdict(SHADOW_THRESHOLDS) == {"surface_gap_m": 0.006, "edge_m": 0.020}
     text = (ROOT / "docs" / "reference" / "shard_format.md").read_text()
     assert f"at most {1000 * SHADOW_THRESHOLDS.surface_gap_m:g} mm behind the surface" in text

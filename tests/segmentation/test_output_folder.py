@@ -12,6 +12,7 @@ import pytest
 from pngs import png
 
 from bodyseg_data.core import BadConfig
+from bodyseg_model.commands import main
 from bodyseg_model.recordings import find_frames
 from bodyseg_model.segmentation import OutputFolder
 from bodyseg_model.segmentation.output_folder import IMAGES
@@ -74,6 +75,25 @@ def test_nothing_is_made_before_it_begins(recording: Path, tmp_path: Path) -> No
     each = json.loads((out.path / "summary.json").read_text())["each"]
     assert [(frame["name"], frame["people"]) for frame in each] == [("1", 1), ("2", 0)]
     assert sorted(path.name for path in out.path.iterdir()) == ["labels", "overlay", "summary.json"]
+
+
+def test_two_calls_at_once_do_not_mix(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    first, second = opened(out, recording), opened(out, recorded(tmp_path / "other", "1", "2"))
+    with first.claimed():
+        first.begin()
+        before = files(out)
+        with pytest.raises(BadConfig, match=f"^another segment is at work in {out}: wait for its end"):
+            with second.claimed():
+                pass
+        assert main(["segment", str(recording), "--out", str(out), "--focal", "90"]) == 2
+        assert f"another segment is at work in {out}: wait for its end" in capsys.readouterr().err
+        assert files(out) == before
+        write_images(first)
+        first.finish({"each": [{}, {}]})
+    with pytest.raises(BadConfig, match="must not hold results of other frames"), second.claimed():
+        pass  # it looked at the folder before the first one wrote
+    assert [name for name in files(out) if name.startswith(".")] == []
 
 
 def test_results_of_the_same_frames_are_replaced(recording: Path, tmp_path: Path) -> None:
@@ -222,7 +242,7 @@ def test_the_summary_is_written_after_the_disk_holds_all_images(
     assert not flushed, "nobody waits for the disk at every frame"
     place.finish({"each": [{"name": name} for name in ("1", "2")]})
     images = {out / folder / f"{name}.png" for folder in IMAGES[:2] for name in ("1", "2")}
-    before = flushed.index(out / ".summary.json.part")
+    before = next(at for at, path in enumerate(flushed) if path.name.startswith(".summary.json."))
     assert images | {path.parent for path in images} <= set(flushed[:before])
     assert {path.read_text() for path in images} == {f"{folder} {name}" for folder in IMAGES[:2] for name in ("1", "2")}
 

@@ -79,6 +79,21 @@ def test_a_training_that_was_cut_resumes_with_the_same_bits(small_set: Path, tmp
     assert written(tmp_path / "cut") == written(tmp_path / "whole")
 
 
+def test_a_folder_in_which_another_training_is_at_work_is_left_alone(small_set: Path, tmp_path: Path) -> None:
+    images = RangeImages(small_set, variant="all", split="train")
+
+    def other(metrics: Metrics) -> None:
+        for resume in (False, True):
+            before = written(tmp_path / "run")
+            with pytest.raises(BadConfig, match=f"^another training is at work in {tmp_path / 'run'}: wait for its"):
+                train(images, tmp_path / "run", build("compact", TINY, 0), RECIPE_OF_TWO, resume=resume, device="cpu")
+            assert written(tmp_path / "run") == before
+
+    network = build("compact", TINY, 0)
+    train(images, tmp_path / "run", network, RECIPE_OF_TWO, run_options=ALONE, device="cpu", report=other)
+    assert not [each for each in (tmp_path / "run").iterdir() if each.name.startswith(".")]
+
+
 def test_a_network_that_no_file_could_name_is_refused(small_set: Path, tmp_path: Path) -> None:
     images = RangeImages(small_set, variant="all", split="train")
     with pytest.raises(BadConfig, match=r"of a class in NETWORKS.*found label_networks\.Places"):

@@ -18,6 +18,7 @@ from bodyseg_data.artifacts import Noise, load_sensor_model
 from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_model.networks import Trained
 from bodyseg_model.viewing import LOOPBACK, Page, SetPage, SetView, Shown
+from bodyseg_model.viewing.guard import Guard
 from bodyseg_model.viewing.page import aimed_at, free_port, open_server, unused
 from bodyseg_model.viewing.pictures import Drawing, Points
 from bodyseg_model.viewing.set_page import SensorState
@@ -39,7 +40,7 @@ def drawing(count: int, *facts: str) -> Drawing:
 
 
 def test_the_page_is_one_file_of_the_server(page: Page) -> None:
-    assert page.port and page.address == f"http://{LOOPBACK}:{page.port}"
+    assert page.port and page.address == f"http://{LOOPBACK}:{page.port}/{page.guard.token}/"
     with urllib.request.urlopen(page.address, timeout=WAIT_S) as reply:
         text = reply.read().decode()
     assert "<title>Viser</title>" in text
@@ -168,7 +169,7 @@ def test_a_port_of_the_system_needs_rights(monkeypatch: pytest.MonkeyPatch) -> N
 def test_without_viser_the_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "viser", None)
     with pytest.raises(MissingLibrary, match=r"needs the package 'viser': pip install 'bodyseg\[view\]'"):
-        open_server(LOOPBACK, 0, "page")
+        open_server(LOOPBACK, 0, "page", Guard(LOOPBACK))
 
 
 def test_nothing_is_shared_outside_and_nothing_is_printed(capfd: pytest.CaptureFixture[str]) -> None:

@@ -43,7 +43,7 @@ def test_options_of_the_other_kind_are_refused() -> None:
 def test_another_host_is_warned_of_in_one_line() -> None:
     assert welcome("http://127.0.0.1:1", "127.0.0.1", 1) == "open http://127.0.0.1:1 in a browser; Ctrl-C ends"
     line = welcome("http://127.0.0.1:80", "0.0.0.0", 80)
-    assert "everyone who reaches port 80" in line and "without a password" in line and "\n" not in line
+    assert "whoever has this address and reaches port 80" in line and "\n" not in line
 
 
 @pytest.mark.parametrize("kind", ["set", "recording"])

@@ -59,6 +59,7 @@ BENCHES: Final = {
     "reliability": Bench("fuzzing.bench", None, "hostile inputs in all, 100000"),
     "codec": Bench("data.codec.bench", "figure", "samples in all, 60"),
     "loader": Bench("data.loader.bench", "figure", "samples in all, 1080", optional=("num_workers",)),
+    "open_data": Bench("data.open_data", None, "scenes, 60", optional=("num_workers",)),
     "workers": Bench("data.workers.bench", "figure", "samples in all, 540", optional=("num_workers",)),
     "variants": Bench(
         "model.variants.bench", "figure", required=("data", "runs"), optional=("seeds", "steps", "images", "alone")
@@ -134,7 +135,9 @@ class Options:
     views: int | None = option(f"size of the measurement (with its default: {_COUNTS})", None)
     mit: Path | None = option(f"for {_takers('mit')}: folder of MIT frames to measure on as well", None)
     num_workers: tuple[int, ...] | None = option(
-        "numbers of workers to measure with (default: loader 0 2, workers 0 2 4, cluster 1 2 4, gpu 0 8 16)", None
+        "numbers of workers to measure with (default: loader and open_data 0 2, workers 0 2 4, cluster 1 2 4, "
+        "gpu 0 8 16)",
+        None,
     )
     data: str | None = option(f"for {_takers('data')}: folder or address of the set", None, address=True)
     runs: tuple[Path, ...] | None = option(

@@ -9,6 +9,7 @@ by least squares over the image.
 from __future__ import annotations
 
 import json
+import math
 from typing import Final
 
 import numpy as np
@@ -52,7 +53,8 @@ def depth_camera(data: bytes, shape: tuple[int, int], where: str) -> Intrinsics 
         cx, cy, fx, fy = cx * across - column - 0.5, cy * across - row - 0.5, fx * across, fy * across
         rows, columns = (np.linspace(0, side - 1, _LATTICE) for side in shape)
         x, y = np.meshgrid((columns - cx) / fx, (rows - cy) / fy)
-        distortion, off = _fitted(x.ravel(), y.ravel(), radial, p1, p2)
+        with np.errstate(all="ignore"):  # numbers beyond reason
+            distortion, off = _fitted(x.ravel(), y.ravel(), radial, p1, p2)
         return Intrinsics(fx, fy, cx, cy, distortion, shape, where) if off * max(fx, fy) <= _MOST_OFF_PX else None
     except (ValueError, KeyError, TypeError, StopIteration, RecursionError, AttributeError, BadConfig):
         return None
@@ -67,6 +69,8 @@ def _fitted(x: Floats, y: Floats, radial: list[float], p1: float, p2: float) -> 
     powers = np.stack([squared, squared**2, squared**3], 1)
     # Weighted by the distance from the axis: an error of the factor moves a point in proportion to it.
     weight = np.sqrt(squared)
+    if not (np.isfinite(factor).all() and np.isfinite(powers).all()):  # LAPACK would print lines of its own
+        return Distortion(), math.inf
     fitted, *_ = np.linalg.lstsq(powers * weight[:, np.newaxis], (factor - 1) * weight, rcond=None)
     off = float(np.abs((1 + powers @ fitted - factor) * weight).max())
     return Distortion(float(fitted[0]), float(fitted[1]), p1, p2, float(fitted[2])), off

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from bodyseg_data.core import BadConfig
+from bodyseg_data.machine import silence_libtiff
 from bodyseg_model.recordings.recording import LARGEST_SIDE, Frame, FrameSource, stored_recording
 
 _MODES: Final = {"I;16": np.uint16, "I;16B": np.uint16, "I;16L": np.uint16, "F": np.float32}
@@ -31,10 +32,10 @@ class _Pages(FrameSource):
     """Pages of a TIFF. The file is opened for every page, so that no handle outlives a call."""
 
     def __init__(self, path: Path) -> None:
+        silence_libtiff()
         self._path = path
         try:
-            with warnings.catch_warnings(), Image.open(path, formats=["TIFF"]) as image:
-                warnings.simplefilter("error")
+            with warnings.catch_warnings(action="error"), Image.open(path, formats=["TIFF"]) as image:
                 count = getattr(image, "n_frames", 1)
         except Exception as error:  # a damaged TIFF raises what Pillow likes
             raise BadConfig(f"{path} must be a whole TIFF: {error}") from error
@@ -42,8 +43,7 @@ class _Pages(FrameSource):
 
     def read(self, index: int) -> NDArray[Any]:
         try:
-            with warnings.catch_warnings(), Image.open(self._path, formats=["TIFF"]) as image:
-                warnings.simplefilter("error")
+            with warnings.catch_warnings(action="error"), Image.open(self._path, formats=["TIFF"]) as image:
                 image.seek(index)
                 mode, size = image.mode, image.size
                 if mode in _MODES and max(size) <= LARGEST_SIDE:

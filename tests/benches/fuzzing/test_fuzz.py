@@ -26,7 +26,7 @@ from PIL import Image
 
 from bodyseg_data.core import BadConfig, BadSample, BadShard, BodysegError
 from bodyseg_data.rigs.rig import parse_rig
-from bodyseg_data.shards import MANIFEST_NAME, encode_sample, read_manifest, record_from_json
+from bodyseg_data.shards import BODY_FIELDS, MANIFEST_NAME, encode_sample, read_manifest, record_from_json
 from bodyseg_data.shards.sample_codec import decode_sample
 from bodyseg_data.shards.tar import parse_members
 from bodyseg_model.commands import main
@@ -175,7 +175,7 @@ def test_nothing_in_a_tar_is_ever_a_path_to_write_to(tmp_path: Path, monkeypatch
 def test_brackets_nested_as_deeply_as_can_just_be_read_are_refused(tmp_path: Path) -> None:
     for depth in range(960, 1004):
         nested = "[" * depth + "]" * depth
-        (tmp_path / MANIFEST_NAME).write_text(f'{{"digest":"x","format":"bodyseg shards 5","shards":{nested}}}')
+        (tmp_path / MANIFEST_NAME).write_text(f'{{"digest":"x","format":"bodyseg shards 7","shards":{nested}}}')
         with pytest.raises(BadShard):
             read_manifest(tmp_path)
 
@@ -195,7 +195,7 @@ def test_a_rig_with_a_value_beyond_reason_is_refused_in_one_line(key: str, value
 def test_verify_says_one_line_of_a_manifest_that_holds_anything(
     digest: object, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / MANIFEST_NAME).write_text(json.dumps({"format": "bodyseg shards 5", "digest": digest}))
+    (tmp_path / MANIFEST_NAME).write_text(json.dumps({"format": "bodyseg shards 7", "digest": digest}))
     assert main(["verify", str(tmp_path)]) == 1
     said = capsys.readouterr().out
     assert said.count("\n") == 1
@@ -205,9 +205,9 @@ def test_verify_says_one_line_of_a_manifest_that_holds_anything(
 @pytest.mark.parametrize("note", ["a: x\nb: y", "a: \x1b[31m", "a: \ud800"])
 def test_a_note_that_cannot_be_printed_is_refused(note: str, figures_set: Path) -> None:
     record = json.loads((figures_set / MANIFEST_NAME).read_bytes())["shards"][0]
-    assert record_from_json({**record, "notes": ["a: x"]}, "here").notes == ("a: x",)
+    assert record_from_json({**record, "notes": ["a: x"]}, BODY_FIELDS, "here").notes == ("a: x",)
     with pytest.raises(BadShard, match="'notes' must be a list of text that can be printed"):
-        record_from_json({**record, "notes": [note]}, "here")
+        record_from_json({**record, "notes": [note]}, BODY_FIELDS, "here")
 
 
 def test_verify_ends_tidily_whatever_a_manifest_holds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -250,7 +250,8 @@ def test_no_file_of_the_package_reads_pickle() -> None:
     ]
     files = [path for room in ("bodyseg_data", "bodyseg_model") for path in (ROOT / room).rglob("*.py")]
     assert len(files) > 60
-    assert {path.name: found for path in files if (found := pickles_in(path.read_text()))} == {}
+    # A door runs its own code once more, that of the very file which is being imported, to see what it names.
+    assert {path.name: found for path in files if (found := pickles_in(path.read_text()))} == {"doors.py": ["exec"]}
 
 
 _READ_EVERYTHING = """

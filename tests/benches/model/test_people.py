@@ -96,7 +96,7 @@ def test_folders_that_cannot_be_measured_are_refused(tmp_path: Path) -> None:
     ):
         annotated_bodies(tmp_path, 0)
     write(tmp_path, "a", ball(), ball().vertices[:33])
-    for text, message in (("{}", "'Sellion', 'Nuchale'"), ("x", "'points' must map names to coordinates")):
+    for text, message in (("{}", "'Sellion', 'Nuchale'"), ("x", "'points' must be a table")):
         (tmp_path / "a_landmarks.json").write_text(text)
         with pytest.raises(BadLandmarks, match=f"a_landmarks.json: .*{message}"):
             annotated_bodies(tmp_path, 10)

@@ -112,7 +112,7 @@ def test_refusals_name_the_place() -> None:
 
 HOSTILE = """
 import numpy as np, os, signal, sys
-from bodyseg_data.core.errors import Unanswerable
+from bodyseg_data.meshes.geodesics import Unanswerable
 from bodyseg_data.meshes.geodesics import nearest_sources
 from bodyseg_data.meshes.mending import mend
 import pygeodesic.geodesic, scipy.sparse.csgraph, trimesh

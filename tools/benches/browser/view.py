@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
+from urllib.parse import urlsplit
 
 import numpy as np
 from numpy.typing import NDArray
@@ -208,8 +209,8 @@ def _interruptible() -> None:
 def _look(address: str, folder: Path, out: Path, saves: Path) -> None:
     view = SetView(folder)
     layout, _ = view.layout_of(view.images.clean(0))
-    with contextlib.closing(Proxy(PREFIX, int(address.rpartition(":")[2]))) as proxy, open_tab(*WINDOW) as tab:
-        page = f"http://{LOOPBACK}:{proxy.port}{PREFIX}/"
+    with contextlib.closing(Proxy(PREFIX, urlsplit(address).port or 0)) as proxy, open_tab(*WINDOW) as tab:
+        page = f"http://{LOOPBACK}:{proxy.port}{PREFIX}{urlsplit(address).path}"
         tab.open(page)
         tab.wait_for(f"[...document.querySelectorAll('img')].some((each) => each.naturalWidth === {WIDTH})", _WAIT_S)
         close = "document.querySelector('.mantine-Notification-closeButton')"

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benches.environment import child_environment
 from benches.fuzzing.hostile import declared_bytes
@@ -33,7 +34,9 @@ from bodyseg_data.machine.kernels import VARIABLE
 from bodyseg_data.meshes import load_landmark_file, read_mesh
 from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import Sample
-from bodyseg_data.shards import CODECS, MANIFEST_NAME, decode_sample, read_manifest
+from bodyseg_data.shards import BODY_FIELDS, CODECS, MANIFEST_NAME, decode_sample, read_manifest, record_from_json
+from bodyseg_data.shards.earlier import EARLIER_FIELDS, piece_as_current
+from bodyseg_data.shards.index import Piece
 from bodyseg_data.shards.tar import parse_members
 
 SECONDS_EACH: Final = 2.0
@@ -44,6 +47,7 @@ _MEMORY: Final = 1 << 32  # that a process may allocate beyond what it has when 
 _SLACK: Final = 4 << 20  # libraries' own, once
 _TIMES_DECLARED: Final = 5  # the arrays themselves, what is unpacked for them, and steps between the two
 _TIMES_INPUT: Final = 100  # an object of Python for a letter or two of JSON
+_HEAD: Final = {"name": "train-00000.tar", "split": "train", "size": 20_480, "sha256": "0" * 64}
 
 
 @dataclass(frozen=True)
@@ -56,11 +60,23 @@ class Target:
 
 def _sample(members: Mapping[str, bytes], folder: Path) -> object:
     """Both ways of reading a sample; what they have in common must be the same."""
-    whole, part = decode_sample(KEY, members), decode_sample(KEY, members, projector=False)
+    whole, part = decode_sample(KEY, members), decode_sample(KEY, members, projector=False, planes=())
     for name in ("range", "labels", "faces_projector"):
         if not np.array_equal(getattr(whole, name), getattr(part, name)):
             raise AssertionError(f"{name} is another without the projector's range")
     return whole
+
+
+def _piece(given: tuple[bool, bytes], folder: Path) -> object:
+    """Every sample of a piece of an index, and the whole record."""
+    earlier, data = given
+    fields = EARLIER_FIELDS if earlier else BODY_FIELDS
+    piece = Piece(piece_as_current(data, "here") if earlier else data, 3, "here")
+    found = [piece.entry(index) for index in range(len(piece))]
+    record = record_from_json({**_HEAD, **piece.to_json()}, fields, "here")
+    if [record.entry(index) for index in range(len(record))] != found:
+        raise AssertionError("a sample is at another place by itself than in the record")
+    return record
 
 
 def _from_file(name: str, reader: Callable[[Path], object]) -> Callable[[bytes, Path], object]:
@@ -78,6 +94,7 @@ TARGETS: Final[dict[str, Target]] = {
     "sample": Target(_sample, (BadSample,)),
     "tar": Target(lambda data, _: parse_members(KEY, data), (BadSample,)),
     "manifest": Target(_from_file(MANIFEST_NAME, lambda path: read_manifest(path.parent)), (BadShard,)),
+    "index": Target(_piece, (BadShard,)),
     "rig": Target(_from_file("rig.toml", load_rig), (BadConfig,)),
     "landmarks": Target(_from_file("l.json", load_landmark_file), (BadLandmarks,)),
     "lnd": Target(_from_file("l.lnd", load_landmark_file), (BadLandmarks,)),
@@ -93,8 +110,8 @@ def one_input(target: str, seed: int, number: int) -> Any:
 
 def _allowed(target: str, given: Any) -> int:
     """The memory that reading an input may take, by what it declares and how long it is."""
-    members = given if isinstance(given, Mapping) else {"": given}
-    declared = sum(declared_bytes(name, data) for name, data in members.items() if name.endswith(tuple(CODECS)))
+    members = given if isinstance(given, Mapping) else {"": given[1] if isinstance(given, tuple) else given}
+    declared = sum(declared_bytes(name, data) for name, data in members.items() if name.endswith((*CODECS, "bsp")))
     return _TIMES_DECLARED * declared + _TIMES_INPUT * sum(map(len, members.values())) + _SLACK
 
 
@@ -152,7 +169,10 @@ def _seen(given: object) -> bytes:
     """The pixels of a sample that was read."""
     if not isinstance(given, Sample):
         return b"read"
-    images = (given.range, given.labels, given.faces_projector, given.occluder_range())
+    images: list[NDArray[Any]] = [given.range, given.labels, given.faces_projector]
+    images += [given.planes[name] for name in sorted(given.planes)]
+    if given.projector_range is not None:
+        images.append(given.projector_range)
     return b"".join(image.tobytes() for image in images)
 
 

@@ -214,8 +214,9 @@ def declared_bytes(member: str, data: bytes) -> int:
     """The bytes of arrays that an image file declares in its header; 0 if the format does not allow so many."""
     if member.endswith("png"):
         sizes = [struct.unpack_from(">II", data, 16)] if len(data) >= 24 else []
-    else:  # camera and projector (docs/reference/shard_format.md)
-        sizes = [struct.unpack_from("<HH", data, offset) for offset in (8, 44)] if len(data) >= 48 else []
+    else:  # camera and projector, or a plane (docs/reference/shard_format.md)
+        places = {b"BSP1": (10,), b"BSI2": (8, 44)}.get(data[:4], (8, 46))
+        sizes = [struct.unpack_from("<HH", data, at) for at in places] if len(data) >= places[-1] + 4 else []
     return sum(4 * rows * columns for rows, columns in sizes if max(rows, columns) <= MAX_SIDE)
 
 

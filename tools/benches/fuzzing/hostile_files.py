@@ -1,23 +1,34 @@
-"""Whole files made to break readers: samples of a tar, manifests, rigs, landmarks, meshes."""
+"""Whole files made to break readers: samples of a tar, manifests, indices, rigs, landmarks, meshes.
+
+Samples, manifests and indices are of today's format and of each earlier one that is read.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import struct
 import tarfile
+import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from importlib import resources
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.random import Generator
+from numpy.typing import NDArray
 
+from benches.data.codec.earlier import earlier_images, earlier_pngs
 from benches.fuzzing.hostile import hostile_image, hostile_json, hostile_png, hostile_tree, spoiled
-from bodyseg_data.labels import LANDMARKS
+from bodyseg_data.labels import LANDMARKS, UNLABELLED, LabelClass, classes_of
 from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import SPLITS, Sample, SampleInfo, Value
-from bodyseg_data.shards import BODY_FIELDS, CODECS, CodecName, Manifest, ShardRecord, encode_sample
+from bodyseg_data.shards import BODY_FIELDS, CODECS, CodecName, Fields, Manifest, ShardRecord, encode_sample
+from bodyseg_data.shards.earlier import EARLIER_FORMATS
+from bodyseg_data.shards.index import encode_piece, write_index
 from bodyseg_data.shards.records import describe
 
 KEY: Final = "open-A-posture-00-d215-a040"
@@ -46,7 +57,9 @@ def _info(mesh: str) -> SampleInfo:
 
 @lru_cache(maxsize=4)
 def _samples(codec: CodecName) -> list[dict[str, bytes]]:
-    """Small valid samples: a slope with the facing bit now and then, nothing at all, all body, one pixel, noise."""
+    """Small valid samples: a slope that faces now and then, nothing at all, all body, one pixel, noise, each as today
+    and as formats before 7 had it; and with what they had not: further planes, a smooth projector's range, and none.
+    """
     generator = np.random.default_rng(1)
     slope = (20_000 + np.add.outer(np.arange(48) * 7, np.arange(33) * 3)).astype(np.uint16)
     framed = np.zeros((64, 50), np.uint16)
@@ -56,12 +69,17 @@ def _samples(codec: CodecName) -> list[dict[str, bytes]]:
     found = []
     for ranges in (framed, np.zeros((5, 9), np.uint16), slope, np.full((1, 1), 65535, np.uint16), noise):
         labels = np.where(ranges > 0, ranges // 700 % 33, 255).astype(np.uint8)
-        info = _info("posture-00")
-        found.append(
-            encode_sample(
-                Sample(KEY, ranges, ranges[::-1] // 2, labels, ((ranges // 9) % 2 > 0) & (ranges > 0), info), codec
-            )
-        )
+        labels[ranges % 11 == 5] = UNLABELLED
+        facing = ((ranges // 9) % 2 > 0) & (ranges > 0)
+        sample = Sample(KEY, ranges, ranges[::-1] // 2, labels, facing, _info("posture-00"))
+        found.append(encode_sample(sample, codec))
+        images = {"bsi": earlier_images(sample)} if codec == "bsi" else earlier_pngs(sample)
+        found.append({"json": found[-1]["json"], **images})
+    planes: dict[str, NDArray[Any]] = {"instances": framed // 300, "template": (framed // 500).astype(np.uint8)}
+    labels = np.where(framed > 0, np.uint8(253), np.uint8(255))
+    for projector in (slope, None):
+        whole = Sample(KEY, framed, projector, labels, framed > 0, _info("posture-00"), planes=planes)
+        found.append(encode_sample(whole, codec))
     return found
 
 
@@ -75,7 +93,7 @@ def _hostile_member(members: dict[str, bytes], name: str, generator: Generator) 
 
 
 def hostile_bsi(generator: Generator) -> dict[str, bytes]:
-    """A sample whose images, in the package's own codec, are hostile."""
+    """A sample whose images, in the package's own codec, are hostile, and its further planes, too."""
     members = _members("bsi", generator)
     return members | {name: _hostile_member(members, name, generator) for name in members if name != "json"}
 
@@ -160,10 +178,10 @@ def _sum_set(header: bytearray) -> None:
 
 
 @lru_cache(maxsize=1)
-def _manifest_tree() -> dict[str, Any]:
+def _records() -> tuple[ShardRecord, ...]:
     keys = tuple(f"open-A-posture-0{number}-d215-a040" for number in range(3))
     infos = [_info(f"posture-0{number}") for number in range(3)]
-    shards = tuple(
+    return tuple(
         ShardRecord(
             name=f"{split}-00000.tar",
             split=split,
@@ -178,22 +196,97 @@ def _manifest_tree() -> dict[str, Any]:
         )
         for split, named in zip(SPLITS, (keys, tuple(key.replace("-A-", "-B-") for key in keys)), strict=True)
     )
-    tree = Manifest((load_rig(),), "bsi", "open", "raster", "0" * 64, shards).to_json()
-    del tree["digest"]
-    return tree
+
+
+@lru_cache(maxsize=1)
+def _manifest_trees() -> list[dict[str, Any]]:
+    """Manifests without their digests: of bodies, of other classes, fields and planes, of format 5, with an index of
+    today and of format 6.
+    """
+    records = _records()
+    bodies = Manifest((load_rig(),), "bsi", "open", "raster", "0" * 64, records)
+    pair = (LabelClass("left", "right", "#1e90ff", "hand"), LabelClass("right", "left"), LabelClass("table"))
+    fields = Fields(((("rig", "int"), ("pose", "numbers"), ("robot", "text")), (("reach_m", "float"), ("wet", "flag"))))
+    values: dict[str, Value] = {"rig": 1, "pose": (1.0, 0.5), "robot": "r1", "reach_m": 2.5, "wet": False}
+    other = replace(
+        bodies,
+        rigs=2 * bodies.rigs,
+        classes=classes_of(pair),
+        fields=fields,
+        projector="exact",
+        planes={"instances": "uint16"},
+        shards=[replace(each, descriptions=describe(3 * [SampleInfo("train", values)], fields)) for each in records],
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        table = write_index(records, Path(folder))
+    trees = [bodies.to_json(), other.to_json(), {**bodies.to_json(), "shards": table.to_json()}]
+    for tree in trees:
+        del tree["digest"]
+    kept = {name: trees[0][name] for name in ("codec", "source", "renderer", "plan")}
+    earlier = {**kept, "parts": list(LANDMARKS), "rig": trees[0]["rigs"][0]}
+    described = ("bodies", "views", "body", "view")
+    for tree in (trees[0], trees[2]):
+        shards = tree["shards"]
+        if isinstance(shards, list):
+            shards = [
+                {name: value for name, value in shard.items() if name not in ("tables", "rows")}
+                | dict(zip(described, (*shard["tables"][:2], *shard["rows"][:2]), strict=True))
+                for shard in shards
+            ]
+        trees.append({**earlier, "format": EARLIER_FORMATS[tree is trees[2]], "shards": shards})
+    return trees
+
+
+def _manifest_tree(generator: Generator) -> dict[str, Any]:
+    trees = _manifest_trees()
+    return trees[int(generator.integers(len(trees)))]
 
 
 def hostile_manifest(generator: Generator) -> bytes:
     """A manifest: spoiled as text, or with other content under the right digest."""
     if generator.integers(3) == 0:
-        return hostile_json(json.dumps(_signed(_manifest_tree()), sort_keys=True), generator)
-    tree = hostile_tree(_manifest_tree(), generator)
+        return hostile_json(json.dumps(_signed(_manifest_tree(generator)), sort_keys=True), generator)
+    tree = hostile_tree(_manifest_tree(generator), generator)
     if not isinstance(tree, dict):
         return json.dumps(tree).encode()
     signed = _signed(tree)
     if generator.integers(10) == 0:
         signed["digest"] = hostile_tree([0], generator)
     return json.dumps(signed, sort_keys=True).encode() + b"\n"
+
+
+def hostile_piece(generator: Generator) -> tuple[bool, bytes]:
+    """A shard's piece of an index, spoiled or with other numbers or text; and whether it is one of format 6."""
+    earlier = bool(generator.integers(3) == 0)
+    record = _records()[0]
+    piece = _earlier_piece(record) if earlier else encode_piece(record)
+    head, brace, text = piece.partition(b"{")
+    match int(generator.integers(5)):
+        case 0:
+            return earlier, piece
+        case 1:
+            return earlier, spoiled(piece, generator)
+        case 2:  # other numbers, of any kind, before the text
+            return earlier, spoiled(head, generator) + brace + text
+        case 3:
+            other = hostile_json((brace + text).decode(), generator)
+        case _:
+            other = json.dumps(hostile_tree(json.loads(brace + text), generator), sort_keys=True).encode()
+    if not earlier:  # whose length stands in the header
+        head = head[:8] + struct.pack("<I", len(other)) + head[12:]
+    return earlier, head + other
+
+
+def _earlier_piece(record: ShardRecord) -> bytes:
+    """A piece of an index as format 6 had it (docs/reference/shard_format.md)."""
+    piece = json.loads(b"{" + encode_piece(record).partition(b"{")[2])
+    (bodies, views, *_), rows = piece["tables"], record.descriptions.rows
+    text = {"bodies": bodies, **{name: piece[name] for name in ("stems", "tails", "notes")}}
+    blocks = np.array([*record.offsets, record.offsets[-1] + record.lengths[-1]]) // 512
+    text_bytes = json.dumps(text, sort_keys=True, separators=(",", ":")).encode()
+    columns = [np.array(blocks, "<u4"), np.array(record.crc32, "<u4"), *(np.array(each, "u1") for each in rows[:2])]
+    head = struct.pack("<4I", len(record), len(bodies[0]), len(views[0]), len(text_bytes))
+    return head + b"".join(each.tobytes() for each in (*columns, np.array(views, "<i2").T)) + text_bytes
 
 
 def _signed(tree: dict[str, Any]) -> dict[str, Any]:
@@ -276,6 +369,7 @@ MAKERS: Final[dict[str, Callable[[Generator], Any]]] = {
     "sample": hostile_sample,
     "tar": hostile_tar,
     "manifest": hostile_manifest,
+    "index": hostile_piece,
     "rig": hostile_rig,
     "landmarks": hostile_landmarks,
     "lnd": hostile_lnd,

@@ -130,6 +130,7 @@ def _speed() -> Iterator[Step]:
     yield _bench("reduction", "--views", "4", "--mit", MIT, drawn=True, alone=True)
     yield _bench("codec", drawn=True, alone=True)
     yield _bench("workers", "--views", "324", drawn=True, alone=True)
+    yield _bench("open_data", alone=True)
     yield _bench("scaling", alone=True)
     yield _bench("cluster", alone=True)
     yield _bench("reading", "--data", READ, alone=True)

@@ -1,6 +1,7 @@
 """Other ways to store a sample's images without loss, for `bench codec`.
 
 Each takes the same three images, camera range, label bytes and projector range, and gives one piece of bytes for each.
+A label byte holds facing, too, so that others need no fourth image.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
+from bodyseg_data.labels import BACKGROUND, UNLABELLED
 from bodyseg_data.machine import missing_library
 from bodyseg_data.shards.codecs.png import decode_png, encode_png
 from bodyseg_data.shards.codecs.residuals import Box, bounding_box, unzigzag, zigzag
@@ -91,6 +93,15 @@ def predicted(predictor: str, level: int) -> Cropped:
         return back(planes[0] | (planes[1].astype(np.uint16) << 8)) if len(planes) == 2 else planes[0]
 
     return Cropped(pack, unpack)
+
+
+def label_bytes(labels: Image, facing: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Labels and facing in one image, uint8 [H, W]: 255 for background, else the part, 62 for none, and 64 for facing.
+
+    labels: of the 33 parts, 254 or 255. So formats before 7 stored both, which `split_label_bytes` reads.
+    """
+    joined = np.where(labels == UNLABELLED, np.uint8(62), labels) | (facing.view(np.uint8) << np.uint8(6))
+    return np.where(labels == BACKGROUND, np.uint8(BACKGROUND), joined)
 
 
 def baselines() -> list[Baseline]:

@@ -9,13 +9,14 @@ import statistics
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benches.charts.fronts import pareto_front
-from benches.data.codec.baselines import Baseline, baselines
+from benches.data.codec.baselines import Baseline, baselines, label_bytes
 from benches.environment import computed_by
 from benches.measuring import median_time, mixed
 from bodyseg_data.artifacts import VARIANTS, Augmentation, ShadowTest
@@ -29,7 +30,6 @@ from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import Sample, ViewGrid, steps
 from bodyseg_data.shards import encode_sample
 from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
-from bodyseg_data.shards.codecs.codec import join_labels
 from bodyseg_data.shards.codecs.png import encode_png
 
 DEFAULT: Final = "bsi, compiled"
@@ -71,13 +71,13 @@ def bench_codec(views: int = 60, progress: ProgressCallback = silent) -> dict[st
     ours = {name: {kind: _Costs() for kind in ("range and labels", "projector")} for name in ("bsi, NumPy", DEFAULT)}
     sizes, rounding = _Sizes(), _Rounding(shadow_test(load_rig()))
     for done, (sample, exact) in enumerate(_samples(views), start=1):
-        images = sample.range, join_labels(sample.labels, sample.faces_projector), sample.occluder_range()
+        images = sample.range, label_bytes(sample.labels, sample.faces_projector), sample.occluder_range()
         for turn in range(len(others)):
             baseline = others[(turn + done) % len(others)]
             _measure(baseline, images, costs[baseline.name])
         for name, kinds in ours.items():
             with computed_by("compiled" if name == DEFAULT else "numpy"):
-                _measure_ours(images, kinds)
+                _measure_ours(sample, kinds)
         sizes.add(sample)
         rounding.add(sample, *exact)
         progress(done, views)
@@ -131,13 +131,13 @@ def _measure(baseline: Baseline, images: Images, costs: dict[str, _Costs]) -> No
         cost.decode_s.append(decode_s)
 
 
-def _measure_ours(images: Images, costs: dict[str, _Costs]) -> None:
-    """Cost of ours; the projector's share is the difference that its image makes, since one file holds all three."""
-    camera, labels, projector = images
-    nothing = np.zeros_like(projector)
+def _measure_ours(sample: Sample, costs: dict[str, _Costs]) -> None:
+    """Cost of ours; the projector's share is the difference that its image makes, since one file holds all."""
+    projector, facing = sample.occluder_range(), sample.faces_projector.view(np.uint8)
     before = 0, 0.0, 0.0
-    for kind, occluder in (("range and labels", nothing), ("projector", projector)):
-        encode_s, data = median_time(lambda occluder=occluder: encode_images(camera, labels, occluder), _ROUNDS)  # type: ignore[misc]
+    for kind, occluder in (("range and labels", np.zeros_like(projector)), ("projector", projector)):
+        encode = partial(encode_images, sample.range, sample.labels, facing, occluder)
+        encode_s, data = median_time(encode, _ROUNDS)
         wanted = kind == "projector"
         decode_s, _ = median_time(lambda data=data, wanted=wanted: decode_images(data, wanted), _ROUNDS)  # type: ignore[misc]
         costs[kind].bytes.append(len(data) - before[0])

@@ -22,7 +22,6 @@ from bodyseg_data.artifacts.lost_pixels import lost_grazing
 from bodyseg_data.core import BadConfig, ProgressCallback, silent
 from bodyseg_data.rigs import load_rig
 from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
-from bodyseg_data.shards.codecs.codec import join_labels
 
 STEPS_MM: Final = (0.1, 0.25, 0.5, 1.0, 2.0)
 LIMIT: Final = 0.005
@@ -49,9 +48,9 @@ class _Tally:
         lit = self.test.lit(sample.range, sample.occluder_range(), sample.faces_projector)
         false_lit, false_dark = lit & ~view.lit & inside, ~lit & view.lit & inside
         self.counts.append((int(false_lit.sum()), int(false_dark.sum()), int(inside.sum())))
-        labels = join_labels(sample.labels, sample.faces_projector)
-        self.data.append(encode_images(sample.range, labels, sample.occluder_range()))
-        without = encode_images(sample.range, labels, np.zeros_like(sample.occluder_range()))
+        facing = sample.faces_projector.view(np.uint8)
+        self.data.append(encode_images(sample.range, sample.labels, facing, sample.occluder_range()))
+        without = encode_images(sample.range, sample.labels, facing, None)
         self.projector_bytes.append(len(self.data[-1]) - len(without))
         self.grazing.append(np.packbits(lost_grazing(sample.range, _GRAZING_SHARE, self.test.rig.camera)))
 

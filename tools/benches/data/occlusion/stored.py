@@ -10,6 +10,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
+from benches.data.codec.baselines import label_bytes
 from benches.data.occlusion.baselines import DEFAULT, STEP_M, Method, nearest_texel
 from benches.data.occlusion.views import ExactView
 from benches.measuring import median_time
@@ -22,14 +23,14 @@ from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.packing.occluders import coarsened
 from bodyseg_data.samples import FARTHEST_STEPS
 from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
-from bodyseg_data.shards.codecs.codec import join_labels, split_labels
+from bodyseg_data.shards.earlier import split_label_bytes
 
 MASK_IMAGE: Final = "image by the codec"
 _ROUNDS: Final = 4
 _EMPTY: Final = 65535  # as tests see an empty texel: one step less than 0, behind every point
 _NOTHING: Final = np.zeros((1, 1), np.uint16)
-_UNLABELLED: Final = np.full((1, 1), BACKGROUND, np.uint8)
-_EMPTY_BYTES: Final = len(encode_images(_NOTHING, _UNLABELLED, _NOTHING))
+_NO_LABELS: Final = np.full((1, 1), BACKGROUND, np.uint8)
+_EMPTY_BYTES: Final = len(encode_images(_NOTHING, _NO_LABELS, np.zeros_like(_NO_LABELS), None))
 
 Cost = tuple[int, float]
 """Bytes, and seconds of processor to decode them: the median of four times."""
@@ -44,14 +45,14 @@ class StoredImage:
     @cached_property
     def cost(self) -> Cost:
         """Cost of the smaller of the codec's two encodings of ranges, that of the projector and that of the camera."""
-        as_runs = coded(_NOTHING, _UNLABELLED, self.image)
+        as_runs = coded(_NOTHING, _NO_LABELS, self.image)
         labels = np.where(self.image > 0, 0, BACKGROUND).astype(np.uint8)
-        return min(as_runs, coded(self.image, labels, _NOTHING))
+        return min(as_runs, coded(self.image, labels, None))
 
 
-def coded(camera: NDArray[np.uint16], labels: NDArray[np.uint8], projector: NDArray[np.uint16]) -> Cost:
+def coded(camera: NDArray[np.uint16], labels: NDArray[np.uint8], projector: NDArray[np.uint16] | None) -> Cost:
     """Bytes that the shards' codec needs for these images beyond those of empty ones, and seconds to decode them."""
-    data = encode_images(camera, labels, projector)
+    data = encode_images(camera, labels, np.zeros_like(labels), projector)
     return len(data) - _EMPTY_BYTES, median_time(lambda: decode_images(data, True), _ROUNDS)[0]
 
 
@@ -162,22 +163,22 @@ def _unframed(frame: NDArray[Any], join: np.ufunc) -> NDArray[Any]:
 
 
 def facing_bytes(view: ExactView) -> int:
-    """Bytes that the facing bit adds to the coded labels."""
+    """Bytes that facing adds to the coded labels."""
     return _label_bytes(view, view.facing) - _label_bytes(view, np.zeros_like(view.facing))
 
 
 def _label_bytes(view: ExactView, bit: NDArray[np.bool_]) -> int:
-    return len(encode_images(view.range, join_labels(view.sample.labels, bit), _NOTHING))
+    return len(encode_images(view.range, view.sample.labels, bit.view(np.uint8), None))
 
 
 def exact_masks(view: ExactView) -> dict[str, Cost]:
-    """The exact mask stored in three ways: as a bit of the label byte, which takes the facing bit's place; as an image
-    of its own by the codec; and packed eight pixels a byte, by zstd.
+    """The exact mask stored in three ways: as a bit of every run of labels, which takes facing's place; as an image of
+    its own by the codec; and packed eight pixels a byte, by zstd.
 
     Seconds: until there is a bool [H, W], beyond what decoding labels takes anyway.
     """
     lit = view.lit
-    byte = join_labels(view.sample.labels, lit)
+    byte = label_bytes(view.sample.labels, lit)
     packed = zstandard.ZstdCompressor(level=1).compress(np.packbits(lit).tobytes())
     unpack = zstandard.ZstdDecompressor()
 
@@ -187,7 +188,7 @@ def exact_masks(view: ExactView) -> dict[str, Cost]:
 
     in_labels = _label_bytes(view, lit) - _label_bytes(view, np.zeros_like(lit))
     return {
-        "bit of the label byte": (in_labels, median_time(lambda: split_labels(byte), _ROUNDS)[0]),
-        MASK_IMAGE: coded(_NOTHING, _UNLABELLED, lit.astype(np.uint16)),
+        "bit of the label byte": (in_labels, median_time(lambda: split_label_bytes(byte), _ROUNDS)[0]),
+        MASK_IMAGE: coded(_NOTHING, _NO_LABELS, lit.astype(np.uint16)),
         "packed bits, zstd": (len(packed), median_time(from_packed, _ROUNDS)[0]),
     }

@@ -17,7 +17,7 @@ import numpy as np
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.shards import MANIFEST_NAME, LocalFolder, Manifest, ShardRecord, record_to_json
 from bodyseg_data.shards.index import INDEX_NAME, IndexedShards, write_index
-from bodyseg_data.shards.records import Descriptions
+from bodyseg_data.shards.records import BODY_FIELDS, Descriptions
 
 SHARD_SAMPLES: Final = 1080
 VIEWS: Final = 54
@@ -75,7 +75,7 @@ def write_large_index(example: Manifest, samples: int, folder: Path) -> None:
         **{name: np.tile(getattr(one, name), count) for name in ("samples", "sizes", "crc32")},
         ends=np.arange(1, count + 1) * one.size,
     )
-    manifest = replace(example, shards=IndexedShards(table, LocalFolder(folder)))
+    manifest = replace(example, shards=IndexedShards(table, example.fields, LocalFolder(folder)))
     (folder / MANIFEST_NAME).write_bytes(_compact(manifest.to_json()) + b"\n")
 
 
@@ -137,10 +137,9 @@ def _record(number: int) -> ShardRecord:
         crc32=tuple(((number * 1_000_003 + index * 2_654_435_761) % (1 << 32)).tolist()),
         notes=(),
         descriptions=Descriptions(
-            tuple(("open", "people", person, person, "standing") for person in people),
-            tuple(views),
-            tuple(body.tolist()),
-            tuple(view.tolist()),
+            BODY_FIELDS,
+            (tuple(("open", "people", person, person, "standing") for person in people), tuple(views), (("", 0),)),
+            (tuple(body.tolist()), tuple(view.tolist()), (0,) * SHARD_SAMPLES),
         ),
     )
 

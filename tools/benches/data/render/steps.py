@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.data.codec.baselines import predicted
+from benches.data.codec.baselines import label_bytes, predicted
 from bodyseg_data.artifacts.occlusion import shadow_test
 from bodyseg_data.bodies import BodyRef, BodySource
 from bodyseg_data.labels import BACKGROUND
@@ -28,9 +28,9 @@ from bodyseg_data.rendering import RasterRenderer, Renderer, Surface, open_rende
 from bodyseg_data.rendering.embree import EmbreeRenderer
 from bodyseg_data.rigs import PlacedCamera, Rig
 from bodyseg_data.samples import View, steps
-from bodyseg_data.shards import ShardWriter, encode_sample
+from bodyseg_data.shards import TarWriter, encode_sample
 from bodyseg_data.shards.codecs.bodyseg_images import encode_images
-from bodyseg_data.shards.codecs.codec import join_labels
+from bodyseg_data.shards.earlier import split_label_bytes
 
 _FORMER_LEVEL: Final = 9
 _QUICK_LEVEL: Final = 1
@@ -106,7 +106,7 @@ def _taken(sampler: Sampler, view: View) -> Images:
 
 
 def _images(camera: NDArray[Any], projector: NDArray[Any], labels: NDArray[Any], facing: NDArray[np.bool_]) -> Images:
-    return [(camera, 0), (projector, 0), (join_labels(labels, facing), BACKGROUND)]
+    return [(camera, 0), (projector, 0), (label_bytes(labels, facing), BACKGROUND)]
 
 
 @dataclass(frozen=True)
@@ -122,8 +122,8 @@ def _differences(level: int) -> Callable[[Images], int]:
 
 
 def _as_packed(images: Images) -> int:
-    (camera, _), (projector, _), (labels, _) = images
-    return len(encode_images(camera, labels, projector))
+    (camera, _), (projector, _), (stored, _) = images
+    return len(encode_images(camera, *split_label_bytes(stored), projector))
 
 
 def _steps() -> list[_Step]:
@@ -208,7 +208,7 @@ def measure_stages(packing: Packing, refs: Sequence[BodyRef], views: Sequence[Vi
     clock, source = _Clock(), packing.opened()
     with (
         TemporaryDirectory() as folder,
-        ShardWriter(Path(folder) / "train-00000.tar", Path(folder) / "part", "train") as writer,
+        TarWriter(Path(folder) / "train-00000.tar", Path(folder) / "part", "train") as writer,
     ):
         for ref in refs:
             source.build(ref)  # the first of a motion also makes its clothes, which hundreds of others then wear

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
@@ -98,9 +99,16 @@ class ConditionImages(RangeImages):
         super().__init__(path, condition.variant, "test", _SEED, sensor=fixed, only=condition.only)
         self._condition = condition
 
-    def write(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
+    def write(
+        self,
+        index: int,
+        epoch: int,
+        image: NDArray[np.uint16],
+        labels: NDArray[np.uint8],
+        planes: Sequence[NDArray[Any]] = (),
+    ) -> None:
         """As `RangeImages.write`."""
-        super().write(index, epoch, image, labels)
+        super().write(index, epoch, image, labels, planes)
         self._alter(index, epoch, image, labels)
 
     def image(self, index: int, epoch: int | None = None) -> RangeImage:

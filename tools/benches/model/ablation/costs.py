@@ -29,7 +29,6 @@ from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import ViewGrid, metres
 from bodyseg_data.shards.codecs.bodyseg_images import encode_images
-from bodyseg_data.shards.codecs.codec import join_labels
 from bodyseg_model.networks import build
 
 ROUNDS: Final = 7
@@ -80,14 +79,13 @@ def byte_costs(data: str) -> Tree:
     sizes: dict[str, list[int]] = {}
     for index in evenly_spaced(range(len(images)), SAMPLES):
         sample = images.clean(index)
-        labels, occluder = join_labels(sample.labels, sample.faces_projector), sample.occluder_range()
-        made = {BASE: encode_images(sample.range, labels, occluder)}
-        made["no_occlusion"] = encode_images(sample.range, sample.labels, np.zeros_like(occluder))
+        facing, occluder = sample.faces_projector.view(np.uint8), sample.occluder_range()
+        made = {BASE: encode_images(sample.range, sample.labels, facing, occluder)}
+        made["no_occlusion"] = encode_images(sample.range, sample.labels, np.zeros_like(facing), None)
         for row in ROWS:
             if row.step_mm is not None:
-                made[row.name] = encode_images(
-                    stepped(sample.range, steps_of(row.step_mm, images.step_m)), labels, occluder
-                )
+                coarse = stepped(sample.range, steps_of(row.step_mm, images.step_m))
+                made[row.name] = encode_images(coarse, sample.labels, facing, occluder)
         for name, encoded in made.items():
             sizes.setdefault(name, []).append(len(encoded))
     return {name: round(float(np.mean(values))) for name, values in sizes.items()}

@@ -1,0 +1,142 @@
+"""From finished renders to shards: files are read ahead by threads and written in the source's order.
+
+Of the first renders, what camera and projector see is compared: whether the two can be of one scene, as the rig places
+them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core import BadSample, ProgressCallback, silent
+from bodyseg_data.machine import processors
+from bodyseg_data.packing.jobs import ordered
+from bodyseg_data.packing.shard_writer import ShardWriter
+from bodyseg_data.renders import Render, RenderSource
+from bodyseg_data.rigs import Camera, Rig
+from bodyseg_data.shards import CodecName, Manifest, ProjectorKind, read_manifest
+
+_CHECKED: Final = 4
+"""Number of renders whose two views are compared: a mistake in a set is in all of it."""
+
+_POINTS: Final = 4000
+_FEWEST: Final = 100
+_SLACK: Final = 0.02
+"""Metres, and share of the range, that two renderers may differ by."""
+_REFUSED: Final = 0.2
+_FITTING: Final = 0.1
+
+Ranges = NDArray[np.floating[Any]]
+
+
+def pack_renders(
+    source: RenderSource,
+    out: Path,
+    *,
+    codec: CodecName = "bsi",
+    projector: ProjectorKind | None = None,
+    shard_samples: int = 1080,
+    workers: int | None = None,
+    progress: ProgressCallback = silent,
+) -> Manifest:
+    """Pack renders into the folder `out` and return its manifest; carries on where an interrupted packing stopped.
+
+    projector, codec, shard_samples: as of `ShardWriter`. workers: threads that read, and as many that encode (default:
+    one a processor). Renders of finished shards are not read again. Raises BadSample for the first render that breaks
+    a rule, and as `ShardWriter`.
+    """
+    keys, count = source.keys(), processors() if workers is None else workers
+    writer = ShardWriter(
+        out,
+        rig=source.rigs,
+        classes=source.classes,
+        projector=projector,
+        planes=source.planes,
+        fields=source.fields,
+        codec=codec,
+        shard_samples=shard_samples,
+        workers=count,
+    )
+    with ThreadPoolExecutor(max(1, count)) as pool, writer:
+
+        def reads(key: str) -> Callable[[], Future[Render | None]]:
+            return partial(pool.submit, lambda: None if key in writer else source.load(key))
+
+        done = sum(key in writer for key in keys)
+        progress(done, len(keys))
+        for number, (key, render) in enumerate(zip(keys, ordered(map(reads, keys), count), strict=True)):
+            if render is None:
+                continue
+            if number < _CHECKED:
+                check_plausible(render, source.rigs[render.rig], key)
+            given = dict(vars(render))
+            if projector == "none":
+                given["projector_range_m"] = None
+            done += writer.write(**given)
+            progress(done, len(keys))
+    return read_manifest(out)
+
+
+def check_plausible(render: Render, rig: Rig, where: str) -> None:
+    """Raise BadSample if what the camera sees contradicts what the first projector sees.
+
+    A point that one of the two sees lies where the other sees a surface, or behind it; one before it, or where the
+    other sees nothing, contradicts. Up to `_REFUSED` of the points may, as thin things and small offsets make them.
+    Mirrored images are told by their fitting once they are turned; nothing can be told of scenes that look the same in
+    a mirror, nor of images that are all upside down before a rig whose devices lie side by side.
+    """
+    if render.projector_range_m is None:
+        return
+    seen, lit = render.range_m, render.projector_range_m[: rig.projector.rows]
+    found = contradicting(rig, seen, lit)
+    if found <= _REFUSED:
+        return
+    causes = {
+        "the projector's images look mirrored left to right": (seen, lit[:, ::-1]),
+        "the camera's images look mirrored left to right": (seen[:, ::-1], lit),
+        "all images look mirrored left to right, as a left-handed export makes them": (seen[:, ::-1], lit[:, ::-1]),
+    }
+    rates = {cause: contradicting(rig, *images) for cause, images in causes.items()}
+    cause = min(rates, key=lambda each: rates[each])
+    if rates[cause] > min(_FITTING, found / 3):
+        cause = "is the projector's pose, its focal length or a unit another than set.toml and the rig say?"
+    share = f"{100 * found:.0f} % of their points"
+    raise BadSample(f"{where}: camera and projector contradict each other at {share}: {cause}")
+
+
+def contradicting(rig: Rig, range_m: Ranges, projector_m: Ranges) -> float:
+    """Share of the points of one device that the other sees past: the larger of both ways; 0 for too few points."""
+    rotation, offset = rig.camera_to_projector()
+    back = rotation.T, -rotation.T @ offset
+    return max(
+        _seen_past((rig.camera, range_m), (rig.projector, projector_m), rotation, offset),
+        _seen_past((rig.projector, projector_m), (rig.camera, range_m), *back),
+    )
+
+
+def _seen_past(
+    one: tuple[Camera, Ranges], other: tuple[Camera, Ranges], rotation: NDArray[np.float64], offset: NDArray[np.float64]
+) -> float:
+    """The same of one way; rotation and offset: from the frame of `one` to the other's."""
+    (device, range_m), (target, target_m) = one, other
+    rows, columns = np.nonzero(range_m)
+    stride = max(1, len(rows) // _POINTS)
+    rows, columns = rows[::stride], columns[::stride]
+    points = device.pixel_rays()[rows, columns] * range_m[rows, columns, None] @ rotation.T + offset
+    points = points[points[:, 2] > 0]
+    across, down = (points[:, :2] / points[:, 2:] * target.focal_px + target.centre_px).T
+    inside = (across >= 0) & (across < target.columns) & (down >= 0) & (down < target.rows)
+    if np.count_nonzero(inside) < _FEWEST:
+        return 0.0
+    # The nearest surface of a pixel and those around it: at an edge either side will do, and beyond the image any.
+    padded = np.pad(np.where(target_m == 0, np.inf, target_m), 1)
+    nearest = np.min([padded[y : y + target.rows, x : x + target.columns] for y in range(3) for x in range(3)], axis=0)
+    seen = nearest[down[inside].astype(np.intp), across[inside].astype(np.intp)]
+    return float(np.mean(seen > points[inside, 2] * (1 + _SLACK) + _SLACK))

@@ -1,0 +1,354 @@
+"""Samples from the arrays of a scene: what all samples of a set have in common, and the checks that each must pass.
+
+Checks and copies of the arrays (`SceneLayout.taken`) are quick and run where the scene is handed over, so that a
+mistake is reported there and buffers may be used again; the rest (`SceneLayout.members`) may run anywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.artifacts import shadow_tests
+from bodyseg_data.core import BadConfig, BadSample, one_line
+from bodyseg_data.labels import BACKGROUND, UNLABELLED, Classes
+from bodyseg_data.packing.occluders import exact_range, occluder_range
+from bodyseg_data.packing.range_facing import facing_from_normals, facing_from_range
+from bodyseg_data.rigs import Rig
+from bodyseg_data.samples import Sample, SampleInfo, Value, kind_of, steps
+from bodyseg_data.shards import RIG_FIELD, Fields, ProjectorKind, check_plane, encode_sample
+
+FacingOrigin = Literal["given", "range"]
+"""Whether facing was given (as bits or as normals), or is found from the range images."""
+
+ProjectorRanges = Callable[[NDArray[np.intp], NDArray[np.intp]], Any]
+"""Rows and columns [N] of texels of the projector's image -> ranges in metres [N], 0 for nothing."""
+
+Images = NDArray[Any]
+
+_UINT16: Final = 1 << 16
+
+
+@dataclass(frozen=True)
+class GivenScene:
+    """The arguments of `ShardWriter.write`, which describes them; nothing is checked."""
+
+    key: str
+    range_m: Any
+    labels: Any
+    projector_range_m: Any = None
+    projector: ProjectorRanges | None = None
+    facing: Any = None
+    normals: Any = None
+    split: Any = "train"
+    fields: Mapping[str, Any] | None = None
+    planes: Mapping[str, Any] | None = None
+    rig: int = 0
+
+
+@dataclass(frozen=True)
+class TakenScene:
+    """A scene whose arrays are checked and are copies. facing: of each projector, None to be found from range_m.
+    projector: stacked as in `Sample`, metres, or None.
+    """
+
+    key: str
+    range_m: Images
+    labels: NDArray[np.uint8]
+    projector: Images | None
+    facing: tuple[NDArray[np.bool_], ...] | None
+    info: SampleInfo
+    planes: Mapping[str, Images]
+    rig: int
+
+
+@dataclass(frozen=True)
+class SceneLayout:
+    """What all samples of a set have in common. Arguments as in `Manifest`; facing: where the facing bits come from."""
+
+    rigs: tuple[Rig, ...]
+    classes: Classes
+    fields: Fields
+    projector: ProjectorKind
+    planes: Mapping[str, str]
+    facing: FacingOrigin
+    codec: str
+
+    def taken(self, scene: GivenScene) -> TakenScene:
+        """Check a scene and copy its arrays. Raises BadSample, naming the key and the rule."""
+        if isinstance(scene.rig, bool) or scene.rig not in range(len(self.rigs)):
+            raise BadSample(f"{scene.key}: rig must number one of the set's {len(self.rigs)} rigs, found {scene.rig!r}")
+        rig = self.rigs[scene.rig]
+        size = rig.camera.rows, rig.camera.columns
+        range_m = _ranges(scene.range_m, "range_m", size, rig, scene.key)
+        labels = self._labels(scene, size)
+        info = self._info(scene)
+        planes = self._planes(scene, size)
+        facing = self._facing(scene, rig, range_m)
+        projector = self._projector(scene, rig, range_m, facing)
+        return TakenScene(scene.key, range_m, labels, projector, facing, info, planes, int(scene.rig))
+
+    def members(self, taken: TakenScene) -> dict[str, bytes]:
+        """Encode a scene as tar members: extension -> bytes. Raises BadSample."""
+        return encode_sample(self.sample(taken), self.codec)
+
+    def sample(self, taken: TakenScene) -> Sample:
+        """The sample of a scene: ranges in steps, labels that agree with them, the projector's range as the set stores
+        it. Raises BadSample.
+        """
+        rig, key = self.rigs[taken.rig], taken.key
+        range_image = steps(taken.range_m, rig.range_step_m, f"{key}: range_m")
+        measured = range_image > 0
+        labels = taken.labels.copy()
+        labels[measured & (labels == BACKGROUND)] = UNLABELLED
+        labels[~measured] = BACKGROUND
+        found = facing_from_range(rig, taken.range_m) if taken.facing is None else taken.facing
+        facing = [np.ascontiguousarray(mask & measured) for mask in found]
+        occluder = None
+        if taken.projector is not None:
+            occluder = steps(taken.projector, rig.range_step_m, f"{key}: the projector's range")
+            if self.projector == "shadow":
+                occluder = _coarse(rig, range_image, facing, occluder)
+        second = facing[1] if len(facing) == 2 else None
+        labels = labels.astype(np.uint8)
+        return Sample(
+            key, range_image, occluder, labels, facing[0], taken.info, faces_second=second, planes=taken.planes
+        )
+
+    def _labels(self, scene: GivenScene, size: tuple[int, int]) -> NDArray[np.uint8]:
+        labels = _integers(scene.labels, "labels", size, scene.key)
+        allowed = (labels >= 0) & ((labels < len(self.classes)) | (labels == UNLABELLED) | (labels == BACKGROUND))
+        if not allowed.all():
+            raise BadSample(
+                f"{scene.key}: labels must be 0 to {len(self.classes) - 1}, {UNLABELLED} for a surface of no class or "
+                f"{BACKGROUND} where nothing was measured, found {_first(labels, ~allowed)}"
+            )
+        return labels.astype(np.uint8)
+
+    def _info(self, scene: GivenScene) -> SampleInfo:
+        fields = {name: plain_value(value) for name, value in (scene.fields or {}).items()}
+        if len(self.rigs) > 1:
+            fields[RIG_FIELD] = int(scene.rig)
+        for name, value in fields.items():
+            kind = self.fields.kinds.get(name)
+            if kind is None:
+                known = ", ".join(sorted(self.fields.kinds)) or "none"
+                raise BadSample(f"{scene.key}: the set has the fields {known}, found {name!r}: name it in 'fields'")
+            if kind == "float" and type(value) is int:
+                fields[name] = value = float(value)
+            if (found := _kind(value, name, scene.key)) != kind:
+                raise BadSample(f"{scene.key}: field {name!r} must be of the kind {kind}, found {value!r}, {found}")
+        try:
+            return SampleInfo(scene.split, fields)
+        except BadSample as error:
+            raise BadSample(f"{scene.key}: {error}") from error
+
+    def _planes(self, scene: GivenScene, size: tuple[int, int]) -> dict[str, Images]:
+        given = scene.planes or {}
+        if set(given) != set(self.planes):
+            wanted, found = (", ".join(sorted(names)) or "none" for names in (self.planes, given))
+            raise BadSample(f"{scene.key}: the samples of the set have the planes {wanted}, found {found}")
+        planes = {}
+        for name, kind in sorted(self.planes.items()):
+            plane = _integers(given[name], f"the plane {name!r}", size, scene.key)
+            wrong = (plane < 0) | (plane > np.iinfo(kind).max)
+            if wrong.any():
+                raise BadSample(f"{scene.key}: the plane {name!r} must hold {kind}, found {_first(plane, wrong)}")
+            planes[name] = plane.astype(kind)
+        return planes
+
+    def _facing(self, scene: GivenScene, rig: Rig, range_m: Images) -> tuple[NDArray[np.bool_], ...] | None:
+        if scene.facing is not None and scene.normals is not None:
+            raise BadSample(f"{scene.key}: facing and normals are alternatives, found both")
+        origin = facing_origin(scene)
+        if origin != self.facing:
+            words = {"given": "facing or normals", "range": "neither facing nor normals"}
+            raise BadSample(
+                f"{scene.key}: the samples of the set come with {words[self.facing]}, found {words[origin]}"
+            )
+        size, count = range_m.shape, len(rig.projectors)
+        if scene.normals is not None:
+            normals = _array(scene.normals, "normals", scene.key)
+            if normals.shape != (*size, 3) or normals.dtype.kind != "f":
+                wanted = f"floats [{size[0]}, {size[1]}, 3]"
+                raise BadSample(f"{scene.key}: normals must be {wanted}, found {normals.dtype} {normals.shape}")
+            return _from_normals(rig, range_m, normals, scene.key)
+        if scene.facing is None:
+            return None
+        facing = _array(scene.facing, "facing", scene.key)
+        if facing.dtype != np.bool_ or facing.shape not in ((count, *size), *((size,) if count == 1 else ())):
+            wanted = f"bool [{size[0]}, {size[1]}]" if count == 1 else f"bool [{count}, {size[0]}, {size[1]}]"
+            raise BadSample(f"{scene.key}: facing must be {wanted}, found {facing.dtype} {facing.shape}")
+        return tuple(facing.reshape(count, *size).copy())
+
+    def _projector(
+        self, scene: GivenScene, rig: Rig, range_m: Images, facing: tuple[NDArray[np.bool_], ...] | None
+    ) -> Images | None:
+        ways = (scene.projector_range_m is not None) + (scene.projector is not None)
+        if ways != (self.projector != "none"):
+            wanted = "no projector's range" if self.projector == "none" else "projector_range_m or projector"
+            found = ("neither", "one", "both")[ways]
+            raise BadSample(f"{scene.key}: the samples of the set come with {wanted}, found {found} of the two")
+        if scene.projector is None:
+            if not ways:
+                return None
+            return _ranges(scene.projector_range_m, "projector_range_m", rig.projector_shape, rig, scene.key)
+        if not callable(scene.projector):
+            raise BadSample(f"{scene.key}: projector must be a function of rows and columns, found {scene.projector!r}")
+        return self._asked(scene.projector, rig, range_m, facing, scene.key)
+
+    def _asked(
+        self,
+        projector: ProjectorRanges,
+        rig: Rig,
+        range_m: Images,
+        facing: tuple[NDArray[np.bool_], ...] | None,
+        key: str,
+    ) -> Images:
+        """The projector's range by a function, asked for the texels that the shadow test reads, or for all of them."""
+        shape = rig.projector_shape
+        image = np.zeros(shape)
+
+        def ask(texels: NDArray[np.intp]) -> None:
+            found = _array(projector(*np.divmod(texels, shape[1])), "what projector returns", key)
+            image.ravel()[texels] = _ranges(found, "what projector returns", (len(texels),), rig, key)
+
+        if self.projector == "exact":
+            ask(np.arange(image.size))
+            return image
+        steps_m = rig.range_step_m
+        range_image = steps(range_m, steps_m, f"{key}: range_m")
+        masks = facing_from_range(rig, range_m) if facing is None else facing
+        first = 0
+        for test, mask in zip(shadow_tests(rig), masks, strict=True):
+
+            def ranges(texels: NDArray[np.intp], first: int = first) -> NDArray[np.uint16]:
+                ask(texels + first)
+                return steps(image.ravel()[texels + first], steps_m, key)
+
+            exact_range(test, range_image, mask & (range_image > 0), ranges)
+            first += test.rig.projector.rows * shape[1]
+        return image
+
+
+def facing_origin(scene: GivenScene) -> FacingOrigin:
+    """Where a scene's facing bits come from."""
+    return "range" if scene.facing is None and scene.normals is None else "given"
+
+
+def learned_fields(fields: Mapping[str, Any], rigs: int, key: str) -> Fields:
+    """The fields of a set as its first scene has them. Raises BadSample."""
+    return fields_of({name: _kind(plain_value(value), name, key) for name, value in fields.items()}, rigs)
+
+
+def learned_planes(planes: Mapping[str, Any], key: str) -> dict[str, str]:
+    """Name -> type of the planes that a first scene has; uint16 where they are no uint8. Raises BadSample, BadShard."""
+    kinds = {}
+    for name, plane in planes.items():
+        kinds[name] = "uint8" if _array(plane, f"the plane {name!r}", key).dtype == np.uint8 else "uint16"
+        check_plane(name, kinds[name], key)
+    return kinds
+
+
+def fields_of(kinds: Mapping[str, str], rigs: int) -> Fields:
+    """Fields, name -> kind, in the order of their names, each in a table of its own; with `RIG_FIELD` in a set of
+    several rigs. Raises BadConfig or BadShard.
+    """
+    kinds = {**kinds, RIG_FIELD: "int"} if rigs > 1 else kinds
+    if not all(isinstance(kind, str) for kind in kinds.values()):
+        raise BadConfig(f"'fields' must give a kind for each name, found {dict(kinds)!r:.200}")
+    return Fields(tuple(((name, kind),) for name, kind in sorted(kinds.items())))
+
+
+def plain_value(value: Any) -> Any:
+    """A field's value without NumPy or torch: their numbers as Python's, lists and arrays as tuples of floats."""
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, list | tuple | np.ndarray) or hasattr(value, "detach"):
+        try:
+            flat = np.asarray(value.detach().cpu() if hasattr(value, "detach") else value, np.float64)
+        except (TypeError, ValueError):
+            return value
+        return tuple(flat.tolist()) if flat.ndim == 1 else flat.item() if flat.ndim == 0 else value
+    return value
+
+
+def _kind(value: Value, name: str, key: str) -> str:
+    try:
+        return kind_of(value, name)
+    except BadSample as error:
+        raise BadSample(f"{key}: {error}") from error
+
+
+def _array(given: Any, name: str, key: str) -> Images:
+    """An argument as a NumPy array, which may share its memory. Raises BadSample."""
+    try:
+        # A tensor of torch, without importing it.
+        return np.asarray(given.detach().cpu().numpy() if hasattr(given, "detach") else given)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise BadSample(f"{key}: {name} must be an array: {one_line(str(error))}") from error
+
+
+def _ranges(given: Any, name: str, shape: tuple[int, ...], rig: Rig, key: str) -> Images:
+    """Ranges in metres, checked and copied."""
+    image = _array(given, name, key)
+    if image.dtype.kind != "f":
+        raise BadSample(f"{key}: {name} must be floats, in metres, found {image.dtype}")
+    _check_shape(image, name, shape, key)
+    reach = 65535 * rig.range_step_m
+    if image.size and not (image.min() >= 0 and image.max() <= reach):  # false for NaN too
+        wrong = ~((image >= 0) & (image <= reach))
+        raise BadSample(
+            f"{key}: {name} must be metres up to {reach:.5g}, and 0 where nothing is, found {_first(image, wrong)}"
+        )
+    return image.copy()
+
+
+def _integers(given: Any, name: str, size: tuple[int, int], key: str) -> Images:
+    image = _array(given, name, key)
+    if image.dtype.kind not in "iu":
+        raise BadSample(f"{key}: {name} must be whole numbers, found {image.dtype}")
+    _check_shape(image, name, size, key)
+    return image
+
+
+def _check_shape(image: Images, name: str, shape: tuple[int, ...], key: str) -> None:
+    if image.shape != shape:
+        wanted, found = (" x ".join(map(str, sizes)) for sizes in (shape, image.shape))
+        raise BadSample(f"{key}: {name} must be {wanted}, as the rig says, found {found or 'one number'}")
+
+
+def _first(image: Images, wrong: NDArray[np.bool_]) -> str:
+    place = tuple(np.argwhere(wrong)[0].tolist())
+    where = f"row {place[0]}, column {place[1]}" if len(place) == 2 else f"place {place[0]}"
+    return f"{image[place]:.7g} at {where}"
+
+
+def _from_normals(rig: Rig, range_m: Images, normals: Images, key: str) -> tuple[NDArray[np.bool_], ...]:
+    measured = range_m > 0
+    if not np.isfinite(normals[measured]).all():
+        raise BadSample(f"{key}: normals must be finite where range_m is above 0")
+    towards = np.einsum("ijk,ijk->ij", normals, rig.camera.pixel_rays())[measured] < 0
+    if towards.size and np.count_nonzero(towards) < towards.size / 2:
+        raise BadSample(
+            f"{key}: normals must point out of the surfaces, in the camera's frame (x right, y down, z forward), so "
+            f"towards the camera: {towards.size - np.count_nonzero(towards)} of {towards.size} point away"
+        )
+    return tuple(facing_from_normals(rig, range_m, normals))
+
+
+def _coarse(
+    rig: Rig, range_image: NDArray[np.uint16], facing: list[NDArray[np.bool_]], occluder: NDArray[np.uint16]
+) -> NDArray[np.uint16]:
+    """The projectors' exact ranges, as coarse as the shadows permit."""
+    found, first = [], 0
+    for test, mask in zip(shadow_tests(rig), facing, strict=True):
+        rows = test.rig.projector.rows
+        image = np.ascontiguousarray(occluder[first : first + rows]).ravel()
+        found.append(occluder_range(test, range_image, mask, image.take))
+        first += rows
+    return np.concatenate(found)

@@ -1,0 +1,430 @@
+"""Writer of shards from scenes that exist: arrays go in one by one, shards and a manifest come out.
+
+Scenes are checked where they are written and encoded by threads; shards of each split are cut in the order of writing.
+While a writer is open, `OUT/.packing/` holds its state as a packing's does (`writing`), and `learned.json`, what the
+first scene has shown of all: so a writer that was stopped carries on from its finished shards.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import itertools
+import json
+import shutil
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from dataclasses import asdict
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, get_args
+
+from bodyseg_data.core import BadConfig, BadSample, ProgressCallback, check_int, silent
+from bodyseg_data.files import make_folder, write_atomically
+from bodyseg_data.labels import Classes, LabelClass, classes_of
+from bodyseg_data.packing.options import PACKING_VERSION
+from bodyseg_data.packing.scene_layout import (
+    FacingOrigin,
+    GivenScene,
+    ProjectorRanges,
+    SceneLayout,
+    TakenScene,
+    facing_origin,
+    fields_of,
+    learned_fields,
+    learned_planes,
+)
+from bodyseg_data.packing.writing import claimed, finished_shards, record_shard
+from bodyseg_data.rigs import Rig, load_rig
+from bodyseg_data.samples import SHADOW_THRESHOLDS, Split, check_key
+from bodyseg_data.shards import (
+    EXTERNAL,
+    FACING_FROM_RANGE,
+    MANIFEST_FORMAT,
+    MANIFEST_NAME,
+    Manifest,
+    ProjectorKind,
+    ShardRecord,
+    TarWriter,
+    check_codec,
+    check_plane,
+    check_rigs,
+    read_manifest,
+    write_manifest,
+)
+
+_RENDERERS: Final[dict[FacingOrigin, str]] = {"given": EXTERNAL, "range": FACING_FROM_RANGE}
+_LEARNED: Final = "learned.json"
+
+RigLike = Rig | str | Path
+Encoded = tuple[Split, dict[str, bytes]]
+"""Split of a scene and its members, extension -> bytes."""
+
+
+class ShardWriter:
+    """Writes scenes as a set of shards into the folder `out`:
+
+        with ShardWriter("mine/", rig="rig.toml", classes=["floor", "arm"]) as out:
+            out.write(key="scene-000", range_m=z, labels=classes, projector_range_m=p)
+
+    rig: the rig, its name or its file; or a list of rigs, of which each scene names its own by number. classes: names
+    or `LabelClass`es, in the order of their labels, or `Classes`. projector: what is stored of the projector's range:
+    "shadow", as far as the shadow test with this rig needs it; "exact", as rendered; "none". planes: name -> "uint8" or
+    "uint16" of further images. fields: name -> kind ("text", "int", "float", "flag", "numbers") of the descriptions.
+    What is None of these three is as the first scene has it. source: name of the origin, for cards. codec: by name.
+    shard_samples: samples a shard. workers: threads that encode, 0 for none. executor: encodes in their place, such as
+    that of a Dask client, of which `workers` are kept busy. part: (i, n) for the i-th of n writers, 0 <= i < n, each
+    with its share of the scenes: it writes a set of its own in a folder of `out`, and `bodyseg join` makes one of all.
+    progress: called with the number of scenes written, twice.
+
+    The manifest is written when the context ends without an error. After an error finished shards stay, and the same
+    writer with the same scenes carries on: scenes of finished shards are skipped. Raises BadConfig for an argument out
+    of range, or if `out` holds something else or another writer is at work there; BadShard for rigs or planes that one
+    set cannot have.
+    """
+
+    def __init__(
+        self,
+        out: str | Path,
+        *,
+        rig: RigLike | Sequence[RigLike],
+        classes: Classes | Iterable[str | LabelClass],
+        projector: ProjectorKind | None = None,
+        planes: Mapping[str, str] | None = None,
+        fields: Mapping[str, str] | None = None,
+        source: str = "renders",
+        codec: str = "bsi",
+        shard_samples: int = 1080,
+        workers: int = 2,
+        executor: Executor | None = None,
+        part: tuple[int, int] | None = None,
+        progress: ProgressCallback = silent,
+    ) -> None:
+        if projector not in (None, *get_args(ProjectorKind)):
+            kinds = ", ".join(get_args(ProjectorKind))
+            raise BadConfig(
+                f"projector must be one of {kinds}, or None for what the first scene has, found {projector!r}"
+            )
+        if not source or not source.isprintable():
+            raise BadConfig(f"source must be a name that can be printed, found {source!r}")
+        several = [rig] if isinstance(rig, RigLike) else list(rig)
+        self._rigs = tuple(each if isinstance(each, Rig) else load_rig(each) for each in several)
+        if not self._rigs:
+            raise BadConfig("a set needs at least one rig, found none")
+        check_rigs(self._rigs, "rig")
+        self._classes = classes_of(classes)
+        self._projector, self._source, self._codec = projector, source, check_codec(codec)
+        for name, kind in (planes or {}).items():
+            check_plane(name, kind, "planes")
+        self._planes = None if planes is None else dict(planes)
+        self._fields = None if fields is None else fields_of(fields, len(self._rigs))
+        self._shard_samples = check_int("shard_samples", shard_samples, 1)
+        self._workers = check_int("workers", workers, 0)
+        self._out = Path(out) / part_name(*part) if part is not None else Path(out)
+        self._progress = progress
+        self._pool = executor
+        self._context = contextlib.ExitStack()
+        self._layout: SceneLayout | None = None
+        self._state: Path | None = None
+        self._complete = False
+        self._records: dict[str, ShardRecord] = {}
+        self._finished: set[str] = set()
+        self._seen: set[str] = set()
+        self._open: dict[Split, TarWriter] = {}
+        self._counts: dict[Split, int] = {}
+        self._waiting: deque[tuple[str, Future[Encoded]]] = deque()
+        self._failed: BaseException | None = None
+
+    def __enter__(self) -> ShardWriter:
+        description = self._described()
+        digest = hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
+        try:
+            make_folder(self._out.parent)
+            state = self._context.enter_context(
+                claimed(self._out, {**description, "shard_samples": self._shard_samples}, digest)
+            )
+            self._digest, self._state = digest, state
+            self._carry_on(state)
+            if self._workers and self._pool is None:
+                self._pool = self._context.enter_context(_stopped(ThreadPoolExecutor(self._workers)))
+        except OSError as error:
+            self._context.close()
+            raise self._unwritable(error) from error
+        except BaseException:
+            self._context.close()
+            raise
+        return self
+
+    def __contains__(self, key: str) -> bool:
+        """Whether a scene is already in a finished shard, so that it need not be rendered again."""
+        return key in self._finished
+
+    def write(
+        self,
+        *,
+        key: str,
+        range_m: Any,
+        labels: Any,
+        projector_range_m: Any = None,
+        projector: ProjectorRanges | None = None,
+        facing: Any = None,
+        normals: Any = None,
+        split: Split = "train",
+        fields: Mapping[str, Any] | None = None,
+        planes: Mapping[str, Any] | None = None,
+        rig: int = 0,
+    ) -> bool:
+        """Write one scene; False if an earlier run's finished shards hold it. Arrays of NumPy or torch, free for use
+        again once this returns.
+
+        key: unique in the set, 1 to 80 letters, digits, "_", "+" and "-". range_m: floats [H, W], metres along the
+        camera's axis, 0 where nothing was measured. labels: whole numbers [H, W], classes of the set, 254 on surfaces
+        of none, 255 where nothing was measured; stored is 255 exactly where `range_m` is 0, so a label given there (of
+        a background, say) is dropped, and 255 on a surface becomes 254. projector_range_m: floats [Hp, Wp], the same
+        for the projector, of two projectors the second's rows below the first's. projector: instead, a function of rows
+        and columns [N] of texels in that image that returns their ranges [N]; it is called once a projector, in this
+        thread, and only for texels that the set needs. facing: bool [H, W], or [2, H, W] for two projectors, whether
+        the surface is turned towards the projector. normals: instead, floats [H, W, 3], the outward normals in the
+        camera's frame (x right, y down, z forward). Without both, facing is found from `range_m`; all scenes of a set
+        do it alike. split: "train" or "test". fields: values of the description, some of the set's. planes: name ->
+        whole numbers [H, W], all of the set's. rig: number of the scene's rig in the set's list.
+
+        Raises BadSample, naming the key, for what breaks a rule: the scene is then not written, and the writer goes on.
+        """
+        if not self._is_new(key):
+            return False
+        scene = GivenScene(
+            key, range_m, labels, projector_range_m, projector, facing, normals, split, fields, planes, rig
+        )
+        layout = self._layout or self._learned(scene)
+        taken = layout.taken(scene)
+        if self._complete:
+            raise BadConfig(f"{key}: {self._out} holds a finished set without it: choose another folder, or delete it")
+        if self._layout is None:
+            self._learn(layout)
+        self._seen.add(key)
+        self._enqueue(key, _encoded, layout, taken)
+        return True
+
+    def write_all(self, scenes: Mapping[str, Any], function: Callable[[Any], Mapping[str, Any]]) -> None:
+        """Make scenes with a function where they are encoded, in the writer's threads or executor, and write them.
+
+        scenes: key -> whatever the function needs to make the scene, a path say. function: returns the arguments of
+        `write` but `key`. Scenes of finished shards are not made again. Functions and what they are given must be such
+        as can be pickled where the executor is of processes or of a cluster. Raises as `write`; the writer then does
+        not go on.
+        """
+        for key, reference in scenes.items():
+            if not self._is_new(key):
+                continue
+            if self._layout is None or self._complete:
+                self.write(key=key, **function(reference))  # here: it shows what all the others must have
+            else:
+                self._seen.add(key)
+                self._enqueue(key, _made, self._layout, key, function, reference)
+
+    def _is_new(self, key: str) -> bool:
+        """False for a scene of a finished shard. Raises BadSample for a bad key, or one that was written before."""
+        self._opened()
+        if self._failed is not None:
+            raise self._failed
+        check_key(key if isinstance(key, str) else f"<{key!r}>")
+        if key in self._seen:
+            raise BadSample(f"{key}: this key was written before")
+        if key in self._finished:
+            self._seen.add(key)
+            return False
+        return True
+
+    def _enqueue(self, key: str, work: Callable[..., Encoded], *given: Any) -> None:
+        encoded = _done(work, *given) if self._pool is None else self._pool.submit(work, *given)
+        self._waiting.append((key, encoded))
+        while len(self._waiting) > 2 * self._workers:
+            self._append_next()
+
+    def _append_next(self) -> None:
+        """Append the scene that was written first of those under way to its shard."""
+        key, encoded = self._waiting.popleft()
+        try:
+            self._append(key, *encoded.result())
+        except OSError as error:
+            self._failed = self._unwritable(error)
+            raise self._failed from error
+        except BaseException as error:
+            self._failed = error  # the scene is lost, so the set cannot be finished
+            raise
+        done = sum(map(len, self._records.values())) + sum(self._counts.values())
+        self._progress(done, done)
+
+    def _append(self, key: str, split: Split, members: Mapping[str, bytes]) -> None:
+        state, layout = self._opened(), self._layout
+        if split not in self._open and layout is not None:
+            names = (f"{split}-{number:05d}.tar" for number in itertools.count())
+            name = next(name for name in names if name not in self._records)
+            writer = TarWriter(self._out / name, state / f"{name}.part", split, layout.fields)
+            self._open[split], self._counts[split] = writer.__enter__(), 0
+        self._open[split].write(key, members)
+        self._counts[split] += 1
+        if self._counts[split] == self._shard_samples:
+            self._close(split)
+
+    def _close(self, split: Split) -> None:
+        writer = self._open.pop(split)
+        del self._counts[split]
+        writer.__exit__(None, None, None)
+        if writer.record is not None:
+            self._records[writer.record.name] = writer.record
+            record_shard(self._opened(), writer.record)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if error is None:
+                self._finish()
+        except OSError as failure:
+            raise self._unwritable(failure) from failure
+        finally:
+            for _, encoded in self._waiting:
+                encoded.cancel()
+            for writer in self._open.values():
+                writer.__exit__(KeyboardInterrupt, None, None)  # as after any error: its file goes
+            self._open.clear()
+            self._waiting.clear()
+            self._state = None
+            self._context.close()
+
+    def _finish(self) -> None:
+        """Write what is under way and the manifest."""
+        while self._waiting:
+            self._append_next()
+        if self._failed is not None:
+            raise self._failed
+        for split in list(self._open):
+            self._close(split)
+        if self._layout is None or not self._records:
+            raise BadConfig(f"no scene was written: {self._out} gets no manifest")
+        if not self._complete:
+            write_manifest(manifest_of(self._layout, self._source, self._digest, self._records), self._out)
+        shutil.rmtree(self._opened())
+
+    def _described(self) -> dict[str, Any]:
+        """Everything that shapes the bytes of a sample as far as it is known before the first, as plain JSON."""
+        described = {
+            "format": MANIFEST_FORMAT,
+            "version": PACKING_VERSION,
+            "rigs": [rig.to_json() for rig in self._rigs],
+            "classes": self._classes.to_json(),
+            "projector": self._projector,
+            "planes": self._planes,
+            "fields": None if self._fields is None else self._fields.to_json(),
+            "source": self._source,
+            "codec": self._codec,
+            "shadow_thresholds": asdict(SHADOW_THRESHOLDS),
+        }
+        return dict(json.loads(json.dumps(described)))  # tuples as lists, to compare with what was stored
+
+    def _learned(self, scene: GivenScene) -> SceneLayout:
+        """What all samples have in common, where it is not given as the first scene has it."""
+        fields, planes, projector = self._fields, self._planes, self._projector
+        if fields is None:
+            fields = learned_fields(scene.fields or {}, len(self._rigs), scene.key)
+        if planes is None:
+            planes = learned_planes(scene.planes or {}, scene.key)
+        if projector is None:
+            projector = "none" if scene.projector is None and scene.projector_range_m is None else "shadow"
+        return SceneLayout(self._rigs, self._classes, fields, projector, planes, facing_origin(scene), self._codec)
+
+    def _learn(self, layout: SceneLayout) -> None:
+        self._layout = layout
+        stored = {"fields": layout.fields.kinds, "projector": layout.projector, "planes": dict(layout.planes)}
+        write_atomically(self._opened() / _LEARNED, json.dumps({**stored, "facing": layout.facing}).encode())
+
+    def _carry_on(self, state: Path) -> None:
+        """Find the shards that an earlier run finished, and what it had learned."""
+        layout = None
+        if (self._out / MANIFEST_NAME).exists():
+            manifest = read_manifest(self._out)
+            facing: FacingOrigin = "range" if manifest.renderer == FACING_FROM_RANGE else "given"
+            known = manifest.fields, manifest.projector, manifest.planes, facing
+            layout = SceneLayout(self._rigs, self._classes, *known, self._codec)
+            names = [record.name for record in manifest.shards]
+            self._learn(layout)
+        else:
+            names = sorted(path.name.removesuffix(".json") for path in state.glob("*.tar.json"))
+            with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+                stored = json.loads((state / _LEARNED).read_bytes())
+                known = (
+                    fields_of(stored["fields"], len(self._rigs)),
+                    stored["projector"],
+                    stored["planes"],
+                    stored["facing"],
+                )
+                layout = SceneLayout(self._rigs, self._classes, *known, self._codec)
+        if layout is None:
+            return
+        self._records = finished_shards(self._out, state, names, layout.fields)
+        self._finished = {key for record in self._records.values() for key in record.keys}
+        self._complete = (self._out / MANIFEST_NAME).exists()
+        self._layout = layout if self._records else None
+
+    def _opened(self) -> Path:
+        """The folder of the state."""
+        if self._state is None:
+            raise BadConfig("a ShardWriter writes in a with statement: with ShardWriter(...) as out")
+        return self._state
+
+    def _unwritable(self, error: OSError) -> BadConfig:
+        return BadConfig(f"cannot write shards in {self._out}: {error.strerror or error}")
+
+
+@contextlib.contextmanager
+def _stopped(pool: ThreadPoolExecutor) -> Iterator[Executor]:
+    """A pool that drops what it has not begun when the context ends."""
+    try:
+        yield pool
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _encoded(layout: SceneLayout, taken: TakenScene) -> Encoded:
+    return taken.info.split, layout.members(taken)
+
+
+def _made(layout: SceneLayout, key: str, function: Callable[[Any], Mapping[str, Any]], reference: Any) -> Encoded:
+    return _encoded(layout, layout.taken(GivenScene(key, **function(reference))))
+
+
+def _done(work: Callable[..., Encoded], *given: Any) -> Future[Encoded]:
+    """A future of work that is done at once."""
+    future: Future[Encoded] = Future()
+    try:
+        future.set_result(work(*given))
+    except Exception as error:
+        future.set_exception(error)
+    return future
+
+
+def part_name(number: int, count: int) -> str:
+    """Name of the folder of a part's set. Raises BadConfig unless it is one of the parts, counted from 0."""
+    if not 0 <= check_int("part", number, 0) < check_int("parts", count, 1):
+        raise BadConfig(f"part must be (i, n), i from 0 to n - 1, found ({number}, {count})")
+    return f"part-{number:05d}-of-{count:05d}"
+
+
+def manifest_of(layout: SceneLayout, source: str, plan: str, records: Mapping[str, ShardRecord]) -> Manifest:
+    """The manifest of finished shards, in the order of their names: those of training first."""
+    shards = sorted(records.values(), key=lambda record: (record.split == "test", record.name))
+    return Manifest(
+        rigs=layout.rigs,
+        codec=layout.codec,
+        source=source,
+        renderer=_RENDERERS[layout.facing],
+        plan=plan,
+        shards=tuple(shards),
+        classes=layout.classes,
+        fields=layout.fields,
+        projector=layout.projector,
+        planes=layout.planes,
+    )

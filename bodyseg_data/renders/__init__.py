@@ -1,0 +1,13 @@
+"""Renders that exist: readers of folders that other programs wrote, behind one Protocol."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bodyseg_data.core import lazy_door
+
+if TYPE_CHECKING:
+    from bodyseg_data.renders.layouts import LayoutName, open_renders
+    from bodyseg_data.renders.source import Render, RenderSource
+else:
+    __getattr__, __dir__, __all__ = lazy_door(__name__)

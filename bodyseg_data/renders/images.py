@@ -1,0 +1,167 @@
+"""Images in files as arrays: PNG, TIFF, NPY, NPZ and OpenEXR; and stored numbers as metres along the optical axis."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Collection
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core import BadSample
+from bodyseg_data.machine import missing_library
+from bodyseg_data.rigs import Camera, Rig
+
+SUFFIXES: Final = (".png", ".tif", ".tiff", ".npy", ".npz", ".exr")
+"""Endings of image files that are read."""
+
+NOTHING: Final = 1e9
+"""Floats from here on mean that nothing was measured: Blender writes 1e10."""
+
+_SENTINELS: Final = (65504.0, 65535.0)  # the largest number of 16-bit floats, and of 16-bit integers stored as floats
+_MOST_STEPS: Final = 65535
+_LEAST_M: Final = 0.01
+_NEAR_M: Final = 0.3
+"""A farthest surface nearer than this speaks against a unit that is guessed."""
+
+_DEPTH: Final = ("Z", "V", "Y", "R")  # names that programs give to the one channel of a depth image
+_UNITS: Final = (("millimetres", 1e-3), ("centimetres", 1e-2))
+
+
+def read_array(path: Path) -> NDArray[Any]:
+    """Read an image: [H, W], or [H, W, C] for colours and vectors; booleans, integers or floats.
+
+    Raises BadSample, naming the file, for one that cannot be read; MissingLibrary for OpenEXR without its package.
+    """
+    readers = {".npy": _read_numpy, ".npz": _read_numpy, ".exr": _read_exr}
+    try:
+        array = readers.get(path.suffix.lower(), _read_picture)(path)
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, SyntaxError, RuntimeError, TypeError) as error:
+        raise BadSample(f"{path}: cannot be read as an image: {error}") from error
+    if array.ndim == 3 and array.shape[2] == 1:
+        array = array[..., 0]
+    if array.ndim not in (2, 3) or not array.size or array.dtype.kind not in "buif":
+        raise BadSample(f"{path}: an image must be [H, W] or [H, W, C] of numbers, found {array.dtype} {array.shape}")
+    return array
+
+
+def _read_numpy(path: Path) -> NDArray[Any]:
+    found = np.load(io.BytesIO(path.read_bytes()), allow_pickle=False)
+    if isinstance(found, np.ndarray):
+        return found
+    with found:
+        if len(found.files) != 1:
+            raise ValueError(f"a file holds one array, found {', '.join(found.files) or 'none'}")
+        array: NDArray[Any] = found[found.files[0]]
+        return array
+
+
+def _read_picture(path: Path) -> NDArray[Any]:
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path, formats=("PNG", "TIFF")) as picture:
+            if picture.mode in ("LA", "CMYK", "YCbCr", "LAB"):
+                raise ValueError(f"a picture must be of integers, floats or RGB colours, found mode {picture.mode}")
+            return np.asarray(picture)  # a palette's picture gives its numbers, which are the labels
+    except (UnidentifiedImageError, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        raise ValueError("it is no PNG or TIFF file of a sensible size") from error
+
+
+def _read_exr(path: Path) -> NDArray[Any]:
+    try:
+        import OpenEXR
+    except ImportError as error:
+        raise missing_library("reading OpenEXR files", error, extra="renders") from error
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        channels = {name: channel.pixels for name, channel in file.channels().items()}
+    ends: dict[str, str] = {}
+    for name in channels:
+        ends.setdefault(name.rpartition(".")[2].upper(), name)  # "ViewLayer.Depth.Z" is Z
+    vectors = [[ends[each] for each in letters] for letters in ("XYZ", "RGB") if set(letters) <= ends.keys()]
+    if vectors:
+        stacked = np.stack([channels[name] for name in vectors[0]], axis=-1)
+        grey = bool((stacked == stacked[..., :1]).all())
+        return stacked[..., 0] if grey else stacked
+    one = [channels[ends[letter]] for letter in _DEPTH if letter in ends] or list(channels.values())
+    if len(channels) > 1 and len(one) != 1:
+        raise ValueError(f"a depth image has one channel, found {', '.join(sorted(channels))}")
+    return np.asarray(one[0])
+
+
+@lru_cache(maxsize=8)
+def ray_lengths(camera: Camera) -> NDArray[np.float64]:
+    """Length of the ray through each pixel's centre to depth 1 along the axis, float64 [rows, columns]."""
+    lengths: NDArray[np.float64] = np.linalg.norm(camera.pixel_rays(), axis=2)
+    return lengths
+
+
+def projector_ray_lengths(rig: Rig) -> NDArray[np.float64]:
+    """The same for the rig's projectors, one below the other."""
+    return np.concatenate([ray_lengths(projector) for projector in rig.projectors])
+
+
+def as_metres(
+    image: NDArray[Any],
+    unit_m: float | None,
+    step_m: float,
+    where: str,
+    lengths: NDArray[np.float64] | None = None,
+    no_range: Collection[float] = (),
+) -> NDArray[np.floating[Any]]:
+    """Ranges of an image in metres along the axis, 0 where nothing was measured; float32 of floats, else float64.
+
+    unit_m: metres of the number 1; None: floats are metres, and integers are refused. step_m: of the rig's stored
+    ranges. lengths: of the rays, for distances along them (`ray_lengths`). no_range: numbers that mean that nothing was
+    measured, besides 0, infinity, NaN, 65535, 65504, and 1e9 and more.
+
+    Raises BadSample for numbers that cannot be ranges in that unit.
+    """
+    if image.ndim != 2:
+        raise BadSample(f"{where}: a range image has one channel, found {image.shape[2]}: is it a picture in colours?")
+    floats = image.dtype.kind == "f"
+    if image.dtype == np.float16:
+        raise BadSample(f"{where}: 16-bit floats hold ranges beyond 2 m in steps of 2 mm or more: write 32-bit floats")
+    if image.dtype.kind == "b" or image.dtype.itemsize == 1:
+        raise BadSample(f"{where}: {image.dtype} holds at most 256 ranges: write 16-bit integers or 32-bit floats")
+    if not floats and unit_m is None:
+        raise BadSample(f"{where}: an image of integers needs 'unit_m' in set.toml, the metres of one step, like 0.001")
+    nothing = image == 0
+    if floats:
+        nothing |= ~np.isfinite(image) | (image >= NOTHING)
+    for number in (*(_SENTINELS if floats else _SENTINELS[1:]), *no_range):
+        nothing |= image == number
+    numbers: NDArray[np.floating[Any]] = image.astype(np.float32 if floats else np.float64)
+    numbers[nothing] = 0
+    if numbers.min() < 0:
+        raise BadSample(
+            f"{where}: a range must not be negative, found {numbers.min():.6g}: OpenGL's z axis points backwards"
+        )
+    if floats and numbers.max() == 1 and np.count_nonzero(numbers == 1) > image.size / 20:
+        raise BadSample(
+            f"{where}: the largest number is 1, of {np.count_nonzero(numbers == 1)} pixels: a depth buffer, or depth "
+            "scaled to 0..1, holds no metres; list 1 in 'no_range' if only the background has it"
+        )
+    numbers *= 1.0 if unit_m is None else unit_m
+    if lengths is not None:
+        numbers /= lengths
+    _check_unit(float(numbers.max()), step_m, where)
+    return numbers
+
+
+def _check_unit(largest_m: float, step_m: float, where: str) -> None:
+    """Raise BadSample for a largest range that no steps hold, or that is smaller than any scene's."""
+    reach = _MOST_STEPS * step_m
+    if largest_m > reach:
+        fits = (each for each in _UNITS if _NEAR_M <= largest_m * each[1] <= reach)
+        unit = next((f": these look like {word} (unit_m = {size:g})" for word, size in fits), "")
+        raise BadSample(
+            f"{where}: a range must be at most {reach:.5g} m, {_MOST_STEPS} steps of {1e3 * step_m:g} mm, found "
+            f"{largest_m:.6g} m{unit or '; a larger range_step_mm of the rig reaches farther'}"
+        )
+    if 0 < largest_m < _LEAST_M:
+        raise BadSample(f"{where}: the farthest surface is {1e3 * largest_m:.3g} mm away: is 'unit_m' right?")

@@ -1,0 +1,306 @@
+"""The file `set.toml` of a folder of renders, which says what its images mean, and its table of samples.
+
+    format = "bodyseg renders 1"
+    classes = ["floor", "table", "arm"]   # or [[classes]] with name, label, colour, mirror, within
+    first_label = 1                       # the number of the first class in label images
+    background = [0]                      # numbers or colours of pixels without a class
+    rig = "rig.toml"                      # a rig file in this folder, the name of a rig, or a table [rig]
+    unit_m = 0.001                        # metres of one step of range images of integers
+
+Further keys are those of `SetFile`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+import re
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core import BadConfig, BadSample
+from bodyseg_data.files import Table, parse_json, read_bytes
+from bodyseg_data.labels import BACKGROUND, Classes, LabelClass
+from bodyseg_data.rigs import Rig, load_rig, rig_from_json
+from bodyseg_data.samples import SPLITS, SampleInfo, Split, Value, kind_of
+
+SET_NAME: Final = "set.toml"
+SET_FORMAT: Final = "bodyseg renders 1"
+TABLES: Final = ("samples.jsonl", "samples.csv")
+
+Along = Literal["axis", "ray"]
+
+_COLOUR: Final = re.compile(r"#[0-9a-fA-F]{6}")
+_SMALL: Final = 1 << 16
+_BORDER: Final = 0.05
+"""Share of pixels in unknown colours below which they are taken for blended borders."""
+
+
+@dataclass(frozen=True)
+class LabelTable:
+    """Numbers and colours (0xrrggbb) of label images -> label; `BACKGROUND` for those without a class.
+
+    said_by: the file that gives them.
+    """
+
+    numbers: Mapping[int, int] = field(default_factory=dict)
+    colours: Mapping[int, int] = field(default_factory=dict)
+    said_by: str = SET_NAME
+
+    def labels(self, image: NDArray[Any], where: str) -> NDArray[np.uint8]:
+        """Labels of an image, uint8 [H, W]. Raises BadSample for a number or colour that stands for nothing."""
+        if image.ndim == 3 and not self.colours and (image[..., :3] == image[..., :1]).all():
+            image = image[..., 0]  # grey that was saved as a picture in colours
+        in_colours = image.ndim == 3
+        if in_colours and not self.colours:
+            raise BadSample(f"{where}: the image is in colours, and no class of {self.said_by} has a colour")
+        table, values = (self.colours, _packed(image, where)) if in_colours else (self.numbers, _whole(image, where))
+        small = values.min() >= 0 and values.max() < _SMALL
+        found = np.flatnonzero(np.bincount(values.ravel())) if small else np.unique(values)
+        if not table.keys() >= set(found.tolist()):
+            strange, counts = np.unique(values[~np.isin(values, list(table))], return_counts=True)
+            most = f"#{strange[counts.argmax()]:06x}" if in_colours else str(strange[counts.argmax()])
+            blended = in_colours and len(strange) > 2 and counts.sum() < _BORDER * values.size
+            why = ": borders are blended, labels need rendering without antialiasing" if blended else ""
+            raise BadSample(
+                f"{where}: {counts.sum()} pixels have {len(strange)} {'colours' if in_colours else 'numbers'} that are "
+                f"neither a class nor background in {self.said_by}, most of them {most} ({counts.max()}){why}"
+            )
+        labels = np.array([table[value] for value in found.tolist()], np.uint8)
+        return labels[np.searchsorted(found, values)]
+
+
+def _whole(image: NDArray[Any], where: str) -> NDArray[np.int64]:
+    with np.errstate(invalid="ignore"):  # NaN is no whole number, which the next lines say
+        whole = image.astype(np.int64)
+    if image.dtype.kind == "f" and not np.array_equal(whole, image):
+        raise BadSample(f"{where}: a label must be a whole number, found {image[whole != image][0]:.6g}")
+    return whole
+
+
+def _packed(image: NDArray[Any], where: str) -> NDArray[np.int64]:
+    """Colours of 8 bits a channel as numbers 0xrrggbb."""
+    if image.dtype != np.uint8 or image.shape[2] not in (3, 4):
+        raise BadSample(f"{where}: a label image in colours must be of 8 bits, found {image.dtype} {image.shape}")
+    red, green, blue = np.moveaxis(image[..., :3].astype(np.int64), 2, 0)
+    return red << 16 | green << 8 | blue
+
+
+@dataclass(frozen=True)
+class SetFile:
+    """The content of `set.toml`; what it does not say is None or empty.
+
+    rigs: by the name that the table of samples gives them, "" for the set's only one. unit_m, no_range: as of
+    `as_metres`. along: what ranges are measured along. camera, projector: folders of the two. range_step_mm,
+    stand_off_m: of a rig that the renders' own files describe.
+    """
+
+    path: Path
+    layout: str | None = None
+    classes: Classes | None = None
+    table: LabelTable = field(default_factory=LabelTable)
+    rigs: Mapping[str, Rig] = field(default_factory=dict)
+    unit_m: float | None = None
+    along: Along = "axis"
+    no_range: tuple[float, ...] | None = None
+    split: Split = "train"
+    camera: str = ""
+    projector: str = "projector"
+    stand_off_m: float = 1.0
+    range_step_mm: float | None = None
+
+
+def read_set(folder: Path) -> SetFile:
+    """Read the `set.toml` of a folder; an empty one if there is none. Raises BadConfig, naming file and key."""
+    path = folder / SET_NAME
+    if not path.exists():
+        return SetFile(path)
+    try:
+        tree = tomllib.loads(read_bytes(path).decode())
+    except (ValueError, RecursionError) as error:
+        raise BadConfig(f"{path} is not TOML: {error}") from error
+    if tree.pop("format", None) != SET_FORMAT:
+        raise BadConfig(f"{path}: 'format' must be {SET_FORMAT!r}")
+    rows, lists = tree.pop("classes", None), {name: tree.pop(name, None) for name in ("background", "no_range")}
+    rigs = _rigs(tree.pop("rig", None), tree.pop("rigs", None), path)
+    table = Table(tree, str(path))
+    name = table.text("name") if table.has("name") else "classes"
+    first = table.whole("first_label") if table.has("first_label") else 0
+    found: dict[str, Any] = {
+        key: table.text(key) for key in ("layout", "along", "split", "camera", "projector") if table.has(key)
+    }
+    found |= {key: table.positive(key) for key in ("unit_m", "stand_off_m", "range_step_mm") if table.has(key)}
+    table.finish()
+    for key, allowed in (("along", get_args(Along)), ("split", SPLITS)):
+        if found.get(key, allowed[0]) not in allowed:
+            raise BadConfig(f"{path}: {key!r} must be {' or '.join(allowed)}, found {found[key]!r}")
+    background = [BACKGROUND] if lists["background"] is None else _list(lists["background"], "background", path)
+    classes, numbers = (None, LabelTable()) if rows is None else _classes(rows, name, first, background, path)
+    if lists["no_range"] is not None:
+        values = _list(lists["no_range"], "no_range", path)
+        if not all(type(value) in (int, float) for value in values):
+            raise BadConfig(f"{path}: 'no_range' must be a list of numbers, found {values!r}")
+        found["no_range"] = tuple(map(float, values))
+    return SetFile(path, classes=classes, table=numbers, rigs=rigs, **found)
+
+
+def _list(value: Any, key: str, path: Path) -> list[Any]:
+    if not isinstance(value, list):
+        raise BadConfig(f"{path}: {key!r} must be a list, found {value!r:.60}")
+    return value
+
+
+def _classes(rows: Any, name: str, first: int, background: Sequence[Any], path: Path) -> tuple[Classes, LabelTable]:
+    """Classes, and the numbers and colours of images that stand for them. Raises BadConfig."""
+    entries: list[LabelClass] = []
+    numbers: dict[int, int] = {}
+    colours: dict[int, int] = {}
+
+    def stands_for(value: Any, label: int, what: str) -> None:
+        is_colour = isinstance(value, str) and _COLOUR.fullmatch(value) is not None
+        if not is_colour and (type(value) is not int or value < 0):
+            raise BadConfig(f"{path}: {what} must be a whole number or a colour like '#1e90ff', found {value!r:.60}")
+        table, key = (colours, int(value[1:], 16)) if is_colour else (numbers, value)
+        if table.setdefault(key, label) != label:
+            raise BadConfig(f"{path}: {value!r} stands for two classes, or for one and 'background'")
+
+    for value in background:
+        stands_for(value, BACKGROUND, "an entry of 'background'")
+    for label, row in enumerate(_list(rows, "classes", path)):
+        given = {"name": row} if isinstance(row, str) else row
+        if not isinstance(given, dict) or not set(given) <= {"name", "label", "colour", "mirror", "within"}:
+            raise BadConfig(
+                f"{path}: a class is a name, or has name, label, colour, mirror and within, found {row!r:.90}"
+            )
+        values = given.get("label", first + label)
+        for value in values if isinstance(values, list) else [values]:
+            stands_for(value, label, f"'label' of class {label}")
+        colour = given.get("colour")
+        if colour is not None:
+            stands_for(colour, label, f"'colour' of class {label}")
+            given = {**given, "colour": str(colour).lower()}
+        entries.append(LabelClass(**{"name": "", **{key: each for key, each in given.items() if key != "label"}}))
+    try:
+        return Classes(name, tuple(entries)), LabelTable(numbers, colours)
+    except BadConfig as error:
+        raise BadConfig(f"{path}: {error}") from None
+
+
+def _rigs(one: Any, several: Any, path: Path) -> dict[str, Rig]:
+    if one is not None and several is not None:
+        raise BadConfig(f"{path}: a set has 'rig' or [rigs], found both")
+    if several is not None and not (isinstance(several, dict) and several):
+        raise BadConfig(f"{path}: [rigs] must give names to rig files, found {several!r:.60}")
+    named = {"": one} if one is not None else several or {}
+    return {name: _rig(value, path) for name, value in named.items()}
+
+
+def _rig(value: Any, path: Path) -> Rig:
+    """A rig from a file beside `path`, by its name, or from a table in it. Raises BadConfig."""
+    if isinstance(value, str):
+        return load_rig(path.parent / value if value.endswith(".toml") else value)
+    if not isinstance(value, dict):
+        raise BadConfig(f"{path}: 'rig' must be a file, a name or a table, found {value!r:.60}")
+    tree = {key: each for key, each in value.items() if key != "title"}
+    if isinstance(tree.get("camera"), dict):
+        tree["camera"] = {"position_m": [0.0, 0.0, 0.0], "aims_at_m": [0.0, 0.0, 1.0], **tree["camera"]}
+    try:
+        return rig_from_json({"format": "bodyseg rig 1", "name": "renders", **tree})
+    except BadConfig as error:
+        raise BadConfig(f"{path}, [rig]: {error}") from None
+
+
+@dataclass(frozen=True)
+class SampleRows:
+    """Descriptions of samples by key, in the table's order; empty without a table.
+
+    infos: split and fields. rigs: names of those that have one. default: split of samples without.
+    """
+
+    path: Path | None
+    default: Split
+    infos: Mapping[str, SampleInfo] = field(default_factory=dict)
+    rigs: Mapping[str, str] = field(default_factory=dict)
+
+    def info(self, key: str) -> SampleInfo:
+        """Split and fields of a sample."""
+        return self.infos.get(key) or SampleInfo(self.default)
+
+    def kinds(self) -> dict[str, str]:
+        """Name -> kind of all fields; whole numbers are floats where other samples have floats."""
+        found: dict[str, str] = {}
+        for info in self.infos.values():
+            for name, value in info.fields.items():
+                kind = kind_of(value, name)
+                if found.setdefault(name, kind) == "int":
+                    found[name] = kind
+        return found
+
+
+def read_rows(folder: Path, content: SetFile) -> SampleRows:
+    """Read samples.jsonl or samples.csv of a folder, if there is one. Raises BadConfig, naming file and line."""
+    there = [folder / name for name in TABLES if (folder / name).exists()]
+    if not there:
+        return SampleRows(None, content.split)
+    if len(there) > 1:
+        raise BadConfig(f"{folder}: a set has one table of samples, found {' and '.join(TABLES)}")
+    path, infos, rigs = there[0], dict[str, SampleInfo](), dict[str, str]()
+    try:
+        text = read_bytes(path).decode("utf-8-sig")  # spreadsheets write a mark of byte order
+    except UnicodeDecodeError as error:
+        raise BadConfig(f"{path} is not UTF-8: {error}") from None
+    for line, row in _json_rows(text, path) if path.suffix == ".jsonl" else _csv_rows(text, path):
+        key, split, rig = row.pop("key", None), row.pop("split", content.split), row.pop("rig", "")
+        if not isinstance(key, str) or key in infos or not isinstance(rig, str):
+            raise BadConfig(f"{path}, line {line}: 'key' and 'rig' are text, each key once, found {key!r}, {rig!r}")
+        try:
+            values = {
+                name: tuple(map(float, v)) if isinstance(v, list) else v for name, v in row.items() if v is not None
+            }
+            infos[key] = SampleInfo(split, values)
+        except (BadSample, TypeError, ValueError) as error:
+            raise BadConfig(f"{path}, line {line}: {error}") from None
+        rigs[key] = rig
+    return SampleRows(path, content.split, infos, rigs)
+
+
+def _json_rows(text: str, path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
+    for line, words in enumerate(text.splitlines(), 1):
+        if words.strip():
+            yield line, parse_json(words.encode(), f"{path}, line {line}")
+
+
+def _csv_rows(text: str, path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Rows of CSV: a column is of whole numbers, numbers, flags or text, an empty cell says nothing."""
+    try:
+        header, *cells = [row for row in csv.reader(io.StringIO(text), strict=True) if row] or [[]]
+    except csv.Error as error:
+        raise BadConfig(f"{path} is not CSV: {error}") from None
+    for line, row in enumerate(cells, 2):
+        if len(row) != len(header) or len(set(header)) < len(header):
+            raise BadConfig(f"{path}, line {line}: a row has a cell for each of {len(header)} different columns")
+    words = [[row[at] for row in cells] for at in range(len(header))]
+    columns = [
+        column if name in ("key", "split", "rig") else _typed(column)
+        for name, column in zip(header, words, strict=True)
+    ]
+    for at in range(len(cells)):
+        yield (
+            at + 2,
+            {name: column[at] for name, column in zip(header, columns, strict=True) if column[at] not in (None, "")},
+        )
+
+
+def _typed(column: Sequence[str]) -> Sequence[Value | None]:
+    flags = {"true": True, "false": False}
+    for read in (int, float, lambda word: flags[word.lower()], str):
+        with contextlib.suppress(ValueError, KeyError):
+            return [read(word) if word else None for word in column]
+    return []

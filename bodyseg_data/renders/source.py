@@ -1,0 +1,255 @@
+"""Protocol of the sources of finished renders, and what all readers of files share: partners, sizes, units, checks."""
+
+from __future__ import annotations
+
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core import BadConfig, BadSample
+from bodyseg_data.labels import UNLABELLED, Classes
+from bodyseg_data.renders.images import as_metres, projector_ray_lengths, ray_lengths
+from bodyseg_data.renders.set_file import LabelTable, SampleRows, SetFile
+from bodyseg_data.rigs import Rig
+from bodyseg_data.samples import Split, Value, check_key
+
+RANGE, LABELS, PROJECTOR, FACING, NORMALS = "range", "labels", "projector", "facing", "normals"
+"""Kinds of images; any other is a plane."""
+
+_NUMBERS: Final = re.compile(r"(\d+)")
+_NAMED: Final = 3
+_FEW: Final = 0.02
+"""Share of labelled pixels that may have no range: borders that two renderers draw half a pixel apart."""
+_MUCH: Final = 0.05
+"""Share of an image that is more than chance, of pixels with one and the same largest range."""
+
+
+@dataclass(frozen=True)
+class Render:
+    """A finished scene: the arguments of `ShardWriter.write`, which describes them. rig: its number in the source's."""
+
+    key: str
+    range_m: NDArray[np.floating[Any]]
+    labels: NDArray[np.uint8]
+    projector_range_m: NDArray[np.floating[Any]] | None = None
+    facing: NDArray[np.bool_] | None = None
+    normals: NDArray[np.floating[Any]] | None = None
+    split: Split = "train"
+    fields: Mapping[str, Value] = field(default_factory=dict)
+    planes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    rig: int = 0
+
+
+class RenderSource(Protocol):
+    """A set of finished renders, in a fixed order.
+
+    classes: what labels mean. rigs: of all samples. planes: name -> "uint8" or "uint16" of further images. fields:
+    name -> kind of the fields of descriptions, as `ShardWriter` takes them.
+    """
+
+    classes: Classes
+    rigs: tuple[Rig, ...]
+    planes: Mapping[str, str]
+    fields: Mapping[str, str]
+
+    def keys(self) -> Sequence[str]:
+        """Return the keys of all renders, in their order."""
+
+    def split(self, key: str) -> Split:
+        """Return the split of one of `keys()`, without reading its images."""
+
+    def load(self, key: str) -> Render:
+        """Read one of `keys()`. Raises BadSample, naming file and rule, for images that cannot be what they should."""
+
+
+@dataclass(frozen=True)
+class Stored:
+    """An image as its file holds it. where: the file, for messages. ray: ranges are measured along the ray."""
+
+    array: NDArray[Any]
+    where: str
+    ray: bool = False
+
+
+class StoredRenders(ABC):
+    """Base of the readers: a set whose samples are found in files of several kinds, each with one file a key.
+
+    files: kind -> key -> file; those of `RANGE` lead. classes, rigs: of the set and of each sample, where the files
+    tell them; else as `content` says. Raises BadConfig for a file without partner, for rows of other keys, and without
+    classes or rigs.
+    """
+
+    def __init__(
+        self,
+        content: SetFile,
+        rows: SampleRows,
+        files: Mapping[str, Mapping[str, Path]],
+        classes: Classes | None = None,
+        rigs: Mapping[str, Rig] | None = None,
+    ) -> None:
+        self._content, self._rows, self._files = content, rows, files
+        for found in files.values():
+            _check_partners(files[RANGE], found)
+        self._keys = self._in_order()
+        if content.classes is None and classes is None:
+            raise BadConfig(f"{content.path}: 'classes' is missing, names in the order of their labels")
+        self.classes: Classes = content.classes or classes  # type: ignore[assignment]
+        self._rigs = {key: self._named_rig(key) for key in self._keys} if rigs is None else rigs
+        self.rigs = tuple(dict.fromkeys(self._rigs[key] for key in self._keys))
+        self.planes: Mapping[str, str] = {}
+        self.fields: Mapping[str, str] = rows.kinds()
+
+    def _in_order(self) -> list[str]:
+        """Keys in the order of the table of samples, else of their names."""
+        keys, rows = in_order(self._files[RANGE]), self._rows
+        if rows.path is None:
+            return keys
+        lacking = [key for key in keys if key not in rows.infos]
+        extra = [key for key in rows.infos if key not in self._files[RANGE]]
+        if lacking or extra:
+            which = f"no row for {named(lacking)}" if lacking else f"no images for {named(extra)}"
+            raise BadConfig(f"{rows.path}: every sample has a row and images, found {which}")
+        return list(rows.infos)
+
+    def _named_rig(self, key: str) -> Rig:
+        path, rigs, name = self._content.path, self._content.rigs, self._rows.rigs.get(key, "")
+        if not rigs:
+            raise BadConfig(f"{path}: 'rig' is missing: a rig file in this folder, or the name of a rig")
+        if name not in rigs:
+            known = ", ".join(map(repr, rigs))
+            raise BadConfig(f"{path}: the rig of sample {key!r} must be one of {known}, found {name!r}")
+        return rigs[name]
+
+    def keys(self) -> Sequence[str]:
+        """Return the keys of all renders, in their order."""
+        return self._keys
+
+    def split(self, key: str) -> Split:
+        """Return the split of one of `keys()`, without reading its images."""
+        return self._rows.info(key).split
+
+    @abstractmethod
+    def read(self, key: str) -> Mapping[str, Stored]:
+        """Read the images of a sample by their kinds. Raises BadSample, naming the file."""
+
+    def table(self, key: str) -> LabelTable:
+        """What the numbers and colours of a sample's label image stand for."""
+        return self._content.table
+
+    def further(self, key: str) -> Mapping[str, Value]:
+        """Fields of a sample that its files hold, besides those of the table of samples."""
+        return {}
+
+    def load(self, key: str) -> Render:
+        """Read one of `keys()`. Raises BadSample, naming file and rule, for images that cannot be what they should."""
+        images, rig, info = dict(self.read(key)), self._rigs[key], self._rows.info(key)
+        size = rig.camera.rows, rig.camera.columns
+        for kind, image in images.items():
+            if kind == PROJECTOR:
+                _check_size(image, rig.projector_shape, PROJECTOR)
+            else:
+                _check_size(image, size, "camera")
+        seen, lit = images.pop(RANGE), images.pop(PROJECTOR, None)
+        range_m = self._metres(seen, rig, ray_lengths(rig.camera) if seen.ray else None)
+        lengths = projector_ray_lengths(rig) if lit is not None and lit.ray else None
+        labels = images.pop(LABELS)
+        found = self.table(key).labels(labels.array, labels.where)
+        check_labels(range_m, found, labels.where, self._content.no_range is not None)
+        facing, normals = images.pop(FACING, None), images.pop(NORMALS, None)
+        return Render(
+            key,
+            range_m,
+            found,
+            None if lit is None else self._metres(lit, rig, lengths),
+            None if facing is None else facing.array != 0,
+            None if normals is None else normals.array,
+            info.split,
+            {**self.further(key), **info.fields},
+            {name: image.array for name, image in images.items()},
+            self.rigs.index(rig),
+        )
+
+    def _metres(self, image: Stored, rig: Rig, lengths: NDArray[np.float64] | None) -> NDArray[np.floating[Any]]:
+        content = self._content
+        return as_metres(image.array, content.unit_m, rig.range_step_m, image.where, lengths, content.no_range or ())
+
+
+def in_order(names: Iterable[str]) -> list[str]:
+    """Sort names by their text, and numbers in them by their value: 2 comes before 10."""
+
+    def parts(name: str) -> list[tuple[int, str]]:
+        return [(len(part), part) if part.isdigit() else (0, part) for part in _NUMBERS.split(name)]
+
+    return sorted(names, key=parts)
+
+
+def named(names: Sequence[str]) -> str:
+    """The first few names, and how many more there are."""
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return ", ".join(map(repr, names[:_NAMED])) + more
+
+
+def by_key(paths: Iterable[tuple[str, Path]]) -> dict[str, Path]:
+    """Files by their keys. Raises BadConfig, naming the file, for a name that is no key, or two files of one."""
+    found: dict[str, Path] = {}
+    for key, path in paths:
+        try:
+            check_key(key)
+        except BadSample as error:
+            raise BadConfig(f"{path}: its name gives the key: {error}") from None
+        if key in found:
+            raise BadConfig(f"{path.parent}: a sample has one file of a kind, found {found[key].name} and {path.name}")
+        found[key] = path
+    return found
+
+
+def _check_partners(leading: Mapping[str, Path], found: Mapping[str, Path]) -> None:
+    """Raise BadConfig unless two kinds of images have the same keys."""
+    missing, extra = in_order(leading.keys() - found.keys()), in_order(found.keys() - leading.keys())
+    homes = " and ".join(str(next(iter(files.values())).parent) for files in (leading, found))
+    if missing:
+        raise BadConfig(f"{homes}: the second lacks {len(missing)} of {len(leading)} samples: {named(missing)}")
+    if extra:
+        raise BadConfig(f"{homes}: the first lacks the range of {len(extra)} samples of the second: {named(extra)}")
+
+
+def _check_size(image: Stored, size: tuple[int, int], device: str) -> None:
+    """Raise BadSample unless an image has the rows and columns of the rig's camera, or its projectors."""
+    found = image.array.shape[:2]
+    if found != size:
+        turned = ": rows and columns are exchanged" if found == size[::-1] else ""
+        raise BadSample(
+            f"{image.where}: an image must have {size[0]} rows and {size[1]} columns as the rig's {device}, found "
+            f"{found[0]} and {found[1]}{turned}"
+        )
+
+
+def check_labels(range_m: NDArray[Any], labels: NDArray[np.uint8], where: str, far_known: bool = False) -> None:
+    """Raise BadSample if labels and ranges cannot be of one scene; where: the label image.
+
+    range_m: 0 where nothing was measured. far_known: whether the set says which ranges mean that.
+    """
+    nothing, classed = range_m == 0, labels < UNLABELLED
+    lost, total = np.count_nonzero(classed & nothing), np.count_nonzero(classed)
+    if lost > _FEW * max(total, labels.size // 20):
+        turned = {"left to right": labels[:, ::-1], "upside down": labels[::-1]}
+        for way, image in turned.items():
+            if np.count_nonzero((image < UNLABELLED) & nothing) < lost / 4:
+                raise BadSample(f"{where}: labels look mirrored {way}: turned, they fit the range image's surfaces")
+        raise BadSample(
+            f"{where}: a class needs a surface, {lost} of {total} pixels with a class have no range: is the image of "
+            "another scene, or does a class like the sky belong into 'background' of set.toml?"
+        )
+    farthest = (range_m == range_m.max()) & ~nothing
+    far = np.count_nonzero(farthest)
+    if not far_known and far > _MUCH * labels.size and not (classed & farthest).any():
+        raise BadSample(
+            f"{where}: {far} pixels without a class share the largest range, {range_m.max():.6g} m: if it means that "
+            "nothing is there, 'no_range' of set.toml must list the stored number, else set no_range = []"
+        )

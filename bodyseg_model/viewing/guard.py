@@ -1,0 +1,160 @@
+"""Who may open a page, and which messages of a browser it takes.
+
+Every web page that a user has open may connect to a server on this machine, so a page is served to those who know its
+token, under its own host's names, and to no script of another page. What a browser sends is checked before it is kept.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import hmac
+import http
+import ipaddress
+import logging
+import math
+import secrets
+import socket
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
+from typing import Any, Final
+from urllib.parse import urlsplit
+
+_LONGEST_TEXT: Final = 10_000
+_LARGEST: Final = 1e6
+"""Largest number, metres or pixels, of a browser's camera."""
+
+_PORTS: Final = {"http": ":80", "https": ":443"}
+
+
+class Guard:
+    """The token of a page, and the rule of who is served.
+
+    host: the address that is served. allowed: further names of hosts, such as a proxy's.
+    """
+
+    def __init__(self, host: str, allowed: Collection[str] = ()) -> None:
+        self.token = secrets.token_urlsafe(16)
+        self._allowed = {name.lower() for name in allowed}
+        self._own = {"localhost", host.lower(), socket.gethostname().lower()}
+
+    def refusal(self, path: str, hosts: list[str], origins: list[str]) -> str | None:
+        """Say why a request is refused; None if it is served.
+
+        path: that it asks for. hosts, origins: its headers of these names. A name that leads here but is not of this
+        host may be another page's, whose scripts would pass for this one's; a number cannot be.
+        """
+        if not hmac.compare_digest(path.lstrip("/").split("/")[0].split("?")[0].encode(), self.token.encode()):
+            return "open the address that bodyseg view printed: the token in it is missing or of another page"
+        if len(hosts) != 1 or len(origins) > 1:
+            return "a request must name one host"
+        name = _name(hosts[0])
+        if name not in self._own | self._allowed and not _is_number(name):
+            return f"{name} is not a host of this page: name it by --allow-host"
+        for origin in origins:
+            scheme, _, place = origin.lower().partition("://")
+            same = place.removesuffix(_PORTS.get(scheme, "")) == hosts[0].lower().removesuffix(_PORTS.get(scheme, ""))
+            if not place or not (same or _name(place) in self._allowed):
+                return f"a page of {origin} may not use this one: name its host by --allow-host"
+        return None
+
+    def without_token(self, path: str) -> str:
+        """The path that a request asks for, without the token."""
+        return path.lstrip("/").removeprefix(self.token) or "/"
+
+
+def _name(host: str) -> str:
+    """The name in a header "name:port", in small letters; "" if there is none."""
+    try:
+        return urlsplit(f"//{host}").hostname or ""
+    except ValueError:
+        return ""
+
+
+def _is_number(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+@contextmanager
+def guarded(guard: Guard, accepts: Callable[[bytes], bool]) -> Iterator[None]:
+    """While the context lasts, servers of WebSockets that are begun serve whom `guard` lets in, drop messages that
+    `accepts` does not take, and print nothing of what goes wrong on a connection. viser has no place for these rules.
+    """
+    from websockets.asyncio import server
+    from websockets.datastructures import Headers
+    from websockets.http11 import Request, Response
+
+    log = logging.getLogger("bodyseg.view")
+    log.disabled = True
+    plain = server.serve
+
+    class Connection(server.ServerConnection):
+        """A connection that gives only those messages that are taken."""
+
+        async def recv(self, decode: bool | None = None) -> Any:
+            """The next message that is taken."""
+            while True:
+                message = await super().recv(decode)
+                if isinstance(message, bytes) and accepts(message):
+                    return message
+
+    def serve(*given: Any, process_request: Callable[..., Response | None], **options: Any) -> Any:
+        def answer(connection: server.ServerConnection, request: Request) -> Response | None:
+            headers = request.headers
+            why = guard.refusal(request.path, headers.get_all("Host"), headers.get_all("Origin"))
+            if why is None:
+                return process_request(connection, dataclasses.replace(request, path=guard.without_token(request.path)))
+            body = f"{why}\n".encode()
+            head = Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))})
+            return Response(http.HTTPStatus.FORBIDDEN.value, "Forbidden", head, body)
+
+        asyncio.get_running_loop().set_exception_handler(lambda loop, context: None)
+        return plain(*given, process_request=answer, create_connection=Connection, logger=log, **options)
+
+    vars(server)["serve"] = serve
+    try:
+        yield
+    finally:
+        vars(server)["serve"] = plain
+
+
+def accepted(raw: bytes, control: Callable[[str], Any]) -> bool:
+    """True for a browser's message that may be handled: a control's new value that the control can have, its camera,
+    or a picture that was asked for. control: the handle of a control by its identifier, or None.
+    """
+    from viser import _messages as messages
+
+    try:
+        message = messages.Message.deserialize(raw)
+        if isinstance(message, messages.GuiUpdateMessage):
+            return set(message.updates) == {"value"} and _can_have(control(message.uuid), message.updates["value"])
+        if isinstance(message, messages.ViewerCameraMessage):
+            vectors = (message.wxyz, message.position, message.look_at, message.up_direction)
+            sizes = (message.fov, message.image_height, message.image_width)
+            numbers = [*sizes, message.near, message.far, *(number for vector in vectors for number in vector)]
+            return [*map(len, vectors)] == [4, 3, 3, 3] and min(sizes) > 0 and all(map(_is_sane, numbers))
+        return isinstance(message, messages.GetRenderResponseMessage)
+    except Exception:  # bytes of any kind, of anybody
+        return False
+
+
+def _is_sane(value: Any) -> bool:
+    return isinstance(value, int | float) and math.isfinite(value) and abs(value) <= _LARGEST
+
+
+def _can_have(handle: Any, value: Any) -> bool:
+    """True for a value that a browser may give a control: one within its bounds, or of its choices."""
+    import viser
+
+    if isinstance(handle, viser.GuiSliderHandle):
+        number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        return number and handle.min <= value <= handle.max
+    if isinstance(handle, viser.GuiDropdownHandle | viser.GuiButtonGroupHandle):
+        return isinstance(value, str) and value in handle.options
+    if isinstance(handle, viser.GuiCheckboxHandle | viser.GuiButtonHandle):
+        return isinstance(value, bool)
+    return isinstance(handle, viser.GuiTextHandle) and isinstance(value, str) and len(value) <= _LONGEST_TEXT

@@ -1,0 +1,110 @@
+"""Files written at once or not at all, by several writers, and folders that one call holds."""
+
+from __future__ import annotations
+
+import errno
+import os
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from bodyseg_data.core import BadConfig
+from bodyseg_data.files import claimed, is_leftover, naming, part_beside, write_atomically, write_result
+
+
+def test_a_second_writer_does_not_touch_what_the_first_one_writes(tmp_path: Path) -> None:
+    path = tmp_path / "labels.png"
+
+    def chunks() -> Iterator[bytes]:
+        yield b"a" * 1000
+        write_atomically(path, b"b" * 10)
+        assert path.read_bytes() == b"b" * 10
+        yield b"a" * 1000
+
+    write_atomically(path, chunks())
+    assert path.read_bytes() == b"a" * 2000
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_whoever_looks_sees_a_whole_file(tmp_path: Path) -> None:
+    path, ended = tmp_path / "file", threading.Event()
+    write_atomically(path, b"0" * 50_000)
+
+    def write(letter: bytes) -> None:
+        while not ended.is_set():
+            write_atomically(path, (letter * 1000 for _ in range(50)), flushed=False)
+
+    writers = [threading.Thread(target=write, args=(letter,)) for letter in (b"a", b"b")]
+    for writer in writers:
+        writer.start()
+    looks = [path.read_bytes() for _ in range(300)]
+    ended.set()
+    for writer in writers:
+        writer.join()
+    assert {(len(look), len(set(look))) for look in looks} == {(50_000, 1)}
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_full_disk_is_named_and_leaves_nothing(tmp_path: Path) -> None:
+    def full() -> Iterator[bytes]:
+        yield b"a"
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    path = tmp_path / "file"
+    with pytest.raises(OSError, match="No space left on device") as raised:
+        write_atomically(path, full())
+    assert raised.value.filename == str(path) and not list(tmp_path.iterdir())
+    with pytest.raises(OSError, match="^of a library$") as other, naming(path):
+        raise OSError("of a library")
+    assert other.value.filename is None
+    with pytest.raises(BadConfig, match=f"^cannot write {tmp_path / 'none' / 'file'}: No such file or directory$"):
+        write_result(tmp_path / "none" / "file", b"")
+
+
+def test_a_folder_is_held_by_one(tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "out"
+    with claimed(folder, "training"):
+        assert all(is_leftover(each.name) for each in folder.iterdir())
+        with pytest.raises(BadConfig, match=f"^another training is at work in {folder}: wait") as raised:
+            with claimed(folder, "training"):
+                pass
+        assert "\n" not in str(raised.value)
+        with claimed(tmp_path / "other", "training"):
+            pass
+    assert not list(folder.iterdir())
+    with claimed(folder, "training"):
+        pass
+
+
+def test_what_a_killed_process_leaves_holds_nobody_up(tmp_path: Path) -> None:
+    (tmp_path / ".lock").write_text("")
+    with claimed(tmp_path, "training"):
+        pass
+    assert is_leftover(part_beside(tmp_path / "plan.json").name) and not is_leftover("plan.json")
+
+
+def test_a_planted_lock_is_not_followed(tmp_path: Path) -> None:
+    (tmp_path / ".lock").symlink_to(tmp_path / "victim")
+    with pytest.raises(BadConfig, match=r"^cannot write .*\.lock: "), claimed(tmp_path, "training"):
+        pass
+    assert not (tmp_path / "victim").exists()
+
+
+def test_a_lock_that_its_holder_removes_meanwhile_is_taken_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import fcntl
+
+    plain, calls = fcntl.flock, []
+
+    def late(handle: int, flags: int) -> None:
+        plain(handle, flags)
+        calls.append(handle)
+        if len(calls) == 1:
+            (tmp_path / ".lock").unlink()
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    with claimed(tmp_path, "training"):
+        assert len(calls) == 2 and (tmp_path / ".lock").exists()

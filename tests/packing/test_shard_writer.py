@@ -1,0 +1,342 @@
+"""`ShardWriter`: scenes as arrays become a set that streams in every variant, whatever they came as."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from bodyseg_data import VARIANTS, BadConfig, BadSample, RangeImages, ShardWriter, loader
+from bodyseg_data.artifacts import lit_pixels
+from bodyseg_data.commands import cli
+from bodyseg_data.core import BodysegError
+from bodyseg_data.rigs import Camera, Rig
+
+CAMERA = Camera(16, 20, 24.0, (10.0, 8.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+PROJECTOR = Camera(24, 30, 36.0, (15.0, 12.0), (0.2, 0.0, 0.0), (0.2, 0.0, 1.0))
+RIG = Rig("bench", 1.5, CAMERA, PROJECTOR)
+TWO = replace(RIG, second_projector=replace(PROJECTOR, position_m=(-0.2, 0.0, 0.0), aims_at_m=(-0.2, 0.0, 1.0)))
+CLASSES = ["floor", "arm", "box"]
+
+Scenes = Iterable[int]
+
+
+def scene(number: int = 0, **changed: Any) -> dict[str, Any]:
+    """A wall 2 m away with a plate before it, seen by both devices; label 1 on the plate, 2 on empty rows."""
+    range_m = np.full((16, 20), 2.0, np.float32)
+    labels = np.zeros((16, 20), np.int64)
+    left = 6 + number % 3
+    range_m[4:12, left:12] = 1.2
+    labels[range_m == np.float32(1.2)] = 1
+    range_m[:2], labels[:2] = 0, 2
+    projector = np.full((24, 30), 2.0)
+    # The plate lies 0.2 m * 36 px / 1.2 m = 6 px further left, and all is larger by 36 / 24.
+    projector[6:18, round(1.5 * (left - 10) + 15 - 6) : 12] = 1.2
+    made = {"key": f"scene-{number:03d}", "range_m": range_m, "labels": labels, "projector_range_m": projector}
+    return made | {"split": "test" if number % 4 == 3 else "train", "fields": {"robot": f"r{number % 2}"}} | changed
+
+
+def write(out: Path, scenes: Scenes = range(5), rig: Any = RIG, **options: Any) -> Path:
+    with ShardWriter(out, rig=rig, classes=CLASSES, **options) as writer:
+        for number in scenes:
+            writer.write(**scene(number))
+    return out
+
+
+def one(out: Path, rig: Any = RIG, options: dict[str, Any] | None = None, **changed: Any) -> Any:
+    """The clean sample of a set of one scene."""
+    with ShardWriter(out, rig=rig, classes=CLASSES, **(options or {})) as writer:
+        writer.write(**scene(**changed))
+    return RangeImages(out, "none").clean(0)
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_scenes_stream_in_every_variant_with_their_own_classes(tmp_path: Path) -> None:
+    out = write(tmp_path / "set")
+    assert cli.main(["verify", str(out)]) == 0
+    assert RangeImages(out).manifest.classes.names == ("floor", "arm", "box")
+    for variant in VARIANTS:
+        for batch in loader(RangeImages(out, variant), 2, 0):
+            assert batch["range"].shape[1:] == (1, 16, 20)
+    sample = RangeImages(out, "none", split="train").clean(0)
+    assert sample.info.robot == "r0" and sample.key == "scene-000"
+    assert (sample.range[:2] == 0).all() and (sample.labels[:2] == 255).all()
+    assert (sample.range[2:4] == 20000).all() and (sample.labels[4:12, 6:12] == 1).all()
+    lit = RangeImages(out, "occ", split="train").image(0)
+    shaded = (lit.range == 0) & (sample.range > 0)
+    # The plate's shadow lies on the wall, on the side away from the projector.
+    assert shaded[6:10, 1:6].any() and not shaded[:, 12:].any() and not shaded[4:12, 6:12].any()
+
+
+def test_labels_agree_with_what_was_measured(tmp_path: Path) -> None:
+    labels = scene()["labels"]
+    labels[5, 5], labels[6, 6] = 255, 254
+    one(tmp_path / "set", labels=labels)
+    stored = RangeImages(tmp_path / "set", "none", unlabelled=True).clean(0).labels
+    assert (stored[:2] == 255).all() and stored[5, 5] == stored[6, 6] == 254
+
+
+@pytest.mark.parametrize("kind", [torch.from_numpy, lambda array: array.tolist(), np.asfortranarray])
+def test_arrays_may_be_tensors_or_lists(kind: Callable[[Any], Any], tmp_path: Path) -> None:
+    plain = scene()
+    given = {name: kind(value) if isinstance(value, np.ndarray) else value for name, value in plain.items()}
+    for name, each in (("plain", plain), ("given", given)):
+        with ShardWriter(tmp_path / name, rig=RIG, classes=CLASSES) as writer:
+            writer.write(**each)
+            for array in plain.values():
+                if isinstance(array, np.ndarray) and name == "given":
+                    array[...] = 0  # a buffer that is used again
+    assert files(tmp_path / "plain") == files(tmp_path / "given")
+
+
+def test_a_projector_that_is_a_function_is_asked_for_what_is_needed(tmp_path: Path) -> None:
+    asked = []
+
+    def projector(rows: Any, columns: Any) -> Any:
+        asked.append(len(rows))
+        return scene()["projector_range_m"][rows, columns]
+
+    for kind in ("shadow", "exact"):
+        options = {"projector": kind}
+        one(tmp_path / f"{kind}-given", options=options)
+        one(tmp_path / f"{kind}-asked", options=options, projector_range_m=None, projector=projector)
+        assert files(tmp_path / f"{kind}-given") == files(tmp_path / f"{kind}-asked")
+    assert asked[0] < asked[1] == 24 * 30
+
+
+def test_what_the_projector_sees_is_kept_as_asked(tmp_path: Path) -> None:
+    kept = {kind: one(tmp_path / kind, options={"projector": kind}) for kind in ("shadow", "exact")}
+    assert np.array_equal(kept["exact"].projector_range, np.rint(scene()["projector_range_m"] * 10000))
+    assert (kept["shadow"].projector_range > 0).sum() < (kept["exact"].projector_range > 0).sum()
+    assert np.array_equal(lit_pixels(RIG, kept["shadow"]), lit_pixels(RIG, kept["exact"]))
+    none = one(tmp_path / "none", projector_range_m=None)
+    assert none.projector_range is None and RangeImages(tmp_path / "none", "none").manifest.projector == "none"
+    with pytest.raises(BodysegError, match="projector"):
+        RangeImages(tmp_path / "none", "occ")
+
+
+def test_facing_comes_from_bits_from_normals_or_from_the_range_image(tmp_path: Path) -> None:
+    measured = scene()["range_m"] > 0
+    found = one(tmp_path / "range")
+    assert np.array_equal(found.faces_projector, measured)  # all surfaces are square to the camera
+    normals = np.zeros((16, 20, 3))
+    normals[..., 2] = -1
+    assert np.array_equal(one(tmp_path / "normals", normals=normals).faces_projector, measured)
+    bits = np.indices((16, 20)).sum(axis=0) % 2 == 0
+    assert np.array_equal(one(tmp_path / "bits", facing=bits).faces_projector, bits & measured)
+    assert RangeImages(tmp_path / "range").manifest.renderer == "external, facing from range images"
+    assert RangeImages(tmp_path / "bits").manifest.renderer == "external"
+
+
+def test_two_projectors_several_rigs_planes_and_fields(tmp_path: Path) -> None:
+    turned = replace(TWO, name="turned", camera=replace(CAMERA, roll_deg=5.0))
+    both = np.concatenate([scene()["projector_range_m"]] * 2)
+    planes = {"instances": np.full((16, 20), 300, np.int32), "material": np.ones((16, 20), np.uint8)}
+    fields = {"age": np.int64(3), "pose": np.arange(3), "height": np.float32(0.5), "left": np.bool_(True)}
+    given = {"projector_range_m": both, "planes": planes}
+    with ShardWriter(tmp_path / "set", rig=[TWO, turned], classes=CLASSES, workers=0) as writer:
+        writer.write(**scene(0, **given, fields=fields))
+        writer.write(**scene(1, **given, fields={"height": 2}, rig=1))
+    assert cli.main(["verify", str(tmp_path / "set")]) == 0
+    images = RangeImages(tmp_path / "set", "none")
+    assert images.manifest.planes == {"instances": "uint16", "material": "uint8"}
+    first, second = images.clean(0), images.clean(1)
+    assert first.info.fields == {"age": 3, "pose": (0.0, 1.0, 2.0), "height": 0.5, "left": True, "rig": 0}
+    assert second.info.fields == {"height": 2.0, "rig": 1}
+    assert (first.planes["instances"] == 300).all() and first.faces_second is not None
+    assert first.occluder_range().shape == (48, 30)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_joined_parts_are_the_same_files_however_they_were_divided(count: int, tmp_path: Path) -> None:
+    whole = write(tmp_path / "whole", range(11), shard_samples=3)
+    for part in range(count):
+        # In an order of its own each, and in shards of another size.
+        write(tmp_path / "parts", range(part, 11, count)[::-1], part=(part, count), shard_samples=2)
+    assert cli.main(["join", str(tmp_path / "parts"), "--out", str(tmp_path / "set"), "--shard-samples", "3"]) == 0
+    assert cli.main(["verify", str(tmp_path / "set")]) == 0
+    assert files(whole) == files(tmp_path / "set")
+
+
+def test_parts_that_do_not_belong_together_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def said(*words: Any) -> str:
+        assert cli.main(["join", *map(str, words), "--out", str(tmp_path / "set")]) == 2
+        assert not list((tmp_path / "set").glob("*"))
+        return capsys.readouterr().err.partition("join: ")[2].strip().splitlines()[-1].replace(f"{tmp_path}/", "")
+
+    parts = write(tmp_path / "parts", [0], part=(0, 3)).parent / "parts"
+    write(parts, [1], part=(2, 3))
+    assert said(parts) == "parts must hold 3 parts: part-00001-of-00003 is missing"
+    first = write(tmp_path / "first", [0])
+    assert said(first, first) == "a part is joined once: a folder is given twice"
+    assert said(first, write(tmp_path / "again", [0])) == "scene-000 is in first and in again"
+    other = write(tmp_path / "other", [1], source="blender")
+    assert said(first, other) == "other and first are no parts of one set: their options of their writers differ"
+    with ShardWriter(tmp_path / "kind", rig=RIG, classes=CLASSES) as writer:
+        writer.write(**scene(1, fields={"robot": 7}))
+    assert said(first, tmp_path / "kind").startswith("kind: field 'robot' is of the kind int, in another part text: ")
+    assert said(first, tmp_path / "nothing") == "no such folder: nothing"
+
+
+def test_a_writer_that_was_stopped_carries_on(tmp_path: Path) -> None:
+    whole = write(tmp_path / "whole", range(11), shard_samples=3)
+    out = tmp_path / "set"
+    with (
+        pytest.raises(RuntimeError, match="out of film"),
+        ShardWriter(out, rig=RIG, classes=CLASSES, shard_samples=3) as writer,
+    ):
+        for number in range(11):
+            if number == 10:
+                raise RuntimeError("out of film")
+            writer.write(**scene(number))
+    left = files(out)
+    assert "train-00000.tar" in left and not any(name.endswith((".part", "manifest.json")) for name in left)
+    with ShardWriter(out, rig=RIG, classes=CLASSES, shard_samples=3) as writer:
+        known = [number for number in range(11) if f"scene-{number:03d}" in writer]
+        taken = [number for number in range(11) if writer.write(**scene(number))]
+    assert known and sorted(known + taken) == list(range(11))
+    assert files(whole) == files(out)
+
+
+def test_a_finished_set_stays_and_a_damaged_shard_is_written_again(tmp_path: Path) -> None:
+    out = write(tmp_path / "set", range(11), shard_samples=3)
+    before = files(out)
+    write(out, range(11), shard_samples=3)
+    assert files(out) == before
+    with pytest.raises(BadConfig, match=r"scene-011: .* holds a finished set without it"):
+        write(out, range(12), shard_samples=3)
+    assert files(out).items() >= before.items()
+    (out / "train-00001.tar").write_bytes(b"")
+    write(out, range(11), shard_samples=3)
+    assert files(out) == before
+    with pytest.raises(BadConfig, match="packed with other options"):
+        write(out, source="blender")
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_scenes_may_be_made_where_they_are_encoded(own: bool, tmp_path: Path) -> None:
+    made: list[int] = []
+
+    def make(number: int) -> dict[str, Any]:
+        if number == 10 and len(made) == 10:
+            raise RuntimeError("out of film")
+        made.append(number)
+        return {name: value for name, value in scene(number).items() if name != "key"}
+
+    whole = write(tmp_path / "whole", range(11), shard_samples=3)
+    scenes = {f"scene-{number:03d}": number for number in range(11)}
+    with ThreadPoolExecutor(1) as pool:
+        options = {"rig": RIG, "classes": CLASSES, "shard_samples": 3, "executor": pool if own else None}
+        with pytest.raises(RuntimeError, match="out of film"), ShardWriter(tmp_path / "set", **options) as writer:
+            writer.write_all(scenes, make)
+        with ShardWriter(tmp_path / "set", **options) as writer:
+            writer.write_all(scenes, make)
+    assert files(whole) == files(tmp_path / "set")
+    assert sorted(made[:10]) == [*range(10)] and len(made) < 21
+
+
+WRONG: dict[str, tuple[dict[str, Any], str]] = {
+    "size": ({"range_m": np.ones((15, 20))}, "range_m must be 16 x 20, as the rig says, found 15 x 20"),
+    "millimetres": (
+        {"range_m": np.full((16, 20), 2000, np.uint16)},
+        "range_m must be floats, in metres, found uint16",
+    ),
+    "far": (
+        {"range_m": np.full((16, 20), 2000.0)},
+        "range_m must be metres up to 6.5535, and 0 where nothing is, found 2000 at row 0, column 0",
+    ),
+    "infinite": (
+        {"range_m": np.full((16, 20), np.inf)},
+        "range_m must be metres up to 6.5535, and 0 where nothing is, found inf at row 0, column 0",
+    ),
+    "no array": ({"range_m": [[1.0], [1.0, 2.0]]}, "range_m must be an array: "),
+    "label": (
+        {"labels": np.full((16, 20), 3)},
+        "labels must be 0 to 2, 254 for a surface of no class or 255 where nothing was measured, "
+        "found 3 at row 0, column 0",
+    ),
+    "fractions": ({"labels": np.zeros((16, 20))}, "labels must be whole numbers, found float64"),
+    "split": ({"split": "val"}, "'split' must be one of train, test, found 'val'"),
+    "field": ({"fields": {"age": 3}}, "the set has the fields robot, found 'age': name it in 'fields'"),
+    "kind": ({"fields": {"robot": 3}}, "field 'robot' must be of the kind text, found 3, int"),
+    "value": ({"fields": {"robot": None}}, "field 'robot' must be text, a whole number, a number, true or false, "),
+    "plane": (
+        {"planes": {"instances": np.zeros((16, 20), int)}},
+        "the samples of the set have the planes none, found instances",
+    ),
+    "rig": ({"rig": 1}, "rig must number one of the set's 1 rigs, found 1"),
+    "no projector": (
+        {"projector_range_m": None},
+        "the samples of the set come with projector_range_m or projector, found neither of the two",
+    ),
+    "projector's size": (
+        {"projector_range_m": np.ones((16, 20))},
+        "projector_range_m must be 24 x 30, as the rig says, found 16 x 20",
+    ),
+    "facing": (
+        {"facing": np.ones((16, 20), bool)},
+        "the samples of the set come with neither facing nor normals, found facing or normals",
+    ),
+    "key": ({"key": "a.b"}, "a sample key must be 1 to 80 letters, digits, '_', '+' or '-', found 'a.b'"),
+    "key of another kind": ({"key": 7}, "a sample key must be 1 to 80 letters, digits, '_', '+' or '-', found '<7>'"),
+    "again": ({"key": "scene-000"}, "this key was written before"),
+}
+
+
+def test_a_scene_that_breaks_a_rule_is_one_line_and_the_writer_goes_on(tmp_path: Path) -> None:
+    with ShardWriter(tmp_path / "set", rig=RIG, classes=CLASSES) as writer:
+        writer.write(**scene())
+        for name, (changed, message) in WRONG.items():
+            key = "" if name.startswith("key") else f"{changed.get('key', 'scene-001')}: "
+            with pytest.raises(BadSample, match=f"^{re.escape(key + message)}"):
+                writer.write(**scene(1, **changed))
+        writer.write(**scene(2))
+    assert RangeImages(tmp_path / "set").keys == ["scene-000", "scene-002"]
+
+
+def test_normals_of_another_frame_are_seen(tmp_path: Path) -> None:
+    normals = np.zeros((16, 20, 3))
+    normals[..., 2] = 1
+    with (
+        pytest.raises(BadConfig, match="no scene was written"),
+        ShardWriter(tmp_path / "set", rig=RIG, classes=CLASSES) as writer,
+    ):
+        with pytest.raises(BadSample, match="towards the camera: 280 of 280 point away"):
+            writer.write(**scene(normals=normals))
+        with pytest.raises(BadSample, match="facing and normals are alternatives, found both"):
+            writer.write(**scene(normals=normals, facing=np.ones((16, 20), bool)))
+
+
+def test_options_out_of_range_are_one_line(tmp_path: Path) -> None:
+    def opened(**options: Any) -> ShardWriter:
+        return ShardWriter(tmp_path / "set", **{"rig": RIG, "classes": CLASSES, **options})
+
+    for options, message in (
+        ({"projector": "half"}, "projector must be one of shadow, exact, none, or None for what the first scene has"),
+        ({"rig": []}, "a set needs at least one rig"),
+        ({"classes": "floor"}, "classes must be a list of names"),
+        ({"codec": "jpeg"}, "the codec must be one of"),
+        ({"part": (2, 2)}, r"part must be \(i, n\), i from 0 to n - 1, found \(2, 2\)"),
+        ({"planes": {"instances": "int32"}}, "the plane 'instances' must be of the type uint8 or uint16"),
+        ({"fields": {"age": "number"}}, "field 'age' must be of the kinds text, int"),
+        ({"shard_samples": 0}, "shard_samples must be a whole number of at least 1"),
+        ({"source": ""}, "source must be a name"),
+    ):
+        with pytest.raises(BodysegError, match=message):
+            opened(**options)
+    with pytest.raises(BadConfig, match="a ShardWriter writes in a with statement"):
+        opened().write(**scene())
+    with opened() as writer:
+        writer.write(**scene())
+        with pytest.raises(BadConfig, match="another packing is at work"), opened():
+            pass

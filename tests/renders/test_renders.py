@@ -1,0 +1,164 @@
+"""Finished renders in each layout become sets that stream, with the same images whatever program wrote them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from rendered_scenes import CAMERA, NAMES, PROJECTOR, along_ray, blenderproc, isaac, plain, save, seen_by
+
+from bodyseg_data import RangeImages
+from bodyseg_data.commands.cli import main
+from bodyseg_data.renders import open_renders
+
+
+def packed(folder: Path, *options: str, variant: str = "all") -> RangeImages:
+    out = folder.parent / f"{folder.name}-shards"
+    assert main(["shard", "--source", "renders", "--path", str(folder), "--out", str(out), *options]) == 0
+    return RangeImages(out, variant)
+
+
+@pytest.mark.parametrize("ending", [".png", ".tif", ".npy", ".npz", ".exr"])
+def test_plain_folders_hold_any_image_file(tmp_path: Path, ending: str) -> None:
+    if ending == ".exr":
+        pytest.importorskip("OpenEXR")
+    source = open_renders(plain(tmp_path / "cell", ending=ending))
+    range_m, labels = seen_by(CAMERA, 1)
+    render = source.load("scene-001")
+    np.testing.assert_allclose(render.range_m, range_m, atol=6e-4)
+    np.testing.assert_array_equal(render.labels, labels)
+    assert render.projector_range_m is not None
+    np.testing.assert_allclose(render.projector_range_m, seen_by(PROJECTOR, 1)[0], atol=6e-4)
+    assert (source.split("scene-003"), render.fields) == ("test", {"robot": "r1", "tilt_deg": 2})
+
+
+WRITERS: list[tuple[Any, dict[str, Any]]] = [
+    (plain, {}),
+    (blenderproc, {}),
+    (blenderproc, {"distance": True}),
+    (blenderproc, {"labels_as": "instance_segmaps"}),
+    (isaac, {}),
+    (isaac, {"colours": False, "ray": True}),
+    (isaac, {"nested": True}),
+]
+
+
+@pytest.mark.parametrize(("write", "options"), WRITERS)
+def test_every_layout_gives_the_same_scene(tmp_path: Path, write: Any, options: dict[str, Any]) -> None:
+    if write is blenderproc:
+        pytest.importorskip("h5py")
+    source = open_renders(write(tmp_path / "cell", **options))
+    render = source.load(source.keys()[2])
+    rig = source.rigs[render.rig]
+    np.testing.assert_allclose(render.range_m, seen_by(CAMERA, 2)[0], atol=6e-4)
+    assert render.projector_range_m is not None
+    np.testing.assert_allclose(render.projector_range_m, seen_by(PROJECTOR, 2)[0], atol=6e-4)
+    names = np.array([*source.classes.names] + [""] * (256 - len(source.classes)))
+    np.testing.assert_array_equal(names[render.labels], np.array([*NAMES] + [""] * 253)[seen_by(CAMERA, 2)[1]])
+    assert (len(source.rigs), rig.projector.rows) == (1, 24)
+    np.testing.assert_allclose(rig.camera.focal_px, CAMERA.focal_px if write is not isaac else 24.0)
+    np.testing.assert_allclose(rig.projector.position_m, PROJECTOR.position_m, atol=1e-6)
+    np.testing.assert_allclose(rig.projector.axes, PROJECTOR.axes, atol=1e-5)
+
+
+@pytest.mark.parametrize("write", [plain, blenderproc, isaac])
+def test_a_command_packs_them(tmp_path: Path, write: Any) -> None:
+    if write is blenderproc:
+        pytest.importorskip("h5py")
+    images = packed(write(tmp_path / "cell"))
+    assert sorted(images.manifest.classes.names) == sorted(NAMES)
+
+
+def test_packing_carries_on_without_reading_what_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, options = plain(tmp_path / "cell", count=5), ("--shard-samples", "2", "--workers", "0")
+    whole = packed(folder, *options)
+    names = {path.name: path.read_bytes() for path in Path(whole.path).iterdir() if path.suffix == ".tar"}
+    source, read = open_renders(folder), list[str]()
+    load = type(source).load
+    monkeypatch.setattr(type(source), "load", lambda self, key: read.append(key) or load(self, key))
+    (Path(whole.path) / "train-00001.tar").unlink()
+    packed(folder, *options)
+    assert {path.name: path.read_bytes() for path in Path(whole.path).iterdir() if path.suffix == ".tar"} == names
+    assert read == ["scene-002", "scene-003"]
+
+
+def test_planes_facing_normals_and_a_table_of_csv_go_with_samples(tmp_path: Path) -> None:
+    folder = plain(tmp_path / "cell")
+    (folder / "samples.jsonl").unlink()
+    lines = ["key,split,robot,tilt_deg,closed,rig", *(f"scene-00{n},train,r{n},{n}.5,{n > 1},b" for n in (1, 0, 2, 3))]
+    (folder / "samples.csv").write_text("\n".join(lines) + "\n")
+    text = (folder / "set.toml").read_text().replace('rig = "rig.toml"', '[rigs]\na = "paper"\nb = "rig.toml"')
+    rest, rigs = text.split("[rigs]")
+    (folder / "set.toml").write_text(rest + "unit_m = 0.001\n[rigs]" + rigs.replace("unit_m = 0.001\n", ""))
+    for number in range(4):
+        range_m, labels = seen_by(CAMERA, number)
+        save(folder / "planes" / "instances" / f"scene-00{number}.png", labels.astype(np.uint16) * 256)
+        normals = np.zeros((*range_m.shape, 3), np.float32)
+        normals[..., 2] = -1
+        save(folder / "normals" / f"scene-00{number}.npy", normals)
+    images = packed(folder)
+    assert (images.keys[0], len(images.manifest.rigs), dict(images.manifest.planes)) == (
+        "scene-001",
+        1,
+        {"instances": "uint16"},
+    )
+    sample = images.clean(0)
+    assert (sample.info.robot, sample.info.tilt_deg, sample.info.closed) == ("r1", 1.5, False)
+    np.testing.assert_array_equal(sample.planes["instances"], seen_by(CAMERA, 1)[1].astype(np.uint16) * 256)
+    assert images.manifest.renderer == "external"
+
+
+def test_labels_in_colours_and_several_numbers_for_a_class(tmp_path: Path) -> None:
+    folder = plain(tmp_path / "cell")
+    classes = '[{name="floor", label=[1, 7]}, {name="arm", colour="#00FF00"}, {name="box", colour="#0000ff"}]'
+    text = (folder / "set.toml").read_text().replace('["floor", "arm", "box"]', classes)
+    (folder / "set.toml").write_text(text.replace("background = [0]", 'background = [0, "#000000", "#ffffff"]'))
+    path = folder / "labels" / "scene-000.png"
+    numbers = np.asarray(Image.open(path))
+    save(path, np.where(numbers == 1, 7, numbers).astype(np.uint8))
+    table = np.array([[0, 0, 0], [0, 0, 0], [0, 255, 0], [0, 0, 255]], np.uint8)
+    save(folder / "labels" / "scene-001.png", table[np.asarray(Image.open(folder / "labels" / "scene-001.png"))])
+    source, labels = open_renders(folder), seen_by(CAMERA, 0)[1]
+    np.testing.assert_array_equal(source.load("scene-000").labels, labels)
+    found, labels = source.load("scene-001").labels, seen_by(CAMERA, 1)[1]
+    np.testing.assert_array_equal(found, np.where(labels == 0, 255, labels))
+    packed(folder)
+
+
+def test_nothing_measured_is_told_by_many_numbers(tmp_path: Path) -> None:
+    folder = plain(tmp_path / "cell", ending=".npy")
+    (folder / "set.toml").write_text((folder / "set.toml").read_text() + "no_range = [7777.0]\n")
+    for number, nothing in enumerate((np.inf, np.nan, 1e10, 7777.0)):
+        range_m = seen_by(CAMERA, number)[0]
+        save(
+            folder / "range" / f"scene-00{number}.npy",
+            np.where(range_m == 0, nothing, 1000 * range_m).astype(np.float32),
+        )
+        np.testing.assert_allclose(open_renders(folder).load(f"scene-00{number}").range_m, range_m, atol=1e-5)
+
+
+def test_a_rig_may_stand_in_the_set_and_ranges_along_the_ray(tmp_path: Path) -> None:
+    folder = plain(tmp_path / "cell", ending=".npy")
+    rig = (folder / "rig.toml").read_text().replace('format = "bodyseg rig 1"', "[rig]")
+    rig = rig.replace("[camera]", "[rig.camera]").replace("[projector]", "[rig.projector]")
+    (folder / "set.toml").write_text(
+        (folder / "set.toml").read_text().replace('rig = "rig.toml"', 'along = "ray"') + rig
+    )
+    for kind, device in (("range", CAMERA), ("projector", PROJECTOR)):
+        for number in range(4):
+            save(folder / kind / f"scene-00{number}.npy", 1000 * along_ray(seen_by(device, number)[0], device))
+    render = open_renders(folder).load("scene-002")
+    np.testing.assert_allclose(render.range_m, seen_by(CAMERA, 2)[0], atol=1e-5)
+    packed(folder, "--projector", "exact")
+    packed(folder, "--plan")
+
+
+def test_a_set_without_the_projectors_images_is_one_too(tmp_path: Path) -> None:
+    folder = plain(tmp_path / "cell")
+    for path in (folder / "projector").iterdir():
+        path.unlink()
+    (folder / "projector").rmdir()
+    assert packed(folder, variant="none").manifest.projector == "none"

@@ -1,0 +1,177 @@
+"""Who may open a page, and messages that would harm it: a real server, and clients that forge what they send."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+import viser
+from label_networks import Places
+from small_rig import SMALL
+from websockets.sync.client import connect
+from websockets.sync.connection import Connection
+
+from bodyseg_model.networks import Trained
+from bodyseg_model.viewing import LOOPBACK, Page, SetPage, SetView, Shown
+from bodyseg_model.viewing.guard import Guard
+from bodyseg_model.viewing.pictures import Drawing, Points
+
+WAIT_S = 20.0
+FOREIGN = "http://evil.example"
+
+
+@pytest.fixture
+def page() -> Iterator[Page]:
+    opened = Page(LOOPBACK, 0, "bodyseg view", allowed=["Lab.example.org"])
+    yield opened
+    opened.close()
+
+
+def status(page: Page, path: str, host: str | None = None, origin: str | None = None, upgrade: bool = True) -> int:
+    """Status of the answer to a raw request, 101 for an accepted WebSocket."""
+    lines = [f"GET {path} HTTP/1.1", f"Host: {host or f'{LOOPBACK}:{page.port}'}", "Connection: Upgrade"]
+    lines += [] if origin is None else [f"Origin: {origin}"]
+    if upgrade:
+        lines += ["Upgrade: websocket", "Sec-WebSocket-Version: 13", "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA=="]
+        lines.append(f"Sec-WebSocket-Protocol: viser-v{viser.__version__}")
+    with socket.create_connection((LOOPBACK, page.port), timeout=WAIT_S) as client:
+        client.sendall("\r\n".join([*lines, "", ""]).encode())
+        return int(client.recv(65536).split(b" ", 2)[1])
+
+
+@pytest.mark.parametrize("upgrade", [True, False], ids=["socket", "page"])
+def test_only_who_knows_the_token_is_served_and_no_other_site(page: Page, upgrade: bool) -> None:
+    served = 101 if upgrade else 200
+    token, own = f"/{page.guard.token}", f"{LOOPBACK}:{page.port}"
+    for path, host, origin, expected in (
+        (token, None, f"http://{own}", served),
+        (f"{token}/", None, None, served),
+        (token, f"localhost:{page.port}", f"http://localhost:{page.port}", served),
+        (token, "lab.example.org", "https://lab.example.org", served),
+        (token, "lab.example.org:443", "https://lab.example.org", served),
+        (token, None, "https://lab.example.org", served),  # a proxy that gives the server's own host
+        ("/", None, f"http://{own}", 403),
+        ("/wrong/", None, f"http://{own}", 403),
+        (f"{token}x", None, f"http://{own}", 403),
+        (token, None, FOREIGN, 403),
+        (token, None, "null", 403),
+        (token, None, f"http://{LOOPBACK}:{page.port + 1}", 403),  # another server of this machine
+        (token, None, f"http://{own}.evil.example", 403),
+        (token, "evil.example", FOREIGN, 403),  # a name that another site has pointed here
+        (token, f"evil.example:{page.port}", None, 403),
+        (token, "[", None, 403),
+    ):
+        assert status(page, path, host, origin, upgrade) == expected, (path, host, origin)
+
+
+def test_tokens_are_of_one_start_and_are_asked_of_text_of_any_kind() -> None:
+    one, other = Guard(LOOPBACK), Guard(LOOPBACK)
+    assert one.token != other.token and len(one.token) >= 20
+    assert "token" in (one.refusal(f"/{other.token}/", [LOOPBACK], []) or "")
+    assert "token" in (one.refusal("/\u00fc", [LOOPBACK], []) or "")
+    assert one.refusal(f"/{one.token}/?a=1", ["192.0.2.1:80"], []) is None
+    assert "one host" in (one.refusal(f"/{one.token}", [LOOPBACK, "b"], []) or "")
+    assert "one host" in (one.refusal(f"/{one.token}", [], []) or "")
+
+
+@contextlib.contextmanager
+def client(page: Page) -> Iterator[Connection]:
+    protocol: Any = f"viser-v{viser.__version__}"
+    address = page.address.replace("http", "ws").rstrip("/")
+    with connect(address, subprotocols=[protocol], compression=None, max_size=None) as connection:
+        yield connection
+        connection.close()
+
+
+def camera(**changes: Any) -> dict[str, Any]:
+    axis = [0.0, 1.0, 0.0]
+    sizes = {"fov": 0.7, "near": 0.01, "far": 1000.0, "image_height": 700, "image_width": 1100}
+    vectors = {"wxyz": [1.0, *axis], "position": axis, "look_at": axis, "up_direction": axis}
+    return {"type": "ViewerCameraMessage", **sizes, **vectors, **changes}
+
+
+def update(handle: Any, **changes: Any) -> dict[str, Any]:
+    return {"type": "GuiUpdateMessage", "uuid": handle._impl.uuid, "updates": changes}
+
+
+def test_one_message_does_not_end_the_page_for_everybody(
+    page: Page, small_set: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    view = SetView(small_set, Trained(Places(0, 5), {"rig": SMALL.to_json()}))
+    shown = SetPage(page, view, Shown(variant="noise"))
+    controls: Any = shown._sensor
+    (_, low), _ = controls._handles["noise"]
+    index, key = shown._index, shown._key
+    gui: Any = page.server.gui
+    handles = list(gui._gui_input_handle_from_uuid.values())
+    before = [handle.value for handle in handles]
+    look = next(each for each in handles if isinstance(each, viser.GuiButtonGroupHandle))
+    box = next(each for each in handles if isinstance(each, viser.GuiCheckboxHandle))
+    with client(page) as hostile:
+        hostile.send(msgspec.msgpack.encode(camera()))
+        for message in (
+            *(update(low, value=value) for value in (1e308, -1.0, float("nan"), float("inf"), "1", True, None, [1])),
+            *(update(index, value=value) for value in (1e308, -1, 10**12)),
+            *(update(index, **{name: value}) for name, value in (("removed", True), ("update_cb", []), ("max", 1))),
+            update(index, value=1, removed=True),
+            update(key, value="x" * 20_000),
+            update(look, value="nowhere"),
+            update(box, value="no"),
+            {"type": "GuiUpdateMessage", "uuid": [1], "updates": {"value": 1}},
+            {"type": "GuiRemoveMessage", "uuid": index._impl.uuid},
+            {"type": "ShareUrlRequest"},
+            {"type": "NoSuchMessage"},
+            {"nothing": 1},
+            camera(image_height=0),
+            camera(fov=float("nan")),
+            camera(position=[1e308, 0.0, 0.0]),
+            camera(wxyz=[1.0]),
+        ):
+            hostile.send(msgspec.msgpack.encode(message))
+        for raw in (b"", b"\xff", "text"):
+            hostile.send(raw)
+        # After all of it the same client's honest message is heard, so the others were handled before.
+        hostile.send(msgspec.msgpack.encode(update(index, value=2)))
+        end = time.monotonic() + WAIT_S
+        while shown.shown.index != 2 and time.monotonic() < end:
+            time.sleep(0.01)
+    assert shown.shown.index == 2 and page.wait(WAIT_S)
+    assert view.images.keys[2] in page.facts.content
+    assert not any(handle._impl.removed for handle in handles)
+    after = [handle.value for handle in handles]
+    changed = [handle for handle, was, now in zip(handles, before, after, strict=True) if was != now]
+    assert {id(handle) for handle in changed} == {id(index), id(key)}
+    assert capfd.readouterr() == ("", "")
+
+
+def test_what_is_no_request_prints_nothing(page: Page, capfd: pytest.CaptureFixture[str]) -> None:
+    for data in (b"\x16\x03\x01\x02\x00nonsense\r\n\r\n", b"GET\r\n\r\n", b""):
+        with socket.create_connection((LOOPBACK, page.port), timeout=WAIT_S) as stranger:
+            stranger.sendall(data)
+            stranger.shutdown(socket.SHUT_WR)
+            while stranger.recv(65536):
+                pass
+    assert status(page, "/", upgrade=False) == 403
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_drawing_that_cannot_be_shown_does_not_end_the_page(page: Page) -> None:
+    good = Drawing(Points(np.zeros((1, 3), np.float32), np.zeros((1, 3), np.uint8)), {}, np.zeros((4, 6, 3), np.uint8),
+                   ("one",), 0.01, 0, ())  # fmt: skip
+    answers = [good]
+    page.start(lambda: answers[-1])
+    answers.append(Drawing(good.points, {}, np.zeros((0, 0, 9), np.uint8), ("broken",), 0.01, 0, ()))
+    page.request()
+    assert page.wait(WAIT_S)
+    answers.append(Drawing(good.points, {}, good.picture, ("three",), 0.01, 0, ()))
+    page.request()
+    assert page.wait(WAIT_S) and "three" in page.facts.content
+    assert sys.exc_info()[0] is None
