@@ -30,6 +30,7 @@ __all__ = [
     "BodysegError",
     "Camera",
     "CameraImage",
+    "ColumnWriter",
     "Crop",
     "Draws",
     "Flip",
@@ -52,11 +53,14 @@ __all__ = [
     "ShardWriter",
     "Transform",
     "Unreachable",
+    "VariantMaker",
+    "ViewGrid",
     "WorkerLost",
     "Zoom",
     "colour_labels",
     "colour_range",
     "decode_sample",
+    "decoder",
     "example_set",
     "load_label_map",
     "load_rig",
@@ -99,14 +103,16 @@ if TYPE_CHECKING:
         RangeImages,
         Roll,
         Transform,
+        VariantMaker,
         Zoom,
+        decoder,
         loader,
     )
     from bodyseg_data.meshes import Mesh
     from bodyseg_data.packing import Packing, ShardWriter, pack, plan
     from bodyseg_data.rigs import Camera, Rig, load_rig
-    from bodyseg_data.samples import Sample
-    from bodyseg_data.shards import RetryPolicy, decode_sample
+    from bodyseg_data.samples import Sample, ViewGrid
+    from bodyseg_data.shards import ColumnWriter, RetryPolicy, decode_sample
 
     __version__: str
 else:

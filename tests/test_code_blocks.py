@@ -30,12 +30,14 @@ DOCUMENTS: Final = sorted([ROOT / "README.md", *PAGES])
 ELSEWHERE: Final = {
     "add_your_own.md": "each example runs by itself in test_how_to.py",
     "cards.md": "needs the cards of a set; tests/cards reads one by both libraries",
+    "your_renders.md": "needs the set of its commands; test_your_renders.py runs both",
     "remote.md": "the addresses are of nobody; tests/shards/test_stores.py reads from servers on loopback",
 }
 """Documents whose Python is not run here, and why."""
 
 NOT_RUN: Final = {
     'init_process_group("nccl")': "needs a GPU and torchrun; tests/training/test_torchrun.py has ranks",
+    "from webdataset import": "tests/loading/test_pipelines.py has these steps; readers of streams leave files open",
     'planes=("instances",)': "needs a set with planes; tests/loading/test_open_sets.py has one",
     "import webdataset as wds": "names shards of somebody else; bench loader reads by it",
     "from streaming import": "needs MosaicML Streaming; bench loader reads by it",
@@ -58,6 +60,10 @@ SMALLER: Final = {
 BEFORE: Final = {
     "recordings.md": (
         "import numpy as np\narrays = [np.full((4, 6), 1500, np.uint16)]\nnp.save('frames.npy', np.stack(arrays))\n"
+    ),
+    "columns.md": (
+        "import pathlib, shutil\nlink = pathlib.Path('my-shards')\nwhole = link.resolve()\nlink.unlink()\n"
+        "shutil.copytree(whole, link)\n"
     ),
     "streaming.md": (
         "import torch\nfrom torch.utils.data import DataLoader\n"
@@ -127,8 +133,8 @@ WALKED: Final = {
 }
 """Documents whose command lines run here, and commands among them that take longer and have tests of their own.
 
-test_tutorial.py runs those of your_camera.md. Those of all other documents take minutes to days and are only read, with
-every option and value, as the command itself reads them.
+test_tutorial.py runs those of your_camera.md, test_your_renders.py those of your_renders.md. Those of all others
+take minutes to days and are only read, with every option and value, as the command itself reads them.
 """
 
 SIZES: Final = {

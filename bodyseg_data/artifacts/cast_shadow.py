@@ -53,14 +53,6 @@ def _joined(ranges: NDArray[np.uint16], edge: np.float32) -> NDArray[np.bool_]:
     return found
 
 
-def prepare_occluder() -> None:
-    """Compile or load the loop, so that workers forked from this process have it, too."""
-    nothing = np.zeros((3, 2), np.float32)
-    places, image = np.zeros((3, 2, 2), np.float32), np.zeros((2, 2), np.uint16)
-    joined = np.zeros((1, 2), np.bool_), np.zeros((2, 1), np.bool_)
-    _loop()(image, nothing, nothing, np.zeros(3, np.float32), *joined, places, image.copy())
-
-
 @lru_cache(maxsize=1)
 def _loop() -> Any:
     return compiled(_cast, "shadows of what the camera sees")

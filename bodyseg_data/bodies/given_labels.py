@@ -1,7 +1,7 @@
 """Labels that a mesh brings along: of its vertices or polygons, by names, numbers, lists of vertices or colours.
 
-Every triangle gets a name at each of its three corners. Where they differ, a point of the triangle has that of the
-nearest corner, by barycentric weight: the border of two classes crosses the triangles between their vertices half way.
+Every triangle gets a name at each of its three corners, before vertices are joined; `SceneMesh` says what a point
+between them has.
 """
 
 from __future__ import annotations
@@ -17,20 +17,12 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadMesh
 from bodyseg_data.labels import BACKGROUND, UNLABELLED
-from bodyseg_data.meshes import FaceNames, Mesh, MeshContent
+from bodyseg_data.meshes import FaceNames, MeshContent
 
-LABEL_PROPERTIES: Final = (
-    "label",
-    "labels",
-    "class",
-    "class_id",
-    "classification",
-    "category",
-    "category_id",
-    "semantic",
-    "segment",
-    "scalar_label",
-    "scalar_classification",
+LABEL_PROPERTIES: Final = tuple(
+    f"{prefix}{name}"
+    for prefix in ("", "scalar_")
+    for name in ("label", "labels", "class", "class_id", "classification", "category", "category_id", "semantic")
 )
 """Properties of a PLY file that hold labels, in lower case; of several, the first."""
 
@@ -41,23 +33,6 @@ NAMING: Final = ("groups", "nodes", "objects", "materials")
 """What names polygons in mesh files."""
 
 _CHANNELS: Final = ("red", "green", "blue")
-
-
-@dataclass(frozen=True)
-class GivenLabels:
-    """Labels of a mesh that brings them. of_corners: uint8 [F, 3]; `BACKGROUND` without a class."""
-
-    of_corners: NDArray[np.uint8]
-    holding: bool = False
-
-    def corners(self, _: Mesh) -> NDArray[np.uint8]:
-        """Labels at the corners of all triangles, uint8 [F, 3]."""
-        return self.of_corners
-
-    def labels_at(self, mesh: Mesh, faces: NDArray[np.int32], points: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """Labels of the corners nearest to points, as `SurfaceLabels.labels_at`."""
-        nearest = mesh.barycentric(faces, points).argmax(axis=1)
-        return self.of_corners[faces, nearest]
 
 
 @dataclass(frozen=True)
@@ -107,8 +82,10 @@ def labels_of_numbers(
     """Labels from a number for each vertex or polygon. values: whole numbers [V], [P] or [F].
 
     table: number -> name. of: "vertices" or "faces"; "" tells it by the count. Raises BadMesh, naming `where`, for
-    another count, one that both have, numbers that are not whole, or a number of no class.
+    another count, one that both have, numbers that are not whole, a number of no class, or an empty table.
     """
+    if not table:
+        raise BadMesh(f"{where}: labels are numbers: classes.json must name the classes, in their order")
     found = np.asarray(values)
     if found.ndim == 2 and 1 in found.shape:
         found = found.ravel()
@@ -121,7 +98,7 @@ def labels_of_numbers(
     distinct, index = np.unique(corners, return_inverse=True)
     unknown = [number for number in distinct.tolist() if number not in place and number not in NO_CLASS]
     if unknown:
-        known = f"{min(table)} to {max(table)}" if table else "none"
+        known = f"{min(table)} to {max(table)}"
         raise BadMesh(f"{where}: labels must be numbers of classes, {known}, found {unknown[0]}")
     coded = np.array([place.get(number, -1) for number in distinct.tolist()], np.int64)
     return NamedCorners(names, coded[index.reshape(corners.shape)])
@@ -160,13 +137,11 @@ def labels_of_colours(content: MeshContent, table: Mapping[str, str], where: str
 
     Raises BadMesh, naming `where`, for a mesh without colours, or a colour of no class, such as a blend of two.
     """
-    of = _coloured(content)
+    of, columns = _having(content, _CHANNELS)
     if not of:
         raise BadMesh(f"{where}: labels by colour need colours of vertices or faces, found none")
-    columns = content.of_polygons if of == "faces" else content.of_vertices
-    channels = np.stack([np.asarray(columns[name], np.float64) for name in _CHANNELS], axis=1)
-    kinds = {np.asarray(columns[name]).dtype.kind for name in _CHANNELS}
-    if kinds == {"f"} and channels.max(initial=0.0) <= 1.0:
+    channels = np.stack([columns[name] for name in _CHANNELS], axis=1)
+    if channels.dtype.kind == "f" and channels.max(initial=0.0) <= 1.0:
         channels = channels * 255
     values = np.rint(channels).astype(np.int64) @ np.array([1 << 16, 1 << 8, 1])
     known = {int(colour[1:], 16): name for colour, name in table.items()}
@@ -178,19 +153,6 @@ def labels_of_colours(content: MeshContent, table: Mapping[str, str], where: str
                 "a program has interpolated colours?)"
             )
     return labels_of_numbers(values, content, known, where, of)
-
-
-def label_property(content: MeshContent, name: str | None = None) -> tuple[str, str] | None:
-    """Where a file holds numbers of classes: "faces" or "vertices", and the property; None if nowhere.
-
-    name: of the property, in any case; None: one of `LABEL_PROPERTIES`.
-    """
-    wanted: Sequence[str] = LABEL_PROPERTIES if name is None else (name.lower(),)
-    for of, columns in (("faces", content.of_polygons), ("vertices", content.of_vertices)):
-        for each in wanted:
-            if each in columns:
-                return of, each
-    return None
 
 
 def labels_from_file(path: Path, content: MeshContent, table: Mapping[int, str]) -> NamedCorners:
@@ -217,11 +179,10 @@ def labels_from_file(path: Path, content: MeshContent, table: Mapping[int, str])
             np.array([place[name] for name in given]), content, dict(enumerate(names)), str(path), of
         )
     if not isinstance(given, np.ndarray):
-        whole = isinstance(given, list) and {*map(type, given)} == {int}
-        if not whole:
+        if not isinstance(given, list) or {*map(type, given)} != {int}:
             raise BadMesh(f"{path}: labels must be lists of vertices by name, or one list of numbers or of names")
         given = np.array(given)
-    return _numbered(given, content, table, str(path), of)
+    return labels_of_numbers(given, content, table, str(path), of)
 
 
 def file_labels(
@@ -244,16 +205,16 @@ def file_labels(
             f"{where}: 'labels' must be a .json or .npy file, {', '.join(NAMING)}, colours or property NAME, found "
             f"{wanted!r}"
         )
-    if kind in ("", "property") and (found := label_property(content, name or None)) is not None:
-        of, column = found
-        values = (content.of_polygons if of == "faces" else content.of_vertices)[column]
-        return _numbered(np.asarray(values), content, table, f"{where}: property {column!r}", of)
+    for column in (name.lower(),) if name else LABEL_PROPERTIES if kind in ("", "property") else ():
+        of, columns = _having(content, (column,))
+        if of:
+            return labels_of_numbers(columns[column], content, table, f"{where}: property {column!r}", of)
     naming = [each for each in NAMING if each in content.names and content.names[each].names and kind in ("", each)]
     if naming:
         fitting = [each for each in naming if known(content.names[each].names)]
         several = [each for each in naming if len(content.names[each].names) > 1]
         return labels_of_names(content.names[(*fitting, *several, *naming)[0]], content)
-    if kind == "colours" or (not kind and colours and _coloured(content)):
+    if kind == "colours" or (not kind and colours and _having(content, _CHANNELS)[0]):
         return labels_of_colours(content, colours, where)
     if wanted is not None:
         raise BadMesh(f"{where}: labels were asked for by {wanted!r}, the file has none")
@@ -264,16 +225,9 @@ def file_labels(
     )
 
 
-def _numbered(
-    values: NDArray[Any], content: MeshContent, table: Mapping[int, str], where: str, of: str
-) -> NamedCorners:
-    """Labels from numbers of the set's classes, which classes.json must name."""
-    if not table:
-        raise BadMesh(f"{where}: labels are numbers: classes.json must name the classes, in their order")
-    return labels_of_numbers(values, content, table, where, of)
-
-
-def _coloured(content: MeshContent) -> str:
-    """Whose colours a file holds: "faces", "vertices" or ""."""
-    both = (("faces", content.of_polygons), ("vertices", content.of_vertices))
-    return next((of for of, columns in both if all(name in columns for name in _CHANNELS)), "")
+def _having(content: MeshContent, names: Sequence[str]) -> tuple[str, dict[str, NDArray[Any]]]:
+    """Whose columns have all of some names, "faces", "vertices" or "", and these columns."""
+    for of, columns in (("faces", content.of_polygons), ("vertices", content.of_vertices)):
+        if all(name in columns for name in names):
+            return of, {name: np.asarray(columns[name]) for name in names}
+    return "", {}

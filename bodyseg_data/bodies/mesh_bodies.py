@@ -186,7 +186,6 @@ class MeshBodies(ListedBodies[MeshFile]):
             built = _snapped((vertices, faces), body.mesh, file.path, landmarks, self._options.pymeshlab)
         if file.standing:
             check_standing(built.mesh.vertices[built.landmarks], str(file.path))
-        check_body(built.mesh.vertices, built.mesh.faces, built.mesh.vertices[built.landmarks], str(file.path))
         return built
 
     def check(self, body: BodyRef) -> None:
@@ -208,7 +207,6 @@ class MeshBodies(ListedBodies[MeshFile]):
         points, _ = _in_millimetres(landmarks.transformed(1.0, alignment.rotation), surface)
         if file.standing:
             check_standing(points.points, str(file.path))
-        check_body(vertices, faces, points.points, str(file.path))
         if farthest_from(surface, points.points) > FARTHEST_M:
             self.build(body)
 
@@ -225,7 +223,15 @@ class MeshBodies(ListedBodies[MeshFile]):
             unit: Any = next(unit for unit, metres in METRES.items() if metres == alignment.scale)
             where = f"{file.path}, in the unit of {decided_by}" if self._options.units == "auto" else str(file.path)
             metres_a_unit(_used(surface), unit, where)
-        return alignment.apply(surface[0]), surface[1], alignment
+        vertices = alignment.apply(surface[0])
+        if isinstance(landmarks, LandmarkSet):
+            landmarks.check_counts(*map(len, surface), str(file.path))
+            points = vertices[list(landmarks.vertices)]
+        else:
+            turned = landmarks.transformed(1.0, alignment.rotation)
+            points = _in_millimetres(turned, _used((vertices, surface[1])))[0].points
+        check_body(vertices, surface[1], points, str(file.path))
+        return vertices, surface[1], alignment
 
     def _check_landmarks(self, bodies: Sequence[BodyRef]) -> None:
         faults: dict[str, list[BodyRef]] = {}

@@ -19,7 +19,15 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies.alignment import Units, UpAxis
 from bodyseg_data.core import BadConfig, check_fields
-from bodyseg_data.meshes import GeodesicMethod, Mesh, Partition, SurfaceLabels, SurfacePiece, partition
+from bodyseg_data.meshes import (
+    GeodesicMethod,
+    Mesh,
+    Partition,
+    SceneMesh,
+    SurfaceLabels,
+    SurfacePiece,
+    partition,
+)
 from bodyseg_data.samples import Split
 
 _LAST_NUMBER: Final = re.compile(r"(\d+)(\D*)\Z")
@@ -94,10 +102,11 @@ class BodyRef:
 
 @dataclass(frozen=True)
 class Body:
-    """A body ready to be labelled.
+    """A body ready to be labelled, or a scene that brings its labels (`SceneMesh`).
 
-    landmarks: int64 [33], the vertex of each landmark in the order of `PARTS`. notes: repairs of the mesh and the like,
-    one line each, for its owner. pieces: those of the mesh that lie over the body, like a skirt or a held thing.
+    landmarks: int64 [N], the vertex of each of the 33 landmarks in the order of `PARTS`; of a scene none. notes:
+    repairs of the mesh and the like, one line each, for its owner. pieces: those of the mesh that lie over the body,
+    like a skirt or a held thing.
     """
 
     mesh: Mesh
@@ -110,8 +119,8 @@ class Body:
         return partition(self.mesh, self.landmarks, method, self.pieces)
 
     def surface_labels(self, method: GeodesicMethod = "exact") -> SurfaceLabels:
-        """The labels of its samples: by default those of `partition`, with its errors."""
-        return self.partition(method)
+        """The labels of its samples: those of a scene's mesh, else those of `partition`, with its errors."""
+        return self.mesh if isinstance(self.mesh, SceneMesh) else self.partition(method)
 
 
 class BodySource(Protocol):

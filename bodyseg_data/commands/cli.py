@@ -23,7 +23,7 @@ Commands = Mapping[str, tuple[str, str]]
 
 COMMANDS: Final[Commands] = {
     "shard": ("bodyseg_data.commands.shard", "render bodies and pack them into shards"),
-    "join": ("bodyseg_data.commands.join", "make one set of parts that were written side by side"),
+    "join": ("bodyseg_data.commands.join", "join parts that were written side by side to one set"),
     "verify": ("bodyseg_data.commands.verify", "check every byte of a set of shards"),
     "inspect": ("bodyseg_data.commands.inspect", "draw a contact sheet of a set, or count what it holds"),
     "gallery": ("bodyseg_data.commands.gallery", "draw many views of sets in one picture"),

@@ -1,4 +1,4 @@
-"""`bodyseg join`: make one set of the parts that several writers have written."""
+"""`bodyseg join`: one set of the parts that several writers have written."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies import BodyRef, BodySource, SourceName, Units, UpAxis, metres_a_unit, open_source
+from bodyseg_data.bodies import SOURCES, BodyRef, BodySource, Units, UpAxis, metres_a_unit, open_source
 from bodyseg_data.commands.options import option
 from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import HEIGHTS_PX, LabelledBody, check_picture, draw_body_views, save_picture
@@ -32,7 +32,7 @@ class Options:
     """Options of the command."""
 
     out: Path = option("write the picture to this PNG file")
-    source: SourceName | None = option("source of the bodies", None)
+    source: str | None = option(f"source of the bodies: {', '.join(SOURCES)}, or one that a package adds", None)
     path: Path | None = option("folder of the source's meshes, for sources that read one", None)
     landmarks: Path | None = option("landmark file, or folder of them (default: beside the meshes)", None)
     mesh: Path | None = option("a mesh file to propose landmarks for, instead of a source", None)

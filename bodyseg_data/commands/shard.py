@@ -9,7 +9,7 @@ import sys
 import time
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import Any, Final
 
 from bodyseg_data.bodies import SOURCES, Units, UpAxis, collapsed
 from bodyseg_data.commands.options import command_line, option
@@ -43,11 +43,6 @@ EXAMPLE = "bodyseg shard --source open --meshes 40 --out shards"
 RENDERS: Final = "renders"
 """The source of scenes that another program has rendered."""
 
-if TYPE_CHECKING:
-    ShardSource = str
-else:
-    ShardSource = Literal[(*SOURCES, RENDERS)]
-
 _OF_ALL: Final = ("source", "path", "out", "codec", "shard_samples", "workers", "report", "plan")
 _OF_RENDERS: Final = ("layout", "projector")
 
@@ -56,7 +51,10 @@ _OF_RENDERS: Final = ("layout", "projector")
 class Options:
     """Options of the command."""
 
-    source: ShardSource = option("source of the bodies, or renders: scenes rendered elsewhere")
+    source: str = option(
+        f"source of the bodies: {', '.join(SOURCES)}, or one that an installed package adds; or {RENDERS}: scenes "
+        "rendered elsewhere"
+    )
     path: Path | None = option("folder of the source's meshes or renders, for sources that read one", None)
     layout: LayoutName | None = option("renders: layout of their folder (default: by its files)", None)
     projector: ProjectorKind | None = option(

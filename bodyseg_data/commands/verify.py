@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from dataclasses import dataclass
 
@@ -9,7 +10,16 @@ from bodyseg_data.cards import stale_cards
 from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core import BadConfig, BadShard
-from bodyseg_data.shards import LocalFolder, Store, find_faults, find_index_faults, open_store, read_manifest
+from bodyseg_data.shards import (
+    LocalFolder,
+    Store,
+    column_names,
+    find_column_faults,
+    find_faults,
+    find_index_faults,
+    open_store,
+    read_manifest,
+)
 
 EXAMPLE = "bodyseg verify shards"
 
@@ -44,6 +54,9 @@ def run(options: Options) -> int:
             done += len(shard)
             progress.update(done, total)
     listed = {shard.name for shard in manifest.shards}
+    for line in find_column_faults(store, manifest):
+        sys.stdout.write(f"{line}\n")
+        faults += 1
     for stray in _strays(store, listed):
         sys.stdout.write(f"{stray}: -: offset 0: not in the manifest\n")
         faults += 1
@@ -57,12 +70,16 @@ def run(options: Options) -> int:
     if faults:
         return 1
     size = sum(shard.size for shard in manifest.shards)
-    sys.stdout.write(f"{store.name}: {total} samples in {len(listed)} shards, {size / 1e6:.1f} MB: no fault\n")
+    sys.stdout.write(f"{store.name}: {total} samples in {len(manifest.shards)} shards, {size / 1e6:.1f} MB: no fault\n")
+    if columns := column_names(store):
+        sys.stdout.write(f"columns: {', '.join(columns)}: no fault\n")
     return 0
 
 
 def _strays(store: Store, listed: set[str]) -> list[str]:
-    """List shards that the manifest does not name; only a local folder can be listed."""
+    """List tars of no shard and no column; only a local folder can be listed."""
     if not isinstance(store, LocalFolder):
         return []
+    with contextlib.suppress(BadShard):  # which was printed
+        listed |= {f"{name.removesuffix('.tar')}.{column}.tar" for name in listed for column in column_names(store)}
     return sorted(path.name for path in store.path.glob("*.tar") if path.name not in listed)

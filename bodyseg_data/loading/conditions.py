@@ -145,6 +145,11 @@ def parse_condition(text: str, fields: Fields) -> Condition:
     return Condition(name, comparison, values, tuple(re.compile(fnmatch.translate(value)) for value in values))
 
 
+def named_fields(where: Any) -> list[str]:
+    """Names of the fields in conditions, which `parse_condition` checks. Raises as `texts_of`."""
+    return [parts[1] for parts in map(_CONDITION.fullmatch, texts_of("where", where)) if parts is not None]
+
+
 def texts_of(option: str, value: Any) -> tuple[str, ...]:
     """Return one text, or a sequence of texts, as a tuple. option: its name. Raises BadConfig for anything else."""
     texts = (value,) if isinstance(value, str) else value

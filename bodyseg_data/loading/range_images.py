@@ -25,12 +25,12 @@ from bodyseg_data.artifacts import (
     artifacts_to_json,
     check_variant,
     load_sensor_model,
-    prepare_occluder,
     seen_by_projectors,
 )
 from bodyseg_data.core import BadConfig, BadSample, BadShard, Draws, check_epoch, check_seed
 from bodyseg_data.labels import BACKGROUND, UNLABELLED, LabelMap, load_label_map, whole_map
-from bodyseg_data.loading.conditions import texts_of
+from bodyseg_data.loading.conditions import named_fields, texts_of
+from bodyseg_data.loading.descriptions import arrow_table, table_of
 from bodyseg_data.loading.image_set import Request, Requests, SampleDataset, check_bool, check_index
 from bodyseg_data.loading.selection import Permutation, Selection, permutation
 from bodyseg_data.loading.skipping import with_text
@@ -47,13 +47,17 @@ from bodyseg_data.loading.transform import (
 from bodyseg_data.samples import ReadSplit, Sample, metres
 from bodyseg_data.shards import (
     RIG_FIELD,
+    CheckedFile,
+    ColumnReader,
     Manifest,
     RetryPolicy,
     ShardReader,
     ShardRecord,
+    open_columns,
     open_store,
     read_manifest,
     with_cache,
+    with_columns,
     with_kept_index,
 )
 
@@ -80,8 +84,10 @@ class RangeImages(SampleDataset):
     occluder: "camera" makes the projector's range out of what the camera sees, also for a set that holds none; what the
     camera does not see then casts no shadow (docs/how-to/streaming.md). only: patterns as for file names ("open-A-*",
     "*-d255-*"), one or several; a sample's key must match one of them. where: conditions like "distance_cm<=255", one
-    or several, which a sample's description must all meet (docs/how-to/streaming.md). val_share: share of train, 0 to
-    1, that is read as "val" and not as "train": whole people and motions (docs/how-to/splits.md).
+    or several, which a sample's description must all meet (docs/how-to/streaming.md). columns: names of columns to
+    open, planes or fields that the set got later (docs/how-to/columns.md); those that `where` and `planes` name are
+    opened in any case. val_share: share of train, 0 to 1, that is read as "val" and not as "train": whole people and
+    motions (docs/how-to/splits.md).
 
     For remote sets (docs/how-to/remote.md): cache: folder that keeps fetched shards, None for `bodyseg` in the user's
     cache folder. cache_bytes: its limit, None for 20 GB, 0 for no cache. storage_options: for the fsspec filesystem.
@@ -111,17 +117,23 @@ class RangeImages(SampleDataset):
         unlabelled: bool = False,
         planes: Sequence[str] = (),
         occluder: OccluderName = "stored",
+        columns: str | Sequence[str] = (),
     ) -> None:
         seed = check_seed(seed)
         model = load_sensor_model(sensor)
         store, pattern = open_store(_checked_path(path), storage_options, retry_policy)
         self.path = store.name
         self.manifest = with_kept_index(read_manifest(store), store, cache, cache_bytes)
+        named = (*named_fields(where), *texts_of("planes", planes))
+        self.columns = open_columns(store, self.manifest, texts_of("columns", columns), named)
+        self.manifest = with_columns(self.manifest, self.columns)
         self.split, self.seed = split, seed
         self.augmentation = Augmentation(self.manifest.rig, check_variant(variant), seed, model)
         """Of the set's first rig; see `augmentation_of`."""
         self._augmentations: dict[int, Augmentation] = {}
-        self.occluder = check_occluder(occluder)
+        self.occluder = occluder
+        if occluder not in OCCLUDERS:
+            raise BadConfig(f"occluder must be {' or '.join(map(repr, OCCLUDERS))}, found {occluder!r}")
         if self.augmentation.needs_projector and self.manifest.projector == "none" and occluder == "stored":
             raise BadConfig(
                 f"{path} holds no projector range, which variant {variant!r} needs: use 'none', 'noise' or 'md', or "
@@ -139,8 +151,13 @@ class RangeImages(SampleDataset):
         self._joins = not self.label_map.is_whole
         self.selection = Selection.of(pattern, split, only, where, val_share, self.manifest.fields)
         self._samples = self.selection.choose(self.manifest, str(path))
-        records = (self.manifest.shards[number] for number in self._samples.shards)
-        self._reader = ShardReader(with_cache(store, records, cache, cache_bytes), self.manifest)
+        chosen = self._samples.shards
+        files: list[CheckedFile] = [self.manifest.shards[number] for number in chosen]
+        files += [column.tars[number] for column in self.columns if column.is_plane for number in chosen]
+        cached = with_cache(store, files, cache, cache_bytes)
+        self._reader = (
+            ColumnReader(cached, self.manifest, self.columns) if self.columns else ShardReader(cached, self.manifest)
+        )
         self.epoch = 0
         self.epochs_set = 0
         self.set_epoch(epoch)
@@ -169,7 +186,8 @@ class RangeImages(SampleDataset):
         """Compile or load the loops that samples need, so that workers forked from this process have them too."""
         self.augmentation.prepare()
         if self._casts:
-            prepare_occluder()
+            camera = self.manifest.rig.camera
+            seen_by_projectors(np.zeros((camera.rows, camera.columns), np.uint16), self.manifest.rig)
         if self._joins:
             self.label_map.prepare()
 
@@ -285,6 +303,23 @@ class RangeImages(SampleDataset):
             item["planes"] = {name: item_tensor(plane) for name, plane in image.planes.items()}
         return item
 
+    def describe(self, index: int) -> dict[str, Any]:
+        """Return key, split and fields of a sample, as the manifest has them: no shard is read."""
+        number, within = self._where(index)
+        shard = self.manifest.shards[number]
+        info = shard.descriptions.info(within, shard.split)
+        return {"key": shard.entry(within).key, "split": info.split, **info.fields}
+
+    def table(self, arrow: bool = False) -> Any:
+        """Return what `describe` gives of all samples: name -> array [N]; no shard is read.
+
+        Text is of NumPy's `str` type, whole numbers int64, other numbers float64, flags bool, tuples of numbers float64
+        [N, K], or objects where they differ in length. Where samples lack a field, its array is masked. arrow: return a
+        `pyarrow.Table`, with nulls there. Raises MissingLibrary if pyarrow is not installed.
+        """
+        columns = table_of(self.manifest.fields, list(self._chosen_records()))
+        return arrow_table(columns) if arrow else columns
+
     def _where(self, index: int) -> tuple[int, int]:
         """Return (shard number, index within the shard) of a sample. Raises as `check_index`."""
         return self._samples.place(check_index(index, len(self._samples)))
@@ -312,6 +347,7 @@ class RangeImages(SampleDataset):
             **({"transforms": transforms_to_json(self.transforms)} if self.transforms else {}),
             **({"labels": self.label_map.to_json()} if self._joins else {}),
             **({"unlabelled": True} if self.unlabelled == UNLABELLED else {}),
+            **({"columns": {each.name: each.digest for each in self.columns}} if self.columns else {}),
             **({"planes": list(self.planes)} if self.planes else {}),
             **({"occluder": self.occluder} if self._casts else {}),
         }
@@ -370,14 +406,6 @@ class RangeImages(SampleDataset):
     def urls(self) -> list[str]:
         """Return the paths of the shards that hold the chosen samples, in stored order."""
         return [f"{self.path}/{self.manifest.shards[number].name}" for number in self._samples.shards]
-
-
-def check_occluder(name: Any) -> OccluderName:
-    """`name` if projector ranges can come from there: "stored" or "camera". Raises BadConfig."""
-    for known in OCCLUDERS:
-        if name == known:
-            return known
-    raise BadConfig(f"occluder must be {' or '.join(map(repr, OCCLUDERS))}, found {name!r}")
 
 
 def _chosen_planes(names: Any, manifest: Manifest) -> dict[str, np.dtype[Any]]:

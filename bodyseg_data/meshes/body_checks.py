@@ -78,14 +78,14 @@ def _check_plates(
     """Raise BadMesh for a flat piece without a landmark, or a level surface away from all of them at the bottom."""
     from scipy.spatial import KDTree
 
-    kept, place = welded(vertices)
-    points, corners = vertices[kept], place[faces]
-    used = np.unique(corners)
+    used, corners = np.unique(faces, return_inverse=True)  # others may lie anywhere
+    kept, place = welded(vertices[used])
+    points, corners = vertices[used][kept], place[corners].reshape(-1, 3)
     piece = face_components(len(points), corners)
-    own = np.unique(piece[used[KDTree(points[used]).query(landmarks)[1]]])
-    bottom = float(points[used[np.isin(piece[used], own)], 1].min())
+    own = np.unique(piece[KDTree(points).query(landmarks)[1]])
+    bottom = float(points[np.isin(piece, own), 1].min())
     body_width = float(np.sort(np.ptp(landmarks, axis=0))[1])
-    for other in np.setdiff1d(np.unique(piece[used]), own).tolist():
+    for other in np.setdiff1d(np.unique(piece), own).tolist():
         plate = points[piece == other]
         if np.sort(np.ptp(plate, axis=0))[1] < _PLATE_M * size:
             continue
@@ -100,7 +100,7 @@ def _check_plates(
     normals = face_normals(points, corners)
     double_area = np.maximum(np.linalg.norm(normals, axis=1), 1e-12)
     level = (np.abs(normals[:, 1]) > _LEVEL * double_area) & np.isin(piece[corners[:, 0]], own)
-    low = points[corners, 1].max(axis=1) < points[used, 1].min() + _NEAR_FEET_M * size
+    low = points[corners, 1].max(axis=1) < points[:, 1].min() + _NEAR_FEET_M * size
     away = KDTree(landmarks).query(points)[0][corners].max(axis=1) > _AWAY_M * size
     floor_m2 = float(double_area[level & low & away].sum()) / 2
     if floor_m2 > _FLOOR_M2 * size**2:

@@ -217,15 +217,19 @@ SCENE_RANGE_M: Final = (0.02, 100.0)
 """A scene's largest extent must lie in this range."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SceneMesh(Mesh):
-    """Surfaces of a scene, in the frame of bodies. They need be neither closed nor of one piece, and whichever side of
-    a triangle is seen counts as its outside. middle: float64 [3], metres, the point that views aim at; None: the centre
-    of the bounding box.
+    """Surfaces of a scene, in the frame of bodies, with their labels. They need be neither closed nor of one piece, and
+    whichever side of a triangle is seen counts as its outside.
 
-    Raises BadMesh as `Mesh` does, but for other extents, 2 cm to 100 m, and not for the order of faces.
+    labels: uint8 [F, 3], at the corners of triangles; 255 without a class. Where they differ, a point has that of the
+    corner with the largest barycentric weight: a border crosses triangles half way between their vertices. middle:
+    float64 [3], metres, the point that views aim at; None: the centre of the bounding box.
+
+    Raises BadMesh as `Mesh` does, but for other extents, 2 cm to 100 m, and not for the order of corners.
     """
 
+    labels: NDArray[np.uint8]
     middle: NDArray[np.float64] | None = None
 
     def _check_extent(self, vertices: NDArray[np.float64], faces: NDArray[Any]) -> None:
@@ -239,6 +243,19 @@ class SceneMesh(Mesh):
 
     def _check_orientation(self) -> None:
         """Any order of corners will do."""
+
+    @property
+    def holding(self) -> bool:
+        """A scene is no body that holds things."""
+        return False
+
+    def corners(self, _: Mesh) -> NDArray[np.uint8]:
+        """Labels at the corners of all triangles, uint8 [F, 3]."""
+        return self.labels
+
+    def labels_at(self, _: Mesh, faces: NDArray[np.int32], points: NDArray[np.float64]) -> NDArray[np.uint8]:
+        """Labels of `points` [N, 3], metres, in the triangles `faces` [N], uint8 [N]."""
+        return self.labels[faces, self.barycentric(faces, points).argmax(axis=1)]
 
     @cached_property
     def centre(self) -> NDArray[np.float64]:

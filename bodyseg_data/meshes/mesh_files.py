@@ -94,7 +94,7 @@ class MeshContent:
 
 @dataclass
 class _Parsed:
-    """Content of a file: vertices, polygons, and what it says of them."""
+    """Content of a file: vertices, polygons, and what it says of them: kind and column of numbers, and names."""
 
     vertices: Any = ()
     polygons: Any = ()
@@ -140,9 +140,9 @@ class _Element:
         return any(prop.length is not None for prop in self.properties)
 
     def numbers(self, columns: Sequence[Any]) -> dict[str, Any]:
-        """Columns of the properties that are no lists, by name in lower case."""
+        """Kind and column of the properties that are no lists, by name in lower case."""
         pairs = zip(self.properties, columns, strict=True)
-        return {each.name.lower(): column for each, column in pairs if each.length is None}
+        return {each.name.lower(): (each.kind, column) for each, column in pairs if each.length is None}
 
     def truncated(self, found: int) -> BadMesh:
         return BadMesh(f"the header announces {self.count} rows of {self.name!r}, the file ends after {found}")
@@ -318,10 +318,15 @@ def read_mesh_content(path: Path) -> MeshContent:
         vertices,
         faces,
         np.repeat(np.arange(len(sizes)), sizes),
-        {name: np.ravel(values) for name, values in parsed.of_vertices.items()},
-        {name: np.ravel(values) for name, values in parsed.of_polygons.items()},
+        *({name: _numbers(*each) for name, each in of.items()} for of in (parsed.of_vertices, parsed.of_polygons)),
         {kind: parsed.named(kind) for kind in parsed.names},
     )
+
+
+def _numbers(kind: str, column: Any) -> NDArray[Any]:
+    """A column of a PLY file as numbers; of a text, they were read as fractions, whatever their kind."""
+    values = np.ravel(column)
+    return values if kind[0] == "f" else values.astype(np.int64)
 
 
 def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32], _Parsed]:
@@ -400,7 +405,8 @@ def _read_obj(data: bytes) -> _Parsed:
         except ValueError as error:
             raise BadMesh(f"line {number} is not OBJ: {error}") from error
     channels = zip(("red", "green", "blue"), zip(*colours, strict=True), strict=False)
-    return _Parsed(vertices, polygons, dict(channels) if len(colours) == len(vertices) else {}, names=names)
+    of_vertices = {name: ("f8", values) for name, values in channels} if len(colours) == len(vertices) else {}
+    return _Parsed(vertices, polygons, of_vertices, names=names)
 
 
 def _from_one(index: int, count: int) -> int:

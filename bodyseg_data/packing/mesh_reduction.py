@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies import Body
 from bodyseg_data.core import BadConfig, BadMesh
-from bodyseg_data.meshes import Mesh, find_edges, with_pymeshlab
+from bodyseg_data.meshes import Mesh, SceneMesh, find_edges, with_pymeshlab
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rigs import PlacedCamera, Rig
 from bodyseg_data.samples import View
@@ -226,10 +226,12 @@ def edges_collapsed(
     low, high = mesh.surface_vertices.min(axis=0), mesh.surface_vertices.max(axis=0)
     held = np.zeros(len(mesh.vertices), np.bool_)
     held[np.concatenate([landmarks, _outermost(mesh), _edged(mesh)])] = True
+    if isinstance(mesh, SceneMesh):
+        held[_between_labels(mesh)] = True
     fixed = np.asarray(held[mesh.faces].any(axis=1))
     if fixed.all():
         return mesh, landmarks
-    number, vertices, faces = with_pymeshlab(
+    number, vertices, faces, origin = with_pymeshlab(
         _FEATURE, lambda pymeshlab: _decimated(pymeshlab, mesh, fixed, count, optimal)
     )
     order = np.argsort(number, kind="stable")
@@ -237,18 +239,21 @@ def edges_collapsed(
     vertices = np.clip(vertices, low, high)
     if not np.array_equal(vertices[found], mesh.vertices[landmarks]):
         raise BadMesh("collapsing edges moved a landmark")
-    return Mesh(mesh.name, vertices, faces), found.astype(np.int64)
+    further = {"labels": mesh.labels[origin]} if isinstance(mesh, SceneMesh) else {}
+    return replace(mesh, vertices=vertices, faces=faces, **further), found.astype(np.int64)
 
 
 def _decimated(
     pymeshlab: Any, mesh: Mesh, fixed: NDArray[np.bool_], count: int, optimal: bool
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]:
-    """Collapse edges in pymeshlab's thread; returns [V] the number each vertex had in `mesh`, [V, 3] metres, [F, 3]."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32], NDArray[np.int64]]:
+    """Collapse edges in pymeshlab's thread; returns [V] the number each vertex had in `mesh`, [V, 3] metres, [F, 3],
+    and [F] the number that each triangle had.
+    """
     meshes = pymeshlab.MeshSet()
     number = np.arange(len(mesh.vertices), dtype=np.float64)  # goes along with each vertex
-    meshes.add_mesh(
-        pymeshlab.Mesh(mesh.vertices, mesh.faces, v_scalar_array=number, f_scalar_array=(~fixed).astype(np.float64))
-    )
+    count_up = np.arange(1.0, len(mesh.faces) + 1)  # goes along with each triangle, negative on those that stay
+    of_face = np.where(fixed, -count_up, count_up)
+    meshes.add_mesh(pymeshlab.Mesh(mesh.vertices, mesh.faces, v_scalar_array=number, f_scalar_array=of_face))
     try:
         meshes.compute_selection_by_condition_per_face(condselect="fq > 0.5")
         meshes.meshing_decimation_quadric_edge_collapse(
@@ -267,6 +272,7 @@ def _decimated(
         np.array(coarse.vertex_scalar_array()),
         np.array(coarse.vertex_matrix(), np.float64),
         np.array(coarse.face_matrix(), np.int32),
+        np.abs(coarse.face_scalar_array()).astype(np.int64) - 1,
     )
 
 
@@ -274,6 +280,14 @@ def _edged(mesh: Mesh) -> NDArray[np.int64]:
     """Vertices at edges that have not two faces: rims of holes, and seams, whose sides would part if they moved."""
     edges = find_edges(mesh.faces)
     return np.unique(edges.ends[edges.faces != 2])
+
+
+def _between_labels(mesh: SceneMesh) -> NDArray[np.int64]:
+    """Vertices whose triangles have more than one label."""
+    low, high = np.full(len(mesh.vertices), 255, np.uint8), np.zeros(len(mesh.vertices), np.uint8)
+    np.minimum.at(low, mesh.faces, mesh.labels.min(axis=1)[:, None])
+    np.maximum.at(high, mesh.faces, mesh.labels.max(axis=1)[:, None])
+    return np.flatnonzero(low < high)
 
 
 def _outermost(mesh: Mesh) -> NDArray[np.int64]:

@@ -18,6 +18,15 @@ from bodyseg_data.rigs import Rig
 _ONE_SURFACE: Final = 1.5
 """Slopes on both sides of a pixel that differ by more than this factor are not of one surface."""
 
+_LEVEL: Final = 1e-6
+"""Slopes below this, 1 / m a pixel, are 0 as far as facing goes: the last bits of a surface square to the axis."""
+
+_REACH: Final = 2
+"""Pixels to each side that a slope depends on."""
+
+_ROWS: Final = 48
+"""Rows that are computed at once, so that arrays stay in the cache."""
+
 _BENT: Final = 4.0
 """The same for slopes of one side, at the pixel and beyond."""
 
@@ -34,18 +43,31 @@ def facing_from_range(rig: Rig, range_m: NDArray[np.floating[Any]]) -> list[NDAr
     range_m: float [H, W], metres along the camera's axis, 0 where nothing was measured. A pixel without neighbours is
     taken to lie square to the camera's axis.
     """
-    measured = range_m > 0
+    places = projector_places(rig)
+    answers = [np.zeros(range_m.shape, np.bool_) for _ in places]
+    for start in range(0, len(range_m), _ROWS):
+        first, end = max(start - _REACH, 0), min(start + _ROWS, len(range_m))
+        found = _facing(rig, places, range_m[first : end + _REACH], first)
+        for answer, rows in zip(answers, found, strict=True):
+            answer[start:end] = rows[start - first : end - first]
+    return answers
+
+
+def _facing(
+    rig: Rig, places: list[NDArray[np.float64]], range_m: NDArray[np.floating[Any]], first: int
+) -> list[NDArray[np.bool_]]:
+    """As `facing_from_range` for some rows of an image, from row `first` on, as if there were no others."""
+    camera, measured = rig.camera, range_m > 0
     inverse = np.zeros(range_m.shape, np.float32)
     np.divide(np.float32(1), range_m, out=inverse, where=measured, casting="same_kind")
-    camera = rig.camera
     across = _slopes(inverse, measured, 1) * np.float32(camera.focal_px)
     down = _slopes(inverse, measured, 0) * np.float32(camera.focal_px)
     x = ((np.arange(camera.columns) + 0.5 - camera.centre_px[0]) / camera.focal_px).astype(np.float32)
-    y = ((np.arange(camera.rows) + 0.5 - camera.centre_px[1]) / camera.focal_px).astype(np.float32)[:, None]
+    y = ((np.arange(first, first + len(range_m)) + 0.5 - camera.centre_px[1]) / camera.focal_px).astype(np.float32)
     answers = []
-    for place in projector_places(rig):
-        px, py, pz = place.astype(np.float32)
-        answers.append(measured & (across * (px - x * pz) + down * (py - y * pz) + inverse * pz < 1))
+    for px, py, pz in np.array(places, np.float32):
+        inclined = across * (px - x * pz) + down * (py - y * pz)[:, None] + inverse * pz
+        answers.append(measured & (inclined < 1))
     return answers
 
 
@@ -55,19 +77,36 @@ def _slopes(inverse: NDArray[np.float32], measured: NDArray[np.bool_], axis: int
     The mean of both sides where they are of one surface; else that of the flatter side, carried on by half of its own
     change from the pixel beyond, as surfaces bend away towards their outline.
     """
-    values, known = np.moveaxis(inverse, axis, 0), np.moveaxis(measured, axis, 0)
-    steps = np.diff(values, axis=0)
-    steps[~(known[1:] & known[:-1])] = np.inf
-    edge = np.full((1, values.shape[1]), np.inf, np.float32)
-    before, after = np.concatenate([edge, steps]), np.concatenate([steps, edge])
+    ahead, behind = _along(axis, 1, None), _along(axis, None, -1)
+    rows, columns = inverse.shape
+    # Steps to the next pixel, infinite where one of the two is not measured, and twice beyond both ends.
+    steps = np.full((rows + 3 * (axis == 0), columns + 3 * (axis == 1)), np.inf, np.float32)
+    inner = steps[_along(axis, 2, -2)]
+    np.subtract(inverse[ahead], inverse[behind], out=inner, where=measured[ahead] & measured[behind])
+    sizes = np.abs(steps)
+    flat, steep = (sizes[_along(axis, start, start - 3)] for start in (1, 2))
+    flat, steep = np.minimum(flat, steep), np.maximum(flat, steep)
+    flat *= np.float32(_ONE_SURFACE)
+    flat += np.float32(_LEVEL)
+    slopes = steps[_along(axis, 1, -2)] + steps[_along(axis, 2, -1)]
+    slopes *= np.float32(0.5)
+    # Elsewhere, of few pixels, the flatter side and the step beyond it.
+    edges = np.flatnonzero(~(steep < flat) & measured)
+    at, stride = (edges, columns) if axis == 0 else (edges + 3 * (edges // columns), 1)
+    outer, before, after, other = (steps.ravel()[at + place * stride] for place in range(4))
     first = np.abs(before) <= np.abs(after)
-    near, other = np.where(first, before, after), np.where(first, after, before)
-    beyond = np.where(first, np.concatenate([edge, before[:-1]]), np.concatenate([after[1:], edge]))
-    with np.errstate(invalid="ignore"):  # infinite less infinite, which is not chosen below
-        bent = np.where(np.abs(beyond) <= _BENT * np.abs(near), 1.5 * near - 0.5 * beyond, near)
-        slopes = np.where(np.abs(other) <= _ONE_SURFACE * np.abs(near), (near + other) / 2, bent)
-    slopes[~np.isfinite(slopes)] = 0
-    return np.moveaxis(slopes, 0, axis)
+    near, beyond = np.where(first, before, after), np.where(first, outer, other)
+    with np.errstate(invalid="ignore"):  # infinite less infinite, which is not chosen
+        near = np.where(np.abs(beyond) <= _BENT * np.abs(near), 1.5 * near - 0.5 * beyond, near)
+    slopes.ravel()[edges] = np.where(np.isfinite(near), near, 0)
+    slopes[~measured] = 0
+    return slopes
+
+
+def _along(axis: int, start: int | None, end: int | None) -> tuple[slice, slice]:
+    """A part of the rows, axis 0, or of the columns."""
+    part = slice(start, end)
+    return (part, slice(None)) if axis == 0 else (slice(None), part)
 
 
 def facing_from_normals(

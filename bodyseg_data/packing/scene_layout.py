@@ -1,7 +1,7 @@
 """Samples from the arrays of a scene: what all samples of a set have in common, and the checks that each must pass.
 
-Checks and copies of the arrays (`Layout.taken`) are quick and run where the scene is handed over, so that a mistake is
-reported there and buffers may be used again; the rest (`Layout.members`) may run in any thread or process.
+Checks and copies of the arrays (`SceneLayout.taken`) are quick and run where the scene is handed over, so that a
+mistake is reported there and buffers may be used again; the rest (`SceneLayout.members`) may run anywhere.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _UINT16: Final = 1 << 16
 
 
 @dataclass(frozen=True)
-class Scene:
+class GivenScene:
     """The arguments of `ShardWriter.write`, which describes them; nothing is checked."""
 
     key: str
@@ -67,7 +67,7 @@ class TakenScene:
 
 
 @dataclass(frozen=True)
-class Layout:
+class SceneLayout:
     """What all samples of a set have in common. Arguments as in `Manifest`; facing: where the facing bits come from."""
 
     rigs: tuple[Rig, ...]
@@ -78,7 +78,7 @@ class Layout:
     facing: FacingOrigin
     codec: str
 
-    def taken(self, scene: Scene) -> TakenScene:
+    def taken(self, scene: GivenScene) -> TakenScene:
         """Check a scene and copy its arrays. Raises BadSample, naming the key and the rule."""
         if isinstance(scene.rig, bool) or scene.rig not in range(len(self.rigs)):
             raise BadSample(f"{scene.key}: rig must number one of the set's {len(self.rigs)} rigs, found {scene.rig!r}")
@@ -119,7 +119,7 @@ class Layout:
             key, range_image, occluder, labels, facing[0], taken.info, faces_second=second, planes=taken.planes
         )
 
-    def _labels(self, scene: Scene, size: tuple[int, int]) -> NDArray[np.uint8]:
+    def _labels(self, scene: GivenScene, size: tuple[int, int]) -> NDArray[np.uint8]:
         labels = _integers(scene.labels, "labels", size, scene.key)
         allowed = (labels >= 0) & ((labels < len(self.classes)) | (labels == UNLABELLED) | (labels == BACKGROUND))
         if not allowed.all():
@@ -129,7 +129,7 @@ class Layout:
             )
         return labels.astype(np.uint8)
 
-    def _info(self, scene: Scene) -> SampleInfo:
+    def _info(self, scene: GivenScene) -> SampleInfo:
         fields = {name: plain_value(value) for name, value in (scene.fields or {}).items()}
         if len(self.rigs) > 1:
             fields[RIG_FIELD] = int(scene.rig)
@@ -147,7 +147,7 @@ class Layout:
         except BadSample as error:
             raise BadSample(f"{scene.key}: {error}") from error
 
-    def _planes(self, scene: Scene, size: tuple[int, int]) -> dict[str, Images]:
+    def _planes(self, scene: GivenScene, size: tuple[int, int]) -> dict[str, Images]:
         given = scene.planes or {}
         if set(given) != set(self.planes):
             wanted, found = (", ".join(sorted(names)) or "none" for names in (self.planes, given))
@@ -161,7 +161,7 @@ class Layout:
             planes[name] = plane.astype(kind)
         return planes
 
-    def _facing(self, scene: Scene, rig: Rig, range_m: Images) -> tuple[NDArray[np.bool_], ...] | None:
+    def _facing(self, scene: GivenScene, rig: Rig, range_m: Images) -> tuple[NDArray[np.bool_], ...] | None:
         if scene.facing is not None and scene.normals is not None:
             raise BadSample(f"{scene.key}: facing and normals are alternatives, found both")
         origin = facing_origin(scene)
@@ -186,7 +186,7 @@ class Layout:
         return tuple(facing.reshape(count, *size).copy())
 
     def _projector(
-        self, scene: Scene, rig: Rig, range_m: Images, facing: tuple[NDArray[np.bool_], ...] | None
+        self, scene: GivenScene, rig: Rig, range_m: Images, facing: tuple[NDArray[np.bool_], ...] | None
     ) -> Images | None:
         ways = (scene.projector_range_m is not None) + (scene.projector is not None)
         if ways != (self.projector != "none"):
@@ -235,7 +235,7 @@ class Layout:
         return image
 
 
-def facing_origin(scene: Scene) -> FacingOrigin:
+def facing_origin(scene: GivenScene) -> FacingOrigin:
     """Where a scene's facing bits come from."""
     return "range" if scene.facing is None and scene.normals is None else "given"
 

@@ -26,9 +26,9 @@ from bodyseg_data.labels import Classes, LabelClass, classes_of
 from bodyseg_data.packing.options import PACKING_VERSION
 from bodyseg_data.packing.scene_layout import (
     FacingOrigin,
-    Layout,
+    GivenScene,
     ProjectorRanges,
-    Scene,
+    SceneLayout,
     TakenScene,
     facing_origin,
     fields_of,
@@ -125,7 +125,7 @@ class ShardWriter:
         self._progress = progress
         self._pool = executor
         self._context = contextlib.ExitStack()
-        self._layout: Layout | None = None
+        self._layout: SceneLayout | None = None
         self._state: Path | None = None
         self._complete = False
         self._records: dict[str, ShardRecord] = {}
@@ -194,7 +194,9 @@ class ShardWriter:
         """
         if not self._is_new(key):
             return False
-        scene = Scene(key, range_m, labels, projector_range_m, projector, facing, normals, split, fields, planes, rig)
+        scene = GivenScene(
+            key, range_m, labels, projector_range_m, projector, facing, normals, split, fields, planes, rig
+        )
         layout = self._layout or self._learned(scene)
         taken = layout.taken(scene)
         if self._complete:
@@ -323,7 +325,7 @@ class ShardWriter:
         }
         return dict(json.loads(json.dumps(described)))  # tuples as lists, to compare with what was stored
 
-    def _learned(self, scene: Scene) -> Layout:
+    def _learned(self, scene: GivenScene) -> SceneLayout:
         """What all samples have in common, where it is not given as the first scene has it."""
         fields, planes, projector = self._fields, self._planes, self._projector
         if fields is None:
@@ -332,9 +334,9 @@ class ShardWriter:
             planes = learned_planes(scene.planes or {}, scene.key)
         if projector is None:
             projector = "none" if scene.projector is None and scene.projector_range_m is None else "shadow"
-        return Layout(self._rigs, self._classes, fields, projector, planes, facing_origin(scene), self._codec)
+        return SceneLayout(self._rigs, self._classes, fields, projector, planes, facing_origin(scene), self._codec)
 
-    def _learn(self, layout: Layout) -> None:
+    def _learn(self, layout: SceneLayout) -> None:
         self._layout = layout
         stored = {"fields": layout.fields.kinds, "projector": layout.projector, "planes": dict(layout.planes)}
         write_atomically(self._opened() / _LEARNED, json.dumps({**stored, "facing": layout.facing}).encode())
@@ -346,7 +348,7 @@ class ShardWriter:
             manifest = read_manifest(self._out)
             facing: FacingOrigin = "range" if manifest.renderer == FACING_FROM_RANGE else "given"
             known = manifest.fields, manifest.projector, manifest.planes, facing
-            layout = Layout(self._rigs, self._classes, *known, self._codec)
+            layout = SceneLayout(self._rigs, self._classes, *known, self._codec)
             names = [record.name for record in manifest.shards]
             self._learn(layout)
         else:
@@ -359,7 +361,7 @@ class ShardWriter:
                     stored["planes"],
                     stored["facing"],
                 )
-                layout = Layout(self._rigs, self._classes, *known, self._codec)
+                layout = SceneLayout(self._rigs, self._classes, *known, self._codec)
         if layout is None:
             return
         self._records = finished_shards(self._out, state, names, layout.fields)
@@ -386,12 +388,12 @@ def _stopped(pool: ThreadPoolExecutor) -> Iterator[Executor]:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _encoded(layout: Layout, taken: TakenScene) -> Encoded:
+def _encoded(layout: SceneLayout, taken: TakenScene) -> Encoded:
     return taken.info.split, layout.members(taken)
 
 
-def _made(layout: Layout, key: str, function: Callable[[Any], Mapping[str, Any]], reference: Any) -> Encoded:
-    return _encoded(layout, layout.taken(Scene(key, **function(reference))))
+def _made(layout: SceneLayout, key: str, function: Callable[[Any], Mapping[str, Any]], reference: Any) -> Encoded:
+    return _encoded(layout, layout.taken(GivenScene(key, **function(reference))))
 
 
 def _done(work: Callable[..., Encoded], *given: Any) -> Future[Encoded]:
@@ -411,7 +413,7 @@ def part_name(number: int, count: int) -> str:
     return f"part-{number:05d}-of-{count:05d}"
 
 
-def manifest_of(layout: Layout, source: str, plan: str, records: Mapping[str, ShardRecord]) -> Manifest:
+def manifest_of(layout: SceneLayout, source: str, plan: str, records: Mapping[str, ShardRecord]) -> Manifest:
     """The manifest of finished shards, in the order of their names: those of training first."""
     shards = sorted(records.values(), key=lambda record: (record.split == "test", record.name))
     return Manifest(

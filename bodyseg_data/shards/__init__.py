@@ -10,7 +10,9 @@ if TYPE_CHECKING:
     from bodyseg_data.shards.cache import with_cache, with_kept_index
     from bodyseg_data.shards.codecs import CODECS, CodecName
     from bodyseg_data.shards.codecs.png import SIGNATURE, check_checksums, decode_chunks, read_chunks, read_header
-    from bodyseg_data.shards.faults import find_faults, find_index_faults
+    from bodyseg_data.shards.column_writer import ColumnWriter
+    from bodyseg_data.shards.columns import ColumnReader, column_files, column_names, open_columns, with_columns
+    from bodyseg_data.shards.faults import find_column_faults, find_faults, find_index_faults
     from bodyseg_data.shards.manifest import (
         EXTERNAL,
         FACING_FROM_RANGE,
@@ -36,7 +38,7 @@ if TYPE_CHECKING:
         record_to_json,
     )
     from bodyseg_data.shards.remote import RemoteFolder, RetryPolicy, Unreachable, open_store
-    from bodyseg_data.shards.sample_codec import check_codec, decode_sample, encode_sample
+    from bodyseg_data.shards.sample_codec import check_codec, decode_sample, encode_sample, facing_masks, parse_info
     from bodyseg_data.shards.store import READ_ATTEMPTS, LocalFolder, Store, open_file
     from bodyseg_data.shards.tar import ShardReader, TarWriter
 else:

@@ -146,14 +146,20 @@ class Manifest:
             "shards": [record_to_json(each) for each in self.shards] if self.index is None else self.index.to_json(),
             **({"skipped": [asdict(each) for each in self.skipped]} if self.skipped else {}),
         }
-        return {**tree, "digest": _digest(tree)}
+        return stamped(tree)
+
+
+def stamped(tree: dict[str, Any]) -> dict[str, Any]:
+    """Return a JSON object with a digest of its other fields, which `stamped_from` checks."""
+    return {**tree, "digest": _digest(tree)}
 
 
 def _digest(tree: dict[str, Any]) -> str:
-    return hashlib.sha256(_compact(tree)).hexdigest()
+    return hashlib.sha256(compact_json(tree)).hexdigest()
 
 
-def _compact(tree: dict[str, Any]) -> bytes:
+def compact_json(tree: dict[str, Any]) -> bytes:
+    """JSON text with sorted keys and no white space."""
     return json.dumps(tree, sort_keys=True, separators=(",", ":")).encode()
 
 
@@ -168,7 +174,7 @@ def write_manifest(manifest: Manifest, folder: Path) -> Manifest:
         manifest = replace(manifest, shards=IndexedShards(table, manifest.fields, LocalFolder(folder)))
     else:
         manifest = replace(manifest, shards=tuple(manifest.shards))
-    write_atomically(folder / MANIFEST_NAME, _compact(manifest.to_json()) + b"\n")
+    write_atomically(folder / MANIFEST_NAME, compact_json(manifest.to_json()) + b"\n")
     if manifest.index is None:
         (folder / INDEX_NAME).unlink(missing_ok=True)  # of a set that was there before
     return manifest
@@ -187,7 +193,7 @@ def read_manifest(where: Path | Store, keep: Callable[[bytes], object] | None = 
         if keep is not None:
             keep(data)
         try:
-            tree = _tree(data, path)
+            tree = stamped_from(data, path, (*EARLIER_FORMATS, MANIFEST_FORMAT))
             del data  # a large one, no longer needed
             return _manifest(tree, path, store)
         except BadShard:
@@ -206,15 +212,15 @@ def _contents(store: Store, path: str) -> bytes:
     return data
 
 
-def _tree(data: bytes, path: str) -> dict[str, Any]:
-    """Parse the file as JSON and check format and digest, which stays in it. Raises BadShard."""
+def stamped_from(data: bytes, path: str, formats: Sequence[str]) -> dict[str, Any]:
+    """Parse a file as JSON and check format and digest, which stays in it. Raises BadShard, naming `path`."""
     try:
         tree = json.loads(data)
     except (ValueError, RecursionError) as error:
         raise BadShard(f"{path} cannot be read: {error}") from error
-    if not isinstance(tree, dict) or tree.get("format") not in (MANIFEST_FORMAT, *EARLIER_FORMATS):
+    if not isinstance(tree, dict) or tree.get("format") not in formats:
         found = tree.get("format") if isinstance(tree, dict) else type(tree).__name__
-        known = ", ".join(map(repr, (*EARLIER_FORMATS, MANIFEST_FORMAT)))
+        known = ", ".join(map(repr, formats))
         raise BadShard(f"{path}: 'format' must be one of {known}, found {found!r}")
     stored = tree.pop("digest", None)
     if _is_as_written(data, stored):

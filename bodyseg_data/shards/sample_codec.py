@@ -85,7 +85,7 @@ def decode_sample(
         images = codec.decode(members, projector, out, unlabelled)
     except ValueError as error:
         raise BadSample(f"{key}: {error}") from error
-    first, second = _masks(images.facing, projectors)
+    first, second = facing_masks(images.facing, projectors)
     found = _planes(key, codec, stored, planes) if stored and planes != () else {}
     if out is None:
         info = parse_info(members["json"], key)
@@ -93,7 +93,7 @@ def decode_sample(
     return _IntoArrays.of(key, images, (first, second), found, members["json"])
 
 
-def _masks(facing: NDArray[np.uint8], projectors: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_] | None]:
+def facing_masks(facing: NDArray[np.uint8], projectors: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_] | None]:
     """The pixels that face the first projector and, of a rig that has one, the second."""
     if projectors == 1:
         return facing.view(np.bool_), None

@@ -56,7 +56,7 @@ class TarWriter:
         """
         check_key(key)
         self._infos.append(parse_info(members.get("json", b""), key))
-        data = _sample_bytes(key, members)
+        data = sample_bytes(key, members)
         self._keys.append(key)
         self._offsets.append(self._size)
         self._lengths.append(len(data))
@@ -77,10 +77,7 @@ class TarWriter:
     ) -> None:
         try:
             if kind is None:
-                # Two empty blocks end an archive, which is padded to whole records.
-                self._append(
-                    bytes(-(-(self._size + 2 * BLOCK) // tarfile.RECORDSIZE) * tarfile.RECORDSIZE - self._size)
-                )
+                self._append(archive_end(self._size))
                 self._file.flush()
                 os.fsync(self._file.fileno())
                 self._file.close()
@@ -106,7 +103,13 @@ class TarWriter:
                 self._aside.unlink(missing_ok=True)
 
 
-def _sample_bytes(key: str, members: Mapping[str, bytes]) -> bytes:
+def archive_end(size: int) -> bytes:
+    """The end of an archive after `size` bytes: two empty blocks, which pad it to whole records at the least."""
+    return bytes(-(-(size + 2 * BLOCK) // tarfile.RECORDSIZE) * tarfile.RECORDSIZE - size)
+
+
+def sample_bytes(key: str, members: Mapping[str, bytes]) -> bytes:
+    """The tar members of one sample, in the order of their names, padded to whole blocks."""
     return b"".join(_member(f"{key}.{extension}", members[extension]) for extension in sorted(members))
 
 

@@ -6,6 +6,7 @@ resume, or an address, to which files are uploaded.
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import hashlib
 import os
@@ -27,6 +28,7 @@ from bodyseg_data.shards import (
     Manifest,
     RemoteFolder,
     Store,
+    column_files,
     open_file,
     read_manifest,
 )
@@ -72,17 +74,19 @@ class Bundle:
 
 
 def set_bundle(store: Store) -> Bundle:
-    """Return the bundle of a set: index, shards, cards, manifest. Raises as `read_manifest`.
+    """Return the bundle of a set: index, shards, columns, cards, manifest.
 
-    The manifest is read once: the set may be replaced while it is copied.
+    The manifest is read once: the set may be replaced while it is copied. Raises as `read_manifest`, and as
+    `column_files` for a column that is damaged or of another set.
     """
     read: list[bytes] = []
     manifest = read_manifest(store, read.append)
+    tars, pages = column_files(store, manifest)
     return Bundle(
-        tuple(SharedFile(file.name, file.size, file.sha256) for file in _large_files(manifest)),
+        tuple(SharedFile(file.name, file.size, file.sha256) for file in (*_large_files(manifest), *tars)),
         MANIFEST_NAME,
         read[-1],
-        pages_of(store, CARD_NAMES),
+        pages_of(store, (*CARD_NAMES, *pages)),
     )
 
 
@@ -108,10 +112,12 @@ def pages_of(store: Store, names: tuple[str, ...]) -> dict[str, bytes]:
 
 def superseded(store: Store, bundle: Bundle) -> list[str]:
     """Return names of files of the set in `store` that a bundle which takes its place has not."""
-    try:
-        held = [file.name for file in _large_files(read_manifest(store))]
-    except BadShard:  # a network, or a set of another format: what it holds is not known
-        held = []
+    held: list[str] = []
+    with contextlib.suppress(BadConfig, BadShard):  # a network, or a set of another format: what it holds is not known
+        manifest = read_manifest(store)
+        held += [file.name for file in _large_files(manifest)]
+        tars, pages = column_files(store, manifest)
+        held += [*(tar.name for tar in tars), *pages]
     cards = pages_of(store, CARD_NAMES) if bundle.index == MANIFEST_NAME else {}
     return [name for name in (*held, *cards) if name not in bundle.names]
 

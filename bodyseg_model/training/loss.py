@@ -192,8 +192,9 @@ def part_weights(counts: NDArray[np.int64], balance: float) -> torch.Tensor:
 
 def class_pixels(images: ImageSet) -> NDArray[np.int64]:
     """Pixels of each class, int64 [C], in clean samples spread evenly over the set."""
-    label_map = images.label_map
-    counts = np.zeros(len(label_map), np.int64)
+    counts = np.zeros(256, np.int64)
+    ends = np.cumsum([len(each) for each in images.sets])  # sets of a mixture may come to its classes by other maps
     for index in images.evenly_sampled(_SAMPLES_FOR_WEIGHTS).tolist():
-        counts += np.bincount(label_map.table[images.clean(index).labels.ravel()], minlength=256)[: len(label_map)]
-    return counts
+        table = images.sets[int(np.searchsorted(ends, index, "right"))].label_map.table
+        counts += np.bincount(table[images.clean(index).labels.ravel()], minlength=256)
+    return counts[: len(images.label_map)]

@@ -222,7 +222,7 @@ def scenes(first: int, count: int, rig: Rig) -> Iterator[dict[str, Any]]:
 def save(scene: dict[str, Any], out: Path, step_m: float) -> str:
     """Write the images of a scene as PNGs of 16 bits, and labels of 8, and return its row of the table."""
     ranges = {"range": scene["range_m"], "projector": scene["projector_range_m"]}
-    images = {name: np.rint(image / step_m).astype(np.uint16) for name, image in ranges.items()}
+    images = {name: np.rint(image.astype(np.float64) / step_m).astype(np.uint16) for name, image in ranges.items()}
     images |= {"labels": scene["labels"], "planes/instances": scene["planes"]["instances"]}
     for folder, image in images.items():
         (out / folder).mkdir(parents=True, exist_ok=True)

@@ -20,7 +20,6 @@ from bodyseg_data.cards.dataset_cards import size_class
 from bodyseg_data.cards.facts import ORIGINS, SetFacts, origin_of
 from bodyseg_data.core import BadConfig
 from bodyseg_data.shards import read_manifest
-from bodyseg_data.shards.codecs.codec import join_labels
 from bodyseg_data.shards.sample_codec import decode_sample
 from bodyseg_model.commands import main
 
@@ -105,7 +104,7 @@ def test_records_of_a_set_of_png_are_images(mlcroissant: Any, pictures: Path, tm
     for index in range(len(images)):
         clean = images.clean(index)
         assert np.array_equal(np.asarray(ranges[clean.key]), clean.range)
-        assert np.array_equal(np.asarray(labels[clean.key]), join_labels(clean.labels, clean.faces_projector))
+        assert np.array_equal(np.asarray(labels[clean.key]), clean.labels)
 
 
 def test_an_altered_shard_is_found_by_its_checksum(mlcroissant: Any, described: Path, tmp_path: Path) -> None:

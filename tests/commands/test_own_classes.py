@@ -12,11 +12,12 @@ import pytest
 from open_sets import CELL_CLASSES, NAMES, STEP_M, write_open_set
 from PIL import Image
 
-from bodyseg_data import RangeImages
+from bodyseg_data import BadConfig, LabelMap, Mixture, RangeImages
 from bodyseg_data.labels import LANDMARKS, LabelClass, classes_of
 from bodyseg_model import load_network
 from bodyseg_model.commands import main
 from bodyseg_model.segmentation import FrameLabeller
+from bodyseg_model.training.loss import class_pixels
 from bodyseg_model.viewing.set_view import SetView, Shown
 
 SETTINGS = json.dumps({"widths": [8, 8, 8], "blocks": [1, 1, 1]})
@@ -153,6 +154,20 @@ def test_classes_may_be_joined_and_have_no_mirror_image(
     words += ["--settings", SETTINGS, "--no-mirror", "--device", "cpu"]
     assert main(list(map(str, ["train", *words, "--out", tmp_path / "run"]))) == 0
     assert load_network(tmp_path / "run").label_map.names == ("left", "rest")
+
+
+def test_a_mixture_counts_the_pixels_of_each_set_by_its_own_map(folder: Path, tmp_path: Path) -> None:
+    write_open_set(tmp_path, 8, 4, classes=classes_of([*NAMES[::-1]], "reversed"))
+    plain = RangeImages(folder / "cells", "none")
+    turned = LabelMap("robot cell", tuple((name, (name,)) for name in NAMES), classes_of([*NAMES[::-1]], "reversed"))
+    with pytest.raises(BadConfig, match="other mirror images"):
+        Mixture([(plain, 1.0), (RangeImages(tmp_path, "none", labels=turned), 1.0)])
+    maps = [LabelMap("two", (("a", ("floor",)), ("b", ("wall",))), each.of) for each in (plain.label_map, turned)]
+    sets = [
+        RangeImages(path, "none", labels=each) for path, each in zip((folder / "cells", tmp_path), maps, strict=True)
+    ]
+    both = class_pixels(Mixture([(each, 1.0) for each in sets]))
+    assert both.tolist() == sum(class_pixels(each) for each in sets).tolist()
 
 
 def test_frames_are_labelled_whole(folder: Path, tmp_path: Path) -> None:

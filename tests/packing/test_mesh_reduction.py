@@ -21,7 +21,7 @@ from shapes import ball, figure
 from bodyseg_data.bodies import Body
 from bodyseg_data.core import BadConfig, BadMesh, MissingLibrary
 from bodyseg_data.machine import libraries
-from bodyseg_data.meshes import Mesh, find_edges, partition
+from bodyseg_data.meshes import Mesh, SceneMesh, find_edges, partition
 from bodyseg_data.packing import mesh_reduction
 from bodyseg_data.packing.mesh_reduction import (
     Reduction,
@@ -181,6 +181,24 @@ def test_open_edges_stay_as_they_are(case: str) -> None:
     coarse, _ = edges_collapsed(broken.mesh, broken.landmarks, len(broken.mesh.faces) * 2 // 3)
     assert len(coarse.faces) < 0.9 * len(broken.mesh.faces)
     assert _rim(broken.mesh) == _rim(coarse)
+
+
+def test_labels_go_along_and_their_borders_stay(pymeshlab: Any) -> None:
+    """Of each triangle that is left, and of every border of two labels, which no edge that collapses may move."""
+    x = BALL.vertices[:, 0]
+    by_vertex = np.where(x > 0.1, 7, np.where(x < -0.1, 3, 255)).astype(np.uint8)
+    scene = SceneMesh("ball", BALL.vertices, BALL.faces, by_vertex[BALL.faces])
+    coarse, _ = edges_collapsed(scene, np.zeros(0, np.int64), len(BALL.faces) // 2)
+    assert isinstance(coarse, SceneMesh)
+    assert len(coarse.faces) < 0.7 * len(BALL.faces)
+    x = coarse.vertices[:, 0]
+    assert np.array_equal(coarse.labels, np.where(x > 0.1, 7, np.where(x < -0.1, 3, 255))[coarse.faces])
+    assert _borders(coarse) == _borders(scene)
+
+
+def _borders(mesh: SceneMesh) -> set[bytes]:
+    mixed = (mesh.labels != mesh.labels[:, :1]).any(axis=1)
+    return {corners.tobytes() for corners in mesh.vertices[mesh.faces[mixed]]}
 
 
 def test_seams_do_not_open() -> None:

@@ -77,9 +77,7 @@ def test_nothing_is_made_before_it_begins(recording: Path, tmp_path: Path) -> No
     assert sorted(path.name for path in out.path.iterdir()) == ["labels", "overlay", "summary.json"]
 
 
-def test_two_calls_at_once_do_not_mix(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_two_calls_at_once_do_not_mix(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     first, second = opened(out, recording), opened(out, recorded(tmp_path / "other", "1", "2"))
     with first.claimed():

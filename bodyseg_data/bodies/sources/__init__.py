@@ -1,11 +1,15 @@
-"""Registry of the sources of bodies: a new one is a file in this folder and an entry of `SOURCES`."""
+"""Registry of the sources of bodies: a new one is a file in this folder and an entry of `SOURCES`.
+
+Packages of users add theirs by the entry point `bodyseg.sources`: name -> class.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
+from functools import cache
+from importlib import import_module, metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import Any, Final
 
 from bodyseg_data.bodies.alignment import Units, UpAxis
 from bodyseg_data.bodies.source import BodySource, MeshOptions
@@ -44,10 +48,46 @@ SOURCES: Final[dict[str, SourceEntry]] = {
 }
 """Name -> class. The order is that of messages and of `--help`."""
 
-if TYPE_CHECKING:
-    SourceName = str
-else:
-    SourceName = Literal[tuple(SOURCES)]
+
+ENTRY_POINT: Final = "bodyseg.sources"
+"""Group of the entry points by which an installed package adds sources."""
+
+_METHODS: Final = ("bodies", "missing", "fingerprint", "check", "build")
+
+
+def source_names() -> tuple[str, ...]:
+    """Names of all sources: those that ship, then those that installed packages add."""
+    return (*SOURCES, *(name for name in _added() if name not in SOURCES))
+
+
+def _added() -> dict[str, metadata.EntryPoint]:
+    return {entry.name: entry for entry in metadata.entry_points(group=ENTRY_POINT)}
+
+
+@cache
+def _added_class(entry: metadata.EntryPoint) -> Any:
+    """The class of a source that a package adds. Raises BadConfig if it cannot be loaded or breaks the protocol."""
+    where = f"entry point {entry.name} = {entry.value!r} of {ENTRY_POINT}"
+    try:
+        kind = entry.load()
+    except Exception as error:  # whatever the user's module raises
+        raise BadConfig(f"{where} cannot be loaded: {error}") from error
+    lacking = [name for name in _METHODS if not callable(getattr(kind, name, None))]
+    if not isinstance(kind, type) or lacking:
+        raise BadConfig(f"{where}: a source must be a class with the methods of BodySource, found {kind!r}")
+    if getattr(kind, "name", None) != entry.name:
+        raise BadConfig(f"{where}: the source must be called as its entry point, found {getattr(kind, 'name', None)!r}")
+    return kind
+
+
+def _open_added(kind: Any, path: Path | None) -> BodySource:
+    """Open a source of a package: with the folder if the class says what it `reads`, else with nothing."""
+    reads = getattr(kind, "reads", None)
+    if (path is None) != (reads is None):
+        needs = f"needs --path: {reads}" if reads is not None else "reads no files: leave --path out"
+        raise BadConfig(f"the source {kind.name!r} {needs}")
+    source: BodySource = kind() if path is None else kind(path)
+    return source
 
 
 def open_source(
@@ -66,23 +106,26 @@ def open_source(
     a rule of meshes by that package, whose licence is GPL-3.0. Raises BadConfig for an unknown name, or for arguments
     that the source does not take.
     """
+    others = {"--landmarks": landmarks, "--units": units != "auto", "--up": up != "auto", "--pymeshlab": pymeshlab}
     if name not in SOURCES:
-        raise BadConfig(f"the source must be one of {', '.join(SOURCES)}, found {name!r}")
+        if name not in source_names():
+            raise BadConfig(f"the source must be one of {', '.join(source_names())}, found {name!r}")
+        kind = _added_class(_added()[name])
+        _refuse(others, f"the source {name!r} is a package's own")
+        return _open_added(kind, path)
     entry = SOURCES[name]
     if entry.reads is None:
-        given = {
-            "--path": path,
-            "--landmarks": landmarks,
-            "--units": units != "auto",
-            "--up": up != "auto",
-            "--pymeshlab": pymeshlab,
-        }
-        unused = [option for option, value in given.items() if value]
-        if unused:
-            raise BadConfig(f"the source {name!r} makes its bodies and reads no files: leave {', '.join(unused)} out")
+        _refuse({"--path": path, **others}, f"the source {name!r} makes its bodies and reads no files")
         return entry.open()
     if path is None:
         raise BadConfig(f"the source {name!r} needs --path: the folder that holds {entry.reads}")
     if not path.is_dir():
         raise BadConfig(f"the source {name!r} reads a folder, found {'a file' if path.exists() else 'none'} at {path}")
     return entry.open(path, landmarks, MeshOptions(units, up, pymeshlab))
+
+
+def _refuse(options: dict[str, Any], why: str) -> None:
+    """Raise BadConfig if any of the options is given."""
+    unused = [option for option, value in options.items() if value]
+    if unused:
+        raise BadConfig(f"{why}: leave {', '.join(unused)} out")

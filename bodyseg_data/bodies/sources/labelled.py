@@ -11,7 +11,7 @@ import contextlib
 import hashlib
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cached_property
 from os.path import normpath
@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.alignment import Alignment, upright_rotation
-from bodyseg_data.bodies.given_labels import GivenLabels, NamedCorners, file_labels, labels_from_file
+from bodyseg_data.bodies.given_labels import NamedCorners, file_labels, labels_from_file
 from bodyseg_data.bodies.mesh_bodies import files_below
 from bodyseg_data.bodies.scene_files import content_suffix, mesh_content
 from bodyseg_data.bodies.source import DEFAULTS, Body, BodyRef, ListedBodies, MeshOptions
@@ -30,7 +30,7 @@ from bodyseg_data.bodies.sources.folder import body_ref
 from bodyseg_data.core import BadConfig, BadMesh
 from bodyseg_data.files import Table, read_json
 from bodyseg_data.labels import BACKGROUND, Classes, LabelClass, classes_from_json
-from bodyseg_data.meshes import METRES, GeodesicMethod, MeshContent, SceneMesh, SurfaceLabels, welded
+from bodyseg_data.meshes import METRES, MeshContent, SceneMesh, welded
 from bodyseg_data.samples import SPLITS
 
 CLASSES_NAME: Final = "classes.json"
@@ -64,17 +64,6 @@ class _SceneFiles:
     path: Path
     pieces: tuple[_Piece, ...]
     centre: NDArray[np.float64] | None = None
-
-
-@dataclass(frozen=True)
-class LabelledScene(Body):
-    """A scene ready to be packed; it has no landmarks. given: of its mesh."""
-
-    given: GivenLabels = field(kw_only=True)
-
-    def surface_labels(self, _: GeodesicMethod = "exact") -> SurfaceLabels:
-        """The labels that its files give."""
-        return self.given
 
 
 class _ClassTable:
@@ -174,26 +163,23 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
 
     def check(self, body: BodyRef) -> None:
         """Read the files of one scene, with the errors of `build`."""
-        _, named = self._placed(body)
-        for piece, labels in named:
-            if self._table.classes is not None:
-                self._coded(labels, self._table.classes, str(piece.mesh))
+        self._built(body, self._table.classes)
 
-    def build(self, body: BodyRef) -> LabelledScene:
-        """Build one scene. Raises BadMesh, naming the file, for one that cannot be read, or whose labels do not fit."""
-        mesh, named = self._placed(body)
-        corners = [self._coded(labels, self.classes, str(piece.mesh)) for piece, labels in named]
-        notes = tuple(f"{piece.mesh.name}: {note}" for piece, labels in named for note in labels.notes)
-        given = GivenLabels(np.concatenate(corners))
-        return LabelledScene(mesh, np.zeros(0, np.int64), notes, given=given)
+    def build(self, body: BodyRef) -> Body:
+        """Build one scene, which has no landmarks. Raises BadMesh, naming the file, for one that cannot be read, or
+        whose labels do not fit.
+        """
+        return self._built(body, self.classes)
 
-    def _placed(self, body: BodyRef) -> tuple[SceneMesh, list[tuple[_Piece, NamedCorners]]]:
-        """One mesh of all pieces of a scene, and the labels of each, in their order."""
-        scene = self.entry(body)
-        points, faces, named, count = [], [], [], 0
+    def _built(self, body: BodyRef, classes: Classes | None) -> Body:
+        """One mesh of all pieces of a scene. classes: of the set; None: not known yet, and not needed by a check."""
+        scene, notes, count = self.entry(body), [], 0
+        points, faces, labels = [], [], []
         for piece in scene.pieces:
             content = mesh_content(piece.mesh)
-            named.append((piece, self._named(piece, content)))
+            named = self._named(piece, content)
+            labels.append(self._coded(named, classes, str(piece.mesh)))
+            notes += [f"{piece.mesh.name}: {note}" for note in named.notes]
             vertices = content.vertices * piece.metres @ piece.pose[:3, :3].T + piece.pose[:3, 3]
             kept, place = welded(vertices)
             points.append(vertices[kept])
@@ -201,11 +187,12 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
             count += len(kept)
         turn = Alignment(1.0, self._rotation, 0.0).apply
         middle = None if scene.centre is None else turn(scene.centre[None])[0]
+        surface = turn(np.concatenate(points)), np.concatenate(faces).astype(np.int32)
         try:
-            mesh = SceneMesh(body.mesh, turn(np.concatenate(points)), np.concatenate(faces), middle)
+            mesh = SceneMesh(body.mesh, *surface, np.concatenate(labels), middle)
         except BadMesh as error:
             raise BadMesh(f"{error} (read from {scene.path})") from error
-        return mesh, named
+        return Body(mesh, np.zeros(0, np.int64), tuple(notes))
 
     def _named(self, piece: _Piece, content: MeshContent) -> NamedCorners:
         """Names at the corners of a piece's triangles."""
@@ -224,12 +211,12 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
 
         return file_labels(content, piece.labels, table.numbers, table.colours, known, where)
 
-    def _coded(self, named: NamedCorners, classes: Classes, where: str) -> NDArray[np.uint8]:
-        """Labels at the corners, uint8 [F, 3]."""
+    def _coded(self, named: NamedCorners, classes: Classes | None, where: str) -> NDArray[np.uint8]:
+        """Labels at the corners, uint8 [F, 3]; all 255 as long as the classes are not known."""
         code = np.full(len(named.names) + 1, BACKGROUND, np.uint8)  # its last entry is that of -1
         for at in np.unique(named.corners).tolist():
             found = None if at < 0 else self._table.class_of(named.names[at], where)
-            if found is not None:
+            if found is not None and classes is not None:
                 code[at] = classes.names.index(found)
         return code[named.corners]
 

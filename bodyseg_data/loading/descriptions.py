@@ -1,0 +1,83 @@
+"""Descriptions of samples as a table: one array a field, made from a set's records without opening a shard."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib import import_module
+from itertools import accumulate
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core import MissingLibrary
+from bodyseg_data.loading.conditions import SampleTable
+from bodyseg_data.samples import Value
+from bodyseg_data.shards import Fields, ShardRecord
+
+_TYPES: Final[dict[str, tuple[type, Value]]] = {
+    "text": (np.str_, ""),
+    "int": (np.int64, 0),
+    "float": (np.float64, 0.0),
+    "flag": (np.bool_, False),
+}
+"""Kind of a field -> type of its array, and what stands in it where a sample has none."""
+
+
+def table_of(fields: Fields, chosen: Sequence[tuple[ShardRecord, Sequence[int]]]) -> dict[str, NDArray[Any]]:
+    """Key, split and fields of chosen samples: name -> array [N], masked where some have no value.
+
+    fields: of the set. chosen: shards, each with the numbers of its chosen samples.
+    """
+    shards = [shard for shard, _ in chosen]
+    starts = accumulate(map(len, shards[:-1]), initial=0)
+    own = np.concatenate(
+        [np.array(numbers, np.int64) + start for start, (_, numbers) in zip(starts, chosen, strict=True)]
+    )
+    table = SampleTable.of(fields, shards)
+    found: dict[str, NDArray[Any]] = {
+        "key": np.array([shard.keys[number] for shard, numbers in chosen for number in numbers], np.str_),
+        "split": np.array([shard.split for shard, numbers in chosen for _ in numbers], np.str_),
+    }
+    for name, (at, column) in fields.places.items():
+        array = _array([row[column] for row in table.tables[at]], fields.kinds[name])[table.rows[at][own]]
+        whole = isinstance(array, np.ma.MaskedArray) and not array.mask.any()  # none without it is among the chosen
+        found[name] = array.data if whole else array
+    return found
+
+
+def _array(values: Sequence[Value | None], kind: str) -> NDArray[Any]:
+    """The values of a table's rows [R] as an array, masked if one is None."""
+    lacking = [value is None for value in values]
+    if kind == "numbers":
+        sizes = {len(value) for value in values if isinstance(value, tuple)}
+        if len(sizes) == 1:
+            (size,) = sizes
+            array: NDArray[Any] = np.array([value or (0.0,) * size for value in values], np.float64).reshape(-1, size)
+        else:
+            array = np.empty(len(values), object)
+            array[:] = values
+    else:
+        dtype, nothing = _TYPES[kind]
+        array = np.array([nothing if value is None else value for value in values], dtype)
+    if not any(lacking):
+        return array
+    mask = np.array(lacking)
+    return np.ma.array(array, mask=mask if array.ndim == 1 else np.repeat(mask[:, None], array.shape[1], 1))
+
+
+def arrow_table(columns: dict[str, NDArray[Any]]) -> Any:
+    """A `pyarrow.Table` of what `table_of` gives. Raises MissingLibrary if pyarrow is not installed."""
+    try:
+        pyarrow = import_module("pyarrow")
+    except ImportError as error:
+        raise MissingLibrary("a table of Arrow needs the package 'pyarrow': pip install pyarrow") from error
+    return pyarrow.table({name: pyarrow.array(_plain(column)) for name, column in columns.items()})
+
+
+def _plain(column: NDArray[Any]) -> list[Any]:
+    """The values of an array as Python has them, None where it is masked."""
+    found: list[Any] = column.tolist()
+    if column.ndim == 1:
+        return found
+    return [None if row[0] is None else row for row in found]

@@ -1,0 +1,107 @@
+"""Steps for pipelines of plain `webdataset`: the decoder and the maker of variants, with their reader and workers."""
+
+from __future__ import annotations
+
+import gc
+import pickle
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import webdataset as wds
+from folders import GOLDEN
+from torch.utils.data import DataLoader
+
+from bodyseg_data import BadConfig, RangeImages, VariantMaker, decoder
+
+pytestmark = pytest.mark.filterwarnings(  # webdataset leaves closing its files to the garbage collector
+    "ignore::pytest.PytestUnraisableExceptionWarning", "ignore::ResourceWarning"
+)
+
+
+@pytest.fixture(autouse=True)
+def closed_files() -> Iterator[None]:
+    """What webdataset leaves open ends with the test, whose filters of warnings know of it."""
+    yield
+    gc.collect()
+
+
+def urls(folder: Path) -> list[str]:
+    return sorted(str(path) for path in folder.glob("*-?????.tar"))
+
+
+def same(ours: dict[str, Any], theirs: dict[str, Any]) -> bool:
+    return all(torch.equal(ours[name], theirs[name]) for name in ("range", "labels")) and ours["key"] == theirs["key"]
+
+
+@pytest.mark.parametrize("name", ["figures", "format_7", "format_7_png"])
+def test_a_pipeline_gives_the_arrays_of_a_sample(name: str, figures_set: Path) -> None:
+    folder = figures_set if name == "figures" else GOLDEN / name
+    images = RangeImages(folder, "none", unlabelled=True)
+    found = 0
+    for sample in wds.WebDataset(urls(folder), shardshuffle=False).decode(decoder(folder)):
+        clean = images.clean(images.keys.index(sample["__key__"]))
+        read = sample.get("bsi") or {part: sample[f"{part}.png"] for part in ("range", "labels", "facing", "projector")}
+        assert np.array_equal(read["range"], clean.range) and np.array_equal(read["labels"], clean.labels)
+        assert np.array_equal(read["facing"] & 1, clean.faces_projector)
+        if clean.projector_range is not None:
+            assert np.array_equal(read["projector"], clean.projector_range)
+        assert sample["json"] == clean.info.to_json()
+        for plane, image in clean.planes.items():
+            assert np.array_equal(sample[f"plane.{plane}.bsp"], image)
+        found += 1
+    assert found == len(images)
+
+
+def test_a_pipeline_makes_the_bits_of_range_images_in_workers_and_shuffled(figures_set: Path) -> None:
+    images = RangeImages(figures_set, "all", seed=3)
+    maker = VariantMaker(figures_set, "all", seed=3)
+    maker.epoch = 2
+    by_key = {key: images[2, index] for index, key in enumerate(images.keys)}
+    pipeline = wds.WebDataset(urls(figures_set), shardshuffle=3, seed=0).shuffle(10).decode(decoder()).map(maker)
+    order = []
+    for item in DataLoader(pipeline, batch_size=None, num_workers=2, multiprocessing_context="fork"):
+        assert same(item, by_key[item["key"]])
+        order.append(item["key"])
+    assert sorted(order) == sorted(images.keys) and order != images.keys
+    raw = wds.WebDataset(urls(figures_set), shardshuffle=False).map(maker).batched(5)
+    keys = [key for batch in raw for key in batch["key"]]
+    assert sorted(keys) == sorted(images.keys)
+
+
+@pytest.mark.parametrize("name", ["format_5", "format_7", "format_7_png"])
+def test_a_maker_knows_every_format_and_each_samples_rig(name: str) -> None:
+    variant = "noise" if name == "format_7_png" else "all"
+    images = RangeImages(GOLDEN / name, variant)
+    maker = pickle.loads(pickle.dumps(VariantMaker(GOLDEN / name, variant)))
+    for decoded in (False, True):
+        read = wds.WebDataset(urls(GOLDEN / name), shardshuffle=False)
+        for sample in read.decode(decoder(GOLDEN / name)) if decoded else read:
+            made = maker(sample)
+            if len(images.manifest.rigs) == 1:
+                assert same(made, images[images.keys.index(made["key"])])
+            assert made["range"].shape[0] == 1 and made["labels"].max() == 255
+
+
+def test_what_a_pipeline_cannot_know_is_one_line(figures_set: Path, tmp_path: Path) -> None:
+    with pytest.raises(BadConfig, match="labels and facing share bytes in PNGs of 'bodyseg shards 5': use RangeImages"):
+        decoder(GOLDEN / "format_5_png")
+    with pytest.raises(BadConfig, match="holds no projector range, which variant 'occ' needs"):
+        VariantMaker(GOLDEN / "format_7_png", "occ")
+    with pytest.raises(BadConfig, match="no such folder"):
+        VariantMaker(tmp_path / "none")
+    with pytest.raises(wds.autodecode.DecodingError) as png:
+        list(wds.WebDataset(urls(GOLDEN / "format_7_png"), shardshuffle=False).decode(decoder()))
+    assert "give the set, decoder(path)" in str(png.value.__cause__)
+    spoiled = Path(shutil.copytree(figures_set, tmp_path / "set")) / "train-00000.tar"
+    data = bytearray(spoiled.read_bytes())
+    data[900] ^= 1
+    spoiled.write_bytes(data)
+    with pytest.raises(wds.autodecode.DecodingError) as altered:
+        list(wds.WebDataset([str(spoiled)], shardshuffle=False).decode(decoder()))
+    assert str(altered.value.__cause__).startswith("bsi: ")
+    assert decoder()(".cls", b"1") is None

@@ -1,0 +1,136 @@
+"""Meshes that are no body alone, or a mirrored one: refused by their landmarks, in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from people_on_disk import PERSON, VERTICES, obj, write_by_point, write_by_vertex, write_mesh
+
+from bodyseg_data.bodies import open_source
+from bodyseg_data.core import BadMesh
+from bodyseg_data.meshes import check_body, cuboid
+
+POINTS = PERSON.vertices[list(VERTICES)]
+LOW = float(PERSON.vertices[:, 1].min()) - 0.001
+MIRROR = np.diag([-1.0, 1.0, 1.0])
+Floats = NDArray[np.float64]
+
+
+def checked(vertices: Floats, faces: NDArray[np.int32], points: Floats = POINTS) -> None:
+    check_body(vertices, faces, points, "it")
+
+
+def beside(vertices: Floats, faces: NDArray[np.int32]) -> tuple[Floats, NDArray[np.int32]]:
+    """The person and something else in one mesh."""
+    count = len(PERSON.vertices)
+    return np.concatenate([PERSON.vertices, vertices]), np.concatenate([PERSON.faces, faces + count]).astype(np.int32)
+
+
+def square(side: float, height: float, steps: int = 1) -> tuple[Floats, NDArray[np.int32]]:
+    """A level square around the person's axis, of `steps` x `steps` squares."""
+    at = np.linspace(-side / 2, side / 2, steps + 1)
+    x, z = np.meshgrid(at, at)
+    number = np.arange((steps + 1) ** 2).reshape(steps + 1, -1)
+    a, b, c, d = (each.ravel() for each in (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]))
+    faces = np.concatenate([np.stack([a, c, b], axis=1), np.stack([a, d, c], axis=1)])
+    return np.stack([x.ravel(), np.full(x.size, height), z.ravel()], axis=1), faces.astype(np.int32)
+
+
+def soup(vertices: Floats, faces: NDArray[np.int32]) -> tuple[Floats, NDArray[np.int32]]:
+    return vertices[faces].reshape(-1, 3), np.arange(faces.size, dtype=np.int32).reshape(-1, 3)
+
+
+def turned(degrees: float) -> Floats:
+    """A rotation about the axis to the front, then about the vertical one."""
+    a, b = np.radians(degrees), np.radians(50)
+    about_z = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+    return np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]]) @ about_z
+
+
+@pytest.mark.parametrize("degrees", [0, 90, 180])
+def test_a_body_in_any_posture_passes_and_its_mirror_image_does_not(degrees: float) -> None:
+    turn = turned(degrees).T
+    checked(PERSON.vertices @ turn, PERSON.faces, POINTS @ turn)
+    with pytest.raises(BadMesh, match="it: with the trunk upright .* the mesh is mirrored"):
+        checked(PERSON.vertices @ MIRROR @ turn, PERSON.faces[:, ::-1], POINTS @ MIRROR @ turn)
+
+
+@pytest.mark.parametrize("side", [0.6, 2.0])
+@pytest.mark.parametrize("loose", [False, True])
+@pytest.mark.parametrize("steps", [1, 6])
+def test_a_plate_under_the_feet(side: float, loose: bool, steps: int) -> None:
+    vertices, faces = beside(*square(side, LOW, steps))
+    with pytest.raises(BadMesh, match="a flat piece of .* without a landmark under it: take the floor"):
+        checked(*(soup(vertices, faces) if loose else (vertices, faces)))
+
+
+def test_a_turntable_and_a_wall() -> None:
+    table = cuboid((0.8, 0.07, 0.8), (0.0, LOW - 0.035, 0.0))
+    with pytest.raises(BadMesh, match="under it"):
+        checked(*beside(table.vertices, table.faces))
+    wall = cuboid((2.0, 2.0, 0.02), (0.0, 1.0, -0.6))
+    with pytest.raises(BadMesh, match="a flat piece of 2 x 2 m without a landmark: take"):
+        checked(*beside(wall.vertices, wall.faces))
+
+
+def test_what_people_wear_and_hold_passes() -> None:
+    for size, centre in (((0.1, 0.03, 0.28), (0.1, 0.0, 0.05)), ((0.35, 0.02, 0.35), (0.0, 1.7, 0.0))):
+        piece = cuboid(size, centre)  # a sole, and the brim of a hat
+        checked(*beside(piece.vertices, piece.faces))
+
+
+def test_a_floor_that_has_grown_together_with_the_feet() -> None:
+    floor, faces = square(1.6, LOW, 16)
+    joined = len(PERSON.vertices) + int(np.linalg.norm(floor, axis=1).argmin())
+    faces = faces + len(PERSON.vertices)
+    faces[faces == joined] = int(PERSON.vertices[:, 1].argmin())
+    vertices = np.concatenate([PERSON.vertices, floor])
+    with pytest.raises(BadMesh, match="m2 of level surface at its bottom, away from all landmarks"):
+        checked(vertices, np.concatenate([PERSON.faces, faces]))
+
+
+def test_a_body_that_is_a_small_part_of_its_mesh() -> None:
+    with pytest.raises(BadMesh, match="a body's trunk must be at least 10 cm long, found"):
+        checked(PERSON.vertices / 10, PERSON.faces, POINTS / 10)
+
+
+@pytest.mark.parametrize("by_vertex", [True, False])
+def test_sources_refuse_a_mirrored_body(tmp_path: Path, by_vertex: bool) -> None:
+    write_mesh(tmp_path / "a.ply", PERSON.vertices @ MIRROR, PERSON.faces[:, ::-1])
+    if by_vertex:
+        write_by_vertex(tmp_path / "a.json")
+    else:
+        write_by_point(tmp_path / "a.json", POINTS @ MIRROR)
+    refused(tmp_path, "the mesh is mirrored")
+
+
+@pytest.mark.parametrize("upwards", [True, False])
+def test_sources_refuse_a_floor(tmp_path: Path, upwards: bool) -> None:
+    """Which of its sides is the outside makes no difference."""
+    for side, why in ((2.0, "without a landmark under it"), (4.0, "is a floor or a wall in the mesh")):
+        floor, faces = square(side, LOW)
+        write_mesh(tmp_path / "a.ply", *beside(floor, faces if upwards else faces[:, ::-1]))
+        write_by_point(tmp_path / "a.json", POINTS)
+        refused(tmp_path, why)
+
+
+def refused(folder: Path, why: str) -> None:
+    source = open_source("folder", folder)
+    for ask in (source.check, source.build):
+        with pytest.raises(BadMesh, match=rf"a\.ply: .*{why}"):
+            ask(source.bodies()[0])
+
+
+def test_landmarks_by_coordinate_fit_loose_triangles(tmp_path: Path) -> None:
+    """The same parts as those of the mesh whose triangles have common vertices."""
+    write_mesh(tmp_path / "whole.obj")
+    (tmp_path / "loose.obj").write_bytes(obj(*soup(PERSON.vertices, PERSON.faces)))
+    for name in ("whole", "loose"):
+        write_by_point(tmp_path / f"{name}.json", POINTS)
+    source = open_source("folder", tmp_path)
+    loose, whole = (source.build(ref) for ref in source.bodies())
+    labels = [body.partition().corners(body.mesh) for body in (loose, whole)]
+    assert (labels[0] == labels[1]).mean() > 0.95  # some vertices are as near to two landmarks

@@ -1,0 +1,255 @@
+"""Columns: planes and fields that a set gets later, beside its files."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import pickle
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from servers import web_server
+
+from bodyseg_data import BadConfig, BadSample, BadShard, ColumnWriter, RangeImages, loader
+from bodyseg_data.shards import manifest as manifests
+from bodyseg_data.shards import read_manifest, write_manifest
+from bodyseg_data.shards.columns import read_column
+from bodyseg_data.shards.manifest import stamped
+from bodyseg_model.commands import main
+
+
+@pytest.fixture
+def copy(small_set: Path, tmp_path: Path) -> Path:
+    """A set that a test may spoil."""
+    return Path(shutil.copytree(small_set, tmp_path / "set"))
+
+
+def instances(key: str, shape: tuple[int, int]) -> np.ndarray[Any, Any]:
+    """A plane that follows from a sample's key."""
+    return np.full(shape, int.from_bytes(hashlib.sha256(key.encode()).digest()[:2], "little"), np.uint16)
+
+
+def with_both(folder: Path) -> Path:
+    """Give a set a plane, in reverse order, and a field."""
+    images = RangeImages(folder, "none")
+    with ColumnWriter(folder, "instances", "uint16") as column:
+        for key in reversed(images.keys):
+            column.write(key, instances(key, images.shape))
+    with ColumnWriter(folder, "age", "int") as column:
+        for number, key in enumerate(images.keys):
+            column.write(key, np.int32(20 + number))
+    return folder
+
+
+def hashes(folder: Path) -> dict[str, str]:
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(folder.iterdir())}
+
+
+def test_columns_come_without_a_change_of_the_set_and_are_read_with_it(
+    copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = hashes(copy)
+    with_both(copy)
+    after = hashes(copy)
+    assert {name: after[name] for name in before} == before
+    assert sorted(set(after) - set(before)) == sorted(
+        ["age.column.json", "instances.column.json", "columns.json"]
+        + [name.replace(".tar", ".instances.tar") for name in before if name.endswith(".tar")]
+    )
+    images = RangeImages(copy, "none", columns=("instances", "age"))
+    for index, key in enumerate(images.keys):
+        sample = images.clean(index)
+        assert np.array_equal(sample.planes["instances"], instances(key, images.shape))
+        assert sample.info.age == images.describe(index)["age"] == 20 + index
+    assert images.table()["age"].tolist() == [*range(20, 44)]
+    wanted = [key for index, key in enumerate(images.keys) if 25 <= 20 + index <= 40 and "-d215-" in key]
+    assert RangeImages(copy, "none", where=("age=25..40", "distance_cm=215")).keys == wanted
+    assert pickle.loads(pickle.dumps(images)).table()["age"].tolist() == [*range(20, 44)]
+    assert "columns" in images.identity() and "columns" not in RangeImages(copy, "none").identity()
+    assert main(["verify", str(copy)]) == 0
+    assert "columns: age, instances: no fault" in capsys.readouterr().out
+
+
+def test_images_are_the_same_bits_with_columns(copy: Path, small_set: Path) -> None:
+    with_both(copy)
+    plain, more = RangeImages(small_set, "all"), RangeImages(copy, "all", columns=("instances", "age"))
+    for ours, theirs in zip(loader(more, 5, num_workers=1), loader(plain, 5), strict=True):
+        assert torch.equal(ours["range"], theirs["range"]) and torch.equal(ours["labels"], theirs["labels"])
+
+
+@pytest.mark.parametrize(
+    ("kind", "given", "stored"),
+    [
+        ("text", "left", "left"),
+        ("float", 3, 3.0),
+        ("float", np.float32(0.5), 0.5),
+        ("flag", True, True),
+        ("numbers", [1, 2.5], (1.0, 2.5)),
+        ("numbers", np.eye(2)[0], (1.0, 0.0)),
+        ("numbers", torch.tensor([0.5]), (0.5,)),
+        ("uint8", torch.ones(160, 82, dtype=torch.int64), np.ones((160, 82), np.uint8)),
+    ],
+)
+def test_values_are_taken_as_users_have_them(copy: Path, kind: str, given: Any, stored: Any) -> None:
+    images = RangeImages(copy, "none")
+    if kind == "uint8":
+        given, stored = given[: images.shape[0], : images.shape[1]], stored[: images.shape[0], : images.shape[1]]
+    with ColumnWriter(copy, "mine", kind) as column:
+        for key in images.keys:
+            column.write(key, given)
+    sample = RangeImages(copy, "none", columns="mine").clean(3)
+    found = sample.planes["mine"] if kind == "uint8" else sample.info.mine
+    assert np.array_equal(found, stored) and type(found) is type(stored)
+
+
+def test_a_column_may_be_written_in_any_order_once_and_whole(copy: Path) -> None:
+    images = RangeImages(copy, "none")
+
+    def write(kind: str, *values: Any) -> None:
+        with ColumnWriter(copy, "mine", kind) as column:
+            for key, value in zip((*images.keys, images.keys[0]), values, strict=False):
+                column.write(key, value)
+
+    plane = np.zeros(images.shape, np.uint8)
+    bad: list[tuple[str, list[Any], str]] = [
+        ("int", [1] * 23, f"must have every sample of the set: 1 of 24 are missing, {images.keys[23]} the first"),
+        ("int", [1] * 25, f"{images.keys[0]} was written before"),
+        ("int", ["a"], "field 'mine' must be of the kind int, found 'a'"),
+        ("uint8", [*[plane] * 8, plane + 0.5], r"plane 'mine' must hold whole numbers \(160, 82\), found float64"),
+        ("uint8", [plane[:-1]], "found uint8"),
+        ("uint8", [plane - np.int16(1)], "plane 'mine' must be uint8, found -1 to -1"),
+    ]
+    before = hashes(copy)
+    for kind, values, message in bad:
+        with pytest.raises(BadSample, match=message.replace("160, 82", "{}, {}".format(*images.shape))):
+            write(kind, *values)
+        assert hashes(copy) == before, message
+    with pytest.raises(BadSample, match="the set has no sample 'other'"), ColumnWriter(copy, "mine", "int") as column:
+        column.write("other", 1)
+    for name, kind, message in [
+        ("Mine", "int", "a field must have a lower-case name"),
+        ("range", "uint8", "a plane must have a lower-case name"),
+        ("mine", "int8", "the kind of a column must be uint8, uint16 for a plane, or text, .*, found 'int8'"),
+        ("subject", "text", "the set itself has 'subject' already"),
+    ]:
+        with pytest.raises(BadConfig, match=message):
+            ColumnWriter(copy, name, kind)
+    writer = ColumnWriter(copy, "other", "int")
+    with pytest.raises(BadConfig, match="another process writes a column"), ColumnWriter(copy, "mine", "int"):
+        writer.__enter__()
+    with_both(copy)
+    with pytest.raises(BadConfig, match="has the column 'age': delete age.column.json to write it anew"):
+        ColumnWriter(copy, "age", "int")
+
+
+def test_damage_of_a_column_is_one_line(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with_both(copy)
+    capsys.readouterr()
+    tar = copy / "train-00001.instances.tar"
+    column = read_column(copy, read_manifest(copy), "instances").tars[1]
+    whole = {path.name: path.read_bytes() for path in copy.iterdir()}
+
+    def lines() -> list[str]:
+        assert main(["verify", str(copy)]) == 1
+        found = capsys.readouterr().out.splitlines()
+        for name, data in whole.items():
+            (copy / name).write_bytes(data)
+        return found
+
+    place = column.entry(3).offset + 600
+    for at, key in ((place, column.entry(3).key), (len(whole[tar.name]) - 1, "-")):
+        data = bytearray(whole[tar.name])
+        data[at] ^= 1
+        tar.write_bytes(data)
+        if key != "-":
+            with pytest.raises(BadShard, match=f"{tar.name}: {key}: offset .*: altered: CRC-32"):
+                RangeImages(copy, "none", columns="instances").clean(11)
+        (line,) = lines()
+        assert line.startswith(f"{tar.name}: {key}: offset ") and "altered" in line
+    tar.unlink()
+    assert lines() == [f"{tar.name}: -: offset 0: cannot be read: No such file or directory"]
+    (copy / "age.column.json").write_bytes(whole["age.column.json"].replace(b"43", b"44"))
+    with pytest.raises(BadShard, match="age.column.json: altered after it was written"):
+        RangeImages(copy, where="age>3")
+    (line,) = lines()
+    assert "age.column.json: altered after it was written" in line
+    (copy / "age.column.json").unlink()
+    assert lines() == [f"{copy} has no column 'age': there is no age.column.json"]
+    (copy / "columns.json").write_text("[]")
+    assert lines()[0].startswith(f"{copy}/columns.json must be an object with the names of 'columns'")
+    (copy / "test-00000.other.tar").write_bytes(b"")
+    assert lines() == ["test-00000.other.tar: -: offset 0: not in the manifest"]
+
+
+def test_a_column_of_another_set_is_refused(copy: Path, figures_set: Path, tmp_path: Path) -> None:
+    other = Path(shutil.copytree(figures_set, tmp_path / "other"))
+    with_both(copy)
+    for name in ("age.column.json", "columns.json"):
+        shutil.copy(copy / name, other / name)
+    line = "age.column.json is a column of another set: digest [0-9a-f]{64}, here [0-9a-f]{64}"
+    with pytest.raises(BadShard, match=line):
+        RangeImages(other, columns="age")
+    assert len(RangeImages(other, "none")) == 24  # which asks for none
+    with pytest.raises(BadConfig, match="has no column 'other': there is no other.column.json"):
+        RangeImages(copy, columns="other")
+    with pytest.raises(BadConfig, match="has no column '../age'"):
+        RangeImages(copy, columns="../age")
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("age", {"kind": "float"}, "field|'values' must have one value of the kind float a sample"),
+        ("age", {"kind": "word"}, "the kind of a column must be"),
+        ("age", {"name": "years"}, "a column has the fields"),
+        ("age", {"shards": [1, 2, 3]}, "the values of a shard must have"),
+        ("age", {"shards": []}, "the set has 3 shards, the column 0"),
+        ("instances", {"sha256": "0"}, "'sha256' must be 64 hexadecimal digits"),
+        ("instances", {"size": 3}, "'size' must be a number of bytes that holds its samples, found 3"),
+        ("instances", {"crc32": [-1] * 8}, "'crc32' must be 0 to 4294967295"),
+        ("instances", {"crc32": [1]}, "'crc32' must have one whole number a sample"),
+        ("instances", {"lengths": [512] * 7 + [0]}, "samples must take whole blocks of 512 bytes, at least one"),
+        ("instances", {"name": "x.tar"}, "a column's tar must have the fields"),
+    ],
+)
+def test_a_column_that_lies_consistently_is_refused(
+    copy: Path, name: str, change: dict[str, Any], message: str
+) -> None:
+    with_both(copy)
+    path = copy / f"{name}.column.json"
+    tree = json.loads(path.read_bytes())
+    del tree["digest"]
+    (tree if name == "age" else tree["shards"][0]).update(change)
+    path.write_text(json.dumps(stamped(tree)))
+    with pytest.raises(BadShard, match=message):
+        RangeImages(copy, columns=name)
+
+
+def test_columns_travel_with_their_set(copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["push", str(copy), str(tmp_path / "there")]) == 0
+    with_both(copy)
+    assert main(["push", str(copy), str(tmp_path / "there")]) == 0
+    pytest.importorskip("aiohttp")
+    with web_server(copy) as server:
+        assert main(["pull", server.url("good"), str(tmp_path / "back")]) == 0
+        remote = RangeImages(server.url("good"), "none", columns=("instances", "age"), cache=tmp_path / "cache")
+        assert remote.clean(20).planes["instances"][0, 0] == instances(remote.keys[20], (1, 1))[0, 0]
+    assert hashes(tmp_path / "there") == hashes(tmp_path / "back") == hashes(copy)
+    assert main(["verify", str(tmp_path / "back")]) == 0
+    assert "columns: age, instances: no fault" in capsys.readouterr().out
+
+
+def test_columns_belong_to_sets_with_an_index_too(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(manifests, "INDEXED_FROM", 1)
+    write_manifest(read_manifest(copy), copy)
+    with_both(copy)
+    images = RangeImages(copy, "none", where="age=25..27", columns="instances")
+    assert read_manifest(copy).index is not None and len(images) == 3
+    again = pickle.loads(pickle.dumps(images))
+    assert [again.describe(index)["age"] for index in range(3)] == [25, 26, 27]
+    assert again.clean(1).planes["instances"][0, 0] == instances(images.keys[1], (1, 1))[0, 0]
+    assert main(["verify", str(copy)]) == 0
