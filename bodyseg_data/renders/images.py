@@ -158,6 +158,7 @@ def as_metres(
     if lengths is not None:
         numbers /= lengths
     _check_unit(float(numbers.max()), step_m, where)
+    numbers[numbers < step_m / 2] = 0  # not even a step away
     return numbers
 
 
