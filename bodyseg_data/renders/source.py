@@ -242,7 +242,7 @@ def check_labels(range_m: NDArray[Any], labels: NDArray[np.uint8], where: str, f
     """
     nothing, classed = range_m == 0, labels < UNLABELLED
     lost, total = np.count_nonzero(classed & nothing), np.count_nonzero(classed)
-    if lost > _FEW * max(total, labels.size // 20):
+    if lost > _FEW * max(int(total), labels.size // 20):
         turned = {"left to right": labels[:, ::-1], "upside down": labels[::-1]}
         for way, image in turned.items():
             if np.count_nonzero((image < UNLABELLED) & nothing) < lost / 4:
