@@ -153,7 +153,7 @@ class RangeImages(SampleDataset):
         self._samples = self.selection.choose(self.manifest, str(path))
         chosen = self._samples.shards
         files: list[CheckedFile] = [self.manifest.shards[number] for number in chosen]
-        files += [column.tars[number] for column in self.columns if column.is_plane for number in chosen]
+        files += [column.shards[number] for column in self.columns.values() for number in chosen]
         cached = with_cache(store, files, cache, cache_bytes)
         self._reader = (
             ColumnReader(cached, self.manifest, self.columns) if self.columns else ShardReader(cached, self.manifest)
@@ -347,7 +347,7 @@ class RangeImages(SampleDataset):
             **({"transforms": transforms_to_json(self.transforms)} if self.transforms else {}),
             **({"labels": self.label_map.to_json()} if self._joins else {}),
             **({"unlabelled": True} if self.unlabelled == UNLABELLED else {}),
-            **({"columns": {each.name: each.digest for each in self.columns}} if self.columns else {}),
+            **({"columns": {name: column.digest for name, column in self.columns.items()}} if self.columns else {}),
             **({"planes": list(self.planes)} if self.planes else {}),
             **({"occluder": self.occluder} if self._casts else {}),
         }

@@ -50,13 +50,14 @@ class TarWriter:
         return self
 
     def write(self, key: str, members: Mapping[str, bytes]) -> None:
-        """Append one sample. members: extension -> bytes, `json` among them.
+        """Append one sample. members: extension -> bytes, `json` among them where the set has fields.
 
         Raises BadSample for a key unfit for file names, or a description that cannot be read.
         """
         check_key(key)
-        self._infos.append(parse_info(members.get("json", b""), key))
-        data = sample_bytes(key, members)
+        described = "json" in members or self._fields.kinds
+        self._infos.append(parse_info(members.get("json", b""), key) if described else SampleInfo(self._split))
+        data = _sample_bytes(key, members)
         self._keys.append(key)
         self._offsets.append(self._size)
         self._lengths.append(len(data))
@@ -77,7 +78,10 @@ class TarWriter:
     ) -> None:
         try:
             if kind is None:
-                self._append(archive_end(self._size))
+                # Two empty blocks end an archive, which is padded to whole records.
+                self._append(
+                    bytes(-(-(self._size + 2 * BLOCK) // tarfile.RECORDSIZE) * tarfile.RECORDSIZE - self._size)
+                )
                 self._file.flush()
                 os.fsync(self._file.fileno())
                 self._file.close()
@@ -103,13 +107,7 @@ class TarWriter:
                 self._aside.unlink(missing_ok=True)
 
 
-def archive_end(size: int) -> bytes:
-    """The end of an archive after `size` bytes: two empty blocks, which pad it to whole records at the least."""
-    return bytes(-(-(size + 2 * BLOCK) // tarfile.RECORDSIZE) * tarfile.RECORDSIZE - size)
-
-
-def sample_bytes(key: str, members: Mapping[str, bytes]) -> bytes:
-    """The tar members of one sample, in the order of their names, padded to whole blocks."""
+def _sample_bytes(key: str, members: Mapping[str, bytes]) -> bytes:
     return b"".join(_member(f"{key}.{extension}", members[extension]) for extension in sorted(members))
 
 
