@@ -313,9 +313,9 @@ class RangeImages(SampleDataset):
     def table(self, arrow: bool = False) -> Any:
         """Return what `describe` gives of all samples: name -> array [N]; no shard is read.
 
-        Text is of NumPy's `str` type, whole numbers int64, other numbers float64, flags bool, tuples of numbers float64
-        [N, K], or objects where they differ in length. Where samples lack a field, its array is masked. arrow: return a
-        `pyarrow.Table`, with nulls there. Raises MissingLibrary if pyarrow is not installed.
+        Text is of NumPy's `str` type, whole numbers int64, other numbers float64, flags bool, tuples of numbers
+        objects. Where samples lack a field, its array is masked. arrow: return a `pyarrow.Table`, with nulls there.
+        Raises MissingLibrary if pyarrow is not installed.
         """
         columns = table_of(self.manifest.fields, list(self._chosen_records()))
         return arrow_table(columns) if arrow else columns
