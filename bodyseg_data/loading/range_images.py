@@ -48,7 +48,6 @@ from bodyseg_data.samples import ReadSplit, Sample, metres
 from bodyseg_data.shards import (
     RIG_FIELD,
     CheckedFile,
-    ColumnReader,
     Manifest,
     RetryPolicy,
     ShardReader,
@@ -153,11 +152,8 @@ class RangeImages(SampleDataset):
         self._samples = self.selection.choose(self.manifest, str(path))
         chosen = self._samples.shards
         files: list[CheckedFile] = [self.manifest.shards[number] for number in chosen]
-        files += [column.shards[number] for column in self.columns.values() for number in chosen]
-        cached = with_cache(store, files, cache, cache_bytes)
-        self._reader = (
-            ColumnReader(cached, self.manifest, self.columns) if self.columns else ShardReader(cached, self.manifest)
-        )
+        files += [column.shards[number] for column in self.columns.values() if column.planes for number in chosen]
+        self._reader = ShardReader(with_cache(store, files, cache, cache_bytes), self.manifest, self.columns)
         self.epoch = 0
         self.epochs_set = 0
         self.set_epoch(epoch)

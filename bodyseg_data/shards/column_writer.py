@@ -110,16 +110,14 @@ class ColumnWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        whole = False
-        try:
-            if kind is None:
-                self._finish()
-                whole = True
-        finally:
-            for record in () if whole else self._records.values():
-                with contextlib.suppress(OSError):
+        with self._claim:
+            try:
+                if kind is None:
+                    self._finish()
+                    self._records = {}
+            finally:
+                for record in self._records.values():
                     (self._folder / record.name).unlink(missing_ok=True)
-            self._claim.close()
 
     def _finish(self) -> None:
         """Write the column's manifest, and its name into the list. Raises BadSample if samples are missing."""

@@ -10,21 +10,14 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
-
-from numpy.typing import NDArray
+from typing import Final
 
 from bodyseg_data.core import BadSample, BadShard
-from bodyseg_data.labels import UNLABELLED
-from bodyseg_data.samples import Sample, check_field_name
-from bodyseg_data.shards.codecs import CODECS
-from bodyseg_data.shards.codecs.codec import OutputArrays
+from bodyseg_data.samples import check_field_name
 from bodyseg_data.shards.manifest import LARGEST_MANIFEST, Manifest, read_manifest
-from bodyseg_data.shards.records import Descriptions, Entry, Fields, ShardRecord, location, read_checked
+from bodyseg_data.shards.records import Descriptions, Fields, ShardRecord
 from bodyseg_data.shards.store import Store, store_at
-from bodyseg_data.shards.tar import ShardReader, parse_members
 
 COLUMNS_NAME: Final = "columns.json"
 
@@ -101,81 +94,13 @@ def with_columns(manifest: Manifest, columns: Mapping[str, Manifest]) -> Manifes
         return joined
     fields = Fields((*manifest.fields.tables, *(table for column in added for table in column.fields.tables)))
     shards = zip(manifest.shards, *(column.shards for column in added), strict=True)
-    return replace(joined, fields=fields, shards=tuple(_JoinedShard(fields, each) for each in shards))
+    return replace(joined, fields=fields, shards=tuple(_with_fields(fields, *each) for each in shards))
 
 
-class _JoinedShard(ShardRecord):
-    """Record of a shard, read from the set's own when it is needed, with the fields of columns in its descriptions."""
-
-    def __init__(self, fields: Fields, records: Sequence[ShardRecord]) -> None:
-        own = records[0]
-        head = {"name": own.name, "split": own.split, "size": own.size, "sha256": own.sha256}
-        vars(self).update(head, _fields=fields, _records=records)
-
-    def __len__(self) -> int:
-        return len(vars(self)["_records"][0])
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _JoinedShard, (vars(self)["_fields"], vars(self)["_records"])
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(vars(self)["_records"][0], name)  # columns of the index, which may not have been read yet
-
-    def entry(self, index: int) -> Entry:
-        found: Entry = vars(self)["_records"][0].entry(index)
-        return found
-
-    @cached_property
-    def descriptions(self) -> Descriptions:
-        described = [record.descriptions for record in vars(self)["_records"]]
-        tables = tuple(table for each in described for table in each.tables)
-        return Descriptions(vars(self)["_fields"], tables, tuple(rows for each in described for rows in each.rows))
-
-
-class ColumnReader(ShardReader):
-    """`ShardReader` whose samples have the planes and fields of columns, too."""
-
-    def __init__(self, where: Path | Store, manifest: Manifest, columns: Mapping[str, Manifest]) -> None:
-        super().__init__(where, manifest)
-        self._columns = dict(columns)
-
-    def read(
-        self,
-        shard: int,
-        index: int,
-        projector: bool = True,
-        out: OutputArrays | None = None,
-        unlabelled: int = UNLABELLED,
-        planes: Sequence[str] | None = None,
-    ) -> Sample:
-        """See `ShardReader.read`."""
-        sample = super().read(shard, index, projector, out, unlabelled, planes)
-        for name, column in self._columns.items():
-            record = column.shards[shard]
-            if not column.planes:
-                info = sample.info.with_fields(**record.descriptions.info(index, record.split).fields)
-                vars(sample).update(info=info)
-            elif planes is None or name in planes:
-                try:
-                    plane = decode_piece(column, sample.key, read_checked(self._store, record, index))
-                except BadSample as error:
-                    raise BadShard(f"{location(record, index)}: {error}") from error
-                vars(sample).update(planes={**sample.planes, name: plane})
-        return sample
-
-
-def decode_piece(column: Manifest, key: str, data: bytes) -> NDArray[Any]:
-    """Decode a sample of a column of planes. Raises BadSample, naming the key, unless it holds that plane alone."""
-    ((name, kind),) = column.planes.items()
-    members = parse_members(key, data)
-    found = [member for member in members if member.startswith(f"plane.{name}.")]
-    if len(members) != 1 or not found:
-        raise BadSample(f"{key}: a column holds plane.{name} alone, found {', '.join(members) or 'nothing'}")
-    try:
-        plane = CODECS[column.codec].decode_plane(members[found[0]])
-    except ValueError as error:
-        raise BadSample(f"{key}: {found[0]}: {error}") from error
-    shape = (column.rig.camera.rows, column.rig.camera.columns)
-    if plane.dtype.name != kind or plane.shape != shape:
-        raise BadSample(f"{key}: plane {name!r} must be {kind} {shape}, found {plane.dtype} {plane.shape}")
-    return plane
+def _with_fields(fields: Fields, own: ShardRecord, *added: ShardRecord) -> ShardRecord:
+    """Record of a shard with the fields of columns in its descriptions. fields: of both."""
+    described = [record.descriptions for record in (own, *added)]
+    tables = tuple(table for each in described for table in each.tables)
+    rows = tuple(numbers for each in described for numbers in each.rows)
+    kept = {name: getattr(own, name) for name in ShardRecord.__dataclass_fields__}
+    return ShardRecord(**{**kept, "descriptions": Descriptions(fields, tables, rows)})

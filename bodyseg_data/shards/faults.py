@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadSample, BadShard
-from bodyseg_data.shards.columns import column_names, decode_piece, read_column
+from bodyseg_data.shards.columns import column_names, read_column
 from bodyseg_data.shards.index import IndexedShards
 from bodyseg_data.shards.manifest import RIG_FIELD, Manifest
 from bodyseg_data.shards.records import ShardRecord, check_bytes, difference, location
 from bodyseg_data.shards.remote import Unreachable
 from bodyseg_data.shards.sample_codec import decode_sample, parse_info
 from bodyseg_data.shards.store import Store, open_file, store_at
-from bodyseg_data.shards.tar import check_sizes, image_sizes, parse_members
+from bodyseg_data.shards.tar import check_sizes, decode_piece, image_sizes, parse_members
 
 
 @dataclass(frozen=True)
