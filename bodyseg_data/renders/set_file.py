@@ -125,6 +125,7 @@ def read_set(folder: Path) -> SetFile:
         return SetFile(path)
     try:
         tree = tomllib.loads(read_bytes(path).decode())
+        repr(tree)  # raises ValueError for a hexadecimal number that is longer than Python prints
     except (ValueError, RecursionError) as error:
         raise BadConfig(f"{path} is not TOML: {error}") from error
     if tree.pop("format", None) != SET_FORMAT:
