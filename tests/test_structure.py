@@ -19,11 +19,13 @@ PACKAGES = ("bodyseg_data", "bodyseg_model", "benches")
 """In the order in which they may import: each from those before it and from itself."""
 
 HEAVY = [
+    "OpenEXR",
     "OpenGL",
     "anny",
     "av",
     "distributed",
     "embreex",
+    "h5py",
     "matplotlib",
     "mcap",
     "numba",
