@@ -278,8 +278,8 @@ def test_a_scene_places_its_meshes(tmp_path: Path) -> None:
 
 
 def test_names_of_two_sides_are_mirror_images() -> None:
-    names = ["head", "leftHand", "rightHand", "Arm.L", "Arm.R", "lap", "left"]
-    assert with_sides(classes_of(names)).mirrored[:7].tolist() == [0, 2, 1, 4, 3, 5, 6]
+    names = ["head", "leftHand", "rightHand", "Arm.L", "Arm.R", "lap", "left", "Lt. ASIS", "Rt. ASIS"]
+    assert with_sides(classes_of(names)).mirrored[:9].tolist() == [0, 2, 1, 4, 3, 5, 6, 8, 7]
 
 
 def pack(folder: Path, out: Path, *more: str) -> int:
