@@ -91,7 +91,7 @@ class Manifest:
     projector: ProjectorKind = "shadow"
     planes: Mapping[str, str] = field(default_factory=dict)
     read_as: str = MANIFEST_FORMAT
-    read_digest: str = ""
+    read_digest: str = field(default="", compare=False)
 
     @property
     def rig(self) -> Rig:
