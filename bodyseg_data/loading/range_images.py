@@ -131,6 +131,7 @@ class RangeImages(SampleDataset):
         self.augmentation = Augmentation(self.manifest.rig, check_variant(variant), seed, model)
         """Of the set's first rig; see `augmentation_of`."""
         self._augmentations: dict[int, Augmentation] = {}
+        self._casts = occluder == "camera" and self.augmentation.needs_projector
         self.occluder = occluder
         if occluder not in OCCLUDERS:
             raise BadConfig(f"occluder must be {' or '.join(map(repr, OCCLUDERS))}, found {occluder!r}")
@@ -220,11 +221,6 @@ class RangeImages(SampleDataset):
         if number not in self._augmentations:
             self._augmentations[number] = replace(self.augmentation, rig=rig)
         return self._augmentations[number]
-
-    @property
-    def _casts(self) -> bool:
-        """Whether images are made with a projector's range that is made of the camera's."""
-        return self.occluder == "camera" and self.augmentation.needs_projector
 
     def _shaded(self, sample: Sample) -> Sample:
         """The sample with the projector's range made of the camera's."""

@@ -1,4 +1,4 @@
-"""From finished renders to shards: files are read ahead by threads and written in the source's order.
+"""From finished renders to shards, in the source's order.
 
 Of the first renders, what camera and projector see is compared: whether the two can be of one scene, as the rig places
 them.
@@ -6,9 +6,6 @@ them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
-from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,7 +14,6 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadSample, ProgressCallback, silent
 from bodyseg_data.machine import processors
-from bodyseg_data.packing.jobs import ordered
 from bodyseg_data.packing.shard_writer import ShardWriter
 from bodyseg_data.renders import Render, RenderSource
 from bodyseg_data.rigs import Camera, Rig
@@ -48,12 +44,24 @@ def pack_renders(
 ) -> Manifest:
     """Pack renders into the folder `out` and return its manifest; carries on where an interrupted packing stopped.
 
-    projector, codec, shard_samples: as of `ShardWriter`. workers: threads that read, and as many that encode (default:
-    one a processor). Renders of finished shards are not read again. Raises BadSample for the first render that breaks
-    a rule, and as `ShardWriter`.
+    projector, codec, shard_samples: as of `ShardWriter`. workers: threads that read and encode (default: one a
+    processor). Renders of finished shards are not read again. Raises BadSample for the first render that breaks a rule,
+    and as `ShardWriter`.
     """
-    keys, count = source.keys(), processors() if workers is None else workers
-    writer = ShardWriter(
+    keys = source.keys()
+    checked = frozenset(keys[:_CHECKED])
+
+    def arguments(key: str) -> dict[str, Any]:
+        render = source.load(key)
+        if key in checked:
+            check_plausible(render, source.rigs[render.rig], key)
+        given = dict(vars(render))
+        del given["key"]
+        if projector == "none":
+            given["projector_range_m"] = None
+        return given
+
+    with ShardWriter(
         out,
         rig=source.rigs,
         classes=source.classes,
@@ -62,25 +70,11 @@ def pack_renders(
         fields=source.fields,
         codec=codec,
         shard_samples=shard_samples,
-        workers=count,
-    )
-    with ThreadPoolExecutor(max(1, count)) as pool, writer:
-
-        def reads(key: str) -> Callable[[], Future[Render | None]]:
-            return partial(pool.submit, lambda: None if key in writer else source.load(key))
-
-        done = sum(key in writer for key in keys)
-        progress(done, len(keys))
-        for number, (key, render) in enumerate(zip(keys, ordered(map(reads, keys), count), strict=True)):
-            if render is None:
-                continue
-            if number < _CHECKED:
-                check_plausible(render, source.rigs[render.rig], key)
-            given = dict(vars(render))
-            if projector == "none":
-                given["projector_range_m"] = None
-            done += writer.write(**given)
-            progress(done, len(keys))
+        workers=processors() if workers is None else workers,
+        progress=lambda done, _: progress(done, len(keys)),
+    ) as writer:
+        progress(sum(key in writer for key in keys), len(keys))
+        writer.write_all({key: key for key in keys}, arguments)
     return read_manifest(out)
 
 

@@ -1,12 +1,12 @@
 """Samples from the arrays of a scene: what all samples of a set have in common, and the checks that each must pass.
 
 Checks and copies of the arrays (`SceneLayout.taken`) are quick and run where the scene is handed over, so that a
-mistake is reported there and buffers may be used again; the rest (`SceneLayout.members`) may run anywhere.
+mistake is reported there and buffers may be used again; the rest (`SceneLayout.sample`) may run anywhere.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
@@ -18,36 +18,17 @@ from bodyseg_data.core import BadConfig, BadSample, one_line
 from bodyseg_data.labels import BACKGROUND, UNLABELLED, Classes
 from bodyseg_data.packing.occluders import exact_range, occluder_range
 from bodyseg_data.packing.range_facing import facing_from_normals, facing_from_range
+from bodyseg_data.renders import ProjectorRanges, Render
 from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import Sample, SampleInfo, Value, kind_of, steps
-from bodyseg_data.shards import RIG_FIELD, Fields, ProjectorKind, check_plane, encode_sample
+from bodyseg_data.shards import RIG_FIELD, Fields, ProjectorKind, check_plane
 
 FacingOrigin = Literal["given", "range"]
 """Whether facing was given (as bits or as normals), or is found from the range images."""
 
-ProjectorRanges = Callable[[NDArray[np.intp], NDArray[np.intp]], Any]
-"""Rows and columns [N] of texels of the projector's image -> ranges in metres [N], 0 for nothing."""
-
 Images = NDArray[Any]
 
-_UINT16: Final = 1 << 16
-
-
-@dataclass(frozen=True)
-class GivenScene:
-    """The arguments of `ShardWriter.write`, which describes them; nothing is checked."""
-
-    key: str
-    range_m: Any
-    labels: Any
-    projector_range_m: Any = None
-    projector: ProjectorRanges | None = None
-    facing: Any = None
-    normals: Any = None
-    split: Any = "train"
-    fields: Mapping[str, Any] | None = None
-    planes: Mapping[str, Any] | None = None
-    rig: int = 0
+_ROWS: Final = 64
 
 
 @dataclass(frozen=True)
@@ -78,7 +59,7 @@ class SceneLayout:
     facing: FacingOrigin
     codec: str
 
-    def taken(self, scene: GivenScene) -> TakenScene:
+    def taken(self, scene: Render) -> TakenScene:
         """Check a scene and copy its arrays. Raises BadSample, naming the key and the rule."""
         if isinstance(scene.rig, bool) or scene.rig not in range(len(self.rigs)):
             raise BadSample(f"{scene.key}: rig must number one of the set's {len(self.rigs)} rigs, found {scene.rig!r}")
@@ -89,19 +70,22 @@ class SceneLayout:
         info = self._info(scene)
         planes = self._planes(scene, size)
         facing = self._facing(scene, rig, range_m)
-        projector = self._projector(scene, rig, range_m, facing)
+        self._check_projector(scene)
+        if scene.projector is not None:
+            facing = facing or tuple(facing_from_range(rig, range_m))
+            projector = self._asked(scene.projector, rig, range_m, facing, scene.key)
+        elif scene.projector_range_m is not None:
+            projector = _ranges(scene.projector_range_m, "projector_range_m", rig.projector_shape, rig, scene.key)
+        else:
+            projector = None
         return TakenScene(scene.key, range_m, labels, projector, facing, info, planes, int(scene.rig))
-
-    def members(self, taken: TakenScene) -> dict[str, bytes]:
-        """Encode a scene as tar members: extension -> bytes. Raises BadSample."""
-        return encode_sample(self.sample(taken), self.codec)
 
     def sample(self, taken: TakenScene) -> Sample:
         """The sample of a scene: ranges in steps, labels that agree with them, the projector's range as the set stores
         it. Raises BadSample.
         """
         rig, key = self.rigs[taken.rig], taken.key
-        range_image = steps(taken.range_m, rig.range_step_m, f"{key}: range_m")
+        range_image = _in_steps(taken.range_m, rig, f"{key}: range_m")
         measured = range_image > 0
         labels = taken.labels.copy()
         labels[measured & (labels == BACKGROUND)] = UNLABELLED
@@ -110,7 +94,7 @@ class SceneLayout:
         facing = [np.ascontiguousarray(mask & measured) for mask in found]
         occluder = None
         if taken.projector is not None:
-            occluder = steps(taken.projector, rig.range_step_m, f"{key}: the projector's range")
+            occluder = _in_steps(taken.projector, rig, f"{key}: the projector's range")
             if self.projector == "shadow":
                 occluder = _coarse(rig, range_image, facing, occluder)
         second = facing[1] if len(facing) == 2 else None
@@ -119,7 +103,7 @@ class SceneLayout:
             key, range_image, occluder, labels, facing[0], taken.info, faces_second=second, planes=taken.planes
         )
 
-    def _labels(self, scene: GivenScene, size: tuple[int, int]) -> NDArray[np.uint8]:
+    def _labels(self, scene: Render, size: tuple[int, int]) -> NDArray[np.uint8]:
         labels = _integers(scene.labels, "labels", size, scene.key)
         allowed = (labels >= 0) & ((labels < len(self.classes)) | (labels == UNLABELLED) | (labels == BACKGROUND))
         if not allowed.all():
@@ -129,8 +113,8 @@ class SceneLayout:
             )
         return labels.astype(np.uint8)
 
-    def _info(self, scene: GivenScene) -> SampleInfo:
-        fields = {name: plain_value(value) for name, value in (scene.fields or {}).items()}
+    def _info(self, scene: Render) -> SampleInfo:
+        fields = {name: plain_value(value) for name, value in scene.fields.items()}
         if len(self.rigs) > 1:
             fields[RIG_FIELD] = int(scene.rig)
         for name, value in fields.items():
@@ -147,8 +131,8 @@ class SceneLayout:
         except BadSample as error:
             raise BadSample(f"{scene.key}: {error}") from error
 
-    def _planes(self, scene: GivenScene, size: tuple[int, int]) -> dict[str, Images]:
-        given = scene.planes or {}
+    def _planes(self, scene: Render, size: tuple[int, int]) -> dict[str, Images]:
+        given = scene.planes
         if set(given) != set(self.planes):
             wanted, found = (", ".join(sorted(names)) or "none" for names in (self.planes, given))
             raise BadSample(f"{scene.key}: the samples of the set have the planes {wanted}, found {found}")
@@ -161,7 +145,7 @@ class SceneLayout:
             planes[name] = plane.astype(kind)
         return planes
 
-    def _facing(self, scene: GivenScene, rig: Rig, range_m: Images) -> tuple[NDArray[np.bool_], ...] | None:
+    def _facing(self, scene: Render, rig: Rig, range_m: Images) -> tuple[NDArray[np.bool_], ...] | None:
         if scene.facing is not None and scene.normals is not None:
             raise BadSample(f"{scene.key}: facing and normals are alternatives, found both")
         origin = facing_origin(scene)
@@ -185,29 +169,17 @@ class SceneLayout:
             raise BadSample(f"{scene.key}: facing must be {wanted}, found {facing.dtype} {facing.shape}")
         return tuple(facing.reshape(count, *size).copy())
 
-    def _projector(
-        self, scene: GivenScene, rig: Rig, range_m: Images, facing: tuple[NDArray[np.bool_], ...] | None
-    ) -> Images | None:
+    def _check_projector(self, scene: Render) -> None:
         ways = (scene.projector_range_m is not None) + (scene.projector is not None)
         if ways != (self.projector != "none"):
             wanted = "no projector's range" if self.projector == "none" else "projector_range_m or projector"
             found = ("neither", "one", "both")[ways]
             raise BadSample(f"{scene.key}: the samples of the set come with {wanted}, found {found} of the two")
-        if scene.projector is None:
-            if not ways:
-                return None
-            return _ranges(scene.projector_range_m, "projector_range_m", rig.projector_shape, rig, scene.key)
-        if not callable(scene.projector):
+        if scene.projector is not None and not callable(scene.projector):
             raise BadSample(f"{scene.key}: projector must be a function of rows and columns, found {scene.projector!r}")
-        return self._asked(scene.projector, rig, range_m, facing, scene.key)
 
     def _asked(
-        self,
-        projector: ProjectorRanges,
-        rig: Rig,
-        range_m: Images,
-        facing: tuple[NDArray[np.bool_], ...] | None,
-        key: str,
+        self, projector: ProjectorRanges, rig: Rig, range_m: Images, facing: tuple[NDArray[np.bool_], ...], key: str
     ) -> Images:
         """The projector's range by a function, asked for the texels that the shadow test reads, or for all of them."""
         shape = rig.projector_shape
@@ -220,22 +192,19 @@ class SceneLayout:
         if self.projector == "exact":
             ask(np.arange(image.size))
             return image
-        steps_m = rig.range_step_m
-        range_image = steps(range_m, steps_m, f"{key}: range_m")
-        masks = facing_from_range(rig, range_m) if facing is None else facing
-        first = 0
-        for test, mask in zip(shadow_tests(rig), masks, strict=True):
+        range_image, first = _in_steps(range_m, rig, f"{key}: range_m"), 0
+        for test, mask in zip(shadow_tests(rig), facing, strict=True):
 
             def ranges(texels: NDArray[np.intp], first: int = first) -> NDArray[np.uint16]:
                 ask(texels + first)
-                return steps(image.ravel()[texels + first], steps_m, key)
+                return steps(image.ravel()[texels + first], rig.range_step_m, key)
 
             exact_range(test, range_image, mask & (range_image > 0), ranges)
             first += test.rig.projector.rows * shape[1]
         return image
 
 
-def facing_origin(scene: GivenScene) -> FacingOrigin:
+def facing_origin(scene: Render) -> FacingOrigin:
     """Where a scene's facing bits come from."""
     return "range" if scene.facing is None and scene.normals is None else "given"
 
@@ -306,6 +275,14 @@ def _ranges(given: Any, name: str, shape: tuple[int, ...], rig: Rig, key: str) -
             f"{key}: {name} must be metres up to {reach:.5g}, and 0 where nothing is, found {_first(image, wrong)}"
         )
     return image.copy()
+
+
+def _in_steps(range_m: Images, rig: Rig, where: str) -> NDArray[np.uint16]:
+    """As `steps`, some rows at once, so that its arrays stay in the cache."""
+    found = np.empty(range_m.shape, np.uint16)
+    for start in range(0, len(range_m), _ROWS):
+        found[start : start + _ROWS] = steps(range_m[start : start + _ROWS], rig.range_step_m, where)
+    return found
 
 
 def _integers(given: Any, name: str, size: tuple[int, int], key: str) -> Images:

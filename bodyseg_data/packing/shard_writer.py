@@ -13,21 +13,20 @@ import itertools
 import json
 import shutil
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, get_args
 
-from bodyseg_data.core import BadConfig, BadSample, ProgressCallback, check_int, silent
+from bodyseg_data.core import BadConfig, BadSample, BodysegError, ProgressCallback, check_int, silent
 from bodyseg_data.files import make_folder, write_atomically
 from bodyseg_data.labels import Classes, LabelClass, classes_of
 from bodyseg_data.packing.options import PACKING_VERSION
 from bodyseg_data.packing.scene_layout import (
     FacingOrigin,
-    GivenScene,
-    ProjectorRanges,
     SceneLayout,
     TakenScene,
     facing_origin,
@@ -36,8 +35,9 @@ from bodyseg_data.packing.scene_layout import (
     learned_planes,
 )
 from bodyseg_data.packing.writing import claimed, finished_shards, record_shard
+from bodyseg_data.renders import ProjectorRanges, Render
 from bodyseg_data.rigs import Rig, load_rig
-from bodyseg_data.samples import SHADOW_THRESHOLDS, Split, check_key
+from bodyseg_data.samples import SHADOW_THRESHOLDS, SPLITS, Split, check_key
 from bodyseg_data.shards import (
     EXTERNAL,
     FACING_FROM_RANGE,
@@ -50,6 +50,7 @@ from bodyseg_data.shards import (
     check_codec,
     check_plane,
     check_rigs,
+    encode_sample,
     read_manifest,
     write_manifest,
 )
@@ -124,7 +125,6 @@ class ShardWriter:
         self._out = Path(out) / part_name(*part) if part is not None else Path(out)
         self._progress = progress
         self._pool = executor
-        self._context = contextlib.ExitStack()
         self._layout: SceneLayout | None = None
         self._state: Path | None = None
         self._complete = False
@@ -132,8 +132,7 @@ class ShardWriter:
         self._finished: set[str] = set()
         self._seen: set[str] = set()
         self._open: dict[Split, TarWriter] = {}
-        self._counts: dict[Split, int] = {}
-        self._waiting: deque[tuple[str, Future[Encoded]]] = deque()
+        self._waiting: deque[tuple[str, Callable[[], Encoded]]] = deque()
         self._failed: BaseException | None = None
 
     def __enter__(self) -> ShardWriter:
@@ -141,19 +140,17 @@ class ShardWriter:
         digest = hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
         try:
             make_folder(self._out.parent)
-            state = self._context.enter_context(
-                claimed(self._out, {**description, "shard_samples": self._shard_samples}, digest)
-            )
-            self._digest, self._state = digest, state
-            self._carry_on(state)
-            if self._workers and self._pool is None:
-                self._pool = self._context.enter_context(_stopped(ThreadPoolExecutor(self._workers)))
+            with contextlib.ExitStack() as context:
+                whole = {**description, "shard_samples": self._shard_samples}
+                self._state = context.enter_context(claimed(self._out, whole, digest))
+                self._digest = digest
+                self._carry_on(self._state)
+                if self._workers and self._pool is None:
+                    self._pool = ThreadPoolExecutor(self._workers)
+                    context.callback(self._pool.shutdown, cancel_futures=True)
+                self._context = context.pop_all()
         except OSError as error:
-            self._context.close()
             raise self._unwritable(error) from error
-        except BaseException:
-            self._context.close()
-            raise
         return self
 
     def __contains__(self, key: str) -> bool:
@@ -194,9 +191,8 @@ class ShardWriter:
         """
         if not self._is_new(key):
             return False
-        scene = GivenScene(
-            key, range_m, labels, projector_range_m, projector, facing, normals, split, fields, planes, rig
-        )
+        images = range_m, labels, projector_range_m, facing, normals
+        scene = Render(key, *images, split, fields or {}, planes or {}, rig, projector)
         layout = self._layout or self._learned(scene)
         taken = layout.taken(scene)
         if self._complete:
@@ -238,23 +234,24 @@ class ShardWriter:
         return True
 
     def _enqueue(self, key: str, work: Callable[..., Encoded], *given: Any) -> None:
-        encoded = _done(work, *given) if self._pool is None else self._pool.submit(work, *given)
-        self._waiting.append((key, encoded))
+        """Begin to encode a scene, and append those that were begun before as far as they must be ready."""
+        result = partial(work, *given) if self._pool is None else self._pool.submit(work, *given).result
+        self._waiting.append((key, result))
         while len(self._waiting) > 2 * self._workers:
             self._append_next()
 
     def _append_next(self) -> None:
         """Append the scene that was written first of those under way to its shard."""
-        key, encoded = self._waiting.popleft()
+        key, result = self._waiting.popleft()
         try:
-            self._append(key, *encoded.result())
+            self._append(key, *result())
         except OSError as error:
             self._failed = self._unwritable(error)
             raise self._failed from error
         except BaseException as error:
             self._failed = error  # the scene is lost, so the set cannot be finished
             raise
-        done = sum(map(len, self._records.values())) + sum(self._counts.values())
+        done = sum(map(len, self._records.values())) + sum(map(len, self._open.values()))
         self._progress(done, done)
 
     def _append(self, key: str, split: Split, members: Mapping[str, bytes]) -> None:
@@ -263,15 +260,13 @@ class ShardWriter:
             names = (f"{split}-{number:05d}.tar" for number in itertools.count())
             name = next(name for name in names if name not in self._records)
             writer = TarWriter(self._out / name, state / f"{name}.part", split, layout.fields)
-            self._open[split], self._counts[split] = writer.__enter__(), 0
+            self._open[split] = writer.__enter__()
         self._open[split].write(key, members)
-        self._counts[split] += 1
-        if self._counts[split] == self._shard_samples:
+        if len(self._open[split]) == self._shard_samples:
             self._close(split)
 
     def _close(self, split: Split) -> None:
         writer = self._open.pop(split)
-        del self._counts[split]
         writer.__exit__(None, None, None)
         if writer.record is not None:
             self._records[writer.record.name] = writer.record
@@ -286,8 +281,6 @@ class ShardWriter:
         except OSError as failure:
             raise self._unwritable(failure) from failure
         finally:
-            for _, encoded in self._waiting:
-                encoded.cancel()
             for writer in self._open.values():
                 writer.__exit__(KeyboardInterrupt, None, None)  # as after any error: its file goes
             self._open.clear()
@@ -306,7 +299,20 @@ class ShardWriter:
         if self._layout is None or not self._records:
             raise BadConfig(f"no scene was written: {self._out} gets no manifest")
         if not self._complete:
-            write_manifest(manifest_of(self._layout, self._source, self._digest, self._records), self._out)
+            layout = self._layout
+            manifest = Manifest(
+                rigs=layout.rigs,
+                codec=layout.codec,
+                source=self._source,
+                renderer=_RENDERERS[layout.facing],
+                plan=self._digest,
+                shards=sorted(self._records.values(), key=lambda record: (SPLITS.index(record.split), record.name)),
+                classes=layout.classes,
+                fields=layout.fields,
+                projector=layout.projector,
+                planes=layout.planes,
+            )
+            write_manifest(manifest, self._out)
         shutil.rmtree(self._opened())
 
     def _described(self) -> dict[str, Any]:
@@ -325,13 +331,13 @@ class ShardWriter:
         }
         return dict(json.loads(json.dumps(described)))  # tuples as lists, to compare with what was stored
 
-    def _learned(self, scene: GivenScene) -> SceneLayout:
+    def _learned(self, scene: Render) -> SceneLayout:
         """What all samples have in common, where it is not given as the first scene has it."""
         fields, planes, projector = self._fields, self._planes, self._projector
         if fields is None:
-            fields = learned_fields(scene.fields or {}, len(self._rigs), scene.key)
+            fields = learned_fields(scene.fields, len(self._rigs), scene.key)
         if planes is None:
-            planes = learned_planes(scene.planes or {}, scene.key)
+            planes = learned_planes(scene.planes, scene.key)
         if projector is None:
             projector = "none" if scene.projector is None and scene.projector_range_m is None else "shadow"
         return SceneLayout(self._rigs, self._classes, fields, projector, planes, facing_origin(scene), self._codec)
@@ -343,27 +349,26 @@ class ShardWriter:
 
     def _carry_on(self, state: Path) -> None:
         """Find the shards that an earlier run finished, and what it had learned."""
-        layout = None
         if (self._out / MANIFEST_NAME).exists():
             manifest = read_manifest(self._out)
             facing: FacingOrigin = "range" if manifest.renderer == FACING_FROM_RANGE else "given"
             known = manifest.fields, manifest.projector, manifest.planes, facing
-            layout = SceneLayout(self._rigs, self._classes, *known, self._codec)
             names = [record.name for record in manifest.shards]
-            self._learn(layout)
         else:
-            names = sorted(path.name.removesuffix(".json") for path in state.glob("*.tar.json"))
-            with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+            try:
                 stored = json.loads((state / _LEARNED).read_bytes())
-                known = (
-                    fields_of(stored["fields"], len(self._rigs)),
-                    stored["projector"],
-                    stored["planes"],
-                    stored["facing"],
-                )
-                layout = SceneLayout(self._rigs, self._classes, *known, self._codec)
-        if layout is None:
-            return
+                fields = fields_of(stored["fields"], len(self._rigs))
+                known = fields, stored["projector"], dict(stored["planes"]), stored["facing"]
+                if stored["projector"] not in get_args(ProjectorKind) or stored["facing"] not in _RENDERERS:
+                    raise ValueError("a value that no writer has stored")
+            except FileNotFoundError:
+                return  # no scene was written
+            except (OSError, ValueError, KeyError, TypeError, BodysegError) as error:
+                unreadable = f"{state / _LEARNED} cannot be read"
+                raise BadConfig(f"{unreadable}: delete the folder {self._out} and write it again") from error
+            names = sorted(path.name.removesuffix(".json") for path in state.glob("*.tar.json"))
+        layout = SceneLayout(self._rigs, self._classes, *known, self._codec)
+        self._learn(layout)
         self._records = finished_shards(self._out, state, names, layout.fields)
         self._finished = {key for record in self._records.values() for key in record.keys}
         self._complete = (self._out / MANIFEST_NAME).exists()
@@ -379,31 +384,12 @@ class ShardWriter:
         return BadConfig(f"cannot write shards in {self._out}: {error.strerror or error}")
 
 
-@contextlib.contextmanager
-def _stopped(pool: ThreadPoolExecutor) -> Iterator[Executor]:
-    """A pool that drops what it has not begun when the context ends."""
-    try:
-        yield pool
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
 def _encoded(layout: SceneLayout, taken: TakenScene) -> Encoded:
-    return taken.info.split, layout.members(taken)
+    return taken.info.split, encode_sample(layout.sample(taken), layout.codec)
 
 
 def _made(layout: SceneLayout, key: str, function: Callable[[Any], Mapping[str, Any]], reference: Any) -> Encoded:
-    return _encoded(layout, layout.taken(GivenScene(key, **function(reference))))
-
-
-def _done(work: Callable[..., Encoded], *given: Any) -> Future[Encoded]:
-    """A future of work that is done at once."""
-    future: Future[Encoded] = Future()
-    try:
-        future.set_result(work(*given))
-    except Exception as error:
-        future.set_exception(error)
-    return future
+    return _encoded(layout, layout.taken(Render(key, **function(reference))))
 
 
 def part_name(number: int, count: int) -> str:
@@ -411,20 +397,3 @@ def part_name(number: int, count: int) -> str:
     if not 0 <= check_int("part", number, 0) < check_int("parts", count, 1):
         raise BadConfig(f"part must be (i, n), i from 0 to n - 1, found ({number}, {count})")
     return f"part-{number:05d}-of-{count:05d}"
-
-
-def manifest_of(layout: SceneLayout, source: str, plan: str, records: Mapping[str, ShardRecord]) -> Manifest:
-    """The manifest of finished shards, in the order of their names: those of training first."""
-    shards = sorted(records.values(), key=lambda record: (record.split == "test", record.name))
-    return Manifest(
-        rigs=layout.rigs,
-        codec=layout.codec,
-        source=source,
-        renderer=_RENDERERS[layout.facing],
-        plan=plan,
-        shards=tuple(shards),
-        classes=layout.classes,
-        fields=layout.fields,
-        projector=layout.projector,
-        planes=layout.planes,
-    )

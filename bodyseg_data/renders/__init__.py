@@ -8,6 +8,6 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_data.renders.layouts import LayoutName, open_renders
-    from bodyseg_data.renders.source import Render, RenderSource
+    from bodyseg_data.renders.source import ProjectorRanges, Render, RenderSource
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -16,7 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BadSample
+from bodyseg_data.files import refuse_special
 from bodyseg_data.machine import missing_library
+from bodyseg_data.renders.images import MOST_NUMBERS
 from bodyseg_data.renders.set_file import SetFile, read_rows
 from bodyseg_data.renders.source import LABELS, PROJECTOR, RANGE, Stored, StoredRenders, by_key
 
@@ -67,14 +69,17 @@ def _datasets(path: Path) -> dict[str, Any]:
         raise missing_library("reading HDF5 files", error, extra="renders") from error
     found: dict[str, Any] = {}
     try:
+        refuse_special(path)
         with h5py.File(path, "r") as file:
             for name in (_DEPTH, _DISTANCE, *_CLASSES, _INSTANCES, _ATTRIBUTES):
                 if isinstance(file.get(name), h5py.Dataset):
+                    if file[name].size is None or file[name].size > MOST_NUMBERS:
+                        raise ValueError(f"{name} holds nothing, or more than an image can")
                     found[name] = file[name][()]
             if _ATTRIBUTES in found:
                 text = found[_ATTRIBUTES]
                 found[_ATTRIBUTES] = json.loads(text if isinstance(text, str | bytes) else np.asarray(text).tobytes())
-    except (OSError, ValueError, RuntimeError, KeyError, RecursionError) as error:
+    except Exception as error:  # HDF5 raises almost anything for damaged files
         raise BadSample(f"{path}: cannot be read as HDF5: {error}") from error
     for name, array in found.items():
         if name != _ATTRIBUTES and (np.ndim(array) != 2 or array.dtype.kind not in "uif"):

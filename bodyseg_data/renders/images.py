@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import zipfile
 from collections.abc import Collection
 from functools import lru_cache
 from pathlib import Path
@@ -12,12 +11,16 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadSample
+from bodyseg_data.core import BadSample, MissingLibrary
+from bodyseg_data.files import refuse_special
 from bodyseg_data.machine import missing_library
 from bodyseg_data.rigs import Camera, Rig
 
 SUFFIXES: Final = (".png", ".tif", ".tiff", ".npy", ".npz", ".exr")
 """Endings of image files that are read."""
+
+MOST_NUMBERS: Final = 1 << 26
+"""Numbers of an array beyond which no file is read: 8192 x 8192 pixels."""
 
 NOTHING: Final = 1e9
 """Floats from here on mean that nothing was measured: Blender writes 1e10."""
@@ -39,8 +42,11 @@ def read_array(path: Path) -> NDArray[Any]:
     """
     readers = {".npy": _read_numpy, ".npz": _read_numpy, ".exr": _read_exr}
     try:
+        refuse_special(path)
         array = readers.get(path.suffix.lower(), _read_picture)(path)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, SyntaxError, RuntimeError, TypeError) as error:
+    except MissingLibrary:
+        raise
+    except Exception as error:  # decoders raise almost anything for damaged files
         raise BadSample(f"{path}: cannot be read as an image: {error}") from error
     if array.ndim == 3 and array.shape[2] == 1:
         array = array[..., 0]
@@ -56,6 +62,8 @@ def _read_numpy(path: Path) -> NDArray[Any]:
     with found:
         if len(found.files) != 1:
             raise ValueError(f"a file holds one array, found {', '.join(found.files) or 'none'}")
+        if found.zip.infolist()[0].file_size > MOST_NUMBERS * 8:
+            raise ValueError("it holds more than an image can")
         array: NDArray[Any] = found[found.files[0]]
         return array
 
@@ -150,6 +158,7 @@ def as_metres(
     if lengths is not None:
         numbers /= lengths
     _check_unit(float(numbers.max()), step_m, where)
+    numbers[numbers < step_m / 2] = 0  # not even a step away
     return numbers
 
 

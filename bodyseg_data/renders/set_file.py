@@ -89,8 +89,9 @@ def _packed(image: NDArray[Any], where: str) -> NDArray[np.int64]:
     """Colours of 8 bits a channel as numbers 0xrrggbb."""
     if image.dtype != np.uint8 or image.shape[2] not in (3, 4):
         raise BadSample(f"{where}: a label image in colours must be of 8 bits, found {image.dtype} {image.shape}")
-    red, green, blue = np.moveaxis(image[..., :3].astype(np.int64), 2, 0)
-    return red << 16 | green << 8 | blue
+    channels = image.astype(np.int64)
+    packed: NDArray[np.int64] = channels[..., 0] << 16 | channels[..., 1] << 8 | channels[..., 2]
+    return packed
 
 
 @dataclass(frozen=True)
@@ -186,7 +187,8 @@ def _classes(rows: Any, name: str, first: int, background: Sequence[Any], path: 
         if colour is not None:
             stands_for(colour, label, f"'colour' of class {label}")
             given = {**given, "colour": str(colour).lower()}
-        entries.append(LabelClass(**{"name": "", **{key: each for key, each in given.items() if key != "label"}}))
+        said: dict[str, Any] = {"name": "", **{key: each for key, each in given.items() if key != "label"}}
+        entries.append(LabelClass(**said))
     try:
         return Classes(name, tuple(entries)), LabelTable(numbers, colours)
     except BadConfig as error:

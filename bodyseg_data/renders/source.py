@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -30,6 +30,10 @@ _MUCH: Final = 0.05
 """Share of an image that is more than chance, of pixels with one and the same largest range."""
 
 
+ProjectorRanges = Callable[[NDArray[np.intp], NDArray[np.intp]], Any]
+"""Rows and columns [N] of texels of the projector's image -> ranges in metres [N], 0 for nothing."""
+
+
 @dataclass(frozen=True)
 class Render:
     """A finished scene: the arguments of `ShardWriter.write`, which describes them. rig: its number in the source's."""
@@ -44,6 +48,7 @@ class Render:
     fields: Mapping[str, Value] = field(default_factory=dict)
     planes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     rig: int = 0
+    projector: ProjectorRanges | None = None
 
 
 class RenderSource(Protocol):
@@ -237,7 +242,7 @@ def check_labels(range_m: NDArray[Any], labels: NDArray[np.uint8], where: str, f
     """
     nothing, classed = range_m == 0, labels < UNLABELLED
     lost, total = np.count_nonzero(classed & nothing), np.count_nonzero(classed)
-    if lost > _FEW * max(total, labels.size // 20):
+    if lost > _FEW * max(int(total), labels.size // 20):
         turned = {"left to right": labels[:, ::-1], "upside down": labels[::-1]}
         for way, image in turned.items():
             if np.count_nonzero((image < UNLABELLED) & nothing) < lost / 4:

@@ -50,6 +50,10 @@ class TarWriter:
         self._file: IO[bytes] = self._aside.open("wb")
         return self
 
+    def __len__(self) -> int:
+        """Number of samples written."""
+        return len(self._keys)
+
     def write(self, key: str, members: Mapping[str, bytes]) -> None:
         """Append one sample. members: extension -> bytes, `json` among them where the set has fields.
 
