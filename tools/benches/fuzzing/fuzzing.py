@@ -11,6 +11,7 @@ import faulthandler
 import hashlib
 import json
 import resource
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -28,10 +29,11 @@ from numpy.typing import NDArray
 
 from benches.environment import child_environment
 from benches.fuzzing.hostile import declared_bytes
-from benches.fuzzing.hostile_files import KEY, MAKERS
+from benches.fuzzing.hostile_files import KEY, MAKERS, RENDER_SET
 from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh, BadSample, BadShard, BodysegError
 from bodyseg_data.machine.kernels import VARIABLE
 from bodyseg_data.meshes import load_landmark_file, read_mesh
+from bodyseg_data.renders import open_renders
 from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import Sample
 from bodyseg_data.shards import BODY_FIELDS, CODECS, MANIFEST_NAME, decode_sample, read_manifest, record_from_json
@@ -79,6 +81,22 @@ def _piece(given: tuple[bool, bytes], folder: Path) -> object:
     return record
 
 
+def _renders(given: tuple[str, bytes], folder: Path) -> object:
+    """All of a folder of two renders, one file of which is given."""
+    home = folder / "renders"
+    shutil.rmtree(home, ignore_errors=True)
+    for kind in ("range", "labels"):
+        (home / kind).mkdir(parents=True)
+        for key in "ab":
+            np.save(home / kind / f"{key}.npy", np.full((6, 8), 1000 if kind == "range" else 2, np.uint16))
+    (home / "set.toml").write_text(RENDER_SET)
+    name, data = given
+    (home / name).with_suffix(".npy").unlink(missing_ok=True)
+    (home / name).write_bytes(data)
+    source = open_renders(home)
+    return [source.load(key) for key in source.keys()]  # noqa: SIM118
+
+
 def _from_file(name: str, reader: Callable[[Path], object]) -> Callable[[bytes, Path], object]:
     def read(data: bytes, folder: Path) -> object:
         path = folder / name
@@ -96,6 +114,7 @@ TARGETS: Final[dict[str, Target]] = {
     "manifest": Target(_from_file(MANIFEST_NAME, lambda path: read_manifest(path.parent)), (BadShard,)),
     "index": Target(_piece, (BadShard,)),
     "rig": Target(_from_file("rig.toml", load_rig), (BadConfig,)),
+    "render": Target(_renders, (BadConfig, BadSample)),
     "landmarks": Target(_from_file("l.json", load_landmark_file), (BadLandmarks,)),
     "lnd": Target(_from_file("l.lnd", load_landmark_file), (BadLandmarks,)),
     "ply": Target(_from_file("m.ply", read_mesh), (BadMesh,)),
@@ -110,7 +129,8 @@ def one_input(target: str, seed: int, number: int) -> Any:
 
 def _allowed(target: str, given: Any) -> int:
     """The memory that reading an input may take, by what it declares and how long it is."""
-    members = given if isinstance(given, Mapping) else {"": given[1] if isinstance(given, tuple) else given}
+    name, data = given if isinstance(given, tuple) else ("", given)
+    members = given if isinstance(given, Mapping) else {str(name): data}
     declared = sum(declared_bytes(name, data) for name, data in members.items() if name.endswith((*CODECS, "bsp")))
     return _TIMES_DECLARED * declared + _TIMES_INPUT * sum(map(len, members.values())) + _SLACK
 

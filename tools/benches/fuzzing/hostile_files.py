@@ -1,4 +1,4 @@
-"""Whole files made to break readers: samples of a tar, manifests, indices, rigs, landmarks, meshes.
+"""Whole files made to break readers: samples of a tar, manifests, indices, rigs, renders, landmarks, meshes.
 
 Samples, manifests and indices are of today's format and of each earlier one that is read.
 """
@@ -6,6 +6,7 @@ Samples, manifests and indices are of today's format and of each earlier one tha
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import struct
 import tarfile
@@ -20,6 +21,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
+from PIL import Image
 
 from benches.data.codec.earlier import earlier_images, earlier_pngs
 from benches.fuzzing.hostile import hostile_image, hostile_json, hostile_png, hostile_tree, spoiled
@@ -306,9 +308,8 @@ _TOML: Final = ("true", "-1", "0", "1e308", "nan", "inf", '""', '"x"', "[]", "[1
 _TOML_LONG: Final = ("0x" + "f" * 5000, "9" * 5000, "[" * 300 + "]" * 300, "[" * 5000, f'"{"y" * 9000}"', '"\\u0000"')
 
 
-def hostile_rig(generator: Generator) -> bytes:
-    """A rig file: spoiled as text, or with another value for one of its keys."""
-    text = _rig_text()
+def _other_value(text: str, generator: Generator) -> bytes:
+    """TOML spoiled as text, or with another value for one of its keys."""
     if generator.integers(2):
         return spoiled(text.encode(), generator)
     lines = text.splitlines()
@@ -317,6 +318,50 @@ def hostile_rig(generator: Generator) -> bytes:
     values = _TOML if generator.integers(2) else _TOML_LONG
     lines[number] = f"{lines[number].partition('=')[0]}= {values[int(generator.integers(len(values)))]}"
     return "\n".join(lines).encode()
+
+
+def hostile_rig(generator: Generator) -> bytes:
+    """A rig file: spoiled as text, or with another value for one of its keys."""
+    return _other_value(_rig_text(), generator)
+
+
+RENDER_SET: Final = """format = "bodyseg renders 1"
+classes = [{name = "floor", label = [0, 1], colour = "#102030"}, {name = "arm", label = 2, within = "robot"}]
+background = [255, "#000000"]
+no_range = [9000]
+unit_m = 0.001
+split = "test"
+[rig]
+stand_off_m = 1.5
+camera = {rows = 6, columns = 8, focal_px = 9.0}
+projector = {rows = 6, columns = 8, focal_px = 9.0, position_m = [0.1, 0, 0], aims_at_m = [0.1, 0, 1]}
+"""
+_ROWS: Final = "key,split,robot,tilt,closed\na,train,r1,1.5,true\nb,test,r2,2,false\n"
+_JSON_ROWS: Final = '{"key": "a", "split": "train", "tilt": 1.5}\n{"key": "b", "at": [1, 2.5], "robot": "r1"}\n'
+
+
+def hostile_render(generator: Generator) -> tuple[str, bytes]:
+    """A file of a plain folder of the renders a and b, and its name: the set, a table of samples, or an image."""
+    range_m, labels = (np.arange(48).reshape(6, 8) + 1000).astype(np.uint16), (np.arange(48) % 3).reshape(6, 8)
+    match int(generator.integers(6)):
+        case 0 | 1:
+            return "set.toml", _other_value(RENDER_SET, generator)
+        case 2:
+            return "samples.csv", spoiled(_ROWS.encode(), generator)
+        case 3:
+            lines = [hostile_json(line, generator) for line in _JSON_ROWS.splitlines()]
+            return "samples.jsonl", b"\n".join(lines)
+        case 4:
+            file = io.BytesIO()
+            if generator.integers(2):
+                np.save(file, range_m)
+                return "range/a.npy", spoiled(file.getvalue(), generator)
+            np.savez_compressed(file, range_m)
+            return "range/a.npz", spoiled(file.getvalue(), generator)
+        case _:
+            file = io.BytesIO()
+            Image.fromarray(labels.astype(np.uint8)).save(file, "PNG")
+            return "labels/a.png", hostile_png(file.getvalue(), generator)
 
 
 def hostile_landmarks(generator: Generator) -> bytes:
@@ -371,6 +416,7 @@ MAKERS: Final[dict[str, Callable[[Generator], Any]]] = {
     "manifest": hostile_manifest,
     "index": hostile_piece,
     "rig": hostile_rig,
+    "render": hostile_render,
     "landmarks": hostile_landmarks,
     "lnd": hostile_lnd,
     "ply": hostile_ply,
