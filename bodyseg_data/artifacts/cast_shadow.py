@@ -90,9 +90,9 @@ def _cast(
                     continue
                 w0 = places[2, r0, c0]
                 w1, w2 = places[2, r + 1, c] - w0, places[2, r, c + 1] - w0
-                top = max(0, np.int64(np.ceil(y0 + min(0, y1, y2))))
+                top: Any = max(0, np.int64(np.ceil(y0 + min(0, y1, y2))))
                 bottom = min(high - 1, np.int64(np.floor(y0 + max(0, y1, y2))))
-                left = max(0, np.int64(np.ceil(x0 + min(0, x1, x2))))
+                left: Any = max(0, np.int64(np.ceil(x0 + min(0, x1, x2))))
                 right = min(wide - 1, np.int64(np.floor(x0 + max(0, x1, x2))))
                 for row in range(top, bottom + 1):
                     for column in range(left, right + 1):
@@ -104,6 +104,6 @@ def _cast(
                                 found[row, column] = away
     for r in range(rows):  # thin things, of which no triangle is left
         for c in range(columns):
-            row, column = np.int64(np.rint(places[1, r, c])), np.int64(np.rint(places[0, r, c]))
-            if places[2, r, c] > 0 and 0 <= row < high and 0 <= column < wide and found[row, column] == 0:
-                found[row, column] = np.uint16(np.rint(1 / places[2, r, c]))
+            y, x = np.int64(np.rint(places[1, r, c])), np.int64(np.rint(places[0, r, c]))
+            if places[2, r, c] > 0 and 0 <= y < high and 0 <= x < wide and found[y, x] == 0:
+                found[y, x] = np.uint16(np.rint(1 / places[2, r, c]))

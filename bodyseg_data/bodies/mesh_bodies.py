@@ -225,7 +225,7 @@ class MeshBodies(ListedBodies[MeshFile]):
             metres_a_unit(_used(surface), unit, where)
         vertices = alignment.apply(surface[0])
         if isinstance(landmarks, LandmarkSet):
-            landmarks.check_counts(*map(len, surface), str(file.path))
+            landmarks.check_counts(len(vertices), len(surface[1]), str(file.path))
             points = vertices[list(landmarks.vertices)]
         else:
             turned = landmarks.transformed(1.0, alignment.rotation)

@@ -119,19 +119,13 @@ def _made(facts: SetFacts) -> str:
 
 
 def _splits(facts: SetFacts) -> str:
-    heads = ("split", "samples", "shards", *(("bodies", "people", "samples by subset") if facts.of_bodies else ()))
-    rows = [
-        (
-            split,
-            str(counts.samples),
-            f"{counts.shards}, {counts.size / 1e6:.1f} MB",
-            str(counts.bodies),
-            str(counts.subjects),
-            ", ".join(f"{subset} {samples}" for subset, samples in counts.samples_by_subset.items()),
-        )[: len(heads)]
-        for split, counts in facts.splits.items()
-    ]
-    return "## Splits\n\n" + table(heads, rows)
+    rows = []
+    for split, counts in facts.splits.items():
+        subsets = ", ".join(f"{subset} {samples}" for subset, samples in counts.samples_by_subset.items())
+        of_bodies = (str(counts.bodies), str(counts.subjects), subsets) if facts.of_bodies else ()
+        rows.append((split, str(counts.samples), *of_bodies, f"{counts.shards}, {counts.size / 1e6:.1f} MB"))
+    heads = ("bodies", "people", "samples by subset") if facts.of_bodies else ()
+    return "## Splits\n\n" + table(("split", "samples", *heads, "shards"), rows)
 
 
 def _reading(facts: SetFacts) -> str:

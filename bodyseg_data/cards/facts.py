@@ -92,6 +92,7 @@ ORIGINS: Final[dict[str, Origin]] = {
     "mit": Origin("captured meshes of real people in motion (MIT's I and D sequences)", _OWNERS_TERMS, made=False),
     "caesar": Origin("laser scans of real people, standing (CAESAR survey)", _OWNERS_TERMS, made=False),
     "folder": Origin("meshes that whoever packed the set had in a folder", _OWNERS_TERMS, made=False),
+    "labelled": Origin("meshes with labels of their own, of whoever packed the set", _OWNERS_TERMS, made=False),
     "paper": Origin("the bodies of the sources scape, mit and caesar together", _OWNERS_TERMS, made=False),
 }
 """Source -> its bodies."""
@@ -263,17 +264,15 @@ class Publication:
 def summary_text(facts: SetFacts) -> str:
     """Two sentences on a set."""
     what = (
-        "people with a body part, one of 33," if facts.of_bodies else f"scenes with a class, {_one_of(facts.classes)},"
+        "people with a body part, one of 33,"
+        if facts.of_bodies
+        else f"scenes with a class, one of {len(facts.classes)} ({facts.classes.name}),"
     )
     counts = " and ".join(f"{counts.samples} for {_purpose(split)}" for split, counts in facts.splits.items())
     return (
         f"Range images of {what} at each pixel: {counts}. They are stored without artifacts; the package bodyseg makes "
         f"the variants {', '.join(VARIANTS)} of them while it reads them."
     )
-
-
-def _one_of(classes: Classes) -> str:
-    return f"one of {len(classes)} ({classes.name})"
 
 
 def limits_text(facts: SetFacts) -> list[str]:

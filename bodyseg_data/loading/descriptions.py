@@ -20,6 +20,7 @@ _TYPES: Final[dict[str, tuple[type, Value]]] = {
     "int": (np.int64, 0),
     "float": (np.float64, 0.0),
     "flag": (np.bool_, False),
+    "numbers": (np.object_, ()),
 }
 """Kind of a field -> type of its array, and what stands in it where a sample has none."""
 
@@ -48,22 +49,12 @@ def table_of(fields: Fields, chosen: Sequence[tuple[ShardRecord, Sequence[int]]]
 
 def _array(values: Sequence[Value | None], kind: str) -> NDArray[Any]:
     """The values of a table's rows [R] as an array, masked if one is None."""
-    lacking = [value is None for value in values]
-    if kind == "numbers":
-        sizes = {len(value) for value in values if isinstance(value, tuple)}
-        if len(sizes) == 1:
-            (size,) = sizes
-            array: NDArray[Any] = np.array([value or (0.0,) * size for value in values], np.float64).reshape(-1, size)
-        else:
-            array = np.empty(len(values), object)
-            array[:] = values
-    else:
-        dtype, nothing = _TYPES[kind]
-        array = np.array([nothing if value is None else value for value in values], dtype)
-    if not any(lacking):
-        return array
-    mask = np.array(lacking)
-    return np.ma.array(array, mask=mask if array.ndim == 1 else np.repeat(mask[:, None], array.shape[1], 1))
+    dtype, nothing = _TYPES[kind]
+    array = np.empty(len(values), object)
+    array[:] = [nothing if value is None else value for value in values]
+    lacking = np.array([value is None for value in values])
+    found = array.astype(dtype)
+    return np.ma.array(found, mask=lacking) if lacking.any() else found
 
 
 def arrow_table(columns: dict[str, NDArray[Any]]) -> Any:
@@ -72,12 +63,4 @@ def arrow_table(columns: dict[str, NDArray[Any]]) -> Any:
         pyarrow = import_module("pyarrow")
     except ImportError as error:
         raise MissingLibrary("a table of Arrow needs the package 'pyarrow': pip install pyarrow") from error
-    return pyarrow.table({name: pyarrow.array(_plain(column)) for name, column in columns.items()})
-
-
-def _plain(column: NDArray[Any]) -> list[Any]:
-    """The values of an array as Python has them, None where it is masked."""
-    found: list[Any] = column.tolist()
-    if column.ndim == 1:
-        return found
-    return [None if row[0] is None else row for row in found]
+    return pyarrow.table({name: pyarrow.array(column.tolist()) for name, column in columns.items()})

@@ -48,7 +48,6 @@ from bodyseg_data.samples import ReadSplit, Sample, metres
 from bodyseg_data.shards import (
     RIG_FIELD,
     CheckedFile,
-    ColumnReader,
     Manifest,
     RetryPolicy,
     ShardReader,
@@ -131,6 +130,7 @@ class RangeImages(SampleDataset):
         self.augmentation = Augmentation(self.manifest.rig, check_variant(variant), seed, model)
         """Of the set's first rig; see `augmentation_of`."""
         self._augmentations: dict[int, Augmentation] = {}
+        self._casts = occluder == "camera" and self.augmentation.needs_projector
         self.occluder = occluder
         if occluder not in OCCLUDERS:
             raise BadConfig(f"occluder must be {' or '.join(map(repr, OCCLUDERS))}, found {occluder!r}")
@@ -153,11 +153,8 @@ class RangeImages(SampleDataset):
         self._samples = self.selection.choose(self.manifest, str(path))
         chosen = self._samples.shards
         files: list[CheckedFile] = [self.manifest.shards[number] for number in chosen]
-        files += [column.tars[number] for column in self.columns if column.is_plane for number in chosen]
-        cached = with_cache(store, files, cache, cache_bytes)
-        self._reader = (
-            ColumnReader(cached, self.manifest, self.columns) if self.columns else ShardReader(cached, self.manifest)
-        )
+        files += [column.shards[number] for column in self.columns.values() if column.planes for number in chosen]
+        self._reader = ShardReader(with_cache(store, files, cache, cache_bytes), self.manifest, self.columns)
         self.epoch = 0
         self.epochs_set = 0
         self.set_epoch(epoch)
@@ -223,11 +220,6 @@ class RangeImages(SampleDataset):
         if number not in self._augmentations:
             self._augmentations[number] = replace(self.augmentation, rig=rig)
         return self._augmentations[number]
-
-    @property
-    def _casts(self) -> bool:
-        """Whether images are made with a projector's range that is made of the camera's."""
-        return self.occluder == "camera" and self.augmentation.needs_projector
 
     def _shaded(self, sample: Sample) -> Sample:
         """The sample with the projector's range made of the camera's."""
@@ -313,9 +305,9 @@ class RangeImages(SampleDataset):
     def table(self, arrow: bool = False) -> Any:
         """Return what `describe` gives of all samples: name -> array [N]; no shard is read.
 
-        Text is of NumPy's `str` type, whole numbers int64, other numbers float64, flags bool, tuples of numbers float64
-        [N, K], or objects where they differ in length. Where samples lack a field, its array is masked. arrow: return a
-        `pyarrow.Table`, with nulls there. Raises MissingLibrary if pyarrow is not installed.
+        Text is of NumPy's `str` type, whole numbers int64, other numbers float64, flags bool, tuples of numbers
+        objects. Where samples lack a field, its array is masked. arrow: return a `pyarrow.Table`, with nulls there.
+        Raises MissingLibrary if pyarrow is not installed.
         """
         columns = table_of(self.manifest.fields, list(self._chosen_records()))
         return arrow_table(columns) if arrow else columns
@@ -347,7 +339,7 @@ class RangeImages(SampleDataset):
             **({"transforms": transforms_to_json(self.transforms)} if self.transforms else {}),
             **({"labels": self.label_map.to_json()} if self._joins else {}),
             **({"unlabelled": True} if self.unlabelled == UNLABELLED else {}),
-            **({"columns": {each.name: each.digest for each in self.columns}} if self.columns else {}),
+            **({"columns": {name: column.digest for name, column in self.columns.items()}} if self.columns else {}),
             **({"planes": list(self.planes)} if self.planes else {}),
             **({"occluder": self.occluder} if self._casts else {}),
         }

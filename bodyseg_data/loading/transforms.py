@@ -296,9 +296,9 @@ def take_window(image: CameraImage, top: int, left: int, rows: int, columns: int
     centre_px = (x - left, y - top)
     if 0 <= top <= height - rows and 0 <= left <= width - columns:
         window = slice(top, top + rows), slice(left, left + columns)
+        ranges, labels = image.range[window], image.labels[window]
         planes = {name: plane[window] for name, plane in image.planes.items()}
-        cut = {"range": image.range[window], "labels": image.labels[window], "planes": planes}
-        return replace(image, centre_px=centre_px, **cut)
+        return replace(image, range=ranges, labels=labels, planes=planes, centre_px=centre_px)
     found = background(image, rows, columns)
     first, end = max(top, 0), min(top + rows, height)
     start, stop = max(left, 0), min(left + columns, width)

@@ -59,8 +59,8 @@ def _handed(
 ) -> float:
     """1 where left x up is the front, -1 where it is the back; left: from the right ones of pairs to the left ones."""
     left = np.sum([points[f"Lt. {name}"] - points[f"Rt. {name}"] for name in pairs], axis=0)
-    lengths = np.linalg.norm(left) * np.linalg.norm(up) * np.linalg.norm(front)
-    return float(np.cross(left, up) @ front / max(lengths, 1e-12))
+    lengths = float(np.linalg.norm(left) * np.linalg.norm(up) * np.linalg.norm(front))
+    return float(np.cross(left, up) @ front) / max(lengths, 1e-12)
 
 
 def _middle(points: dict[str, NDArray[np.float64]], *names: str) -> NDArray[np.float64]:

@@ -255,7 +255,8 @@ class SceneMesh(Mesh):
 
     def labels_at(self, _: Mesh, faces: NDArray[np.int32], points: NDArray[np.float64]) -> NDArray[np.uint8]:
         """Labels of `points` [N, 3], metres, in the triangles `faces` [N], uint8 [N]."""
-        return self.labels[faces, self.barycentric(faces, points).argmax(axis=1)]
+        nearest: NDArray[np.uint8] = self.labels[faces, self.barycentric(faces, points).argmax(axis=1)]
+        return nearest
 
     @cached_property
     def centre(self) -> NDArray[np.float64]:

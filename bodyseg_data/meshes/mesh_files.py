@@ -318,7 +318,8 @@ def read_mesh_content(path: Path) -> MeshContent:
         vertices,
         faces,
         np.repeat(np.arange(len(sizes)), sizes),
-        *({name: _numbers(*each) for name, each in of.items()} for of in (parsed.of_vertices, parsed.of_polygons)),
+        {name: _numbers(*each) for name, each in parsed.of_vertices.items()},
+        {name: _numbers(*each) for name, each in parsed.of_polygons.items()},
         {kind: parsed.named(kind) for kind in parsed.names},
     )
 

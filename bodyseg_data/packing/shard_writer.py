@@ -21,7 +21,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, get_args
 
-from bodyseg_data.core import BadConfig, BadSample, ProgressCallback, check_int, silent
+from bodyseg_data.core import BadConfig, BadSample, BodysegError, ProgressCallback, check_int, silent
 from bodyseg_data.files import make_folder, write_atomically
 from bodyseg_data.labels import Classes, LabelClass, classes_of
 from bodyseg_data.packing.options import PACKING_VERSION
@@ -251,7 +251,7 @@ class ShardWriter:
         except BaseException as error:
             self._failed = error  # the scene is lost, so the set cannot be finished
             raise
-        done = sum(map(len, (*self._records.values(), *self._open.values())))
+        done = sum(map(len, self._records.values())) + sum(map(len, self._open.values()))
         self._progress(done, done)
 
     def _append(self, key: str, split: Split, members: Mapping[str, bytes]) -> None:
@@ -358,9 +358,14 @@ class ShardWriter:
             try:
                 stored = json.loads((state / _LEARNED).read_bytes())
                 fields = fields_of(stored["fields"], len(self._rigs))
-                known = fields, stored["projector"], stored["planes"], stored["facing"]
-            except (OSError, ValueError, KeyError, TypeError):
-                return  # no scene was written, or the state is damaged: all is written anew
+                known = fields, stored["projector"], dict(stored["planes"]), stored["facing"]
+                if stored["projector"] not in get_args(ProjectorKind) or stored["facing"] not in _RENDERERS:
+                    raise ValueError("a value that no writer has stored")
+            except FileNotFoundError:
+                return  # no scene was written
+            except (OSError, ValueError, KeyError, TypeError, BodysegError) as error:
+                unreadable = f"{state / _LEARNED} cannot be read"
+                raise BadConfig(f"{unreadable}: delete the folder {self._out} and write it again") from error
             names = sorted(path.name.removesuffix(".json") for path in state.glob("*.tar.json"))
         layout = SceneLayout(self._rigs, self._classes, *known, self._codec)
         self._learn(layout)

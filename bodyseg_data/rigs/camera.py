@@ -113,8 +113,8 @@ class Camera:
     @property
     def slopes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The x of the rays through each column [columns] and the y of those through each row [rows], at z = 1."""
-        across, down = np.arange(self.columns) + 0.5, np.arange(self.rows) + 0.5
-        return (across - self.centre_px[0]) / self.focal_px, (down - self.centre_px[1]) / self.focal_px
+        across = np.divide(np.arange(self.columns) + 0.5 - self.centre_px[0], self.focal_px)
+        return across, np.divide(np.arange(self.rows) + 0.5 - self.centre_px[1], self.focal_px)
 
     def _image_plane(self, nodes: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Coordinates x and y, at z = 1, of a lattice that spans the image, each float64 [nodes, nodes]."""

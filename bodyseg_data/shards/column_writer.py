@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
-import hashlib
-import os
-import zlib
-from collections.abc import Iterator
+import json
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -15,22 +12,14 @@ from typing import Any
 import numpy as np
 
 from bodyseg_data.core import BadConfig, BadSample, BadShard
-from bodyseg_data.files import write_atomically
-from bodyseg_data.samples import Value
-from bodyseg_data.shards.cache import is_same_file
+from bodyseg_data.files import claimed, write_atomically
+from bodyseg_data.samples import SampleInfo, kind_of
 from bodyseg_data.shards.codecs import CODECS
-from bodyseg_data.shards.columns import (
-    COLUMN_FORMAT,
-    COLUMNS_NAME,
-    check_column,
-    column_file,
-    column_names,
-    column_tar,
-    field_value,
-)
-from bodyseg_data.shards.manifest import PLANE_KINDS, compact_json, read_manifest, stamped
+from bodyseg_data.shards.columns import COLUMNS_NAME, column_file, column_names, column_tar
+from bodyseg_data.shards.manifest import PLANE_KINDS, check_plane, manifest_bytes, read_manifest
+from bodyseg_data.shards.records import Fields, ShardRecord
 from bodyseg_data.shards.store import LocalFolder
-from bodyseg_data.shards.tar import archive_end, sample_bytes
+from bodyseg_data.shards.tar import TarWriter
 
 
 class ColumnWriter:
@@ -44,147 +33,117 @@ class ColumnWriter:
     or "numbers" for a field. The column is there when the block ends, all of it; after an error nothing is. Samples may
     come in any order; in the set's own, those of one shard are in memory at a time.
 
-    Raises BadConfig for a name or kind that cannot be, or for a column that is there or that another process writes.
+    Raises BadConfig for a name or kind that cannot be, or for a column that is there.
     """
 
     def __init__(self, folder: str | Path, name: str, kind: str) -> None:
         self._folder, self._name, self._kind = Path(folder), name, kind
-        self._manifest = read_manifest(self._folder)
+        self._set = read_manifest(self._folder)
+        self._is_plane = kind in PLANE_KINDS
         try:
-            check_column(self._manifest, name, kind, str(folder))
+            self._fields = Fields(() if self._is_plane else (((name, kind),),))
+            if self._is_plane:
+                check_plane(name, kind, str(folder))
         except BadShard as error:
-            raise BadConfig(str(error)) from error
+            raise BadConfig(f"a column is of the kind {' or '.join(PLANE_KINDS)}, or a field: {error}") from error
+        if name in (*self._set.planes, *self._set.fields.kinds):
+            raise BadConfig(f"{folder}: the set itself has {name!r} already")
         if (self._folder / column_file(name)).exists():
             raise BadConfig(f"{folder} has the column {name!r}: delete {column_file(name)} to write it anew")
-        camera = self._manifest.rig.camera
-        self._shape = (camera.rows, camera.columns)
-        shards = self._manifest.shards
+        shards = self._set.shards
         self._places = {key: (at, index) for at, shard in enumerate(shards) for index, key in enumerate(shard.keys)}
-        self._held: dict[int, dict[int, Any]] = {}
-        self._done: dict[int, dict[str, Any]] = {}
+        self._held: list[dict[int, dict[str, bytes]]] = [{} for _ in shards]
+        self._records: dict[int, ShardRecord] = {}
 
     def __enter__(self) -> ColumnWriter:
-        self._lock = contextlib.ExitStack()
-        self._lock.enter_context(_locked(self._folder / ".columns.lock"))
+        self._claim = contextlib.ExitStack()
+        self._claim.enter_context(claimed(self._folder, "ColumnWriter"))
         return self
 
     def write(self, key: str, value: Any) -> None:
         """Give a sample its plane, integers [H, W] as large as the set's images, or the value of its field.
 
         value: a NumPy array, a torch tensor or a plain value. Raises BadSample for a key that the set has not or that
-        was written, or for a value of another kind or size.
+        was written, or for a value of another kind or size; BadConfig if the disk cannot be written.
         """
         if key not in self._places:
             raise BadSample(f"column {self._name!r}: the set has no sample {key!r}")
-        shard, index = self._places[key]
-        if shard in self._done or index in self._held.get(shard, {}):
+        at, index = self._places[key]
+        shard, held = self._set.shards[at], self._held[at]
+        if at in self._records or index in held:
             raise BadSample(f"column {self._name!r}: {key} was written before")
-        is_plane = self._kind in PLANE_KINDS
         try:
-            encoded = self._encoded(key, value) if is_plane else field_value(value, self._kind, self._name)
+            held[index] = self._plane(value) if self._is_plane else self._field(value, SampleInfo(shard.split))
         except BadSample as error:
             raise BadSample(f"{key}: {error}") from error
-        held = self._held.setdefault(shard, {})
-        held[index] = encoded
-        if len(held) == len(self._manifest.shards[shard]):
-            parts = [held[each] for each in sorted(self._held.pop(shard))]
-            name = self._manifest.shards[shard].name
-            self._done[shard] = self._written(name, parts) if is_plane else _values(name, parts)
+        if len(held) < len(shard):
+            return
+        path = self._folder / column_tar(shard.name, self._name)
+        try:
+            with TarWriter(path, path.with_name(f".{path.name}.part"), shard.split, self._fields) as tar:
+                for number, each in enumerate(shard.keys):
+                    tar.write(each, held.pop(number))
+        except OSError as error:
+            raise BadConfig(f"cannot write {path}: {error.strerror or error}") from error
+        if tar.record is not None:
+            self._records[at] = tar.record
 
-    def _encoded(self, key: str, value: Any) -> bytes:
-        plane = np.asarray(value)
-        kind = np.dtype(self._kind)
-        if plane.dtype.kind not in "iu" or plane.shape != self._shape:
-            found = f"{plane.dtype} {plane.shape}"
-            raise BadSample(f"plane {self._name!r} must hold whole numbers {self._shape}, found {found}")
+    def _plane(self, value: Any) -> dict[str, bytes]:
+        plane, kind, camera = np.asarray(value), np.dtype(self._kind), self._set.rig.camera
+        shape = (camera.rows, camera.columns)
+        if plane.dtype.kind not in "iu" or plane.shape != shape:
+            raise BadSample(f"plane {self._name!r} must hold whole numbers {shape}, found {plane.dtype} {plane.shape}")
         if plane.min() < 0 or plane.max() > np.iinfo(kind).max:
             raise BadSample(f"plane {self._name!r} must be {kind}, found {plane.min()} to {plane.max()}")
-        members = CODECS[self._manifest.codec].encode_plane(np.ascontiguousarray(plane, kind))
-        return sample_bytes(key, {f"plane.{self._name}.{ending}": data for ending, data in members.items()})
+        members = CODECS[self._set.codec].encode_plane(np.ascontiguousarray(plane, kind))
+        return {f"plane.{self._name}.{ending}": data for ending, data in members.items()}
 
-    def _written(self, shard: str, parts: list[bytes]) -> dict[str, Any]:
-        """Write the tar beside a shard and return its entry in the column's file."""
-        end = archive_end(sum(map(len, parts)))
-        sha256 = hashlib.sha256()
-        for part in (*parts, end):
-            sha256.update(part)
-        name = column_tar(shard, self._name)
-        try:
-            write_atomically(self._folder / name, [*parts, end])
-        except OSError as error:
-            raise BadConfig(f"cannot write {self._folder / name}: {error.strerror or error}") from error
-        return {
-            "name": name,
-            "size": sum(map(len, parts)) + len(end),
-            "sha256": sha256.hexdigest(),
-            "lengths": [*map(len, parts)],
-            "crc32": [*map(zlib.crc32, parts)],
-        }
+    def _field(self, value: Any, info: SampleInfo) -> dict[str, bytes]:
+        value = value.tolist() if hasattr(value, "tolist") else value  # of NumPy or torch
+        if self._kind == "numbers" and isinstance(value, list | tuple):
+            value = tuple(float(each) if type(each) is int else each for each in value)
+        value = float(value) if self._kind == "float" and type(value) is int else value
+        if kind_of(value, self._name) != self._kind:
+            raise BadSample(f"field {self._name!r} must be of the kind {self._kind}, found {value!r}")
+        return {"json": json.dumps(info.with_fields(**{self._name: value}).to_json(), sort_keys=True).encode()}
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        whole = False
-        try:
-            if kind is None:
-                self._finish()
-                whole = True
-        finally:
-            for entry in () if whole or self._kind not in PLANE_KINDS else self._done.values():
-                (self._folder / entry["name"]).unlink(missing_ok=True)
-            self._lock.close()
+        with self._claim:
+            try:
+                if kind is None:
+                    self._finish()
+                    self._records = {}
+            finally:
+                for record in self._records.values():
+                    (self._folder / record.name).unlink(missing_ok=True)
 
     def _finish(self) -> None:
-        """Write the column's file, and its name into the list. Raises BadSample if samples are missing."""
-        shards = self._manifest.shards
+        """Write the column's manifest, and its name into the list. Raises BadSample if samples are missing."""
         lacking = [
-            (at, index)
-            for at, shard in enumerate(shards)
-            if at not in self._done
-            for index in range(len(shard))
-            if index not in self._held.get(at, {})
+            key for key, (at, index) in self._places.items() if at not in self._records and index not in self._held[at]
         ]
         if lacking:
-            first = shards[lacking[0][0]].keys[lacking[0][1]]
             raise BadSample(
                 f"column {self._name!r} must have every sample of the set: {len(lacking)} of {len(self._places)} are "
-                f"missing, {first} the first"
+                f"missing, {lacking[0]} the first"
             )
-        tree = {
-            "format": COLUMN_FORMAT,
-            "name": self._name,
-            "kind": self._kind,
-            "set": self._manifest.digest,
-            "shards": [self._done[at] for at in range(len(shards))],
-        }
+        column = replace(
+            self._set,
+            rigs=(self._set.rig,),
+            source="column",
+            renderer="",
+            plan=self._set.digest,
+            shards=tuple(self._records[at] for at in range(len(self._records))),
+            skipped=(),
+            fields=self._fields,
+            projector="none",
+            planes={self._name: self._kind} if self._is_plane else {},
+        )
         names = sorted({*column_names(LocalFolder(self._folder)), self._name})
         try:
-            write_atomically(self._folder / column_file(self._name), compact_json(stamped(tree)) + b"\n")
-            write_atomically(self._folder / COLUMNS_NAME, compact_json({"columns": names}) + b"\n")
+            write_atomically(self._folder / column_file(self._name), manifest_bytes(column))
+            write_atomically(self._folder / COLUMNS_NAME, json.dumps({"columns": names}).encode() + b"\n")
         except OSError as error:
             raise BadConfig(f"cannot write {self._folder}: {error.strerror or error}") from error
-
-
-def _values(shard: str, values: list[Value]) -> dict[str, Any]:
-    return {"name": shard, "values": values}
-
-
-@contextlib.contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Hold a lock file while columns are written. Raises BadConfig if another process holds it."""
-    try:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-    except OSError as error:
-        raise BadConfig(f"cannot write {path.parent}: {error.strerror or error}") from error
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if not is_same_file(handle, path):
-            raise BlockingIOError
-    except BlockingIOError:
-        os.close(handle)
-        raise BadConfig(f"{path.parent}: another process writes a column of this set") from None
-    try:
-        yield
-    finally:
-        path.unlink(missing_ok=True)
-        os.close(handle)

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, BadSample, BadShard
+from bodyseg_data.core import BadSample, BadShard
 from bodyseg_data.shards.columns import column_names, read_column
 from bodyseg_data.shards.index import IndexedShards
 from bodyseg_data.shards.manifest import RIG_FIELD, Manifest
-from bodyseg_data.shards.records import CheckedFile, ShardRecord, check_bytes, difference, location
+from bodyseg_data.shards.records import ShardRecord, check_bytes, difference, location
 from bodyseg_data.shards.remote import Unreachable
-from bodyseg_data.shards.sample_codec import decode_sample
+from bodyseg_data.shards.sample_codec import decode_sample, parse_info
 from bodyseg_data.shards.store import Store, open_file, store_at
-from bodyseg_data.shards.tar import check_sizes, image_sizes, parse_members
+from bodyseg_data.shards.tar import check_sizes, decode_piece, image_sizes, parse_members
 
 
 @dataclass(frozen=True)
@@ -86,21 +85,8 @@ def _repeated_keys(manifest: Manifest, digests: NDArray[np.uint64]) -> Iterator[
                 seen.add(key)
 
 
-def find_faults(where: Path | Store, manifest: Manifest, shard: ShardRecord) -> Iterator[Fault]:
-    """Find all faults of one shard: in its size, in every sample's bytes and content, in its hash.
-
-    A fault inside a sample is reported at that sample, any other at the end of the archive.
-    """
-    try:
-        len(shard.keys)
-    except BadShard as error:
-        yield Fault(shard.name, "-", 0, f"its samples are not known: {error}")
-        return
-    yield from _file_faults(store_at(where), shard, partial(_check_content, manifest, shard))
-
-
 def find_column_faults(where: Path | Store, manifest: Manifest) -> Iterator[str]:
-    """Find all faults of a set's columns, one line each: of their list, their own files, and their tars."""
+    """Find all faults of a set's columns, one line each: of their list, their manifests, and their tars."""
     store = store_at(where)
     try:
         names = column_names(store)
@@ -110,47 +96,69 @@ def find_column_faults(where: Path | Store, manifest: Manifest) -> Iterator[str]
     for name in names:
         try:
             column = read_column(store, manifest, name)
-        except (BadConfig, BadShard) as error:
+        except BadShard as error:
             yield str(error)
             continue
-        for number, tar in enumerate(column.tars):
-            yield from map(str, _file_faults(store, tar, partial(column.decoded, number)))
+        for shard in column.shards:
+            yield from map(str, find_faults(store, column, shard, is_column=True))
 
 
-def _file_faults(store: Store, file: CheckedFile, check: Callable[[int, bytes], object]) -> Iterator[Fault]:
-    """Find all faults of a tar. check: gets number and bytes of each sample; raises BadShard or BadSample."""
+def find_faults(
+    where: Path | Store, manifest: Manifest, shard: ShardRecord, is_column: bool = False
+) -> Iterator[Fault]:
+    """Find all faults of one shard: in its size, in every sample's bytes and content, in its hash.
+
+    is_column: the manifest is that of a column, whose samples hold one plane or one field.
+
+    A fault inside a sample is reported at that sample, any other at the end of the archive.
+    """
+    try:
+        keys = shard.keys
+    except BadShard as error:
+        yield Fault(shard.name, "-", 0, f"its samples are not known: {error}")
+        return
     sha256 = hashlib.sha256()
     sound = True
     end = size = 0
     try:
-        with open_file(store, file.name) as opened:
-            for index in range(len(file)):
-                key, offset, length, _ = file.entry(index)
-                data = opened.read(length)
+        with open_file(store_at(where), shard.name) as file:
+            for index, key in enumerate(keys):
+                data = file.read(shard.lengths[index])
                 end += len(data)
                 sha256.update(data)
                 try:
-                    check_bytes(data, file, index)
-                    check(index, data)
+                    check_bytes(data, shard, index)
+                    (_check_piece if is_column else _check_content)(manifest, shard, index, data)
                 except (BadShard, BadSample) as error:
                     sound = False
-                    problem = str(error).removeprefix(f"{location(file, index)}: ").removeprefix(f"{key}: ")
-                    yield Fault(file.name, key, offset, problem)
+                    problem = str(error).removeprefix(f"{location(shard, index)}: ").removeprefix(f"{key}: ")
+                    yield Fault(shard.name, key, shard.offsets[index], problem)
             size = end
-            while rest := opened.read(1 << 20):
+            while rest := file.read(1 << 20):
                 sha256.update(rest)
                 size += len(rest)
     except OSError as error:
-        yield Fault(file.name, "-", 0, f"cannot be read: {error.strerror or error}")
+        yield Fault(shard.name, "-", 0, f"cannot be read: {error.strerror or error}")
         return
     except Unreachable as error:
-        yield Fault(file.name, "-", 0, f"cannot be read: {error}")
+        yield Fault(shard.name, "-", 0, f"cannot be read: {error}")
         return
-    if size != file.size:
-        yield Fault(file.name, "-", min(size, file.size), f"{file.size} bytes expected, found {size}")
-    elif sound and sha256.hexdigest() != file.sha256:
+    if size != shard.size:
+        yield Fault(shard.name, "-", min(size, shard.size), f"{shard.size} bytes expected, found {size}")
+    elif sound and sha256.hexdigest() != shard.sha256:
         found = sha256.hexdigest()
-        yield Fault(file.name, "-", end, f"end of archive altered: SHA-256 {file.sha256} expected, found {found}")
+        yield Fault(shard.name, "-", end, f"end of archive altered: SHA-256 {shard.sha256} expected, found {found}")
+
+
+def _check_piece(column: Manifest, shard: ShardRecord, index: int, data: bytes) -> None:
+    key = shard.keys[index]
+    if column.planes:
+        decode_piece(column, key, data)
+        return
+    info = parse_info(parse_members(key, data).get("json", b""), key)
+    differs = difference(info, shard.descriptions.info(index, shard.split), column.fields)
+    if differs is not None:
+        raise BadSample(f"{key}: the value differs from the column's manifest: {differs}")
 
 
 def _check_content(manifest: Manifest, shard: ShardRecord, index: int, data: bytes) -> None:

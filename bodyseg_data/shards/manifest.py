@@ -146,21 +146,20 @@ class Manifest:
             "shards": [record_to_json(each) for each in self.shards] if self.index is None else self.index.to_json(),
             **({"skipped": [asdict(each) for each in self.skipped]} if self.skipped else {}),
         }
-        return stamped(tree)
-
-
-def stamped(tree: dict[str, Any]) -> dict[str, Any]:
-    """Return a JSON object with a digest of its other fields, which `stamped_from` checks."""
-    return {**tree, "digest": _digest(tree)}
+        return {**tree, "digest": _digest(tree)}
 
 
 def _digest(tree: dict[str, Any]) -> str:
-    return hashlib.sha256(compact_json(tree)).hexdigest()
+    return hashlib.sha256(_compact(tree)).hexdigest()
 
 
-def compact_json(tree: dict[str, Any]) -> bytes:
-    """JSON text with sorted keys and no white space."""
+def _compact(tree: dict[str, Any]) -> bytes:
     return json.dumps(tree, sort_keys=True, separators=(",", ":")).encode()
+
+
+def manifest_bytes(manifest: Manifest) -> bytes:
+    """The content of a manifest's file."""
+    return _compact(manifest.to_json()) + b"\n"
 
 
 def write_manifest(manifest: Manifest, folder: Path) -> Manifest:
@@ -174,53 +173,56 @@ def write_manifest(manifest: Manifest, folder: Path) -> Manifest:
         manifest = replace(manifest, shards=IndexedShards(table, manifest.fields, LocalFolder(folder)))
     else:
         manifest = replace(manifest, shards=tuple(manifest.shards))
-    write_atomically(folder / MANIFEST_NAME, compact_json(manifest.to_json()) + b"\n")
+    write_atomically(folder / MANIFEST_NAME, manifest_bytes(manifest))
     if manifest.index is None:
         (folder / INDEX_NAME).unlink(missing_ok=True)  # of a set that was there before
     return manifest
 
 
-def read_manifest(where: Path | Store, keep: Callable[[bytes], object] | None = None) -> Manifest:
+def read_manifest(
+    where: Path | Store, keep: Callable[[bytes], object] | None = None, name: str = MANIFEST_NAME
+) -> Manifest:
     """Read and check the manifest of a set. Raises BadShard, naming the file and the broken rule, or Unreachable.
 
     Of a set with an index, the shards' table is checked; the samples of a shard are when they are read. keep: is called
-    with the file's bytes, and again if they are read again.
+    with the file's bytes, and again if they are read again. name: of the file, another for a column of the set.
     """
     store = store_at(where)
-    path = f"{store.name}/{MANIFEST_NAME}"
+    path = f"{store.name}/{name}"
     for attempt in range(1, READ_ATTEMPTS + 1):
-        data = _contents(store, path)
+        data = _contents(store, name)
         if keep is not None:
             keep(data)
         try:
-            tree = stamped_from(data, path, (*EARLIER_FORMATS, MANIFEST_FORMAT))
+            tree = _tree(data, path)
             del data  # a large one, no longer needed
             return _manifest(tree, path, store)
         except BadShard:
-            if attempt == READ_ATTEMPTS or not store.prepare_reread(MANIFEST_NAME):
+            if attempt == READ_ATTEMPTS or not store.prepare_reread(name):
                 raise
     raise AssertionError("the last attempt returns or raises")
 
 
-def _contents(store: Store, path: str) -> bytes:
+def _contents(store: Store, name: str) -> bytes:
     try:
-        data = store.read_file(MANIFEST_NAME, LARGEST_MANIFEST)
+        data = store.read_file(name, LARGEST_MANIFEST)
     except OSError as error:
-        raise BadShard(f"{path} cannot be read: {error}") from error
+        raise BadShard(f"{store.name}/{name} cannot be read: {error}") from error
     if data is None:
-        raise BadShard(f"{store.name} holds no {MANIFEST_NAME}: not a set of shards, or its packing has not ended")
+        hint = "not a set of shards, or its packing has not ended" if name == MANIFEST_NAME else "no such column"
+        raise BadShard(f"{store.name} holds no {name}: {hint}")
     return data
 
 
-def stamped_from(data: bytes, path: str, formats: Sequence[str]) -> dict[str, Any]:
-    """Parse a file as JSON and check format and digest, which stays in it. Raises BadShard, naming `path`."""
+def _tree(data: bytes, path: str) -> dict[str, Any]:
+    """Parse the file as JSON and check format and digest, which stays in it. Raises BadShard."""
     try:
         tree = json.loads(data)
     except (ValueError, RecursionError) as error:
         raise BadShard(f"{path} cannot be read: {error}") from error
-    if not isinstance(tree, dict) or tree.get("format") not in formats:
+    if not isinstance(tree, dict) or tree.get("format") not in (MANIFEST_FORMAT, *EARLIER_FORMATS):
         found = tree.get("format") if isinstance(tree, dict) else type(tree).__name__
-        known = ", ".join(map(repr, formats))
+        known = ", ".join(map(repr, (*EARLIER_FORMATS, MANIFEST_FORMAT)))
         raise BadShard(f"{path}: 'format' must be one of {known}, found {found!r}")
     stored = tree.pop("digest", None)
     if _is_as_written(data, stored):

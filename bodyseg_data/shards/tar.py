@@ -9,7 +9,7 @@ import tarfile
 import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import IO, Any, Final
 
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from bodyseg_data.files import sync
 from bodyseg_data.labels import UNLABELLED
 from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import Sample, SampleInfo, Split, check_key
+from bodyseg_data.shards.codecs import CODECS
 from bodyseg_data.shards.codecs.codec import OutputArrays
 from bodyseg_data.shards.manifest import Manifest
 from bodyseg_data.shards.records import BLOCK, BODY_FIELDS, Fields, ShardRecord, describe, location, read_checked
@@ -54,13 +55,14 @@ class TarWriter:
         return len(self._keys)
 
     def write(self, key: str, members: Mapping[str, bytes]) -> None:
-        """Append one sample. members: extension -> bytes, `json` among them.
+        """Append one sample. members: extension -> bytes, `json` among them where the set has fields.
 
         Raises BadSample for a key unfit for file names, or a description that cannot be read.
         """
         check_key(key)
-        self._infos.append(parse_info(members.get("json", b""), key))
-        data = sample_bytes(key, members)
+        described = "json" in members or self._fields.kinds
+        self._infos.append(parse_info(members.get("json", b""), key) if described else SampleInfo(self._split))
+        data = _sample_bytes(key, members)
         self._keys.append(key)
         self._offsets.append(self._size)
         self._lengths.append(len(data))
@@ -81,7 +83,10 @@ class TarWriter:
     ) -> None:
         try:
             if kind is None:
-                self._append(archive_end(self._size))
+                # Two empty blocks end an archive, which is padded to whole records.
+                self._append(
+                    bytes(-(-(self._size + 2 * BLOCK) // tarfile.RECORDSIZE) * tarfile.RECORDSIZE - self._size)
+                )
                 self._file.flush()
                 os.fsync(self._file.fileno())
                 self._file.close()
@@ -107,13 +112,7 @@ class TarWriter:
                 self._aside.unlink(missing_ok=True)
 
 
-def archive_end(size: int) -> bytes:
-    """The end of an archive after `size` bytes: two empty blocks, which pad it to whole records at the least."""
-    return bytes(-(-(size + 2 * BLOCK) // tarfile.RECORDSIZE) * tarfile.RECORDSIZE - size)
-
-
-def sample_bytes(key: str, members: Mapping[str, bytes]) -> bytes:
-    """The tar members of one sample, in the order of their names, padded to whole blocks."""
+def _sample_bytes(key: str, members: Mapping[str, bytes]) -> bytes:
     return b"".join(_member(f"{key}.{extension}", members[extension]) for extension in sorted(members))
 
 
@@ -153,14 +152,17 @@ def _read_header(block: bytes) -> tuple[str, bytes, int]:
 
 
 class ShardReader:
-    """Reader of single samples by their index in the manifest; each is checked against its CRC-32.
+    """Reader of single samples by their index in the manifest, with what columns have for them; each is checked against
+    its CRC-32.
 
     It keeps no open file, so it may be forked, pickled and used by several threads; opening a file for each sample
     takes a hundredth of the time of decoding.
     """
 
-    def __init__(self, where: Path | Store, manifest: Manifest) -> None:
-        self._store, self._manifest = store_at(where), manifest
+    def __init__(
+        self, where: Path | Store, manifest: Manifest, columns: Mapping[str, Manifest] = MappingProxyType({})
+    ) -> None:
+        self._store, self._manifest, self._columns = store_at(where), manifest, dict(columns)
         self._sizes, self._projectors = image_sizes(manifest.rig), len(manifest.rig.projectors)
 
     def read(
@@ -184,7 +186,22 @@ class ShardReader:
             check_sizes(sample, *self._sizes)
         except BadSample as error:
             raise BadShard(f"{location(record, index)}: {error}") from error
+        for name, column in self._columns.items():
+            self._join(sample, name, column, (shard, index), planes is None or name in planes)
         return sample
+
+    def _join(self, sample: Sample, name: str, column: Manifest, place: tuple[int, int], wanted: bool) -> None:
+        """Give a sample what a column has for it: its field or, if it is wanted, its plane."""
+        record, index = column.shards[place[0]], place[1]
+        if not column.planes:
+            info = sample.info.with_fields(**record.descriptions.info(index, record.split).fields)
+            vars(sample).update(info=info)
+        elif wanted:
+            try:
+                plane = decode_piece(column, sample.key, read_checked(self._store, record, index))
+            except BadSample as error:
+                raise BadShard(f"{location(record, index)}: {error}") from error
+            vars(sample).update(planes={**sample.planes, name: plane})
 
     def members(self, shard: int, index: int) -> tuple[str, dict[str, bytes]]:
         """Read the key and the members, extension -> bytes, of a sample, which is not decoded. Raises as `read`."""
@@ -194,6 +211,23 @@ class ShardReader:
             return key, parse_members(key, data)
         except BadSample as error:
             raise BadShard(f"{location(record, index)}: {error}") from error
+
+
+def decode_piece(column: Manifest, key: str, data: bytes) -> NDArray[Any]:
+    """Decode a sample of a column of planes. Raises BadSample, naming the key, unless it holds that plane alone."""
+    ((name, kind),) = column.planes.items()
+    members = parse_members(key, data)
+    found = [member for member in members if member.startswith(f"plane.{name}.")]
+    if len(members) != 1 or not found:
+        raise BadSample(f"{key}: a column holds plane.{name} alone, found {', '.join(members) or 'nothing'}")
+    try:
+        plane = CODECS[column.codec].decode_plane(members[found[0]])
+    except ValueError as error:
+        raise BadSample(f"{key}: {found[0]}: {error}") from error
+    shape = (column.rig.camera.rows, column.rig.camera.columns)
+    if plane.dtype.name != kind or plane.shape != shape:
+        raise BadSample(f"{key}: plane {name!r} must be {kind} {shape}, found {plane.dtype} {plane.shape}")
+    return plane
 
 
 def parse_members(key: str, data: bytes) -> dict[str, bytes]:

@@ -12,6 +12,7 @@ from typing import Final
 from bodyseg_data.artifacts import PAPER_SENSOR, VariantName, load_sensor_model
 from bodyseg_data.commands import WHERE_HELP, option
 from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import label_map_names
 from bodyseg_data.rigs import rig_names
 from bodyseg_data.samples import ReadSplit
 from bodyseg_data.shards import MANIFEST_NAME
@@ -22,7 +23,7 @@ from bodyseg_model.viewing import LOOPBACK, Page, RecordingPage, RecordingView, 
 
 EXAMPLE = "bodyseg view shards"
 
-_OF_SETS: Final = ("split", "val_share", "where", "only", "variant", "sensor", "seed")
+_OF_SETS: Final = ("split", "val_share", "where", "only", "labels", "variant", "sensor", "seed")
 _OF_RECORDINGS: Final = (
     "topic",
     "units",
@@ -53,6 +54,9 @@ class Options:
     val_share: float = option("sets: share of train that is the split val, and not train", 0.0)
     where: tuple[str, ...] = option(f"sets: {WHERE_HELP}", ())
     only: tuple[str, ...] = option("sets: patterns of keys, of which a sample's must match one, like 'open-A-*'", ())
+    labels: str | None = option(
+        f"sets: classes to show: {', '.join(label_map_names())} or a label map (.toml) (default: the network's)", None
+    )
     variant: VariantName = option("sets: the variant to begin with", "all")
     sensor: str = option("sets: the artifacts: a sensor that ships with the package, or a TOML file", PAPER_SENSOR)
     seed: int = option("sets: seed of the artifacts' random draws", 0)
@@ -76,7 +80,8 @@ def run(options: Options) -> int:
     trained = load_network(options.run)
     trained.network.to(find_device(options.device))
     view = _set_view(options, trained) if kind == "set" else _recording_view(options, trained)
-    first = Shown(variant=options.variant, sensor=load_sensor_model(options.sensor))
+    index = view.first_index() if isinstance(view, SetView) else 0
+    first = Shown(index, options.variant, sensor=load_sensor_model(options.sensor))
     page, recording = Page(options.host, options.port, "bodyseg view", options.save, options.allow_host), None
     try:
         if isinstance(view, SetView):
@@ -127,7 +132,7 @@ def check_options(options: Options, kind: str) -> None:
 
 
 def _set_view(options: Options, trained: Trained) -> SetView:
-    chosen = options.split, options.only, options.where, options.val_share, options.seed
+    chosen = options.split, options.only, options.where, options.val_share, options.seed, options.labels
     view = SetView(options.source[0], None, *chosen)
     shipped_fits = view.images.manifest.classes == trained.label_map.of
     return SetView(options.source[0], trained, *chosen) if options.run is not None or shipped_fits else view

@@ -94,8 +94,8 @@ def train(
     A KeyboardInterrupt ends the training after the step that runs, with a checkpoint; a second one ends it at once.
 
     Raises BadConfig for a folder in which another training is at work, that holds another one, or this one without
-    `resume`, a network of other classes than the images or of no registered class, batches that cannot be divided evenly between the processes, or a device
-    that is absent; Diverged for a loss that is not finite; and as `loader`.
+    `resume`, a network of other classes than the images or of no registered class, batches that cannot be divided
+    evenly between the processes, or a device that is absent; Diverged for a loss that is not finite; and as `loader`.
     """
     if isinstance(network, str):
         classes = {} if images.label_map == PARTS33 else {"classes": len(images.label_map)}

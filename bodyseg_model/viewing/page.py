@@ -143,8 +143,16 @@ _FOV_RAD: Final = 0.7
 _ASPECT: Final = 0.6
 """Width over height of the space between the panels of a usual window."""
 
-_PICTURE_PX: Final = 540
-_CONTROLS_PX: Final = 330
+_PICTURE_PX: Final = 440
+_CONTROLS_PX: Final = 300
+_PHONE_PX: Final = 640
+"""Width below which a window has its controls in front of the points."""
+
+_FREE: Final = 0.4
+"""Share of such a window's height, from its top, that the controls leave free."""
+
+_SAME_M: Final = 1e-3
+_SAME_ASPECT: Final = 0.02
 _DEVICE_M: Final = 0.22
 _DEVICE_COLOURS: Final = ((32, 34, 40), (196, 110, 20), (150, 60, 140))
 _VIEW_PX: Final = (1000, 800)
@@ -198,7 +206,8 @@ class Page:
         self.point_scale = 1.3
         self._devices: dict[str, viser.CameraFrustumHandle] = {}
         self._names: dict[str, viser.LabelHandle] = {}
-        self._devices_shown = True
+        self._devices_shown = False  # seen from the front, the sensor is in the way
+        self.server.on_client_connect(self._follow)
 
     def add_view_controls(self) -> None:
         """Add the controls of the viewpoint and of what is drawn, and the button that saves a picture."""
@@ -206,7 +215,7 @@ class Page:
         with gui.add_folder("View"):
             look = gui.add_button_group("look at", VIEWPOINTS)
             size = gui.add_slider("point size", 0.4, 4.0, 0.1, self.point_scale)
-            devices = gui.add_checkbox("camera, projector", True)
+            devices = gui.add_checkbox("camera, projector", self._devices_shown)
             save = gui.add_button("Save picture")
 
         @size.on_update
@@ -222,6 +231,7 @@ class Page:
         @look.on_click
         def _(event: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
             if event.client is not None:
+                devices.value = devices.value or look.value == "sensor"
                 self._look(event.client, look.value)
 
         @save.on_click
@@ -275,15 +285,38 @@ class Page:
         camera = self.server.initial_camera
         camera.fov, camera.look_at, camera.position = _FOV_RAD, at, place
 
-    def _look(self, client: viser.ClientHandle, kind: str) -> None:
-        """Move one client's view to one of `VIEWPOINTS`."""
+    def _follow(self, client: viser.ClientHandle) -> None:
+        """Keep the whole body in one client's window, whatever its shape, until somebody moves the view."""
+        places, fitted = [np.asarray(self.server.initial_camera.position)], [0.0]
+        free = _FREE if client.camera.image_width < _PHONE_PX else 1.0  # at first, the whole window's
+
+        def fit(camera: viser.CameraHandle) -> None:
+            unmoved = any(np.allclose(camera.position, place, atol=_SAME_M) for place in places)
+            if unmoved and abs(camera.aspect - fitted[0]) > _SAME_ASPECT * fitted[0]:
+                fitted[0] = camera.aspect
+                place = self._look(client, "points", free)
+                places.extend([] if place is None else [place])
+
+        client.camera.on_update(fit)
+        fit(client.camera)
+
+    def _look(self, client: viser.ClientHandle, kind: str, free: float = 1.0) -> NDArray[np.float64] | None:
+        """Move one client's view to one of `VIEWPOINTS`, and return where it is.
+
+        free: share of the window's height, from its top, in which the points are to be seen.
+        """
         drawing, chosen = self._drawing, next(each for each in VIEWPOINTS if each == kind)
         if drawing is None:
-            return
-        camera = client.camera
-        place, at = viewpoint(aimed_at(drawing), [*drawing.devices.values()], chosen, camera.fov, camera.aspect)
+            return None
+        camera, half = client.camera, math.tan(client.camera.fov / 2)
+        fov_rad, aspect = 2 * math.atan(free * half), camera.aspect / free
+        place, at = viewpoint(aimed_at(drawing), [*drawing.devices.values()], chosen, fov_rad, aspect)
+        # A little less than to the edge: what is nearer than the middle moves farther.
+        down = np.array([0.0, 0.92 * (1 - free) * half * float(np.linalg.norm(place - at)), 0.0])
+        place, at = place - down, at - down
         with client.atomic():
             camera.up_direction, camera.position, camera.look_at = (0.0, 1.0, 0.0), place, at
+        return place
 
     def _show(self, drawing: Drawing) -> None:
         with self._lock, self.server.atomic():
@@ -309,7 +342,7 @@ class Page:
                 fov_rad, aspect = 2 * math.atan(camera.rows / 2 / camera.focal_px), camera.columns / camera.rows
                 name = f"/{device.replace(' ', '_')}"
                 handle = self._devices[device] = self.server.scene.add_camera_frustum(
-                    name, fov_rad, aspect, scale=_DEVICE_M, thickness=0.006, color=colour
+                    name, fov_rad, aspect, scale=_DEVICE_M, thickness=0.002, color=colour
                 )
                 self._names[device] = self.server.scene.add_label(f"{name}_name", device)
             handle.wxyz, handle.position = SO3.from_matrix(placed.axes.T).wxyz, placed.position

@@ -27,7 +27,7 @@ Legend = tuple[tuple[str, tuple[int, int, int]], ...]
 """Name and sRGB of each colour."""
 
 KIND_LEGEND: Final[Legend] = (
-    ("right", (206, 210, 216)),
+    ("right", (196, 200, 206)),
     ("left for right", (74, 124, 206)),
     ("front for back", (224, 161, 60)),
     ("both at once", (176, 48, 140)),
@@ -54,11 +54,16 @@ Viewpoint = Literal["points", "sensor", "camera"]
 VIEWPOINTS: Final[tuple[Viewpoint, ...]] = get_args(Viewpoint)
 """What a window can look at: the points, the sensor with them, and both as the sensor's camera sees them."""
 
-_DIRECTIONS: Final = {"points": (0.42, 0.16, 0.9), "sensor": (1.0, 0.35, 0.5), "camera": (0.0, 0.0, 1.0)}
-_AROUND: Final = 1.35
+_DIRECTIONS: Final = {"points": (0.2, 0.1, 1.0), "sensor": (1.0, 0.35, 0.5), "camera": (0.0, 0.0, 1.0)}
+_AROUND: Final = 1.12
 """A window takes in so many times what it looks at."""
 
+_LEAST_CONTRAST: Final = 1.6
+"""Of a class's colour with white, the page, and with `EMPTY`, as WCAG 2 measures it."""
+
 _GAP_M: Final = 0.01
+_FEW: Final = 100
+_SMALLEST_M: Final = 0.15
 _NAME_M: Final = 0.13
 """Distance of a device and its name."""
 
@@ -127,9 +132,36 @@ def class_image(
 
     classes: uint8 [H, W], rows of `colours`, uint8 [N, 3]; 255 where there is none. measured: bool [H, W].
     """
-    image = colour_labels(classes, EMPTY, colours)
+    image = colour_labels(classes, EMPTY, legible(colours))
     image[(classes == BACKGROUND) & measured] = THING
     return image
+
+
+def luminance(colours: NDArray[Any]) -> NDArray[np.float64]:
+    """Relative luminance of sRGB colours [..., 3], 0 to 1."""
+    found: NDArray[np.float64] = _light(colours) @ _LUMINANCE
+    return found
+
+
+def legible(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Colours, sRGB uint8 [N, 3], darkened or lightened where they would be lost on the white page or in `EMPTY`."""
+    light, bright = _light(colours), luminance(colours)[:, None]
+    most, least = 1.05 / _LEAST_CONTRAST - 0.05, (luminance(np.array(EMPTY)) + 0.05) * _LEAST_CONTRAST - 0.05
+    light = np.where(bright > most, light * (most / np.maximum(bright, most)), light)
+    light = np.where(bright < least, light + (1 - light) * ((least - bright) / (1 - np.minimum(bright, least))), light)
+    found = 255 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    # Rounded to the side on which the contrast holds.
+    return np.where(bright > most, np.floor(found), np.where(bright < least, np.ceil(found), colours)).astype(np.uint8)
+
+
+_LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722])
+
+
+def _light(colours: NDArray[Any]) -> NDArray[np.float64]:
+    """Linear light of sRGB colours, 0 to 1."""
+    shares = np.asarray(colours, np.float64) / 255
+    found: NDArray[np.float64] = np.where(shares <= 0.04045, shares / 12.92, ((shares + 0.055) / 1.055) ** 2.4)
+    return found
 
 
 def share_image(shares: NDArray[np.float32], measured: NDArray[np.bool_]) -> NDArray[np.uint8]:
@@ -146,9 +178,10 @@ def share_image(shares: NDArray[np.float32], measured: NDArray[np.bool_]) -> NDA
 
 
 def class_legend(label_map: LabelMap) -> Legend:
-    """The classes of a map."""
-    colours = [(int(red), int(green), int(blue)) for red, green, blue in label_map.colours]
-    return tuple(zip(label_map.names, colours, strict=True))
+    """The classes of a map with their numbers in label images."""
+    colours = [(int(red), int(green), int(blue)) for red, green, blue in legible(label_map.colours)]
+    names = [f"{number} {name}" for number, name in enumerate(label_map.names)]
+    return tuple(zip(names, colours, strict=True))
 
 
 def legend_html(entries: Legend, columns: int) -> str:
@@ -239,24 +272,24 @@ def viewpoint(
 
     xyz: of the points, float32 [N, 3]. fov_rad: vertical field of view of the window; aspect: its width over its
     height. "points": before them, a little beside and above the sensor's camera. "sensor": from the side, the points
-    and all devices. "camera": the sensor's.
+    and all devices. "camera": the sensor's. The farthest hundredth of the points, as noise puts some, is left aside.
     """
-    low, high = np.full(3, -1.0), np.full(3, 1.0)
-    if len(xyz):
-        low, high = np.quantile(xyz, (0.01, 0.99), axis=0).astype(np.float64)
-    middle = (low + high) / 2
+    seen = np.asarray(xyz if len(xyz) else [[-1, -1, -1], [1, 1, 1]], np.float64)
+    low, high = np.quantile(seen, (0.01, 0.99), axis=0)
     if kind == "camera" and devices:
         place = devices[0].position
-        return place, np.array([*place[:2], middle[2]])
+        return place, np.array([*place[:2], (low[2] + high[2]) / 2])
+    near = seen[((seen >= low) & (seen <= high)).all(axis=1)] if len(seen) > _FEW else seen
     if kind == "sensor":
-        places = np.array([low, high, *(each.position for each in devices)])
-        low, high = places.min(0), places.max(0)
-        middle = (low + high) / 2
-    width, height = max(high[0] - low[0], high[2] - low[2]), max(0.3, float(high[1] - low[1]))
-    span = max(height, width / aspect)
-    away = _AROUND * span / 2 / np.tan(fov_rad / 2)
-    towards = np.array(_DIRECTIONS[kind])
-    return middle + away * towards / np.linalg.norm(towards), middle
+        near = np.concatenate([near, *(each.position[None] for each in devices)])
+    middle = (near.min(axis=0) + near.max(axis=0)) / 2
+    towards = np.array(_DIRECTIONS[kind]) / np.linalg.norm(_DIRECTIONS[kind])
+    across = np.cross([0.0, 1.0, 0.0], towards)
+    across /= np.linalg.norm(across)
+    side, up, ahead = (np.abs((near - middle) @ axis) for axis in (across, np.cross(towards, across), towards))
+    half = np.tan(fov_rad / 2)
+    away = np.max(ahead + np.maximum(side / aspect, np.maximum(up, _SMALLEST_M)) * _AROUND / half)
+    return middle + float(away) * towards, middle
 
 
 def name_heights(devices: Sequence[PlacedCamera]) -> list[float]:

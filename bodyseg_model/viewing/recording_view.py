@@ -44,7 +44,7 @@ FRAME_COLOURINGS: Final[tuple[FrameColouring, ...]] = get_args(FrameColouring)
 """What the points of bodies are coloured by."""
 
 FLICKER_LEGEND: Final[Legend] = (
-    ("same label as in the frame before", (206, 210, 216)),
+    ("same label as in the frame before", (196, 200, 206)),
     ("another label, the surface moved", (224, 161, 60)),
     (f"another label, moved by less than {1000 * STILL_M:g} mm", (214, 60, 52)),
     ("no label in the frame before", (112, 116, 124)),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts import VARIANTS, Augmentation, RangeImage, SensorModel, VariantName, load_sensor_model
 from bodyseg_data.drawing import Window, colour_range, span_of, window_of
-from bodyseg_data.labels import BACKGROUND, load_label_map
+from bodyseg_data.labels import BACKGROUND, LabelMap, load_label_map
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.rigs import PlacedCamera
 from bodyseg_data.samples import ReadSplit, Sample, View, metres
@@ -41,6 +41,8 @@ COLOURINGS: Final[tuple[Colouring, ...]] = get_args(Colouring)
 """What points are coloured by; the last three need a network."""
 
 _COLUMNS: Final = 5
+_FIRST_SHARDS: Final = 8
+_FRONT_DEG: Final = 20
 _KIND_COLOURS: Final = np.array([colour for _, colour in KIND_LEGEND], np.uint8)
 
 
@@ -94,7 +96,8 @@ class SampleImages:
 class SetView:
     """Draws samples of a set. trained: the network to ask, or None.
 
-    path, split, only, where, val_share: as for `RangeImages`, and raises as it does. seed: of the draws.
+    path, split, only, where, val_share: as for `RangeImages`, and raises as it does. seed: of the draws. labels: the
+    classes that are shown, unions of the network's; None: the network's, or the set's own. Raises BadConfig for others.
     """
 
     def __init__(
@@ -106,11 +109,17 @@ class SetView:
         where: Sequence[str] = (),
         val_share: float = 0.0,
         seed: int = 0,
+        labels: str | Path | LabelMap | None = None,
     ) -> None:
         self.images = RangeImages(path, "none", split, seed, only=only, where=where, val_share=val_share)
         self.path, self.trained, self.val_share, self.seed = path, trained, val_share, seed
         own = self.images.label_map
         self.label_map = own if trained is None else load_label_map(trained.label_map, self.images.manifest.classes)
+        self._joined: NDArray[np.uint8] | None = None
+        if labels is not None:
+            answered = self.label_map
+            self.label_map = load_label_map(labels, self.images.manifest.classes)
+            self._joined = answered.joined_to(self.label_map)
         self.rig = self.images.manifest.rig
         self._clean = lru_cache(maxsize=4)(self.images.clean)
         self._asked = False
@@ -120,7 +129,25 @@ class SetView:
 
     def chosen(self, split: ReadSplit | None, only: Sequence[str], where: Sequence[str]) -> SetView:
         """The view of another choice of the set's samples. Raises BadConfig for one that is wrong or empty."""
-        return SetView(self.path, self.trained, split, only, where, self.val_share, self.seed)
+        labels = None if self._joined is None else self.label_map
+        return SetView(self.path, self.trained, split, only, where, self.val_share, self.seed, labels)
+
+    def first_index(self) -> int:
+        """Index of a sample to begin with: of somebody who stands and is seen from the front, among the first shards'.
+
+        0 if there is none.
+        """
+        known = {key: index for index, key in enumerate(self.images.keys)}
+        found = [(False, False, 0)]
+        for record in self.images.manifest.shards[:_FIRST_SHARDS]:
+            for within, key in enumerate(record.keys):
+                fields = record.descriptions.info(within, record.split).fields
+                azimuth = float(str(fields.get("azimuth_deg", 180)))
+                stands = str(fields.get("pose")).startswith("stand")
+                front = abs((azimuth + 180) % 360 - 180) <= _FRONT_DEG
+                if key in known:
+                    found.append((stands, front, -known[key]))
+        return -max(found)[2]
 
     def index_of(self, key: str) -> int | None:
         """Index of the sample with this key; None if it is not among those chosen."""
@@ -180,6 +207,8 @@ class SetView:
         start = time.perf_counter()
         labels, confidence = (each[0].cpu().numpy() for each in predict(trained.network, batch))
         milliseconds = 1000 * (time.perf_counter() - start)
+        if self._joined is not None:
+            labels = self._joined[labels]
         kinds = np.full(labels.shape, BACKGROUND, np.uint8)
         known = layers.labels != BACKGROUND
         kinds[known] = kinds_of(self.label_map)[layers.labels[known], labels[known]]

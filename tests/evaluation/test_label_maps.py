@@ -124,7 +124,7 @@ def test_scores_of_other_classes_are_refused(small_set: Path) -> None:
         evaluate(Places(0, 20), open_images(str(small_set), labels=LIMBS))
     with pytest.raises(BadConfig, match="labels 'limbs14' cannot be joined to 'itop15'"):
         evaluate(Bands(14), open_images(str(small_set), labels=ITOP), label_map=LIMBS)
-    with pytest.raises(BadConfig, match="scores to merge must be of the same labels, found 'parts33' and 'limbs14'"):
+    with pytest.raises(BadConfig, match="of the same labels, found the labels 'parts33' and 'limbs14': 0 is 'Sellion'"):
         Scores().merge(Scores(label_map=LIMBS))
     mixed, other = Evaluation(), Evaluation(label_map=LIMBS)
     other.subsets["A"] = Scores(label_map=LIMBS)

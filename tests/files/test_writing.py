@@ -67,9 +67,9 @@ def test_a_folder_is_held_by_one(tmp_path: Path) -> None:
     folder = tmp_path / "new" / "out"
     with claimed(folder, "training"):
         assert all(is_leftover(each.name) for each in folder.iterdir())
-        with pytest.raises(BadConfig, match=f"^another training is at work in {folder}: wait") as raised:
-            with claimed(folder, "training"):
-                pass
+        held = pytest.raises(BadConfig, match=f"^another training is at work in {folder}: wait")
+        with held as raised, claimed(folder, "training"):
+            pass
         assert "\n" not in str(raised.value)
         with claimed(tmp_path / "other", "training"):
             pass

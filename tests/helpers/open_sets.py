@@ -6,6 +6,7 @@ beside it, so that a rectangle shades what is behind it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.labels import BACKGROUND, UNLABELLED, Classes, LabelClass, classes_of
 from bodyseg_data.rigs import Camera, Rig
-from bodyseg_data.samples import Sample, SampleInfo, steps
+from bodyseg_data.samples import Sample, SampleInfo, Split, steps
 from bodyseg_data.shards import Fields, Manifest, ProjectorKind, TarWriter, encode_sample, write_manifest
 
 NAMES: Final = (
@@ -56,7 +57,7 @@ CELL_RIGS: Final = (cell_rig(), cell_rig("cell-1", 24.0, 0.3))
 
 
 def cell_sample(
-    number: int, rig: Rig, split: str = "train", projector: ProjectorKind = "exact", number_of_rig: int = 0
+    number: int, rig: Rig, split: Split = "train", projector: ProjectorKind = "exact", number_of_rig: int = 0
 ) -> Sample:
     """Sample `number` of a robot cell: some classes, a surface without a class, and nothing above the floor."""
     random = np.random.default_rng(number)
@@ -82,7 +83,7 @@ def cell_sample(
 
 
 def _view(
-    device: Camera, shapes: list[tuple[float, ...]]
+    device: Camera, shapes: Sequence[tuple[float, ...]]
 ) -> tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.uint16]]:
     rays = device.pixel_rays()
     seen = np.zeros(rays.shape[:2])
@@ -109,7 +110,8 @@ def write_open_set(
     """Write a set of robot cells: `samples` in train, `tests` in test, in turns of each of the rigs."""
     folder.mkdir(parents=True, exist_ok=True)
     records = []
-    for split, numbers in (("train", range(samples)), ("test", range(samples, samples + tests))):
+    parts: dict[Split, range] = {"train": range(samples), "test": range(samples, samples + tests)}
+    for split, numbers in parts.items():
         if not numbers:
             continue
         path = folder / f"{split}-00000.tar"

@@ -290,7 +290,7 @@ def test_a_scan_that_cannot_be_repaired_is_a_late_fault(tmp_path: Path) -> None:
             faces += [[near[0], near[1], far[0]], [near[1], far[1], far[0]]]
     vertices = strip.reshape(-1, 3)
     write_mesh(folder / "strip.ply", vertices, np.array(faces, np.int32))
-    spread = vertices[np.linspace(0, len(vertices) - 1, 33).astype(int)]
+    spread = vertices[np.linspace(len(vertices) - 1, 0, 33).astype(int)]  # the other way round, it is mirrored
     write_by_point(folder / "strip.json", spread)
     source = open_source("folder", folder, up="y", pymeshlab=True)
     for body in source.bodies():

@@ -18,6 +18,7 @@ from bodyseg_data.artifacts import lit_pixels
 from bodyseg_data.commands import cli
 from bodyseg_data.core import BodysegError
 from bodyseg_data.rigs import Camera, Rig
+from bodyseg_model.commands import main as bodyseg_main
 
 CAMERA = Camera(16, 20, 24.0, (10.0, 8.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 PROJECTOR = Camera(24, 30, 36.0, (15.0, 12.0), (0.2, 0.0, 0.0), (0.2, 0.0, 1.0))
@@ -136,6 +137,9 @@ def test_facing_comes_from_bits_from_normals_or_from_the_range_image(tmp_path: P
     assert np.array_equal(one(tmp_path / "bits", facing=bits).faces_projector, bits & measured)
     assert RangeImages(tmp_path / "range").manifest.renderer == "external, facing from range images"
     assert RangeImages(tmp_path / "bits").manifest.renderer == "external"
+    for name, said in (("range", True), ("bits", False)):
+        assert bodyseg_main(["card", str(tmp_path / name), "--licence", "mit"]) == 0
+        assert ("| facing | found from the range images" in (tmp_path / name / "README.md").read_text()) == said
 
 
 def test_two_projectors_several_rigs_planes_and_fields(tmp_path: Path) -> None:
@@ -201,6 +205,12 @@ def test_a_writer_that_was_stopped_carries_on(tmp_path: Path) -> None:
             writer.write(**scene(number))
     left = files(out)
     assert "train-00000.tar" in left and not any(name.endswith((".part", "manifest.json")) for name in left)
+    learned = out / ".packing" / "learned.json"
+    for damaged in (b"{", b"[]", learned.read_bytes().replace(b"shadow", b"light"), b'{"fields": {"a": "b"}}'):
+        learned.write_bytes(damaged)
+        with pytest.raises(BadConfig, match="learned.json cannot be read: delete the folder"):
+            write(out, shard_samples=3)
+    learned.write_bytes(left[".packing/learned.json"])
     with ShardWriter(out, rig=RIG, classes=CLASSES, shard_samples=3) as writer:
         known = [number for number in range(11) if f"scene-{number:03d}" in writer]
         taken = [number for number in range(11) if writer.write(**scene(number))]

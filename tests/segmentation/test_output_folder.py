@@ -83,9 +83,9 @@ def test_two_calls_at_once_do_not_mix(recording: Path, tmp_path: Path, capsys: p
     with first.claimed():
         first.begin()
         before = files(out)
-        with pytest.raises(BadConfig, match=f"^another segment is at work in {out}: wait for its end"):
-            with second.claimed():
-                pass
+        held = pytest.raises(BadConfig, match=f"^another segment is at work in {out}: wait for its end")
+        with held, second.claimed():
+            pass
         assert main(["segment", str(recording), "--out", str(out), "--focal", "90"]) == 2
         assert f"another segment is at work in {out}: wait for its end" in capsys.readouterr().err
         assert files(out) == before

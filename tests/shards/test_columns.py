@@ -6,6 +6,8 @@ import hashlib
 import json
 import pickle
 import shutil
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +17,10 @@ import torch
 from servers import web_server
 
 from bodyseg_data import BadConfig, BadSample, BadShard, ColumnWriter, RangeImages, loader
+from bodyseg_data.shards import LocalFolder, find_faults, read_manifest, write_manifest
 from bodyseg_data.shards import manifest as manifests
-from bodyseg_data.shards import read_manifest, write_manifest
 from bodyseg_data.shards.columns import read_column
-from bodyseg_data.shards.manifest import stamped
+from bodyseg_data.shards.manifest import _digest
 from bodyseg_model.commands import main
 
 
@@ -31,6 +33,9 @@ def copy(small_set: Path, tmp_path: Path) -> Path:
 def instances(key: str, shape: tuple[int, int]) -> np.ndarray[Any, Any]:
     """A plane that follows from a sample's key."""
     return np.full(shape, int.from_bytes(hashlib.sha256(key.encode()).digest()[:2], "little"), np.uint16)
+
+
+BOTH = ("instances", "age")
 
 
 def with_both(folder: Path) -> Path:
@@ -58,7 +63,7 @@ def test_columns_come_without_a_change_of_the_set_and_are_read_with_it(
     assert {name: after[name] for name in before} == before
     assert sorted(set(after) - set(before)) == sorted(
         ["age.column.json", "instances.column.json", "columns.json"]
-        + [name.replace(".tar", ".instances.tar") for name in before if name.endswith(".tar")]
+        + [name.replace(".tar", f".{column}.tar") for name in before if name.endswith(".tar") for column in BOTH]
     )
     images = RangeImages(copy, "none", columns=("instances", "age"))
     for index, key in enumerate(images.keys):
@@ -133,13 +138,13 @@ def test_a_column_may_be_written_in_any_order_once_and_whole(copy: Path) -> None
     for name, kind, message in [
         ("Mine", "int", "a field must have a lower-case name"),
         ("range", "uint8", "a plane must have a lower-case name"),
-        ("mine", "int8", "the kind of a column must be uint8, uint16 for a plane, or text, .*, found 'int8'"),
+        ("mine", "int8", "a column is of the kind uint8 or uint16, or a field: field 'mine' .* text, .*, found 'int8'"),
         ("subject", "text", "the set itself has 'subject' already"),
     ]:
         with pytest.raises(BadConfig, match=message):
             ColumnWriter(copy, name, kind)
     writer = ColumnWriter(copy, "other", "int")
-    with pytest.raises(BadConfig, match="another process writes a column"), ColumnWriter(copy, "mine", "int"):
+    with pytest.raises(BadConfig, match="another ColumnWriter is at work"), ColumnWriter(copy, "mine", "int"):
         writer.__enter__()
     with_both(copy)
     with pytest.raises(BadConfig, match="has the column 'age': delete age.column.json to write it anew"):
@@ -150,7 +155,7 @@ def test_damage_of_a_column_is_one_line(copy: Path, capsys: pytest.CaptureFixtur
     with_both(copy)
     capsys.readouterr()
     tar = copy / "train-00001.instances.tar"
-    column = read_column(copy, read_manifest(copy), "instances").tars[1]
+    column = read_column(copy, read_manifest(copy), "instances").shards[1]
     whole = {path.name: path.read_bytes() for path in copy.iterdir()}
 
     def lines() -> list[str]:
@@ -172,13 +177,13 @@ def test_damage_of_a_column_is_one_line(copy: Path, capsys: pytest.CaptureFixtur
         assert line.startswith(f"{tar.name}: {key}: offset ") and "altered" in line
     tar.unlink()
     assert lines() == [f"{tar.name}: -: offset 0: cannot be read: No such file or directory"]
-    (copy / "age.column.json").write_bytes(whole["age.column.json"].replace(b"43", b"44"))
+    (copy / "age.column.json").write_bytes(whole["age.column.json"].replace(b"43]", b"44]"))
     with pytest.raises(BadShard, match="age.column.json: altered after it was written"):
         RangeImages(copy, where="age>3")
     (line,) = lines()
     assert "age.column.json: altered after it was written" in line
     (copy / "age.column.json").unlink()
-    assert lines() == [f"{copy} has no column 'age': there is no age.column.json"]
+    assert lines() == [f"{copy} holds no age.column.json: no such column"]
     (copy / "columns.json").write_text("[]")
     assert lines()[0].startswith(f"{copy}/columns.json must be an object with the names of 'columns'")
     (copy / "test-00000.other.tar").write_bytes(b"")
@@ -194,39 +199,53 @@ def test_a_column_of_another_set_is_refused(copy: Path, figures_set: Path, tmp_p
     with pytest.raises(BadShard, match=line):
         RangeImages(other, columns="age")
     assert len(RangeImages(other, "none")) == 24  # which asks for none
-    with pytest.raises(BadConfig, match="has no column 'other': there is no other.column.json"):
+    with pytest.raises(BadShard, match="holds no other.column.json: no such column"):
         RangeImages(copy, columns="other")
-    with pytest.raises(BadConfig, match="has no column '../age'"):
+    with pytest.raises(BadShard, match="a field must have a lower-case name like .*, found '../age'"):
         RangeImages(copy, columns="../age")
+
+
+def _renamed(tree: dict[str, Any]) -> None:
+    tree["shards"][0]["name"] = "train-00000.other.tar"
 
 
 @pytest.mark.parametrize(
     ("name", "change", "message"),
     [
-        ("age", {"kind": "float"}, "field|'values' must have one value of the kind float a sample"),
-        ("age", {"kind": "word"}, "the kind of a column must be"),
-        ("age", {"name": "years"}, "a column has the fields"),
-        ("age", {"shards": [1, 2, 3]}, "the values of a shard must have"),
-        ("age", {"shards": []}, "the set has 3 shards, the column 0"),
-        ("instances", {"sha256": "0"}, "'sha256' must be 64 hexadecimal digits"),
-        ("instances", {"size": 3}, "'size' must be a number of bytes that holds its samples, found 3"),
-        ("instances", {"crc32": [-1] * 8}, "'crc32' must be 0 to 4294967295"),
-        ("instances", {"crc32": [1]}, "'crc32' must have one whole number a sample"),
-        ("instances", {"lengths": [512] * 7 + [0]}, "samples must take whole blocks of 512 bytes, at least one"),
-        ("instances", {"name": "x.tar"}, "a column's tar must have the fields"),
+        ("age", lambda tree: tree.update(fields=[[["age", "float"]]]), "'age' must hold float or nothing"),
+        ("age", lambda tree: tree.update(fields=[[["years", "int"]]]), "the plane or the field of its name"),
+        ("instances", lambda tree: tree.update(planes={}), "a column must be the plane or the field of its name"),
+        ("instances", lambda tree: tree["shards"].pop(), "must have a tar of as many samples for each shard"),
+        ("instances", lambda tree: tree.update(codec="png"), "in the set's codec"),
+        ("instances", _renamed, "must have a tar of as many samples for each shard"),
+        ("instances", lambda tree: tree["shards"][0].update(size=3), "samples end at byte"),
     ],
 )
 def test_a_column_that_lies_consistently_is_refused(
-    copy: Path, name: str, change: dict[str, Any], message: str
+    copy: Path, name: str, change: Callable[[dict[str, Any]], object], message: str
 ) -> None:
     with_both(copy)
     path = copy / f"{name}.column.json"
     tree = json.loads(path.read_bytes())
     del tree["digest"]
-    (tree if name == "age" else tree["shards"][0]).update(change)
-    path.write_text(json.dumps(stamped(tree)))
+    change(tree)
+    path.write_text(json.dumps({**tree, "digest": _digest(tree)}))
     with pytest.raises(BadShard, match=message):
         RangeImages(copy, columns=name)
+
+
+def test_a_value_and_a_plane_that_differ_from_the_manifest_are_found(copy: Path) -> None:
+    with_both(copy)
+    store, manifest = LocalFolder(copy), read_manifest(copy)
+    column = read_column(store, manifest, "age")
+    other = replace(column, shards=[replace(column.shards[0], descriptions=column.shards[1].descriptions)])
+    faults = [*map(str, find_faults(store, other, other.shards[0], is_column=True))]
+    assert len(faults) == 8 and faults[0].endswith(
+        "differs from the column's manifest: 'age' is 20, in the manifest 28"
+    )
+    plane = read_column(store, manifest, "instances")
+    for changed in (replace(plane, planes={"instances": "uint8"}), replace(plane, planes={"other": "uint16"})):
+        assert len([*find_faults(store, changed, plane.shards[0], is_column=True)]) == 8
 
 
 def test_columns_travel_with_their_set(copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

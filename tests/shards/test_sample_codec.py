@@ -126,6 +126,8 @@ def test_a_projector_range_as_rendered_takes_no_more_than_the_camera_s(choice: s
     ranges, labels, facing, _ = figure_images()
     runs, slopes = (len(encode_images(ranges, labels, facing, each)) for each in (None, ranges))
     assert slopes - runs < runs
+    for stored, kind in ((ranges, 2), (ranges // 64 * 64, 1), (np.zeros_like(ranges), 1)):
+        assert struct.unpack_from("<H", encode_images(ranges, labels, facing, stored), 44) == (kind,)
     with computed_by(choice):
         found = decode_images(encode_images(ranges, labels, facing, ranges[::-1]), projector=True)
     assert found.occluder is not None and np.array_equal(found.occluder, ranges[::-1])

@@ -22,7 +22,7 @@ from websockets.sync.connection import Connection
 from bodyseg_model.networks import Trained
 from bodyseg_model.viewing import LOOPBACK, Page, SetPage, SetView, Shown
 from bodyseg_model.viewing.guard import Guard
-from bodyseg_model.viewing.pictures import Drawing, Points
+from bodyseg_model.viewing.pictures import Drawing, Points, viewpoint
 
 WAIT_S = 20.0
 FOREIGN = "http://evil.example"
@@ -150,6 +150,47 @@ def test_one_message_does_not_end_the_page_for_everybody(
     changed = [handle for handle, was, now in zip(handles, before, after, strict=True) if was != now]
     assert {id(handle) for handle in changed} == {id(index), id(key)}
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_window_of_any_shape_shows_all_until_it_is_moved(page: Page) -> None:
+    xyz = np.random.default_rng(0).uniform((-0.4, -0.9, -0.2), (0.4, 0.9, 0.2), (500, 3)).astype(np.float32)
+    picture = np.zeros((4, 6, 3), np.uint8)
+    page.start(lambda: Drawing(Points(xyz, np.zeros((500, 3), np.uint8)), {}, picture, ("one",), 0.01, 500, ()))
+
+    def report(width: int, position: Any) -> None:
+        message = camera(image_width=width, position=[float(each) for each in position], look_at=[0.0, 0.0, 0.0])
+        browser.send(msgspec.msgpack.encode(message))
+
+    def wait_for(width: int, expected: Any) -> Any:
+        end = time.monotonic() + WAIT_S
+        while time.monotonic() < end:
+            for window in page.server.get_clients().values():
+                seen = window.camera
+                if seen.image_width == width and np.allclose(seen.position, expected, atol=1e-6):
+                    return seen.position
+            time.sleep(0.01)
+        raise AssertionError([each.camera.position for each in page.server.get_clients().values()])
+
+    start = page.server.initial_camera.position
+    with client(page) as browser:
+        report(1100, start)
+        first = wait_for(1100, viewpoint(xyz, [], "points", 0.7, 1100 / 700)[0])
+        report(150, first)  # the panels have come
+        fitted = wait_for(150, viewpoint(xyz, [], "points", 0.7, 150 / 700)[0])
+        assert np.linalg.norm(fitted) > np.linalg.norm(first)
+        report(150, [1.0, 1.0, 1.0])  # somebody has moved it
+        report(500, [1.0, 1.0, 1.0])
+        wait_for(500, [1.0, 1.0, 1.0])
+    with client(page) as browser:
+        report(480, start)
+        end = time.monotonic() + WAIT_S
+        while not (phones := page.server.get_clients()) and time.monotonic() < end:
+            time.sleep(0.01)
+        (phone,) = phones.values()
+        while phone.camera.position[2] < 5 and time.monotonic() < end:
+            time.sleep(0.01)
+        at = phone.camera.look_at
+        assert at[1] < -1 and phone.camera.position[2] > 5, "the body is in the upper part of the window"
 
 
 def test_what_is_no_request_prints_nothing(page: Page, capfd: pytest.CaptureFixture[str]) -> None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import io
 
 import numpy as np
+import pytest
 from PIL import Image
 
-from bodyseg_data.labels import PARTS33
+from bodyseg_data.labels import PARTS33, label_map_names, load_label_map
 from bodyseg_model.viewing.page import picture_file
 from bodyseg_model.viewing.pictures import (
+    CONFIDENCE_LEGEND,
     EMPTY,
     KIND_LEGEND,
     WIDTH,
@@ -21,9 +23,12 @@ from bodyseg_model.viewing.pictures import (
     class_legend,
     facts_html,
     legend_html,
+    legible,
+    luminance,
     share_image,
     sheet_of,
 )
+from bodyseg_model.viewing.recording_view import FLICKER_LEGEND
 
 
 def test_panels_lie_side_by_side_at_one_size() -> None:
@@ -63,7 +68,20 @@ def test_names_cannot_become_html() -> None:
     assert "rgb(1, 2, 3)" in legend_html((("a", (1, 2, 3)),), 2)
     assert facts_html(["<i>", "second"], "no & no").count("<i>") == 0
     assert "no &amp; no" in facts_html([], "no & no") and "color" not in facts_html(["fact"])
-    assert class_legend(PARTS33)[0][0] == "Sellion"
+    assert class_legend(PARTS33)[0][0] == "0 Sellion" and class_legend(PARTS33)[32][0].startswith("32 ")
+
+
+@pytest.mark.parametrize("name", label_map_names())
+def test_colours_hold_on_the_white_page_and_in_black_images(name: str) -> None:
+    label_map = load_label_map(name)
+    shown = legible(label_map.colours)
+    of_legend = [colour for legend in (KIND_LEGEND, CONFIDENCE_LEGEND, FLICKER_LEGEND) for _, colour in legend]
+    assert [colour for _, colour in class_legend(label_map)] == [tuple(colour) for colour in shown.tolist()]
+    for bright in luminance(np.array([*shown.tolist(), *of_legend])):
+        assert 1.05 / (bright + 0.05) >= 1.6 and (bright + 0.05) / (luminance(np.array(EMPTY)) + 0.05) >= 1.6
+    assert len({tuple(colour) for colour in shown.tolist()}) == len(label_map)
+    extreme = legible(np.array([[255, 255, 255], [0, 0, 0], [120, 130, 140]], np.uint8))
+    assert extreme[0, 0] < 215 and extreme[1, 0] > 50 and extreme[2].tolist() == [120, 130, 140]
 
 
 def test_saved_pictures_have_the_panels_the_view_and_the_facts() -> None:

@@ -16,6 +16,7 @@ from bodyseg_model.networks import Trained
 from bodyseg_model.recordings import find_frames
 from bodyseg_model.segmentation import Background, FrameLabeller, LabelledFrame, segmenter
 from bodyseg_model.viewing import RecordingView
+from bodyseg_model.viewing.pictures import legible
 from bodyseg_model.viewing.recording_view import CONFIDENCE_LEGEND, FLICKER_LEGEND, ShownFrame, body_range, changes_of
 
 CAMERA = Camera(60, 80, 90.0, (40.0, 30.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
@@ -43,7 +44,7 @@ def test_bodies_have_the_colours_of_their_labels_and_the_room_is_thinner(tmp_pat
     body = np.isclose(first.range_m, 1.5)
     np.testing.assert_array_equal(body_range(first), np.where(body, first.range_m, 0))
     assert drawing.bodies == 20 * 40
-    np.testing.assert_array_equal(drawing.points.colours[:800], COLOURS[first.labels[body]])
+    np.testing.assert_array_equal(drawing.points.colours[:800], legible(COLOURS)[first.labels[body]])
     np.testing.assert_allclose(drawing.points.xyz[:800, 2], -1.5, atol=1e-6)
     assert len(drawing.points.xyz) - 800 == np.count_nonzero(~body[::3, ::3])
     assert len(view.draw(ShownFrame(room=False)).points.xyz) == 800

@@ -11,13 +11,14 @@ import pytest
 from label_networks import Places
 from small_rig import SMALL
 
-from bodyseg_data import RangeImages
+from bodyseg_data import RangeImages, example_set
 from bodyseg_data.artifacts import MissingData, Noise, load_sensor_model
 from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import PARTS33, load_label_map
 from bodyseg_data.labels.label_map import COLOURS
 from bodyseg_model.networks import Trained
 from bodyseg_model.viewing import SetView, Shown
-from bodyseg_model.viewing.pictures import KIND_LEGEND, rig_before
+from bodyseg_model.viewing.pictures import KIND_LEGEND, legible, rig_before
 from bodyseg_model.viewing.set_view import COLOURINGS
 
 KINDS = np.array([colour for _, colour in KIND_LEGEND], np.uint8)
@@ -33,7 +34,7 @@ def test_points_are_those_that_the_variant_measured(view: SetView) -> None:
         image = RangeImages(view.path, variant, "train").image(3, epoch=2)
         drawing = view.draw(Shown(3, variant, epoch=2))
         seen = image.range > 0
-        np.testing.assert_array_equal(drawing.points.colours, COLOURS[image.labels[seen]])
+        np.testing.assert_array_equal(drawing.points.colours, legible(COLOURS)[image.labels[seen]])
         camera, _ = rig_before(view.rig, view.images.clean(3).info.view)
         at, away = camera.project(drawing.points.xyz.astype(np.float64))
         np.testing.assert_allclose(away, image.range[seen] * view.rig.range_step_m, atol=1e-5)
@@ -65,7 +66,7 @@ def test_each_colouring_shows_what_it_names(view: SetView) -> None:
     labels = np.clip((rows - rows.min()) // 5, 0, 32)
     answered = found["network"].points.colours
     # The network sees a crop whose first row is a margin above the body: its labels step down by rows.
-    assert {tuple(each) for each in answered.tolist()} <= {tuple(each) for each in COLOURS.tolist()}
+    assert {tuple(each) for each in answered.tolist()} <= {tuple(each) for each in legible(COLOURS).tolist()}
     assert len(np.unique(answered, axis=0)) >= len(np.unique(labels)) - 1
     right = (answered == found["parts"].points.colours).all(-1)
     np.testing.assert_array_equal((found["mistakes"].points.colours == KINDS[0]).all(-1), right)
@@ -124,3 +125,28 @@ def test_an_image_without_points_is_drawn(view: SetView) -> None:
     for colouring in COLOURINGS:
         drawing = view.draw(Shown(0, "md", sensor=gone, colouring=colouring))
         assert drawing.points.xyz.shape == (0, 3) and drawing.bodies == 0
+
+
+def test_the_page_opens_on_somebody_who_stands_and_looks_at_the_camera(small_set: Path) -> None:
+    view = SetView(example_set())
+    first = view.images.clean(view.first_index()).info.fields
+    assert first["pose"] == "standing" and first["azimuth_deg"] == 0
+    tested = SetView(example_set(), split="test")
+    assert 0 <= tested.first_index() < len(tested)
+
+
+def test_other_classes_can_be_shown(small_set: Path) -> None:
+    trained = Trained(Places(0, 5), {"rig": SMALL.to_json()})
+    view = SetView(small_set, trained, labels="limbs14")
+    images = view.images_of(Shown(0, "none"))
+    limbs = load_label_map("limbs14")
+    np.testing.assert_array_equal(images.layers.labels, limbs.table[view.images.clean(0).labels])
+    parts = SetView(small_set, trained).images_of(Shown(0, "none")).layers.answer
+    assert parts is not None and images.layers.answer is not None
+    np.testing.assert_array_equal(images.layers.answer, PARTS33.joined_to(limbs)[parts])
+    assert [name for name, _ in view.draw(Shown(0, "none")).legend] == [
+        f"{number} {name}" for number, name in enumerate(limbs.names)
+    ]
+    assert view.chosen("train", (), ()).label_map.names == limbs.names
+    with pytest.raises(BadConfig, match="which splits the class"):
+        SetView(small_set, Trained(Places(0, 5), {"rig": SMALL.to_json(), "labels": limbs.to_json()}), labels="parts33")

@@ -61,6 +61,23 @@ def test_viewpoints_take_in_what_they_name(kind: Viewpoint, aspect: float) -> No
     assert (np.abs(down) < 1).all() and (np.abs(across) < aspect).all()
 
 
+@pytest.mark.parametrize("window", [(121, 480), (352, 700), (480, 320), (1100, 700)])
+def test_a_body_is_seen_whole_and_from_the_front(window: tuple[int, int]) -> None:
+    aspect, half = window[0] / window[1], np.tan(0.35)
+    random = np.random.default_rng(0)
+    xyz = random.uniform((-0.4, -0.9, -0.2), (0.4, 0.9, 0.2), (2000, 3)).astype(np.float32)
+    xyz[:10] += random.normal(0, 2, (10, 3)).astype(np.float32)  # noise
+    place, at = viewpoint(xyz, [], "points", 0.7, aspect)
+    towards = (place - at) / np.linalg.norm(place - at)
+    assert towards[2] > np.cos(np.radians(15))
+    right = np.cross([0.0, 1.0, 0.0], towards)
+    right /= np.linalg.norm(right)
+    body = xyz[10:] - place
+    across, up = (np.abs(body @ axis / -(body @ towards)) for axis in (right, np.cross(towards, right)))
+    filled = max(across.max() / aspect, up.max()) / half
+    assert 0.75 < filled <= 1, "all of it, and as large as may be"
+
+
 def test_viewpoints_of_nothing_look_at_the_middle() -> None:
     place, at = viewpoint(np.zeros((0, 3), np.float32), [], "camera", 0.7, 1.0)
     np.testing.assert_allclose(at, 0)

@@ -18,18 +18,21 @@ from bodyseg_data.core import BadConfig
 
 @dataclass(frozen=True)
 class SourceEntry:
-    """Class of a source, "module.Class" of this folder, imported when the source is opened.
+    """Class of a source; one of this folder as "module.Class", which is imported when the source is opened.
 
     reads: content of the folder that `--path` must name; None for sources that make their bodies and read no files.
     """
 
-    home: str
+    home: str | type[Any]
     reads: str | None = None
 
     def open(self, *arguments: Any) -> BodySource:
         """Construct the source with `arguments`."""
-        module, name = self.home.split(".")
-        source: BodySource = getattr(import_module(f"{__name__}.{module}"), name)(*arguments)
+        kind: Any = self.home
+        if isinstance(kind, str):
+            module, name = kind.split(".")
+            kind = getattr(import_module(f"{__name__}.{module}"), name)
+        source: BodySource = kind(*arguments)
         return source
 
 
@@ -55,39 +58,23 @@ ENTRY_POINT: Final = "bodyseg.sources"
 _METHODS: Final = ("bodies", "missing", "fingerprint", "check", "build")
 
 
-def source_names() -> tuple[str, ...]:
-    """Names of all sources: those that ship, then those that installed packages add."""
-    return (*SOURCES, *(name for name in _added() if name not in SOURCES))
-
-
-def _added() -> dict[str, metadata.EntryPoint]:
-    return {entry.name: entry for entry in metadata.entry_points(group=ENTRY_POINT)}
-
-
 @cache
-def _added_class(entry: metadata.EntryPoint) -> Any:
-    """The class of a source that a package adds. Raises BadConfig if it cannot be loaded or breaks the protocol."""
-    where = f"entry point {entry.name} = {entry.value!r} of {ENTRY_POINT}"
+def _added(name: str) -> SourceEntry:
+    """The source that an installed package adds. Raises BadConfig if there is none, or it breaks the protocol."""
+    entries = {entry.name: entry for entry in metadata.entry_points(group=ENTRY_POINT)}
+    if name not in entries:
+        names = dict.fromkeys((*SOURCES, *entries))
+        raise BadConfig(f"the source must be one of {', '.join(names)}, found {name!r}")
+    where = f"entry point {name} = {entries[name].value!r} of {ENTRY_POINT}"
     try:
-        kind = entry.load()
+        kind = entries[name].load()
     except Exception as error:  # whatever the user's module raises
         raise BadConfig(f"{where} cannot be loaded: {error}") from error
-    lacking = [name for name in _METHODS if not callable(getattr(kind, name, None))]
-    if not isinstance(kind, type) or lacking:
+    if not isinstance(kind, type) or not all(callable(getattr(kind, method, None)) for method in _METHODS):
         raise BadConfig(f"{where}: a source must be a class with the methods of BodySource, found {kind!r}")
-    if getattr(kind, "name", None) != entry.name:
-        raise BadConfig(f"{where}: the source must be called as its entry point, found {getattr(kind, 'name', None)!r}")
-    return kind
-
-
-def _open_added(kind: Any, path: Path | None) -> BodySource:
-    """Open a source of a package: with the folder if the class says what it `reads`, else with nothing."""
-    reads = getattr(kind, "reads", None)
-    if (path is None) != (reads is None):
-        needs = f"needs --path: {reads}" if reads is not None else "reads no files: leave --path out"
-        raise BadConfig(f"the source {kind.name!r} {needs}")
-    source: BodySource = kind() if path is None else kind(path)
-    return source
+    if getattr(kind, "name", None) != name:
+        raise BadConfig(f"{where}: the source must be called as its entry point")
+    return SourceEntry(kind, getattr(kind, "reads", None))
 
 
 def open_source(
@@ -106,26 +93,21 @@ def open_source(
     a rule of meshes by that package, whose licence is GPL-3.0. Raises BadConfig for an unknown name, or for arguments
     that the source does not take.
     """
-    others = {"--landmarks": landmarks, "--units": units != "auto", "--up": up != "auto", "--pymeshlab": pymeshlab}
-    if name not in SOURCES:
-        if name not in source_names():
-            raise BadConfig(f"the source must be one of {', '.join(source_names())}, found {name!r}")
-        kind = _added_class(_added()[name])
-        _refuse(others, f"the source {name!r} is a package's own")
-        return _open_added(kind, path)
-    entry = SOURCES[name]
+    entry = SOURCES[name] if name in SOURCES else _added(name)
     if entry.reads is None:
-        _refuse({"--path": path, **others}, f"the source {name!r} makes its bodies and reads no files")
+        given = {
+            "--path": path,
+            "--landmarks": landmarks,
+            "--units": units != "auto",
+            "--up": up != "auto",
+            "--pymeshlab": pymeshlab,
+        }
+        unused = [option for option, value in given.items() if value]
+        if unused:
+            raise BadConfig(f"the source {name!r} makes its bodies and reads no files: leave {', '.join(unused)} out")
         return entry.open()
     if path is None:
         raise BadConfig(f"the source {name!r} needs --path: the folder that holds {entry.reads}")
     if not path.is_dir():
         raise BadConfig(f"the source {name!r} reads a folder, found {'a file' if path.exists() else 'none'} at {path}")
     return entry.open(path, landmarks, MeshOptions(units, up, pymeshlab))
-
-
-def _refuse(options: dict[str, Any], why: str) -> None:
-    """Raise BadConfig if any of the options is given."""
-    unused = [option for option, value in options.items() if value]
-    if unused:
-        raise BadConfig(f"{why}: leave {', '.join(unused)} out")

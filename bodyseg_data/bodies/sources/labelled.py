@@ -80,7 +80,7 @@ class _ClassTable:
             return
         tree = read_json(self.path)
         self._also += [(pattern, None) for pattern in _texts(tree.pop("unlabelled", []), f"{self.path}: 'unlabelled'")]
-        self.labels = tree.pop("labels", None)
+        self.labels = next(iter(_texts([tree.pop("labels")], f"{self.path}: 'labels'"))) if "labels" in tree else None
         rows = tree.get("classes")
         rows = [{"name": row} if isinstance(row, str) else row for row in rows] if isinstance(rows, list) else rows
         for at, row in enumerate(rows if isinstance(rows, list) else []):
@@ -93,7 +93,10 @@ class _ClassTable:
             self._also += [(each, row["name"]) for each in _texts(row.pop("also", []), f"{self.path}: 'also'")]
         classes = classes_from_json({"name": folder.name or "labelled", **tree, "classes": rows}, str(self.path))
         self.classes = with_sides(classes)
-        self.colours = {entry.colour: entry.name for entry in classes.entries if entry.colour is not None}
+        colours = [entry.colour for entry in classes.entries]  # one that two classes have tells neither
+        self.colours = {
+            each.colour: each.name for each in classes.entries if each.colour and colours.count(each.colour) < 2
+        }
 
     def class_of(self, name: str, where: str) -> str | None:
         """The class that a name stands for, None for none. Raises BadMesh for one that classes.json does not know."""
@@ -129,6 +132,8 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
                 f"the source 'labelled' needs meshes (.ply, .obj, .off, .glb, .gltf) or {SCENE_NAME}: found none in "
                 f"{path}"
             )
+        if len(dict(found)) < len(found):
+            raise BadConfig(f"{path}: two scenes have one name: NAME.scene.json and NAME/scene.json")
         super().__init__(dict(found))
 
     @cached_property
@@ -137,10 +142,12 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
         if self._table.classes is not None:
             return self._table.classes
         names: dict[str, None] = {}
-        for scene in self._entries.values():
-            for piece in scene.pieces:
+        files: set[Path] = set()
+        for piece in (piece for scene in self._entries.values() for piece in scene.pieces):
+            if piece.labels not in files:  # one that many meshes share names the same classes each time
                 with contextlib.suppress(BadMesh):  # the check of the meshes names it
                     names |= dict.fromkeys(self._named(piece, mesh_content(piece.mesh)).names)
+                    files |= {piece.labels} if isinstance(piece.labels, Path) else set()
         return with_sides(Classes(self._folder.name or "labelled", tuple(map(LabelClass, names))))
 
     def fingerprint(self, bodies: Sequence[BodyRef]) -> str:

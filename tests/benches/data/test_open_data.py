@@ -58,6 +58,7 @@ def test_writing_bytes_and_loaders_are_measured(monkeypatch: pytest.MonkeyPatch)
     assert set(found["artifacts_ms"]) == {"none", "occ", "noise", "md", "all"}
     rates = found["samples_per_second"]
     assert rates["ours_all"].keys() == rates["webdataset_raw"].keys() == {"0", "2"}
+    assert found["processor_ms_per_sample"]["ours_all"].keys() == {"0", "2"}
     assert found["ours_all_over"]["webdataset_png"]["0"] > 0
     assert found["bytes_per_sample"]["memory"] == 16 * 20 * 5
     assert all(found["bytes_per_sample"][name] is None and rates[name]["0"] is None for name in found["missing"])

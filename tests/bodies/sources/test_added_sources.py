@@ -9,7 +9,7 @@ import pytest
 from small_rig import SMALL_FILE
 
 from bodyseg_data import BadConfig, RangeImages, open_source
-from bodyseg_data.bodies.sources import ENTRY_POINT, source_names
+from bodyseg_data.bodies.sources import ENTRY_POINT
 from bodyseg_data.commands import main
 
 ADDED = """
@@ -24,8 +24,8 @@ ADDED = """
     class Scans(Dolls):
         name, reads = "scans", "one scan a person"
 
-        def __init__(self, folder):
-            self.folder = folder
+        def __init__(self, folder, landmarks, options):
+            self.folder, self.units = folder, options.units
 
     class Half:
         name = "half"
@@ -62,8 +62,7 @@ def test_the_command_packs_a_source_of_another_package(installed: Path, capsys: 
 
 
 def test_a_source_may_read_a_folder(installed: Path) -> None:
-    assert vars(open_source("scans", installed))["folder"] == installed
-    assert source_names()[-5:] == ("dolls", "scans", "puppets", "half", "gone")
+    assert vars(open_source("scans", installed, units="mm")) == {"folder": installed, "units": "mm"}
     assert type(open_source("open")).__module__ != "dolls"  # the names that ship stay what they are
 
 
@@ -71,10 +70,10 @@ def test_a_source_may_read_a_folder(installed: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "path", "units", "message"),
     [
-        ("scans", None, "auto", "the source 'scans' needs --path: one scan a person"),
-        ("dolls", Path(), "auto", "the source 'dolls' reads no files: leave --path out"),
-        ("dolls", None, "mm", "the source 'dolls' is a package's own: leave --units out"),
-        ("puppets", None, "auto", "entry point puppets = 'dolls:Dolls' of bodyseg.sources: .* found 'dolls'"),
+        ("scans", None, "auto", "the source 'scans' needs --path: the folder that holds one scan a person"),
+        ("dolls", Path(), "auto", "the source 'dolls' makes its bodies and reads no files: leave --path out"),
+        ("dolls", None, "mm", "the source 'dolls' makes its bodies and reads no files: leave --units out"),
+        ("puppets", None, "auto", "entry point puppets = 'dolls:Dolls' of bodyseg.sources: .* as its entry point"),
         ("half", None, "auto", "entry point half = .*: a source must be a class with the methods of BodySource"),
         ("gone", None, "auto", "entry point gone = 'dolls:Gone' of bodyseg.sources cannot be loaded: .*Gone"),
         ("cinema", None, "auto", "the source must be one of open, .*, paper, dolls, .*, gone, found 'cinema'"),

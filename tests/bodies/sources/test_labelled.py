@@ -185,8 +185,40 @@ def test_faults_are_one_line(tmp_path: Path) -> None:
     (tmp_path / "a.json").unlink()
     write(tmp_path / "a.npy", np.array([[0.5] * 8]))
     assert "labels must be whole numbers in one row" in reason(tmp_path)
+    write(tmp_path / "classes.json", {"classes": ["a"], "labels": 3})
+    assert "'labels' must be a list of names" in reason(tmp_path)
+    write(tmp_path / "classes.json", {"classes": ["a", {"name": "b", "number": 0}]})
+    assert "the 'number' of 'b' must be whole and its own: 0" in reason(tmp_path)
     write(tmp_path / "classes.json", {"classes": [{"colour": "#000000"}]})
     assert "a class is a name, or an object with one" in reason(tmp_path)
+
+
+def test_damaged_and_unknown_files_are_one_line(tmp_path: Path) -> None:
+    for name, content, why in (
+        ("a.glb", b"glTF" + bytes(40), "cannot be read by trimesh"),
+        ("a.gltf", b"{", "cannot be read by trimesh"),
+        ("a.ply", b"ply\n", "the header must end"),
+    ):
+        assert why in reason(write(tmp_path / name.replace(".", "_") / name, content).parent)
+    write(tmp_path / "two" / "a.obj", BOX_OBJ)
+    write(tmp_path / "two" / "a.ply", ply())
+    assert "a scene is one mesh file, found a.obj and a.ply" in reason(tmp_path / "two")
+    write(tmp_path / "scene" / "scene.json", {"format": "bodyseg scene 1", "meshes": [{"mesh": "none.obj"}]})
+    assert "cannot read" in reason(tmp_path / "scene")
+    with pytest.raises(BadConfig, match="the source 'labelled' needs meshes"):
+        open_source("labelled", write(tmp_path / "empty" / "notes.txt", "").parent)
+    with pytest.raises(BadConfig, match="has labels of its own and needs no --landmarks"):
+        open_source("labelled", tmp_path, landmarks=tmp_path)
+
+
+def test_colours_of_floats_are_shares(tmp_path: Path) -> None:
+    """As MeshLab writes them behind the coordinates of OBJ's vertices."""
+    lines = BOX_OBJ.decode().splitlines()
+    reds = [f"{line} {float(upper)} 0.0 {float(not upper)}" for line, upper in zip(lines[:8], UPPER, strict=True)]
+    write(tmp_path / "a.obj", "\n".join([*reds, *lines[8:], ""]))
+    table = [{"name": "low", "colour": "#0000ff"}, {"name": "high", "colour": "#ff0000"}]
+    write(tmp_path / "classes.json", {"classes": table})
+    assert np.array_equal(scene(tmp_path)[1], UPPER[BOX.faces])
 
 
 def test_stl_has_no_labels(tmp_path: Path) -> None:
@@ -228,6 +260,9 @@ def test_a_scene_places_its_meshes(tmp_path: Path) -> None:
     assert built.mesh.centre.tolist() == [0, 1, 0]
     (ref,) = open_source("labelled", tmp_path).bodies()
     assert (ref.subset, ref.subject, ref.mesh, ref.split) == ("labelled", "anna", "one", "test")
+    write(tmp_path / "one" / "scene.json", tree)
+    assert "two scenes have one name" in reason(tmp_path)
+    (tmp_path / "one" / "scene.json").unlink()
     up: Any = open_source("labelled", tmp_path, up="z")
     assert up.build(ref).mesh.centre.tolist() == [0, 0, -1]
     for wrong, why in (
