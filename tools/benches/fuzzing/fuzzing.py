@@ -131,7 +131,8 @@ def one_input(target: str, seed: int, number: int) -> Any:
 
 def _allowed(target: str, given: Any) -> int:
     """The memory that reading an input may take, by what it declares and how long it is."""
-    members = given if isinstance(given, Mapping) else {"": given[1] if isinstance(given, tuple) else given}
+    name, data = given if isinstance(given, tuple) else ("", given)
+    members = given if isinstance(given, Mapping) else {str(name): data}
     declared = sum(declared_bytes(name, data) for name, data in members.items() if name.endswith((*CODECS, "bsp")))
     return _TIMES_DECLARED * declared + _TIMES_INPUT * sum(map(len, members.values())) + _SLACK
 

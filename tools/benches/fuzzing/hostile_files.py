@@ -1,4 +1,4 @@
-"""Whole files made to break readers: samples of a tar, manifests, indices, rigs, landmarks, meshes.
+"""Whole files made to break readers: samples of a tar, manifests, indices, rigs, renders, landmarks, meshes.
 
 Samples, manifests and indices are of today's format and of each earlier one that is read.
 """
@@ -397,9 +397,8 @@ _TOML: Final = ("true", "-1", "0", "1e308", "nan", "inf", '""', '"x"', "[]", "[1
 _TOML_LONG: Final = ("0x" + "f" * 5000, "9" * 5000, "[" * 300 + "]" * 300, "[" * 5000, f'"{"y" * 9000}"', '"\\u0000"')
 
 
-def hostile_rig(generator: Generator) -> bytes:
-    """A rig file: spoiled as text, or with another value for one of its keys."""
-    text = _rig_text()
+def _other_value(text: str, generator: Generator) -> bytes:
+    """TOML spoiled as text, or with another value for one of its keys."""
     if generator.integers(2):
         return spoiled(text.encode(), generator)
     return _other_value(text, generator)
@@ -413,6 +412,11 @@ def _other_value(text: str, generator: Generator) -> bytes:
     values = _TOML if generator.integers(2) else _TOML_LONG
     lines[number] = f"{lines[number].partition('=')[0]}= {values[int(generator.integers(len(values)))]}"
     return "\n".join(lines).encode()
+
+
+def hostile_rig(generator: Generator) -> bytes:
+    """A rig file: spoiled as text, or with another value for one of its keys."""
+    return _other_value(_rig_text(), generator)
 
 
 def hostile_landmarks(generator: Generator) -> bytes:
