@@ -398,13 +398,6 @@ _TOML_LONG: Final = ("0x" + "f" * 5000, "9" * 5000, "[" * 300 + "]" * 300, "[" *
 
 
 def _other_value(text: str, generator: Generator) -> bytes:
-    """TOML spoiled as text, or with another value for one of its keys."""
-    if generator.integers(2):
-        return spoiled(text.encode(), generator)
-    return _other_value(text, generator)
-
-
-def _other_value(text: str, generator: Generator) -> bytes:
     """TOML with another value for one of its keys."""
     lines = text.splitlines()
     keyed = [number for number, line in enumerate(lines) if "=" in line and not line.startswith("#")]
@@ -416,7 +409,8 @@ def _other_value(text: str, generator: Generator) -> bytes:
 
 def hostile_rig(generator: Generator) -> bytes:
     """A rig file: spoiled as text, or with another value for one of its keys."""
-    return _other_value(_rig_text(), generator)
+    text = _rig_text()
+    return spoiled(text.encode(), generator) if generator.integers(2) else _other_value(text, generator)
 
 
 def hostile_landmarks(generator: Generator) -> bytes:
