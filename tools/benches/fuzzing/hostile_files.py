@@ -29,7 +29,7 @@ from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import SPLITS, Sample, SampleInfo, Value
 from bodyseg_data.shards import BODY_FIELDS, CODECS, CodecName, Fields, Manifest, ShardRecord, encode_sample
 from bodyseg_data.shards.codecs.png import encode_png
-from bodyseg_data.shards.columns import COLUMN_FORMAT, column_tar
+from bodyseg_data.shards.columns import column_tar
 from bodyseg_data.shards.earlier import EARLIER_FORMATS
 from bodyseg_data.shards.index import encode_piece, write_index
 from bodyseg_data.shards.records import describe
@@ -311,26 +311,32 @@ def column_set() -> Manifest:
 
 
 @lru_cache(maxsize=1)
-def _column_trees() -> list[dict[str, Any]]:
-    """Columns without their digests: a plane and a field."""
-    found: list[dict[str, Any]] = []
-    for name, kind in (("instances", "uint16"), ("age", "numbers")):
-        shards: list[dict[str, Any]] = []
-        for record in _records():
-            tar = {"size": 20_480, "sha256": "0" * 64, "lengths": [2048] * 3, "crc32": [1, 2, 3]}
-            of_field = {"name": record.name, "values": [[1.0, 2.5]] * 3}
-            shards.append({"name": column_tar(record.name, name), **tar} if kind == "uint16" else of_field)
-        found.append(
-            {"format": COLUMN_FORMAT, "name": name, "kind": kind, "set": column_set().digest, "shards": shards}
-        )
+def _column_trees() -> list[tuple[str, dict[str, Any]]]:
+    """Names and manifests without their digests of columns: a plane and a field."""
+    found = []
+    whole, no_fields, age = column_set(), Fields(()), Fields(((("age", "numbers"),),))
+    for name, fields, values in (("instances", no_fields, {}), ("age", age, {"age": (1.0, 2.5)})):
+        shards = [
+            replace(
+                record,
+                name=column_tar(record.name, name),
+                notes=(),
+                descriptions=describe(3 * [SampleInfo(record.split, values)], fields),
+            )
+            for record in whole.shards
+        ]
+        planes = {} if values else {name: "uint16"}
+        column = replace(whole, plan=whole.digest, planes=planes, fields=fields, projector="none", shards=shards)
+        tree = column.to_json()
+        del tree["digest"]
+        found.append((name, tree))
     return found
 
 
 def hostile_column(generator: Generator) -> tuple[str, bytes]:
     """The name of a column of `column_set`, and its file: spoiled as text, or with other content under its digest."""
     trees = _column_trees()
-    tree = trees[int(generator.integers(len(trees)))]
-    name = tree["name"]
+    name, tree = trees[int(generator.integers(len(trees)))]
     match int(generator.integers(4)):
         case 0:
             return name, json.dumps(_signed(tree), sort_keys=True).encode()
