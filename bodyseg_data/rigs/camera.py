@@ -116,6 +116,24 @@ class Camera:
         across = np.divide(np.arange(self.columns) + 0.5 - self.centre_px[0], self.focal_px)
         return across, np.divide(np.arange(self.rows) + 0.5 - self.centre_px[1], self.focal_px)
 
+    def turned(self, quarters: int) -> Camera:
+        """The camera of its images turned clockwise by so many right angles, `np.rot90(image, -quarters)`.
+
+        Its roll is less by as much: a camera that was mounted turned clockwise becomes an upright one.
+        """
+        camera = self
+        for _ in range(quarters % 4):
+            (x, y), roll = camera.centre_px, camera.roll_deg - 90
+            camera = replace(
+                camera,
+                rows=camera.columns,
+                columns=camera.rows,
+                centre_px=(camera.rows - y, x),
+                roll_deg=roll if roll > -_MAX_ROLL_DEG else roll + 360,
+                distortion=None if camera.distortion is None else camera.distortion.turned(),
+            )
+        return camera
+
     def _image_plane(self, nodes: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Coordinates x and y, at z = 1, of a lattice that spans the image, each float64 [nodes, nodes]."""
         across = (np.linspace(0, self.columns, nodes) - self.centre_px[0]) / self.focal_px
@@ -218,6 +236,10 @@ class Distortion:
             x * radial + 2 * self.p1 * x * y + self.p2 * (squared + 2 * x * x),
             y * radial + self.p1 * (squared + 2 * y * y) + 2 * self.p2 * x * y,
         )
+
+    def turned(self) -> Distortion:
+        """The same lens in images turned clockwise by a right angle: (p2, p1) is a direction in them."""
+        return replace(self, p1=self.p2, p2=-self.p1)
 
     def is_one_to_one(self, x: Floats, y: Floats) -> bool:
         """True if the lens keeps the order of neighbouring directions (x, y, 1) everywhere in a lattice.
