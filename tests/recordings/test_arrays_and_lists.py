@@ -158,6 +158,36 @@ def test_a_folder_of_recordings_is_one(tmp_path: Path) -> None:
     assert [frame.name for frame in find_frames([tmp_path])][2:] == ["0000", "0001", "0002"]
 
 
+@pytest.mark.parametrize(
+    ("depth", "colour"),
+    [
+        ("frame-{:06d}.depth.png", "frame-{:06d}.color.png"),  # 7-Scenes
+        ("scene_{}_depth.png", "scene_{}.png"),
+        ("depth_{}.png", "rgb_{}.png"),
+        ("depth{:03d}.png", "colour{:03d}.png"),
+        ("depth/{}.png", "color/{}.jpg"),  # ScanNet, exported
+        ("depth_raw/{}.png", "rgb/{}.png"),
+    ],
+)
+def test_depth_beside_colour_is_read_alone(tmp_path: Path, depth: str, colour: str) -> None:
+    for number in range(3):
+        for name, data in ((depth, png(STACK[number])), (colour, png(np.zeros((4, 6), np.uint8)))):
+            path = tmp_path / "recording" / name.format(number)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(data)
+    (tmp_path / "recording" / "frame-000000.pose.txt").write_text("1 0 0 0")
+    frames = find_frames([tmp_path / "recording"])
+    assert len(frames) == 3
+    for frame, values in zip(frames, STACK, strict=True):
+        np.testing.assert_array_equal(frame.read(), values)
+
+
+def test_one_name_with_depth_among_many_chooses_nothing(tmp_path: Path) -> None:
+    for name in ("0", "1", "2", "3", "depth"):
+        (tmp_path / f"{name}.png").write_bytes(png())
+    assert len(find_frames([tmp_path])) == 5
+
+
 def test_a_camera_beside_a_file_is_that_of_all_its_frames(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", STACK)
     (tmp_path / "a.json").write_text('{"fx": 100, "fy": 100, "cx": 42, "cy": 30}')
