@@ -71,9 +71,7 @@ class Camera:
         if not (1 <= self.rows <= MAX_SIDE and 1 <= self.columns <= MAX_SIDE):
             raise BadConfig(f"an image side must be 1 to {MAX_SIDE} pixels, found {self.rows} x {self.columns}")
         if not 0 < self.focal_px <= MAX_FOCAL_PX:
-            raise BadConfig(
-                f"a focal length must be positive, at most {MAX_FOCAL_PX:g} px, found {self.focal_px:g} px"
-            )
+            raise BadConfig(f"a focal length must be positive, at most {MAX_FOCAL_PX:g} px, found {self.focal_px:g} px")
         if not all(abs(number) <= _MAX_DISTANCE_M for number in (*self.position_m, *self.aims_at_m)):
             raise BadConfig(
                 f"a camera's position and aim must lie within {_MAX_DISTANCE_M:g} m, found {self.position_m}, "

@@ -48,6 +48,7 @@ EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"
 
 _OF_THE_CARD: Final = ("network", "variant", "seed", "steps", "data", "rig", "sensor", "weights_sha256")
 _NEAR: Final = 0.7  # of the stand-off; docs/results/segment.md has the accuracy by distance
+_SURE: Final = 0.8  # mean confidence; below it, other turns of frames are tried
 _SHADOW_FRAMES: Final = 8  # whose shadows tell whether a recording is mirrored
 
 
@@ -216,6 +217,10 @@ def _remarks(
         lines.append(f"{summary.things / frames:.2g} things a frame got no label: --keep-things labels them, too")
     if options.turned == "auto":
         lines.append(f"--turned auto: {recording.turned_deg}")
+    elif options.turned is None and (summary.mean_confidence or 1.0) < _SURE:
+        turned = recording.surer_turn_deg()
+        if turned is not None:
+            lines.append(f"the network is surer of people when frames are turned: give --turned {turned} if they are")
     if camera.assumed:
         lines.append(f"camera {camera.origin}: give --focal or --rig if it is another")
     if recording.labeller.background.mode == "frame":

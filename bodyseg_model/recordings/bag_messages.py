@@ -302,16 +302,17 @@ def _compressed_image(message: Any) -> NDArray[Any]:
 
 
 def camera_beside(bag: Bag, topic: Topic, where: str) -> Intrinsics | None:
-    """Read the camera of a topic of images from the first CameraInfo beside it that is calibrated; None if there is none.
+    """Read the camera of a topic of images from the first calibrated CameraInfo beside it; None if there is none.
 
-    That is `camera_info` in the topic's namespace, or in `info/` as RealSense's recordings have it. Of a rectified
-    image ("image_rect"), the camera is that of the projection matrix, without distortion. Raises BadConfig for
-    distortion that is none of `Lens`, and for a camera of binned or cut images.
+    That is `camera_info` in the topic's namespace, in `info/` as RealSense's recordings have it, or below the topic. Of
+    a rectified image ("image_rect"), the camera is that of the projection matrix, without distortion. Raises BadConfig
+    for distortion that is none of `Lens`, and for a camera of binned or cut images.
     """
     parts = [part for part in topic.name.split("/") if part]
     if parts and parts[-1] in _TRANSPORTS:
         del parts[-1]
-    names = {"/".join(["", *parts[:-1], "camera_info"]), "/".join(["", *parts[:-2], "info", "camera_info"])}
+    beside = (parts[:-1], [*parts[:-2], "info"], parts)
+    names = {"/".join(["", *folder, "camera_info"]) for folder in beside}
     info = next((each for each in bag.topics if each.name in names and each.kind == CAMERA_INFO), None)
     if info is None or not len(info.times_ns):
         return None

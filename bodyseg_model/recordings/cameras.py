@@ -137,8 +137,8 @@ class Intrinsics:
     """Camera matrix and lens distortion of a frame as OpenCV gives them: pixels, pixel centres at whole numbers.
 
     size: (rows, columns) of the frame, None if the file does not say. where: the file, for messages. Focal lengths that
-    differ by more than 1 %, which square pixels do not have, are part of the lens: frames are resampled. Raises BadConfig
-    for more than 10 %.
+    differ by more than 1 %, which square pixels do not have, are part of the lens: frames are resampled. Raises
+    BadConfig for more than 10 %.
     """
 
     fx: float

@@ -1,7 +1,7 @@
 """Lens distortion as drivers give it, brought to the five coefficients of `Distortion` by one fit.
 
-Names and formulas are those of OpenCV and ROS (plumb_bob, rational_polynomial, equidistant) and of librealsense's
-`rs2_distortion` (https://github.com/IntelRealSense/librealsense, src/rs.cpp). A direction is (x, y, 1), r^2 = x^2 + y^2.
+Names and formulas are those of OpenCV and ROS (plumb_bob, rational_polynomial, equidistant) and of `rs2_distortion` in
+librealsense (https://github.com/IntelRealSense/librealsense, src/rs.cpp). A direction is (x, y, 1), r^2 = x^2 + y^2.
 """
 
 from __future__ import annotations

@@ -37,6 +37,8 @@ TURNED_HELP: Final = "the camera is mounted turned: heads point left in frames (
 
 _JUDGED: Final = 4  # frames with people that tell how the camera is turned
 _MOST_LOOKED_AT: Final = 32
+_SURER: Final = 0.05
+_PERSON: Final = 0.65  # mean confidence; on furniture, the network that ships has less
 
 Item = TypeVar("Item")
 
@@ -81,7 +83,7 @@ class FrameLabeller:
     default torch in float32). flip_average: label the mirror image, too, and average. device: "cpu", "cuda", "cuda:1"
     ..., by default a GPU if there is one. turned: degrees by which the camera was mounted turned clockwise, as seen
     from behind it: 0; 90, heads point left in its frames; 180, down; 270, right; "auto", the turn at which the network
-    is surest of what it sees in the first frames with people; by default the roll of the frames' camera. Frames are
+    is surest of a person in the first frames with people; by default the roll of the frames' camera. Frames are
     turned upright before they are labelled, and labels back.
 
     Raises BadConfig for a confidence outside 0 to 1 as soon as a camera is known, for another turn, or as `on_backend`
@@ -114,7 +116,7 @@ class FrameLabeller:
         self.video = CarriedLabels() if video else None
         self._people = None if keep_things else shipped_score()
         self._turned, self._judged = turned, 0
-        self._confidence = np.zeros((4, 2))  # of each turn the sum over pixels, and their number
+        self._looked_at, self._confidence = 0, np.zeros(4)  # of each turn, the sum over judged frames
         self._segmenters = lru_cache(maxsize=_KEPT)(self._new_segmenter)
 
     def __repr__(self) -> str:
@@ -126,29 +128,44 @@ class FrameLabeller:
 
     def quarters(self, camera: Camera) -> int:
         """Right angles by which the camera's frames are turned clockwise before they are labelled."""
-        if self._turned == "auto":
-            means = self._confidence[:, 0] / np.maximum(self._confidence[:, 1], 1)
-            return int(means.argmax())
+        if self.tells_turn:
+            return int(self.means().argmax())
         if self._turned is not None:
             return int(self._turned) // 90
         # As against the camera that the network was trained for, which may be turned itself.
         quarters = round((camera.roll_deg - self.rig.camera.roll_deg) / 90)
         return (-quarters if self.mirrored else quarters) % 4
 
+    def means(self) -> NDArray[np.float64]:
+        """Mean confidence of the network at each turn of the frames it has judged, float64 [4]; 0 for none."""
+        return self._confidence / max(self._judged, 1)
+
     @property
     def _undecided(self) -> bool:
-        return self._turned == "auto" and self._judged < _JUDGED
+        return self.tells_turn and self._judged < _JUDGED and self._looked_at < _MOST_LOOKED_AT
 
     def _judge(self, range_m: NDArray[np.float32], camera: Camera) -> None:
-        """Note how sure the network is of a frame without distortion, turned each way."""
-        found = False
+        """Note how sure the network is of the person that it is surest of in a frame, turned each way.
+
+        range_m: without distortion. A frame in which it is not sure of anything tells nothing: things look alike at
+        every turn.
+        """
+        surest = np.zeros(4)
         for quarters in range(4):
             answer = Segmenter(
-                self.trained.network, camera, self.background, self.mirrored, rig=self.rig, turned=quarters
+                self.trained.network,
+                camera,
+                self.background,
+                self.mirrored,
+                rig=self.rig,
+                people=self._people,
+                turned=quarters,
             )(range_m)
-            found |= bool(answer.bodies)
-            self._confidence[quarters] += answer.confidence.sum(dtype=np.float64), answer.pixels
-        self._judged += found
+            surest[quarters] = max((float(body.confidence.mean()) for body in answer.bodies), default=0.0)
+        self._looked_at += 1
+        if surest.max() >= _PERSON:
+            self._judged += 1
+            self._confidence += surest
 
     def _new_segmenter(self, camera: Camera, quarters: int) -> tuple[Undistortion | None, Segmenter]:
         lens = None if camera.distortion is None else Undistortion(camera)
@@ -173,11 +190,16 @@ class FrameLabeller:
         """
         return self._find_in_array(0, range_m, camera)()
 
+    @property
+    def tells_turn(self) -> bool:
+        """True if the turn is "auto"."""
+        return self._turned == "auto"
+
     def look_at(self, recording: LabelledRecording) -> None:
-        """With "auto", tell by the first frames with people how a recording's camera is turned."""
-        self._judged, self._confidence = 0, np.zeros((4, 2))
+        """Judge by the first frames with people how a recording's camera is turned."""
+        self._judged, self._looked_at, self._confidence = 0, 0, np.zeros(4)
         for frame in recording.frames[:_MOST_LOOKED_AT]:
-            if not self._undecided:
+            if self._judged == _JUDGED:
                 return
             with contextlib.suppress(BadConfig):  # one that cannot be read is told of when it is labelled
                 pixels, segmenter, _ = recording.undistorted(frame, frame.read())
@@ -285,7 +307,8 @@ class LabelledRecording:
         self.cameras = FrameCameras(frames, rig, focal_px, centre_px, labeller.rig, skipping)
         self._skipping = skipping
         labeller.of(self.cameras.first.camera)  # now, so that options that cannot be are refused
-        labeller.look_at(self)
+        if labeller.tells_turn:
+            labeller.look_at(self)
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -297,6 +320,13 @@ class LabelledRecording:
     def skipped(self) -> list[dict[str, str]]:
         """Name, file and error of each frame that could not be read so far, in the order of reading."""
         return self._skipping.skipped
+
+    def surer_turn_deg(self) -> int | None:
+        """Turn of the frames, degrees, at which the network is surer by `_SURER` than as they are labelled; or None."""
+        self.labeller.look_at(self)
+        means, used = self.labeller.means(), self.turned_deg // 90
+        best = int(means.argmax())
+        return 90 * best if means[best] > means[used] + _SURER else None
 
     @property
     def turned_deg(self) -> int:
@@ -370,7 +400,11 @@ class LabelledRecording:
         steps_m = {str(frame.path): frame.step_m for frame in self.frames}
         one = len(set(steps_m.values())) == 1
         return {
-            "camera": {**self.cameras.to_json(), "mirrored": self.labeller.mirrored, "turned_deg": self.turned_deg},
+            "camera": {
+                **self.cameras.to_json(),
+                "mirrored": self.labeller.mirrored,
+                **({"turned_deg": self.turned_deg} if self.turned_deg else {}),
+            },
             "unit_m": self.frames[0].step_m if one else steps_m,
             "skipped": self.skipped,
         }

@@ -306,7 +306,10 @@ def read_recording(
             )
         frames.append(_frame(files[index].name, stored, camera, step_m, background, nearer_than_m, quarters))
     if not any(frame.body.any() for frame in frames):
-        raise BadConfig("no frame shows a body: are --units, --near, --far or --nearer-than right?")
+        raise BadConfig(
+            "no frame shows a body: are --units, --near, --far or --nearer-than right, and the camera's focal length of "
+            f"{camera.focal_px:.5g} px? {files[0].where}"
+        )
     pairs = tuple((places[a], places[b]) for a, b in pairs if a in places and b in places)
     return MarkedRecording(tuple(frames), camera, step_m, pairs)
 

@@ -179,7 +179,10 @@ def test_distortion_is_that_of_raw_images(tmp_path: Path) -> None:
     assert camera_of(path, k=np.zeros(9)) is None, "not calibrated"
     assert camera_of(path, model="equidistant", d=np.zeros(4)).distortion is None
     for wrong, message in (
-        ({"model": "spherical", "d": bent[:4]}, "distortion must be plumb_bob, of 4 or 5 coefficients, or one of brown_conrady"),
+        (
+            {"model": "spherical", "d": bent[:4]},
+            "distortion must be plumb_bob, of 4 or 5 coefficients, or one of brown_conrady",
+        ),
         ({"d": np.ones(8)}, "found 'plumb_bob' of 8"),
         ({"binning_x": 2}, "images must be neither binned nor cut"),
         ({"roi": {"x_offset": 8}}, "images must be neither binned nor cut"),
@@ -375,3 +378,9 @@ def test_a_topic_has_a_limit_of_messages(monkeypatch: pytest.MonkeyPatch, tmp_pa
     path = write_mcap(tmp_path / "a.mcap", stream())
     monkeypatch.setattr(messages, "MOST_MESSAGES", 2)
     assert "a topic must have at most 2 messages, found 4" in refusal(path)
+
+
+def test_a_camera_may_stand_below_its_topic(tmp_path: Path) -> None:
+    sent = [camera_info(RAMP.shape, f"{DEPTH}/camera_info"), compressed(png(RAMP), "png", topic=f"{DEPTH}/compressed")]
+    (frame,) = open_recording(write_mcap(tmp_path / "a.mcap", sent))
+    assert frame.camera is not None and frame.camera.fx == 100

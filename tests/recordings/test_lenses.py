@@ -55,7 +55,10 @@ def test_an_azure_kinect_s_eight_coefficients_are_fitted(behind: tuple[float, ..
     k1, k2, p1, p2, k3, k4, k5, k6 = AZURE
     r = x * x + y * y
     factor = (1 + k1 * r + k2 * r**2 + k3 * r**3) / (1 + k4 * r + k5 * r**2 + k6 * r**3)
-    across, down = x * factor + 2 * p1 * x * y + p2 * (r + 2 * x * x), y * factor + p1 * (r + 2 * y * y) + 2 * p2 * x * y
+    across, down = (
+        x * factor + 2 * p1 * x * y + p2 * (r + 2 * x * x),
+        y * factor + p1 * (r + 2 * y * y) + 2 * p2 * x * y,
+    )
     check_drawn(five("rational_polynomial", *AZURE, *behind), across, down)
 
 
@@ -91,7 +94,12 @@ def test_realsense_s_modified_form() -> None:
 
 
 def test_models_that_are_not_known_are_named() -> None:
-    for model, coefficients in (("spherical", (0.1,) * 4), ("plumb_bob", (0.1,) * 8), ("rational_polynomial", (1.0,) * 14), ("F-Theta", (0.4,) * 5)):
+    for model, coefficients in (
+        ("spherical", (0.1,) * 4),
+        ("plumb_bob", (0.1,) * 8),
+        ("rational_polynomial", (1.0,) * 14),
+        ("F-Theta", (0.4,) * 5),
+    ):
         with pytest.raises(BadConfig) as caught:
             five(model, *coefficients)
         assert f"found {model!r} of {len(coefficients)}" in str(caught.value)
@@ -122,7 +130,12 @@ def test_pixels_that_are_nearly_square_are_resampled() -> None:
 
 @pytest.mark.parametrize(
     ("focal", "hint"),
-    [(3.67, "in millimetres"), (0.82, "a share of the image"), (45.0, "in millimetres"), (525_000.0, "in another unit")],
+    [
+        (3.67, "in millimetres"),
+        (0.82, "a share of the image"),
+        (45.0, "in millimetres"),
+        (525_000.0, "in another unit"),
+    ],
 )
 def test_focal_lengths_in_other_units_are_named(focal: float, hint: str, tmp_path: Path) -> None:
     message = (

@@ -139,13 +139,32 @@ def test_a_persons_labels_come_back_and_auto_finds_the_turn(tmp_path: Path) -> N
             (folder / f"{name}.png").write_bytes(png(np.ascontiguousarray(np.rot90(frame, quarters))))
         words = ["--focal", "757.5757", "--turned", "auto", "--no-overlay", "--threads", "1", "--device", "cpu"]
         assert main(["segment", str(folder), *words, "--out", str(out)]) == 0
-        assert json.loads((out / "summary.json").read_text())["camera"]["turned_deg"] == 90 * quarters
+        assert json.loads((out / "summary.json").read_text())["camera"].get("turned_deg", 0) == 90 * quarters
         for name in frames:
             labels = np.rot90(pixels(out / "labels" / f"{name}.png"), -quarters)
             first = expected.setdefault(name, labels)
             body = first < 255
             assert body.sum() > 5000 and (labels == first)[body].mean() >= 0.98
     assert (rows, columns) == expected["clean"].shape
+
+
+def test_auto_looks_at_few_frames_and_takes_no_thing_for_a_person() -> None:
+    """Blocks, of which the network is not sure, tell nothing; a stream of them is not judged for ever."""
+    label = FrameLabeller(load_network(), keep_things=True, turned="auto", device="cpu")
+    for looked_at in (1, 2):
+        assert label(standing(), UPRIGHT).bodies and label.quarters(UPRIGHT) == 0
+        assert (label._looked_at, label._judged) == (looked_at, 0)
+    label._looked_at = 32
+    label(standing(), UPRIGHT)
+    assert label._looked_at == 32
+
+
+def test_a_turned_recording_is_told_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, quarters in (("upright", 0), ("mounted", 3)):
+        (tmp_path / f"{name}.png").write_bytes(png(np.ascontiguousarray(np.rot90(room(9, "none"), quarters))))
+        words = ["--focal", "757.5777", "--no-overlay", "--threads", "1", "--device", "cpu"]
+        assert main(["segment", str(tmp_path / f"{name}.png"), *words, "--out", str(tmp_path / name)]) == 0
+        assert ("give --turned 270 if they are" in capsys.readouterr().err) == (name == "mounted")
 
 
 def test_sensor_fit_seeks_bodies_upright(tmp_path: Path) -> None:

@@ -24,7 +24,9 @@ _TIMES: Final = ("times", "time", "timestamps")
 _MOST_TIMES: Final = 1 << 24
 _LARGEST_STACK: Final = 1 << 30
 _RANGES: Final = re.compile(r"depth|(?<![a-z])(z|range|ranges|distance)(?![a-z])")
-_BESIDE: Final = re.compile(r"conf|mask|valid|std|sigma|noise|var|err|rgb|col|time|amp|ir(?![a-z])|infra|intens|label|vis")
+_BESIDE: Final = re.compile(
+    r"conf|mask|valid|std|sigma|noise|var|err|rgb|col|time|amp|ir(?![a-z])|infra|intens|label|vis"
+)
 
 
 def open_npy(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame, ...]:
@@ -159,7 +161,7 @@ class _Zipped(FrameSource):
         return np.frombuffer(data, array.kind).reshape(array.sides[-2:])
 
     def _stack(self, array: _Array) -> NDArray[Any]:
-        """All frames [N, H, W] of an array in Fortran's order, which lie in each other; the last one stays in memory."""
+        """All frames [N, H, W] of an array in Fortran's order, which lie in each other; the last array stays."""
         if self._whole is None or self._whole[0] != array.member:
             self._whole = None
             try:

@@ -8,7 +8,6 @@ Its values are of the whole sensor, as shares of 1024 pixels; a mode shows a par
 from __future__ import annotations
 
 import json
-import math
 from typing import Final
 
 import numpy as np
@@ -50,4 +49,3 @@ def depth_camera(data: bytes, shape: tuple[int, int], where: str) -> Intrinsics 
         return Intrinsics(fx, fy, cx, cy, lens.five(fx, fy, cx, cy, shape), shape, where)
     except (ValueError, KeyError, TypeError, StopIteration, RecursionError, AttributeError, BadConfig):
         return None
-
