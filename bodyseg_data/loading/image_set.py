@@ -353,7 +353,7 @@ class BatchOrder(Sampler[list[Request]]):
         """
         if self._found_rank and not sharded and (ranks := find_rank()[1]) > self.world_size:
             raise BadConfig(
-                f"batches were made for {self.world_size} rank, before the process group of {ranks}: make them after "
+                f"batches were made for {self.world_size} rank, before the process group of {ranks}: create them after "
                 "it, or give rank and world_size"
             )
         self._follow_images()

@@ -202,7 +202,8 @@ def _remarks(
         f"wrote {frames} frames to {options.out}, {rate_text(per_second, 'frames')}, "
         f"{summary.milliseconds['frame']['mean']:.0f} ms from a frame to its labels"
     ]
-    if recording.labeller.background.mode == "frame":
+    background = recording.labeller.background.mode
+    if background == "frame":
         lines[0] += f", mean confidence {summary.mean_confidence or 0:.0%}"
     elif summary.mean_confidence is not None:
         lines[0] += f", {summary.people / frames:.2g} people a frame, mean confidence {summary.mean_confidence:.0%}"
@@ -217,13 +218,13 @@ def _remarks(
         lines.append(f"{summary.things / frames:.2g} things a frame got no label: --keep-things labels them, too")
     if options.turned == "auto":
         lines.append(f"--turned auto: {recording.turned_deg}")
-    elif options.turned is None and (summary.mean_confidence or 1.0) < _SURE:
+    elif options.turned is None and background != "frame" and (summary.mean_confidence or 1.0) < _SURE:
         turned = recording.surer_turn_deg()
         if turned is not None:
             lines.append(f"the network is surer of people when frames are turned: give --turned {turned} if they are")
     if camera.assumed:
         lines.append(f"camera {camera.origin}: give --focal or --rig if it is another")
-    if recording.labeller.background.mode == "frame":
+    if background == "frame":
         return lines  # what follows is about bodies
     mirrored = shadows.mirrored(camera)
     if mirrored is not None and mirrored != options.mirrored:

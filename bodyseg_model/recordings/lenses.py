@@ -1,4 +1,4 @@
-"""Lens distortion as drivers give it, brought to the five coefficients of `Distortion` by one fit.
+"""DriverLens distortion as drivers give it, brought to the five coefficients of `Distortion` by one fit.
 
 Names and formulas are those of OpenCV and ROS (plumb_bob, rational_polynomial, equidistant) and of `rs2_distortion` in
 librealsense (https://github.com/IntelRealSense/librealsense, src/rs.cpp). A direction is (x, y, 1), r^2 = x^2 + y^2.
@@ -35,7 +35,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Lens:
+class DriverLens:
     """A lens by the name of its model and its coefficients in that model's order. where: the camera, for messages."""
 
     model: str

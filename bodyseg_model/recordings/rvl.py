@@ -20,7 +20,7 @@ from bodyseg_model.recordings.recording import LARGEST_SIDE
 
 _SIZE: Final = struct.Struct("<ii")
 _LONGEST: Final = 11  # pieces of a number of 32 bits
-_SHIFTS: Final = np.arange(28, -4, -4, np.uint32)
+_SHIFTS: Final = np.arange(28, -4, -4).astype(np.uint32)
 
 
 def decode_rvl(data: bytes) -> NDArray[np.uint16]:

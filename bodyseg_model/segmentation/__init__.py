@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from bodyseg_model.segmentation.output_folder import LABELS, OVERLAY, UNDISTORTED, FrameResults, OutputFolder
     from bodyseg_model.segmentation.person_score import PersonScore, shipped_score
     from bodyseg_model.segmentation.pictures import Preview, draw_overlay
-    from bodyseg_model.segmentation.segmenter import LabelledBody, Segmentation, Segmenter, turned_image
+    from bodyseg_model.segmentation.segmenter import LabelledBody, Segmentation, Segmenter
     from bodyseg_model.segmentation.sequence_summary import STILL_M, Flicker, SequenceSummary, flicker
     from bodyseg_model.segmentation.surfaces import Background, BackgroundMode, find_bodies
     from bodyseg_model.segmentation.views import view_body

@@ -15,7 +15,7 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.machine import missing_library
 from bodyseg_data.rigs import Camera
 from bodyseg_model.recordings import Frame, Skipping, evenly_apart, to_metres
-from bodyseg_model.segmentation import Background, find_bodies, turned_image
+from bodyseg_model.segmentation import Background, find_bodies
 
 Mask = NDArray[np.bool_]
 
@@ -307,7 +307,7 @@ def read_recording(
         frames.append(_frame(files[index].name, stored, camera, step_m, background, nearer_than_m, quarters))
     if not any(frame.body.any() for frame in frames):
         raise BadConfig(
-            "no frame shows a body: are --units, --near, --far or --nearer-than right, and the camera's focal length of "
+            "no frame shows a body: are --units, --near, --far or --nearer-than right, and the camera's focal length, "
             f"{camera.focal_px:.5g} px? {files[0].where}"
         )
     pairs = tuple((places[a], places[b]) for a, b in pairs if a in places and b in places)
@@ -337,11 +337,11 @@ def _frame(
     if nearer_than_m is not None:
         body[(range_m > 0) & (range_m < nearer_than_m)] = True
     else:
-        upright = turned_image(range_m, quarters)
+        upright = np.ascontiguousarray(np.rot90(range_m, -quarters))
         marked = np.zeros(upright.shape, np.bool_)
         for pixels in find_bodies(upright, camera.turned(quarters), background):
             marked.ravel()[pixels] = True
-        body = turned_image(marked, -quarters)
+        body = np.ascontiguousarray(np.rot90(marked, quarters))
     return MarkedFrame(name, stored, range_m, body)
 
 

@@ -97,7 +97,7 @@ def test_batches_made_before_the_process_group_are_refused(figures_set: Path, mo
             context.setattr(torch.distributed, "get_rank", lambda: 1)
             context.setattr(torch.distributed, "get_world_size", lambda: 2)
             for early in (order, whole):
-                with pytest.raises(BadConfig, match="were made for 1 rank, before the process group of 2: make them"):
+                with pytest.raises(BadConfig, match="were made for 1 rank, before the process group of 2: create them"):
                     next(iter(early))
             assert sum(map(len, own)) == len(images), "the caller has said so"
             assert sum(map(len, BatchSamplerShard(order, 2, 1))) < len(images), "shared out once, afterwards"

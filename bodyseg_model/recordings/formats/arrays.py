@@ -166,7 +166,7 @@ class _Zipped(FrameSource):
             self._whole = None
             try:
                 with zipfile.ZipFile(self._path) as archive, archive.open(array.member) as file:
-                    values = np.lib.format.read_array(file, max_header_size=_LONGEST_HEADER)
+                    values: NDArray[Any] = np.lib.format.read_array(file, max_header_size=_LONGEST_HEADER)
             except Exception as error:  # as above
                 raise BadConfig(f"the array {array.title!r} must be whole: {error}") from error
             self._whole = array.member, values.reshape(array.count, *array.sides[-2:])
