@@ -186,6 +186,10 @@ def _edit(key: str, value: object) -> Callable[[bytes], bytes]:
         (lambda data: b"\xff\xfe", "cannot be read"),
         (lambda data: b"[" * 100_000, "cannot be read"),
         (
+            lambda data: b"\n<!DOCTYPE html><html>sign in</html>",
+            "cannot be read: found a web page .HTML.: is the address",
+        ),
+        (
             _edit("format", "bodyseg shards 3"),
             "'bodyseg shards 6', 'bodyseg shards 7', found 'bodyseg shards 3'",
         ),
