@@ -10,6 +10,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any, Final
 
 import numpy as np
@@ -56,17 +57,16 @@ def labels_of_parts(parts: Mapping[str, Any], content: MeshContent, where: str) 
     of_face = np.full(len(content.faces), -1, np.int64)
     shared = 0
     for number, (name, given) in enumerate(parts.items()):
-        vertices = np.asarray(given) if isinstance(given, list) else None
-        if vertices is None or vertices.ndim != 1 or (vertices.size and vertices.dtype.kind not in "iu"):
+        if not isinstance(given, list) or {*map(type, given)} - {int}:
             raise BadMesh(f"{where}: the part {name!r} must be a list of vertices, whole numbers, found {given!r:.40}")
-        outside = vertices[(vertices < 0) | (vertices >= count)] if vertices.size else vertices
-        if len(outside):
+        outside = [vertex for vertex in (min(given, default=0), max(given, default=0)) if not 0 <= vertex < count]
+        if outside:
             raise BadMesh(
                 f"{where}: the part {name!r} must hold vertices 0 to {count - 1}, found {outside[0]}: is it for a mesh "
                 "of another topology?"
             )
         member = np.zeros(count, np.bool_)
-        member[vertices.astype(np.int64)] = True
+        member[given] = True
         shared += int((member & (of_vertex >= 0)).sum())
         of_vertex[member & (of_vertex < 0)] = number
         of_face[member[content.faces].all(axis=1) & (of_face < 0)] = number
@@ -165,10 +165,10 @@ def labels_from_file(path: Path, content: MeshContent, table: Mapping[int, str])
     of = next((of for of, name in said.items() if name in path.name.lower()), "")
     try:
         if path.suffix.lower() == ".npy":
-            given: Any = np.load(path, allow_pickle=False)
+            given: Any = np.load(path, mmap_mode="r", allow_pickle=False)  # takes no memory for a size that it claims
         else:
             given = json.loads(path.read_bytes())
-    except (OSError, ValueError, EOFError, RecursionError) as error:
+    except (OSError, ValueError, EOFError, RecursionError, SyntaxError, TokenError) as error:  # of NumPy's headers, too
         raise BadMesh(f"cannot read the labels {path}: {error}") from error
     if isinstance(given, dict):
         return labels_of_parts(given, content, str(path))

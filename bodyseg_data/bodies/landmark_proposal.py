@@ -34,7 +34,7 @@ from bodyseg_data.bodies.motions.curves import about_y
 from bodyseg_data.core import BadMesh
 from bodyseg_data.labels import PART_COUNT
 from bodyseg_data.machine import torch_threads
-from bodyseg_data.meshes import LandmarkSet, Mesh
+from bodyseg_data.meshes import LandmarkSet, Mesh, welded
 
 POOR_M: Final = 0.045
 """Gap of a fit above which it is poor, metres: of bare bodies 3 to 4 cm with every limb in place, 4 to 6 without."""
@@ -156,10 +156,29 @@ def propose(mesh: Mesh, tilts: Sequence[NDArray[np.float64]] = UPRIGHT) -> Propo
     ten seconds of one processor. The same mesh gets the same landmarks. Raises BadMesh for a surface whose largest
     piece has fewer than 33 vertices, MissingLibrary without Anny or scipy, BadConfig if Anny's cache cannot be used.
     """
-    largest_piece(mesh)  # before the work, not after it
+    whole, kept = joined(mesh)
+    largest_piece(whole)  # before the work, not after it
     with torch_threads(1):
         body = fitting_body()
-        return fit_body(body, mesh, tilts).proposal(body.landmark_vertices)
+        proposal = fit_body(body, whole, tilts).proposal(body.landmark_vertices)
+    vertices = tuple(kept[list(proposal.landmarks.vertices)].tolist())
+    counts = len(mesh.vertices), len(mesh.faces)
+    own = replace(proposal.landmarks, vertices=vertices, vertex_count=counts[0], face_count=counts[1])
+    return replace(proposal, landmarks=own)
+
+
+def joined(mesh: Mesh) -> tuple[Mesh, NDArray[np.int64]]:
+    """Return a mesh in one piece, as it is if most of it is, else with vertices in one place joined, as of loose
+    triangles; and the vertex of `mesh` that each of its vertices is, [V].
+    """
+    same = np.arange(len(mesh.vertices))
+    if 2 * np.bincount(mesh.pieces()[np.unique(mesh.faces)]).max() > len(np.unique(mesh.faces)):
+        return mesh, same
+    kept, place = welded(mesh.vertices)
+    try:
+        return Mesh(mesh.name, mesh.vertices[kept], place[mesh.faces].astype(np.int32)), kept
+    except BadMesh:  # no surface without its gaps
+        return mesh, same
 
 
 def fit_body(body: FittingBody, mesh: Mesh, tilts: Sequence[NDArray[np.float64]] = UPRIGHT) -> FittedBody:

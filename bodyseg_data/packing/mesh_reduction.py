@@ -239,7 +239,7 @@ def edges_collapsed(
     vertices = np.clip(vertices, low, high)
     if not np.array_equal(vertices[found], mesh.vertices[landmarks]):
         raise BadMesh("collapsing edges moved a landmark")
-    further = {"labels": mesh.labels[origin]} if isinstance(mesh, SceneMesh) else {}
+    further: dict[str, Any] = {"labels": mesh.labels[origin]} if isinstance(mesh, SceneMesh) else {}
     return replace(mesh, vertices=vertices, faces=faces, **further), found.astype(np.int64)
 
 

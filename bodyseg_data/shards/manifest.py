@@ -91,7 +91,7 @@ class Manifest:
     projector: ProjectorKind = "shadow"
     planes: Mapping[str, str] = field(default_factory=dict)
     read_as: str = MANIFEST_FORMAT
-    read_digest: str = ""
+    read_digest: str = field(default="", compare=False)
 
     @property
     def rig(self) -> Rig:
@@ -313,6 +313,7 @@ def check_rigs(rigs: Sequence[Rig], where: str) -> None:
     first = rigs[0]
     for rig in rigs[1:]:
         same = (rig.camera.rows, rig.camera.columns) == (first.camera.rows, first.camera.columns)
+        same &= len(rig.projectors) == len(first.projectors)
         if not same or rig.projector_shape != first.projector_shape or rig.range_step_m != first.range_step_m:
             raise BadShard(
                 f"{where}: the rigs of a set have images of one size and one 'range_step_m', found {rig.name!r} beside "

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from people_on_disk import PERSON, VERTICES, obj, write_by_point, write_by_vertex, write_mesh
 
 from bodyseg_data.bodies import open_source
+from bodyseg_data.bodies.landmark_proposal import joined
 from bodyseg_data.core import BadMesh
-from bodyseg_data.meshes import check_body, cuboid
+from bodyseg_data.meshes import Mesh, check_body, cuboid
 
 POINTS = PERSON.vertices[list(VERTICES)]
 LOW = float(PERSON.vertices[:, 1].min()) - 0.001
@@ -47,7 +48,9 @@ def turned(degrees: float) -> Floats:
     """A rotation about the axis to the front, then about the vertical one."""
     a, b = np.radians(degrees), np.radians(50)
     about_z = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
-    return np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]]) @ about_z
+    about_y = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
+    both: Floats = about_y @ about_z
+    return both
 
 
 @pytest.mark.parametrize("degrees", [0, 90, 180])
@@ -134,3 +137,12 @@ def test_landmarks_by_coordinate_fit_loose_triangles(tmp_path: Path) -> None:
     loose, whole = (source.build(ref) for ref in source.bodies())
     labels = [body.partition().corners(body.mesh) for body in (loose, whole)]
     assert (labels[0] == labels[1]).mean() > 0.95  # some vertices are as near to two landmarks
+
+
+def test_landmarks_are_proposed_on_the_surface_of_loose_triangles() -> None:
+    loose = Mesh("loose", *soup(PERSON.vertices, PERSON.faces))
+    whole, kept = joined(loose)
+    assert len(whole.vertices) == len(PERSON.vertices)
+    assert np.array_equal(whole.vertices, loose.vertices[kept])
+    assert np.array_equal(whole.vertices[whole.faces], loose.vertices[loose.faces])
+    assert joined(PERSON)[0] is PERSON

@@ -39,8 +39,8 @@ SCENE_FORMAT: Final = "bodyseg scene 1"
 
 _BESIDE: Final = ("{}.labels.json", "{}.labels.npy", "{}.face_labels.npy", "{}.vertex_labels.npy", "{}.json", "{}.npy")
 _SHARED: Final = ("labels.json", "labels.npy", "face_labels.npy", "vertex_labels.npy")
-_OTHER_SIDE: Final = {"left": "right", "Left": "Right", "LEFT": "RIGHT", "L": "R", "l": "r"}
-_SIDE: Final = re.compile(r"[Ll]eft|LEFT|[Rr]ight|RIGHT|(?:(?<=^)|(?<=[_. -]))[LlRr](?=$|[_. -])")
+_OTHER_SIDE: Final = {"left": "right", "Left": "Right", "LEFT": "RIGHT", "L": "R", "l": "r", "Lt": "Rt", "lt": "rt"}
+_SIDE: Final = re.compile(r"[Ll]eft|LEFT|[Rr]ight|RIGHT|(?:(?<=^)|(?<=[_. -]))[LlRr]t?(?=$|[_. -])")
 
 
 @dataclass(frozen=True)

@@ -174,6 +174,9 @@ def test_faults_are_one_line(tmp_path: Path) -> None:
     assert "a.json: the part 'front' must hold vertices 0 to 7, found 8" in reason(tmp_path)
     write(tmp_path / "a.json", {"front": [0.5]})
     assert "the part 'front' must be a list of vertices" in reason(tmp_path)
+    for wrong in ([[0], [1, 2]], [10**30], "front", {"a": [0]}):
+        write(tmp_path / "a.json", {"front": wrong})
+        assert "the part 'front' must" in reason(tmp_path)
     write(tmp_path / "a.json", [0, 1])
     assert "labels are numbers: classes.json must name" in reason(tmp_path)
     write(tmp_path / "classes.json", {"classes": ["low", "high"]})
@@ -185,6 +188,11 @@ def test_faults_are_one_line(tmp_path: Path) -> None:
     (tmp_path / "a.json").unlink()
     write(tmp_path / "a.npy", np.array([[0.5] * 8]))
     assert "labels must be whole numbers in one row" in reason(tmp_path)
+    write(tmp_path / "a.npy", np.zeros(12, np.int64))
+    (tmp_path / "a.npy").write_bytes((tmp_path / "a.npy").read_bytes().replace(b"(12,)", b"(9999999999999,)"))
+    assert "cannot read the labels" in reason(tmp_path)
+    (tmp_path / "a.npy").write_bytes(b"")
+    assert "cannot read the labels" in reason(tmp_path)
     write(tmp_path / "classes.json", {"classes": ["a"], "labels": 3})
     assert "'labels' must be a list of names" in reason(tmp_path)
     write(tmp_path / "classes.json", {"classes": ["a", {"name": "b", "number": 0}]})
@@ -278,8 +286,8 @@ def test_a_scene_places_its_meshes(tmp_path: Path) -> None:
 
 
 def test_names_of_two_sides_are_mirror_images() -> None:
-    names = ["head", "leftHand", "rightHand", "Arm.L", "Arm.R", "lap", "left"]
-    assert with_sides(classes_of(names)).mirrored[:7].tolist() == [0, 2, 1, 4, 3, 5, 6]
+    names = ["head", "leftHand", "rightHand", "Arm.L", "Arm.R", "lap", "left", "Lt. ASIS", "Rt. ASIS"]
+    assert with_sides(classes_of(names)).mirrored[:9].tolist() == [0, 2, 1, 4, 3, 5, 6, 8, 7]
 
 
 def pack(folder: Path, out: Path, *more: str) -> int:
