@@ -48,7 +48,8 @@ CASES: dict[str, Case] = {
     "open an unknown source": (
         lambda: open_source("cinema"),
         BadConfig,
-        "the source must be one of open, bare, wide, everyday, hard, scape, mit, caesar, folder, paper, found 'cinema'",
+        "the source must be one of open, bare, wide, everyday, hard, scape, mit, caesar, folder, labelled, paper, "
+        "found 'cinema'",
     ),
     "open a source of files without its folder": (
         lambda: open_source("mit"),
@@ -140,12 +141,12 @@ CASES: dict[str, Case] = {
     "decode no members": (
         lambda: decode_sample("k", {}),
         BadSample,
-        "k: a sample has the members bsi, json or json, labels.png, projector.png, range.png, found none",
+        "k: a sample has the members bsi, json or facing.png, json, labels.png, projector.png, range.png, found none",
     ),
     "decode damaged images": (
         lambda: decode_sample("k", {"bsi": b"x", "json": b"{}"}),
         BadSample,
-        "k: bsi: images have a header of 64 bytes, found 1 bytes in all",
+        "k: bsi: images have a header of 78 bytes, found 1 bytes in all",
     ),
     "add an unknown variant": (
         lambda: Augmentation(load_rig(), "snow"),

@@ -221,7 +221,7 @@ LARGEST_DOORS = {
     "bodyseg_data.shards": 37,  # a format with its stores, which packing writes, loading reads and transfer copies
     "bodyseg_model.networks": 28,  # networks and their files, which training writes and everything else reads
     "bodyseg_data.meshes": 36,  # files, repair, checks, landmarks and parts of a mesh, whose one user is bodies
-    "bodyseg_model.segmentation": 24,
+    "bodyseg_model.segmentation": 26,
     "bodyseg_data.samples": 23,
     "bodyseg_data.drawing": 22,
 }

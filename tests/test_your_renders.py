@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import sys
 from collections.abc import Iterator
+from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
@@ -105,3 +107,20 @@ def test_a_scene_is_drawn_by_its_key_alone(program: ModuleType) -> None:
     assert set(program.CLASSES) == {name for name, _ in one[0]} | {"person"}
     np.testing.assert_array_equal(one[1], other[1])
     assert one[2] == other[2] != program.draw_cell("cell-0008")[2]
+
+
+@pytest.mark.usefixtures("program")
+def test_hands_are_mirror_images_of_each_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(DOCS / "examples"))
+    hands = import_module("hands")
+    monkeypatch.delitem(sys.modules, "hands")
+    monkeypatch.delitem(sys.modules, "robot_cell")
+    hands.main([str(tmp_path / "renders"), "--scenes", "5", "--columns", "64"])
+    words = ["--source", "renders", "--path", str(tmp_path / "renders"), "--out", str(tmp_path / "packed")]
+    assert bodyseg_main(["shard", *words]) == 0
+    images = RangeImages(tmp_path / "packed")
+    classes = images.manifest.classes
+    assert classes.names == tuple(hands.CLASSES) and len(classes) == 13
+    assert classes.mirrored[:13].tolist() == [*range(6, 12), *range(6), 12]
+    seen = {int(label) for index in range(len(images)) for label in np.unique(images.clean(index).labels)}
+    assert seen == set(range(13))

@@ -10,6 +10,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any, Final
 
 import numpy as np
@@ -167,7 +168,7 @@ def labels_from_file(path: Path, content: MeshContent, table: Mapping[int, str])
             given: Any = np.load(path, mmap_mode="r", allow_pickle=False)  # takes no memory for a size that it claims
         else:
             given = json.loads(path.read_bytes())
-    except (OSError, ValueError, EOFError, RecursionError) as error:
+    except (OSError, ValueError, EOFError, RecursionError, SyntaxError, TokenError) as error:  # of NumPy's headers, too
         raise BadMesh(f"cannot read the labels {path}: {error}") from error
     if isinstance(given, dict):
         return labels_of_parts(given, content, str(path))

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
         is_leftover,
         make_folder,
         naming,
+        not_json,
         parse_json,
         part_beside,
         read_bytes,

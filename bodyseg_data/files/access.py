@@ -148,10 +148,17 @@ def parse_json(data: bytes, where: str) -> dict[str, Any]:
     try:
         content = json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise BadConfig(f"{where} is not JSON: {error}") from error
+        raise BadConfig(f"{where} is not JSON: {not_json(data, error)}") from error
     if not isinstance(content, dict):
         raise BadConfig(f"{where} must hold a JSON object, found {type(content).__name__}")
     return content
+
+
+def not_json(data: bytes, error: Exception) -> str:
+    """Say why data are no JSON: a server or a portal may have sent a web page in their place."""
+    if data[:200].lstrip().lower().startswith((b"<!doctype html", b"<html", b"<?xml")):
+        return "found a web page (HTML): is the address right, and may it be read without signing in?"
+    return str(error)
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:

@@ -215,9 +215,8 @@ class LabelMap:
         it out, for then a class has no counterpart, or if it is a map of another set's classes.
         """
         if self.of != coarser.of:
-            raise BadConfig(
-                f"labels {self.name!r} are of the classes {self.of.name!r}, {coarser.name!r} of {coarser.of.name!r}"
-            )
+            differing = whole_map(self.of).difference(whole_map(coarser.of))
+            raise BadConfig(f"labels {self.name!r} and {coarser.name!r} are of other classes: found {differing}")
         found = np.full(256, BACKGROUND, np.uint8)
         for label, members in enumerate(self.members):
             targets = {int(coarser.table[member]) for member in members}
@@ -297,7 +296,8 @@ def load_label_map(labels: str | Path | LabelMap, of: Classes = PART_CLASSES) ->
     """
     if isinstance(labels, LabelMap):
         if labels.of != of:
-            raise BadConfig(f"labels {labels.name!r} join classes of {labels.of.name!r}, the set has {of.name!r}")
+            differing = whole_map(labels.of).difference(whole_map(of))
+            raise BadConfig(f"labels {labels.name!r} are of other classes than the set's: found {differing}")
         return labels
     if not isinstance(labels, str | Path):
         raise BadConfig(f"labels must be a LabelMap, a name, or the path of a .toml file, found {labels!r}")

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from bodyseg_data.loading.image_set import Batch, ImageSet, find_rank
     from bodyseg_data.loading.loaders import Loader, loader
     from bodyseg_data.loading.mixture import Mixture
-    from bodyseg_data.loading.pipelines import VariantMaker, decoder
+    from bodyseg_data.loading.pipelines import decoder
     from bodyseg_data.loading.range_images import OccluderName, RangeImages
     from bodyseg_data.loading.transform import BadTransform, CameraImage, Transform
     from bodyseg_data.loading.transforms import BodyCrop, Crop, Flip, Roll, Zoom

@@ -53,7 +53,7 @@ def _array(values: Sequence[Value | None], kind: str) -> NDArray[Any]:
     array = np.empty(len(values), object)
     array[:] = [nothing if value is None else value for value in values]
     lacking = np.array([value is None for value in values])
-    found = array.astype(dtype)
+    found: NDArray[Any] = array.astype(dtype)
     return np.ma.array(found, mask=lacking) if lacking.any() else found
 
 

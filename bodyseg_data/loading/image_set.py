@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import operator
 import os
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import FrameType
 from typing import Any, Final, NotRequired, Protocol, TypedDict, runtime_checkable
 
 import numpy as np
@@ -200,6 +202,26 @@ def _distributed_rank() -> tuple[int, int]:
         raise BadConfig(f"RANK and WORLD_SIZE must be whole numbers, found {found[0]!r} and {found[1]!r}") from None
 
 
+_FRAMES_UP: Final = 8
+_DISPATCHER: Final = "DataLoaderDispatcher"  # of Accelerate: reads on rank 0 alone, and cuts each batch
+
+
+def _other_sharding(frame: FrameType | None) -> str | None:
+    """Name the object that shares batches out to ranks among those whose methods iterate an order, None for none.
+
+    Frameworks wrap a loader's batch sampler, or the loader, without telling it. Only who calls tells it.
+    """
+    for _ in range(_FRAMES_UP):
+        if frame is None:
+            return None
+        caller = frame.f_locals.get("self")
+        ranks = getattr(caller, "num_processes", getattr(caller, "num_replicas", 1))
+        if (isinstance(caller, Sampler) and ranks > 1) or type(caller).__name__ == _DISPATCHER:
+            return type(caller).__name__
+        frame = frame.f_back
+    return None
+
+
 def batch_bounds(samples: int, start: int, batch_size: int, world_size: int, drop_last: bool) -> list[int]:
     """Positions at which the global batches of an epoch begin, from `start` on, and the end of the last one.
 
@@ -253,7 +275,8 @@ class BatchOrder(Sampler[list[Request]]):
         DataLoader(images, batch_sampler=images.batches(20), num_workers=2, persistent_workers=True)
 
     Its state counts the batches it has yielded, which StatefulDataLoader records batch by batch. A plain DataLoader
-    with workers draws batches in advance: call `state_dict(batches=done)` there.
+    with workers draws batches in advance: call `state_dict(batches=done)` there. Where a framework shares batches out,
+    too, a pass raises BadConfig: see docs/how-to/frameworks.md.
     """
 
     def __init__(
@@ -265,9 +288,15 @@ class BatchOrder(Sampler[list[Request]]):
         rank: int | None = None,
         world_size: int | None = None,
     ) -> None:
+        if isinstance(images, Sampler):  # Lightning makes a loader's batch sampler anew, around a sampler of its own
+            raise BadConfig(
+                f"batches() shares samples out itself and cannot take a {type(images).__name__}: give Lightning's "
+                "Trainer, or Fabric's setup_dataloaders, use_distributed_sampler=False; to predict, give it a loader()"
+            )
         self.images, self.drop_last = images, check_bool("drop_last", drop_last)
         self.batch_size = check_int("batch_size", batch_size, 1)
         self.shuffle = images.split == "train" if shuffle is None else check_bool("shuffle", shuffle)
+        self._found_rank = rank is None
         self.rank, self.world_size = find_rank(rank, world_size)
         if len(images) < self.world_size:
             raise BadConfig(f"{len(images)} samples are fewer than {self.world_size} ranks: use fewer ranks")
@@ -317,8 +346,16 @@ class BatchOrder(Sampler[list[Request]]):
             self._epochs_set = self.images.epochs_set
             self.set_epoch(self.images.epoch)
 
-    def begin_pass(self) -> Pass:
-        """Start the next pass and return it."""
+    def begin_pass(self, sharded: bool = False) -> Pass:
+        """Start the next pass and return it. sharded: whether its batches are shared out to ranks afterwards.
+
+        Raises BadConfig if the rank was looked for before there were several.
+        """
+        if self._found_rank and not sharded and (ranks := find_rank()[1]) > self.world_size:
+            raise BadConfig(
+                f"batches were made for {self.world_size} rank, before the process group of {ranks}: create them after "
+                "it, or give rank and world_size"
+            )
         self._follow_images()
         epoch, start = self._next
         order = self.images.requests(epoch, self.shuffle)
@@ -337,7 +374,18 @@ class BatchOrder(Sampler[list[Request]]):
         self._reached = None
 
     def __iter__(self) -> Iterator[list[Request]]:
-        this = self.begin_pass()
+        """Batches of the next pass. Raises BadConfig where they are shared out to ranks twice, or never."""
+        other = _other_sharding(sys._getframe(1))
+        if other is not None and self.world_size > 1:
+            raise BadConfig(
+                f"batches are shared out to {self.world_size} ranks, and {other} would share them out again and lose "
+                f"samples: use batches({self.batch_size}, rank=0, world_size=1) or loader() there, or leave the loader "
+                "out of Accelerate's prepare"
+            )
+        return self._batches(other is not None)
+
+    def _batches(self, sharded: bool) -> Iterator[list[Request]]:
+        this = self.begin_pass(sharded)
         for number in range(len(this)):
             self.mark_delivered(number + 1)
             yield this.batch(number)

@@ -32,6 +32,7 @@ from bodyseg_data.labels import BACKGROUND, UNLABELLED, LabelMap, load_label_map
 from bodyseg_data.loading.conditions import named_fields, texts_of
 from bodyseg_data.loading.descriptions import arrow_table, table_of
 from bodyseg_data.loading.image_set import Request, Requests, SampleDataset, check_bool, check_index
+from bodyseg_data.loading.pipelines import sample_of
 from bodyseg_data.loading.selection import Permutation, Selection, permutation
 from bodyseg_data.loading.skipping import with_text
 from bodyseg_data.loading.slots import SCRATCH, item_tensor
@@ -260,21 +261,25 @@ class RangeImages(SampleDataset):
             shard, within = self._where(index)
             stored = self.augmentation.needs_projector and self.occluder == "stored"
             sample = self._reader.read(shard, within, stored, (image, labels), self.unlabelled, (*self.planes,))
-            if self._casts:
-                sample = self._shaded(sample)
-            made = self.augmentation_of(sample).into(sample, epoch, image, labels)
-            if self.planes:
-                made = replace(made, planes=_in_order(sample, self.planes))
-            if self.transforms:
-                camera = self.manifest.rig_of(sample).camera
-                seen = with_camera(made, camera, self.step_m, sample, self.manifest.classes)
-                draws = Draws(self.seed, epoch, made.key)
-                made = transform_image(seen, self.transforms, draws, self.unlabelled)
+            return self._made_of(sample, epoch, image, labels)
         except BadSample as error:
             name, _, offset = self.location(index)
             raise BadShard(f"{name}: offset {offset}: {error}") from error
         except BadTransform as error:
             raise with_text(error, f"{self.location(index)[0]}: {error}") from error.__cause__
+
+    def _made_of(self, sample: Sample, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> RangeImage:
+        """Make a clean sample in arrays of the camera's size. Raises BadSample or BadTransform."""
+        if self._casts:
+            sample = self._shaded(sample)
+        made = self.augmentation_of(sample).into(sample, epoch, image, labels)
+        if self.planes:
+            made = replace(made, planes=_in_order(sample, self.planes))
+        if self.transforms:
+            camera = self.manifest.rig_of(sample).camera
+            seen = with_camera(made, camera, self.step_m, sample, self.manifest.classes)
+            draws = Draws(self.seed, epoch, made.key)
+            made = transform_image(seen, self.transforms, draws, self.unlabelled)
         if self._joins:
             known = sample.occupancy if self.augmentation.keeps_outline and not self.transforms else None
             self.label_map.write(made.labels, None if known is None else known.edges, self.unlabelled)
@@ -288,7 +293,20 @@ class RangeImages(SampleDataset):
         this process; `set_epoch` does not reach workers that are already running.
         """
         epoch, index = index if isinstance(index, tuple) else (None, index)
-        image = self.image(index, epoch)
+        return self._item(self.image(index, epoch))
+
+    def make(self, sample: Mapping[str, Any]) -> dict[str, Any]:
+        """Make the item of a sample that plain `webdataset` has read: for `WebDataset(...).map(images.make)`.
+
+        sample: `__key__` and the members, as bytes or decoded by `decoder`. The item is that of `images[index]`, in the
+        same bits, with draws of the epoch last set in this process; and `__key__`, which further steps need. Raises
+        BadSample for members that are damaged or of another set, BadTransform.
+        """
+        clean = sample_of(sample, len(self.manifest.rig.projectors), self.unlabelled)
+        arrays = SCRATCH.empty(clean.range.shape, np.uint16), SCRATCH.empty(clean.range.shape, np.uint8)
+        return {"__key__": clean.key, **self._item(self._made_of(clean, self.epoch, *arrays))}
+
+    def _item(self, image: RangeImage) -> dict[str, Any]:
         ranges = metres(image.range, self.step_m, SCRATCH.empty(self.shape, np.float32))
         item = {"range": item_tensor(ranges[None]), "labels": item_tensor(image.labels), "key": image.key}
         if self.planes:

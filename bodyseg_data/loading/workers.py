@@ -18,6 +18,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import ForkingPickler
 from queue import Empty, SimpleQueue
@@ -333,18 +334,16 @@ class _Carried:
     def opened(self) -> Callable[[Any], Any]:
         """Return the work, or one that fails at every request."""
         try:
-            return self._work or pickle.loads(self._packed)  # type: ignore[no-any-return]
+            return self._work or pickle.loads(self._packed)
         except Exception as error:
-            why = (
-                f"the images cannot be unpickled in a worker: {type(error).__name__}: {error}; what they use, such as "
-                "a transform, must be in a module, not in a notebook's cell or under the main guard; "
-                "worker_method='thread' needs no pickles"
-            )
+            return partial(_fail, f"{type(error).__name__}: {error}")
 
-        def fail(request: Any) -> Any:
-            raise BadConfig(why)
 
-        return fail
+def _fail(why: str, request: Any) -> Any:
+    raise BadConfig(
+        f"the images cannot be unpickled in a worker: {why}; what they use, such as a transform, must be in a module, "
+        "not in a notebook's cell or under the main guard; worker_method='thread' needs no pickles"
+    )
 
 
 def _serve_process(carried: _Carried, pipe: Connection, inherited: Sequence[Connection]) -> None:

@@ -137,16 +137,19 @@ def texel_bounds(
     hard = np.flatnonzero(~lit | _any(ranges < enough))
     read, needed = texels[:, hard], enough[hard]
     low, high = _as_they_are(test, ranges[:, hard], (points[0][hard], points[1][hard], away[hard]), lit[hard])
-    kept = ~lit[hard]
-    left = ~kept
-    while kept.any():
-        np.minimum.at(highest, read[:, kept].ravel(), high[:, kept].ravel())
-        moved = np.zeros(image.size, np.bool_)
-        moved[read[:, kept]] = True
-        asked = np.flatnonzero(left & _any(moved[read]))
-        kept[:] = False
-        kept[asked[_any(highest[read[:, asked]] < needed[asked])]] = True
-        left &= ~kept
+    left = lit[hard]
+    kept = np.flatnonzero(~left)
+    near, width = np.zeros(image.size, np.bool_), image.shape[1]
+    while len(kept):  # in dozens of rounds where a scene fills the image, most with a few points
+        moved = read[:, kept].ravel()
+        np.minimum.at(highest, moved, high[:, kept].ravel())
+        # Only points that read a moved texel can conflict; their upper left one is it, or beside or above it.
+        marks = np.maximum(np.concatenate([moved - shift for shift in (0, 1, width, width + 1)]), 0)
+        near[marks] = True
+        asked = np.flatnonzero(near[read[0]] & left)
+        near[marks] = False
+        kept = asked[_any(highest[read[:, asked]] < needed[asked])]
+        left[kept] = False
     low[:, left] = needed[left]
     np.maximum.at(lowest, read.ravel(), low.ravel())
     easy = np.flatnonzero(_any(highest[texels] < _EMPTY))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import math
+import struct
 from collections.abc import Collection
 from functools import lru_cache
 from pathlib import Path
@@ -71,12 +73,16 @@ def _read_numpy(path: Path) -> NDArray[Any]:
 def _read_picture(path: Path) -> NDArray[Any]:
     from PIL import Image, UnidentifiedImageError
 
+    data = path.read_bytes()
+    # Before Pillow, which warns on standard error.
+    if data[:4] == b"\x89PNG" and len(data) > 24 and math.prod(struct.unpack(">II", data[16:24])) > MOST_NUMBERS:
+        raise ValueError("it has more pixels than an image can")
     try:
-        with Image.open(path, formats=("PNG", "TIFF")) as picture:
+        with Image.open(io.BytesIO(data), formats=("PNG", "TIFF")) as picture:
             if picture.mode in ("LA", "CMYK", "YCbCr", "LAB"):
                 raise ValueError(f"a picture must be of integers, floats or RGB colours, found mode {picture.mode}")
             return np.asarray(picture)  # a palette's picture gives its numbers, which are the labels
-    except (UnidentifiedImageError, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+    except (UnidentifiedImageError, Image.DecompressionBombError) as error:
         raise ValueError("it is no PNG or TIFF file of a sensible size") from error
 
 

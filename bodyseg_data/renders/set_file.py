@@ -125,6 +125,7 @@ def read_set(folder: Path) -> SetFile:
         return SetFile(path)
     try:
         tree = tomllib.loads(read_bytes(path).decode())
+        repr(tree)  # raises ValueError for a hexadecimal number that is longer than Python prints
     except (ValueError, RecursionError) as error:
         raise BadConfig(f"{path} is not TOML: {error}") from error
     if tree.pop("format", None) != SET_FORMAT:
@@ -147,14 +148,22 @@ def read_set(folder: Path) -> SetFile:
     if lists["no_range"] is not None:
         values = _list(lists["no_range"], "no_range", path)
         if not all(type(value) in (int, float) for value in values):
-            raise BadConfig(f"{path}: 'no_range' must be a list of numbers, found {values!r}")
+            raise BadConfig(f"{path}: 'no_range' must be a list of numbers, found {_shown(values)}")
         found["no_range"] = tuple(map(float, values))
     return SetFile(path, classes=classes, table=numbers, rigs=rigs, **found)
 
 
+def _shown(value: Any) -> str:
+    """Beginning of a value, for messages."""
+    try:
+        return repr(value)[:60]
+    except ValueError:  # hexadecimal numbers may be longer than Python prints
+        return "a number of thousands of digits"
+
+
 def _list(value: Any, key: str, path: Path) -> list[Any]:
     if not isinstance(value, list):
-        raise BadConfig(f"{path}: {key!r} must be a list, found {value!r:.60}")
+        raise BadConfig(f"{path}: {key!r} must be a list, found {_shown(value)}")
     return value
 
 
@@ -167,10 +176,10 @@ def _classes(rows: Any, name: str, first: int, background: Sequence[Any], path: 
     def stands_for(value: Any, label: int, what: str) -> None:
         is_colour = isinstance(value, str) and _COLOUR.fullmatch(value) is not None
         if not is_colour and (type(value) is not int or value < 0):
-            raise BadConfig(f"{path}: {what} must be a whole number or a colour like '#1e90ff', found {value!r:.60}")
+            raise BadConfig(f"{path}: {what} must be a whole number or a colour like '#1e90ff', found {_shown(value)}")
         table, key = (colours, int(value[1:], 16)) if is_colour else (numbers, value)
         if table.setdefault(key, label) != label:
-            raise BadConfig(f"{path}: {value!r} stands for two classes, or for one and 'background'")
+            raise BadConfig(f"{path}: {_shown(value)} stands for two classes, or for one and 'background'")
 
     for value in background:
         stands_for(value, BACKGROUND, "an entry of 'background'")
@@ -178,7 +187,7 @@ def _classes(rows: Any, name: str, first: int, background: Sequence[Any], path: 
         given = {"name": row} if isinstance(row, str) else row
         if not isinstance(given, dict) or not set(given) <= {"name", "label", "colour", "mirror", "within"}:
             raise BadConfig(
-                f"{path}: a class is a name, or has name, label, colour, mirror and within, found {row!r:.90}"
+                f"{path}: a class is a name, or has name, label, colour, mirror and within, found {_shown(row)}"
             )
         values = given.get("label", first + label)
         for value in values if isinstance(values, list) else [values]:
@@ -199,7 +208,7 @@ def _rigs(one: Any, several: Any, path: Path) -> dict[str, Rig]:
     if one is not None and several is not None:
         raise BadConfig(f"{path}: a set has 'rig' or [rigs], found both")
     if several is not None and not (isinstance(several, dict) and several):
-        raise BadConfig(f"{path}: [rigs] must give names to rig files, found {several!r:.60}")
+        raise BadConfig(f"{path}: [rigs] must give names to rig files, found {_shown(several)}")
     named = {"": one} if one is not None else several or {}
     return {name: _rig(value, path) for name, value in named.items()}
 
@@ -209,7 +218,7 @@ def _rig(value: Any, path: Path) -> Rig:
     if isinstance(value, str):
         return load_rig(path.parent / value if value.endswith(".toml") else value)
     if not isinstance(value, dict):
-        raise BadConfig(f"{path}: 'rig' must be a file, a name or a table, found {value!r:.60}")
+        raise BadConfig(f"{path}: 'rig' must be a file, a name or a table, found {_shown(value)}")
     tree = {key: each for key, each in value.items() if key != "title"}
     if isinstance(tree.get("camera"), dict):
         tree["camera"] = {"position_m": [0.0, 0.0, 0.0], "aims_at_m": [0.0, 0.0, 1.0], **tree["camera"]}

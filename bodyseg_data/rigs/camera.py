@@ -31,7 +31,9 @@ Floats = NDArray[np.float64]
 MAX_SIDE: Final = 8192
 """Longest side of an image, pixels."""
 
-_MAX_FOCAL_PX: Final = 1e6
+MAX_FOCAL_PX: Final = 1e6
+"""Greatest focal length, pixels."""
+
 _MAX_DISTANCE_M: Final = 100.0
 _MAX_ROLL_DEG: Final = 180.0
 _LEAST_ACROSS: Final = 1e-6
@@ -68,16 +70,14 @@ class Camera:
         check_fields(self)
         if not (1 <= self.rows <= MAX_SIDE and 1 <= self.columns <= MAX_SIDE):
             raise BadConfig(f"an image side must be 1 to {MAX_SIDE} pixels, found {self.rows} x {self.columns}")
-        if not 0 < self.focal_px <= _MAX_FOCAL_PX:
-            raise BadConfig(
-                f"a focal length must be positive, at most {_MAX_FOCAL_PX:g} px, found {self.focal_px:g} px"
-            )
+        if not 0 < self.focal_px <= MAX_FOCAL_PX:
+            raise BadConfig(f"a focal length must be positive, at most {MAX_FOCAL_PX:g} px, found {self.focal_px:g} px")
         if not all(abs(number) <= _MAX_DISTANCE_M for number in (*self.position_m, *self.aims_at_m)):
             raise BadConfig(
                 f"a camera's position and aim must lie within {_MAX_DISTANCE_M:g} m, found {self.position_m}, "
                 f"{self.aims_at_m}"
             )
-        if not all(abs(number) <= _MAX_FOCAL_PX for number in self.centre_px):
+        if not all(abs(number) <= MAX_FOCAL_PX for number in self.centre_px):
             raise BadConfig(f"a principal point must lie near the image, found {self.centre_px}")
         if not all(abs(number) <= _MAX_DISTANCE_M for number in self.up):
             raise BadConfig(f"a camera's 'up' must have components of at most {_MAX_DISTANCE_M:g}, found {self.up}")
@@ -115,6 +115,24 @@ class Camera:
         """The x of the rays through each column [columns] and the y of those through each row [rows], at z = 1."""
         across = np.divide(np.arange(self.columns) + 0.5 - self.centre_px[0], self.focal_px)
         return across, np.divide(np.arange(self.rows) + 0.5 - self.centre_px[1], self.focal_px)
+
+    def turned(self, quarters: int) -> Camera:
+        """The camera of its images turned clockwise by so many right angles, `np.rot90(image, -quarters)`.
+
+        Its roll is less by as much: a camera that was mounted turned clockwise becomes an upright one.
+        """
+        camera = self
+        for _ in range(quarters % 4):
+            (x, y), roll = camera.centre_px, camera.roll_deg - 90
+            camera = replace(
+                camera,
+                rows=camera.columns,
+                columns=camera.rows,
+                centre_px=(camera.rows - y, x),
+                roll_deg=roll if roll > -_MAX_ROLL_DEG else roll + 360,
+                distortion=None if camera.distortion is None else camera.distortion.turned(),
+            )
+        return camera
 
     def _image_plane(self, nodes: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Coordinates x and y, at z = 1, of a lattice that spans the image, each float64 [nodes, nodes]."""
@@ -194,13 +212,18 @@ def rolled(axes: NDArray[np.float64], roll_deg: float) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Distortion:
-    """Coefficients of the model, without unit: radial k1, k2, k3, tangential p1, p2. Raises BadConfig beyond 1e6."""
+    """Coefficients of the model, without unit: radial k1, k2, k3, tangential p1, p2. Raises BadConfig beyond 1e6.
+
+    aspect: what is drawn is stretched across by it and down by its inverse: the root of fx / fy where pixels are not
+    square.
+    """
 
     k1: float = 0.0
     k2: float = 0.0
     p1: float = 0.0
     p2: float = 0.0
     k3: float = 0.0
+    aspect: float = 1.0
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -209,15 +232,21 @@ class Distortion:
                 raise BadConfig(
                     f"a coefficient of distortion must be at most {_LARGEST_COEFFICIENT:g}, found {name} = {value:g}"
                 )
+        if not self.aspect > 0:
+            raise BadConfig(f"the aspect of pixels must be above 0, found {self.aspect:g}")
 
     def apply(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         """Return where the lens draws directions (x, y, 1), at z = 1; all float64 of one shape."""
         squared = x * x + y * y
         radial = 1 + squared * (self.k1 + squared * (self.k2 + squared * self.k3))
         return (
-            x * radial + 2 * self.p1 * x * y + self.p2 * (squared + 2 * x * x),
-            y * radial + self.p1 * (squared + 2 * y * y) + 2 * self.p2 * x * y,
+            (x * radial + 2 * self.p1 * x * y + self.p2 * (squared + 2 * x * x)) * self.aspect,
+            (y * radial + self.p1 * (squared + 2 * y * y) + 2 * self.p2 * x * y) / self.aspect,
         )
+
+    def turned(self) -> Distortion:
+        """The same lens in images turned clockwise by a right angle: (p2, p1) is a direction in them."""
+        return replace(self, p1=self.p2, p2=-self.p1, aspect=1 / self.aspect)
 
     def is_one_to_one(self, x: Floats, y: Floats) -> bool:
         """True if the lens keeps the order of neighbouring directions (x, y, 1) everywhere in a lattice.
@@ -235,8 +264,11 @@ class Distortion:
         return bool(((determinant > 0) & (trace > 0)).all())
 
     def to_json(self) -> dict[str, Any]:
-        """Model and coefficients as plain JSON, as in a rig file."""
-        return {"model": MODEL, **asdict(self)}
+        """Model and coefficients as plain JSON, as in a rig file; the aspect where it is not 1."""
+        tree = {"model": MODEL, **asdict(self)}
+        if self.aspect == 1:
+            del tree["aspect"]
+        return tree
 
 
 def distortion_from_table(table: Table) -> Distortion:

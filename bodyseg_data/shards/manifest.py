@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 from bodyseg_data.core import BadConfig, BadSample, BadShard
-from bodyseg_data.files import write_atomically
+from bodyseg_data.files import not_json, write_atomically
 from bodyseg_data.labels import PART_CLASSES, Classes, classes_from_json
 from bodyseg_data.rigs import Rig, rig_from_json
 from bodyseg_data.samples import Sample, Split
@@ -219,7 +219,7 @@ def _tree(data: bytes, path: str) -> dict[str, Any]:
     try:
         tree = json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise BadShard(f"{path} cannot be read: {error}") from error
+        raise BadShard(f"{path} cannot be read: {not_json(data, error)}") from error
     if not isinstance(tree, dict) or tree.get("format") not in (MANIFEST_FORMAT, *EARLIER_FORMATS):
         found = tree.get("format") if isinstance(tree, dict) else type(tree).__name__
         known = ", ".join(map(repr, (*EARLIER_FORMATS, MANIFEST_FORMAT)))
@@ -313,6 +313,7 @@ def check_rigs(rigs: Sequence[Rig], where: str) -> None:
     first = rigs[0]
     for rig in rigs[1:]:
         same = (rig.camera.rows, rig.camera.columns) == (first.camera.rows, first.camera.columns)
+        same &= len(rig.projectors) == len(first.projectors)
         if not same or rig.projector_shape != first.projector_shape or rig.range_step_m != first.range_step_m:
             raise BadShard(
                 f"{where}: the rigs of a set have images of one size and one 'range_step_m', found {rig.name!r} beside "

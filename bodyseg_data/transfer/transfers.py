@@ -138,9 +138,6 @@ class Target(Protocol):
     def holds(self, file: SharedFile, sizes_only: bool) -> bool:
         """Return whether the target has a file of this size and, unless `sizes_only`, of this SHA-256."""
 
-    def check_room(self, files: Sequence[SharedFile]) -> None:
-        """Raise BadConfig if the target is known to have no room for files that it has not."""
-
     def receive(self, file: SharedFile, report: Report, sizes_only: bool) -> None:
         """Copy a file from the source and check it. Raises BadShard if its bytes are not those expected."""
 
@@ -167,7 +164,7 @@ class LocalTarget:
         return sizes_only or sha256_of(self.store, file.name) == file.sha256
 
     def check_room(self, files: Sequence[SharedFile]) -> None:
-        """See `Target.check_room`: what a server says of its sizes is asked of the disk first."""
+        """Raise BadConfig if the disk has no room for files, of the sizes that a server says."""
         parts = (self._part(file) for file in files)
         have = sum(part.lstat().st_size for part in parts if part.is_file())
         need, free = sum(file.size for file in files) - have, shutil.disk_usage(self._folder).free
@@ -237,9 +234,6 @@ class RemoteTarget:
         if self._remote.find_size(file.name) != file.size:
             return False
         return sizes_only or sha256_of(self._remote, file.name) == file.sha256
-
-    def check_room(self, files: Sequence[SharedFile]) -> None:
-        """See `Target.check_room`: an address does not say."""
 
     def receive(self, file: SharedFile, report: Report, sizes_only: bool) -> None:
         """See `Target.receive`: the local bytes are checked before, those at the address after."""
@@ -317,7 +311,8 @@ def transfer(
             report(done)
         else:
             missing.append(file)
-    target.check_room(missing)
+    if isinstance(target, LocalTarget):
+        target.check_room(missing)
     if held is not None and (other or missing):
         target.remove(bundle.index)
     for name in obsolete:

@@ -29,6 +29,7 @@ from bodyseg_model.runtimes import (
 from bodyseg_model.segmentation import (
     LABELS,
     OVERLAY,
+    TURNED_HELP,
     UNDISTORTED,
     Background,
     BackgroundMode,
@@ -38,6 +39,7 @@ from bodyseg_model.segmentation import (
     OutputFolder,
     Preview,
     SequenceSummary,
+    Turned,
 )
 from bodyseg_model.sensor_fit import ShadowFrames
 from bodyseg_model.training import use_threads
@@ -46,6 +48,7 @@ EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"
 
 _OF_THE_CARD: Final = ("network", "variant", "seed", "steps", "data", "rig", "sensor", "weights_sha256")
 _NEAR: Final = 0.7  # of the stand-off; docs/results/segment.md has the accuracy by distance
+_SURE: Final = 0.8  # mean confidence; below it, other turns of frames are tried
 _SHADOW_FRAMES: Final = 8  # whose shadows tell whether a recording is mirrored
 
 
@@ -66,6 +69,7 @@ class Options:
     focal: float | None = option("focal length of the camera, pixels (default: told by the frames' size)", None)
     centre: tuple[float, ...] = option("principal point of the camera, x y (default: the image's middle)", ())
     mirrored: bool = option("frames show left for right, as some drivers give them", False)
+    turned: Turned | None = option(f"{TURNED_HELP} (default: the rig's roll)", None)
     background: BackgroundMode | None = option(
         "people: keep what is within the limits, on no large plane and of a body's size; limits: keep what is within "
         "them, as one body; keep: keep all that was measured, as one body; frame: label whole frames as they stand "
@@ -108,6 +112,7 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
         precision=options.precision or quick_precision(trained.network, options.backend, options.device),
         flip_average=options.flip_average,
         device=options.device,
+        turned=options.turned,
     )
     preview = None if options.no_overlay else Preview(options.fps, labeller.label_map)
     recording = labeller.recording(
@@ -197,19 +202,29 @@ def _remarks(
         f"wrote {frames} frames to {options.out}, {rate_text(per_second, 'frames')}, "
         f"{summary.milliseconds['frame']['mean']:.0f} ms from a frame to its labels"
     ]
-    if recording.labeller.background.mode == "frame":
+    background = recording.labeller.background.mode
+    if background == "frame":
         lines[0] += f", mean confidence {summary.mean_confidence or 0:.0%}"
     elif summary.mean_confidence is not None:
         lines[0] += f", {summary.people / frames:.2g} people a frame, mean confidence {summary.mean_confidence:.0%}"
     else:
-        lines.append("nobody was found: are --units, --near and --far right?")
+        lines.append(
+            f"nobody was found: are --units, --near and --far right? The camera is {camera.origin}, focal length "
+            f"{camera.camera.focal_px:.5g} px: are --focal, --rig and --turned right?"
+        )
     if recording.skipped:
         lines.append(f"{len(recording.skipped)} frames could not be read: skipped in summary.json lists them")
     if summary.things:
         lines.append(f"{summary.things / frames:.2g} things a frame got no label: --keep-things labels them, too")
+    if options.turned == "auto":
+        lines.append(f"--turned auto: {recording.turned_deg}")
+    elif options.turned is None and background != "frame" and (summary.mean_confidence or 1.0) < _SURE:
+        turned = recording.surer_turn_deg()
+        if turned is not None:
+            lines.append(f"the network is surer of people when frames are turned: give --turned {turned} if they are")
     if camera.assumed:
         lines.append(f"camera {camera.origin}: give --focal or --rig if it is another")
-    if recording.labeller.background.mode == "frame":
+    if background == "frame":
         return lines  # what follows is about bodies
     mirrored = shadows.mirrored(camera)
     if mirrored is not None and mirrored != options.mirrored:

@@ -24,7 +24,7 @@ from bodyseg_model.recordings import (
     frame_camera,
     metres_a_step,
 )
-from bodyseg_model.segmentation import Background, BackgroundMode
+from bodyseg_model.segmentation import TURNED_HELP, Background, BackgroundMode, FrameLabeller, Turned
 from bodyseg_model.sensor_fit import SensorFit, draw_comparison, fit_sensor, read_recording
 
 EXAMPLE = "bodyseg sensor fit recording/ --focal 525 --nearer-than 1.2 --out sensor.toml"
@@ -44,6 +44,7 @@ class Options:
     rig: str | None = option(f"frames are from this sensor: {', '.join(rig_names())} or a rig file (.toml)", None)
     focal: float | None = option("focal length of the camera, pixels (default: told by the frames' size)", None)
     centre: tuple[float, ...] = option("principal point of the camera, x y (default: the image's middle)", ())
+    turned: Turned | None = option(f"{TURNED_HELP} (default: the rig's roll)", None)
     background: BackgroundMode = option(
         "people: find bodies as segment does; limits: all within the limits is a body; keep: all that was measured is",
         "people",
@@ -65,7 +66,8 @@ def run(options: Options) -> int:
     step_m, background = None if options.units is None else metres_a_step(options.units), _background(options)
     files, skipping = find_frames(options.frames, options.topic, step_m), Skipping(options.skip_unreadable)
     camera = _camera(options, first_readable(files, skipping))
-    recording = read_recording(files, camera.camera, background, options.nearer_than, skipping)
+    quarters = _quarters(options, files, background, camera)
+    recording = read_recording(files, camera.camera, background, options.nearer_than, skipping, quarters)
     with Progress("measuring", "steps") as progress:
         fit = fit_sensor(recording, camera, progress.update)
     model = fit.model(options.name)
@@ -91,6 +93,21 @@ def _camera(options: Options, first: Frame) -> FrameCamera:
     if first.camera is not None and not given:
         return first.camera.frame_camera((rows, columns))
     return frame_camera((rows, columns), first.where, options.rig, options.focal, options.centre)
+
+
+def _quarters(options: Options, files: list[Frame], background: Background, camera: FrameCamera) -> int:
+    """Right angles by which frames are turned clockwise, as `bodyseg segment` turns them."""
+    if options.turned != "auto":
+        return round(camera.camera.roll_deg / 90) if options.turned is None else int(options.turned) // 90
+    labeller = FrameLabeller(background=background, turned="auto")
+    found = labeller.recording(
+        files,
+        rig=options.rig,
+        focal_px=options.focal,
+        centre_px=options.centre,
+        skip_unreadable=options.skip_unreadable,
+    )
+    return found.turned_deg // 90
 
 
 def _background(options: Options) -> Background:

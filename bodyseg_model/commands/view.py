@@ -18,7 +18,7 @@ from bodyseg_data.samples import ReadSplit
 from bodyseg_data.shards import MANIFEST_NAME
 from bodyseg_model.networks import Trained, find_device, load_network
 from bodyseg_model.recordings import UNITS_HELP, find_frames, metres_a_step
-from bodyseg_model.segmentation import Background, BackgroundMode, FrameLabeller
+from bodyseg_model.segmentation import TURNED_HELP, Background, BackgroundMode, FrameLabeller, Turned
 from bodyseg_model.viewing import LOOPBACK, Page, RecordingPage, RecordingView, SetPage, SetView, Shown
 
 EXAMPLE = "bodyseg view shards"
@@ -31,6 +31,7 @@ _OF_RECORDINGS: Final = (
     "focal",
     "centre",
     "mirrored",
+    "turned",
     "background",
     "keep_things",
     "confidence",
@@ -66,6 +67,7 @@ class Options:
     focal: float | None = option("frames: focal length of the camera, pixels (default: told by their size)", None)
     centre: tuple[float, ...] = option("frames: principal point of the camera, x y (default: the image's middle)", ())
     mirrored: bool = option("frames: they show left for right, as some drivers give them", False)
+    turned: Turned | None = option(f"frames: {TURNED_HELP} (default: the rig's roll)", None)
     background: BackgroundMode | None = option("frames: as for `segment`", None)
     keep_things: bool = option("frames: label things of a body's size like people", False)
     confidence: float = option("frames: give no label to pixels of less confidence, 0 to 1", 0.0)
@@ -154,5 +156,6 @@ def _recording_view(options: Options, trained: Trained) -> RecordingView:
         least_confidence=options.confidence,
         keep_things=options.keep_things,
         device=options.device,
+        turned=options.turned,
     )
     return RecordingView(labeller.recording(frames, rig=options.rig, focal_px=options.focal, centre_px=options.centre))

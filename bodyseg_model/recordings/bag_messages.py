@@ -2,8 +2,9 @@
 
 Range images are 16UC1, mono16, 32FC1, PNG, or of the transport compressedDepth
 (https://github.com/ros-perception/image_transport_plugins): 12 bytes, an int32 and the float32 A and B, then a 16-bit
-PNG. Of 16UC1 the PNG holds the steps; of 32FC1 it holds v = A / range + B, rounded, range in metres, 0 where nothing
-was measured. Pieces of bags are decompressed up to a limit of bytes, whatever they claim.
+PNG or RVL. Of 16UC1 it holds the steps; of 32FC1 it holds v = A / range + B, rounded, range in metres, 0 where nothing
+was measured. A compressed image may leave its encoding out ("png", as cv_bridge in Python writes): bytes then tell it.
+Pieces of bags are decompressed up to a limit of bytes, whatever they claim.
 """
 
 from __future__ import annotations
@@ -24,10 +25,11 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_data.machine import missing_library
-from bodyseg_data.rigs import Distortion
 from bodyseg_model.recordings.cameras import Intrinsics
 from bodyseg_model.recordings.frame_files import parse_frame
+from bodyseg_model.recordings.lenses import DriverLens
 from bodyseg_model.recordings.recording import LARGEST_SIDE, Frame, FrameSource, Stamp, stored_recording
+from bodyseg_model.recordings.rvl import decode_rvl
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -58,7 +60,10 @@ ENCODINGS: Final = (*_STEPS, _METRES)
 """Encodings of pixels that range images have."""
 
 _TRANSPORTS: Final = ("compressedDepth", "compressed")
-_MODEL: Final = "plumb_bob"
+_UNNAMED: Final = {"png", "compressed", "compresseddepth", "rvl"}  # words of a format that names no encoding
+_GREY_PNG: Final = (b"\x89PNG\r\n\x1a\n", b"\x10\0")  # its first bytes; bits and colour, from byte 24
+_LARGEST_A: Final = 1e7
+_MOST_INFOS: Final = 1000
 
 _KINDS: Final = (IMAGE, COMPRESSED)
 _UNITS_TOPIC: Final = "option/Depth_Units/value"
@@ -241,7 +246,14 @@ def encoding(message: Any, kind: str) -> str:
     """Return the encoding of an image message's pixels, such as "16UC1" or "rgb8"."""
     if kind == IMAGE:
         return str(message.encoding)
-    return str(message.format).partition(";")[0].strip()
+    found = str(message.format).partition(";")[0].strip()
+    if not set(found.lower().split()) <= _UNNAMED:
+        return found
+    start = bytes(message.data[:26])
+    if "compresseddepth" in str(message.format).lower() and len(start) >= _HEADER.size:
+        _, a, b = _HEADER.unpack_from(start)
+        return _METRES if 1 <= a <= _LARGEST_A and abs(b) <= _LARGEST_A else _STEPS[0]
+    return _STEPS[0] if (start[:8], start[24:]) == _GREY_PNG else found
 
 
 def pixels(message: Any, kind: str) -> NDArray[Any]:
@@ -271,16 +283,14 @@ def _compressed_image(message: Any) -> NDArray[Any]:
     found = encoding(message, COMPRESSED)
     if found not in ENCODINGS:
         raise BadConfig(f"an image must have one of the encodings {', '.join(ENCODINGS)}, found {text!r}")
-    if "compressedDepth" not in text:
-        if found == _METRES or "png" not in text:
+    if "compresseddepth" not in text.lower():
+        if found == _METRES or not ("png" in text.lower() or data.startswith(_GREY_PNG[0])):
             raise BadConfig(f"a compressed image must be a 16-bit PNG or compressedDepth, found {text!r}")
         return parse_frame(data)
-    if "rvl" in text.lower():
-        raise BadConfig(f"compressedDepth must be in PNG, found {text!r}")
     if len(data) < _HEADER.size:
         raise BadConfig(f"compressedDepth must begin with {_HEADER.size} bytes of header, found {len(data)} in all")
     _, a, b = _HEADER.unpack_from(data)
-    stored = parse_frame(data[_HEADER.size :])
+    stored = (decode_rvl if "rvl" in text.lower() else parse_frame)(data[_HEADER.size :])
     if found != _METRES:
         return stored
     if not (math.isfinite(a) and math.isfinite(b) and a > 0):
@@ -292,25 +302,30 @@ def _compressed_image(message: Any) -> NDArray[Any]:
 
 
 def camera_beside(bag: Bag, topic: Topic, where: str) -> Intrinsics | None:
-    """Read the camera of a topic of images from the first CameraInfo beside it; None if there is none.
+    """Read the camera of a topic of images from the first calibrated CameraInfo beside it; None if there is none.
 
-    That is `camera_info` in the topic's namespace, or in `info/` as RealSense's recordings have it. Of a rectified
-    image ("image_rect"), the camera is that of the projection matrix, without distortion. Raises BadConfig for
-    distortion of another model than plumb_bob, and for a camera of binned or cut images.
+    That is `camera_info` in the topic's namespace, in `info/` as RealSense's recordings have it, or below the topic. Of
+    a rectified image ("image_rect"), the camera is that of the projection matrix, without distortion. Raises BadConfig
+    for distortion that is none of `DriverLens`, and for a camera of binned or cut images.
     """
     parts = [part for part in topic.name.split("/") if part]
     if parts and parts[-1] in _TRANSPORTS:
         del parts[-1]
-    names = {"/".join(["", *parts[:-1], "camera_info"]), "/".join(["", *parts[:-2], "info", "camera_info"])}
+    beside = (parts[:-1], [*parts[:-2], "info"], parts)
+    names = {"/".join(["", *folder, "camera_info"]) for folder in beside}
     info = next((each for each in bag.topics if each.name in names and each.kind == CAMERA_INFO), None)
     if info is None or not len(info.times_ns):
         return None
     named = f"{where}: {info.name}"
-    try:
-        message = decode(bag, info, 0)
-    except BadConfig as error:
-        raise BadConfig(f"{named}: {error}") from error
-    return camera_of(message, named, rectified=bool(parts) and parts[-1].startswith("image_rect"))
+    for index in range(min(len(info.times_ns), _MOST_INFOS)):
+        try:
+            message = decode(bag, info, index)
+        except BadConfig as error:
+            raise BadConfig(f"{named}: {error}") from error
+        camera = camera_of(message, named, rectified=bool(parts) and parts[-1].startswith("image_rect"))
+        if camera is not None:
+            return camera
+    return None
 
 
 def camera_of(message: Any, where: str, rectified: bool) -> Intrinsics | None:
@@ -333,16 +348,9 @@ def camera_of(message: Any, where: str, rectified: bool) -> Intrinsics | None:
         return None
     if not (fx > 0 and fy > 0):
         raise BadConfig(f"{where}: focal lengths must be above 0, found {fx:g} and {fy:g}")
-    distortion = None
-    if any(given):
-        if message.distortion_model != _MODEL or len(given) not in (4, 5):
-            raise BadConfig(
-                f"{where}: distortion must be {_MODEL}, of 4 or 5 coefficients, found {message.distortion_model!r} of "
-                f"{len(given)}: undistort the recording, or give --focal or --rig"
-            )
-        distortion = Distortion(*given)
     size = (int(message.height), int(message.width)) if message.height and message.width else None
-    return Intrinsics(fx, fy, cx, cy, distortion, size, where)
+    lens = DriverLens(str(message.distortion_model), tuple(given), where)
+    return Intrinsics(fx, fy, cx, cy, lens.five(fx, fy, cx, cy, size), size, where)
 
 
 def _numbers(message: Any, name: str) -> Sequence[float]:

@@ -73,7 +73,7 @@ class FrameCameras:
         if other is not None:
             self.common = frame_camera(_shape(other), other.where, rig, focal_px, centre_px, trained)
         self.first = self.of(first, _shape(first))
-        lenses = [own.distortion for own in self._own.values()]
+        lenses = [own.lens for own in self._own.values()]
         if self.common is not None:
             lenses.append(self.common.camera.distortion)
         self.bent = any(lens is not None for lens in lenses)

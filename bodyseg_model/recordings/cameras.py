@@ -3,15 +3,38 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
 import numpy as np
 
 from bodyseg_data.core import BadConfig
-from bodyseg_data.rigs import PAPER, Camera, Distortion, Rig, Sensor, load_sensor, rig_names
+from bodyseg_data.rigs import MAX_FOCAL_PX, PAPER, Camera, Distortion, Rig, Sensor, load_sensor, rig_names
 
 _SQUARE: Final = 0.01
+_NEARLY_SQUARE: Final = 0.1
+_FOCAL_SHARES: Final = (0.2, 50.0)  # of the longer side: 136 degrees and 1 degree of it are seen
+
+
+def check_intrinsics(focal_px: float, centre_px: tuple[float, float], shape: tuple[int, int], where: str) -> None:
+    """Raise BadConfig for a focal length that no camera of images of `shape` (rows, columns) has, as in another unit.
+
+    centre_px: principal point (x, y), pixels; shares of the image are refused. where: the camera, for messages. What is
+    no length at all is left to `Camera`.
+    """
+    rows, columns = shape
+    least, most = (share * max(shape) for share in _FOCAL_SHARES)
+    if 0 < focal_px < least or most < focal_px <= MAX_FOCAL_PX:
+        hint = "a share of the image" if focal_px <= 2 else "in millimetres" if focal_px < least else "in another unit"
+        raise BadConfig(
+            f"{where}: a focal length must be in pixels, {least:.4g} to {most:.5g} for images of {rows} x {columns}, "
+            f"found {focal_px:.5g}: is it {hint}?"
+        )
+    if min(shape) > 16 and all(0 < value <= 1.5 for value in centre_px):
+        raise BadConfig(
+            f"{where}: a principal point must be in pixels, found {centre_px[0]:g} and {centre_px[1]:g} for images of "
+            f"{rows} x {columns}: are they shares of the image?"
+        )
 
 
 @dataclass(frozen=True)
@@ -94,6 +117,7 @@ def frame_camera(
         raise BadConfig(f"--centre takes two numbers, x and y, found {len(centre_px)}")
     if focal_px is not None:
         x, y = centre_px or (columns / 2, rows / 2)
+        check_intrinsics(focal_px, (x, y), shape, f"--focal and --centre, {where}")
         return FrameCamera(Camera(rows, columns, focal_px, (x, y), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), "given")
     if centre_px:
         raise BadConfig("--centre needs --focal")
@@ -112,8 +136,9 @@ def frame_camera(
 class Intrinsics:
     """Camera matrix and lens distortion of a frame as OpenCV gives them: pixels, pixel centres at whole numbers.
 
-    size: (rows, columns) of the frame, None if the file does not say. where: the file, for messages. Raises BadConfig
-    for focal lengths that differ by more than 1 %, which square pixels do not have.
+    size: (rows, columns) of the frame, None if the file does not say. where: the file, for messages. Focal lengths that
+    differ by more than 1 %, which square pixels do not have, are part of the lens: frames are resampled. Raises
+    BadConfig for more than 10 %.
     """
 
     fx: float
@@ -125,17 +150,26 @@ class Intrinsics:
     where: str
 
     def __post_init__(self) -> None:
-        if abs(self.fx / self.fy - 1) > _SQUARE:
+        if abs(self.fx / self.fy - 1) > _NEARLY_SQUARE:
             raise BadConfig(f"{self.where}: pixels must be square, found 'fx' {self.fx:g} and 'fy' {self.fy:g}")
+
+    @property
+    def lens(self) -> Distortion | None:
+        """Distortion, with the shape of pixels that are not square; None for none."""
+        if abs(self.fx / self.fy - 1) <= _SQUARE:
+            return self.distortion
+        return replace(self.distortion or Distortion(), aspect=math.sqrt(self.fx / self.fy))
 
     def frame_camera(self, shape: tuple[int, int]) -> FrameCamera:
         """The camera of a frame of `shape` (rows, columns). Raises BadConfig for another size than the file's."""
         if self.size is not None and self.size != shape:
             expected, found = (" x ".join(map(str, size)) for size in (self.size, shape))
             raise BadConfig(f"{self.where}: the frame must have {expected} pixels, found {found}")
+        focal_px = math.sqrt(self.fx * self.fy)
+        check_intrinsics(focal_px, (self.cx + 0.5, self.cy + 0.5), shape, self.where)
         centre, pose = (self.cx + 0.5, self.cy + 0.5), ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
         try:
-            camera = Camera(*shape, math.sqrt(self.fx * self.fy), centre, *pose, distortion=self.distortion)
+            camera = Camera(*shape, focal_px, centre, *pose, distortion=self.lens)
         except BadConfig as error:
             raise BadConfig(f"{self.where}: {error}") from None
         return FrameCamera(camera, f"file {self.where}")

@@ -23,6 +23,9 @@ from bodyseg_model.recordings.recording import MILLIMETRE, Frame, Pixels
 
 _NAME: Final = re.compile(r"[\w+()-][\w+(). -]{0,99}")
 
+_DEPTH_NAME: Final = re.compile(r"(?:^|[^a-z])(depth|range)(?![a-z])")
+_DEPTH_FOLDERS: Final = ("depth", "depth_raw", "range")
+
 _NO_NAMES: Final = ("/", ".", "..")
 
 RECORDINGS_HELP: Final = "16-bit grey PNGs, folders or tars of them, or recordings: bags, MCAP, NPY, NPZ, TIFF, MKV"
@@ -109,22 +112,35 @@ def png_file(path: Path, time_s: float | None = None, step_m: float = MILLIMETRE
 
 
 def _folder(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame, ...]:
-    """The PNGs in a folder; where there are none, the recording that it is, or those in its files as one."""
+    """The PNGs in a folder; where there are none, the recording that it is, or those in its files as one.
+
+    Of images beside each other, as 7-Scenes, ScanNet and others have them, those of depth: by their names ("000.depth",
+    "depth_0") where some have such a name, or the folder called depth where there is nothing else to read.
+    """
     try:
         files = [file for file in path.iterdir() if not file.name.startswith(".") and not file.is_dir()]
     except OSError as error:
         raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error
-    if pngs := [file for file in files if _is_frame(file.name)]:
+    if pngs := _of_depth([file for file in files if _is_frame(file.name)]):
         return _pngs([png_file(file) for file in pngs], path, topic, step_m)
     if (found := find_format(path)) is not None:
         return found.open(path, topic, step_m)
-    parts = [file for file in files if file.suffix.lower() in SUFFIXES]
+    parts = _of_depth([file for file in files if file.suffix.lower() in SUFFIXES])
+    inner = [path / name for name in _DEPTH_FOLDERS if (path / name).is_dir()]
+    if not parts and inner:
+        return _folder(inner[0], topic, step_m)
     if not parts:
         raise BadConfig(
             f"a folder of frames must hold .png files or recordings ({', '.join(SUFFIXES)}), found none in {path}"
         )
     parts.sort(key=lambda part: natural_key(part.name))
     return tuple(frame for part in parts for frame in open_recording(part, topic, step_m))
+
+
+def _of_depth(files: list[Path]) -> list[Path]:
+    """Files whose names say depth, if a quarter or more have such names; else all."""
+    depth = [file for file in files if _DEPTH_NAME.search(file.stem.lower())]
+    return depth if 4 * len(depth) >= len(files) else files
 
 
 def _tar(path: Path) -> list[Frame]:

@@ -24,6 +24,8 @@ FLOAT_STEP_M: Final = 2.5e-4
 LARGEST_SIDE: Final = 4096
 """The most rows or columns of a frame."""
 
+_MOST_STEPS: Final = 65535
+
 Pixels = NDArray[np.uint16]
 
 
@@ -120,23 +122,27 @@ def check_pixels(shape: tuple[int, ...], kind: np.dtype[Any]) -> None:
     if len(shape) != 2 or not all(1 <= side <= LARGEST_SIDE for side in shape):
         found = " x ".join(map(str, shape)) or "one number"
         raise BadConfig(f"a frame must have rows and columns, 1 to {LARGEST_SIDE} of each, found {found}")
-    if kind.kind != "f" and (kind.kind, kind.itemsize) != ("u", 2):
-        raise BadConfig(f"a frame must be of uint16, steps, or of floating point, metres, found {kind}")
+    if kind.kind not in "fui":
+        raise BadConfig(f"a frame must be of whole numbers, steps, or of floating point, metres, found {kind}")
 
 
 def in_steps(values: NDArray[Any], float_m: float = 1.0) -> Pixels:
     """Convert pixels to uint16 [H, W]: whole numbers as they are, floating point rounded to `FLOAT_STEP_M`.
 
-    float_m: metres that 1.0 is. What is not finite, not above 0, or beyond the last step becomes 0, nothing measured.
-    Raises BadConfig for another type or shape.
+    float_m: metres that 1.0 is. Floating point that is not finite or beyond the last step, and all that is not above 0,
+    becomes 0, nothing measured. Raises BadConfig for another type or shape, and for whole numbers of more than 16 bits.
     """
     check_pixels(values.shape, values.dtype)
     if values.dtype.kind == "f":
         metres = values.astype(np.float32) if values.dtype.itemsize < 4 else values
         with np.errstate(over="ignore", invalid="ignore"):
             steps = np.rint(metres * (float_m / FLOAT_STEP_M))
-            return np.where((steps > 0) & (steps < 65535), steps, 0).astype(np.uint16)
-    return values.astype(np.uint16)
+            return np.where((steps > 0) & (steps < _MOST_STEPS), steps, 0).astype(np.uint16, "C")
+    if values.dtype.itemsize > 2 and values.size and values.max() > _MOST_STEPS:
+        raise BadConfig(f"steps must be at most {_MOST_STEPS}, found {values.max()} in an array of {values.dtype}")
+    if values.dtype.kind == "i":
+        values = np.maximum(values, 0)
+    return values.astype(np.uint16, "C")
 
 
 def stored_recording(

@@ -8,7 +8,13 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_model.segmentation.carried_labels import CarriedLabels
-    from bodyseg_model.segmentation.frame_labeller import FrameLabeller, LabelledFrame, LabelledRecording
+    from bodyseg_model.segmentation.frame_labeller import (
+        TURNED_HELP,
+        FrameLabeller,
+        LabelledFrame,
+        LabelledRecording,
+        Turned,
+    )
     from bodyseg_model.segmentation.output_folder import LABELS, OVERLAY, UNDISTORTED, FrameResults, OutputFolder
     from bodyseg_model.segmentation.person_score import PersonScore, shipped_score
     from bodyseg_model.segmentation.pictures import Preview, draw_overlay

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Final, TypeVar, cast
+from typing import Any, Final, Literal, TypeVar, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,16 @@ _READ: Final = "read"
 _KEPT: Final = 4  # segmenters: an undistortion takes as much memory as several frames
 
 _END: Final = object()
+
+Turned = Literal["0", "90", "180", "270", "auto"]
+
+TURNED_HELP: Final = "the camera is mounted turned: heads point left in frames (90), down (180), right (270); or auto"
+"""Help of `--turned`."""
+
+_JUDGED: Final = 4  # frames with people that tell how the camera is turned
+_MOST_LOOKED_AT: Final = 32
+_SURER: Final = 0.05
+_PERSON: Final = 0.65  # mean confidence; on furniture, the network that ships has less
 
 Item = TypeVar("Item")
 
@@ -71,10 +81,13 @@ class FrameLabeller:
     label chairs, boxes and other things of a body's size like people. video: frames follow each other in time, and
     labels are steadied by those of the frames before. backend, precision: what computes the network (`on_backend`; by
     default torch in float32). flip_average: label the mirror image, too, and average. device: "cpu", "cuda", "cuda:1"
-    ..., by default a GPU if there is one.
+    ..., by default a GPU if there is one. turned: degrees by which the camera was mounted turned clockwise, as seen
+    from behind it: 0; 90, heads point left in its frames; 180, down; 270, right; "auto", the turn at which the network
+    is surest of a person in the first frames with people; by default the roll of the frames' camera. Frames are
+    turned upright before they are labelled, and labels back.
 
-    Raises BadConfig for a confidence outside 0 to 1 as soon as a camera is known, or as `on_backend` and `to_device`;
-    MissingLibrary.
+    Raises BadConfig for a confidence outside 0 to 1 as soon as a camera is known, for another turn, or as `on_backend`
+    and `to_device`; MissingLibrary.
     """
 
     def __init__(
@@ -90,7 +103,10 @@ class FrameLabeller:
         precision: Precision | None = None,
         flip_average: bool = False,
         device: str | None = None,
+        turned: int | Turned | None = None,
     ) -> None:
+        if turned is not None and str(turned) not in get_args(Turned):
+            raise BadConfig(f"turned must be one of {', '.join(get_args(Turned))}, found {turned!r}")
         self.trained = put_on_backend(trained or load_network(), backend, precision, flip_average)
         to_device(self.trained.network, device)
         self.label_map, self.rig = self.trained.label_map, self.trained.rig
@@ -99,13 +115,59 @@ class FrameLabeller:
         self.mirrored, self.least_confidence = mirrored, least_confidence
         self.video = CarriedLabels() if video else None
         self._people = None if keep_things else shipped_score()
-        self.of = lru_cache(maxsize=_KEPT)(self._new_segmenter)
+        self._turned, self._judged = turned, 0
+        self._looked_at, self._confidence = 0, np.zeros(4)  # of each turn, the sum over judged frames
+        self._segmenters = lru_cache(maxsize=_KEPT)(self._new_segmenter)
 
     def __repr__(self) -> str:
         return f"FrameLabeller({self.trained!r}, {self.background}, for rig {self.rig.name})"
 
-    def _new_segmenter(self, camera: Camera) -> tuple[Undistortion | None, Segmenter]:
-        """Undistortion, where the camera needs one, and segmenter of its frames, as `of`. Raises BadConfig."""
+    def of(self, camera: Camera) -> tuple[Undistortion | None, Segmenter]:
+        """Undistortion, where a camera needs one, and segmenter of its frames. Raises BadConfig."""
+        return self._segmenters(camera, self.quarters(camera))
+
+    def quarters(self, camera: Camera) -> int:
+        """Right angles by which the camera's frames are turned clockwise before they are labelled."""
+        if self.tells_turn:
+            return int(self.means().argmax())
+        if self._turned is not None:
+            return int(self._turned) // 90
+        # As against the camera that the network was trained for, which may be turned itself.
+        quarters = round((camera.roll_deg - self.rig.camera.roll_deg) / 90)
+        return (-quarters if self.mirrored else quarters) % 4
+
+    def means(self) -> NDArray[np.float64]:
+        """Mean confidence of the network at each turn of the frames it has judged, float64 [4]; 0 for none."""
+        return self._confidence / max(self._judged, 1)
+
+    @property
+    def _undecided(self) -> bool:
+        return self.tells_turn and self._judged < _JUDGED and self._looked_at < _MOST_LOOKED_AT
+
+    def _judge(self, range_m: NDArray[np.float32], camera: Camera) -> None:
+        """Note how sure the network is of the person that it is surest of in a frame, turned each way.
+
+        range_m: without distortion. A frame in which it is not sure of anything tells nothing: things look alike at
+        every turn.
+        """
+        surest = np.zeros(4)
+        for quarters in range(4):
+            answer = Segmenter(
+                self.trained.network,
+                camera,
+                self.background,
+                self.mirrored,
+                rig=self.rig,
+                people=self._people,
+                turned=quarters,
+            )(range_m)
+            surest[quarters] = max((float(body.confidence.mean()) for body in answer.bodies), default=0.0)
+        self._looked_at += 1
+        if surest.max() >= _PERSON:
+            self._judged += 1
+            self._confidence += surest
+
+    def _new_segmenter(self, camera: Camera, quarters: int) -> tuple[Undistortion | None, Segmenter]:
         lens = None if camera.distortion is None else Undistortion(camera)
         return lens, Segmenter(
             self.trained.network,
@@ -116,6 +178,7 @@ class FrameLabeller:
             self.rig,
             self._people,
             self.video,
+            quarters,
         )
 
     def __call__(self, range_m: NDArray[np.float32], camera: Camera) -> LabelledFrame:
@@ -126,6 +189,21 @@ class FrameLabeller:
         view.
         """
         return self._find_in_array(0, range_m, camera)()
+
+    @property
+    def tells_turn(self) -> bool:
+        """True if the turn is "auto"."""
+        return self._turned == "auto"
+
+    def look_at(self, recording: LabelledRecording) -> None:
+        """Judge by the first frames with people how a recording's camera is turned."""
+        self._judged, self._looked_at, self._confidence = 0, 0, np.zeros(4)
+        for frame in recording.frames[:_MOST_LOOKED_AT]:
+            if self._judged == _JUDGED:
+                return
+            with contextlib.suppress(BadConfig):  # one that cannot be read is told of when it is labelled
+                pixels, segmenter, _ = recording.undistorted(frame, frame.read())
+                self._judge(to_metres(pixels, frame.step_m), segmenter.camera)
 
     def restart(self) -> None:
         """Begin another recording: with `video`, nothing is carried over from frames before."""
@@ -157,6 +235,9 @@ class FrameLabeller:
             with watch(_READ):
                 lens, segmenter = self.of(camera)
                 ideal = range_m if lens is None else lens(range_m)
+            if self._undecided and ideal.shape == (camera.rows, camera.columns):
+                self._judge(ideal, segmenter.camera)
+                _, segmenter = self.of(camera)
             found = segmenter.find(ideal)
         return partial(_label_found, where, segmenter, found, watch.milliseconds[_READ], number=number)
 
@@ -226,6 +307,8 @@ class LabelledRecording:
         self.cameras = FrameCameras(frames, rig, focal_px, centre_px, labeller.rig, skipping)
         self._skipping = skipping
         labeller.of(self.cameras.first.camera)  # now, so that options that cannot be are refused
+        if labeller.tells_turn:
+            labeller.look_at(self)
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -237,6 +320,18 @@ class LabelledRecording:
     def skipped(self) -> list[dict[str, str]]:
         """Name, file and error of each frame that could not be read so far, in the order of reading."""
         return self._skipping.skipped
+
+    def surer_turn_deg(self) -> int | None:
+        """Turn of the frames, degrees, at which the network is surer by `_SURER` than as they are labelled; or None."""
+        self.labeller.look_at(self)
+        means, used = self.labeller.means(), self.turned_deg // 90
+        best = int(means.argmax())
+        return 90 * best if means[best] > means[used] + _SURER else None
+
+    @property
+    def turned_deg(self) -> int:
+        """Degrees by which the first frame's camera was mounted turned clockwise, as `FrameLabeller` takes them."""
+        return 90 * self.labeller.quarters(self.cameras.first.camera)
 
     def prepare(self) -> None:
         """Load the compiled loops and label usual views, so that the first frame takes no longer than others."""
@@ -265,6 +360,13 @@ class LabelledRecording:
         self.labeller.restart()
         return label()
 
+    def undistorted(self, frame: Frame, pixels: Pixels) -> tuple[Pixels, Segmenter, FrameCamera]:
+        """A frame's pixels without distortion, the segmenter for them, and the camera. Raises BadConfig, naming it."""
+        camera = self.cameras.of(frame, (pixels.shape[0], pixels.shape[1]))
+        with _naming_frame(frame.where):
+            lens, segmenter = self.labeller.of(camera.camera)
+            return pixels if lens is None else lens(pixels), segmenter, camera
+
     def _find(
         self, number: int, read: Callable[[Frame], Pixels | None], prepare: bool = False, stamps: bool = False
     ) -> Found | None:
@@ -274,12 +376,8 @@ class LabelledRecording:
             pixels = read(frame)
             if pixels is None:
                 return None
-            camera = self.cameras.of(frame, (pixels.shape[0], pixels.shape[1]))
-            with _naming_frame(frame.where):
-                lens, segmenter = self.labeller.of(camera.camera)
-                if lens is not None:
-                    pixels = lens(pixels)
-                range_m = to_metres(pixels, frame.step_m)
+            pixels, segmenter, camera = self.undistorted(frame, pixels)
+            range_m = to_metres(pixels, frame.step_m)
         if prepare:
             segmenter.prepare()
         with _naming_frame(frame.where):
@@ -302,7 +400,11 @@ class LabelledRecording:
         steps_m = {str(frame.path): frame.step_m for frame in self.frames}
         one = len(set(steps_m.values())) == 1
         return {
-            "camera": {**self.cameras.to_json(), "mirrored": self.labeller.mirrored},
+            "camera": {
+                **self.cameras.to_json(),
+                "mirrored": self.labeller.mirrored,
+                **({"turned_deg": self.turned_deg} if self.turned_deg else {}),
+            },
             "unit_m": self.frames[0].step_m if one else steps_m,
             "skipped": self.skipped,
         }
@@ -325,7 +427,7 @@ def _label_found(
         answer = segmenter.label(found)
     times = {_READ: read_ms, **answer.milliseconds}
     fields = {**vars(answer), **of_frame, "milliseconds": times}
-    return LabelledFrame(range_m=found.range_m, camera=segmenter.camera, **fields)
+    return LabelledFrame(range_m=segmenter.as_frame(found), camera=segmenter.camera, **fields)
 
 
 def read_ahead(items: Iterable[Item]) -> Generator[Item, None, None]:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -92,13 +92,32 @@ FoundBody = tuple[NDArray[np.intp], float | None, BodyView]
 @dataclass(frozen=True)
 class FoundSurfaces:
     """The surfaces of a frame that have a body's size, people and things, the largest of each first. range_m: the
-    frame, float32 [H, W], metres. milliseconds: of each of `STAGES` so far.
+    frame, turned upright, float32 [H, W], metres; pixels are of it. milliseconds: of each of `STAGES` so far.
     """
 
     range_m: NDArray[np.float32] = field(repr=False)
     bodies: tuple[FoundBody, ...]
     things: tuple[Thing, ...]
     milliseconds: dict[str, float]
+
+
+def turned_image(image: NDArray[Any], quarters: int) -> NDArray[Any]:
+    """An image [H, W] turned clockwise by right angles, in rows of its own; the image itself for none."""
+    return np.ascontiguousarray(np.rot90(image, -quarters)) if quarters % 4 else image
+
+
+def _turned_back(answer: Segmentation, quarters: int) -> Segmentation:
+    """The answer to an upright frame as one to the frame that was turned clockwise by so many right angles."""
+    # At each pixel of the upright frame the pixel of the other.
+    labels = turned_image(answer.labels, -quarters)
+    place = turned_image(np.arange(labels.size).reshape(labels.shape), quarters).ravel()
+    bodies = []
+    for body in answer.bodies:
+        pixels = place[body.pixels]
+        order = np.argsort(pixels)
+        bodies.append(replace(body, pixels=pixels[order], confidence=body.confidence[order]))
+    things = tuple(replace(thing, pixels=np.sort(place[thing.pixels])) for thing in answer.things)
+    return replace(answer, labels=labels, bodies=tuple(bodies), things=things)
 
 
 class Segmenter:
@@ -110,8 +129,9 @@ class Segmenter:
     pixels of less get no label. rig: that the network was trained for, by default the paper's. people: the score by
     which surfaces of a body's size are people or things, in the background mode "people" (`shipped_score`); None to
     label all of them. video: carries evidence from frame to frame of a recording, whose frames must then come in order
-    (`CarriedLabels`); None to label each alone. Raises BadConfig for a confidence outside 0 to 1 or a camera with
-    distortion; MissingLibrary without numba.
+    (`CarriedLabels`); None to label each alone. turned: right angles by which the camera was mounted turned clockwise,
+    as seen from behind it: frames are turned clockwise by as many before they are labelled, and labels back. Raises
+    BadConfig for a confidence outside 0 to 1 or a camera with distortion; MissingLibrary without numba.
     """
 
     def __init__(
@@ -124,6 +144,7 @@ class Segmenter:
         rig: Rig | None = None,
         people: PersonScore | None = None,
         video: CarriedLabels | None = None,
+        turned: int = 0,
     ) -> None:
         if not 0 <= least_confidence <= 1:
             raise BadConfig(f"a confidence must be 0 to 1, found {least_confidence:g}")
@@ -131,6 +152,7 @@ class Segmenter:
             raise BadConfig(f"frames must be undistorted before they are labelled, found {camera.distortion}")
         require_numba("labelling frames", extra="segment")
         self.camera, self.mirrored, self.least_confidence = camera, mirrored, least_confidence
+        self.turned, self._upright = turned % 4, camera.turned(turned)
         self.background = background or Background()
         self.rig = rig or load_rig()
         self.device = device_of(network)
@@ -162,15 +184,16 @@ class Segmenter:
                 f"a frame must have the camera's size, {self.camera.rows} x {self.camera.columns}, "
                 f"found {' x '.join(map(str, range_m.shape))}"
             )
-        watch, threads = Stopwatch(STAGES), torch.get_num_threads()
+        watch, threads, camera = Stopwatch(STAGES), torch.get_num_threads(), self._upright
         with watch("background"):
-            surfaces = find_bodies(range_m, self.camera, self.background, threads)
+            range_m = turned_image(range_m, self.turned)
+            surfaces = find_bodies(range_m, camera, self.background, threads)
         people: list[tuple[NDArray[np.intp], float | None]] = [(pixels, None) for pixels in surfaces]
         things: tuple[Thing, ...] = ()
         if self.people is not None:
             score, flat = self.people, range_m.ravel()
             with watch("shape"):
-                scores = of_each(lambda pixels: score(pixels, range_m, self.camera), surfaces, threads)
+                scores = of_each(lambda pixels: score(pixels, range_m, camera), surfaces, threads)
                 judged = list(zip(surfaces, scores, strict=True))
                 people = [each for each in judged if each[1] >= score.cutoff]
                 things = tuple(
@@ -179,7 +202,7 @@ class Segmenter:
                     if person < score.cutoff
                 )
         with watch("resample"):
-            resample = partial(view_body, range_m, camera=self.camera, rig=self.rig, mirrored=self.mirrored)
+            resample = partial(view_body, range_m, camera=camera, rig=self.rig, mirrored=self.mirrored)
             if self.background.mode == "frame":
                 resample = partial(view_frame, range_m, mirrored=self.mirrored)
             views = of_each(resample, [pixels for pixels, _ in people], threads)
@@ -202,10 +225,15 @@ class Segmenter:
         if self.video is not None:
             with watch("video"):
                 seen = [(body.pixels, body.confidence) for body in bodies]
-                labels = self.video(range_m, labels, seen, self.camera)
+                labels = self.video(range_m, labels, seen, self._upright)
         for labelled in bodies:
             labels.ravel()[labelled.pixels[labelled.confidence < self.least_confidence]] = BACKGROUND
-        return Segmentation(labels, tuple(bodies), watch.milliseconds, found.things)
+        answer = Segmentation(labels, tuple(bodies), watch.milliseconds, found.things)
+        return _turned_back(answer, self.turned) if self.turned else answer
+
+    def as_frame(self, found: FoundSurfaces) -> NDArray[np.float32]:
+        """The frame whose surfaces were found, as it came, float32 [H, W], metres."""
+        return turned_image(found.range_m, -self.turned)
 
     def prepare(self) -> None:
         """Load the compiled loops and label usual views, so that the first frames take no longer than others: a network
@@ -215,12 +243,12 @@ class Segmenter:
         if self._prepared:
             return
         self._prepared = True
-        rows, columns = self.camera.rows, self.camera.columns
+        rows, columns = self._upright.rows, self._upright.columns
         room = np.full((rows, columns), self.background.far_m, np.float32)
         room[rows // 4 : 3 * rows // 4, 3 * columns // 8 : 5 * columns // 8] /= 2  # of a body's size for most cameras
-        for pixels in find_bodies(room, self.camera, self.background, torch.get_num_threads()):
+        for pixels in find_bodies(room, self._upright, self.background, torch.get_num_threads()):
             if self.people is not None:
-                self.people(pixels, room, self.camera)
-        view_body(np.full_like(room, self.rig.stand_off_m), np.arange(1), self.camera, self.rig, self.mirrored)
+                self.people(pixels, room, self._upright)
+        view_body(np.full_like(room, self.rig.stand_off_m), np.arange(1), self._upright, self.rig, self.mirrored)
         for views in usual_views(self.rig, self._network.together):
             predict_each(self._network, views)

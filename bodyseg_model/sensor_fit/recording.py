@@ -273,11 +273,13 @@ def read_recording(
     background: Background,
     nearer_than_m: float | None,
     skipping: Skipping | None = None,
+    quarters: int = 0,
 ) -> MarkedRecording:
     """Read frames and find the bodies in them.
 
     files: in the order of time. nearer_than_m: every measured pixel nearer than this is a body's; None: bodies are
-    found by `background`, as `bodyseg segment` does. skipping: of frames that cannot be read, by default none. Raises
+    found by `background`, as `bodyseg segment` does. skipping: of frames that cannot be read, by default none.
+    quarters: right angles by which frames are turned clockwise where bodies are sought, and nowhere else. Raises
     BadConfig for frames that cannot be read, that are not the camera's, of different units, or none of which shows a
     body; MissingLibrary without the extra `sensor`.
     """
@@ -302,9 +304,12 @@ def read_recording(
                 f"frames must have the size of the first, {camera.rows} x {camera.columns}, "
                 f"found {stored.shape[0]} x {stored.shape[1]}: {files[index].where}"
             )
-        frames.append(_frame(files[index].name, stored, camera, step_m, background, nearer_than_m))
+        frames.append(_frame(files[index].name, stored, camera, step_m, background, nearer_than_m, quarters))
     if not any(frame.body.any() for frame in frames):
-        raise BadConfig("no frame shows a body: are --units, --near, --far or --nearer-than right?")
+        raise BadConfig(
+            "no frame shows a body: are --units, --near, --far or --nearer-than right, and the camera's focal length, "
+            f"{camera.focal_px:.5g} px? {files[0].where}"
+        )
     pairs = tuple((places[a], places[b]) for a, b in pairs if a in places and b in places)
     return MarkedRecording(tuple(frames), camera, step_m, pairs)
 
@@ -325,14 +330,18 @@ def _frame(
     step_m: float,
     background: Background,
     nearer_than_m: float | None,
+    quarters: int,
 ) -> MarkedFrame:
     range_m = to_metres(stored, step_m)
     body = np.zeros(stored.shape, np.bool_)
     if nearer_than_m is not None:
         body[(range_m > 0) & (range_m < nearer_than_m)] = True
     else:
-        for pixels in find_bodies(range_m, camera, background):
-            body.ravel()[pixels] = True
+        upright = np.ascontiguousarray(np.rot90(range_m, -quarters))
+        marked = np.zeros(upright.shape, np.bool_)
+        for pixels in find_bodies(upright, camera.turned(quarters), background):
+            marked.ravel()[pixels] = True
+        body = np.ascontiguousarray(np.rot90(marked, quarters))
     return MarkedFrame(name, stored, range_m, body)
 
 

@@ -10,9 +10,8 @@ import asyncio
 import dataclasses
 import hmac
 import http
-import ipaddress
 import logging
-import math
+import re
 import secrets
 import socket
 from collections.abc import Callable, Collection, Iterator
@@ -21,10 +20,9 @@ from typing import Any, Final
 from urllib.parse import urlsplit
 
 _LONGEST_TEXT: Final = 10_000
-_LARGEST: Final = 1e6
-"""Largest number, metres or pixels, of a browser's camera."""
-
+_LARGEST: Final = 1e6  # metres or pixels, of a browser's camera
 _PORTS: Final = {"http": ":80", "https": ":443"}
+_NUMBER: Final = re.compile(r"[0-9]+(\.[0-9]+){3}|[0-9a-f]*:[0-9a-f:.]*")
 
 
 class Guard:
@@ -39,17 +37,17 @@ class Guard:
         self._own = {"localhost", host.lower(), socket.gethostname().lower()}
 
     def refusal(self, path: str, hosts: list[str], origins: list[str]) -> str | None:
-        """Say why a request is refused; None if it is served.
+        """Say why a request with a path and headers Host and Origin is refused; None if it is served.
 
-        path: that it asks for. hosts, origins: its headers of these names. A name that leads here but is not of this
-        host may be another page's, whose scripts would pass for this one's; a number cannot be.
+        A name that leads here but is not of this host may be another page's, whose scripts would pass for this one's; a
+        number cannot be.
         """
         if not hmac.compare_digest(path.lstrip("/").split("/")[0].split("?")[0].encode(), self.token.encode()):
             return "open the address that bodyseg view printed: the token in it is missing or of another page"
         if len(hosts) != 1 or len(origins) > 1:
             return "a request must name one host"
         name = _name(hosts[0])
-        if name not in self._own | self._allowed and not _is_number(name):
+        if name not in self._own | self._allowed and not _NUMBER.fullmatch(name):
             return f"{name} is not a host of this page: name it by --allow-host"
         for origin in origins:
             scheme, _, place = origin.lower().partition("://")
@@ -58,10 +56,6 @@ class Guard:
                 return f"a page of {origin} may not use this one: name its host by --allow-host"
         return None
 
-    def without_token(self, path: str) -> str:
-        """The path that a request asks for, without the token."""
-        return path.lstrip("/").removeprefix(self.token) or "/"
-
 
 def _name(host: str) -> str:
     """The name in a header "name:port", in small letters; "" if there is none."""
@@ -69,14 +63,6 @@ def _name(host: str) -> str:
         return urlsplit(f"//{host}").hostname or ""
     except ValueError:
         return ""
-
-
-def _is_number(name: str) -> bool:
-    try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return False
-    return True
 
 
 @contextmanager
@@ -107,7 +93,8 @@ def guarded(guard: Guard, accepts: Callable[[bytes], bool]) -> Iterator[None]:
             headers = request.headers
             why = guard.refusal(request.path, headers.get_all("Host"), headers.get_all("Origin"))
             if why is None:
-                return process_request(connection, dataclasses.replace(request, path=guard.without_token(request.path)))
+                path = request.path.lstrip("/").removeprefix(guard.token) or "/"
+                return process_request(connection, dataclasses.replace(request, path=path))
             body = f"{why}\n".encode()
             head = Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))})
             return Response(http.HTTPStatus.FORBIDDEN.value, "Forbidden", head, body)
@@ -136,14 +123,11 @@ def accepted(raw: bytes, control: Callable[[str], Any]) -> bool:
             vectors = (message.wxyz, message.position, message.look_at, message.up_direction)
             sizes = (message.fov, message.image_height, message.image_width)
             numbers = [*sizes, message.near, message.far, *(number for vector in vectors for number in vector)]
-            return [*map(len, vectors)] == [4, 3, 3, 3] and min(sizes) > 0 and all(map(_is_sane, numbers))
+            small = all(isinstance(each, int | float) and abs(each) <= _LARGEST for each in numbers)
+            return small and min(sizes) > 0 and [*map(len, vectors)] == [4, 3, 3, 3]
         return isinstance(message, messages.GetRenderResponseMessage)
     except Exception:  # bytes of any kind, of anybody
         return False
-
-
-def _is_sane(value: Any) -> bool:
-    return isinstance(value, int | float) and math.isfinite(value) and abs(value) <= _LARGEST
 
 
 def _can_have(handle: Any, value: Any) -> bool:
@@ -151,8 +135,7 @@ def _can_have(handle: Any, value: Any) -> bool:
     import viser
 
     if isinstance(handle, viser.GuiSliderHandle):
-        number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-        return number and handle.min <= value <= handle.max
+        return type(value) in (int, float) and handle.min <= value <= handle.max
     if isinstance(handle, viser.GuiDropdownHandle | viser.GuiButtonGroupHandle):
         return isinstance(value, str) and value in handle.options
     if isinstance(handle, viser.GuiCheckboxHandle | viser.GuiButtonHandle):

@@ -146,13 +146,10 @@ _ASPECT: Final = 0.6
 _PICTURE_PX: Final = 440
 _CONTROLS_PX: Final = 300
 _PHONE_PX: Final = 640
-"""Width below which a window has its controls in front of the points."""
-
 _FREE: Final = 0.4
-"""Share of such a window's height, from its top, that the controls leave free."""
+"""Share of the height, from the top, that the controls leave free of windows that are narrower."""
 
-_SAME_M: Final = 1e-3
-_SAME_ASPECT: Final = 0.02
+_SAME: Final = 0.02
 _DEVICE_M: Final = 0.22
 _DEVICE_COLOURS: Final = ((32, 34, 40), (196, 110, 20), (150, 60, 140))
 _VIEW_PX: Final = (1000, 800)
@@ -231,7 +228,8 @@ class Page:
         @look.on_click
         def _(event: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
             if event.client is not None:
-                devices.value = devices.value or look.value == "sensor"
+                box: Any = devices
+                box.value = box.value or look.value == "sensor"
                 self._look(event.client, look.value)
 
         @save.on_click
@@ -291,8 +289,8 @@ class Page:
         free = _FREE if client.camera.image_width < _PHONE_PX else 1.0  # at first, the whole window's
 
         def fit(camera: viser.CameraHandle) -> None:
-            unmoved = any(np.allclose(camera.position, place, atol=_SAME_M) for place in places)
-            if unmoved and abs(camera.aspect - fitted[0]) > _SAME_ASPECT * fitted[0]:
+            unmoved = any(np.allclose(camera.position, place, atol=1e-3) for place in places)
+            if unmoved and abs(camera.aspect - fitted[0]) > _SAME * fitted[0]:
                 fitted[0] = camera.aspect
                 place = self._look(client, "points", free)
                 places.extend([] if place is None else [place])
@@ -313,10 +311,10 @@ class Page:
         place, at = viewpoint(aimed_at(drawing), [*drawing.devices.values()], chosen, fov_rad, aspect)
         # A little less than to the edge: what is nearer than the middle moves farther.
         down = np.array([0.0, 0.92 * (1 - free) * half * float(np.linalg.norm(place - at)), 0.0])
-        place, at = place - down, at - down
+        moved: NDArray[np.float64] = place - down
         with client.atomic():
-            camera.up_direction, camera.position, camera.look_at = (0.0, 1.0, 0.0), place, at
-        return place
+            camera.up_direction, camera.position, camera.look_at = (0.0, 1.0, 0.0), moved, at - down
+        return moved
 
     def _show(self, drawing: Drawing) -> None:
         with self._lock, self.server.atomic():

@@ -139,29 +139,24 @@ def class_image(
 
 def luminance(colours: NDArray[Any]) -> NDArray[np.float64]:
     """Relative luminance of sRGB colours [..., 3], 0 to 1."""
-    found: NDArray[np.float64] = _light(colours) @ _LUMINANCE
+    shares = np.asarray(colours, np.float64) / 255
+    light = np.where(shares <= 0.04045, shares / 12.92, ((shares + 0.055) / 1.055) ** 2.4)
+    found: NDArray[np.float64] = light @ [0.2126, 0.7152, 0.0722]
     return found
+
+
+_EMPTY_LIGHT: Final = luminance(np.array(EMPTY)) + 0.05
 
 
 def legible(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Colours, sRGB uint8 [N, 3], darkened or lightened where they would be lost on the white page or in `EMPTY`."""
-    light, bright = _light(colours), luminance(colours)[:, None]
-    most, least = 1.05 / _LEAST_CONTRAST - 0.05, (luminance(np.array(EMPTY)) + 0.05) * _LEAST_CONTRAST - 0.05
-    light = np.where(bright > most, light * (most / np.maximum(bright, most)), light)
-    light = np.where(bright < least, light + (1 - light) * ((least - bright) / (1 - np.minimum(bright, least))), light)
-    found = 255 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-    # Rounded to the side on which the contrast holds.
-    return np.where(bright > most, np.floor(found), np.where(bright < least, np.ceil(found), colours)).astype(np.uint8)
-
-
-_LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722])
-
-
-def _light(colours: NDArray[Any]) -> NDArray[np.float64]:
-    """Linear light of sRGB colours, 0 to 1."""
-    shares = np.asarray(colours, np.float64) / 255
-    found: NDArray[np.float64] = np.where(shares <= 0.04045, shares / 12.92, ((shares + 0.055) / 1.055) ** 2.4)
-    return found
+    found = colours.astype(np.int64)
+    while True:
+        bright = luminance(found)[:, None]
+        pale, dark = 1.05 / (bright + 0.05) < _LEAST_CONTRAST, bright + 0.05 < _LEAST_CONTRAST * _EMPTY_LIGHT
+        if not (pale | dark).any():
+            return found.astype(np.uint8)
+        found = np.where(pale, found * 31 // 32, np.where(dark, 255 - (255 - found) * 31 // 32, found))
 
 
 def share_image(shares: NDArray[np.float32], measured: NDArray[np.bool_]) -> NDArray[np.uint8]:

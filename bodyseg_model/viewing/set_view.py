@@ -41,7 +41,7 @@ COLOURINGS: Final[tuple[Colouring, ...]] = get_args(Colouring)
 """What points are coloured by; the last three need a network."""
 
 _COLUMNS: Final = 5
-_FIRST_SHARDS: Final = 8
+_FIRST: Final = 2000
 _FRONT_DEG: Final = 20
 _KIND_COLOURS: Final = np.array([colour for _, colour in KIND_LEGEND], np.uint8)
 
@@ -133,21 +133,14 @@ class SetView:
         return SetView(self.path, self.trained, split, only, where, self.val_share, self.seed, labels)
 
     def first_index(self) -> int:
-        """Index of a sample to begin with: of somebody who stands and is seen from the front, among the first shards'.
+        """Index of a sample to begin with, among the first ones: of somebody who stands and is seen from the front."""
 
-        0 if there is none.
-        """
-        known = {key: index for index, key in enumerate(self.images.keys)}
-        found = [(False, False, 0)]
-        for record in self.images.manifest.shards[:_FIRST_SHARDS]:
-            for within, key in enumerate(record.keys):
-                fields = record.descriptions.info(within, record.split).fields
-                azimuth = float(str(fields.get("azimuth_deg", 180)))
-                stands = str(fields.get("pose")).startswith("stand")
-                front = abs((azimuth + 180) % 360 - 180) <= _FRONT_DEG
-                if key in known:
-                    found.append((stands, front, -known[key]))
-        return -max(found)[2]
+        def fit(index: int) -> tuple[bool, bool, int]:
+            known = self.images.describe(index)
+            front = abs((float(known.get("azimuth_deg", 180)) + 180) % 360 - 180) <= _FRONT_DEG
+            return str(known.get("pose")).startswith("stand"), front, -index
+
+        return max(range(min(len(self), _FIRST)), key=fit)
 
     def index_of(self, key: str) -> int | None:
         """Index of the sample with this key; None if it is not among those chosen."""

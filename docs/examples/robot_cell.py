@@ -171,10 +171,10 @@ def unit(vector: np.ndarray) -> np.ndarray:
 
 
 class Cell:
-    """A scene in pyrender. objects: as `draw_cell` gives them."""
+    """A scene in pyrender. objects: as `draw_cell` gives them. classes: names in the order of their labels."""
 
-    def __init__(self, objects: list[tuple[str, trimesh.Trimesh]]) -> None:
-        self.labels = np.array([255, *(CLASSES.index(name) for name, _ in objects)], np.uint8)
+    def __init__(self, objects: list[tuple[str, trimesh.Trimesh]], classes: Sequence[str] = CLASSES) -> None:
+        self.labels = np.array([255, *(classes.index(name) for name, _ in objects)], np.uint8)
         self.scene = pyrender.Scene(bg_color=(0, 0, 0, 0))
         self.colours = {}
         for number, (_, mesh) in enumerate(objects, start=1):

@@ -16,7 +16,7 @@ import webdataset as wds
 from folders import GOLDEN
 from torch.utils.data import DataLoader
 
-from bodyseg_data import BadConfig, RangeImages, VariantMaker, decoder
+from bodyseg_data import BadSample, RangeImages, decoder
 
 pytestmark = pytest.mark.filterwarnings(  # webdataset leaves closing its files to the garbage collector
     "ignore::pytest.PytestUnraisableExceptionWarning", "ignore::ResourceWarning"
@@ -59,8 +59,7 @@ def test_a_pipeline_gives_the_arrays_of_a_sample(name: str, figures_set: Path) -
 
 def test_a_pipeline_makes_the_bits_of_range_images_in_workers_and_shuffled(figures_set: Path) -> None:
     images = RangeImages(figures_set, "all", seed=3)
-    maker = VariantMaker(figures_set, "all", seed=3)
-    maker.epoch = 2
+    maker = RangeImages(figures_set, "all", seed=3, epoch=2).make
     by_key = {key: images[2, index] for index, key in enumerate(images.keys)}
     pipeline = wds.WebDataset(urls(figures_set), shardshuffle=3, seed=0).shuffle(10).decode(decoder()).map(maker)
     order = []
@@ -76,20 +75,20 @@ def test_a_pipeline_makes_the_bits_of_range_images_in_workers_and_shuffled(figur
 @pytest.mark.parametrize("name", ["format_5", "format_5_png", "format_7", "format_7_png"])
 def test_a_maker_knows_every_format_and_each_samples_rig(name: str) -> None:
     variant = "noise" if name == "format_7_png" else "all"
-    images = RangeImages(GOLDEN / name, variant)
-    maker = pickle.loads(pickle.dumps(VariantMaker(GOLDEN / name, variant)))
+    planes = ["instances"] if name == "format_7" else []
+    maker = pickle.loads(pickle.dumps(RangeImages(GOLDEN / name, variant, planes=planes))).make
+    images = RangeImages(GOLDEN / name, variant, planes=planes)
     for decoded in (False, True) if not name.endswith("png") else (False,):
         read = wds.WebDataset(urls(GOLDEN / name), shardshuffle=False)
         for sample in read.decode(decoder()) if decoded else read:
             made = maker(sample)
-            assert same(made, images[images.keys.index(made["key"])])
+            expected = images[images.keys.index(made["key"])]
+            assert same(made, expected) and made.keys() == {"__key__", *expected}
+            for plane in planes:
+                assert torch.equal(made["planes"][plane], expected["planes"][plane])
 
 
-def test_what_a_pipeline_cannot_know_is_one_line(figures_set: Path, tmp_path: Path) -> None:
-    with pytest.raises(BadConfig, match="holds no projector range, which variant 'occ' needs"):
-        VariantMaker(GOLDEN / "format_7_png", "occ")
-    with pytest.raises(BadConfig, match="no such folder"):
-        VariantMaker(tmp_path / "none")
+def test_what_is_damaged_in_a_pipeline_is_one_line(figures_set: Path, tmp_path: Path) -> None:
     spoiled = Path(shutil.copytree(figures_set, tmp_path / "set")) / "train-00000.tar"
     data = bytearray(spoiled.read_bytes())
     data[900] ^= 1
@@ -98,3 +97,5 @@ def test_what_a_pipeline_cannot_know_is_one_line(figures_set: Path, tmp_path: Pa
         list(wds.WebDataset([str(spoiled)], shardshuffle=False).decode(decoder()))
     assert str(altered.value.__cause__).startswith("bsi: ")
     assert decoder()(".cls", b"1") is None
+    with pytest.raises(BadSample, match="a: a sample has the members .*, found cls"):
+        RangeImages(figures_set).make({"__key__": "a", "cls": 3})

@@ -119,7 +119,7 @@ def test_more_is_lit_than_by_one_projector_whose_set_is_the_same_else(
 def claimed(folder: Path, rig: Rig, to: Path) -> Manifest:
     """The manifest of a copy of a set that claims another rig."""
     shutil.copytree(folder, to)
-    write_manifest(replace(read_manifest(folder), rig=rig), to)
+    write_manifest(replace(read_manifest(folder), rigs=(rig,)), to)
     return read_manifest(to)
 
 

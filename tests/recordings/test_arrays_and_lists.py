@@ -55,7 +55,9 @@ def test_an_array_of_frames_is_read_frame_by_frame(tmp_path: Path) -> None:
     check_stack(tmp_path / "b.npz")
     np.savez(tmp_path / "c.npz", depth=STACK, infrared=STACK // 3)
     check_stack(tmp_path / "c.npz", "depth")
-    assert "choose one by --topic: depth, infrared" in refusal(tmp_path / "c.npz")
+    check_stack(tmp_path / "c.npz")
+    np.savez(tmp_path / "d.npz", left=STACK, right=STACK // 3)
+    assert "choose one by --topic: left, right" in refusal(tmp_path / "d.npz")
     assert "one of depth, infrared, found 'colour'" in refusal(tmp_path / "c.npz", "colour")
     (tmp_path / "unnamed").write_bytes((tmp_path / "a.npy").read_bytes())
     check_stack(tmp_path / "unnamed")
@@ -156,6 +158,36 @@ def test_a_folder_of_recordings_is_one(tmp_path: Path) -> None:
     assert [frame.name for frame in find_frames([tmp_path])][2:] == ["0000", "0001", "0002"]
 
 
+@pytest.mark.parametrize(
+    ("depth", "colour"),
+    [
+        ("frame-{:06d}.depth.png", "frame-{:06d}.color.png"),  # 7-Scenes
+        ("scene_{}_depth.png", "scene_{}.png"),
+        ("depth_{}.png", "rgb_{}.png"),
+        ("depth{:03d}.png", "colour{:03d}.png"),
+        ("depth/{}.png", "color/{}.jpg"),  # ScanNet, exported
+        ("depth_raw/{}.png", "rgb/{}.png"),
+    ],
+)
+def test_depth_beside_colour_is_read_alone(tmp_path: Path, depth: str, colour: str) -> None:
+    for number in range(3):
+        for name, data in ((depth, png(STACK[number])), (colour, png(np.zeros((4, 6), np.uint8)))):
+            path = tmp_path / "recording" / name.format(number)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(data)
+    (tmp_path / "recording" / "frame-000000.pose.txt").write_text("1 0 0 0")
+    frames = find_frames([tmp_path / "recording"])
+    assert len(frames) == 3
+    for frame, values in zip(frames, STACK, strict=True):
+        np.testing.assert_array_equal(frame.read(), values)
+
+
+def test_one_name_with_depth_among_many_chooses_nothing(tmp_path: Path) -> None:
+    for name in ("0", "1", "2", "3", "depth"):
+        (tmp_path / f"{name}.png").write_bytes(png())
+    assert len(find_frames([tmp_path])) == 5
+
+
 def test_a_camera_beside_a_file_is_that_of_all_its_frames(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", STACK)
     (tmp_path / "a.json").write_text('{"fx": 100, "fy": 100, "cx": 42, "cy": 30}')
@@ -166,7 +198,8 @@ def test_a_camera_beside_a_file_is_that_of_all_its_frames(tmp_path: Path) -> Non
 def test_arrays_of_other_shapes_and_types_are_refused(tmp_path: Path) -> None:
     wrong = {
         "float16 is read": (np.ones((4, 6), np.float16), None),
-        "int32": (np.ones((4, 6), np.int32), "found int32"),
+        "8 bits": (np.ones((4, 6), np.uint8), "say by --units what a step is, found uint8"),
+        "complex": (np.ones((4, 6), np.complex64), "found complex64"),
         "text": (np.full((4, 6), "a"), "found <U1"),
         "one number": (np.array(3.0), "found one number"),
         "too many sides": (np.ones((2, 2, 4, 6)), "found 2 x 2 x 4 x 6"),
@@ -179,14 +212,117 @@ def test_arrays_of_other_shapes_and_types_are_refused(tmp_path: Path) -> None:
             assert (open_recording(tmp_path / "a.npy")[0].read() == 4000).all()
         else:
             assert message in refusal(tmp_path / "a.npy")
-    np.savez(tmp_path / "a.npz", a=np.ones((9, 9), np.uint16), b=np.ones((9, 9)))
+    np.savez(tmp_path / "a.npz", a1=np.ones((9, 9), np.uint16), a2=np.ones((9, 9)))
     assert "must all be whole numbers or all floating point" in refusal(tmp_path / "a.npz")
-    np.savez(tmp_path / "a.npz", a=np.asfortranarray(STACK[0]))
-    assert "arrays must have rows first" in refusal(tmp_path / "a.npz")
     assert "found an NPY file" in refusal(tmp_path / "a.npy", "a")
     with pytest.raises(BadConfig, match="recordings that hold several, found PNG files"):
         (tmp_path / "a.png").write_bytes(png())
         open_recording(tmp_path / "a.png", "a")
+
+
+@pytest.mark.parametrize("kind", [np.int16, np.int32, np.uint32, np.int64, np.uint64, ">i4"])
+def test_whole_numbers_of_any_size_are_steps(tmp_path: Path, kind: str) -> None:
+    """What is below 0 was not measured; what 16 bits cannot hold is refused, not wrapped around."""
+    values = RAMP.astype(kind)
+    if values.dtype.kind == "i":
+        values[0, :2] = -1, -32768
+    expected = np.where(values.astype(np.int64) > 0, RAMP, 0)
+    np.save(tmp_path / "a.npy", values)
+    save_tiff(tmp_path / "a.tif", [values.astype(np.int32)])
+    for name in ("a.npy", "a.tif"):
+        np.testing.assert_array_equal(open_recording(tmp_path / name)[0].read(), expected)
+    if values.dtype.itemsize > 2:
+        values[3, 3] = 70_000
+        np.save(tmp_path / "a.npy", values)
+        assert "steps must be at most 65535, found 70000" in broken(tmp_path / "a.npy")
+
+
+def test_eight_bits_are_steps_of_a_given_unit(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.full((6, 8), 25, np.uint8))
+    np.savez(tmp_path / "a.npz", depth=np.full((6, 8), 25, np.uint8))
+    for name in ("a.npy", "a.npz"):
+        (frame,) = open_recording(tmp_path / name, step_m=0.1)
+        np.testing.assert_allclose(to_metres(frame.read(), frame.step_m), 2.5)
+        assert "--units" in refusal(tmp_path / name)
+
+
+def test_a_last_side_of_one_is_no_side_and_colours_are_refused(tmp_path: Path) -> None:
+    for order in ("C", "F"):
+        one, several = RAMP[..., np.newaxis].copy(order), STACK[..., np.newaxis].copy(order)
+        np.save(tmp_path / "several.npy", several)
+        check_stack(tmp_path / "several.npy")
+        np.savez(tmp_path / "several.npz", depth=several)
+        check_stack(tmp_path / "several.npz")
+        np.save(tmp_path / "one.npy", one)
+        np.savez(tmp_path / "one.npz", depth=one, colour=np.zeros((60, 84, 3), np.uint8))
+        for name in ("one.npy", "one.npz"):
+            (frame,) = open_recording(tmp_path / name)
+            np.testing.assert_array_equal(frame.read(), RAMP)
+            assert frame.read().flags.c_contiguous
+    for last in (2, 3, 4):
+        for kind in (np.uint16, np.float32):
+            np.save(tmp_path / "a.npy", np.ones((60, 84, last), kind))
+            found = refusal(tmp_path / "a.npy")
+            assert f"frames must be H x W or N x H x W, found 60 x 84 x {last}" in found
+
+
+def test_arrays_in_fortrans_order_are_read(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.asfortranarray(STACK))
+    check_stack(tmp_path / "a.npy")
+    np.savez_compressed(tmp_path / "a.npz", depth=np.asfortranarray(STACK))
+    check_stack(tmp_path / "a.npz")
+    np.savez(tmp_path / "b.npz", **{f"f{number}": np.asfortranarray(STACK[number]) for number in range(3)})
+    check_stack(tmp_path / "b.npz")
+    assert open_recording(tmp_path / "a.npz")[1].read().flags.c_contiguous
+
+
+@pytest.mark.parametrize(
+    ("depth", "beside"),
+    [
+        ("depth", ("infrared",)),
+        ("depth", ("confidence", "rgb_grey")),
+        ("depth_m", ("depth_confidence", "depth_mask")),
+        ("z", ("amplitude",)),
+        ("range", ("intensity", "ir")),
+        ("rawDepth", ("IR",)),
+    ],
+)
+def test_arrays_beside_the_range_are_no_frames(tmp_path: Path, depth: str, beside: tuple[str, ...]) -> None:
+    near = RAMP % 9000
+    for floating in (False, True):
+        values, others = (each.astype(np.float32) if floating else each for each in (near, np.full_like(near, 900)))
+        np.savez(tmp_path / "a.npz", **{depth: values / 1000 if floating else values}, **dict.fromkeys(beside, others))
+        (frame,) = open_recording(tmp_path / "a.npz")
+        np.testing.assert_allclose(frame.read() * frame.step_m, near / 1000, atol=1.3e-4)
+    np.savez(tmp_path / "a.npz", depth=RAMP, mask=RAMP > 3)
+    assert len(open_recording(tmp_path / "a.npz")) == 1, "a mask is no frame"
+    many = {f"{name}_{number}": RAMP // (number + 1) for name in (depth, *beside) for number in range(3)}
+    np.savez(tmp_path / "many.npz", **many)
+    frames = open_recording(tmp_path / "many.npz")
+    assert len(frames) == 3
+    np.testing.assert_array_equal(frames[2].read(), RAMP // 3)
+
+
+def test_arrays_of_several_names_are_asked_for(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", first=RAMP, amplitude=RAMP)
+    found = refusal(tmp_path / "a.npz")
+    assert found == f"several arrays hold frames, choose one by --topic: amplitude, first ({tmp_path / 'a.npz'})"
+    (frame,) = open_recording(tmp_path / "a.npz", "first")
+    np.testing.assert_array_equal(frame.read(), RAMP)
+    np.savez(tmp_path / "b.npz", left_0=RAMP, left_1=RAMP, right_0=RAMP, right_1=RAMP)
+    assert "choose one by --topic: left, right" in refusal(tmp_path / "b.npz")
+    assert len(open_recording(tmp_path / "b.npz", "left")) == 2
+
+
+def test_pages_of_64_bits_are_metres(tmp_path: Path) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    for order in "<>":
+        metres = np.where(RAMP % 3, 1.25, np.nan)
+        tifffile.imwrite(tmp_path / "a.tif", metres.astype(f"{order}f8"), byteorder=order)
+        (frame,) = open_recording(tmp_path / "a.tif")
+        np.testing.assert_array_equal(frame.read(), np.where(RAMP % 3, 5000, 0))
+    save_tiff(tmp_path / "b.tif", [np.zeros((4, 6), np.uint8)])
+    assert refusal(tmp_path / "b.tif").startswith(f"{tmp_path / 'b.tif'}: a page must be grey of 16 or 32 bits")
 
 
 def test_pickled_objects_are_never_loaded(tmp_path: Path) -> None:

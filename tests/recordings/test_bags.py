@@ -29,6 +29,7 @@ from mcap.writer import CompressionType, IndexType
 from pngs import RAMP, png
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin
+from rvl_encoder import encode_rvl
 
 from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_data.labels import PARTS33
@@ -178,7 +179,10 @@ def test_distortion_is_that_of_raw_images(tmp_path: Path) -> None:
     assert camera_of(path, k=np.zeros(9)) is None, "not calibrated"
     assert camera_of(path, model="equidistant", d=np.zeros(4)).distortion is None
     for wrong, message in (
-        ({"model": "equidistant", "d": bent[:4]}, "distortion must be plumb_bob, of 4 or 5 coefficients, found 'equi"),
+        (
+            {"model": "spherical", "d": bent[:4]},
+            "distortion must be plumb_bob, of 4 or 5 coefficients, or one of brown_conrady",
+        ),
         ({"d": np.ones(8)}, "found 'plumb_bob' of 8"),
         ({"binning_x": 2}, "images must be neither binned nor cut"),
         ({"roi": {"x_offset": 8}}, "images must be neither binned nor cut"),
@@ -198,7 +202,7 @@ def test_distortion_is_that_of_raw_images(tmp_path: Path) -> None:
         (compressed(b"short", "16UC1; compressedDepth"), "must begin with 12 bytes of header, found 5"),
         (compressed(compressed_depth(RAMP)[:300], "16UC1; compressedDepth"), "a PNG must be whole"),
         (compressed(compressed_depth(RAMP), "32FC1; compressedDepth"), "must have finite A above 0"),
-        (compressed(b"", "16UC1; compressedDepth rvl"), "compressedDepth must be in PNG"),
+        (compressed(bytes(20), "16UC1; compressedDepth rvl"), "an image's side must be 1 to 4096 pixels, found 0 x 0"),
         (compressed(b"", "16UC1; jpeg compressed"), "must be a 16-bit PNG or compressedDepth"),
         (compressed(png(np.zeros((4, 4), np.uint8)), "16UC1; png compressed"), "found 8-bit grey"),
     ],
@@ -208,6 +212,38 @@ def test_images_that_contradict_themselves_are_named(sent: Message, message: str
     with pytest.raises(BadConfig) as caught:
         frame.read()
     assert message in str(caught.value) and str(tmp_path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_compressed_images_may_leave_their_encoding_out(tmp_path: Path) -> None:
+    """cv_bridge in Python writes "png"; publishers of their own write the transport alone."""
+    quantised = np.where(RAMP % 5 == 0, 0, RAMP // 2 + 4000).astype(np.uint16)
+    a, b = 10_100.0, -1009.0
+    metres = np.where(quantised, a / (quantised - b), 0)
+    for number, (data, text, steps) in enumerate(
+        (
+            (png(RAMP), "png", True),
+            (png(RAMP), "PNG compressed", True),
+            (png(RAMP), "", True),
+            (compressed_depth(RAMP), "compressedDepth", True),
+            (compressed_depth(RAMP), "; compressedDepth png", True),
+            (bytes(12) + encode_rvl(RAMP), "compressedDepth rvl", True),
+            (bytes(12) + encode_rvl(RAMP), "16UC1; compressedDepth rvl", True),
+            (compressed_depth(quantised, a, b), "compressedDepth", False),
+            (compressed_depth(quantised, a, b)[:12] + encode_rvl(quantised), "32FC1; compressedDepth rvl", False),
+        )
+    ):
+        sent = [COLOUR, compressed(data, text), compressed(png(np.zeros((4, 4), np.uint8)), "png", topic="/grey/png")]
+        (frame,) = open_recording(write_mcap(tmp_path / f"{number}.mcap", sent))
+        if steps:
+            np.testing.assert_array_equal(frame.read(), RAMP)
+        else:
+            np.testing.assert_allclose(frame.read() * frame.step_m, metres, atol=1.3e-4)
+
+
+def test_a_camera_may_be_calibrated_later(tmp_path: Path) -> None:
+    sent = [camera_info(RAMP.shape, k=np.zeros(9)), camera_info(RAMP.shape, k=np.zeros(9)), camera_info(RAMP.shape)]
+    (frame,) = open_recording(write_mcap(tmp_path / "a.mcap", [*sent, image(RAMP, "16UC1")]))
+    assert frame.camera is not None and frame.camera.fx == 100
 
 
 def test_a_change_of_encoding_is_of_its_frame(tmp_path: Path) -> None:
@@ -342,3 +378,9 @@ def test_a_topic_has_a_limit_of_messages(monkeypatch: pytest.MonkeyPatch, tmp_pa
     path = write_mcap(tmp_path / "a.mcap", stream())
     monkeypatch.setattr(messages, "MOST_MESSAGES", 2)
     assert "a topic must have at most 2 messages, found 4" in refusal(path)
+
+
+def test_a_camera_may_stand_below_its_topic(tmp_path: Path) -> None:
+    sent = [camera_info(RAMP.shape, f"{DEPTH}/camera_info"), compressed(png(RAMP), "png", topic=f"{DEPTH}/compressed")]
+    (frame,) = open_recording(write_mcap(tmp_path / "a.mcap", sent))
+    assert frame.camera is not None and frame.camera.fx == 100

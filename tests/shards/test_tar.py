@@ -186,6 +186,10 @@ def _edit(key: str, value: object) -> Callable[[bytes], bytes]:
         (lambda data: b"\xff\xfe", "cannot be read"),
         (lambda data: b"[" * 100_000, "cannot be read"),
         (
+            lambda data: b"\n<!DOCTYPE html><html>sign in</html>",
+            "cannot be read: found a web page .HTML.: is the address",
+        ),
+        (
             _edit("format", "bodyseg shards 3"),
             "'bodyseg shards 6', 'bodyseg shards 7', found 'bodyseg shards 3'",
         ),
@@ -230,7 +234,7 @@ def _with(change: Callable[[dict[str, Any]], object]) -> Callable[[dict[str, Any
         (_with(lambda tree: tree.update(rigs=[])), "'rigs' must be a list of 1 to 4096"),
         (
             _with(lambda tree: tree["rigs"].append(tree["rigs"][0])),
-            "with 2 rigs must have the field 'rig', an int",
+            "with 2 rigs must have the field 'rig', a whole number",
         ),
         (_with(lambda tree: tree.update(fields={})), "'fields' must be lists of pairs"),
         (_with(lambda tree: tree["fields"][0].append(["mesh", "text"])), "a field of descriptions is named once"),

@@ -128,7 +128,7 @@ def test_an_interrupted_push_is_never_whole_and_goes_on(mine: Path, breaking: ty
     with pytest.raises(BadShard, match=r"holds no manifest\.json"):
         read_manifest(RemoteFolder("breaking://box/set", {}, QUICK))
     breaking.uploads_left = 1
-    assert pushed(mine, "breaking://box/set") == Outcome(3, 2, (mine / "train-00001.tar").stat().st_size)
+    assert pushed(mine, "breaking://box/set") == Outcome(3, 2, (mine / "test-00000.tar").stat().st_size)
     assert read_manifest(RemoteFolder("breaking://box/set", {}, QUICK)) == read_manifest(mine)
 
 

@@ -170,7 +170,7 @@ def _is_smooth(projector: Range) -> bool:
     less of a sample, and a sample three times as long to decode.
     """
     changes, texels = np.count_nonzero(projector[:, 1:] != projector[:, :-1]), np.count_nonzero(projector)
-    return 4 * changes > texels and 4 * np.count_nonzero(projector & np.uint16(1)) > texels
+    return bool(4 * changes > texels and 4 * np.count_nonzero(projector & np.uint16(1)) > texels)
 
 
 def _frame(rows: Sequence[Bytes]) -> bytes:

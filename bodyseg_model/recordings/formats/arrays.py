@@ -1,7 +1,12 @@
-"""Recordings in NumPy's files: H x W or N x H x W in an NPY file, or arrays of an NPZ file."""
+"""Recordings in NumPy's files: H x W or N x H x W in an NPY file, or arrays of an NPZ file.
+
+A last side of 1 may stand behind either. A last side of 2 to 4 is colours, which are refused by their shape.
+"""
 
 from __future__ import annotations
 
+import math
+import re
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,10 +22,15 @@ from bodyseg_model.recordings.recording import ArrayFrames, Frame, FrameSource, 
 _LONGEST_HEADER: Final = 10_000
 _TIMES: Final = ("times", "time", "timestamps")
 _MOST_TIMES: Final = 1 << 24
+_LARGEST_STACK: Final = 1 << 30
+_RANGES: Final = re.compile(r"depth|(?<![a-z])(z|range|ranges|distance)(?![a-z])")
+_BESIDE: Final = re.compile(
+    r"conf|mask|valid|std|sigma|noise|var|err|rgb|col|time|amp|ir(?![a-z])|infra|intens|label|vis"
+)
 
 
 def open_npy(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame, ...]:
-    """Open H x W or N x H x W of uint16, steps, or floating point, metres (step_m: metres that 1.0 is).
+    """Open H x W or N x H x W of whole numbers, steps, or floating point, metres (step_m: metres that 1.0 is).
 
     The file is mapped into memory, and only the pages of a frame are read. Raises BadConfig.
     """
@@ -30,15 +40,16 @@ def open_npy(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame
         values = np.lib.format.open_memmap(path, mode="r", max_header_size=_LONGEST_HEADER)
     except Exception as error:  # a damaged header raises what the parser of Python likes
         raise BadConfig(f"{path} must be a whole NPY file of numbers: {error}") from error
-    _check(values.shape, values.dtype, str(path))
-    frames = values if values.ndim == 3 else values[np.newaxis]
+    shape = _check(values.shape, values.dtype, str(path), step_m)
+    frames = values.reshape(shape) if len(shape) == 3 else values.reshape(1, *shape)
     return stored_recording(path, ArrayFrames(frames), [None] * len(frames), values.dtype.kind == "f", step_m)
 
 
 def open_npz(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame, ...]:
     """Open an NPZ file whose frames are N x H x W of one array, or arrays of H x W in natural order of their names.
 
-    An array `times`, `time` or `timestamps` holds N times in seconds. topic: the array, where there are several.
+    An array `times`, `time` or `timestamps` holds N times in seconds. topic: the array, or the name of arrays that
+    differ in their numbers alone, where there are several; None takes the only one that is called depth or the like.
     Arrays are decompressed as far as the frame that is asked for. Raises BadConfig.
     """
     try:
@@ -50,19 +61,12 @@ def open_npz(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame
     except Exception as error:  # a damaged zip raises what zipfile, zlib, lzma and NumPy like
         raise BadConfig(f"{path} must be a whole NPZ file: {error}") from error
     images = [array for array in arrays if array.shaped and array.title not in _TIMES]
-    stacks = [array for array in images if len(array.shape) == 3]
-    if topic is not None:
-        chosen = [array for array in images if array.title == topic]
-        if not chosen:
-            found = ", ".join(array.title for array in images) or "none"
-            raise BadConfig(f"--topic must be an array of images, one of {found}, found {topic!r}: {path}")
-    elif len(stacks) > 1:
-        names = ", ".join(array.title for array in stacks)
-        raise BadConfig(f"several arrays hold frames, choose one by --topic: {names} ({path})")
-    else:
-        chosen = stacks or sorted(images, key=lambda array: natural_key(array.title))
+    families: dict[str, list[_Array]] = {}
+    for array in sorted(images, key=lambda array: natural_key(array.title)):
+        families.setdefault(array.title if len(array.sides) == 3 else array.family, []).append(array)
+    chosen = _chosen(families, images, topic, path)
     for array in chosen:
-        _check(array.shape, array.kind, f"{path}, {array.title!r}")
+        _check(array.shape, array.kind, f"{path}, {array.title!r}", step_m)
     if len({array.kind.kind for array in chosen}) > 1:
         raise BadConfig(f"arrays of frames must all be whole numbers or all floating point, found both in {path}")
     locations = [(array, number) for array in chosen for number in range(array.count)]
@@ -75,27 +79,54 @@ def open_npz(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame
     )
 
 
+def _chosen(families: dict[str, list[_Array]], images: list[_Array], topic: str | None, path: Path) -> list[_Array]:
+    """The arrays that hold the frames: those of one name. Raises BadConfig, listing names, for several or none."""
+    if topic is not None:
+        chosen = [array for array in images if array.title == topic] or families.get(topic, [])
+        if not chosen:
+            found = ", ".join(dict.fromkeys([array.title for array in images] + [*families])) or "none"
+            raise BadConfig(f"--topic must be an array of images, one of {found}, found {topic!r}: {path}")
+        return chosen
+    names = [name for name, arrays in families.items() if len(arrays[0].sides) == 3] or [*families]
+    likely = [name for name in names if _RANGES.search(name.lower()) and not _BESIDE.search(name.lower())]
+    names = likely if len(likely) == 1 else names
+    if len(names) > 1:
+        raise BadConfig(f"several arrays hold frames, choose one by --topic: {', '.join(names)} ({path})")
+    return families[names[0]] if names else []
+
+
 @dataclass(frozen=True)
 class _Array:
-    """An array in a zip, by its header, which ends at byte `start`."""
+    """An array in a zip, by its header, which ends at byte `start`. columns_first: True for Fortran's order."""
 
     member: str
     shape: tuple[int, ...]
     kind: np.dtype[Any]
     start: int
+    columns_first: bool = False
 
     @property
     def title(self) -> str:
         return self.member.removesuffix(".npy")
 
     @property
+    def family(self) -> str:
+        """The name without its numbers, which count frames."""
+        return re.sub(r"[\W_]*[0-9]+", "", self.title) or "frames"
+
+    @property
+    def sides(self) -> tuple[int, ...]:
+        """Its shape without a last side of 1."""
+        return without_last(self.shape)
+
+    @property
     def shaped(self) -> bool:
-        """True for the shape of a frame or of several: small matrices, as of a camera, are none."""
-        return len(self.shape) in (2, 3) and min(self.shape[-2:]) > 4
+        """True for the shape of a frame or of several: small matrices, as of a camera, are none, nor are masks."""
+        return len(self.sides) in (2, 3) and min(self.sides[-2:]) > 4 and self.kind.kind != "b"
 
     @property
     def count(self) -> int:
-        return self.shape[0] if len(self.shape) == 3 else 1
+        return self.sides[0] if len(self.sides) == 3 else 1
 
 
 class _Zipped(FrameSource):
@@ -105,13 +136,16 @@ class _Zipped(FrameSource):
         self._path, self._locations = path, locations
         self._member = ""
         self._file: IO[bytes] | None = None
+        self._whole: tuple[str, NDArray[Any]] | None = None
 
     def __del__(self) -> None:
         self._close()
 
     def read(self, index: int) -> NDArray[Any]:
         array, number = self._locations[index]
-        size = array.shape[-2] * array.shape[-1] * array.kind.itemsize
+        if array.columns_first:
+            return self._stack(array)[number]
+        size = array.sides[-2] * array.sides[-1] * array.kind.itemsize
         try:
             if self._file is None or self._member != array.member:
                 self._close()
@@ -124,7 +158,19 @@ class _Zipped(FrameSource):
             raise BadConfig(f"the array {array.title!r} must be whole: {error}") from error
         if len(data) != size:
             raise BadConfig(f"the array {array.title!r} must be whole, found {len(data)} of {size} bytes")
-        return np.frombuffer(data, array.kind).reshape(array.shape[-2:])
+        return np.frombuffer(data, array.kind).reshape(array.sides[-2:])
+
+    def _stack(self, array: _Array) -> NDArray[Any]:
+        """All frames [N, H, W] of an array in Fortran's order, which lie in each other; the last array stays."""
+        if self._whole is None or self._whole[0] != array.member:
+            self._whole = None
+            try:
+                with zipfile.ZipFile(self._path) as archive, archive.open(array.member) as file:
+                    values: NDArray[Any] = np.lib.format.read_array(file, max_header_size=_LONGEST_HEADER)
+            except Exception as error:  # as above
+                raise BadConfig(f"the array {array.title!r} must be whole: {error}") from error
+            self._whole = array.member, values.reshape(array.count, *array.sides[-2:])
+        return self._whole[1]
 
     def _close(self) -> None:
         if self._file is not None:
@@ -141,9 +187,9 @@ def _described(archive: zipfile.ZipFile, member: str) -> _Array | None:
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, columns_first, kind = read(file, max_header_size=_LONGEST_HEADER)
         start = file.tell()
-    if columns_first and len(shape) > 1:
-        raise BadConfig(f"arrays must have rows first (C order), found {member!r} in {archive.filename}")
-    return _Array(member, shape, kind, start)
+    if columns_first and kind.itemsize * math.prod(shape) > _LARGEST_STACK:
+        raise BadConfig(f"an array this large must have rows first (C order), found {member!r} in {archive.filename}")
+    return _Array(member, shape, kind, start, columns_first and len(shape) > 1)
 
 
 def _times(archive: zipfile.ZipFile, array: _Array) -> list[float]:
@@ -155,9 +201,24 @@ def _times(archive: zipfile.ZipFile, array: _Array) -> list[float]:
     return [float(time) for time in np.frombuffer(data, array.kind, array.shape[0])]
 
 
-def _check(shape: tuple[int, ...], kind: np.dtype[Any], where: str) -> None:
-    """Raise BadConfig unless an array holds a frame or, along its first axis, several."""
+def without_last(shape: tuple[int, ...]) -> tuple[int, ...]:
+    """A shape without a last side of 1, which libraries of pictures put behind rows and columns."""
+    return shape[:-1] if len(shape) in (3, 4) and shape[-1] == 1 else shape
+
+
+def _check(shape: tuple[int, ...], kind: np.dtype[Any], where: str, step_m: float | None) -> tuple[int, ...]:
+    """Return the shape of a frame or, along the first axis, several. Raises BadConfig for another shape or type."""
+    sides = without_last(shape)
+    if kind == np.uint8 and step_m is None:
+        raise BadConfig(f"{where}: of 8 bits, most images are pictures: say by --units what a step is, found {kind}")
+    if len(sides) == 3 and 1 < sides[-1] <= 4 < sides[1]:
+        raise BadConfig(f"{where}: frames must be H x W or N x H x W, found {_text(shape)}: is the last side colours?")
     try:
-        check_pixels(shape[1:] if len(shape) == 3 else shape, kind)
+        check_pixels(sides[1:] if len(sides) == 3 else sides, kind)
     except BadConfig as error:
         raise BadConfig(f"{where}: {error}") from error
+    return sides
+
+
+def _text(shape: tuple[int, ...]) -> str:
+    return " x ".join(map(str, shape))

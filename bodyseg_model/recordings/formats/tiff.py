@@ -1,4 +1,4 @@
-"""Recordings in TIFF files: a page a frame, 16-bit grey or floating point."""
+"""Recordings in TIFF files: a page a frame, whole numbers or floating point."""
 
 from __future__ import annotations
 
@@ -8,24 +8,33 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, TiffImagePlugin
 
 from bodyseg_data.core import BadConfig
 from bodyseg_data.machine import silence_libtiff
 from bodyseg_model.recordings.recording import LARGEST_SIDE, Frame, FrameSource, stored_recording
 
-_MODES: Final = {"I;16": np.uint16, "I;16B": np.uint16, "I;16L": np.uint16, "F": np.float32}
+_MODES: Final = {"I;16": np.uint16, "I;16B": np.uint16, "I;16L": np.uint16, "I": np.int32, "F": np.float32}
+
+# Pillow decodes 64 bits, and only has no name for them: byte order, grey either way, floating point, bits.
+for _order, _raw in ((b"II", "F;64F"), (b"MM", "F;64BF")):
+    for _grey in (0, 1):
+        TiffImagePlugin.OPEN_INFO.setdefault((_order, _grey, (3,), 1, (64,), ()), ("F", _raw))
 
 
 def open_tiff(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame, ...]:
-    """Open a TIFF whose pages are 16-bit grey, steps, or 32-bit floating point, metres (step_m: metres that 1.0 is).
+    """Open a TIFF whose pages are whole numbers, steps, or floating point, metres (step_m: metres that 1.0 is).
 
     Raises BadConfig.
     """
     if topic is not None:
         raise BadConfig(f"--topic is for recordings that hold several, found a TIFF: {path}")
     pages = _Pages(path)
-    return stored_recording(path, pages, [None] * pages.count, pages.read(0).dtype.kind == "f", step_m)
+    try:
+        floating = pages.read(0).dtype.kind == "f"
+    except BadConfig as error:
+        raise BadConfig(f"{path}: {error}") from error
+    return stored_recording(path, pages, [None] * pages.count, floating, step_m)
 
 
 class _Pages(FrameSource):
@@ -51,6 +60,6 @@ class _Pages(FrameSource):
         except Exception as error:  # as above
             raise BadConfig(f"page {index} of the TIFF cannot be read: {error}") from error
         raise BadConfig(
-            f"a page must be 16-bit grey or 32-bit floating point, at most {LARGEST_SIDE} a side, found {mode!r} of "
+            f"a page must be grey of 16 or 32 bits or floating point, at most {LARGEST_SIDE} a side, found {mode!r} of "
             f"{size[1]} x {size[0]}"
         )

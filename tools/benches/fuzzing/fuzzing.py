@@ -28,13 +28,15 @@ from numpy.typing import NDArray
 
 from benches.environment import child_environment
 from benches.fuzzing.hostile import declared_bytes
-from benches.fuzzing.hostile_files import KEY, MAKERS
+from benches.fuzzing.hostile_files import KEY, MAKERS, column_set
 from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh, BadSample, BadShard, BodysegError
 from bodyseg_data.machine.kernels import VARIABLE
 from bodyseg_data.meshes import load_landmark_file, read_mesh
+from bodyseg_data.renders import open_renders
 from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import Sample
 from bodyseg_data.shards import BODY_FIELDS, CODECS, MANIFEST_NAME, decode_sample, read_manifest, record_from_json
+from bodyseg_data.shards.columns import column_file, read_column
 from bodyseg_data.shards.earlier import EARLIER_FIELDS, piece_as_current
 from bodyseg_data.shards.index import Piece
 from bodyseg_data.shards.tar import parse_members
@@ -79,6 +81,23 @@ def _piece(given: tuple[bool, bytes], folder: Path) -> object:
     return record
 
 
+def _column(given: tuple[str, bytes], folder: Path) -> object:
+    name, data = given
+    (folder / column_file(name)).write_bytes(data)
+    return read_column(folder, column_set(), name)
+
+
+def _renders(given: Mapping[str, bytes], folder: Path) -> object:
+    """Every render of a folder."""
+    with tempfile.TemporaryDirectory(dir=folder) as name:
+        for file, data in given.items():
+            path = Path(name) / file
+            path.parent.mkdir(exist_ok=True)
+            path.write_bytes(data)
+        source = open_renders(Path(name))
+        return [source.load(key) for key in source.keys()]  # noqa: SIM118  # no dictionary
+
+
 def _from_file(name: str, reader: Callable[[Path], object]) -> Callable[[bytes, Path], object]:
     def read(data: bytes, folder: Path) -> object:
         path = folder / name
@@ -95,6 +114,8 @@ TARGETS: Final[dict[str, Target]] = {
     "tar": Target(lambda data, _: parse_members(KEY, data), (BadSample,)),
     "manifest": Target(_from_file(MANIFEST_NAME, lambda path: read_manifest(path.parent)), (BadShard,)),
     "index": Target(_piece, (BadShard,)),
+    "column": Target(_column, (BadShard,)),
+    "renders": Target(_renders, (BadConfig, BadSample)),
     "rig": Target(_from_file("rig.toml", load_rig), (BadConfig,)),
     "landmarks": Target(_from_file("l.json", load_landmark_file), (BadLandmarks,)),
     "lnd": Target(_from_file("l.lnd", load_landmark_file), (BadLandmarks,)),
@@ -110,7 +131,8 @@ def one_input(target: str, seed: int, number: int) -> Any:
 
 def _allowed(target: str, given: Any) -> int:
     """The memory that reading an input may take, by what it declares and how long it is."""
-    members = given if isinstance(given, Mapping) else {"": given[1] if isinstance(given, tuple) else given}
+    name, data = given if isinstance(given, tuple) else ("", given)
+    members = given if isinstance(given, Mapping) else {str(name): data}
     declared = sum(declared_bytes(name, data) for name, data in members.items() if name.endswith((*CODECS, "bsp")))
     return _TIMES_DECLARED * declared + _TIMES_INPUT * sum(map(len, members.values())) + _SLACK
 

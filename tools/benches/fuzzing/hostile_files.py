@@ -1,4 +1,4 @@
-"""Whole files made to break readers: samples of a tar, manifests, indices, rigs, landmarks, meshes.
+"""Whole files made to break readers: samples of a tar, manifests, indices, rigs, renders, landmarks, meshes.
 
 Samples, manifests and indices are of today's format and of each earlier one that is read.
 """
@@ -6,6 +6,7 @@ Samples, manifests and indices are of today's format and of each earlier one tha
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import struct
 import tarfile
@@ -27,6 +28,8 @@ from bodyseg_data.labels import LANDMARKS, UNLABELLED, LabelClass, classes_of
 from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import SPLITS, Sample, SampleInfo, Value
 from bodyseg_data.shards import BODY_FIELDS, CODECS, CodecName, Fields, Manifest, ShardRecord, encode_sample
+from bodyseg_data.shards.codecs.png import encode_png
+from bodyseg_data.shards.columns import column_tar
 from bodyseg_data.shards.earlier import EARLIER_FORMATS
 from bodyseg_data.shards.index import encode_piece, write_index
 from bodyseg_data.shards.records import describe
@@ -302,21 +305,118 @@ def _rig_text() -> str:
     return (resources.files("bodyseg_data.rigs") / "paper.toml").read_text(encoding="utf-8")
 
 
+def column_set() -> Manifest:
+    """The set that hostile columns are of."""
+    return Manifest((load_rig(),), "bsi", "open", "raster", "0" * 64, _records())
+
+
+@lru_cache(maxsize=1)
+def _column_trees() -> list[tuple[str, dict[str, Any]]]:
+    """Names and manifests without their digests of columns: a plane and a field."""
+    found = []
+    whole, no_fields, age = column_set(), Fields(()), Fields(((("age", "numbers"),),))
+    for name, fields, values in (("instances", no_fields, {}), ("age", age, {"age": (1.0, 2.5)})):
+        shards = [
+            replace(
+                record,
+                name=column_tar(record.name, name),
+                notes=(),
+                descriptions=describe(3 * [SampleInfo(record.split, values)], fields),
+            )
+            for record in whole.shards
+        ]
+        planes = {} if values else {name: "uint16"}
+        column = replace(whole, plan=whole.digest, planes=planes, fields=fields, projector="none", shards=shards)
+        tree = column.to_json()
+        del tree["digest"]
+        found.append((name, tree))
+    return found
+
+
+def hostile_column(generator: Generator) -> tuple[str, bytes]:
+    """The name of a column of `column_set`, and its file: spoiled as text, or with other content under its digest."""
+    trees = _column_trees()
+    name, tree = trees[int(generator.integers(len(trees)))]
+    match int(generator.integers(4)):
+        case 0:
+            return name, json.dumps(_signed(tree), sort_keys=True).encode()
+        case 1:
+            return name, hostile_json(json.dumps(_signed(tree), sort_keys=True), generator)
+        case _:
+            changed = hostile_tree(tree, generator)
+            signed = _signed(changed) if isinstance(changed, dict) else changed
+            return name, json.dumps(signed, sort_keys=True).encode()
+
+
+_SET: Final = """format = "bodyseg renders 1"
+classes = ["floor", "#1e90ff arm", "bin"]
+first_label = 1
+background = [0]
+unit_m = 0.001
+split = "train"
+rig = "kinect_v1"
+no_range = [9999]
+"""
+
+
+@lru_cache(maxsize=1)
+def _renders() -> dict[str, bytes]:
+    """A folder of renders: name of a file -> bytes."""
+    ranges = np.zeros((480, 640), np.uint16)
+    ranges[100:300, 200:500] = 2000 + np.arange(300)
+    labels = np.where(ranges > 0, 1 + ranges % 3, 0).astype(np.uint8)
+    as_numpy = io.BytesIO()
+    np.save(as_numpy, ranges.astype(np.float32))
+    rows = "".join(json.dumps({"key": key, "split": "train", "boxes": 3, "wet": True}) + "\n" for key in "ab")
+    return {
+        "set.toml": _SET.encode(),
+        "samples.jsonl": rows.encode(),
+        "range/a.png": encode_png(ranges),
+        "range/b.npy": as_numpy.getvalue(),
+        **{f"labels/{key}.png": encode_png(labels) for key in "ab"},
+    }
+
+
+def hostile_renders(generator: Generator) -> dict[str, bytes]:
+    """A folder of renders one of whose files is spoiled, of other values, or away."""
+    files = dict(_renders())
+    name = str(generator.choice(list(files)))
+    data = files[name]
+    match int(generator.integers(6)):
+        case 0:
+            return files
+        case 1:
+            del files[name]
+        case 2 if name.endswith("png"):
+            files[name] = hostile_png(data, generator)
+        case 2 | 3 if name == "set.toml":
+            files[name] = _other_value(data.decode(), generator)
+        case 2 | 3 if name == "samples.jsonl":
+            files[name] = hostile_json(data.decode(), generator)
+        case _:  # of large files, mostly the start: what follows are pixels
+            head = 200 if generator.integers(4) else len(data)
+            files[name] = spoiled(data[:head], generator) + data[head:]
+    return files
+
+
 _TOML: Final = ("true", "-1", "0", "1e308", "nan", "inf", '""', '"x"', "[]", "[1, 2]", "{}", "1979-05-27", "9" * 400)
 _TOML_LONG: Final = ("0x" + "f" * 5000, "9" * 5000, "[" * 300 + "]" * 300, "[" * 5000, f'"{"y" * 9000}"', '"\\u0000"')
 
 
-def hostile_rig(generator: Generator) -> bytes:
-    """A rig file: spoiled as text, or with another value for one of its keys."""
-    text = _rig_text()
-    if generator.integers(2):
-        return spoiled(text.encode(), generator)
+def _other_value(text: str, generator: Generator) -> bytes:
+    """TOML with another value for one of its keys."""
     lines = text.splitlines()
     keyed = [number for number, line in enumerate(lines) if "=" in line and not line.startswith("#")]
     number = keyed[int(generator.integers(len(keyed)))]
     values = _TOML if generator.integers(2) else _TOML_LONG
     lines[number] = f"{lines[number].partition('=')[0]}= {values[int(generator.integers(len(values)))]}"
     return "\n".join(lines).encode()
+
+
+def hostile_rig(generator: Generator) -> bytes:
+    """A rig file: spoiled as text, or with another value for one of its keys."""
+    text = _rig_text()
+    return spoiled(text.encode(), generator) if generator.integers(2) else _other_value(text, generator)
 
 
 def hostile_landmarks(generator: Generator) -> bytes:
@@ -370,6 +470,8 @@ MAKERS: Final[dict[str, Callable[[Generator], Any]]] = {
     "tar": hostile_tar,
     "manifest": hostile_manifest,
     "index": hostile_piece,
+    "column": hostile_column,
+    "renders": hostile_renders,
     "rig": hostile_rig,
     "landmarks": hostile_landmarks,
     "lnd": hostile_lnd,

@@ -15,9 +15,9 @@ from typing import Any, Final
 import numpy as np
 
 from bodyseg_data.loading import RangeImages
-from bodyseg_data.shards import MANIFEST_NAME, LocalFolder, Manifest, ShardRecord, record_to_json
+from bodyseg_data.shards import BODY_FIELDS, MANIFEST_NAME, LocalFolder, Manifest, ShardRecord, record_to_json
 from bodyseg_data.shards.index import INDEX_NAME, IndexedShards, write_index
-from bodyseg_data.shards.records import BODY_FIELDS, Descriptions
+from bodyseg_data.shards.records import Descriptions
 
 SHARD_SAMPLES: Final = 1080
 VIEWS: Final = 54

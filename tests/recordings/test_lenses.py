@@ -1,0 +1,158 @@
+"""Lenses as drivers describe them: all become five coefficients, exactly or to a pixel, or one line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from pngs import png
+
+from bodyseg_data.core import BadConfig
+from bodyseg_data.rigs import Distortion
+from bodyseg_model.recordings import FrameCameras, Skipping, find_frames, frame_camera
+from bodyseg_model.recordings.cameras import Intrinsics
+from bodyseg_model.recordings.lenses import DriverLens
+from bodyseg_model.segmentation import FrameLabeller
+from bodyseg_model.segmentation.views import Undistortion
+
+Floats = NDArray[np.float64]
+CAMERA = (504.0, 504.0, 319.5, 287.5)
+SIZE = (576, 640)
+AZURE = (0.5867, -0.0926, 0.00009, -0.00006, 0.0030, 0.9227, 0.0128, 0.0167)
+
+
+def five(model: str, *coefficients: float, camera: tuple[float, float, float, float] = CAMERA) -> Distortion | None:
+    return DriverLens(model, coefficients, "a.mcap: /info").five(*camera, SIZE)
+
+
+def directions() -> tuple[Floats, Floats]:
+    fx, fy, cx, cy = CAMERA
+    x, y = np.meshgrid((np.arange(0, 640, 7) - cx) / fx, (np.arange(0, 576, 7) - cy) / fy)
+    return x, y
+
+
+def check_drawn(found: Distortion | None, across: Floats, down: Floats) -> None:
+    assert found is not None
+    x, y = found.apply(*directions())
+    assert np.hypot(x - across, y - down).max() * CAMERA[0] < 1
+
+
+@pytest.mark.parametrize("model", ["plumb_bob", "Brown Conrady", "brown-conrady", "rational_polynomial"])
+def test_five_coefficients_are_taken_as_they_are(model: str) -> None:
+    expected = Distortion(0.01, -0.02, 0.001, 0.002, 0.003)
+    assert five(model, 0.01, -0.02, 0.001, 0.002, 0.003) == expected
+    assert five(model, 0.01, -0.02, 0.001, 0.002, 0.003, 0, 0, 0) == expected, "zeros behind say nothing"
+    assert five(model, 0.01, -0.02, 0.001, 0.002) == Distortion(0.01, -0.02, 0.001, 0.002)
+    assert five(model, *[0.0] * 8) is None
+
+
+@pytest.mark.parametrize("behind", [(), (0.0,) * 4, (0.0,) * 6])
+def test_an_azure_kinect_s_eight_coefficients_are_fitted(behind: tuple[float, ...]) -> None:
+    x, y = directions()
+    k1, k2, p1, p2, k3, k4, k5, k6 = AZURE
+    r = x * x + y * y
+    factor = (1 + k1 * r + k2 * r**2 + k3 * r**3) / (1 + k4 * r + k5 * r**2 + k6 * r**3)
+    across, down = (
+        x * factor + 2 * p1 * x * y + p2 * (r + 2 * x * x),
+        y * factor + p1 * (r + 2 * y * y) + 2 * p2 * x * y,
+    )
+    check_drawn(five("rational_polynomial", *AZURE, *behind), across, down)
+
+
+def test_realsense_s_inverse_is_inverted() -> None:
+    given = (-0.057, 0.066, 0.0004, 0.0002, -0.021)
+    found = five("Inverse Brown Conrady", *given)
+    x, y = directions()
+    straight = Distortion(*given).apply(x, y)  # what the lens draws at (x, y) comes from there
+    assert found is not None
+    across, down = found.apply(*straight)
+    assert np.hypot(across - x, down - y).max() * CAMERA[0] < 1
+
+
+@pytest.mark.parametrize("model", ["equidistant", "fisheye", "Kannala Brandt4"])
+def test_fisheyes_of_moderate_width_are_fitted(model: str) -> None:
+    x, y = directions()
+    r = np.hypot(x, y)
+    theta = np.arctan(r)
+    drawn = theta * (1 + 0.05 * theta**2 - 0.01 * theta**4)
+    check_drawn(five(model, 0.05, -0.01, 0.0, 0.0, 0.0), x * drawn / r, y * drawn / r)
+    with pytest.raises(BadConfig, match=r"^a.mcap: /info: five coefficients must follow the lens to 1 pixel, found"):
+        five(model, 0.05, -0.01, 0.0, 0.0, camera=(150.0, 150.0, 319.5, 287.5))
+
+
+def test_realsense_s_modified_form() -> None:
+    x, y = directions()
+    r = np.hypot(x, y)
+    factor = 1 + 0.02 * r**2 - 0.01 * r**4
+    u, v = x * factor, y * factor
+    there = u * u + v * v
+    across, down = u + 0.002 * u * v + 0.002 * (there + 2 * u * u), v + 0.001 * (there + 2 * v * v) + 0.004 * u * v
+    check_drawn(five("Modified Brown Conrady", 0.02, -0.01, 0.001, 0.002, 0.0), across, down)
+
+
+def test_models_that_are_not_known_are_named() -> None:
+    for model, coefficients in (
+        ("spherical", (0.1,) * 4),
+        ("plumb_bob", (0.1,) * 8),
+        ("rational_polynomial", (1.0,) * 14),
+        ("F-Theta", (0.4,) * 5),
+    ):
+        with pytest.raises(BadConfig) as caught:
+            five(model, *coefficients)
+        assert f"found {model!r} of {len(coefficients)}" in str(caught.value)
+        assert str(caught.value).startswith("a.mcap: /info: distortion must be plumb_bob, of 4 or 5 coefficients")
+
+
+def test_pixels_that_are_nearly_square_are_resampled() -> None:
+    """A point at (x, y, 1) is drawn at (fx x + cx, fy y + cy); without the lens, at one focal length."""
+    camera = Intrinsics(105.0, 96.0, 41.5, 29.5, None, (60, 84), "a.json").frame_camera((60, 84)).camera
+    assert camera.focal_px == pytest.approx((105 * 96) ** 0.5) and camera.distortion is not None
+    frame = np.arange(60 * 84).reshape(60, 84)
+    ideal = Undistortion(camera)(frame)
+    for x, y in ((0.0, 0.0), (0.2, 0.1), (-0.3, -0.2)):
+        column, row = camera.focal_px * x + 42, camera.focal_px * y + 30
+        there = frame[int(96 * y + 30), int(105 * x + 42)]
+        near = ideal[int(row) - 1 : int(row) + 2, int(column) - 1 : int(column) + 2]
+        assert there in near
+    assert Intrinsics(100.5, 100.0, 41.5, 29.5, None, None, "").lens is None, "up to 1 % as ever"
+    bent = Intrinsics(105.0, 96.0, 41.5, 29.5, Distortion(0.1), None, "").lens
+    assert bent is not None and bent.k1 == 0.1 and bent.aspect == pytest.approx((105 / 96) ** 0.5)
+    assert bent.turned().aspect == pytest.approx((96 / 105) ** 0.5) and "aspect" in bent.to_json()
+    assert "aspect" not in Distortion(0.1).to_json()
+    with pytest.raises(BadConfig, match="a.json: pixels must be square, found 'fx' 115 and 'fy' 100"):
+        Intrinsics(115.0, 100.0, 41.5, 29.5, None, None, "a.json")
+    with pytest.raises(BadConfig, match="the aspect of pixels must be above 0"):
+        Distortion(aspect=0.0)
+
+
+@pytest.mark.parametrize(
+    ("focal", "hint"),
+    [
+        (3.67, "in millimetres"),
+        (0.82, "a share of the image"),
+        (45.0, "in millimetres"),
+        (525_000.0, "in another unit"),
+    ],
+)
+def test_focal_lengths_in_other_units_are_named(focal: float, hint: str, tmp_path: Path) -> None:
+    message = (
+        f"a focal length must be in pixels, 128 to 32000 for images of 480 x 640, found {focal:.5g}: is it {hint}?"
+    )
+    (tmp_path / "a.png").write_bytes(png(np.full((480, 640), 2000, np.uint16)))
+    with pytest.raises(BadConfig) as caught:
+        FrameLabeller(keep_things=True).recording(tmp_path / "a.png", focal_px=focal)
+    assert str(caught.value) == f"--focal and --centre, {tmp_path / 'a.png'}: {message}"
+    (tmp_path / "a.json").write_text(json.dumps({"fx": focal, "fy": focal, "cx": 319.5, "cy": 239.5}))
+    frames = find_frames([tmp_path / "a.png"])
+    trained = FrameLabeller(keep_things=True).rig
+    with pytest.raises(BadConfig) as caught:
+        FrameCameras(frames, None, None, (), trained, Skipping())
+    assert str(caught.value) == f"{tmp_path / 'a.json'}: {message}"
+
+
+def test_a_principal_point_in_shares_is_named() -> None:
+    with pytest.raises(BadConfig, match=r"x.png: a principal point must be in pixels, found 0.5 and 0.5 for images of"):
+        frame_camera((480, 640), "x.png", focal_px=525.0, centre_px=(0.5, 0.5))

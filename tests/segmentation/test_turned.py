@@ -1,0 +1,184 @@
+"""Frames of cameras that are mounted turned: labelled as upright ones, labels where the frame has its pixels."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from label_networks import Places
+from numpy.typing import NDArray
+from pngs import pixels, png
+from small_rig import SMALL
+
+from bodyseg_data import RangeImages, example_set
+from bodyseg_data.core import BadConfig
+from bodyseg_data.rigs import Camera, Distortion
+from bodyseg_model.commands import main
+from bodyseg_model.networks import Trained, load_network
+from bodyseg_model.recordings import find_frames, to_metres
+from bodyseg_model.segmentation import Background, FrameLabeller, Segmentation
+from bodyseg_model.sensor_fit import read_recording
+
+UPRIGHT = Camera(60, 80, 100.0, (37.0, 31.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+TURNS = (1, 2, 3)
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def as_mounted(quarters: int, camera: Camera = UPRIGHT) -> Camera:
+    """The camera, mounted turned clockwise by so many right angles: its images then are turned counter-clockwise."""
+    return camera.turned(-quarters)
+
+
+def seen_by(quarters: int, frame: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.ascontiguousarray(np.rot90(frame, quarters))
+
+
+def standing() -> NDArray[np.float32]:
+    """Two blocks of different sizes before a wall."""
+    frame = np.full((60, 80), 4.0, np.float32)
+    frame[10:52, 30:42] = 2.0
+    frame[20:50, 60:70] = 2.2
+    return frame
+
+
+def labeller(turned: int | str | None = None, video: bool = False, mirrored: bool = False) -> FrameLabeller:
+    trained = Trained(Places(0, 5), {"rig": SMALL.to_json()})
+    return FrameLabeller(trained, keep_things=True, video=video, mirrored=mirrored, turned=turned)  # type: ignore[arg-type]
+
+
+def check_same(found: Segmentation, upright: Segmentation, quarters: int) -> None:
+    np.testing.assert_array_equal(np.rot90(found.labels, -quarters), upright.labels)
+    np.testing.assert_array_equal(np.rot90(found.confidence, -quarters), upright.confidence)
+    assert len(found.bodies) == len(upright.bodies) == 2
+    for body, other in zip(found.bodies, upright.bodies, strict=True):
+        assert (np.diff(body.pixels) > 0).all() and body.median_range_m == other.median_range_m
+
+
+@pytest.mark.parametrize("quarters", TURNS)
+@pytest.mark.parametrize("video", [False, True])
+def test_a_turned_frame_gets_the_labels_of_the_upright_one(quarters: int, video: bool) -> None:
+    label, upright = labeller(90 * quarters, video), labeller(video=video)
+    camera = replace(as_mounted(quarters), roll_deg=0.0)  # a camera that does not say
+    for _ in range(2):
+        found = label(seen_by(quarters, standing()), camera)
+        check_same(found, upright(standing(), UPRIGHT), quarters)
+        np.testing.assert_array_equal(found.range_m, seen_by(quarters, standing()))
+        assert found.camera == camera
+
+
+@pytest.mark.parametrize("quarters", TURNS)
+def test_a_rigs_roll_is_obeyed(quarters: int) -> None:
+    camera = as_mounted(quarters)
+    assert camera.roll_deg % 360 == 90 * quarters
+    check_same(labeller()(seen_by(quarters, standing()), camera), labeller()(standing(), UPRIGHT), quarters)
+    for each in labeller().stream([seen_by(quarters, standing())], camera):
+        check_same(each, labeller()(standing(), UPRIGHT), quarters)
+    # A driver that shows left for right turns heads to the other side.
+    assert labeller(mirrored=True).quarters(camera) == -quarters % 4
+    assert labeller(90, mirrored=True).quarters(camera) == 1, "as frames show it"
+    tilted = replace(UPRIGHT, roll_deg=40.0)
+    check_same(labeller()(standing(), tilted), labeller()(standing(), UPRIGHT), 0)
+    check_same(labeller(0)(standing(), replace(UPRIGHT, roll_deg=180.0)), labeller()(standing(), UPRIGHT), 0)
+
+
+@pytest.mark.parametrize("quarters", [0, *TURNS])
+def test_a_camera_is_turned_with_its_images(quarters: int) -> None:
+    bent = replace(UPRIGHT, distortion=Distortion(0.1, -0.02, 0.01, -0.03, 0.004))
+    turned = bent.turned(quarters)
+    assert bent.turned(quarters).turned(-quarters) == bent and turned.distortion is not None
+    assert bent.distortion is not None
+    for camera, other in ((bent, turned), (replace(bent, distortion=None), replace(turned, distortion=None))):
+        images = []
+        for each in (camera, other):
+            x, y, _ = np.moveaxis(each.pixel_rays(), -1, 0)
+            if each.distortion is not None:
+                x, y = each.distortion.apply(x, y)
+            images.append((x * each.focal_px + each.centre_px[0], y * each.focal_px + each.centre_px[1]))
+        across, down = (np.rot90(image, -quarters) for image in images[0])
+        for _ in range(quarters):
+            across, down = camera.rows - down, across
+            camera = camera.turned(1)
+        np.testing.assert_allclose(images[1][0], across, atol=1e-9)
+        np.testing.assert_allclose(images[1][1], down, atol=1e-9)
+
+
+def test_another_turn_is_refused() -> None:
+    for turned in (45, "left", -90):
+        with pytest.raises(BadConfig, match=r"^turned must be one of 0, 90, 180, 270, auto, found "):
+            labeller(turned)
+
+
+def room(index: int, variant: str) -> NDArray[np.uint16]:
+    """A person of the example set before a wall, millimetres."""
+    images = RangeImages(example_set(), variant=variant, split="test")  # type: ignore[arg-type]
+    metres = images[index]["range"][0].numpy()
+    return np.rint(1000 * np.where(metres > 0, metres, 4.0)).astype(np.uint16)
+
+
+def test_a_persons_labels_come_back_and_auto_finds_the_turn(tmp_path: Path) -> None:
+    """By the network that ships, through the command, on frames with all artifacts and without."""
+    frames = {"clean": room(3, "none"), "hard": room(9, "all")}
+    rows, columns = frames["clean"].shape
+    expected: dict[str, NDArray[np.uint8]] = {}
+    for quarters in (0, *TURNS):
+        folder, out = tmp_path / f"frames{quarters}", tmp_path / f"out{quarters}"
+        folder.mkdir()
+        for name, frame in frames.items():
+            (folder / f"{name}.png").write_bytes(png(np.ascontiguousarray(np.rot90(frame, quarters))))
+        words = ["--focal", "757.5757", "--turned", "auto", "--no-overlay", "--threads", "1", "--device", "cpu"]
+        assert main(["segment", str(folder), *words, "--out", str(out)]) == 0
+        assert json.loads((out / "summary.json").read_text())["camera"].get("turned_deg", 0) == 90 * quarters
+        for name in frames:
+            labels = np.rot90(pixels(out / "labels" / f"{name}.png"), -quarters)
+            first = expected.setdefault(name, labels)
+            body = first < 255
+            assert body.sum() > 5000 and (labels == first)[body].mean() >= 0.98
+    assert (rows, columns) == expected["clean"].shape
+
+
+def test_auto_looks_at_few_frames_and_takes_no_thing_for_a_person() -> None:
+    """Blocks, of which the network is not sure, tell nothing; a stream of them is not judged for ever."""
+    label = FrameLabeller(load_network(), keep_things=True, turned="auto", device="cpu")
+    for looked_at in (1, 2):
+        assert label(standing(), UPRIGHT).bodies and label.quarters(UPRIGHT) == 0
+        assert (label._looked_at, label._judged) == (looked_at, 0)
+    label._looked_at = 32
+    label(standing(), UPRIGHT)
+    assert label._looked_at == 32
+
+
+def test_a_turned_recording_is_told_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, quarters in (("upright", 0), ("mounted", 3)):
+        (tmp_path / f"{name}.png").write_bytes(png(np.ascontiguousarray(np.rot90(room(9, "none"), quarters))))
+        words = ["--focal", "757.5777", "--no-overlay", "--threads", "1", "--device", "cpu"]
+        assert main(["segment", str(tmp_path / f"{name}.png"), *words, "--out", str(tmp_path / name)]) == 0
+        assert ("give --turned 270 if they are" in capsys.readouterr().err) == (name == "mounted")
+
+
+def test_sensor_fit_seeks_bodies_upright(tmp_path: Path) -> None:
+    frame = (1000 * standing()).astype(np.uint16)
+    masks = []
+    for quarters in (0, *TURNS):
+        (tmp_path / f"{quarters}.png").write_bytes(png(np.ascontiguousarray(np.rot90(frame, quarters))))
+        files = find_frames([tmp_path / f"{quarters}.png"])
+        (found,) = read_recording(files, as_mounted(quarters), Background(), None, quarters=quarters).frames
+        np.testing.assert_array_equal(found.range_m, to_metres(np.rot90(frame, quarters), 1e-3))
+        masks.append(np.rot90(found.body, -quarters))
+    for mask in masks:
+        np.testing.assert_array_equal(mask, (frame < 4000))
+
+
+def test_the_network_that_ships_may_be_given() -> None:
+    assert FrameLabeller(load_network(), turned=180).quarters(UPRIGHT) == 2
