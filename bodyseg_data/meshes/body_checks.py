@@ -20,9 +20,10 @@ _TRUNK_M: Final = 0.5  # from the PSIS to the Cervicale of a person; the lengths
 _LEAST_TRUNK_M: Final = 0.1
 _PLATE_M: Final = 0.3  # least width of a plate
 _THIN: Final = 0.1  # of its width
+_THICK: Final = 0.25  # of that of a platform under the feet
 _NEAR_FEET_M: Final = 0.1
 _LEVEL: Final = 0.94  # vertical part of a floor's normal
-_AWAY_M: Final = 0.25  # no point of a body's underside is as far from all landmarks, whatever its posture
+_AWAY_M: Final = 0.2  # little of a body's underside is as far from all landmarks, whatever its posture
 _FLOOR_M2: Final = 0.1
 
 
@@ -91,8 +92,8 @@ def _check_plates(
             continue
         axes = np.linalg.svd(plate - plate.mean(axis=0), full_matrices=False)[2]
         long, wide, thin = np.ptp(plate @ axes.T, axis=0).tolist()
-        under = plate[:, 1].max() < bottom + _NEAR_FEET_M * size and abs(axes[2, 1]) > _LEVEL
-        if thin < _THIN * wide and wide > (_PLATE_M * size if under else body_width):
+        under = np.median(plate[:, 1]) < bottom + _NEAR_FEET_M * size and abs(axes[2, 1]) > _LEVEL
+        if thin < (_THICK if under else _THIN) * wide and wide > (_PLATE_M * size if under else body_width):
             raise BadMesh(
                 f"{where}: a body must be alone in its mesh, found a flat piece of {long:.2g} x {wide:.2g} m without a "
                 f"landmark{' under it' if under else ''}: take the floor, plate or wall out"

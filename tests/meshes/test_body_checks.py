@@ -71,7 +71,7 @@ def test_a_plate_under_the_feet(side: float, loose: bool, steps: int) -> None:
 
 
 def test_a_turntable_and_a_wall() -> None:
-    table = cuboid((0.8, 0.07, 0.8), (0.0, LOW - 0.035, 0.0))
+    table = cuboid((0.6, 0.1, 0.6), (0.0, LOW - 0.05, 0.0))
     with pytest.raises(BadMesh, match="under it"):
         checked(*beside(table.vertices, table.faces))
     wall = cuboid((2.0, 2.0, 0.02), (0.0, 1.0, -0.6))
