@@ -158,7 +158,8 @@ class _Zipped(FrameSource):
             raise BadConfig(f"the array {array.title!r} must be whole: {error}") from error
         if len(data) != size:
             raise BadConfig(f"the array {array.title!r} must be whole, found {len(data)} of {size} bytes")
-        return np.frombuffer(data, array.kind).reshape(array.sides[-2:])
+        pixels: NDArray[Any] = np.frombuffer(data, array.kind).reshape(array.sides[-2:])
+        return pixels
 
     def _stack(self, array: _Array) -> NDArray[Any]:
         """All frames [N, H, W] of an array in Fortran's order, which lie in each other; the last array stays."""
@@ -166,7 +167,7 @@ class _Zipped(FrameSource):
             self._whole = None
             try:
                 with zipfile.ZipFile(self._path) as archive, archive.open(array.member) as file:
-                    values: NDArray[Any] = np.lib.format.read_array(file, max_header_size=_LONGEST_HEADER)
+                    values = np.lib.format.read_array(file, max_header_size=_LONGEST_HEADER)
             except Exception as error:  # as above
                 raise BadConfig(f"the array {array.title!r} must be whole: {error}") from error
             self._whole = array.member, values.reshape(array.count, *array.sides[-2:])
