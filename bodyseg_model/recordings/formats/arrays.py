@@ -144,7 +144,8 @@ class _Zipped(FrameSource):
     def read(self, index: int) -> NDArray[Any]:
         array, number = self._locations[index]
         if array.columns_first:
-            return self._stack(array)[number]
+            found: NDArray[Any] = self._stack(array)[number]
+            return found
         size = array.sides[-2] * array.sides[-1] * array.kind.itemsize
         try:
             if self._file is None or self._member != array.member:

@@ -223,6 +223,9 @@ def measure_loading(packed: Path, scratch: Path, workers: Sequence[int]) -> dict
         for name in stored
     }
 
+    def quotient(one: float | None, other: float | None) -> float | None:
+        return None if one is None or other is None else round(one / other, 3)
+
     def processor_ms(one: Passes | None) -> float | None:
         return None if one is None or one.seconds is None else round(1e3 * one.seconds / one.samples, 3)
 
@@ -232,7 +235,7 @@ def measure_loading(packed: Path, scratch: Path, workers: Sequence[int]) -> dict
             name: {str(n): processor_ms(p.get(name)) for n, p in found.items()} for name in stored
         },
         "ours_all_over": {
-            name: {n: None if rate is None else round(rates["ours_all"][n] / rate, 3) for n, rate in row.items()}
+            name: {n: quotient(rates["ours_all"][n], rate) for n, rate in row.items()}
             for name, row in rates.items()
             if name != "ours_all"
         },
