@@ -24,7 +24,7 @@ _THICK: Final = 0.25  # of that of a platform under the feet
 _NEAR_FEET_M: Final = 0.1
 _LEVEL: Final = 0.94  # vertical part of a floor's normal
 _AWAY_M: Final = 0.2  # little of a body's underside is as far from all landmarks, whatever its posture
-_FLOOR_M2: Final = 0.1
+_FLOOR_M2: Final = 0.13
 
 
 def check_body(

@@ -26,7 +26,7 @@ from typing import Any, Final
 
 from bodyseg_data.bodies import BodyRef
 from bodyseg_data.core import BadConfig, BadShard, ProgressCallback
-from bodyseg_data.files import write_atomically
+from bodyseg_data.files import is_leftover, write_atomically
 from bodyseg_data.packing.jobs import ordered
 from bodyseg_data.packing.options import Packing
 from bodyseg_data.packing.skipping import SKIPPABLE
@@ -161,6 +161,8 @@ def claimed(out: Path, description: dict[str, Any], digest: str) -> Iterator[Pat
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise BadConfig(f"another packing is at work in {out}") from None
+        for leftover in filter(lambda path: is_leftover(path.name), out.iterdir()):
+            leftover.unlink()  # of a run that could not even clean up
         _check_plan(state / "plan.json", description, out)
         yield state
     finally:

@@ -164,13 +164,13 @@ def _check_piece(column: Manifest, shard: ShardRecord, index: int, data: bytes) 
 def _check_content(manifest: Manifest, shard: ShardRecord, index: int, data: bytes) -> None:
     key = shard.keys[index]
     sample = decode_sample(key, parse_members(key, data), projectors=len(manifest.rig.projectors))
+    check_sizes(sample, *image_sizes(manifest.rig))
     sample.check(len(manifest.classes))
     if sample.info.split != shard.split:
         raise BadSample(f"{key}: belongs to {sample.info.split}, stored among {shard.split}")
     differs = difference(sample.info, shard.descriptions.info(index, shard.split), manifest.fields)
     if differs is not None:
         raise BadSample(f"{key}: the description differs from the manifest's: {differs}")
-    check_sizes(sample, *image_sizes(manifest.rig))
     found = {name: plane.dtype.name for name, plane in sample.planes.items()}
     if found != dict(manifest.planes):
         raise BadSample(f"{key}: the set has the planes {dict(manifest.planes) or 'none'}, found {found or 'none'}")

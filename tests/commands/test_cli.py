@@ -210,7 +210,7 @@ def test_other_shells_complete(shell: str, capsys: pytest.CaptureFixture[str]) -
     [
         (["--completion"], "--completion needs one of bash, zsh, fish, powershell, found nothing"),
         (["--completion", "bash", "zsh"], "--completion needs one of bash, zsh, fish, powershell, found bash zsh"),
-        (["pack"], "bodyseg pack: no such command; there are shard, verify, inspect"),
+        (["pack"], "bodyseg pack: no such command; there are shard, join, verify, inspect"),
         (["shard"], "bodyseg shard: Parameter --source is missing (see bodyseg shard --help)"),
         (["shard", "--source", "open"], "bodyseg shard: --out is missing"),
         (

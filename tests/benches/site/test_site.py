@@ -102,8 +102,8 @@ def test_short_code_is_marked_and_pictures_lead_to_their_files() -> None:
 
 
 def test_documentation_is_that_of_classes_functions_and_constants() -> None:
-    assert documentation("bodyseg_data.labels.label_map", "BACKGROUND").startswith(
-        "The label of a pixel that sees no body"
+    assert documentation("bodyseg_data.labels.classes", "BACKGROUND").startswith(
+        "The label of a pixel that shows nothing"
     )
     assert documentation("bodyseg_data.loading.loaders", "loader")
     with pytest.raises(LookupError, match=r"^bodyseg_data.labels.label_map does not define nothing$"):

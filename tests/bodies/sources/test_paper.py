@@ -121,9 +121,10 @@ def test_landmarks_may_lie_in_a_folder_like_the_papers(tmp_path: Path) -> None:
     (root / "scape" / "landmarks.json").unlink()
     with pytest.raises(BadLandmarks, match=r"put landmarks\.json there"):
         PaperBodies(root).fingerprint(PaperBodies(root).bodies())
-    write_by_vertex(marks / "SCAPE" / "landmarks.json", VERTICES[::-1])
+    others = [VERTICES[2], VERTICES[1], VERTICES[0], *VERTICES[3:]]  # chin for nose
+    write_by_vertex(marks / "SCAPE" / "landmarks.json", others)
     source = PaperBodies(root, marks)
-    assert source.build(source.bodies()[0]).landmarks.tolist() == list(VERTICES[::-1])
+    assert source.build(source.bodies()[0]).landmarks.tolist() == others
     assert source.build(source.bodies()[3]).landmarks.tolist() == list(VERTICES)
     with pytest.raises(BadConfig, match="landmarks of the source 'paper' are a folder like its own"):
         PaperBodies(root, root / "mit" / "landmarks_B.json")

@@ -164,7 +164,7 @@ def _frame(
         towards = faces_towards(body.mesh, rendered.faces, rendered.points, projector.position)
         facing[-1].ravel()[rendered.pixels] = towards
     described = {"source": source, "subset": ref.subset, "subject": ref.subject, "mesh": ref.mesh, "pose": ref.pose}
-    info = SampleInfo(ref.split, {**described, "distance_cm": view.distance_cm, "azimuth_deg": view.azimuth_deg})
+    info = SampleInfo(ref.split, {**described, **asdict(view), "things": "", "hidden_pct": 0})
     camera_range, projector_range = (steps(seen, step_m, key) for seen in (rendered.surface.range, np.concatenate(lit)))
     second = facing[1] if len(facing) == 2 else None
     sample = Sample(key, camera_range, projector_range, labels, facing[0], info, faces_second=second)
