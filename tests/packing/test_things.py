@@ -20,7 +20,7 @@ from bodyseg_data.bodies import BodyRef
 from bodyseg_data.commands import cli
 from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import Row, draw_sheet
-from bodyseg_data.labels import BACKGROUND, PART_COUNT
+from bodyseg_data.labels import BACKGROUND, PART_COUNT, UNLABELLED
 from bodyseg_data.meshes import Solid, cuboid, partition, together
 from bodyseg_data.packing import Packing, Sampler, ThingsPlace, draw_things, in_front, plan
 from bodyseg_data.packing.things import LEAST_HIDDEN, MOST_HIDDEN, Things, nearest
@@ -59,8 +59,8 @@ def test_a_sample_shows_the_nearer_of_body_and_things(place: ThingsPlace, view: 
     sample.check()
     assert (sample.key, sample.info.things) == (plain.key, place) and not plain.info.things
     things, _, alone = drawn(place, view, sample.key)
-    thing = (sample.labels == BACKGROUND) & (sample.range > 0)
-    body = sample.labels != BACKGROUND
+    thing = sample.labels == UNLABELLED
+    body = sample.labels < UNLABELLED
     assert thing.any() and body.any()
     for image in ("range", "labels"):
         assert np.array_equal(getattr(sample, image)[body], getattr(plain, image)[body])
@@ -105,10 +105,10 @@ def test_things_cast_shadows_and_receive_them() -> None:
         test = shadow_test(SMALL)
         lit = test.lit(sample.range, sample.occluder_range(), sample.faces_projector)
         before = test.lit(plain.range, plain.occluder_range(), plain.faces_projector)
-        body = sample.labels != BACKGROUND
+        body = sample.labels < UNLABELLED
         shadow += int((before & ~lit & body).sum())
         assert not (lit & ~before & body).any(), "a thing takes light from the body and adds none"
-        thing = (sample.labels == BACKGROUND) & (sample.range > 0)
+        thing = sample.labels == UNLABELLED
         lit_thing, dark_thing = lit_thing + int((lit & thing).sum()), dark_thing + int((~lit & thing).sum())
     assert shadow > 100 and lit_thing > 1000 and dark_thing > 100
 
@@ -135,7 +135,7 @@ def test_how_much_is_hidden_is_bounded_and_follows_from_the_key() -> None:
 def test_a_view_from_above_needs_no_thing_before_the_body() -> None:
     sample = taken("both", View(215, 0, -90))
     sample.check()
-    assert (sample.labels != BACKGROUND).any()
+    assert (sample.labels < UNLABELLED).any()
 
 
 def test_what_is_farther_than_16_bits_hold_is_not_measured() -> None:
