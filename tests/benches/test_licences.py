@@ -71,7 +71,7 @@ def test_documents_name_the_licences_of_what_is_installed() -> None:
     licences = {package.name.lower(): package.licence for package in brought("dev")}
     wrong = []
     for name in sorted(names):
-        said = [line.split("|")[2] for line in lines if re.match(rf"\| [^|]*`{name}`", line)]
+        said = [line.split("|")[2] for line in lines if re.match(rf"\| [^|]*`{name}`", line, re.IGNORECASE)]
         installed = licences[name]
         if installed in ("unknown", "not installed"):
             continue

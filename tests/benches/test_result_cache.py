@@ -158,11 +158,12 @@ def test_a_file_of_something_else_is_refused_and_kept(text: str, message: str, m
     assert file.read_text() == text
 
 
-def test_a_file_that_cannot_be_written_is_named(module: str, tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_written_is_named(module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(BadConfig, match=r"cannot lock .*results\.json\.lock: No such file or directory"):
         ResultCache(tmp_path / "nowhere" / "results.json", SUBJECT, module).put(QUESTION, RESULT)
-    (tmp_path / ".taken.json.part").mkdir()
-    with pytest.raises(BadConfig, match=r"cannot write .*taken\.json: Is a directory"):
+    (tmp_path / "folder").mkdir()
+    monkeypatch.setattr("bodyseg_data.files.access.part_beside", lambda path: tmp_path / "folder")
+    with pytest.raises(BadConfig, match=r"cannot write .*taken\.json: (Is a directory|File exists)"):
         ResultCache(tmp_path / "taken.json", SUBJECT, module).put(QUESTION, RESULT)
 
 
