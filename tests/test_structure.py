@@ -223,7 +223,6 @@ LARGEST_DOORS = {
     "bodyseg_data.meshes": 36,  # files, repair, checks, landmarks and parts of a mesh, whose one user is bodies
     "bodyseg_model.segmentation": 26,
     "bodyseg_data.samples": 28,
-    "bodyseg_data.packing": 22,
     "bodyseg_data.loading": 22,
     "bodyseg_data.drawing": 22,
 }

@@ -25,17 +25,14 @@ def seen_by_projectors(camera_range: NDArray[np.uint16], rig: Rig) -> NDArray[np
     In the rig's steps, 0 where nothing is known. Raises MissingLibrary without numba.
     """
     found = np.zeros(rig.projector_shape, np.uint16)
-    first = 0
-    for test in shadow_tests(rig):
-        rows = slice(first, first + test.rig.projector.rows)
+    for test, image in zip(shadow_tests(rig), np.split(found, [rig.projector.rows]), strict=False):
         slopes = (each.astype(np.float32) for each in (test.of_columns, test.of_rows))
         places = np.empty((3, *camera_range.shape), np.float32)
         joined = (
             _joined(camera_range, test.edge_steps),
             np.ascontiguousarray(_joined(camera_range.T, test.edge_steps).T),
         )
-        _loop()(np.ascontiguousarray(camera_range), *slopes, test.offsets, *joined, places, found[rows])
-        first = rows.stop
+        _loop()(np.ascontiguousarray(camera_range), *slopes, test.offsets, *joined, places, image)
     return found
 
 

@@ -7,6 +7,7 @@ import multiprocessing
 import resource
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final
@@ -33,7 +34,7 @@ from bodyseg_data.packing import (
     plan,
 )
 from bodyseg_data.rendering import RendererName
-from bodyseg_data.renders import LayoutName, RenderSource, open_renders
+from bodyseg_data.renders import LayoutName, open_renders
 from bodyseg_data.rigs import PAPER, load_rig
 from bodyseg_data.samples import SPLITS, ViewGrid, parse_choice
 from bodyseg_data.shards import CodecName, Manifest, ProjectorKind
@@ -135,10 +136,7 @@ def run(options: Options) -> int:
         _warn_about_split(packing)
         sys.stdout.write(json.dumps(plan(packing), indent=2) + "\n")
         return 0
-    if options.out is None:
-        raise BadConfig("--out is missing: the folder for the shards (or --plan to see the counts only)")
-    if options.report is not None:
-        check_target(options.report, "--report")
+    out = _needed_out(options)
     if options.on_error == "skip" and options.skip_budget is None:
         raise BadConfig(
             "--on-error skip needs --skip-budget: the number of meshes that may be left out, or their share"
@@ -146,12 +144,12 @@ def run(options: Options) -> int:
     on_faults = OnFaults(options.on_error, options.skip_budget)
     _warn_about_missing(packing)
     _warn_about_split(packing)
-    origin = {} if options.report is None else provenance(command_line("bodyseg shard", options))
-    start = time.perf_counter()
-    workers_mb: list[float | None] = []
+
+    def make(progress: Progress, workers_mb: list[float | None]) -> Manifest:
+        return pack_on(options.engine, options.workers, packing, out, progress, on_faults, workers_mb)
+
     try:
-        with Progress("packing", "views") as progress:
-            manifest = pack_on(options.engine, options.workers, packing, options.out, progress, on_faults, workers_mb)
+        return _reported(options, "views", make)
     except FaultyMeshes as error:
         sys.stderr.write("".join(f"{one_line(line)}\n" for line in error.lines()))
         skips = options.on_error == "skip"
@@ -161,22 +159,32 @@ def run(options: Options) -> int:
             else "--on-error skip --skip-budget N leaves them out"
         )
         raise BadMesh(f"{error.problem}, for the reasons above; {hint}") from error
+
+
+def _reported(options: Options, unit: str, make: Callable[[Progress, list[float | None]], Manifest]) -> int:
+    """Make a set, showing progress, and say how large it is and what was left out.
+
+    make: packs; its list gets the most memory of each worker.
+    """
+    if options.report is not None:
+        check_target(options.report, "--report")
+    origin = {} if options.report is None else provenance(command_line("bodyseg shard", options))
+    start = time.perf_counter()
+    workers_mb: list[float | None] = []
+    with Progress("packing", unit) as progress:
+        manifest = make(progress, workers_mb)
     if options.report is not None:
         made = manifest.samples() - (progress.before or 0)
         figures = _figures(options, manifest, made, time.perf_counter() - start, workers_mb)
         write_figures(options.report, origin | figures)
-    _say_size(options, manifest)
-    for mesh in manifest.skipped:
-        sys.stderr.write(f"skipped {mesh.mesh}: {mesh.why}\n")
-    return 0
-
-
-def _say_size(options: Options, manifest: Manifest) -> None:
     size = sum(shard.size for shard in manifest.shards)
     sys.stdout.write(
         f"{options.out}: {manifest.samples()} samples in {len(manifest.shards)} shards, {size / 1e6:.1f} MB, "
         f"{size / manifest.samples() / 1000:.1f} kB a sample\n"
     )
+    for mesh in manifest.skipped:
+        sys.stderr.write(f"skipped {mesh.mesh}: {mesh.why}\n")
+    return 0
 
 
 def _refuse_foreign(options: Options) -> None:
@@ -194,7 +202,7 @@ def _run_renders(options: Options) -> int:
     """Pack finished renders, or print the plan."""
     if options.path is None:
         raise BadConfig(f"--source {RENDERS} needs --path: the folder that holds the renders")
-    source: RenderSource = open_renders(options.path, options.layout)
+    source = open_renders(options.path, options.layout)
     keys = source.keys()
     splits = set(map(source.split, keys))
     if len(splits) == 1:
@@ -204,28 +212,15 @@ def _run_renders(options: Options) -> int:
         counts |= {"classes": source.classes.names, "rigs": len(source.rigs), "planes": dict(source.planes)}
         sys.stdout.write(json.dumps({"source": RENDERS, "views": len(keys), **counts}, indent=2) + "\n")
         return 0
+    out = _needed_out(options)
+    given = options.codec, options.projector, options.shard_samples, options.workers
+    return _reported(options, "renders", lambda progress, _: pack_renders(source, out, *given, progress.update))
+
+
+def _needed_out(options: Options) -> Path:
     if options.out is None:
         raise BadConfig("--out is missing: the folder for the shards (or --plan to see the counts only)")
-    origin: dict[str, Any] = {}
-    if options.report is not None:
-        check_target(options.report, "--report")
-        origin = provenance(command_line("bodyseg shard", options))
-    start = time.perf_counter()
-    with Progress("packing", "renders") as progress:
-        manifest = pack_renders(
-            source,
-            options.out,
-            codec=options.codec,
-            projector=options.projector,
-            shard_samples=options.shard_samples,
-            workers=options.workers,
-            progress=progress.update,
-        )
-    if options.report is not None:
-        made = manifest.samples() - (progress.before or 0)
-        write_figures(options.report, origin | _figures(options, manifest, made, time.perf_counter() - start, []))
-    _say_size(options, manifest)
-    return 0
+    return options.out
 
 
 def _figures(

@@ -6,19 +6,18 @@ divided among writers, and the same as of one writer that wrote them in that ord
 
 from __future__ import annotations
 
-import hashlib
-import json
 import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 from bodyseg_data.core import BadConfig, ProgressCallback, check_int, silent
 from bodyseg_data.files import make_folder
 from bodyseg_data.packing.options import PACKING_VERSION
+from bodyseg_data.packing.scene_layout import fields_of
 from bodyseg_data.packing.shard_writer import part_name
-from bodyseg_data.packing.writing import claimed, finished_shards, record_shard
+from bodyseg_data.packing.writing import claimed, digest_of, finished_shards, record_shard, writing_into
 from bodyseg_data.samples import SPLITS, Split
 from bodyseg_data.shards import (
     EXTERNAL,
@@ -34,14 +33,8 @@ from bodyseg_data.shards import (
 _SAME: Final = ("plan", "rigs", "classes", "projector", "planes", "codec", "source", "renderer")
 """Fields of manifests that parts of one set have in common; the first differs where a writer's options do."""
 
-
-class _Place(NamedTuple):
-    """A sample: its key, the numbers of its part and shard, and its own there."""
-
-    key: str
-    part: int
-    shard: int
-    number: int
+_Place = tuple[str, int, int, int]
+"""A sample: its key, the numbers of its part and shard, and its own there."""
 
 
 def join(
@@ -60,34 +53,30 @@ def join(
         _check_part(part, folder, parts[0], folders[0])
     readers = [ShardReader(folder, part) for folder, part in zip(folders, parts, strict=True)]
     joined = replace(parts[0], fields=_all_fields(parts, folders), shards=())
-    shards = _cut(_places(parts, folders), shard_samples)
+    shards = _cut(parts, folders, shard_samples)
     if (out / MANIFEST_NAME).exists():
         raise BadConfig(f"{out} already holds a set: choose another folder, or delete it")
     digests = sorted(part.digest for part in parts)
     description = {"version": PACKING_VERSION, "parts": digests, "shard_samples": shard_samples}
-    digest = hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
     total = sum(len(places) for _, places in shards.values())
-    try:
-        make_folder(out.parent)
-        with claimed(out, description, digest) as state:
-            records = finished_shards(out, state, list(shards), joined.fields)
-            done = sum(map(len, records.values()))
-            progress(done, total)
-            for name, (split, places) in shards.items():
-                if name in records:
-                    continue
-                with TarWriter(out / name, state / f"{name}.part", split, joined.fields) as writer:
-                    for place in places:
-                        writer.write(*readers[place.part].members(place.shard, place.number))
-                        done += 1
-                        progress(done, total)
-                if writer.record is not None:
-                    records[name] = writer.record
-                    record_shard(state, writer.record)
-            manifest = write_manifest(replace(joined, shards=tuple(records[name] for name in shards)), out)
-            shutil.rmtree(state)
-    except OSError as error:
-        raise BadConfig(f"cannot write shards in {out}: {error.strerror or error}") from error
+    make_folder(out.parent)
+    with writing_into(out), claimed(out, description, digest_of(description)) as state:
+        records = finished_shards(out, state, list(shards), joined.fields)
+        done = sum(map(len, records.values()))
+        progress(done, total)
+        for name, (split, places) in shards.items():
+            if name in records:
+                continue
+            with TarWriter(out / name, state / f"{name}.part", split, joined.fields) as writer:
+                for _, part_number, shard, number in places:
+                    writer.write(*readers[part_number].members(shard, number))
+                    done += 1
+                    progress(done, total)
+            if writer.record is not None:
+                records[name] = writer.record
+                record_shard(state, writer.record)
+        manifest = write_manifest(replace(joined, shards=tuple(records[name] for name in shards)), out)
+        shutil.rmtree(state)
     return manifest
 
 
@@ -134,11 +123,15 @@ def _all_fields(parts: Sequence[Manifest], folders: Sequence[Path]) -> Fields:
                     f"{folder}: field {name!r} is of the kind {kind}, in another part {kinds[name]}: give its kind to "
                     "the writers, as fields={...}"
                 )
-    return Fields(tuple(((name, kind),) for name, kind in sorted(kinds.items())))
+    return fields_of(kinds, len(parts[0].rigs))
 
 
-def _places(parts: Sequence[Manifest], folders: Sequence[Path]) -> dict[Split, list[_Place]]:
-    """Places of all samples by split, in the order of their keys. Raises BadConfig for a key that comes twice."""
+def _cut(
+    parts: Sequence[Manifest], folders: Sequence[Path], shard_samples: int
+) -> dict[str, tuple[Split, list[_Place]]]:
+    """Name of each shard -> its split and its samples, in the order of their keys. Raises BadConfig for a key that two
+    parts have.
+    """
     homes: dict[str, int] = {}
     places: dict[Split, list[_Place]] = {split: [] for split in SPLITS}
     for number, part in enumerate(parts):
@@ -146,12 +139,9 @@ def _places(parts: Sequence[Manifest], folders: Sequence[Path]) -> dict[Split, l
             for index, key in enumerate(record.keys):
                 if homes.setdefault(key, number) != number:
                     raise BadConfig(f"{key} is in {folders[homes[key]]} and in {folders[number]}")
-                places[record.split].append(_Place(key, number, at, index))
-    return {split: sorted(found) for split, found in places.items()}
-
-
-def _cut(places: dict[Split, list[_Place]], shard_samples: int) -> dict[str, tuple[Split, list[_Place]]]:
-    """Name of each shard -> its split and its samples."""
+                places[record.split].append((key, number, at, index))
+    for found in places.values():
+        found.sort()
     return {
         f"{split}-{start // shard_samples:05d}.tar": (split, found[start : start + shard_samples])
         for split, found in places.items()

@@ -9,8 +9,6 @@ samples are those of a source without them.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import shutil
 from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future
@@ -31,6 +29,7 @@ from bodyseg_data.packing.writing import (
     claimed,
     cut,
     cut_again,
+    digest_of,
     forget_shard,
     record_skips,
     stored_skips,
@@ -69,7 +68,7 @@ def plan(packing: Packing) -> dict[str, Any]:
 
 def _describe(packing: Packing, bodies: Sequence[BodyRef], faulty: Sequence[str]) -> dict[str, Any]:
     """Everything that shapes the bytes, as plain JSON; a restart compares it. faulty: meshes that the check found."""
-    described = {
+    return {
         "format": MANIFEST_FORMAT,
         "version": PACKING_VERSION,
         "source": packing.source,
@@ -91,11 +90,6 @@ def _describe(packing: Packing, bodies: Sequence[BodyRef], faulty: Sequence[str]
         **({"skipped": list(faulty)} if faulty else {}),
         **({} if packing.things == "none" else {"things": packing.things}),
     }
-    return dict(json.loads(json.dumps(described)))  # tuples as lists, to compare with what was stored
-
-
-def _digest(description: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
 
 
 def _unchanged(packing: Packing, bodies: Sequence[BodyRef], out: Path) -> dict[str, Any] | None:
@@ -111,7 +105,7 @@ def _unchanged(packing: Packing, bodies: Sequence[BodyRef], out: Path) -> dict[s
         description = None if manifest.skipped else _describe(packing, bodies, ())
     except BodysegError:
         return None  # the check and the claim of the folder say what is wrong
-    return description if description is not None and manifest.plan == _digest(description) else None
+    return description if description is not None and manifest.plan == digest_of(description) else None
 
 
 def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...], plan: str = "") -> Rendered:
@@ -163,7 +157,7 @@ def pack(
         faulty = list(skips.reasons)
         if description is None:
             description = _describe(packing, [body for body in bodies if body.mesh not in faulty], faulty)
-        digest = _digest(description)
+        digest = digest_of(description)
 
         def render(body: BodyRef, views: tuple[View, ...]) -> Future[Rendered]:
             return executor.submit(render_run, packing, body, views, digest)

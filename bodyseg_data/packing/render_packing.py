@@ -35,11 +35,10 @@ Ranges = NDArray[np.floating[Any]]
 def pack_renders(
     source: RenderSource,
     out: Path,
-    *,
-    codec: CodecName = "bsi",
-    projector: ProjectorKind | None = None,
-    shard_samples: int = 1080,
-    workers: int | None = None,
+    codec: CodecName,
+    projector: ProjectorKind | None,
+    shard_samples: int,
+    workers: int | None,
     progress: ProgressCallback = silent,
 ) -> Manifest:
     """Pack renders into the folder `out` and return its manifest; carries on where an interrupted packing stopped.

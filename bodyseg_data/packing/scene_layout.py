@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +21,7 @@ from bodyseg_data.packing.range_facing import facing_from_normals, facing_from_r
 from bodyseg_data.renders import ProjectorRanges, Render
 from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import Sample, SampleInfo, Value, kind_of, steps
-from bodyseg_data.shards import RIG_FIELD, Fields, ProjectorKind, check_plane
-
-FacingOrigin = Literal["given", "range"]
-"""Whether facing was given (as bits or as normals), or is found from the range images."""
+from bodyseg_data.shards import EXTERNAL, FACING_FROM_RANGE, RIG_FIELD, Fields, ProjectorKind, check_plane
 
 Images = NDArray[Any]
 
@@ -32,57 +29,43 @@ _ROWS: Final = 64
 
 
 @dataclass(frozen=True)
-class TakenScene:
-    """A scene whose arrays are checked and are copies. facing: of each projector, None to be found from range_m.
-    projector: stacked as in `Sample`, metres, or None.
-    """
-
-    key: str
-    range_m: Images
-    labels: NDArray[np.uint8]
-    projector: Images | None
-    facing: tuple[NDArray[np.bool_], ...] | None
-    info: SampleInfo
-    planes: Mapping[str, Images]
-    rig: int
-
-
-@dataclass(frozen=True)
 class SceneLayout:
-    """What all samples of a set have in common. Arguments as in `Manifest`; facing: where the facing bits come from."""
+    """What all samples of a set have in common. Arguments as in `Manifest`; facing: its `renderer`."""
 
     rigs: tuple[Rig, ...]
     classes: Classes
     fields: Fields
     projector: ProjectorKind
     planes: Mapping[str, str]
-    facing: FacingOrigin
+    facing: str
     codec: str
 
-    def taken(self, scene: Render) -> TakenScene:
-        """Check a scene and copy its arrays. Raises BadSample, naming the key and the rule."""
+    def taken(self, scene: Render) -> Render:
+        """The scene with copies of its arrays, checked; facing: bool [projectors, H, W], None to be found from its
+        ranges; of the projector, its ranges. Raises BadSample, naming the key and the rule.
+        """
         if isinstance(scene.rig, bool) or scene.rig not in range(len(self.rigs)):
             raise BadSample(f"{scene.key}: rig must number one of the set's {len(self.rigs)} rigs, found {scene.rig!r}")
         rig = self.rigs[scene.rig]
         size = rig.camera.rows, rig.camera.columns
         range_m = _ranges(scene.range_m, "range_m", size, rig, scene.key)
         labels = self._labels(scene, size)
-        info = self._info(scene)
+        fields = self._fields_of(scene)
         planes = self._planes(scene, size)
         facing = self._facing(scene, rig, range_m)
         self._check_projector(scene)
         if scene.projector is not None:
-            facing = facing or tuple(facing_from_range(rig, range_m))
+            facing = np.array(facing_from_range(rig, range_m)) if facing is None else facing
             projector = self._asked(scene.projector, rig, range_m, facing, scene.key)
         elif scene.projector_range_m is not None:
             projector = _ranges(scene.projector_range_m, "projector_range_m", rig.projector_shape, rig, scene.key)
         else:
             projector = None
-        return TakenScene(scene.key, range_m, labels, projector, facing, info, planes, int(scene.rig))
+        return Render(scene.key, range_m, labels, projector, facing, None, scene.split, fields, planes, int(scene.rig))
 
-    def sample(self, taken: TakenScene) -> Sample:
-        """The sample of a scene: ranges in steps, labels that agree with them, the projector's range as the set stores
-        it. Raises BadSample.
+    def sample(self, taken: Render) -> Sample:
+        """The sample of a scene that was `taken`: ranges in steps, labels that agree with them, the projector's range
+        as the set stores it. Raises BadSample.
         """
         rig, key = self.rigs[taken.rig], taken.key
         range_image = _in_steps(taken.range_m, rig, f"{key}: range_m")
@@ -93,15 +76,13 @@ class SceneLayout:
         found = facing_from_range(rig, taken.range_m) if taken.facing is None else taken.facing
         facing = [np.ascontiguousarray(mask & measured) for mask in found]
         occluder = None
-        if taken.projector is not None:
-            occluder = _in_steps(taken.projector, rig, f"{key}: the projector's range")
+        if taken.projector_range_m is not None:
+            occluder = _in_steps(taken.projector_range_m, rig, f"{key}: the projector's range")
             if self.projector == "shadow":
                 occluder = _coarse(rig, range_image, facing, occluder)
         second = facing[1] if len(facing) == 2 else None
-        labels = labels.astype(np.uint8)
-        return Sample(
-            key, range_image, occluder, labels, facing[0], taken.info, faces_second=second, planes=taken.planes
-        )
+        info = SampleInfo(taken.split, taken.fields)
+        return Sample(key, range_image, occluder, labels, facing[0], info, faces_second=second, planes=taken.planes)
 
     def _labels(self, scene: Render, size: tuple[int, int]) -> NDArray[np.uint8]:
         labels = _integers(scene.labels, "labels", size, scene.key)
@@ -113,7 +94,7 @@ class SceneLayout:
             )
         return labels.astype(np.uint8)
 
-    def _info(self, scene: Render) -> SampleInfo:
+    def _fields_of(self, scene: Render) -> Mapping[str, Value]:
         fields = {name: plain_value(value) for name, value in scene.fields.items()}
         if len(self.rigs) > 1:
             fields[RIG_FIELD] = int(scene.rig)
@@ -127,7 +108,7 @@ class SceneLayout:
             if (found := _kind(value, name, scene.key)) != kind:
                 raise BadSample(f"{scene.key}: field {name!r} must be of the kind {kind}, found {value!r}, {found}")
         try:
-            return SampleInfo(scene.split, fields)
+            return SampleInfo(scene.split, fields).fields
         except BadSample as error:
             raise BadSample(f"{scene.key}: {error}") from error
 
@@ -145,12 +126,12 @@ class SceneLayout:
             planes[name] = plane.astype(kind)
         return planes
 
-    def _facing(self, scene: Render, rig: Rig, range_m: Images) -> tuple[NDArray[np.bool_], ...] | None:
+    def _facing(self, scene: Render, rig: Rig, range_m: Images) -> NDArray[np.bool_] | None:
         if scene.facing is not None and scene.normals is not None:
             raise BadSample(f"{scene.key}: facing and normals are alternatives, found both")
-        origin = facing_origin(scene)
+        origin = facing_of(scene)
         if origin != self.facing:
-            words = {"given": "facing or normals", "range": "neither facing nor normals"}
+            words = {EXTERNAL: "facing or normals", FACING_FROM_RANGE: "neither facing nor normals"}
             raise BadSample(
                 f"{scene.key}: the samples of the set come with {words[self.facing]}, found {words[origin]}"
             )
@@ -167,7 +148,7 @@ class SceneLayout:
         if facing.dtype != np.bool_ or facing.shape not in ((count, *size), *((size,) if count == 1 else ())):
             wanted = f"bool [{size[0]}, {size[1]}]" if count == 1 else f"bool [{count}, {size[0]}, {size[1]}]"
             raise BadSample(f"{scene.key}: facing must be {wanted}, found {facing.dtype} {facing.shape}")
-        return tuple(facing.reshape(count, *size).copy())
+        return facing.reshape(count, *size).copy()
 
     def _check_projector(self, scene: Render) -> None:
         ways = (scene.projector_range_m is not None) + (scene.projector is not None)
@@ -179,7 +160,7 @@ class SceneLayout:
             raise BadSample(f"{scene.key}: projector must be a function of rows and columns, found {scene.projector!r}")
 
     def _asked(
-        self, projector: ProjectorRanges, rig: Rig, range_m: Images, facing: tuple[NDArray[np.bool_], ...], key: str
+        self, projector: ProjectorRanges, rig: Rig, range_m: Images, facing: NDArray[np.bool_], key: str
     ) -> Images:
         """The projector's range by a function, asked for the texels that the shadow test reads, or for all of them."""
         shape = rig.projector_shape
@@ -204,9 +185,9 @@ class SceneLayout:
         return image
 
 
-def facing_origin(scene: Render) -> FacingOrigin:
-    """Where a scene's facing bits come from."""
-    return "range" if scene.facing is None and scene.normals is None else "given"
+def facing_of(scene: Render) -> str:
+    """Where a scene's facing bits come from, as manifests say it."""
+    return FACING_FROM_RANGE if scene.facing is None and scene.normals is None else EXTERNAL
 
 
 def learned_fields(fields: Mapping[str, Any], rigs: int, key: str) -> Fields:
@@ -305,7 +286,7 @@ def _first(image: Images, wrong: NDArray[np.bool_]) -> str:
     return f"{image[place]:.7g} at {where}"
 
 
-def _from_normals(rig: Rig, range_m: Images, normals: Images, key: str) -> tuple[NDArray[np.bool_], ...]:
+def _from_normals(rig: Rig, range_m: Images, normals: Images, key: str) -> NDArray[np.bool_]:
     measured = range_m > 0
     if not np.isfinite(normals[measured]).all():
         raise BadSample(f"{key}: normals must be finite where range_m is above 0")
@@ -315,17 +296,17 @@ def _from_normals(rig: Rig, range_m: Images, normals: Images, key: str) -> tuple
             f"{key}: normals must point out of the surfaces, in the camera's frame (x right, y down, z forward), so "
             f"towards the camera: {towards.size - np.count_nonzero(towards)} of {towards.size} point away"
         )
-    return tuple(facing_from_normals(rig, range_m, normals))
+    return np.array(facing_from_normals(rig, range_m, normals))
 
 
 def _coarse(
     rig: Rig, range_image: NDArray[np.uint16], facing: list[NDArray[np.bool_]], occluder: NDArray[np.uint16]
 ) -> NDArray[np.uint16]:
     """The projectors' exact ranges, as coarse as the shadows permit."""
-    found, first = [], 0
-    for test, mask in zip(shadow_tests(rig), facing, strict=True):
-        rows = test.rig.projector.rows
-        image = np.ascontiguousarray(occluder[first : first + rows]).ravel()
-        found.append(occluder_range(test, range_image, mask, image.take))
-        first += rows
-    return np.concatenate(found)
+    images = np.split(occluder, [rig.projector.rows])
+    return np.concatenate(
+        [
+            occluder_range(test, range_image, mask, np.ascontiguousarray(image).ravel().take)
+            for test, mask, image in zip(shadow_tests(rig), facing, images, strict=False)
+        ]
+    )

@@ -8,7 +8,6 @@ first scene has shown of all: so a writer that was stopped carries on from its f
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import itertools
 import json
 import shutil
@@ -26,15 +25,13 @@ from bodyseg_data.files import make_folder, write_atomically
 from bodyseg_data.labels import Classes, LabelClass, classes_of
 from bodyseg_data.packing.options import PACKING_VERSION
 from bodyseg_data.packing.scene_layout import (
-    FacingOrigin,
     SceneLayout,
-    TakenScene,
-    facing_origin,
+    facing_of,
     fields_of,
     learned_fields,
     learned_planes,
 )
-from bodyseg_data.packing.writing import claimed, finished_shards, record_shard
+from bodyseg_data.packing.writing import claimed, digest_of, finished_shards, record_shard, writing_into
 from bodyseg_data.renders import ProjectorRanges, Render
 from bodyseg_data.rigs import Rig, load_rig
 from bodyseg_data.samples import SHADOW_THRESHOLDS, SPLITS, Split, check_key
@@ -55,7 +52,6 @@ from bodyseg_data.shards import (
     write_manifest,
 )
 
-_RENDERERS: Final[dict[FacingOrigin, str]] = {"given": EXTERNAL, "range": FACING_FROM_RANGE}
 _LEARNED: Final = "learned.json"
 
 RigLike = Rig | str | Path
@@ -137,20 +133,16 @@ class ShardWriter:
 
     def __enter__(self) -> ShardWriter:
         description = self._described()
-        digest = hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
-        try:
-            make_folder(self._out.parent)
-            with contextlib.ExitStack() as context:
-                whole = {**description, "shard_samples": self._shard_samples}
-                self._state = context.enter_context(claimed(self._out, whole, digest))
-                self._digest = digest
-                self._carry_on(self._state)
-                if self._workers and self._pool is None:
-                    self._pool = ThreadPoolExecutor(self._workers)
-                    context.callback(self._pool.shutdown, cancel_futures=True)
-                self._context = context.pop_all()
-        except OSError as error:
-            raise self._unwritable(error) from error
+        self._digest = digest_of(description)
+        make_folder(self._out.parent)
+        with writing_into(self._out), contextlib.ExitStack() as context:
+            whole = {**description, "shard_samples": self._shard_samples}
+            self._state = context.enter_context(claimed(self._out, whole, self._digest))
+            self._carry_on(self._state)
+            if self._workers and self._pool is None:
+                self._pool = ThreadPoolExecutor(self._workers)
+                context.callback(self._pool.shutdown, cancel_futures=True)
+            self._context = context.pop_all()
         return self
 
     def __contains__(self, key: str) -> bool:
@@ -244,10 +236,8 @@ class ShardWriter:
         """Append the scene that was written first of those under way to its shard."""
         key, result = self._waiting.popleft()
         try:
-            self._append(key, *result())
-        except OSError as error:
-            self._failed = self._unwritable(error)
-            raise self._failed from error
+            with writing_into(self._out):
+                self._append(key, *result())
         except BaseException as error:
             self._failed = error  # the scene is lost, so the set cannot be finished
             raise
@@ -277,9 +267,8 @@ class ShardWriter:
     ) -> None:
         try:
             if error is None:
-                self._finish()
-        except OSError as failure:
-            raise self._unwritable(failure) from failure
+                with writing_into(self._out):
+                    self._finish()
         finally:
             for writer in self._open.values():
                 writer.__exit__(KeyboardInterrupt, None, None)  # as after any error: its file goes
@@ -304,7 +293,7 @@ class ShardWriter:
                 rigs=layout.rigs,
                 codec=layout.codec,
                 source=self._source,
-                renderer=_RENDERERS[layout.facing],
+                renderer=layout.facing,
                 plan=self._digest,
                 shards=sorted(self._records.values(), key=lambda record: (SPLITS.index(record.split), record.name)),
                 classes=layout.classes,
@@ -317,7 +306,7 @@ class ShardWriter:
 
     def _described(self) -> dict[str, Any]:
         """Everything that shapes the bytes of a sample as far as it is known before the first, as plain JSON."""
-        described = {
+        return {
             "format": MANIFEST_FORMAT,
             "version": PACKING_VERSION,
             "rigs": [rig.to_json() for rig in self._rigs],
@@ -329,7 +318,6 @@ class ShardWriter:
             "codec": self._codec,
             "shadow_thresholds": asdict(SHADOW_THRESHOLDS),
         }
-        return dict(json.loads(json.dumps(described)))  # tuples as lists, to compare with what was stored
 
     def _learned(self, scene: Render) -> SceneLayout:
         """What all samples have in common, where it is not given as the first scene has it."""
@@ -340,7 +328,7 @@ class ShardWriter:
             planes = learned_planes(scene.planes, scene.key)
         if projector is None:
             projector = "none" if scene.projector is None and scene.projector_range_m is None else "shadow"
-        return SceneLayout(self._rigs, self._classes, fields, projector, planes, facing_origin(scene), self._codec)
+        return SceneLayout(self._rigs, self._classes, fields, projector, planes, facing_of(scene), self._codec)
 
     def _learn(self, layout: SceneLayout) -> None:
         self._layout = layout
@@ -351,15 +339,15 @@ class ShardWriter:
         """Find the shards that an earlier run finished, and what it had learned."""
         if (self._out / MANIFEST_NAME).exists():
             manifest = read_manifest(self._out)
-            facing: FacingOrigin = "range" if manifest.renderer == FACING_FROM_RANGE else "given"
-            known = manifest.fields, manifest.projector, manifest.planes, facing
+            known = manifest.fields, manifest.projector, manifest.planes, manifest.renderer
             names = [record.name for record in manifest.shards]
         else:
             try:
                 stored = json.loads((state / _LEARNED).read_bytes())
                 fields = fields_of(stored["fields"], len(self._rigs))
                 known = fields, stored["projector"], dict(stored["planes"]), stored["facing"]
-                if stored["projector"] not in get_args(ProjectorKind) or stored["facing"] not in _RENDERERS:
+                facings = EXTERNAL, FACING_FROM_RANGE
+                if stored["projector"] not in get_args(ProjectorKind) or stored["facing"] not in facings:
                     raise ValueError("a value that no writer has stored")
             except FileNotFoundError:
                 return  # no scene was written
@@ -380,12 +368,9 @@ class ShardWriter:
             raise BadConfig("a ShardWriter writes in a with statement: with ShardWriter(...) as out")
         return self._state
 
-    def _unwritable(self, error: OSError) -> BadConfig:
-        return BadConfig(f"cannot write shards in {self._out}: {error.strerror or error}")
 
-
-def _encoded(layout: SceneLayout, taken: TakenScene) -> Encoded:
-    return taken.info.split, encode_sample(layout.sample(taken), layout.codec)
+def _encoded(layout: SceneLayout, taken: Render) -> Encoded:
+    return taken.split, encode_sample(layout.sample(taken), layout.codec)
 
 
 def _made(layout: SceneLayout, key: str, function: Callable[[Any], Mapping[str, Any]], reference: Any) -> Encoded:

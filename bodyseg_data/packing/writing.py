@@ -3,7 +3,7 @@
 The state stands in `OUT/.packing/` while the packing runs, so that it can carry on where it was cut short.
 
 plan.json           everything that shapes the bytes; another plan may not carry on here
-lock                held while a packing is at work
+.lock               held while a packing is at work
 NAME.tar.part       the shard being written
 NAME.tar.json       the record of a finished shard
 skipped.json        meshes left out after the check: name -> reason
@@ -12,11 +12,9 @@ skipped.json        meshes left out after the check: name -> reason
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import hashlib
 import itertools
 import json
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -26,6 +24,7 @@ from typing import Any, Final
 
 from bodyseg_data.bodies import BodyRef
 from bodyseg_data.core import BadConfig, BadShard, ProgressCallback
+from bodyseg_data.files import claimed as held_folder
 from bodyseg_data.files import is_leftover, write_atomically
 from bodyseg_data.packing.jobs import ordered
 from bodyseg_data.packing.options import Packing
@@ -132,6 +131,20 @@ def write_shards(
     return None, records
 
 
+def digest_of(description: Mapping[str, Any]) -> str:
+    """The plan of a manifest: a digest of everything that shapes the bytes."""
+    return hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
+
+
+@contextlib.contextmanager
+def writing_into(out: Path) -> Iterator[None]:
+    """Raise BadConfig, naming the folder of the set, for errors of the disk within the context."""
+    try:
+        yield
+    except OSError as error:
+        raise BadConfig(f"cannot write shards in {out}: {error.strerror or error}") from error
+
+
 def check_folder(out: Path) -> None:
     """Raise BadConfig unless `out` is no folder yet, one without shards, or one that a packing has begun or ended."""
     if out.exists() and not out.is_dir():
@@ -154,22 +167,16 @@ def claimed(out: Path, description: dict[str, Any], digest: str) -> Iterator[Pat
             f"{out} already holds a set of shards packed with other options or from other files: "
             "choose another folder, or delete it"
         )
-    state.mkdir(parents=True, exist_ok=True)
-    lock = os.open(state / "lock", os.O_CREAT | os.O_RDWR, 0o644)
-    try:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise BadConfig(f"another packing is at work in {out}") from None
+    state.mkdir(parents=True, exist_ok=True)  # so that its errors name the set
+    with held_folder(state, "packing"):
         for leftover in filter(lambda path: is_leftover(path.name), out.iterdir()):
             leftover.unlink()  # of a run that could not even clean up
         _check_plan(state / "plan.json", description, out)
         yield state
-    finally:
-        os.close(lock)
 
 
 def _check_plan(path: Path, description: dict[str, Any], out: Path) -> None:
+    description = json.loads(json.dumps(description))  # tuples as lists, to compare with what was stored
     try:
         stored = json.loads(path.read_bytes())
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""Renders that exist: readers of folders that other programs wrote, behind one Protocol."""
+"""Renders that exist: readers of folders that other programs wrote, each a layout of its own."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from bodyseg_data.files import refuse_special
 from bodyseg_data.machine import missing_library
 from bodyseg_data.renders.images import MOST_NUMBERS
 from bodyseg_data.renders.set_file import SetFile, read_rows
-from bodyseg_data.renders.source import LABELS, PROJECTOR, RANGE, Stored, StoredRenders, by_key
+from bodyseg_data.renders.source import LABELS, PROJECTOR, RANGE, RenderSource, Stored, by_key
 
 ENDINGS: Final = (".hdf5", ".h5")
 _DEPTH, _DISTANCE = "depth", "distance"
@@ -30,7 +30,7 @@ _ATTRIBUTES: Final = "instance_attribute_maps"
 _PLANE: Final = "instances"
 
 
-class BlenderProcRenders(StoredRenders):
+class BlenderProcRenders(RenderSource):
     """Renders of BlenderProc. Raises BadConfig for a file that is missing, MissingLibrary without h5py."""
 
     def __init__(self, folder: Path, content: SetFile) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadSample, MissingLibrary
 from bodyseg_data.files import refuse_special
 from bodyseg_data.machine import missing_library
-from bodyseg_data.rigs import Camera, Rig
+from bodyseg_data.rigs import Camera
 
 SUFFIXES: Final = (".png", ".tif", ".tiff", ".npy", ".npz", ".exr")
 """Endings of image files that are read."""
@@ -112,11 +112,6 @@ def ray_lengths(camera: Camera) -> NDArray[np.float64]:
     """Length of the ray through each pixel's centre to depth 1 along the axis, float64 [rows, columns]."""
     lengths: NDArray[np.float64] = np.linalg.norm(camera.pixel_rays(), axis=2)
     return lengths
-
-
-def projector_ray_lengths(rig: Rig) -> NDArray[np.float64]:
-    """The same for the rig's projectors, one below the other."""
-    return np.concatenate([ray_lengths(projector) for projector in rig.projectors])
 
 
 def as_metres(

@@ -26,7 +26,7 @@ from bodyseg_data.files import Table, read_json
 from bodyseg_data.labels import BACKGROUND, classes_of
 from bodyseg_data.renders.images import read_array
 from bodyseg_data.renders.set_file import LabelTable, SetFile, read_rows
-from bodyseg_data.renders.source import LABELS, PROJECTOR, RANGE, Stored, StoredRenders, by_key
+from bodyseg_data.renders.source import LABELS, PROJECTOR, RANGE, RenderSource, Stored, by_key
 from bodyseg_data.rigs import RANGE_STEP_MM, Camera, Rig
 from bodyseg_data.samples import Value
 
@@ -43,7 +43,7 @@ _KEY: Final = re.compile(
 _TO_OURS: Final = np.diag([1.0, -1.0, -1.0, 1.0])  # USD's cameras look along -z, with y up
 
 
-class IsaacRenders(StoredRenders):
+class IsaacRenders(RenderSource):
     """Renders of Isaac Sim. Raises BadConfig for a file that is missing or that another writer wrote."""
 
     def __init__(self, folder: Path, content: SetFile) -> None:

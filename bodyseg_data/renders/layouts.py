@@ -24,7 +24,6 @@ from bodyseg_data.renders.source import (
     RANGE,
     RenderSource,
     Stored,
-    StoredRenders,
     by_key,
     in_order,
 )
@@ -32,7 +31,7 @@ from bodyseg_data.renders.source import (
 _PLANES = "planes"
 
 
-class PlainRenders(StoredRenders):
+class PlainRenders(RenderSource):
     """Renders in folders of images. Raises BadConfig for a folder, key or partner that is missing or unknown."""
 
     def __init__(self, folder: Path, content: SetFile) -> None:
@@ -64,7 +63,7 @@ def _images(folder: Path) -> dict[str, Path]:
 
 
 LayoutName = Literal["plain", "blenderproc", "isaac"]
-LAYOUTS: Final[dict[LayoutName, Callable[[Path, SetFile], RenderSource]]] = {
+LAYOUTS: Final[dict[str, Callable[[Path, SetFile], RenderSource]]] = {
     "plain": PlainRenders,
     "blenderproc": BlenderProcRenders,
     "isaac": IsaacRenders,
@@ -80,16 +79,15 @@ def open_renders(folder: Path, layout: str | None = None) -> RenderSource:
         raise BadConfig(f"no folder {folder} there")
     content = read_set(folder)
     chosen = layout or content.layout or _told(folder, content)
-    for name, layout_of in LAYOUTS.items():
-        if name == chosen:
-            return layout_of(folder, content)
-    raise BadConfig(f"{folder}: the layout must be one of {', '.join(LAYOUTS)}, found {chosen!r}")
+    if chosen not in LAYOUTS:
+        raise BadConfig(f"{folder}: the layout must be one of {', '.join(LAYOUTS)}, found {chosen!r}")
+    return LAYOUTS[chosen](folder, content)
 
 
-def _told(folder: Path, content: SetFile) -> LayoutName:
+def _told(folder: Path, content: SetFile) -> str:
     """The layout of a folder by its files. Raises BadConfig unless it is exactly one."""
     camera = folder / content.camera
-    signs: dict[LayoutName, bool] = {
+    signs = {
         "plain": (folder / RANGE).is_dir(),
         "blenderproc": camera.is_dir() and any(each.suffix in ENDINGS for each in camera.iterdir()),
         "isaac": bool(frames(camera, AXIS, ".npy") or frames(camera, RAY, ".npy")),

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BadSample
 from bodyseg_data.files import Table, parse_json, read_bytes
-from bodyseg_data.labels import BACKGROUND, Classes, LabelClass
+from bodyseg_data.labels import BACKGROUND, Classes, classes_from_json
 from bodyseg_data.rigs import Rig, load_rig, rig_from_json
 from bodyseg_data.samples import SPLITS, SampleInfo, Split, Value, kind_of
 
@@ -148,67 +148,50 @@ def read_set(folder: Path) -> SetFile:
     if lists["no_range"] is not None:
         values = _list(lists["no_range"], "no_range", path)
         if not all(type(value) in (int, float) for value in values):
-            raise BadConfig(f"{path}: 'no_range' must be a list of numbers, found {_shown(values)}")
+            raise BadConfig(f"{path}: 'no_range' must be a list of numbers, found {values!r:.60}")
         found["no_range"] = tuple(map(float, values))
     return SetFile(path, classes=classes, table=numbers, rigs=rigs, **found)
 
 
-def _shown(value: Any) -> str:
-    """Beginning of a value, for messages."""
-    try:
-        return repr(value)[:60]
-    except ValueError:  # hexadecimal numbers may be longer than Python prints
-        return "a number of thousands of digits"
-
-
 def _list(value: Any, key: str, path: Path) -> list[Any]:
     if not isinstance(value, list):
-        raise BadConfig(f"{path}: {key!r} must be a list, found {_shown(value)}")
+        raise BadConfig(f"{path}: {key!r} must be a list, found {value!r:.60}")
     return value
 
 
 def _classes(rows: Any, name: str, first: int, background: Sequence[Any], path: Path) -> tuple[Classes, LabelTable]:
     """Classes, and the numbers and colours of images that stand for them. Raises BadConfig."""
-    entries: list[LabelClass] = []
     numbers: dict[int, int] = {}
     colours: dict[int, int] = {}
 
     def stands_for(value: Any, label: int, what: str) -> None:
         is_colour = isinstance(value, str) and _COLOUR.fullmatch(value) is not None
         if not is_colour and (type(value) is not int or value < 0):
-            raise BadConfig(f"{path}: {what} must be a whole number or a colour like '#1e90ff', found {_shown(value)}")
+            raise BadConfig(f"{path}: {what} must be a whole number or a colour like '#1e90ff', found {value!r:.60}")
         table, key = (colours, int(value[1:], 16)) if is_colour else (numbers, value)
         if table.setdefault(key, label) != label:
-            raise BadConfig(f"{path}: {_shown(value)} stands for two classes, or for one and 'background'")
+            raise BadConfig(f"{path}: {value!r:.60} stands for two classes, or for one and 'background'")
 
     for value in background:
         stands_for(value, BACKGROUND, "an entry of 'background'")
-    for label, row in enumerate(_list(rows, "classes", path)):
-        given = {"name": row} if isinstance(row, str) else row
-        if not isinstance(given, dict) or not set(given) <= {"name", "label", "colour", "mirror", "within"}:
-            raise BadConfig(
-                f"{path}: a class is a name, or has name, label, colour, mirror and within, found {_shown(row)}"
-            )
-        values = given.get("label", first + label)
+    rows = [{"name": row} if isinstance(row, str) else row for row in _list(rows, "classes", path)]
+    for label, row in enumerate(rows):
+        if not isinstance(row, dict):
+            raise BadConfig(f"{path}: a class is a name or a table, found {row!r:.60}")
+        values = row.pop("label", first + label)
         for value in values if isinstance(values, list) else [values]:
             stands_for(value, label, f"'label' of class {label}")
-        colour = given.get("colour")
-        if colour is not None:
-            stands_for(colour, label, f"'colour' of class {label}")
-            given = {**given, "colour": str(colour).lower()}
-        said: dict[str, Any] = {"name": "", **{key: each for key, each in given.items() if key != "label"}}
-        entries.append(LabelClass(**said))
-    try:
-        return Classes(name, tuple(entries)), LabelTable(numbers, colours)
-    except BadConfig as error:
-        raise BadConfig(f"{path}: {error}") from None
+        if "colour" in row:
+            stands_for(row["colour"], label, f"'colour' of class {label}")
+            row["colour"] = str(row["colour"]).lower()
+    return classes_from_json({"name": name, "classes": rows}, str(path)), LabelTable(numbers, colours)
 
 
 def _rigs(one: Any, several: Any, path: Path) -> dict[str, Rig]:
     if one is not None and several is not None:
         raise BadConfig(f"{path}: a set has 'rig' or [rigs], found both")
     if several is not None and not (isinstance(several, dict) and several):
-        raise BadConfig(f"{path}: [rigs] must give names to rig files, found {_shown(several)}")
+        raise BadConfig(f"{path}: [rigs] must give names to rig files, found {several!r:.60}")
     named = {"": one} if one is not None else several or {}
     return {name: _rig(value, path) for name, value in named.items()}
 
@@ -218,7 +201,7 @@ def _rig(value: Any, path: Path) -> Rig:
     if isinstance(value, str):
         return load_rig(path.parent / value if value.endswith(".toml") else value)
     if not isinstance(value, dict):
-        raise BadConfig(f"{path}: 'rig' must be a file, a name or a table, found {_shown(value)}")
+        raise BadConfig(f"{path}: 'rig' must be a file, a name or a table, found {value!r:.60}")
     tree = {key: each for key, each in value.items() if key != "title"}
     if isinstance(tree.get("camera"), dict):
         tree["camera"] = {"position_m": [0.0, 0.0, 0.0], "aims_at_m": [0.0, 0.0, 1.0], **tree["camera"]}
@@ -290,23 +273,19 @@ def _json_rows(text: str, path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
 
 def _csv_rows(text: str, path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
     """Rows of CSV: a column is of whole numbers, numbers, flags or text, an empty cell says nothing."""
+    rows = csv.DictReader(io.StringIO(text.lstrip("\r\n")), strict=True)
     try:
-        header, *cells = [row for row in csv.reader(io.StringIO(text), strict=True) if row] or [[]]
+        cells, header = list(rows), rows.fieldnames or []
     except csv.Error as error:
         raise BadConfig(f"{path} is not CSV: {error}") from None
     for line, row in enumerate(cells, 2):
-        if len(row) != len(header) or len(set(header)) < len(header):
+        if None in row or None in row.values() or len(row) < len(header):
             raise BadConfig(f"{path}, line {line}: a row has a cell for each of {len(header)} different columns")
-    words = [[row[at] for row in cells] for at in range(len(header))]
-    columns = [
-        column if name in ("key", "split", "rig") else _typed(column)
-        for name, column in zip(header, words, strict=True)
-    ]
+    as_text = ("key", "split", "rig")
+    columns = {name: [row[name] for row in cells] for name in header}
+    typed = {name: words if name in as_text else _typed(words) for name, words in columns.items()}
     for at in range(len(cells)):
-        yield (
-            at + 2,
-            {name: column[at] for name, column in zip(header, columns, strict=True) if column[at] not in (None, "")},
-        )
+        yield at + 2, {name: values[at] for name, values in typed.items() if values[at] not in (None, "")}
 
 
 def _typed(column: Sequence[str]) -> Sequence[Value | None]:

@@ -1,4 +1,4 @@
-"""Protocol of the sources of finished renders, and what all readers of files share: partners, sizes, units, checks."""
+"""Sources of finished renders: what the readers of all layouts share, which is partners, sizes, units and checks."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BadSample
 from bodyseg_data.labels import UNLABELLED, Classes
-from bodyseg_data.renders.images import as_metres, projector_ray_lengths, ray_lengths
+from bodyseg_data.renders.images import as_metres, ray_lengths
 from bodyseg_data.renders.set_file import LabelTable, SampleRows, SetFile
-from bodyseg_data.rigs import Rig
+from bodyseg_data.rigs import Camera, Rig
 from bodyseg_data.samples import Split, Value, check_key
 
 RANGE, LABELS, PROJECTOR, FACING, NORMALS = "range", "labels", "projector", "facing", "normals"
@@ -51,28 +51,6 @@ class Render:
     projector: ProjectorRanges | None = None
 
 
-class RenderSource(Protocol):
-    """A set of finished renders, in a fixed order.
-
-    classes: what labels mean. rigs: of all samples. planes: name -> "uint8" or "uint16" of further images. fields:
-    name -> kind of the fields of descriptions, as `ShardWriter` takes them.
-    """
-
-    classes: Classes
-    rigs: tuple[Rig, ...]
-    planes: Mapping[str, str]
-    fields: Mapping[str, str]
-
-    def keys(self) -> Sequence[str]:
-        """Return the keys of all renders, in their order."""
-
-    def split(self, key: str) -> Split:
-        """Return the split of one of `keys()`, without reading its images."""
-
-    def load(self, key: str) -> Render:
-        """Read one of `keys()`. Raises BadSample, naming file and rule, for images that cannot be what they should."""
-
-
 @dataclass(frozen=True)
 class Stored:
     """An image as its file holds it. where: the file, for messages. ray: ranges are measured along the ray."""
@@ -82,12 +60,15 @@ class Stored:
     ray: bool = False
 
 
-class StoredRenders(ABC):
-    """Base of the readers: a set whose samples are found in files of several kinds, each with one file a key.
+class RenderSource(ABC):
+    """A set of finished renders in a fixed order, found in files of several kinds, each with one file a key.
 
     files: kind -> key -> file; those of `RANGE` lead. classes, rigs: of the set and of each sample, where the files
     tell them; else as `content` says. Raises BadConfig for a file without partner, for rows of other keys, and without
     classes or rigs.
+
+    The attributes: classes: what labels mean. rigs: of all samples. planes: name -> "uint8" or "uint16" of further
+    images. fields: name -> kind of the fields of descriptions, as `ShardWriter` takes them.
     """
 
     def __init__(
@@ -154,24 +135,20 @@ class StoredRenders(ABC):
     def load(self, key: str) -> Render:
         """Read one of `keys()`. Raises BadSample, naming file and rule, for images that cannot be what they should."""
         images, rig, info = dict(self.read(key)), self._rigs[key], self._rows.info(key)
-        size = rig.camera.rows, rig.camera.columns
         for kind, image in images.items():
             if kind == PROJECTOR:
                 _check_size(image, rig.projector_shape, PROJECTOR)
             else:
-                _check_size(image, size, "camera")
-        seen, lit = images.pop(RANGE), images.pop(PROJECTOR, None)
-        range_m = self._metres(seen, rig, ray_lengths(rig.camera) if seen.ray else None)
-        lengths = projector_ray_lengths(rig) if lit is not None and lit.ray else None
-        labels = images.pop(LABELS)
+                _check_size(image, (rig.camera.rows, rig.camera.columns), "camera")
+        range_m, labels = self._metres(images.pop(RANGE), rig, rig.camera), images.pop(LABELS)
         found = self.table(key).labels(labels.array, labels.where)
         check_labels(range_m, found, labels.where, self._content.no_range is not None)
-        facing, normals = images.pop(FACING, None), images.pop(NORMALS, None)
+        lit, facing, normals = (images.pop(kind, None) for kind in (PROJECTOR, FACING, NORMALS))
         return Render(
             key,
             range_m,
             found,
-            None if lit is None else self._metres(lit, rig, lengths),
+            None if lit is None else self._metres(lit, rig, *rig.projectors),
             None if facing is None else facing.array != 0,
             None if normals is None else normals.array,
             info.split,
@@ -180,8 +157,10 @@ class StoredRenders(ABC):
             self.rigs.index(rig),
         )
 
-    def _metres(self, image: Stored, rig: Rig, lengths: NDArray[np.float64] | None) -> NDArray[np.floating[Any]]:
+    def _metres(self, image: Stored, rig: Rig, *devices: Camera) -> NDArray[np.floating[Any]]:
+        """Ranges along the axes of devices whose images stand one below the other."""
         content = self._content
+        lengths = np.concatenate([ray_lengths(device) for device in devices]) if image.ray else None
         return as_metres(image.array, content.unit_m, rig.range_step_m, image.where, lengths, content.no_range or ())
 
 

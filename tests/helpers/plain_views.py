@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.meshes import Mesh, Partition
-from bodyseg_data.packing import faces_towards, surface_points
+from bodyseg_data.packing import surface_points
+from bodyseg_data.packing.sampler import faces_towards
 from bodyseg_data.rendering import RasterRenderer, Surface
 from bodyseg_data.rendering.embree import EmbreeRenderer
 from bodyseg_data.rigs import PlacedCamera, Rig

@@ -26,7 +26,7 @@ from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.machine import torch_threads
 from bodyseg_data.meshes import Mesh
-from bodyseg_data.packing import faces_towards, sample_key
+from bodyseg_data.packing.sampler import faces_towards, sample_key
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rigs import PlacedCamera, Rig, load_rig
 from bodyseg_data.samples import Sample, SampleInfo, View, metres, steps

@@ -18,7 +18,8 @@ from PIL import Image
 from bodyseg_data.bodies import BodyRef
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.meshes import Mesh
-from bodyseg_data.packing import Packing, sample_key
+from bodyseg_data.packing import Packing
+from bodyseg_data.packing.sampler import sample_key
 from bodyseg_data.rigs import PlacedCamera, Rig
 from bodyseg_data.samples import View, steps
 

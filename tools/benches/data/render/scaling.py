@@ -12,8 +12,9 @@ from typing import Any, Final
 from bodyseg_data.bodies import BodyRef
 from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.machine import missing_library
-from bodyseg_data.packing import Packing, open_engine, pack, sample_key
+from bodyseg_data.packing import Packing, open_engine, pack
 from bodyseg_data.packing.packer import render_run
+from bodyseg_data.packing.sampler import sample_key
 from bodyseg_data.packing.writing import Rendered
 from bodyseg_data.samples import View, ViewGrid
 from bodyseg_data.shards import MANIFEST_NAME

@@ -22,8 +22,9 @@ from bodyseg_data.artifacts.occlusion import shadow_test
 from bodyseg_data.bodies import BodyRef, BodySource
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.meshes import Mesh
-from bodyseg_data.packing import Packing, Sampler, faces_towards, surface_points
+from bodyseg_data.packing import Packing, Sampler, surface_points
 from bodyseg_data.packing.occluders import occluder_range
+from bodyseg_data.packing.sampler import faces_towards
 from bodyseg_data.rendering import RasterRenderer, Renderer, Surface, open_renderer
 from bodyseg_data.rendering.embree import EmbreeRenderer
 from bodyseg_data.rigs import PlacedCamera, Rig

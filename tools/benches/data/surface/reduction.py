@@ -22,9 +22,10 @@ from bodyseg_data.bodies import Body, BodyRef, open_source
 from bodyseg_data.core import BadConfig, ProgressCallback, silent
 from bodyseg_data.meshes import Mesh, Partition, partition, with_pymeshlab
 from bodyseg_data.meshes.partitioning import find_borders
-from bodyseg_data.packing import Packing, Sampler, faces_towards, surface_points
+from bodyseg_data.packing import Packing, Sampler, surface_points
 from bodyseg_data.packing.mesh_reduction import PAYS_FROM, TOLERANCE_M, WITHIN, edges_collapsed, reduce
 from bodyseg_data.packing.options import evenly_sampled
+from bodyseg_data.packing.sampler import faces_towards
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rendering.embree import EmbreeRenderer
 from bodyseg_data.rigs import load_rig

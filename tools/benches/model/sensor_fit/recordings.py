@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts import Augmentation, SensorModel
 from bodyseg_data.bodies import Body
 from bodyseg_data.labels import BACKGROUND
-from bodyseg_data.packing import faces_towards, surface_points
+from bodyseg_data.packing import surface_points
+from bodyseg_data.packing.sampler import faces_towards
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import Sample, SampleInfo, View, steps
