@@ -9,14 +9,13 @@ from bodyseg_data.core import lazy_door
 if TYPE_CHECKING:
     from bodyseg_data.meshes.body_checks import check_body
     from bodyseg_data.meshes.coincident import separate
-    from bodyseg_data.meshes.geodesics import GeodesicMethod, check_method, nearest_sources
+    from bodyseg_data.meshes.geodesics import GeodesicMethod, nearest_sources
     from bodyseg_data.meshes.landmark_files import load_landmark_file
     from bodyseg_data.meshes.landmarks import (
         FARTHEST_M,
         METRES,
         LandmarkSet,
         PointLandmarks,
-        SnappedLandmarks,
         farthest_from,
         load_landmarks,
     )
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
         read_mesh,
         read_mesh_content,
     )
-    from bodyseg_data.meshes.partitioning import Partition, SurfaceLabels, partition
+    from bodyseg_data.meshes.partitioning import Partition, partition
     from bodyseg_data.meshes.repairing import repair, with_pymeshlab
     from bodyseg_data.meshes.solids import Solid, SurfacePiece, cuboid, together, turned_solid
 else:
