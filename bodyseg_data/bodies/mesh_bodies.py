@@ -32,7 +32,6 @@ from bodyseg_data.meshes import (
     load_landmark_file,
     load_landmarks,
     mesh_stem,
-    mesh_suffix,
     preferred,
     read_mesh,
     repair,
@@ -99,8 +98,8 @@ def meshes_in(folder: Path) -> dict[str, Path]:
         raise BadConfig(f"cannot list {folder}: {error.strerror or error}") from error
     forms: dict[str, list[str]] = {}
     for name in sorted(names):
-        if mesh_suffix(name) and not name.startswith("."):
-            forms.setdefault(mesh_stem(name), []).append(name)
+        if (stem := mesh_stem(name)) is not None and not name.startswith("."):
+            forms.setdefault(stem, []).append(name)
     return {stem: folder / preferred(forms[stem]) for stem in sorted(forms)}
 
 

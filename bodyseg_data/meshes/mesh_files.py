@@ -70,6 +70,12 @@ class FaceNames:
     numbers: NDArray[np.int64]
 
 
+def face_names(names: Sequence[str], counts: Any) -> FaceNames:
+    """Names of runs of polygons, "" for none. counts: of the polygons of each run."""
+    place = {name: at for at, name in enumerate(dict.fromkeys(filter(None, names)))}
+    return FaceNames(tuple(place), np.repeat([place.get(name, -1) for name in names], counts))
+
+
 @dataclass(frozen=True)
 class MeshContent:
     """Everything in a mesh file in which labels may stand.
@@ -103,13 +109,8 @@ class _Parsed:
     names: dict[str, list[tuple[int, str]]] = field(default_factory=dict)  # kind -> first polygon, name
 
     def named(self, kind: str) -> FaceNames:
-        marks = self.names[kind]
-        names = tuple(dict.fromkeys(name for _, name in marks if name))
-        numbers = np.full(len(self.polygons), -1, np.int64)
-        place = {name: at for at, name in enumerate(names)}
-        for (start, name), (end, _) in zip(marks, [*marks[1:], (len(numbers), "")], strict=True):
-            numbers[start:end] = place.get(name, -1)
-        return FaceNames(names, numbers)
+        starts, names = zip(*self.names[kind], strict=True)
+        return face_names(["", *names], np.diff([0, *starts, len(self.polygons)]))
 
 
 @dataclass(frozen=True)
@@ -350,9 +351,10 @@ def mesh_suffix(name: str) -> str | None:
     return next((suffix for suffix in MESH_SUFFIXES if name.lower().endswith(suffix)), None)
 
 
-def mesh_stem(name: str) -> str:
-    """A mesh file's name without its suffix: "mesh000" for "mesh000.ply.gz"."""
-    return name[: len(name) - len(mesh_suffix(name) or "")]
+def mesh_stem(name: str) -> str | None:
+    """A mesh file's name without its suffix: "mesh000" for "mesh000.ply.gz"; None for a file that is no mesh's."""
+    suffix = mesh_suffix(name)
+    return None if suffix is None else name[: -len(suffix)]
 
 
 def preferred(names: Sequence[str]) -> str:

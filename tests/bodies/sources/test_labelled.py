@@ -14,7 +14,7 @@ from small_rig import SMALL_FILE
 
 from bodyseg_data import RangeImages
 from bodyseg_data.bodies import Body, open_source
-from bodyseg_data.bodies.sources.labelled import with_sides
+from bodyseg_data.bodies.given_labels import with_sides
 from bodyseg_data.commands.cli import main
 from bodyseg_data.core import BadConfig, BadMesh
 from bodyseg_data.labels import classes_of
