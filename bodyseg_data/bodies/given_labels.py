@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BadMesh
 from bodyseg_data.files import read_json
-from bodyseg_data.labels import BACKGROUND, UNLABELLED, Classes, LabelClass, classes_from_json
+from bodyseg_data.labels import BACKGROUND, UNLABELLED, Classes, classes_from_json
 from bodyseg_data.meshes import MeshContent
 
 LABEL_PROPERTIES: Final = tuple(
@@ -72,12 +72,11 @@ class ClassTable:
                 raise BadConfig(f"{self.path}: the 'number' of {row['name']!r} must be whole and its own: {number!r}")
             self.numbers[number] = row["name"]
             self._also += [(each, row["name"]) for each in _texts(row.pop("also", []), f"{self.path}: 'also'")]
-        classes = classes_from_json({"name": folder.name or "labelled", **tree, "classes": rows}, str(self.path))
-        self.classes = with_sides(classes)
-        colours = [entry.colour for entry in classes.entries]  # one that two classes have tells neither
-        self.colours = {
-            each.colour: each.name for each in classes.entries if each.colour and colours.count(each.colour) < 2
-        }
+        tree = {"name": folder.name or "labelled", **tree, "classes": with_sides(rows)}
+        self.classes = classes_from_json(tree, str(self.path))
+        entries = self.classes.entries
+        colours = [entry.colour for entry in entries]  # one that two classes have tells neither
+        self.colours = {each.colour: each.name for each in entries if each.colour and colours.count(each.colour) < 2}
 
     def knows(self, name: str) -> bool:
         """Whether classes.json says of which class a name is, or that it is of none."""
@@ -285,16 +284,18 @@ def _having(content: MeshContent, names: Sequence[str]) -> tuple[str, dict[str, 
     return "", {}
 
 
-def with_sides(classes: Classes) -> Classes:
-    """Classes in which those without a mirror image have the one of their name with left and right exchanged."""
-    names = set(classes.names)
-    taken = {name for entry in classes.entries if entry.mirror for name in (entry.name, entry.mirror)}
-    entries = []
-    for entry in classes.entries:
-        other = _SIDE.sub(lambda found: _EXCHANGED[found[0]], entry.name)
-        pair = entry.mirror is None and other != entry.name and other in names and not {entry.name, other} & taken
-        entries.append(LabelClass(**{**vars(entry), "mirror": other}) if pair else entry)
-    return Classes(classes.name, tuple(entries))
+def with_sides(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Complete the "mirror" of classes: of a pair, either may state it, else names that differ in left and right do."""
+    stated = {row["name"]: row["mirror"] for row in rows if isinstance(row.get("mirror"), str)}
+    stated = {other: name for name, other in stated.items()} | stated
+    free = {row["name"] for row in rows} - set(stated)
+    found = []
+    for row in rows:
+        other = _SIDE.sub(lambda side: _EXCHANGED[side[0]], row["name"])
+        guessed = other if {row["name"], other} <= free and other != row["name"] else None
+        own = row.get("mirror")
+        found.append({**row, "mirror": stated.get(row["name"], guessed) if own is None else own})
+    return found
 
 
 def _texts(given: Any, where: str) -> list[str]:

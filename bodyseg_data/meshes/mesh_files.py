@@ -312,9 +312,7 @@ def read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
 def read_mesh_content(path: Path) -> MeshContent:
     """Read a mesh file with all in which labels may stand. Raises BadMesh, as `read_mesh` does."""
     vertices, faces, parsed = _read(path)
-    polygons = parsed.polygons
-    alike = isinstance(polygons, np.ndarray)
-    sizes = [polygons.shape[1] - 2] * len(polygons) if alike else [len(polygon) - 2 for polygon in polygons]
+    sizes = [len(polygon) - 2 for polygon in parsed.polygons]
     return MeshContent(
         vertices,
         faces,

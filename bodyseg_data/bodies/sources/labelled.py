@@ -26,7 +26,7 @@ from bodyseg_data.bodies.source import DEFAULTS, Body, BodyRef, ListedBodies, Me
 from bodyseg_data.bodies.sources.folder import body_ref
 from bodyseg_data.core import BadConfig, BadMesh
 from bodyseg_data.files import Table, read_json
-from bodyseg_data.labels import BACKGROUND, Classes, LabelClass
+from bodyseg_data.labels import BACKGROUND, Classes, classes_from_json
 from bodyseg_data.meshes import METRES, MeshContent, SceneMesh, mesh_content, scene_stem, welded
 from bodyseg_data.samples import SPLITS
 
@@ -95,7 +95,8 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
                 with contextlib.suppress(BadMesh):  # the check of the meshes names it
                     names |= dict.fromkeys(self._named(piece, mesh_content(piece.mesh)).names)
                     files |= {piece.labels} if isinstance(piece.labels, Path) else set()
-        return with_sides(Classes(self._folder.name or "labelled", tuple(map(LabelClass, names))))
+        rows = with_sides([{"name": name} for name in names])
+        return classes_from_json({"name": self._folder.name or "labelled", "classes": rows}, str(self._folder))
 
     def fingerprint(self, bodies: Sequence[BodyRef]) -> str:
         """Return a digest of every byte of the files. Raises BadMesh for one that cannot be read."""
