@@ -240,11 +240,6 @@ class SceneMesh(Mesh):
     def _check_orientation(self) -> None:
         """Any order of corners will do."""
 
-    @property
-    def holding(self) -> bool:
-        """A scene is no body that holds things."""
-        return False
-
     def corners(self, _: Mesh) -> NDArray[np.uint8]:
         """Labels at the corners of all triangles, uint8 [F, 3]."""
         return self.labels

@@ -68,7 +68,7 @@ def _joined(parts: list[tuple[str, NDArray[np.float64], Any]], path: Path) -> Me
     check_arrays(str(path), vertices, faces)
     sizes = [len(mesh.faces) for _, _, mesh in parts]
     colours = [mesh.visual.vertex_colors[:, :3] for _, _, mesh in parts if mesh.visual.kind == "vertex"]
-    channels = np.concatenate(colours).T if len(colours) == len(parts) else ()
+    channels: Any = np.concatenate(colours).T if len(colours) == len(parts) else ()
     materials = [getattr(getattr(mesh.visual, "material", None), "name", None) or "" for _, _, mesh in parts]
     return MeshContent(
         np.asarray(vertices, np.float64),

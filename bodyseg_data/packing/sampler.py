@@ -54,7 +54,7 @@ class Sampler:
         self._tests = shadow_tests(rig)
         corners = parts.corners(mesh)
         whole = (corners == corners[:, :1]).all(axis=1)
-        self._holding = parts.holding
+        self._holding = isinstance(parts, Partition) and parts.holding
         self._part_of_face = np.where(whole, corners[:, 0], _SHARED)
         self._normals = mesh.normals
         self._offsets = np.einsum("ij,ij->i", mesh.normals, mesh.vertices[mesh.faces[:, 0]])
