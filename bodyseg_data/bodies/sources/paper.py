@@ -172,7 +172,7 @@ class CaesarBodies(MeshBodies):
         missing: list[str] = []
         for index, (subject, mesh) in enumerate(meshes.items()):
             own = _own(points.get(subject, []), mesh)
-            stem = mesh_stem(mesh.name)
+            stem = mesh_stem(mesh.name) or mesh.name
             if own is None and given is None:
                 missing.append(f"{stem}.lnd")
             wanted = f"subject {stem}: no {stem}.lnd anywhere in {folder}"
