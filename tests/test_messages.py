@@ -14,10 +14,11 @@ from bodyseg_data.artifacts import Augmentation
 from bodyseg_data.bodies import open_source
 from bodyseg_data.bodies.sources.paper import ScapeBodies
 from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh, BadSample, BodysegError
-from bodyseg_data.meshes import LandmarkSet, Mesh, check_method, load_landmarks, partition, read_mesh
+from bodyseg_data.meshes import LandmarkSet, Mesh, load_landmarks, partition, read_mesh
+from bodyseg_data.meshes.geodesics import check_method
 from bodyseg_data.packing import Packing, check_engine
 from bodyseg_data.packing.mesh_reduction import check_tolerance
-from bodyseg_data.rendering import check_renderer
+from bodyseg_data.rendering.registry import check_renderer
 from bodyseg_data.rigs import Camera, load_rig
 from bodyseg_data.rigs.rig import parse_rig
 from bodyseg_data.samples import ViewGrid, check_key, steps

@@ -124,15 +124,13 @@ def check_standing(landmarks: NDArray[np.float64], where: str) -> None:
     Its head must be well above its feet, and landmarks at the front of head, chest and pelvis in front of those at the
     back, which fails if right and left, or front and back, are exchanged.
     """
-    heights = dict(zip(LANDMARKS, landmarks[:, 1], strict=True))
-    feet = (heights["Rt. Lateral Malleolus"] + heights["Lt. Lateral Malleolus"]) / 2
-    above = heights["Sellion"] - feet
+    points = dict(zip(LANDMARKS, landmarks, strict=True))
+    above = (points["Sellion"] - (points["Rt. Lateral Malleolus"] + points["Lt. Lateral Malleolus"]) / 2)[1]
     if above < 0.5 * np.ptp(landmarks, axis=0).max():
         raise BadMesh(
             f"{where}: a standing body has its head above its feet, found the head {above:.2f} m above them (which "
             "axis points up? --up gives it)"
         )
-    points = dict(zip(LANDMARKS, landmarks, strict=True))
     ahead = [
         points[front][2] - points[back][2]
         for front, back in (

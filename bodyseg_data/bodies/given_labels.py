@@ -1,14 +1,16 @@
 """Labels that a mesh brings along: of its vertices or polygons, by names, numbers, lists of vertices or colours.
 
 Every triangle gets a name at each of its three corners, before vertices are joined; `SceneMesh` says what a point
-between them has.
+between them has. A name is a class by classes.json.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 from tokenize import TokenError
 from typing import Any, Final
@@ -16,9 +18,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadMesh
-from bodyseg_data.labels import BACKGROUND, UNLABELLED
-from bodyseg_data.meshes import FaceNames, MeshContent
+from bodyseg_data.core import BadConfig, BadMesh
+from bodyseg_data.files import read_json
+from bodyseg_data.labels import BACKGROUND, UNLABELLED, Classes, classes_from_json
+from bodyseg_data.meshes import MeshContent
 
 LABEL_PROPERTIES: Final = tuple(
     f"{prefix}{name}"
@@ -34,6 +37,63 @@ NAMING: Final = ("groups", "nodes", "objects", "materials")
 """What names polygons in mesh files."""
 
 _CHANNELS: Final = ("red", "green", "blue")
+_OTHER_SIDE: Final = {"left": "right", "Left": "Right", "LEFT": "RIGHT", "L": "R", "l": "r", "Lt": "Rt", "lt": "rt"}
+_EXCHANGED: Final = {**_OTHER_SIDE, **{right: left for left, right in _OTHER_SIDE.items()}}
+_SIDE: Final = re.compile(r"[Ll]eft|LEFT|[Rr]ight|RIGHT|(?:(?<=^)|(?<=[_. -]))[LlRr]t?(?=$|[_. -])")
+
+
+class ClassTable:
+    """What classes.json in a folder says; without it, every name is a class of its own.
+
+    classes: of the set, None without the file. numbers: number -> name. colours: "#rrggbb" -> name. labels: where they
+    are read from, as `file_labels` takes it. Raises BadConfig, naming the file.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.classes: Classes | None = None
+        self.numbers: dict[int, str] = {}
+        self.colours: dict[str, str] = {}
+        self.labels: str | None = None
+        self._also: list[tuple[str, str | None]] = []
+        self.path = folder / "classes.json"
+        if not self.path.exists():
+            return
+        tree = read_json(self.path)
+        self._also += [(pattern, None) for pattern in _texts(tree.pop("unlabelled", []), f"{self.path}: 'unlabelled'")]
+        if "labels" in tree:
+            (self.labels,) = _texts([tree.pop("labels")], f"{self.path}: 'labels'")
+        given = tree.get("classes")
+        rows = [{"name": row} if isinstance(row, str) else row for row in given] if isinstance(given, list) else []
+        for at, row in enumerate(rows):
+            if not isinstance(row, dict) or not isinstance(row.get("name"), str):
+                raise BadConfig(f"{self.path}: a class is a name, or an object with one, found {row!r:.60}")
+            number = row.pop("number", at)
+            if type(number) is not int or number in self.numbers:
+                raise BadConfig(f"{self.path}: the 'number' of {row['name']!r} must be whole and its own: {number!r}")
+            self.numbers[number] = row["name"]
+            self._also += [(each, row["name"]) for each in _texts(row.pop("also", []), f"{self.path}: 'also'")]
+        tree = {"name": folder.name or "labelled", **tree, "classes": with_sides(rows)}
+        self.classes = classes_from_json(tree, str(self.path))
+        entries = self.classes.entries
+        colours = [entry.colour for entry in entries]  # one that two classes have tells neither
+        self.colours = {each.colour: each.name for each in entries if each.colour and colours.count(each.colour) < 2}
+
+    def knows(self, name: str) -> bool:
+        """Whether classes.json says of which class a name is, or that it is of none."""
+        of_class = self.classes is not None and name in self.classes.names
+        return of_class or any(fnmatchcase(name, pattern) for pattern, _ in self._also)
+
+    def class_of(self, name: str, where: str) -> str | None:
+        """The class that a name stands for, None for none. Raises BadMesh for one that classes.json does not know."""
+        if self.classes is None or name in self.classes.names:
+            return name
+        for pattern, found in self._also:
+            if fnmatchcase(name, pattern):
+                return found
+        raise BadMesh(
+            f"{where}: {name!r} is no class of {self.path} (its 'also' names what else is of a class, 'unlabelled' "
+            "what is of none)"
+        )
 
 
 @dataclass(frozen=True)
@@ -127,11 +187,6 @@ def _at_corners(numbers: NDArray[np.int64], content: MeshContent, where: str, of
     return np.repeat(of_triangle[:, None], 3, axis=1)
 
 
-def labels_of_names(given: FaceNames, content: MeshContent) -> NamedCorners:
-    """Labels from names of polygons."""
-    return NamedCorners(given.names, np.repeat(given.numbers[content.polygon][:, None], 3, axis=1))
-
-
 def labels_of_colours(content: MeshContent, table: Mapping[str, str], where: str) -> NamedCorners:
     """Labels from colours of polygons or, without those, of vertices. table: "#rrggbb" -> name.
 
@@ -173,11 +228,8 @@ def labels_from_file(path: Path, content: MeshContent, table: Mapping[int, str])
     if isinstance(given, dict):
         return labels_of_parts(given, content, str(path))
     if isinstance(given, list) and given and all(isinstance(each, str) for each in given):
-        names = list(dict.fromkeys(given))
-        place = {name: at for at, name in enumerate(names)}
-        return labels_of_numbers(
-            np.array([place[name] for name in given]), content, dict(enumerate(names)), str(path), of
-        )
+        place = {name: at for at, name in enumerate(dict.fromkeys(given))}
+        table, given = dict(enumerate(place)), [place[name] for name in given]
     if not isinstance(given, np.ndarray):
         if not isinstance(given, list) or {*map(type, given)} != {int}:
             raise BadMesh(f"{path}: labels must be lists of vertices by name, or one list of numbers or of names")
@@ -188,16 +240,14 @@ def labels_from_file(path: Path, content: MeshContent, table: Mapping[int, str])
 def file_labels(
     content: MeshContent,
     wanted: str | None,
-    table: Mapping[int, str],
-    colours: Mapping[str, str],
-    known: Callable[[Sequence[str]], bool],
+    table: ClassTable,
     where: str,
 ) -> NamedCorners:
     """Labels that stand in the mesh's own file.
 
     wanted: "groups", "objects", "materials", "nodes", "colours", or "property NAME"; None: the first that is there of
-    a property that holds labels, names of polygons, and colours. table: number -> name. colours: "#rrggbb" -> name.
-    known: whether all of some names are those of classes. Raises BadMesh, naming `where`, for a mesh without such.
+    a property that holds labels, names of polygons, and colours. Raises BadMesh, naming `where`, for a mesh without
+    such.
     """
     kind, _, name = (wanted or "").partition(" ")
     if wanted is not None and kind not in (*NAMING, "colours", "property"):
@@ -208,14 +258,15 @@ def file_labels(
     for column in (name.lower(),) if name else LABEL_PROPERTIES if kind in ("", "property") else ():
         of, columns = _having(content, (column,))
         if of:
-            return labels_of_numbers(columns[column], content, table, f"{where}: property {column!r}", of)
+            return labels_of_numbers(columns[column], content, table.numbers, f"{where}: property {column!r}", of)
     naming = [each for each in NAMING if each in content.names and content.names[each].names and kind in ("", each)]
     if naming:
-        fitting = [each for each in naming if known(content.names[each].names)]
+        fitting = [each for each in naming if all(map(table.knows, content.names[each].names))]
         several = [each for each in naming if len(content.names[each].names) > 1]
-        return labels_of_names(content.names[(*fitting, *several, *naming)[0]], content)
-    if kind == "colours" or (not kind and colours and _having(content, _CHANNELS)[0]):
-        return labels_of_colours(content, colours, where)
+        given = content.names[(*fitting, *several, *naming)[0]]
+        return NamedCorners(given.names, np.repeat(given.numbers[content.polygon][:, None], 3, axis=1))
+    if kind == "colours" or (not kind and table.colours and _having(content, _CHANNELS)[0]):
+        return labels_of_colours(content, table.colours, where)
     if wanted is not None:
         raise BadMesh(f"{where}: labels were asked for by {wanted!r}, the file has none")
     why = "files of this kind hold none" if where.lower().endswith((".stl", ".off")) else "the file holds none"
@@ -231,3 +282,23 @@ def _having(content: MeshContent, names: Sequence[str]) -> tuple[str, dict[str, 
         if all(name in columns for name in names):
             return of, {name: np.asarray(columns[name]) for name in names}
     return "", {}
+
+
+def with_sides(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Complete the "mirror" of classes: of a pair, either may state it, else names that differ in left and right do."""
+    stated = {row["name"]: row["mirror"] for row in rows if isinstance(row.get("mirror"), str)}
+    stated = {other: name for name, other in stated.items()} | stated
+    free = {row["name"] for row in rows} - set(stated)
+    found = []
+    for row in rows:
+        other = _SIDE.sub(lambda side: _EXCHANGED[side[0]], row["name"])
+        guessed = other if {row["name"], other} <= free and other != row["name"] else None
+        own = row.get("mirror")
+        found.append({**row, "mirror": stated.get(row["name"], guessed) if own is None else own})
+    return found
+
+
+def _texts(given: Any, where: str) -> list[str]:
+    if not isinstance(given, list) or not all(isinstance(each, str) for each in given):
+        raise BadConfig(f"{where} must be a list of names, found {given!r:.60}")
+    return given

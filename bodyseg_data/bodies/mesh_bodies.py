@@ -27,13 +27,11 @@ from bodyseg_data.meshes import (
     LandmarkSet,
     Mesh,
     PointLandmarks,
-    SnappedLandmarks,
     check_body,
     farthest_from,
     load_landmark_file,
     load_landmarks,
     mesh_stem,
-    mesh_suffix,
     preferred,
     read_mesh,
     repair,
@@ -100,8 +98,8 @@ def meshes_in(folder: Path) -> dict[str, Path]:
         raise BadConfig(f"cannot list {folder}: {error.strerror or error}") from error
     forms: dict[str, list[str]] = {}
     for name in sorted(names):
-        if mesh_suffix(name) and not name.startswith("."):
-            forms.setdefault(mesh_stem(name), []).append(name)
+        if (stem := mesh_stem(name)) is not None and not name.startswith("."):
+            forms.setdefault(stem, []).append(name)
     return {stem: folder / preferred(forms[stem]) for stem in sorted(forms)}
 
 
@@ -271,7 +269,7 @@ class MeshBodies(ListedBodies[MeshFile]):
         mesh = _mesh(body.mesh, surface[0] * scale, surface[1], file.path)
         points, unit_notes = _in_millimetres(points, mesh.surface_vertices)
         landmarks, snapped = points.to_landmark_set(mesh, f"meshes numbered like {file.path.name}")
-        self._notes[source] = (*unit_notes, *snapped.notes, f"{_farthest(snapped)} on {file.path.name}")
+        self._notes[source] = (*unit_notes, *snapped.notes, f"{_farthest(snapped.distance_m)} on {file.path.name}")
         return landmarks
 
     def _group_alignment(self, group: str) -> tuple[Alignment, Path]:
@@ -331,7 +329,11 @@ def _snapped(surface: Surface, name: str, path: Path, landmarks: PointLandmarks,
         mesh = _mesh(name, *repair(name, *surface), path)
     landmarks, unit_notes = _in_millimetres(landmarks, mesh.surface_vertices)
     snapped = landmarks.for_mesh(mesh)
-    return Body(mesh, snapped.vertices, (*notes, *unit_notes, *snapped.notes, _farthest(snapped), *_ignored(landmarks)))
+    return Body(
+        mesh,
+        snapped.vertices,
+        (*notes, *unit_notes, *snapped.notes, _farthest(snapped.distance_m), *_ignored(landmarks)),
+    )
 
 
 def _ignored(landmarks: LandmarkSet | PointLandmarks) -> tuple[str, ...]:
@@ -350,6 +352,6 @@ def _in_millimetres(landmarks: PointLandmarks, surface: NDArray[np.float64]) -> 
     return landmarks.transformed(1000.0, np.eye(3)), (note,)
 
 
-def _farthest(snapped: SnappedLandmarks) -> str:
-    worst = int(snapped.distance_m.argmax())
-    return f"landmarks snapped by up to {1000 * snapped.distance_m[worst]:.1f} mm ({LANDMARKS[worst]})"
+def _farthest(distance_m: NDArray[np.float64]) -> str:
+    worst = int(distance_m.argmax())
+    return f"landmarks snapped by up to {1000 * distance_m[worst]:.1f} mm ({LANDMARKS[worst]})"

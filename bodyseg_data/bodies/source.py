@@ -19,15 +19,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies.alignment import Units, UpAxis
 from bodyseg_data.core import BadConfig, check_fields
-from bodyseg_data.meshes import (
-    GeodesicMethod,
-    Mesh,
-    Partition,
-    SceneMesh,
-    SurfaceLabels,
-    SurfacePiece,
-    partition,
-)
+from bodyseg_data.meshes import GeodesicMethod, Mesh, Partition, SceneMesh, SurfacePiece, partition
 from bodyseg_data.samples import Split
 
 _LAST_NUMBER: Final = re.compile(r"(\d+)(\D*)\Z")
@@ -118,7 +110,7 @@ class Body:
         """Label every vertex of the mesh, as `partition` does and with its errors."""
         return partition(self.mesh, self.landmarks, method, self.pieces)
 
-    def surface_labels(self, method: GeodesicMethod = "exact") -> SurfaceLabels:
+    def surface_labels(self, method: GeodesicMethod = "exact") -> Partition | SceneMesh:
         """The labels of its samples: those of a scene's mesh, else those of `partition`, with its errors."""
         return self.mesh if isinstance(self.mesh, SceneMesh) else self.partition(method)
 

@@ -9,30 +9,22 @@ from bodyseg_data.core import lazy_door
 if TYPE_CHECKING:
     from bodyseg_data.meshes.body_checks import check_body
     from bodyseg_data.meshes.coincident import separate
-    from bodyseg_data.meshes.geodesics import GeodesicMethod, check_method, nearest_sources
+    from bodyseg_data.meshes.geodesics import GeodesicMethod, nearest_sources
     from bodyseg_data.meshes.landmark_files import load_landmark_file
     from bodyseg_data.meshes.landmarks import (
         FARTHEST_M,
         METRES,
         LandmarkSet,
         PointLandmarks,
-        SnappedLandmarks,
         farthest_from,
         load_landmarks,
     )
     from bodyseg_data.meshes.mending import welded
     from bodyseg_data.meshes.mesh import HEIGHT_RANGE_M, Mesh, SceneMesh, face_normals, find_edges
-    from bodyseg_data.meshes.mesh_files import (
-        FaceNames,
-        MeshContent,
-        mesh_stem,
-        mesh_suffix,
-        preferred,
-        read_mesh,
-        read_mesh_content,
-    )
-    from bodyseg_data.meshes.partitioning import Partition, SurfaceLabels, partition
+    from bodyseg_data.meshes.mesh_files import MeshContent, mesh_stem, preferred, read_mesh
+    from bodyseg_data.meshes.partitioning import Partition, partition
     from bodyseg_data.meshes.repairing import repair, with_pymeshlab
+    from bodyseg_data.meshes.scene_files import mesh_content, scene_stem
     from bodyseg_data.meshes.solids import Solid, SurfacePiece, cuboid, together, turned_solid
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

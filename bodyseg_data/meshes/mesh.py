@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,6 +111,10 @@ class Mesh:
     vertices: NDArray[np.float64]
     faces: NDArray[np.int32]
 
+    _kind: ClassVar[str] = "body"
+    _range_m: ClassVar[tuple[float, float]] = HEIGHT_RANGE_M
+    _remedy: ClassVar[str] = ""
+
     def __repr__(self) -> str:
         return f"Mesh({self.name!r}, {len(self.vertices)} vertices, {len(self.faces)} faces)"
 
@@ -127,9 +131,10 @@ class Mesh:
 
     def _check_extent(self, vertices: NDArray[np.float64], faces: NDArray[Any]) -> None:
         extent = float(np.ptp(vertices[np.unique(faces)], axis=0).max())
-        low, high = HEIGHT_RANGE_M
+        low, high = self._range_m
         if not low <= extent <= high:
-            raise BadMesh(f"mesh {self.name}: a body must be {low} to {high} m at its largest, found {extent:.3g} m")
+            rule = f"a {self._kind} must be {low:g} to {high:g} m at its largest"
+            raise BadMesh(f"mesh {self.name}: {rule}, found {extent:.3g} m{self._remedy}")
 
     def _check_orientation(self) -> None:
         """Raise BadMesh unless neighbours agree and the whole and each closed piece enclose a positive volume.
@@ -213,10 +218,6 @@ class Mesh:
         return np.stack([1 - v - w, v, w], axis=1)
 
 
-SCENE_RANGE_M: Final = (0.02, 100.0)
-"""A scene's largest extent must lie in this range."""
-
-
 @dataclass(frozen=True, repr=False)
 class SceneMesh(Mesh):
     """Surfaces of a scene, in the frame of bodies, with their labels. They need be neither closed nor of one piece, and
@@ -232,22 +233,12 @@ class SceneMesh(Mesh):
     labels: NDArray[np.uint8]
     middle: NDArray[np.float64] | None = None
 
-    def _check_extent(self, vertices: NDArray[np.float64], faces: NDArray[Any]) -> None:
-        extent = float(np.ptp(vertices[np.unique(faces)], axis=0).max())
-        low, high = SCENE_RANGE_M
-        if not low <= extent <= high:
-            raise BadMesh(
-                f"mesh {self.name}: a scene must be {low} to {high:g} m at its largest, found {extent:.3g} m (--units "
-                "gives the unit of its files)"
-            )
+    _kind = "scene"
+    _range_m = (0.02, 100.0)
+    _remedy = " (--units gives the unit of its files)"
 
     def _check_orientation(self) -> None:
         """Any order of corners will do."""
-
-    @property
-    def holding(self) -> bool:
-        """A scene is no body that holds things."""
-        return False
 
     def corners(self, _: Mesh) -> NDArray[np.uint8]:
         """Labels at the corners of all triangles, uint8 [F, 3]."""
@@ -261,8 +252,7 @@ class SceneMesh(Mesh):
     @cached_property
     def centre(self) -> NDArray[np.float64]:
         """Point that views aim at, float64 [3], metres."""
-        points = self.surface_vertices
-        return (points.min(axis=0) + points.max(axis=0)) / 2 if self.middle is None else self.middle
+        return super().centre if self.middle is None else self.middle
 
 
 def face_normals(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> NDArray[np.float64]:

@@ -70,6 +70,12 @@ class FaceNames:
     numbers: NDArray[np.int64]
 
 
+def face_names(names: Sequence[str], counts: Any) -> FaceNames:
+    """Names of runs of polygons, "" for none. counts: of the polygons of each run."""
+    place = {name: at for at, name in enumerate(dict.fromkeys(filter(None, names)))}
+    return FaceNames(tuple(place), np.repeat([place.get(name, -1) for name in names], counts))
+
+
 @dataclass(frozen=True)
 class MeshContent:
     """Everything in a mesh file in which labels may stand.
@@ -103,13 +109,8 @@ class _Parsed:
     names: dict[str, list[tuple[int, str]]] = field(default_factory=dict)  # kind -> first polygon, name
 
     def named(self, kind: str) -> FaceNames:
-        marks = self.names[kind]
-        names = tuple(dict.fromkeys(name for _, name in marks if name))
-        numbers = np.full(len(self.polygons), -1, np.int64)
-        place = {name: at for at, name in enumerate(names)}
-        for (start, name), (end, _) in zip(marks, [*marks[1:], (len(numbers), "")], strict=True):
-            numbers[start:end] = place.get(name, -1)
-        return FaceNames(names, numbers)
+        starts, names = zip(*self.names[kind], strict=True)
+        return face_names(["", *names], np.diff([0, *starts, len(self.polygons)]))
 
 
 @dataclass(frozen=True)
@@ -311,9 +312,7 @@ def read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
 def read_mesh_content(path: Path) -> MeshContent:
     """Read a mesh file with all in which labels may stand. Raises BadMesh, as `read_mesh` does."""
     vertices, faces, parsed = _read(path)
-    polygons = parsed.polygons
-    alike = isinstance(polygons, np.ndarray)
-    sizes = [polygons.shape[1] - 2] * len(polygons) if alike else [len(polygon) - 2 for polygon in polygons]
+    sizes = [len(polygon) - 2 for polygon in parsed.polygons]
     return MeshContent(
         vertices,
         faces,
@@ -350,9 +349,10 @@ def mesh_suffix(name: str) -> str | None:
     return next((suffix for suffix in MESH_SUFFIXES if name.lower().endswith(suffix)), None)
 
 
-def mesh_stem(name: str) -> str:
-    """A mesh file's name without its suffix: "mesh000" for "mesh000.ply.gz"."""
-    return name[: len(name) - len(mesh_suffix(name) or "")]
+def mesh_stem(name: str) -> str | None:
+    """A mesh file's name without its suffix: "mesh000" for "mesh000.ply.gz"; None for a file that is no mesh's."""
+    suffix = mesh_suffix(name)
+    return None if suffix is None else name[: -len(suffix)]
 
 
 def preferred(names: Sequence[str]) -> str:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,20 +26,6 @@ from bodyseg_data.meshes.solids import SurfacePiece, label_pieces
 
 _ROUNDS: Final = 4  # triangles by which distances are extended across a border
 _PARTS: Final = 64  # above the number of parts: encodes (vertex, part) as one number
-
-
-class SurfaceLabels(Protocol):
-    """Labels of the points of a mesh, as a sample takes them; `BACKGROUND` on surfaces without a class."""
-
-    @property
-    def holding(self) -> bool:
-        """True for a body that holds or wears a thing without a class."""
-
-    def corners(self, mesh: Mesh) -> NDArray[np.uint8]:
-        """Labels at the corners of all triangles, uint8 [F, 3]."""
-
-    def labels_at(self, mesh: Mesh, faces: NDArray[np.int32], points: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """Labels of `points` [N, 3], metres, which lie in the triangles `faces` [N] of `mesh`, uint8 [N]."""
 
 
 @dataclass(frozen=True)

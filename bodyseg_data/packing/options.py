@@ -11,14 +11,14 @@ from typing import Final
 from bodyseg_data.bodies import SOURCES, BodyRef, BodySource, SourceEntry, Units, UpAxis, open_source
 from bodyseg_data.core import BadConfig, check_fields
 from bodyseg_data.labels import PART_CLASSES, Classes
-from bodyseg_data.meshes import GeodesicMethod, check_method
+from bodyseg_data.meshes import GeodesicMethod
 from bodyseg_data.packing.mesh_reduction import check_tolerance
 from bodyseg_data.packing.sampler import body_key
-from bodyseg_data.packing.things import ThingsPlace, check_place
-from bodyseg_data.rendering import RendererName, check_renderer
+from bodyseg_data.packing.things import ThingsPlace
+from bodyseg_data.rendering import RendererName
 from bodyseg_data.rigs import Rig, load_rig
 from bodyseg_data.samples import View, ViewGrid
-from bodyseg_data.shards import CodecName, check_codec
+from bodyseg_data.shards import CodecName
 
 PACKING_VERSION: Final = 3
 """Goes up with any change of code that changes a sample's bytes, so that no packing carries on across it."""
@@ -56,11 +56,7 @@ class Packing:
             raise BadConfig(f"a packing needs at least one mesh, found {self.meshes}")
         if self.shard_samples < 1:
             raise BadConfig(f"a shard holds at least one sample, found {self.shard_samples}")
-        check_method(self.geodesics)
         check_tolerance(self.tolerance_mm)
-        check_renderer(self.renderer)
-        check_place(self.things)
-        check_codec(self.codec)
         try:
             self.rig.check_reach(max(self.views.distances_cm) / 100)
         except BadConfig as error:

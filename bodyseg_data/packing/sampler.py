@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts import ShadowTest, shadow_tests
 from bodyseg_data.bodies import BodyRef
 from bodyseg_data.labels import BACKGROUND, PART_COUNT, UNLABELLED
-from bodyseg_data.meshes import Mesh, SceneMesh, SurfaceLabels
+from bodyseg_data.meshes import Mesh, Partition, SceneMesh
 from bodyseg_data.packing.occluders import occluder_range
 from bodyseg_data.packing.things import Things, ThingsPlace, draw_things, nearest
 from bodyseg_data.rendering import Renderer, Surface
@@ -43,7 +43,7 @@ class Sampler:
         renderer: Renderer,
         rig: Rig,
         mesh: Mesh,
-        parts: SurfaceLabels,
+        parts: Partition | SceneMesh,
         source: str,
         body: BodyRef,
         things: ThingsPlace = "none",
@@ -54,12 +54,10 @@ class Sampler:
         self._tests = shadow_tests(rig)
         corners = parts.corners(mesh)
         whole = (corners == corners[:, :1]).all(axis=1)
-        self._holding = parts.holding
+        self._holding = isinstance(parts, Partition) and parts.holding
         self._part_of_face = np.where(whole, corners[:, 0], _SHARED)
-        self._normals, self._offsets = (
-            mesh.normals,
-            np.einsum("ij,ij->i", mesh.normals, mesh.vertices[mesh.faces[:, 0]]),
-        )
+        self._normals = mesh.normals
+        self._offsets = np.einsum("ij,ij->i", mesh.normals, mesh.vertices[mesh.faces[:, 0]])
         self._sure = _SURE_M * np.linalg.norm(mesh.normals, axis=1)
 
     def take(self, view: View) -> Sample:

@@ -11,12 +11,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Final, Literal, get_args
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, Draws
+from bodyseg_data.core import Draws
 from bodyseg_data.meshes import Mesh, Solid, cuboid, together, turned_solid
 from bodyseg_data.rendering import Renderer, Surface
 from bodyseg_data.rigs import PlacedCamera, axes_at
@@ -198,12 +198,6 @@ class Things:
         normals = self.solid.normals
         towards = np.einsum("ij,ij->i", normals, source - self.solid.vertices[self.solid.faces[:, 0]])
         return np.asarray(towards > 0).take(faces)
-
-
-def check_place(name: str) -> None:
-    """Raise BadConfig unless things can be placed there."""
-    if name not in get_args(ThingsPlace):
-        raise BadConfig(f"things must be one of {', '.join(get_args(ThingsPlace))}, found {name!r}")
 
 
 def nearest(body: Surface, things: Surface, faces: int) -> Surface:

@@ -9,38 +9,32 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from functools import cached_property
 from os.path import normpath
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.alignment import Alignment, upright_rotation
-from bodyseg_data.bodies.given_labels import NamedCorners, file_labels, labels_from_file
+from bodyseg_data.bodies.given_labels import ClassTable, NamedCorners, file_labels, labels_from_file, with_sides
 from bodyseg_data.bodies.mesh_bodies import files_below
-from bodyseg_data.bodies.scene_files import content_suffix, mesh_content
 from bodyseg_data.bodies.source import DEFAULTS, Body, BodyRef, ListedBodies, MeshOptions
 from bodyseg_data.bodies.sources.folder import body_ref
 from bodyseg_data.core import BadConfig, BadMesh
 from bodyseg_data.files import Table, read_json
-from bodyseg_data.labels import BACKGROUND, Classes, LabelClass, classes_from_json
-from bodyseg_data.meshes import METRES, MeshContent, SceneMesh, welded
+from bodyseg_data.labels import BACKGROUND, Classes, classes_from_json
+from bodyseg_data.meshes import METRES, MeshContent, SceneMesh, mesh_content, scene_stem, welded
 from bodyseg_data.samples import SPLITS
 
-CLASSES_NAME: Final = "classes.json"
 SCENE_NAME: Final = "scene.json"
 SCENE_FORMAT: Final = "bodyseg scene 1"
 
 _BESIDE: Final = ("{}.labels.json", "{}.labels.npy", "{}.face_labels.npy", "{}.vertex_labels.npy", "{}.json", "{}.npy")
 _SHARED: Final = ("labels.json", "labels.npy", "face_labels.npy", "vertex_labels.npy")
-_OTHER_SIDE: Final = {"left": "right", "Left": "Right", "LEFT": "RIGHT", "L": "R", "l": "r", "Lt": "Rt", "lt": "rt"}
-_SIDE: Final = re.compile(r"[Ll]eft|LEFT|[Rr]ight|RIGHT|(?:(?<=^)|(?<=[_. -]))[LlRr]t?(?=$|[_. -])")
 
 
 @dataclass(frozen=True)
@@ -66,53 +60,6 @@ class _SceneFiles:
     centre: NDArray[np.float64] | None = None
 
 
-class _ClassTable:
-    """What classes.json says; without it, every name is a class of its own."""
-
-    def __init__(self, folder: Path) -> None:
-        self.classes: Classes | None = None
-        self.numbers: dict[int, str] = {}
-        self.colours: dict[str, str] = {}
-        self.labels: str | None = None
-        self._also: list[tuple[str, str | None]] = []
-        self.path = folder / CLASSES_NAME
-        if not self.path.exists():
-            return
-        tree = read_json(self.path)
-        self._also += [(pattern, None) for pattern in _texts(tree.pop("unlabelled", []), f"{self.path}: 'unlabelled'")]
-        self.labels = next(iter(_texts([tree.pop("labels")], f"{self.path}: 'labels'"))) if "labels" in tree else None
-        rows = tree.get("classes")
-        rows = [{"name": row} if isinstance(row, str) else row for row in rows] if isinstance(rows, list) else rows
-        for at, row in enumerate(rows if isinstance(rows, list) else []):
-            if not isinstance(row, dict) or not isinstance(row.get("name"), str):
-                raise BadConfig(f"{self.path}: a class is a name, or an object with one, found {row!r:.60}")
-            number = row.pop("number", at)
-            if type(number) is not int or number in self.numbers:
-                raise BadConfig(f"{self.path}: the 'number' of {row['name']!r} must be whole and its own: {number!r}")
-            self.numbers[number] = row["name"]
-            self._also += [(each, row["name"]) for each in _texts(row.pop("also", []), f"{self.path}: 'also'")]
-        classes = classes_from_json({"name": folder.name or "labelled", **tree, "classes": rows}, str(self.path))
-        self.classes = with_sides(classes)
-        colours = [entry.colour for entry in classes.entries]  # one that two classes have tells neither
-        self.colours = {
-            each.colour: each.name for each in classes.entries if each.colour and colours.count(each.colour) < 2
-        }
-
-    def class_of(self, name: str, where: str) -> str | None:
-        """The class that a name stands for, None for none. Raises BadMesh for one that classes.json does not know."""
-        if self.classes is not None and name in self.classes.names:
-            return name
-        for pattern, found in self._also:
-            if fnmatchcase(name, pattern):
-                return found
-        if self.classes is None:
-            return name
-        raise BadMesh(
-            f"{where}: {name!r} is no class of {self.path} (its 'also' names what else is of a class, 'unlabelled' "
-            "what is of none)"
-        )
-
-
 class LabelledScenes(ListedBodies[_SceneFiles]):
     """Scenes found below a folder, sorted by their paths. Raises BadConfig if there are none."""
 
@@ -121,7 +68,7 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
     def __init__(self, path: Path, landmarks: Path | None = None, options: MeshOptions = DEFAULTS) -> None:
         if landmarks is not None:
             raise BadConfig("the source 'labelled' has labels of its own and needs no --landmarks: leave it out")
-        self._folder, self._table = path, _ClassTable(path)
+        self._folder, self._table = path, ClassTable(path)
         self._metres = 1.0 if options.units == "auto" else METRES[options.units]
         self._rotation = upright_rotation("y" if options.up == "auto" else options.up)
         files = files_below(path)
@@ -148,7 +95,8 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
                 with contextlib.suppress(BadMesh):  # the check of the meshes names it
                     names |= dict.fromkeys(self._named(piece, mesh_content(piece.mesh)).names)
                     files |= {piece.labels} if isinstance(piece.labels, Path) else set()
-        return with_sides(Classes(self._folder.name or "labelled", tuple(map(LabelClass, names))))
+        rows = with_sides([{"name": name} for name in names])
+        return classes_from_json({"name": self._folder.name or "labelled", "classes": rows}, str(self._folder))
 
     def fingerprint(self, bodies: Sequence[BodyRef]) -> str:
         """Return a digest of every byte of the files. Raises BadMesh for one that cannot be read."""
@@ -203,20 +151,11 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
 
     def _named(self, piece: _Piece, content: MeshContent) -> NamedCorners:
         """Names at the corners of a piece's triangles."""
-        table, where = self._table, str(piece.mesh)
         if piece.label is not None:
             return NamedCorners((piece.label,), np.zeros(content.faces.shape, np.int64))
         if isinstance(piece.labels, Path):
-            return labels_from_file(piece.labels, content, table.numbers)
-
-        def known(names: Sequence[str]) -> bool:
-            with contextlib.suppress(BadMesh):
-                for name in names:
-                    table.class_of(name, where)
-                return table.classes is not None
-            return False
-
-        return file_labels(content, piece.labels, table.numbers, table.colours, known, where)
+            return labels_from_file(piece.labels, content, self._table.numbers)
+        return file_labels(content, piece.labels, self._table, str(piece.mesh))
 
     def _coded(self, named: NamedCorners, classes: Classes | None, where: str) -> NDArray[np.uint8]:
         """Labels at the corners, uint8 [F, 3]; all 255 as long as the classes are not known."""
@@ -231,21 +170,20 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
         """Scenes of one mesh file each. Raises BadConfig for two of one name."""
         forms: dict[Path, list[Path]] = {}
         for file in files:
-            if (suffix := content_suffix(file.name)) is not None:
-                forms.setdefault(file.with_name(file.name[: -len(suffix)]), []).append(file)
+            if (stem := scene_stem(file.name)) is not None:
+                forms.setdefault(file.with_name(stem), []).append(file)
         found = []
-        for stem, each in sorted(forms.items()):
-            if len(each) > 1:
-                names = " and ".join(file.name for file in each)
-                raise BadConfig(f"{stem.parent}: a scene is one mesh file, found {names}: move one away")
-            mesh = each[0]
-            piece = _Piece(mesh, self._labels_of(mesh, stem.name), None, self._metres, np.eye(4))
-            found.append((body_ref(self.name, stem.relative_to(self._folder)), _SceneFiles(mesh, (piece,))))
+        for path, (mesh, *others) in sorted(forms.items()):
+            if others:
+                names = " and ".join(file.name for file in (mesh, *others))
+                raise BadConfig(f"{path.parent}: a scene is one mesh file, found {names}: move one away")
+            piece = _Piece(mesh, self._labels_of(mesh), None, self._metres, np.eye(4))
+            found.append((body_ref(self.name, path.relative_to(self._folder)), _SceneFiles(mesh, (piece,))))
         return found
 
-    def _labels_of(self, mesh: Path, stem: str) -> Path | str | None:
+    def _labels_of(self, mesh: Path) -> Path | str | None:
         """The label file beside a mesh, else what classes.json says, else one in its folder or the next one above."""
-        beside = (mesh.with_name(form.format(stem)) for form in _BESIDE)
+        beside = (mesh.with_name(form.format(scene_stem(mesh.name))) for form in _BESIDE)
         own = next((file for file in beside if file.is_file() and file != self._table.path), None)
         folders = [each for each in (mesh.parent, *mesh.parent.parents) if each.is_relative_to(self._folder)]
         shared = (folder / name for folder in folders for name in _SHARED if (folder / name).is_file())
@@ -279,8 +217,7 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
         if isinstance(labels, str) and labels.lower().endswith((".json", ".npy")):
             labels = path.parent / labels
         elif labels is None and label is None:
-            suffix = content_suffix(mesh.name)
-            labels = self._labels_of(mesh, mesh.name[: -len(suffix)]) if suffix else None
+            labels = self._labels_of(mesh)
         metres, pose = self._metres, np.eye(4)
         if row.has("units"):
             units = row.text("units")
@@ -302,24 +239,3 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
                 )
         row.finish()
         return _Piece(mesh, labels, label, metres, pose)
-
-
-def with_sides(classes: Classes) -> Classes:
-    """Classes in which those without a mirror image have the one of their name with left and right exchanged."""
-    names = set(classes.names)
-    taken = {name for entry in classes.entries if entry.mirror for name in (entry.name, entry.mirror)}
-    entries = []
-    for entry in classes.entries:
-        other = _SIDE.sub(lambda found: _EXCHANGED[found[0]], entry.name)
-        pair = entry.mirror is None and other != entry.name and other in names and not {entry.name, other} & taken
-        entries.append(LabelClass(**{**vars(entry), "mirror": other}) if pair else entry)
-    return Classes(classes.name, tuple(entries))
-
-
-_EXCHANGED: Final[Mapping[str, str]] = {**_OTHER_SIDE, **{right: left for left, right in _OTHER_SIDE.items()}}
-
-
-def _texts(given: Any, where: str) -> list[str]:
-    if not isinstance(given, list) or not all(isinstance(each, str) for each in given):
-        raise BadConfig(f"{where} must be a list of names, found {given!r:.60}")
-    return given

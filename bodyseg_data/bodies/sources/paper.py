@@ -37,7 +37,7 @@ from bodyseg_data.bodies.mesh_bodies import (
 )
 from bodyseg_data.bodies.source import DEFAULTS, Body, BodyRef, BodySource, ListedBodies, MeshOptions, key_name
 from bodyseg_data.core import BadConfig
-from bodyseg_data.meshes import mesh_stem, mesh_suffix, preferred
+from bodyseg_data.meshes import mesh_stem, preferred
 from bodyseg_data.samples import split_by_motion, split_by_order
 
 SCAPE_NUMBERS: Final = tuple(number for number in range(72) if number != 51)
@@ -172,7 +172,7 @@ class CaesarBodies(MeshBodies):
         missing: list[str] = []
         for index, (subject, mesh) in enumerate(meshes.items()):
             own = _own(points.get(subject, []), mesh)
-            stem = mesh_stem(mesh.name)
+            stem = mesh_stem(mesh.name) or mesh.name
             if own is None and given is None:
                 missing.append(f"{stem}.lnd")
             wanted = f"subject {stem}: no {stem}.lnd anywhere in {folder}"
@@ -184,7 +184,7 @@ class CaesarBodies(MeshBodies):
 
 def _standing(path: Path) -> dict[str, Path]:
     """Return lower-case name -> mesh file of every subject, sorted."""
-    found = _by_name(path, lambda name: mesh_stem(name) if mesh_suffix(name) else None)
+    found = _by_name(path, mesh_stem)
     chosen = {}
     for name in sorted(found):
         sitting = _SITTING.fullmatch(name)

@@ -19,8 +19,8 @@ from shapes import ball
 
 from bodyseg_data.bodies import Body, BodyRef
 from bodyseg_data.core import BadConfig
-from bodyseg_data.meshes import check_method, partition
-from bodyseg_data.meshes.geodesics import Unanswerable, nearest_sources
+from bodyseg_data.meshes import partition
+from bodyseg_data.meshes.geodesics import Unanswerable, check_method, nearest_sources
 
 
 def round_body(subdivisions: int = 4) -> Body:

@@ -14,10 +14,10 @@ from small_rig import SMALL_FILE
 
 from bodyseg_data import RangeImages
 from bodyseg_data.bodies import Body, open_source
-from bodyseg_data.bodies.sources.labelled import with_sides
+from bodyseg_data.bodies.given_labels import with_sides
 from bodyseg_data.commands.cli import main
 from bodyseg_data.core import BadConfig, BadMesh
-from bodyseg_data.labels import classes_of
+from bodyseg_data.labels import classes_from_json
 from bodyseg_data.meshes import cuboid
 from bodyseg_data.shards import read_manifest
 
@@ -287,7 +287,16 @@ def test_a_scene_places_its_meshes(tmp_path: Path) -> None:
 
 def test_names_of_two_sides_are_mirror_images() -> None:
     names = ["head", "leftHand", "rightHand", "Arm.L", "Arm.R", "lap", "left", "Lt. ASIS", "Rt. ASIS"]
-    assert with_sides(classes_of(names)).mirrored[:9].tolist() == [0, 2, 1, 4, 3, 5, 6, 8, 7]
+    rows = with_sides([{"name": name} for name in names])
+    assert classes_from_json({"name": "all", "classes": rows}, "").mirrored[:9].tolist() == [0, 2, 1, 4, 3, 5, 6, 8, 7]
+
+
+def test_one_of_two_classes_may_state_their_mirror_image(tmp_path: Path) -> None:
+    write(tmp_path / "a.obj", named_faces("g"))
+    rows = [{"name": f"part {at}"} for at in range(4)]
+    write(tmp_path / "classes.json", {"classes": [{**rows[0], "mirror": "part 2"}, *rows[1:]]})
+    source: Any = open_source("labelled", tmp_path)
+    assert source.classes.mirrored[:4].tolist() == [2, 1, 0, 3]
 
 
 def pack(folder: Path, out: Path, *more: str) -> int:

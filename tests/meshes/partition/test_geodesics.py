@@ -12,8 +12,8 @@ import pytest
 from shapes import ball, figure
 
 from bodyseg_data.core import BadConfig, MissingLibrary
-from bodyseg_data.meshes import GeodesicMethod, check_method
-from bodyseg_data.meshes.geodesics import Unanswerable, nearest_sources
+from bodyseg_data.meshes import GeodesicMethod
+from bodyseg_data.meshes.geodesics import Unanswerable, check_method, nearest_sources
 
 METHODS: tuple[GeodesicMethod, ...] = get_args(GeodesicMethod)
 

@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadMesh
-from bodyseg_data.meshes import mesh_files, mesh_stem, mesh_suffix, preferred, read_mesh
+from bodyseg_data.meshes import mesh_files, mesh_stem, preferred, read_mesh
 
 VERTICES = np.array([[0, 0, 0], [1.5, 0, 0], [0, 1.25, 0], [0, 0, 1], [1, 1, 1], [9, 9, 9]], np.float64)
 FACES = np.array([[0, 2, 1], [4, 1, 3], [0, 3, 2], [1, 2, 3], [2, 4, 0], [2, 0, 3]])  # the last two from one square
@@ -301,14 +301,8 @@ def test_what_unpacks_to_too_much_is_refused(tmp_path: Path, monkeypatch: pytest
 
 
 def test_names() -> None:
-    assert (
-        mesh_suffix("CSR0001A.PLY.GZ") == ".ply.gz" and mesh_suffix("a.obj") == ".obj" and mesh_suffix("a.gz") is None
-    )
-    assert (
-        mesh_stem("mesh000.ply.gz") == "mesh000"
-        and mesh_stem("a.b.OFF") == "a.b"
-        and mesh_stem("notes.txt") == "notes.txt"
-    )
+    assert mesh_stem("CSR0001A.PLY.GZ") == "CSR0001A" and mesh_stem("a.obj") == "a" and mesh_stem("a.gz") is None
+    assert mesh_stem("mesh000.ply.gz") == "mesh000" and mesh_stem("a.b.OFF") == "a.b" and mesh_stem("notes.txt") is None
     assert preferred(["a.off", "a.obj.gz", "a.obj"]) == "a.obj"
 
 

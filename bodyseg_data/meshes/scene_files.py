@@ -1,4 +1,4 @@
-"""Mesh files of scenes: those that bodies come from, by the readers of `meshes`, and glTF and STL, by trimesh.
+"""Mesh files of scenes: those that bodies come from, by the readers of `mesh_files`, and glTF and STL, by trimesh.
 
 The parts of a glTF file are placed by their nodes, joined, and named by nodes and materials.
 """
@@ -12,20 +12,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadMesh
-from bodyseg_data.files import contents
 from bodyseg_data.machine import missing_library
-from bodyseg_data.meshes import FaceNames, MeshContent, mesh_suffix, read_mesh_content
+from bodyseg_data.meshes.mesh import check_arrays
+from bodyseg_data.meshes.mesh_files import (
+    LARGEST_BYTES,
+    MeshContent,
+    face_names,
+    file_bytes,
+    mesh_stem,
+    read_mesh_content,
+)
 
 SCENE_SUFFIXES: Final = (".glb", ".gltf", ".stl")
 """Suffixes of mesh files that trimesh reads."""
 
-_LARGEST_BYTES: Final = 1 << 28
 
-
-def content_suffix(name: str) -> str | None:
-    """The suffix of a file's name, with its own capitals, if it is that of a mesh; else None."""
-    known = mesh_suffix(name) or next((each for each in SCENE_SUFFIXES if name.lower().endswith(each)), None)
-    return name[-len(known) :] if known else None
+def scene_stem(name: str) -> str | None:
+    """The name of a file that `mesh_content` reads, without its suffix; None for other files."""
+    path = Path(name)
+    return path.stem if path.suffix.lower() in SCENE_SUFFIXES else mesh_stem(name)
 
 
 def mesh_content(path: Path) -> MeshContent:
@@ -39,11 +44,7 @@ def mesh_content(path: Path) -> MeshContent:
         import trimesh
     except ImportError as error:
         raise missing_library(f"reading {path.suffix} files", error) from error
-    try:
-        if contents(path, False, _LARGEST_BYTES) is None:
-            raise BadMesh(f"{path}: a mesh file may hold {_LARGEST_BYTES >> 20} MiB, found more")
-    except OSError as error:
-        raise BadMesh(f"cannot read {path}: {error.strerror or error}") from error
+    file_bytes(path, "mesh", LARGEST_BYTES, BadMesh)  # trimesh takes files of any size
     try:
         scene = trimesh.load(path, force="scene", process=False)
         parts = [(node, *scene.graph[node]) for node in scene.graph.nodes_geometry]
@@ -64,35 +65,19 @@ def _joined(parts: list[tuple[str, NDArray[np.float64], Any]], path: Path) -> Me
     starts = np.cumsum([0, *(len(mesh.vertices) for _, _, mesh in parts)])
     vertices = np.concatenate([mesh.vertices @ pose[:3, :3].T + pose[:3, 3] for _, pose, mesh in parts])
     faces = np.concatenate([mesh.faces + start for (_, _, mesh), start in zip(parts, starts[:-1], strict=True)])
-    if not np.isfinite(vertices).all() or faces.min() < 0 or faces.max() >= len(vertices):
-        raise BadMesh(f"{path}: coordinates must be finite, and faces must use vertices of the mesh")
+    check_arrays(str(path), vertices, faces)
     sizes = [len(mesh.faces) for _, _, mesh in parts]
-    columns = [_columns(mesh) for _, _, mesh in parts]
-    common = [name for name in columns[0] if all(name in each for each in columns)]
+    colours = [mesh.visual.vertex_colors[:, :3] for _, _, mesh in parts if mesh.visual.kind == "vertex"]
+    channels: Any = np.concatenate(colours).T if len(colours) == len(parts) else ()
     materials = [getattr(getattr(mesh.visual, "material", None), "name", None) or "" for _, _, mesh in parts]
     return MeshContent(
         np.asarray(vertices, np.float64),
         faces.astype(np.int32),
         np.arange(len(faces)),
-        {name: np.concatenate([each[name] for each in columns]) for name in common},
+        dict(zip(("red", "green", "blue"), channels, strict=False)),
         names={
-            kind: _named(names, sizes)
+            kind: face_names(names, sizes)
             for kind, names in (("nodes", [node for node, _, _ in parts]), ("materials", materials))
             if path.suffix.lower() != ".stl" and any(names)
         },
     )
-
-
-def _columns(mesh: Any) -> dict[str, NDArray[Any]]:
-    """Numbers of a part's vertices, by name: colours, and attributes, whose names begin with an underscore in files."""
-    found = {name.lower().lstrip("_"): np.asarray(each) for name, each in mesh.vertex_attributes.items()}
-    found = {name: each.ravel() for name, each in found.items() if each.size == len(mesh.vertices)}
-    if mesh.visual.kind == "vertex":
-        found |= dict(zip(("red", "green", "blue"), mesh.visual.vertex_colors.T, strict=False))
-    return found
-
-
-def _named(names: list[str], sizes: list[int]) -> FaceNames:
-    distinct = tuple(dict.fromkeys(name for name in names if name))
-    numbers = [distinct.index(name) if name else -1 for name in names]
-    return FaceNames(distinct, np.repeat(np.array(numbers, np.int64), sizes))
