@@ -27,7 +27,7 @@ from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_data.machine import missing_library
 from bodyseg_model.recordings.cameras import Intrinsics
 from bodyseg_model.recordings.frame_files import parse_frame
-from bodyseg_model.recordings.lenses import DriverLens
+from bodyseg_model.recordings.lenses import driver_camera
 from bodyseg_model.recordings.recording import LARGEST_SIDE, Frame, FrameSource, Stamp, stored_recording
 from bodyseg_model.recordings.rvl import decode_rvl
 
@@ -306,7 +306,7 @@ def camera_beside(bag: Bag, topic: Topic, where: str) -> Intrinsics | None:
 
     That is `camera_info` in the topic's namespace, in `info/` as RealSense's recordings have it, or below the topic. Of
     a rectified image ("image_rect"), the camera is that of the projection matrix, without distortion. Raises BadConfig
-    for distortion that is none of `DriverLens`, and for a camera of binned or cut images.
+    for distortion that is none of `driver_camera`, and for a camera of binned or cut images.
     """
     parts = [part for part in topic.name.split("/") if part]
     if parts and parts[-1] in _TRANSPORTS:
@@ -349,8 +349,7 @@ def camera_of(message: Any, where: str, rectified: bool) -> Intrinsics | None:
     if not (fx > 0 and fy > 0):
         raise BadConfig(f"{where}: focal lengths must be above 0, found {fx:g} and {fy:g}")
     size = (int(message.height), int(message.width)) if message.height and message.width else None
-    lens = DriverLens(str(message.distortion_model), tuple(given), where)
-    return Intrinsics(fx, fy, cx, cy, lens.five(fx, fy, cx, cy, size), size, where)
+    return driver_camera(str(message.distortion_model), given, (fx, fy, cx, cy), size, where)
 
 
 def _numbers(message: Any, name: str) -> Sequence[float]:
