@@ -20,7 +20,7 @@ from bodyseg_data.cards.facts import (
     people_text,
     summary_text,
 )
-from bodyseg_data.labels import PARTS, Classes
+from bodyseg_data.labels import PARTS
 from bodyseg_data.samples import Split
 from bodyseg_data.shards import CODECS
 
@@ -81,7 +81,7 @@ def croissant(facts: SetFacts, publication: Publication) -> dict[str, Any]:
         "distribution": [*_files(facts, publication), *_file_sets(facts, members)],
         "recordSet": [
             *(_records(split, member) for split in facts.splits for member in members),
-            _parts() if facts.of_bodies else _classes(facts.manifest.classes),
+            _classes(facts),
         ],
     }
 
@@ -164,20 +164,15 @@ def _records(split: Split, member: str) -> dict[str, Any]:
     }
 
 
-def _parts() -> dict[str, Any]:
-    """The 33 parts, in the file itself."""
-    rows = [{"label": part.label, "landmark": part.landmark, "side": part.side} for part in PARTS]
-    return _table("parts", "The parts, each the surface nearest to one landmark; sides are the subject's own.", rows)
-
-
-def _classes(classes: Classes) -> dict[str, Any]:
-    """The classes of any other set."""
-    rows = [{"label": label, "name": name} for label, name in enumerate(classes.names)]
-    return _table("classes", f"The classes {classes.name}.", rows)
-
-
-def _table(of: str, description: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """A record set that stands in the file itself, its key the label."""
+def _classes(facts: SetFacts) -> dict[str, Any]:
+    """The 33 parts, or the classes of any other set: a record set that stands in the file itself, its key the label."""
+    rows: list[dict[str, Any]]
+    if facts.of_bodies:
+        of, description = "parts", "The parts, each the surface nearest to one landmark; sides are the subject's own."
+        rows = [{"label": part.label, "landmark": part.landmark, "side": part.side} for part in PARTS]
+    else:
+        of, description = "classes", f"The classes {facts.manifest.classes.name}."
+        rows = [{"label": label, "name": name} for label, name in enumerate(facts.manifest.classes.names)]
     kinds = {int: "sc:Integer", str: "sc:Text"}
     return {
         "@type": "cr:RecordSet",

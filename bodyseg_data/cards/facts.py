@@ -6,7 +6,7 @@ An origin says who the bodies of a source are, and under which terms their data 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from typing import Any, Final
@@ -26,6 +26,7 @@ _BODY: Final = (*_PERSON, "mesh", "pose")
 _VIEW: Final = ("distance_cm", "azimuth_deg", "pitch_deg", "roll_deg", "height_cm")
 
 _MOST_NAMED: Final = 12
+_PURPOSES: Final[dict[Split, str]] = {"train": "training", "test": "testing"}
 
 UNKNOWN_LICENCE: Final = "unknown"
 """Licence of a set whose publisher states none."""
@@ -103,11 +104,6 @@ _UNKNOWN: Final = Origin("bodies of a source that this version does not know", "
 def origin_of(source: str) -> Origin:
     """Return the origin of a source's bodies; of a source that is not listed, one that says so."""
     return ORIGINS.get(source, _UNKNOWN)
-
-
-def all_made(sources: Iterable[str]) -> bool:
-    """Return whether no person was measured for any of these sources."""
-    return all(origin_of(source).made for source in sources)
 
 
 @dataclass(frozen=True)
@@ -243,7 +239,7 @@ def summary_text(facts: SetFacts) -> str:
         if facts.of_bodies
         else f"scenes with a class, one of {len(facts.manifest.classes)} ({facts.manifest.classes.name}),"
     )
-    counts = " and ".join(f"{counts.samples} for {_purpose(split)}" for split, counts in facts.splits.items())
+    counts = " and ".join(f"{counts.samples} for {_PURPOSES[split]}" for split, counts in facts.splits.items())
     return (
         f"Range images of {what} at each pixel: {counts}. They are stored without artifacts; the package bodyseg makes "
         f"the variants {', '.join(VARIANTS)} of them while it reads them."
@@ -267,7 +263,7 @@ def terms_text(facts: SetFacts) -> list[str]:
 
 def people_text(facts: SetFacts) -> str:
     """One sentence: whether real people are in the set."""
-    if all_made(facts.sources):
+    if all(origin_of(source).made for source in facts.sources):
         return "Every body is made; no person was measured."
     return "Some bodies are those of real people; their shape may identify them."
 
@@ -275,7 +271,3 @@ def people_text(facts: SetFacts) -> str:
 def camera(device: Camera) -> str:
     """Size and focal length of a camera or projector."""
     return f"{device.rows} x {device.columns} pixels (rows x columns), focal length {device.focal_px:.6g} pixels"
-
-
-def _purpose(split: str) -> str:
-    return {"train": "training", "test": "testing"}[split]
