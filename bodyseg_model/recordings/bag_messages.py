@@ -28,7 +28,7 @@ from bodyseg_data.machine import missing_library
 from bodyseg_model.recordings.cameras import Intrinsics
 from bodyseg_model.recordings.frame_files import parse_frame
 from bodyseg_model.recordings.lenses import driver_camera
-from bodyseg_model.recordings.recording import LARGEST_SIDE, Frame, FrameSource, Stamp, stored_recording
+from bodyseg_model.recordings.recording import Frame, FrameSource, Stamp, check_pixels, stored_recording
 from bodyseg_model.recordings.rvl import decode_rvl
 
 if TYPE_CHECKING:
@@ -267,8 +267,7 @@ def _plain_image(message: Any) -> NDArray[Any]:
     kind = np.dtype(np.float32 if message.encoding == _METRES else np.uint16)
     kind = kind.newbyteorder(">" if message.is_bigendian else "<")
     rows, columns, step = int(message.height), int(message.width), int(message.step)
-    if not (1 <= rows <= LARGEST_SIDE and 1 <= columns <= LARGEST_SIDE):
-        raise BadConfig(f"an image's side must be 1 to {LARGEST_SIDE} pixels, found {rows} x {columns}")
+    check_pixels((rows, columns), kind)
     data = np.asarray(message.data, np.uint8)
     if step < columns * kind.itemsize or len(data) != rows * step:
         raise BadConfig(
