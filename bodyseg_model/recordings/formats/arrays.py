@@ -146,7 +146,8 @@ class _Zipped(FrameSource):
         size = array.sides[-2] * array.sides[-1] * array.kind.itemsize
         try:
             if array.columns_first:
-                return self._stack(array)[number]
+                found: NDArray[Any] = self._stack(array)[number]
+                return found
             if self._file is None or self._member != array.member:
                 self._close()
                 with zipfile.ZipFile(self._path) as archive:
