@@ -20,7 +20,7 @@ from bodyseg_data.cards.facts import (
     people_text,
     summary_text,
 )
-from bodyseg_data.labels import PARTS, Classes
+from bodyseg_data.labels import PARTS
 from bodyseg_data.samples import Split
 from bodyseg_data.shards import CODECS
 
@@ -30,6 +30,11 @@ CROISSANT: Final = "http://mlcommons.org/croissant/1.1"
 DIGEST_PREFIX: Final = "sha256:"
 """Before the manifest's digest, in the file's `identifier`."""
 
+_TERMS: Final = (
+    "arrayShape citeAs column containedIn equivalentProperty extract field fileProperty source subField transform "
+    "fileObject fileSet format includes isArray isLiveDataset jsonPath key md5 parentField path recordSet references "
+    "regex repeated replace samplingRate separator"
+)
 _CONTEXT: Final[dict[str, Any]] = {
     "@language": "en",
     "@vocab": "https://schema.org/",
@@ -37,25 +42,7 @@ _CONTEXT: Final[dict[str, Any]] = {
     "cr": "http://mlcommons.org/croissant/",
     "rai": "http://mlcommons.org/croissant/RAI/",
     "dct": "http://purl.org/dc/terms/",
-    **{
-        name: f"cr:{name}"
-        for name in (
-            *("arrayShape", "citeAs", "column", "containedIn", "equivalentProperty", "extract", "field"),
-            *("fileProperty", "source", "subField", "transform"),
-            *("fileObject", "fileSet", "format", "includes", "isArray", "isLiveDataset", "jsonPath", "key", "md5"),
-            *(
-                "parentField",
-                "path",
-                "recordSet",
-                "references",
-                "regex",
-                "repeated",
-                "replace",
-                "samplingRate",
-                "separator",
-            ),
-        )
-    },
+    **{name: f"cr:{name}" for name in _TERMS.split()},
     "conformsTo": "dct:conformsTo",
     "data": {"@id": "cr:data", "@type": "@json"},
     "examples": {"@id": "cr:examples", "@type": "@json"},
@@ -70,7 +57,7 @@ _KEY_PATTERN: Final = r"^([^.]+)[.].*$"
 
 def croissant(facts: SetFacts, publication: Publication) -> dict[str, Any]:
     """Return the content of a set's Croissant file as plain JSON."""
-    members = [*CODECS[facts.codec].members, "json"]
+    members = [*CODECS[facts.manifest.codec].members, "json"]
     bodies = bodies_text(facts)
     return {
         "@context": _CONTEXT,
@@ -83,16 +70,18 @@ def croissant(facts: SetFacts, publication: Publication) -> dict[str, Any]:
         **({"url": publication.url} if publication.url else {}),
         "datePublished": publication.published.isoformat(),
         "version": facts.version,
-        "identifier": f"{DIGEST_PREFIX}{facts.digest}",
+        "identifier": f"{DIGEST_PREFIX}{facts.manifest.digest}",
         "citeAs": ", ".join([*filter(None, [publication.author]), publication.title, f"version {facts.version}"]),
         "keywords": ["range image", "depth", "segmentation", "structured light", "webdataset"],
-        "rai:dataCollection": " ".join([f"Rendered by {facts.renderer}, rig {facts.rig.name}.", *bodies]),
+        "rai:dataCollection": " ".join(
+            [f"Rendered by {facts.manifest.renderer}, rig {facts.manifest.rig.name}.", *bodies]
+        ),
         "rai:dataLimitations": limits_text(facts),
         **({"rai:personalSensitiveInformation": people_text(facts)} if facts.of_bodies else {}),
         "distribution": [*_files(facts, publication), *_file_sets(facts, members)],
         "recordSet": [
             *(_records(split, member) for split in facts.splits for member in members),
-            _parts() if facts.of_bodies else _classes(facts.classes),
+            _classes(facts),
         ],
     }
 
@@ -118,10 +107,10 @@ def _files(facts: SetFacts, publication: Publication) -> list[dict[str, Any]]:
             "name": file.name,
             "contentUrl": f"{base}{file.name}",
             "contentSize": f"{file.size} B",
-            "encodingFormat": "application/octet-stream" if file is facts.index else "application/x-tar",
+            "encodingFormat": "application/octet-stream" if file is facts.manifest.index else "application/x-tar",
             "sha256": file.sha256,
         }
-        for file in (*facts.shards, *(() if facts.index is None else (facts.index,)))
+        for file in (*facts.manifest.shards, *(() if facts.manifest.index is None else (facts.manifest.index,)))
     ]
 
 
@@ -132,7 +121,7 @@ def _file_sets(facts: SetFacts, members: list[str]) -> list[dict[str, Any]]:
             "@id": f"{split}-{member}-files",
             "name": f"{split}-{member}-files",
             "description": f"Members NAME.{member} of the shards of the split {split}.",
-            "containedIn": [{"@id": shard.name} for shard in facts.shards if shard.split == split],
+            "containedIn": [{"@id": shard.name} for shard in facts.manifest.shards if shard.split == split],
             "encodingFormat": _FORMATS.get(member.rpartition(".")[2], "application/octet-stream"),
             "includes": f"*.{member}",
         }
@@ -175,20 +164,15 @@ def _records(split: Split, member: str) -> dict[str, Any]:
     }
 
 
-def _parts() -> dict[str, Any]:
-    """The 33 parts, in the file itself."""
-    rows = [{"label": part.label, "landmark": part.landmark, "side": part.side} for part in PARTS]
-    return _table("parts", "The parts, each the surface nearest to one landmark; sides are the subject's own.", rows)
-
-
-def _classes(classes: Classes) -> dict[str, Any]:
-    """The classes of any other set."""
-    rows = [{"label": label, "name": name} for label, name in enumerate(classes.names)]
-    return _table("classes", f"The classes {classes.name}.", rows)
-
-
-def _table(of: str, description: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """A record set that stands in the file itself, its key the label."""
+def _classes(facts: SetFacts) -> dict[str, Any]:
+    """The 33 parts, or the classes of any other set: a record set that stands in the file itself, its key the label."""
+    rows: list[dict[str, Any]]
+    if facts.of_bodies:
+        of, description = "parts", "The parts, each the surface nearest to one landmark; sides are the subject's own."
+        rows = [{"label": part.label, "landmark": part.landmark, "side": part.side} for part in PARTS]
+    else:
+        of, description = "classes", f"The classes {facts.manifest.classes.name}."
+        rows = [{"label": label, "name": name} for label, name in enumerate(facts.manifest.classes.names)]
     kinds = {int: "sc:Integer", str: "sc:Text"}
     return {
         "@type": "cr:RecordSet",

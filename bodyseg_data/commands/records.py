@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 from pathlib import Path
 from typing import Any
 
 from bodyseg_data.core import BadConfig
-from bodyseg_data.files import write_result
+from bodyseg_data.files import write_json
 from bodyseg_data.machine import hardware
 
 
@@ -32,7 +31,7 @@ def check_target(path: Path, option: str) -> None:
 
 def write_figures(path: Path, figures: dict[str, Any]) -> None:
     """Write figures as JSON, atomically. Raises BadConfig if the file cannot be written."""
-    write_result(path, (json.dumps(figures, indent=1) + "\n").encode())
+    write_json(path, figures)
 
 
 def _commit() -> str:

@@ -11,11 +11,13 @@ if TYPE_CHECKING:
     from bodyseg_data.drawing.contact_sheet import Row, Window, colour_range, draw_sheet, span_of, window_of
     from bodyseg_data.drawing.gallery import choose_views, draw_gallery
     from bodyseg_data.drawing.style import (
+        EMPTY,
         FAINT,
         INK,
         PAPER,
         THING,
         check_picture,
+        colour_shares,
         draw_legend,
         fitted,
         font,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from bodyseg_data.artifacts import RangeImage, SensorModel, VariantName
-from bodyseg_data.drawing.style import FAINT, INK, PAPER, THING, draw_legend, fitted, font
+from bodyseg_data.drawing.style import EMPTY, FAINT, INK, PAPER, THING, colour_shares, draw_legend, fitted, font
 from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap, colour_labels
 from bodyseg_data.samples import HELD, Sample
 
@@ -24,9 +24,6 @@ Window = tuple[slice, slice]
 
 _MARGIN: Final = 0.08  # of the longer side of what is measured, around it
 _MOST_CROPPED: Final = 0.4  # images stay whole where the window would keep more of them than this share
-
-_EMPTY: Final = (24, 26, 32)
-"""Colour of pixels without a range."""
 
 _GAP: Final = 6
 _CAPTION: Final = 20
@@ -68,11 +65,9 @@ class Row:
 
 def colour_range(image: NDArray[np.uint16 | np.float32], near: float, far: float) -> NDArray[np.uint8]:
     """Colour a range image [H, W], in steps or metres, as sRGB uint8 [H, W, 3], light at `near` and dark at `far`."""
-    position = np.clip((image.astype(np.float64) - near) / ((far - near) or 1), 0, 1) * (len(_RAMP) - 1)
-    colours = np.stack([np.interp(position, np.arange(len(_RAMP)), channel) for channel in _RAMP.T], axis=-1)
-    colours[image == 0] = _EMPTY
-    drawn: NDArray[np.uint8] = np.rint(colours).astype(np.uint8)
-    return drawn
+    colours = colour_shares((image.astype(np.float64) - near) / ((far - near) or 1), _RAMP)
+    colours[image == 0] = EMPTY
+    return colours
 
 
 def span_of(image: NDArray[np.uint16 | np.float32]) -> tuple[float, float]:
@@ -142,7 +137,7 @@ def _panels(
 
 def _colour_labels(labels: NDArray[np.uint8], image: NDArray[np.uint16], label_map: LabelMap) -> NDArray[np.uint8]:
     """Colour part labels [H, W] by their classes, sRGB [H, W, 3]; things, which have a range and no label, are grey."""
-    colours = colour_labels(label_map.table[labels], _EMPTY, label_map.colours)
+    colours = colour_labels(label_map.table[labels], EMPTY, label_map.colours)
     colours[(labels == BACKGROUND) & (image > 0)] = THING
     return colours
 
@@ -176,6 +171,6 @@ def _legend(width: int, label_map: LabelMap) -> Image.Image:
     ramp = colour_range(np.tile(np.arange(1, 241, dtype=np.uint16), (13, 1)), 1, 240)
     legend.paste(Image.fromarray(ramp), (0, top + 2))
     pen.text((248, top), "range: near to far within each line", INK, font=font(13))
-    pen.rectangle((500, top + 2, 513, top + 14), _EMPTY)
+    pen.rectangle((500, top + 2, 513, top + 14), EMPTY)
     pen.text((519, top), "nothing measured", INK, font=font(13))
     return legend

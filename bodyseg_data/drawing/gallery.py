@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw
 
 from bodyseg_data.artifacts import Scene
 from bodyseg_data.core import BadConfig, generator
-from bodyseg_data.drawing.style import FAINT, INK, PAPER, THING, draw_legend, font
+from bodyseg_data.drawing.style import EMPTY, FAINT, INK, PAPER, THING, draw_legend, font
 from bodyseg_data.labels import PARTS33, LabelMap, colour_labels
 from bodyseg_data.rigs import Camera
 from bodyseg_data.samples import split_key
@@ -95,7 +95,7 @@ def draw_gallery(scenes: Sequence[Scene], title: str, label_map: LabelMap = PART
 def _tile(scene: Scene, label_map: LabelMap) -> Image.Image:
     sample = scene.sample
     foreground = sample.range > 0
-    canvas = np.full((*sample.range.shape, 3), (24, 26, 32), np.uint8)
+    canvas = np.full((*sample.range.shape, 3), EMPTY, np.uint8)
     shade = surface_shading(sample.range, scene.step_m, scene.rig.camera)[foreground]
     canvas[foreground] = np.clip(
         colour_labels(sample.labels, THING, label_map.colours)[foreground] * (0.35 + 0.7 * shade[:, None]), 0, 255

@@ -20,6 +20,9 @@ FAINT: Final = (110, 112, 118)
 THING: Final = (112, 116, 124)
 """Colour of pixels that see a thing, which has no label."""
 
+EMPTY: Final = (24, 26, 32)
+"""Colour of pixels without a range."""
+
 _COLUMN: Final = 222  # fits the longest name
 _LINE: Final = 21
 
@@ -63,6 +66,14 @@ def fitted(panel: NDArray[np.uint8], columns: int, rows: int) -> Image.Image:
     scale = min(rows / height, columns / width)
     size = max(1, round(width * scale)), max(1, round(height * scale))
     return Image.fromarray(panel).resize(size, Image.Resampling.NEAREST)
+
+
+def colour_shares(shares: NDArray[Any], ramp: NDArray[Any]) -> NDArray[np.uint8]:
+    """Colour shares [H, W], 0 to 1, by the colours of a ramp [N, 3], evenly apart; sRGB uint8 [H, W, 3]."""
+    position = np.clip(shares, 0, 1) * (len(ramp) - 1)
+    colours = np.stack([np.interp(position, np.arange(len(ramp)), channel) for channel in ramp.T], axis=-1)
+    drawn: NDArray[np.uint8] = np.rint(colours).astype(np.uint8)
+    return drawn
 
 
 def check_picture(path: Path, option: str = "--out") -> None:

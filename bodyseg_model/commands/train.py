@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
 import sys
 import time
 from collections.abc import Iterator
@@ -27,6 +26,7 @@ from bodyseg_data.artifacts import (
 )
 from bodyseg_data.commands import OCCLUDER_HELP, WHERE_HELP, Progress, command_line, option, provenance, rate_text
 from bodyseg_data.core import BadConfig
+from bodyseg_data.files import parse_json
 from bodyseg_data.labels import PARTS33, LabelMap, label_map_names
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, ImageSet, OccluderName, WorkerMethod, find_rank
 from bodyseg_data.samples import ReadSplit
@@ -203,7 +203,7 @@ def _sensor(options: Options) -> SensorModel:
 
 def _network(options: Options, label_map: LabelMap) -> Network:
     classes = {} if label_map == PARTS33 else {"classes": len(label_map)}
-    return build(options.network, {**classes, **_settings(options.settings)}, options.seed)
+    return build(options.network, {**classes, **parse_json(options.settings.encode(), "--settings")}, options.seed)
 
 
 def _pretrained(path: Path, network: Network, options: Options, images: ImageSet) -> dict[str, Any]:
@@ -234,16 +234,6 @@ def _check_alike(path: Path, what: str, ours: object, theirs: object) -> None:
 
 def _entry(path: Path, digest: str) -> dict[str, Any]:
     return {"file": path.resolve().name, CardWords.WEIGHTS_SHA256: digest}
-
-
-def _settings(text: str) -> dict[str, Any]:
-    try:
-        settings = json.loads(text)
-    except ValueError as error:
-        raise BadConfig(f"--settings must be JSON like '{{\"patch\": 8}}', found {text!r}: {error}") from error
-    if not isinstance(settings, dict):
-        raise BadConfig(f"--settings must be a JSON object, found {text!r}")
-    return settings
 
 
 @contextlib.contextmanager

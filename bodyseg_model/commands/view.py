@@ -5,9 +5,8 @@ from __future__ import annotations
 import sys
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Final
 
 from bodyseg_data.artifacts import PAPER_SENSOR, VariantName, load_sensor_model
 from bodyseg_data.commands import WHERE_HELP, option
@@ -23,24 +22,10 @@ from bodyseg_model.viewing import LOOPBACK, Page, RecordingPage, RecordingView, 
 
 EXAMPLE = "bodyseg view shards"
 
-_OF_SETS: Final = ("split", "val_share", "where", "only", "labels", "variant", "sensor", "seed")
-_OF_RECORDINGS: Final = (
-    "topic",
-    "units",
-    "rig",
-    "focal",
-    "centre",
-    "mirrored",
-    "turned",
-    "background",
-    "keep_things",
-    "confidence",
-)
-
 
 @dataclass(frozen=True)
 class Options:
-    """Options of `bodyseg view`."""
+    """Options of `bodyseg view`: the help of those for one kind of source begins with its name, "sets" or "frames"."""
 
     source: tuple[str, ...] = option(
         "folder or address of a set of shards; or frames as `segment` reads them", positional=True, address=True
@@ -126,11 +111,10 @@ def is_set(source: Sequence[str]) -> bool:
 
 def check_options(options: Options, kind: str) -> None:
     """Raise BadConfig for an option that a set or a recording does not have, so that none is given in vain."""
-    usual = Options(("",))
-    for name in _OF_RECORDINGS if kind == "set" else _OF_SETS:
-        if getattr(options, name) != getattr(usual, name):
-            other = "frames" if kind == "set" else "sets"
-            raise BadConfig(f"--{name.replace('_', '-')} is for {other}, found it with a {kind}")
+    other = "frames" if kind == "set" else "sets"
+    for field in fields(options):
+        if field.metadata["help"].startswith(f"{other}: ") and getattr(options, field.name) != field.default:
+            raise BadConfig(f"--{field.name.replace('_', '-')} is for {other}, found it with a {kind}")
 
 
 def _set_view(options: Options, trained: Trained) -> SetView:

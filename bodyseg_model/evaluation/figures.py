@@ -11,7 +11,19 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from bodyseg_data.artifacts import box_of
-from bodyseg_data.drawing import FAINT, INK, PAPER, colour_range, draw_legend, fitted, font, new_chart, save_chart
+from bodyseg_data.drawing import (
+    EMPTY,
+    FAINT,
+    INK,
+    PAPER,
+    colour_range,
+    colour_shares,
+    draw_legend,
+    fitted,
+    font,
+    new_chart,
+    save_chart,
+)
 from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap, colour_labels, label_map_from_json
 from bodyseg_model.evaluation.evaluation import PredictedImage
 from bodyseg_model.evaluation.reports import PAPERS_THRESHOLD, subset_order
@@ -231,7 +243,6 @@ def _thousands(number: int) -> str:
 _THRESHOLD: Final = f"{100 * PAPERS_THRESHOLD:.0f} %"
 _HEADS: Final = ("range", "truth", "prediction", "mistakes", "confidence", f"above {_THRESHOLD} only")
 
-_EMPTY: Final = (24, 26, 32)
 _DROPPED: Final = (120, 122, 128)
 _RIGHT, _WRONG, _SWAPPED = (220, 226, 236), (232, 134, 46), (148, 62, 190)
 _KIND_COLOURS: Final = {"right": _RIGHT, "other": _WRONG}
@@ -321,26 +332,19 @@ def _panels(image: PredictedImage, label_map: LabelMap) -> list[NDArray[np.uint8
     kinds = np.zeros(body.shape, np.uint8)
     kinds[body] = kinds_of(label_map)[image.labels[body], image.predicted[body]]
     mistakes = np.array([_KIND_COLOURS.get(kind, _SWAPPED) for kind in KINDS], np.uint8)[kinds]
-    mistakes[~body] = _EMPTY
-    confidence = _colour_confidence(image.confidence)
-    confidence[~body] = _EMPTY
-    confident = colour_labels(image.predicted, _EMPTY, label_map.colours)
+    mistakes[~body] = EMPTY
+    confidence = colour_shares(image.confidence, _RAMP)
+    confidence[~body] = EMPTY
+    confident = colour_labels(image.predicted, EMPTY, label_map.colours)
     confident[body & (image.confidence <= PAPERS_THRESHOLD)] = _DROPPED
     return [
         colour_range(image.range_m, near, far),
-        colour_labels(image.labels, _EMPTY, label_map.colours),
-        colour_labels(image.predicted, _EMPTY, label_map.colours),
+        colour_labels(image.labels, EMPTY, label_map.colours),
+        colour_labels(image.predicted, EMPTY, label_map.colours),
         mistakes,
         confidence,
         confident,
     ]
-
-
-def _colour_confidence(confidence: NDArray[np.float32]) -> NDArray[np.uint8]:
-    position = np.clip(confidence, 0, 1) * (len(_RAMP) - 1)
-    colours = np.stack([np.interp(position, np.arange(len(_RAMP)), channel) for channel in _RAMP.T], axis=-1)
-    drawn: NDArray[np.uint8] = np.rint(colours).astype(np.uint8)
-    return drawn
 
 
 def _legend(width: int, label_map: LabelMap) -> Image.Image:
@@ -355,12 +359,12 @@ def _legend(width: int, label_map: LabelMap) -> Image.Image:
         (_WRONG, "wrong"),
         (_SWAPPED, "left for right, or front for back"),
         (_DROPPED, "dropped"),
-        (_EMPTY, "nothing measured"),
+        (EMPTY, "nothing measured"),
     ):
         pen.rectangle((left, 7, left + 15, 22), colour, FAINT)
         pen.text((left + 22, 15), name, INK, font=font(13), anchor="lm")
         left += 22 + int(font(13).getlength(name)) + 22
-    ramp = _colour_confidence(np.tile(np.linspace(0, 1, 150, dtype=np.float32), (15, 1)))
+    ramp = colour_shares(np.tile(np.linspace(0, 1, 150, dtype=np.float32), (15, 1)), _RAMP)
     legend.paste(Image.fromarray(ramp), (left, 7))
     pen.text((left + 158, 15), "confidence 0 to 100 %", INK, font=font(13), anchor="lm")
     return legend

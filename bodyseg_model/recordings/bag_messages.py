@@ -27,8 +27,8 @@ from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_data.machine import missing_library
 from bodyseg_model.recordings.cameras import Intrinsics
 from bodyseg_model.recordings.frame_files import parse_frame
-from bodyseg_model.recordings.lenses import DriverLens
-from bodyseg_model.recordings.recording import LARGEST_SIDE, Frame, FrameSource, Stamp, stored_recording
+from bodyseg_model.recordings.lenses import driver_camera
+from bodyseg_model.recordings.recording import Frame, FrameSource, Stamp, check_pixels, stored_recording
 from bodyseg_model.recordings.rvl import decode_rvl
 
 if TYPE_CHECKING:
@@ -267,8 +267,7 @@ def _plain_image(message: Any) -> NDArray[Any]:
     kind = np.dtype(np.float32 if message.encoding == _METRES else np.uint16)
     kind = kind.newbyteorder(">" if message.is_bigendian else "<")
     rows, columns, step = int(message.height), int(message.width), int(message.step)
-    if not (1 <= rows <= LARGEST_SIDE and 1 <= columns <= LARGEST_SIDE):
-        raise BadConfig(f"an image's side must be 1 to {LARGEST_SIDE} pixels, found {rows} x {columns}")
+    check_pixels((rows, columns), kind)
     data = np.asarray(message.data, np.uint8)
     if step < columns * kind.itemsize or len(data) != rows * step:
         raise BadConfig(
@@ -306,7 +305,7 @@ def camera_beside(bag: Bag, topic: Topic, where: str) -> Intrinsics | None:
 
     That is `camera_info` in the topic's namespace, in `info/` as RealSense's recordings have it, or below the topic. Of
     a rectified image ("image_rect"), the camera is that of the projection matrix, without distortion. Raises BadConfig
-    for distortion that is none of `DriverLens`, and for a camera of binned or cut images.
+    for distortion that is none of `driver_camera`, and for a camera of binned or cut images.
     """
     parts = [part for part in topic.name.split("/") if part]
     if parts and parts[-1] in _TRANSPORTS:
@@ -349,8 +348,7 @@ def camera_of(message: Any, where: str, rectified: bool) -> Intrinsics | None:
     if not (fx > 0 and fy > 0):
         raise BadConfig(f"{where}: focal lengths must be above 0, found {fx:g} and {fy:g}")
     size = (int(message.height), int(message.width)) if message.height and message.width else None
-    lens = DriverLens(str(message.distortion_model), tuple(given), where)
-    return Intrinsics(fx, fy, cx, cy, lens.five(fx, fy, cx, cy, size), size, where)
+    return driver_camera(str(message.distortion_model), given, (fx, fy, cx, cy), size, where)
 
 
 def _numbers(message: Any, name: str) -> Sequence[float]:

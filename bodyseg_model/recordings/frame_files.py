@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import refuse_special
 from bodyseg_data.shards import SIGNATURE, check_checksums, decode_chunks, read_chunks, read_header
-from bodyseg_model.recordings.recording import LARGEST_SIDE, FrameSource
+from bodyseg_model.recordings.recording import FrameSource, check_pixels
 
 _KINDS: Final = {0: "grey", 2: "RGB", 3: "palette", 4: "grey with alpha", 6: "RGB with alpha"}
 _NEEDED: Final = (b"IHDR", b"IDAT", b"IEND")
@@ -40,10 +40,7 @@ def parse_frame(data: bytes) -> NDArray[np.uint16]:
         if (header.bits, header.colour) != (16, 0):
             kind = f"{header.bits}-bit {_KINDS.get(header.colour, header.colour)}"
             raise BadConfig(f"a frame must be a 16-bit grey PNG, found {kind}")
-        if not (1 <= header.rows <= LARGEST_SIDE and 1 <= header.columns <= LARGEST_SIDE):
-            raise BadConfig(
-                f"a frame's side must be 1 to {LARGEST_SIDE} pixels, found {header.rows} x {header.columns}"
-            )
+        check_pixels((header.rows, header.columns), np.dtype(np.uint16))
         image: NDArray[np.uint16] = decode_chunks(needed)
     except ValueError as error:
         raise BadConfig(str(error)) from error

@@ -1,4 +1,4 @@
-"""DriverLens distortion as drivers give it, brought to the five coefficients of `Distortion` by one fit.
+"""Lens distortion as drivers give it, brought to the five coefficients of `Distortion` by one fit.
 
 Names and formulas are those of OpenCV and ROS (plumb_bob, rational_polynomial, equidistant) and of `rs2_distortion` in
 librealsense (https://github.com/IntelRealSense/librealsense, src/rs.cpp). A direction is (x, y, 1), r^2 = x^2 + y^2.
@@ -7,7 +7,7 @@ librealsense (https://github.com/IntelRealSense/librealsense, src/rs.cpp). A dir
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig
 from bodyseg_data.rigs import Distortion
+from bodyseg_model.recordings.cameras import Intrinsics
 
 MODELS: Final = {  # name of a model -> the form of it, and how many coefficients it may have
     "plumb_bob": ("plain", (4, 5)),
@@ -34,55 +35,52 @@ _LATTICE: Final = 40
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class DriverLens:
-    """A lens by the name of its model and its coefficients in that model's order. where: the camera, for messages."""
+def driver_camera(
+    model: str,
+    coefficients: Sequence[float],
+    camera: tuple[float, float, float, float],
+    size: tuple[int, int] | None,
+    where: str,
+) -> Intrinsics:
+    """A camera whose lens is given by the name of its model and its coefficients in that model's order.
 
-    model: str
-    coefficients: tuple[float, ...]
-    where: str
-
-    def five(
-        self, fx: float, fy: float, cx: float, cy: float, size: tuple[int, int] | None = None
-    ) -> Distortion | None:
-        """The lens as `Distortion`, None for one without: exact for plumb_bob, else fitted over the whole image.
-
-        fx, fy, cx, cy: of the camera, as OpenCV has them, pixels. size: (rows, columns), None if it is not known.
-        Raises BadConfig for a model or a number of coefficients that is not known, and for a lens that five
-        coefficients follow no nearer than to a pixel.
-        """
-        if not any(self.coefficients):
-            return None
-        name = re.sub(r"[^a-z0-9]+", "_", self.model.lower())
-        form, counts = MODELS.get(name, ("", ()))
-        given = list(self.coefficients)
-        while len(given) > 4 and not given[-1]:  # zeros behind say nothing
-            given.pop()
-        count = next((count for count in counts if count >= len(given)), 0)
-        if not count:
-            raise BadConfig(
-                f"{self.where}: distortion must be plumb_bob, of 4 or 5 coefficients, or one of "
-                f"{', '.join(list(MODELS)[1:])}, found {self.model!r} of {len(self.coefficients)}: undistort the "
-                "recording, or give --focal or --rig"
-            )
-        given += [0.0] * (12 - len(given))
-        if form == "plain" or (form == "rational" and not any(given[5:])):
-            return Distortion(*given[:5])
-        rows, columns = size or (2 * cy + 1, 2 * cx + 1)
-        across, down = (np.linspace(0, side - 1, _LATTICE) for side in (columns, rows))
-        with np.errstate(all="ignore"):  # numbers beyond reason
-            x, y = (each.ravel() for each in np.meshgrid((across - cx) / fx, (down - cy) / fy))
-            if form == "inverse":  # the formula gives the direction of what the lens draws
-                (x, y), drawn = Distortion(*given[:5]).apply(x, y), (x, y)
-            else:
-                drawn = _drawn(form, given, x, y)
-            found, off = _fitted(x, y, drawn)
-        if found is None or not off * max(fx, fy) <= _MOST_OFF_PX:
-            raise BadConfig(
-                f"{self.where}: five coefficients must follow the lens to {_MOST_OFF_PX:g} pixel, found "
-                f"{off * max(fx, fy):.3g} for {self.model!r}: undistort the recording, or give --focal or --rig"
-            )
-        return found
+    They become a `Distortion`, none where all are 0: exact for plumb_bob, else fitted over the whole image. camera: fx,
+    fy, cx and cy of `Intrinsics`. Raises BadConfig as that, for a model or a number of coefficients that is not known,
+    and for a lens that five coefficients follow no nearer than to a pixel.
+    """
+    fx, fy, cx, cy = camera
+    if not any(coefficients):
+        return Intrinsics(*camera, None, size, where)
+    name = re.sub(r"[^a-z0-9]+", "_", model.lower())
+    form, counts = MODELS.get(name, ("", ()))
+    given = list(coefficients)
+    while len(given) > 4 and not given[-1]:  # zeros behind say nothing
+        given.pop()
+    count = next((count for count in counts if count >= len(given)), 0)
+    if not count:
+        raise BadConfig(
+            f"{where}: distortion must be plumb_bob, of 4 or 5 coefficients, or one of "
+            f"{', '.join(list(MODELS)[1:])}, found {model!r} of {len(coefficients)}: undistort the "
+            "recording, or give --focal or --rig"
+        )
+    given += [0.0] * (12 - len(given))
+    if form == "plain" or (form == "rational" and not any(given[5:])):
+        return Intrinsics(*camera, Distortion(*given[:5]), size, where)
+    rows, columns = size or (2 * cy + 1, 2 * cx + 1)
+    across, down = (np.linspace(0, side - 1, _LATTICE) for side in (columns, rows))
+    with np.errstate(all="ignore"):  # numbers beyond reason
+        x, y = (each.ravel() for each in np.meshgrid((across - cx) / fx, (down - cy) / fy))
+        if form == "inverse":  # the formula gives the direction of what the lens draws
+            (x, y), drawn = Distortion(*given[:5]).apply(x, y), (x, y)
+        else:
+            drawn = _drawn(form, given, x, y)
+        found, off = _fitted(x, y, drawn)
+    if found is None or not off * max(fx, fy) <= _MOST_OFF_PX:
+        raise BadConfig(
+            f"{where}: five coefficients must follow the lens to {_MOST_OFF_PX:g} pixel, found "
+            f"{off * max(fx, fy):.3g} for {model!r}: undistort the recording, or give --focal or --rig"
+        )
+    return Intrinsics(*camera, found, size, where)
 
 
 def _drawn(form: str, given: list[float], x: Floats, y: Floats) -> tuple[Floats, Floats]:

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, MissingLibrary
-from bodyseg_data.rigs import Distortion
 from bodyseg_model.recordings.cameras import Intrinsics
+from bodyseg_model.recordings.lenses import driver_camera
 from bodyseg_model.recordings.recording import FLOAT_STEP_M, MILLIMETRE, ArrayFrames, Frame
 
 Timed = NDArray[Any] | tuple[float | None, NDArray[Any]]
@@ -62,7 +62,8 @@ def realsense(rows: int = 480, columns: int = 640, frames_per_second: int = 30) 
         lens = profile.get_stream(sdk.stream.depth).as_video_stream_profile().get_intrinsics()
         if any(lens.coeffs) and lens.model != sdk.distortion.brown_conrady:
             raise BadConfig(f"a camera's distortion must be Brown-Conrady's, found {lens.model}")
-        camera = _camera(lens.fx, lens.fy, lens.ppx, lens.ppy, lens.coeffs, (lens.height, lens.width), "RealSense")
+        numbers, size = (lens.fx, lens.fy, lens.ppx, lens.ppy), (lens.height, lens.width)
+        camera = driver_camera("brown_conrady", [*map(float, lens.coeffs)], numbers, size, "RealSense")
         step_m = float(profile.get_device().first_depth_sensor().get_depth_scale())
 
         def frames() -> Iterator[Timed]:
@@ -83,8 +84,7 @@ def realsense(rows: int = 480, columns: int = 640, frames_per_second: int = 30) 
 def orbbec() -> Iterator[LiveRecording]:
     """Open the depth stream of the first Orbbec camera in its default mode, by `pyorbbecsdk2`; it stops with the block.
 
-    Times are the camera's. Raises BadConfig for distortion of more than five coefficients, or a camera that does not
-    answer, MissingLibrary.
+    Times are the camera's. Raises BadConfig as `driver_camera`, or for a camera that does not answer, MissingLibrary.
     """
     sdk = _package("pyorbbecsdk", "pyorbbecsdk2")
     try:
@@ -97,10 +97,9 @@ def orbbec() -> Iterator[LiveRecording]:
     try:
         parameters = pipeline.get_camera_param()
         lens, bent = parameters.depth_intrinsic, parameters.depth_distortion
-        if any((bent.k4, bent.k5, bent.k6)):
-            raise BadConfig(f"a camera's distortion must have k1, k2, p1, p2 and k3 alone, found k4 = {bent.k4:g}")
-        coefficients = (bent.k1, bent.k2, bent.p1, bent.p2, bent.k3)
-        camera = _camera(lens.fx, lens.fy, lens.cx, lens.cy, coefficients, (lens.height, lens.width), "Orbbec")
+        coefficients = tuple(float(getattr(bent, name)) for name in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"))
+        numbers, size = (lens.fx, lens.fy, lens.cx, lens.cy), (lens.height, lens.width)
+        camera = driver_camera("rational_polynomial", coefficients, numbers, size, "Orbbec")
         first = _orbbec_frame(pipeline)
 
         def frames() -> Iterator[Timed]:
@@ -130,10 +129,3 @@ def _package(module: str, package: str) -> Any:
         return import_module(module)
     except ImportError as error:
         raise MissingLibrary(f"this camera needs the package {package!r}: pip install {package} ({error})") from error
-
-
-def _camera(
-    fx: float, fy: float, cx: float, cy: float, coefficients: Iterable[float], size: tuple[int, int], where: str
-) -> Intrinsics:
-    numbers = [float(value) for value in coefficients]
-    return Intrinsics(fx, fy, cx, cy, Distortion(*numbers) if any(numbers) else None, size, where)

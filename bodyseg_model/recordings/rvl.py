@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig
-from bodyseg_model.recordings.recording import LARGEST_SIDE
+from bodyseg_model.recordings.recording import check_pixels
 
 _SIZE: Final = struct.Struct("<ii")
 _LONGEST: Final = 11  # pieces of a number of 32 bits
@@ -28,8 +28,7 @@ def decode_rvl(data: bytes) -> NDArray[np.uint16]:
     if len(data) < _SIZE.size:
         raise BadConfig(f"RVL must begin with columns and rows, {_SIZE.size} bytes, found {len(data)} in all")
     columns, rows = _SIZE.unpack_from(data)
-    if not (1 <= rows <= LARGEST_SIDE and 1 <= columns <= LARGEST_SIDE):
-        raise BadConfig(f"an image's side must be 1 to {LARGEST_SIDE} pixels, found {rows} x {columns}")
+    check_pixels((rows, columns), np.dtype(np.uint16))
     numbers = _numbers(data[_SIZE.size :])
     image, steps, places = np.zeros(rows * columns, np.uint16), [], []
     at = pixel = 0

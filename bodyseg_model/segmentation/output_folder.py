@@ -25,13 +25,6 @@ from bodyseg_model.segmentation.frame_labeller import LabelledFrame
 from bodyseg_model.segmentation.pictures import Preview, draw_overlay, encode_picture
 from bodyseg_model.segmentation.sequence_summary import SequenceSummary
 
-
-def flush(paths: Sequence[Path]) -> None:
-    """Wait until the disk holds these files, written before, and their folders' entries. Raises OSError."""
-    for path in (*paths, *dict.fromkeys(path.parent for path in paths)):
-        sync(path)
-
-
 FORMAT: Final = "bodyseg segment 2"
 """Format of `SUMMARY`."""
 
@@ -135,7 +128,9 @@ class OutputFolder:
         frames = [frame for frame in self._frames if frame["name"] not in skipped]
         each = [{**frame, **entry} for frame, entry in zip(frames, summary["each"], strict=True)]
         try:
-            flush([self.image(folder, frame["name"]) for folder in self.folders for frame in frames])
+            images = [self.image(folder, frame["name"]) for folder in self.folders for frame in frames]
+            for path in (*images, *dict.fromkeys(image.parent for image in images)):
+                sync(path)
             write_json(self.path / SUMMARY, {"format": FORMAT, **summary, "each": each})
             (self.path / UNFINISHED).unlink(missing_ok=True)
         except OSError as error:

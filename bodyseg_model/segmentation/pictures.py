@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from bodyseg_data.core import BadConfig
+from bodyseg_data.drawing import EMPTY
 from bodyseg_data.labels import PARTS33, LabelMap
 from bodyseg_data.machine import compress
 from bodyseg_data.shards import SIGNATURE
 
-_EMPTY: Final = (24, 26, 32)
 _ROOM_GREYS: Final = (96, 44)
 _UNKNOWN_GREYS: Final = (235, 140)
 _DARKEST: Final = 0.55
@@ -90,7 +90,7 @@ def _table(label_map: LabelMap) -> NDArray[np.uint8]:
         np.interp(depth, (0, 1), greys)[:, None].repeat(3, axis=1) for greys in (_ROOM_GREYS, _UNKNOWN_GREYS)
     )
     parts = (label_map.colours[:, None] * np.interp(depth, (0, 1), (1, _DARKEST))[:, None]).reshape(-1, 3)
-    return np.concatenate([room, parts, unknown, [_EMPTY]]).astype(np.uint8)
+    return np.concatenate([room, parts, unknown, [EMPTY]]).astype(np.uint8)
 
 
 def _shading(some: Floats) -> Shading:
@@ -144,7 +144,7 @@ def _palette(label_map: LabelMap) -> NDArray[np.uint8]:
     brightness = np.linspace(1, _DARKEST, _LEVELS)
     parts = (label_map.colours[:, None] * brightness[:, None]).reshape(-1, 3)
     greys = np.linspace(_ROOM_GREYS[1], _UNKNOWN_GREYS[0], 256 - len(parts) - 1)[:, None].repeat(3, axis=1)
-    return np.concatenate([parts, greys, [_EMPTY]]).astype(np.uint8)
+    return np.concatenate([parts, greys, [EMPTY]]).astype(np.uint8)
 
 
 def encode_picture(image: NDArray[Any]) -> bytes:

@@ -15,13 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from bodyseg_data.drawing import FAINT, INK, PAPER, THING, font
+from bodyseg_data.drawing import EMPTY, FAINT, INK, PAPER, THING, colour_shares, font
 from bodyseg_data.labels import BACKGROUND, LabelMap, colour_labels
 from bodyseg_data.rigs import Camera, PlacedCamera, Rig
 from bodyseg_data.samples import View
-
-EMPTY: Final = (24, 26, 32)
-"""Colour of pixels without a range."""
 
 Legend = tuple[tuple[str, tuple[int, int, int]], ...]
 """Name and sRGB of each colour."""
@@ -164,12 +161,9 @@ def share_image(shares: NDArray[np.float32], measured: NDArray[np.bool_]) -> NDA
 
     shares: float32 [H, W], such as confidences. measured: bool [H, W]; elsewhere the image is nearly black.
     """
-    stops = np.array([colour for _, colour in CONFIDENCE_LEGEND], np.float64)
-    position = 2 * np.clip(shares, 0, 1)
-    colours = np.stack([np.interp(position, (0, 1, 2), channel) for channel in stops.T], axis=-1)
+    colours = colour_shares(shares, np.array([colour for _, colour in CONFIDENCE_LEGEND]))
     colours[~measured] = EMPTY
-    found: NDArray[np.uint8] = np.rint(colours).astype(np.uint8)
-    return found
+    return colours
 
 
 def class_legend(label_map: LabelMap) -> Legend:

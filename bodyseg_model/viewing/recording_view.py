@@ -11,7 +11,7 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.drawing import THING, window_of
+from bodyseg_data.drawing import EMPTY, THING, window_of
 from bodyseg_data.labels import BACKGROUND, colour_labels
 from bodyseg_model.segmentation import (
     STILL_M,
@@ -25,7 +25,6 @@ from bodyseg_model.segmentation import (
 from bodyseg_model.viewing.page import Page
 from bodyseg_model.viewing.pictures import (
     CONFIDENCE_LEGEND,
-    EMPTY,
     Drawing,
     Layout,
     Legend,

@@ -144,7 +144,7 @@ def test_a_dataset_card_tells_what_the_manifest_holds(described: Path, facts: Se
     _, header, page = text.split("---\n", 2)
     for line in ("license: cc0-1.0", 'pretty_name: "Plain figures"', "- n<1K", "    path: train-*.tar"):
         assert f"{line}\n" in header
-    assert f"bodyseg_manifest: {facts.digest}\n" in header
+    assert f"bodyseg_manifest: {facts.manifest.digest}\n" in header
     for line in (
         "# Plain figures",
         "| train | 16 | 4 | 2 | A 8, people 8 | 2, 0.1 MB |",
@@ -167,7 +167,7 @@ def test_cards_state_what_no_manifest_knows_only_where_it_is_given(facts: SetFac
     full = Publication("Mine", DAY, "The owner's terms, see there", "A. Author", "https://host/set/")
     tree, page = croissant(facts, full), dataset_card(facts, full)
     assert tree["license"] == "The owner's terms, see there"
-    assert tree["distribution"][0]["contentUrl"] == f"https://host/set/{facts.shards[0].name}"
+    assert tree["distribution"][0]["contentUrl"] == f"https://host/set/{facts.manifest.shards[0].name}"
     assert 'license: other\nlicense_name: "The owner\'s terms, see there"\n' in page
 
 

@@ -198,11 +198,11 @@ def test_distortion_is_that_of_raw_images(tmp_path: Path) -> None:
     [
         (image(RAMP, "16UC1", height=61), "an image of 61 x 84 16UC1 in rows of 168 bytes cannot have"),
         (image(RAMP, "16UC1", step=100), "in rows of 100 bytes cannot have"),
-        (image(RAMP, "16UC1", width=2**31), "an image's side must be 1 to 4096 pixels"),
+        (image(RAMP, "16UC1", width=2**31), "must have rows and columns, 1 to 4096 of each"),
         (compressed(b"short", "16UC1; compressedDepth"), "must begin with 12 bytes of header, found 5"),
         (compressed(compressed_depth(RAMP)[:300], "16UC1; compressedDepth"), "a PNG must be whole"),
         (compressed(compressed_depth(RAMP), "32FC1; compressedDepth"), "must have finite A above 0"),
-        (compressed(bytes(20), "16UC1; compressedDepth rvl"), "an image's side must be 1 to 4096 pixels, found 0 x 0"),
+        (compressed(bytes(20), "16UC1; compressedDepth rvl"), "1 to 4096 of each, found 0 x 0"),
         (compressed(b"", "16UC1; jpeg compressed"), "must be a 16-bit PNG or compressedDepth"),
         (compressed(png(np.zeros((4, 4), np.uint8)), "16UC1; png compressed"), "found 8-bit grey"),
     ],

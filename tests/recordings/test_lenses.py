@@ -14,7 +14,7 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.rigs import Distortion
 from bodyseg_model.recordings import FrameCameras, Skipping, find_frames, frame_camera
 from bodyseg_model.recordings.cameras import Intrinsics
-from bodyseg_model.recordings.lenses import DriverLens
+from bodyseg_model.recordings.lenses import driver_camera
 from bodyseg_model.segmentation import FrameLabeller
 from bodyseg_model.segmentation.views import Undistortion
 
@@ -25,7 +25,7 @@ AZURE = (0.5867, -0.0926, 0.00009, -0.00006, 0.0030, 0.9227, 0.0128, 0.0167)
 
 
 def five(model: str, *coefficients: float, camera: tuple[float, float, float, float] = CAMERA) -> Distortion | None:
-    return DriverLens(model, coefficients, "a.mcap: /info").five(*camera, SIZE)
+    return driver_camera(model, coefficients, camera, SIZE, "a.mcap: /info").distortion
 
 
 def directions() -> tuple[Floats, Floats]:

@@ -85,7 +85,7 @@ def test_cameras_that_cannot_be_used_are_one_line(monkeypatch: pytest.MonkeyPatc
         assert not fake.running
     for other, message in (
         (FakeOrbbec(starts=False), "the Orbbec camera does not start: no device"),
-        (FakeOrbbec(k4=1.0), "must have k1, k2, p1, p2 and k3 alone, found k4 = 1"),
+        (FakeOrbbec(k4=-50.0), "five coefficients must follow the lens"),
     ):
         monkeypatch.setitem(sys.modules, "pyorbbecsdk", other)
         with pytest.raises(BadConfig, match=message), orbbec():

@@ -46,7 +46,7 @@ def test_damage_is_one_line() -> None:
     for data, message in (
         (b"", "must begin with columns and rows"),
         (struct.pack("<ii", 84, 60), "must hold 5040 pixels, found 0"),
-        (struct.pack("<ii", -1, 60), "an image's side must be 1 to 4096 pixels, found 60 x -1"),
+        (struct.pack("<ii", -1, 60), "1 to 4096 of each, found 60 x -1"),
         (struct.pack("<ii", 84, 5000), "found 5000 x 84"),
         (whole[: len(whole) // 2], "must hold 5040 pixels"),
         (struct.pack("<iiI", 84, 60, 0), "must hold 5040 pixels"),

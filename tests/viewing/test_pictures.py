@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from bodyseg_data.drawing import EMPTY
 from bodyseg_data.labels import PARTS33, label_map_names, load_label_map
 from bodyseg_model.viewing.page import picture_file
 from bodyseg_model.viewing.pictures import (
     CONFIDENCE_LEGEND,
-    EMPTY,
     KIND_LEGEND,
     WIDTH,
     Drawing,

@@ -143,11 +143,11 @@ class _Zipped(FrameSource):
 
     def read(self, index: int) -> NDArray[Any]:
         array, number = self._locations[index]
-        if array.columns_first:
-            found: NDArray[Any] = self._stack(array)[number]
-            return found
         size = array.sides[-2] * array.sides[-1] * array.kind.itemsize
         try:
+            if array.columns_first:
+                found: NDArray[Any] = self._stack(array)[number]
+                return found
             if self._file is None or self._member != array.member:
                 self._close()
                 with zipfile.ZipFile(self._path) as archive:
@@ -159,18 +159,14 @@ class _Zipped(FrameSource):
             raise BadConfig(f"the array {array.title!r} must be whole: {error}") from error
         if len(data) != size:
             raise BadConfig(f"the array {array.title!r} must be whole, found {len(data)} of {size} bytes")
-        pixels: NDArray[Any] = np.frombuffer(data, array.kind).reshape(array.sides[-2:])
-        return pixels
+        return np.frombuffer(data, array.kind).reshape(array.sides[-2:])
 
     def _stack(self, array: _Array) -> NDArray[Any]:
         """All frames [N, H, W] of an array in Fortran's order, which lie in each other; the last array stays."""
         if self._whole is None or self._whole[0] != array.member:
             self._whole = None
-            try:
-                with zipfile.ZipFile(self._path) as archive, archive.open(array.member) as file:
-                    values = np.lib.format.read_array(file, max_header_size=_LONGEST_HEADER)
-            except Exception as error:  # as above
-                raise BadConfig(f"the array {array.title!r} must be whole: {error}") from error
+            with zipfile.ZipFile(self._path) as archive, archive.open(array.member) as file:
+                values = np.lib.format.read_array(file, max_header_size=_LONGEST_HEADER)
             self._whole = array.member, values.reshape(array.count, *array.sides[-2:])
         return self._whole[1]
 

@@ -2,7 +2,7 @@
 
 Its values are of the whole sensor, as shares of 1024 pixels; a mode shows a part of the sensor, or pairs of its pixels
 (https://github.com/microsoft/Azure-Kinect-Sensor-SDK). Its lens has OpenCV's rational model: the radial factor is
-(1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6), to which `DriverLens` fits five coefficients.
+(1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6), to which `driver_camera` fits five coefficients.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from bodyseg_data.core import BadConfig
 from bodyseg_model.recordings.cameras import Intrinsics
-from bodyseg_model.recordings.lenses import DriverLens
+from bodyseg_model.recordings.lenses import driver_camera
 
 CALIBRATION: Final = "calibration.json"
 """Name of the attachment."""
@@ -45,7 +45,6 @@ def depth_camera(data: bytes, shape: tuple[int, int], where: str) -> Intrinsics 
             return None
         cx, cy, fx, fy = cx * across - column - 0.5, cy * across - row - 0.5, fx * across, fy * across
         k1, k2, k3, *lower = radial
-        lens = DriverLens("rational_polynomial", (k1, k2, p1, p2, k3, *lower), where)
-        return Intrinsics(fx, fy, cx, cy, lens.five(fx, fy, cx, cy, shape), shape, where)
+        return driver_camera("rational_polynomial", (k1, k2, p1, p2, k3, *lower), (fx, fy, cx, cy), shape, where)
     except (ValueError, KeyError, TypeError, StopIteration, RecursionError, AttributeError, BadConfig):
         return None
