@@ -164,8 +164,8 @@ def _check_piece(column: Manifest, shard: ShardRecord, index: int, data: bytes) 
 def _check_content(manifest: Manifest, shard: ShardRecord, index: int, data: bytes) -> None:
     key = shard.keys[index]
     sample = decode_sample(key, parse_members(key, data), projectors=len(manifest.rig.projectors))
-    check_sizes(sample, *image_sizes(manifest.rig))
     sample.check(len(manifest.classes))
+    check_sizes(sample, *image_sizes(manifest.rig))
     if sample.info.split != shard.split:
         raise BadSample(f"{key}: belongs to {sample.info.split}, stored among {shard.split}")
     differs = difference(sample.info, shard.descriptions.info(index, shard.split), manifest.fields)

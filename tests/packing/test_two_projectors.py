@@ -131,7 +131,7 @@ def test_a_set_that_claims_another_number_of_projectors_is_refused(
     with pytest.raises(BadShard, match=size.format(640, 1240)):
         ShardReader(tmp_path / "fewer", fewer).read(0, 0)
     faults = [fault.problem for shard in fewer.shards for fault in find_faults(tmp_path / "fewer", fewer, shard)]
-    assert faults == ["projector_range must be 640 x 329 as in the rig, found (1240, 329)"] * 6
+    assert faults == ["the rig has fewer projectors than the facing bits tell of"] * 6
     single = pack_figures(tmp_path / "single", meshes=2, views=VIEWS, rig=load_rig())
     more = claimed(single, two_projectors(), tmp_path / "more")
     with pytest.raises(BadShard, match=size.format(1240, 640)):
