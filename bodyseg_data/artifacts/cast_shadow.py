@@ -37,7 +37,7 @@ def seen_by_projectors(camera_range: NDArray[np.uint16], rig: Rig) -> NDArray[np
 
 
 def _joined(ranges: NDArray[np.uint16], edge: np.float32) -> NDArray[np.bool_]:
-    """Whether a pixel and the one below it are on one surface, bool [H - 1, W], where both see any.
+    """Mask of pixels that are on one surface with the one below, bool [H - 1, W], where both see any.
 
     Their ranges differ by less than an edge; or, as on a floor seen at a grazing angle, by about as much as those of
     the next pixels do.

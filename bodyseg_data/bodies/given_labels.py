@@ -43,7 +43,7 @@ _SIDE: Final = re.compile(r"[Ll]eft|LEFT|[Rr]ight|RIGHT|(?:(?<=^)|(?<=[_. -]))[L
 
 
 class ClassTable:
-    """What classes.json in a folder says; without it, every name is a class of its own.
+    """The content of classes.json in a folder; without it, every name is a class of its own.
 
     classes: of the set, None without the file. numbers: number -> name. colours: "#rrggbb" -> name. labels: where they
     are read from, as `file_labels` takes it. Raises BadConfig, naming the file.
@@ -79,7 +79,7 @@ class ClassTable:
         self.colours = {each.colour: each.name for each in entries if each.colour and colours.count(each.colour) < 2}
 
     def knows(self, name: str) -> bool:
-        """Whether classes.json says of which class a name is, or that it is of none."""
+        """True if classes.json says of which class a name is, or that it is of none."""
         of_class = self.classes is not None and name in self.classes.names
         return of_class or any(fnmatchcase(name, pattern) for pattern, _ in self._also)
 

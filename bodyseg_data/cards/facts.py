@@ -136,7 +136,7 @@ class SetFacts:
 
     @property
     def of_bodies(self) -> bool:
-        """Whether the set shows bodies with the 33 parts."""
+        """True if the set shows bodies with the 33 parts."""
         return self.manifest.classes == PART_CLASSES
 
     @property
@@ -247,7 +247,7 @@ def summary_text(facts: SetFacts) -> str:
 
 
 def limits_text(facts: SetFacts) -> list[str]:
-    """What the set does not show, a line each."""
+    """Limits of what the set shows, a line each."""
     return [people_text(facts), *_PART_LIMITS] if facts.of_bodies else [*_LIMITS]
 
 

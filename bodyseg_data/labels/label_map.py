@@ -80,7 +80,7 @@ class LabelMap:
 
     @property
     def _kind(self) -> str:
-        """What the set's own classes are called in messages and files."""
+        """The word for the set's own classes in messages and files."""
         return "landmark" if self.of == PART_CLASSES else "class"
 
     def __repr__(self) -> str:
@@ -157,7 +157,7 @@ class LabelMap:
 
     @property
     def has_mirror_image(self) -> bool:
-        """Whether images may be flipped: see `mirrored`."""
+        """True if images may be flipped: see `mirrored`."""
         return self._lopsided is None
 
     @cached_property
@@ -205,7 +205,7 @@ class LabelMap:
 
     @property
     def is_whole(self) -> bool:
-        """Whether the classes are those of the set itself, with other names perhaps."""
+        """True if the classes are those of the set itself, with other names perhaps."""
         return self.members == tuple((label,) for label in range(len(self.of)))
 
     def joined_to(self, coarser: LabelMap) -> NDArray[np.uint8]:

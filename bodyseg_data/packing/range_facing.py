@@ -1,4 +1,4 @@
-"""Whether surfaces are turned towards a projector, from normals or from the range image alone.
+"""Facing: surfaces turned towards a projector, from normals or from the range image alone.
 
 A plane is linear in the image as inverse range: with a pixel's ray r = (x, y, 1) and its range z, 1 / z = m . r, where
 m is the plane's normal divided by its distance. The camera, at the origin, is on the side of m . p < 1, so a projector

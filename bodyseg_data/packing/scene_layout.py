@@ -30,7 +30,7 @@ _ROWS: Final = 64
 
 @dataclass(frozen=True)
 class SceneLayout:
-    """What all samples of a set have in common. Arguments as in `Manifest`; facing: its `renderer`."""
+    """Common properties of all samples of a set. Arguments as in `Manifest`; facing: its `renderer`."""
 
     rigs: tuple[Rig, ...]
     classes: Classes
@@ -186,7 +186,7 @@ class SceneLayout:
 
 
 def facing_of(scene: Render) -> str:
-    """Where a scene's facing bits come from, as manifests say it."""
+    """Origin of a scene's facing bits, as manifests say it."""
     return FACING_FROM_RANGE if scene.facing is None and scene.normals is None else EXTERNAL
 
 

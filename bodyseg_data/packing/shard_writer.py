@@ -146,7 +146,7 @@ class ShardWriter:
         return self
 
     def __contains__(self, key: str) -> bool:
-        """Whether a scene is already in a finished shard, so that it need not be rendered again."""
+        """True if a scene is already in a finished shard, so that it need not be rendered again."""
         return key in self._finished
 
     def write(
@@ -320,7 +320,7 @@ class ShardWriter:
         }
 
     def _learned(self, scene: Render) -> SceneLayout:
-        """What all samples have in common, where it is not given as the first scene has it."""
+        """The layout of all samples, where it is not given as the first scene has it."""
         fields, planes, projector = self._fields, self._planes, self._projector
         if fields is None:
             fields = learned_fields(scene.fields, len(self._rigs), scene.key)

@@ -78,7 +78,7 @@ class IsaacRenders(RenderSource):
         return found
 
     def table(self, key: str) -> LabelTable:
-        """What the numbers and colours of a frame stand for. Raises BadSample, naming the file."""
+        """Meaning of the numbers and colours of a frame. Raises BadSample, naming the file."""
         path = self._files[_MEANINGS][key]
         numbers: dict[int, int] = {}
         colours: dict[int, int] = {}

@@ -125,7 +125,7 @@ class RenderSource(ABC):
         """Read the images of a sample by their kinds. Raises BadSample, naming the file."""
 
     def table(self, key: str) -> LabelTable:
-        """What the numbers and colours of a sample's label image stand for."""
+        """Meaning of the numbers and colours of a sample's label image."""
         return self._content.table
 
     def further(self, key: str) -> Mapping[str, Value]:

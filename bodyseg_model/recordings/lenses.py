@@ -84,7 +84,7 @@ def driver_camera(
 
 
 def _drawn(form: str, given: list[float], x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Where a lens draws directions (x, y, 1), at z = 1."""
+    """Places at z = 1 where a lens draws directions (x, y, 1)."""
     squared = x * x + y * y
     r = np.sqrt(squared)
     if form == "fisheye":

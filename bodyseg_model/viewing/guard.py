@@ -1,4 +1,4 @@
-"""Who may open a page, and which messages of a browser it takes.
+"""Guard of a page: who may open it, and which messages of a browser it takes.
 
 Every web page that a user has open may connect to a server on this machine, so a page is served to those who know its
 token, under its own host's names, and to no script of another page. What a browser sends is checked before it is kept.

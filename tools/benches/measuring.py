@@ -42,7 +42,7 @@ def medians(rounds: Sequence[Any]) -> Any:
 
 
 class Conditions:
-    """What else a machine does while a bench runs, from the moment at which this is made."""
+    """Other work of a machine while a bench runs, from the moment at which this is made."""
 
     def __init__(self) -> None:
         self._before = _load()

@@ -164,7 +164,7 @@ def encode_images(camera: Range, labels: Bytes, facing: Bytes, projector: Range 
 
 
 def _is_smooth(projector: Range) -> bool:
-    """Whether a projector's range takes much less as slopes than as runs, as one does that was not reduced.
+    """True if a projector's range takes much less as slopes than as runs, as one does that was not reduced.
 
     What the shadow test needs are multiples of powers of two, few of them odd. As slopes they would take half a percent
     less of a sample, and a sample three times as long to decode.
@@ -219,7 +219,7 @@ def decode_images(
 
 
 def _checked(data: bytes, magics: Sequence[bytes], header_size: int) -> memoryview:
-    """What follows the start of a file, after a test of its checksum. Raises ValueError."""
+    """All that follows the start of a file, after a test of its checksum. Raises ValueError."""
     if len(data) < _START.size + header_size:
         raise ValueError(f"images have a header of {_START.size + header_size} bytes, found {len(data)} bytes in all")
     magic, stored = _START.unpack_from(data)

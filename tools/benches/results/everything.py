@@ -123,7 +123,7 @@ def _trained() -> Iterator[Step]:
 
 
 def _speed() -> Iterator[Step]:
-    """What is measured on one machine: methods side by side, each with its error."""
+    """Measurements on one machine: methods side by side, each with its error."""
     yield _bench("occlusion", drawn=True, more=("occlusion_errors.png",), alone=True)
     yield _bench("quantisation", "--views", "40", drawn=True, alone=True)
     yield _bench("partition", "--mit", MIT, drawn=True, alone=True)
@@ -143,7 +143,7 @@ def _speed() -> Iterator[Step]:
 
 
 def _by_processor() -> Iterator[Step]:
-    """What a processor decides, on each of `PROCESSORS`."""
+    """Measurements that a processor decides, on each of `PROCESSORS`."""
     for processor in PROCESSORS:
         for name, words in {
             "loader": (),

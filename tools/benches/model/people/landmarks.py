@@ -51,7 +51,7 @@ def fitted_to(body: FittingBody, annotated: Annotated) -> Fitted:
 
 
 def carried(fitted: FittedBody, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Where `points` [N, 3] on a mesh lie on the open body at rest, float64 [N, 3], body frame, metres.
+    """Places of `points` [N, 3] on a mesh on the open body at rest, float64 [N, 3], body frame, metres.
 
     Each goes to the nearest vertex of the fitted body that faces the same way.
     """
