@@ -290,8 +290,8 @@ def test_weights_of_parts_come_from_clean_samples(small_set: Path) -> None:
     [
         (["--steps", "0"], "steps must be at least 1, found 0"),
         (["--lr", "nan"], "learning_rate must be from 1e-09 to 10, found nan"),
-        (["--settings", "{"], "--settings must be JSON"),
-        (["--settings", "[]"], "--settings must be a JSON object"),
+        (["--settings", "{"], "--settings is not JSON"),
+        (["--settings", "[]"], "--settings must hold a JSON object"),
         (["--artifacts", "[]"], "--artifacts must be strengths by artifact"),
         (["--variant", "md", "--noise-mm", "5"], "a strength of noise is for a variant that has noise, found variant"),
         (["--losses", "0.2", "--artifacts", '{"losses": {}}'], "an artifact may be given once, found losses twice"),
