@@ -292,29 +292,35 @@ class Page:
             unmoved = any(np.allclose(camera.position, place, atol=1e-3) for place in places)
             if unmoved and abs(camera.aspect - fitted[0]) > _SAME * fitted[0]:
                 fitted[0] = camera.aspect
-                place = self._look(client, "points", free)
-                places.extend([] if place is None else [place])
+                self._look(client, "points", free, places)
 
         client.camera.on_update(fit)
         fit(client.camera)
 
-    def _look(self, client: viser.ClientHandle, kind: str, free: float = 1.0) -> NDArray[np.float64] | None:
-        """Move one client's view to one of `VIEWPOINTS`, and return where it is.
+    def _look(
+        self,
+        client: viser.ClientHandle,
+        kind: str,
+        free: float = 1.0,
+        places: list[NDArray[np.float64]] | None = None,
+    ) -> None:
+        """Move one client's view to one of `VIEWPOINTS`.
 
-        free: share of the window's height, from its top, in which the points are to be seen.
+        free: share of the window's height, from its top, in which the points are to be seen. places: receives where the
+        view goes, before it goes there, since the client may report it at once.
         """
         drawing, chosen = self._drawing, next(each for each in VIEWPOINTS if each == kind)
         if drawing is None:
-            return None
+            return
         camera, half = client.camera, math.tan(client.camera.fov / 2)
         fov_rad, aspect = 2 * math.atan(free * half), camera.aspect / free
         place, at = viewpoint(aimed_at(drawing), [*drawing.devices.values()], chosen, fov_rad, aspect)
         # A little less than to the edge: what is nearer than the middle moves farther.
         down = np.array([0.0, 0.92 * (1 - free) * half * float(np.linalg.norm(place - at)), 0.0])
-        moved: NDArray[np.float64] = place - down
+        if places is not None:
+            places.append(place - down)
         with client.atomic():
-            camera.up_direction, camera.position, camera.look_at = (0.0, 1.0, 0.0), moved, at - down
-        return moved
+            camera.up_direction, camera.position, camera.look_at = (0.0, 1.0, 0.0), place - down, at - down
 
     def _show(self, drawing: Drawing) -> None:
         with self._lock, self.server.atomic():
