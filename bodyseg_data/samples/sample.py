@@ -85,7 +85,7 @@ MOST_FIELDS: Final = 64
 """Largest number of fields of a description."""
 
 _FIELD: Final = re.compile(r"[a-z][a-z0-9_]{0,63}")
-_VIEW: Final = ("distance_cm", "azimuth_deg", "pitch_deg", "roll_deg", "height_cm")
+_VIEW: Final = tuple(View.__dataclass_fields__)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadSample, BadShard
 from bodyseg_data.shards.columns import column_names, read_column
 from bodyseg_data.shards.index import IndexedShards
-from bodyseg_data.shards.manifest import RIG_FIELD, Manifest
+from bodyseg_data.shards.manifest import Manifest
 from bodyseg_data.shards.records import ShardRecord, check_bytes, difference, location
 from bodyseg_data.shards.remote import Unreachable
 from bodyseg_data.shards.sample_codec import decode_sample, parse_info
@@ -176,5 +176,4 @@ def _check_content(manifest: Manifest, shard: ShardRecord, index: int, data: byt
         raise BadSample(f"{key}: the set has the planes {dict(manifest.planes) or 'none'}, found {found or 'none'}")
     if (sample.projector_range is None) != (manifest.projector == "none"):
         raise BadSample(f"{key}: the set's projector range is {manifest.projector!r}, the sample says otherwise")
-    if len(manifest.rigs) > 1 and not 0 <= sample.info.get(RIG_FIELD, -1) < len(manifest.rigs):
-        raise BadSample(f"{key}: field {RIG_FIELD!r} must number one of the set's {len(manifest.rigs)} rigs")
+    manifest.rig_of(sample)

@@ -7,16 +7,13 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-from folders import HELPERS
+from processes import run_on_two_ranks
 from torch.utils.data import BatchSampler, DataLoader, SequentialSampler
 from torch.utils.data.distributed import DistributedSampler
 
@@ -106,16 +103,7 @@ def test_batches_made_before_the_process_group_are_refused(figures_set: Path, mo
 
 def on_two_ranks(folder: Path, out: Path, framework: str, how: str) -> list[Any]:
     out.mkdir()
-    torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
-    done = subprocess.run(
-        [*torchrun, str(HELPERS / "framework_worker.py"), str(out), str(folder), framework, how],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-        timeout=200,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    run_on_two_ranks("framework_worker.py", str(out), str(folder), framework, how)
     return [json.loads((out / f"{rank}.json").read_text()) for rank in (0, 1)]
 
 

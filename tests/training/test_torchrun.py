@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 import torch
-from folders import HELPERS
+from processes import run_on_two_ranks
 from servers import free_port
 from small_training import log
 
@@ -48,17 +45,8 @@ def ran(small_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Ran:
     folder = tmp_path_factory.mktemp("torchrun")
     trainings = _together(small_set, folder / "together"), _ending(small_set, folder / "ending")
     jobs = json.dumps([(free_port(), training) for training in trainings])
-    torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
-    done = subprocess.run(
-        [*torchrun, str(HELPERS / "torchrun_worker.py"), str(folder), str(small_set), "2", jobs],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-        timeout=200,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return Ran(folder, done.stderr)
+    errors = run_on_two_ranks("torchrun_worker.py", str(folder), str(small_set), "2", jobs)
+    return Ran(folder, errors)
 
 
 def test_loaders_share_batches_and_go_on_with_one_and_three(small_set: Path, ran: Ran) -> None:

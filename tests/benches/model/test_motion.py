@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -55,13 +55,7 @@ _SIDES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), 
 _BOX = np.array([face for a, b, c, d in _SIDES for face in ((a, b, c), (a, c, d))])
 
 
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    """The pictures are many and small."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 def boxes(*sizes_and_middles: tuple[Triple, Triple]) -> Mesh:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from benches.model import chosen
 from benches.model.networks import sensors as bench
 from benches.model.networks.sensors import METHODS, Scene, all_scenes, bench_sensors
@@ -26,13 +24,7 @@ from bodyseg_model.recordings import frame_camera
 KINECT = frame_camera((480, 640), "a Kinect").camera
 
 
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    """The pictures are many and small."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture
