@@ -6,13 +6,14 @@ them.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadSample, ProgressCallback, silent
+from bodyseg_data.core import BadConfig, BadSample, ProgressCallback, silent
 from bodyseg_data.machine import processors
 from bodyseg_data.packing.shard_writer import ShardWriter
 from bodyseg_data.renders import Render, RenderSource
@@ -44,8 +45,8 @@ def pack_renders(
     """Pack renders into the folder `out` and return its manifest; carries on where an interrupted packing stopped.
 
     projector, codec, shard_samples: as of `ShardWriter`. workers: threads that read and encode (default: one a
-    processor). Renders of finished shards are not read again. Raises BadSample for the first render that breaks a rule,
-    and as `ShardWriter`.
+    processor). Renders of finished shards are not read again: BadConfig for one that was changed since. Raises BadSample
+    for the first render that breaks a rule, and as `ShardWriter`.
     """
     keys = source.keys()
     checked = frozenset(keys[:_CHECKED])
@@ -72,9 +73,22 @@ def pack_renders(
         workers=processors() if workers is None else workers,
         progress=lambda done, _: progress(done, len(keys)),
     ) as writer:
+        check_unchanged(source, writer.finished())
         progress(sum(key in writer for key in keys), len(keys))
         writer.write_all({key: key for key in keys}, arguments)
     return read_manifest(out)
+
+
+def check_unchanged(source: RenderSource, packed: Mapping[str, Path]) -> None:
+    """Raise BadConfig if a file is newer than the shard that holds what it was."""
+    written = {tar: tar.stat().st_mtime for tar in {*packed.values()}}
+    for key in source.keys():
+        for file in source.files(key) if key in packed else ():
+            if file.stat().st_mtime > written[packed[key]]:
+                raise BadConfig(
+                    f"{file} was written after {packed[key]}, which holds its sample: delete {packed[key].parent} and "
+                    "pack again (copies keep their time with cp -p)"
+                )
 
 
 def check_plausible(render: Render, rig: Rig, where: str) -> None:

@@ -125,7 +125,7 @@ class ShardWriter:
         self._state: Path | None = None
         self._complete = False
         self._records: dict[str, ShardRecord] = {}
-        self._finished: set[str] = set()
+        self._finished: dict[str, Path] = {}
         self._seen: set[str] = set()
         self._open: dict[Split, TarWriter] = {}
         self._waiting: deque[tuple[str, Callable[[], Encoded]]] = deque()
@@ -148,6 +148,10 @@ class ShardWriter:
     def __contains__(self, key: str) -> bool:
         """True if a scene is already in a finished shard, so that it need not be rendered again."""
         return key in self._finished
+
+    def finished(self) -> Mapping[str, Path]:
+        """Key -> file of the scenes of shards that earlier runs finished."""
+        return self._finished
 
     def write(
         self,
@@ -358,7 +362,7 @@ class ShardWriter:
         layout = SceneLayout(self._rigs, self._classes, *known, self._codec)
         self._learn(layout)
         self._records = finished_shards(self._out, state, names, layout.fields)
-        self._finished = {key for record in self._records.values() for key in record.keys}
+        self._finished = {key: self._out / name for name, record in self._records.items() for key in record.keys}
         self._complete = (self._out / MANIFEST_NAME).exists()
         self._layout = layout if self._records else None
 

@@ -120,6 +120,10 @@ class RenderSource(ABC):
         """Return the split of one of `keys()`, without reading its images."""
         return self._rows.info(key).split
 
+    def files(self, key: str) -> list[Path]:
+        """The files of a sample's images."""
+        return [files[key] for files in self._files.values()]
+
     @abstractmethod
     def read(self, key: str) -> Mapping[str, Stored]:
         """Read the images of a sample by their kinds. Raises BadSample, naming the file."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,8 @@ from rendered_scenes import CAMERA, NAMES, PROJECTOR, along_ray, blenderproc, is
 
 from bodyseg_data import RangeImages
 from bodyseg_data.commands.cli import main
+from bodyseg_data.core import BadConfig
+from bodyseg_data.packing import pack_renders
 from bodyseg_data.renders import open_renders
 
 
@@ -83,6 +86,11 @@ def test_packing_carries_on_without_reading_what_is_done(tmp_path: Path, monkeyp
     packed(folder, *options)
     assert {path.name: path.read_bytes() for path in Path(whole.path).iterdir() if path.suffix == ".tar"} == names
     assert read == ["scene-002", "scene-003"]
+    labels = folder / "labels" / "scene-001.png"
+    later = (Path(whole.path) / "train-00000.tar").stat().st_mtime + 1
+    os.utime(labels, (later, later))
+    with pytest.raises(BadConfig, match=f"{labels} was written after .*train-00000.tar, which holds its sample"):
+        pack_renders(open_renders(folder), Path(whole.path), "bsi", None, 2, 0)
 
 
 def test_planes_facing_normals_and_a_table_of_csv_go_with_samples(tmp_path: Path) -> None:

@@ -77,6 +77,8 @@ def test_columns_come_without_a_change_of_the_set_and_are_read_with_it(
     assert "columns" in images.identity() and "columns" not in RangeImages(copy, "none").identity()
     assert main(["verify", str(copy)]) == 0
     assert "columns: age, instances: no fault" in capsys.readouterr().out
+    assert main(["inspect", str(copy), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["columns"] == ["age", "instances"]
 
 
 def test_images_are_the_same_bits_with_columns(copy: Path, small_set: Path) -> None:
