@@ -45,8 +45,8 @@ def pack_renders(
     """Pack renders into the folder `out` and return its manifest; carries on where an interrupted packing stopped.
 
     projector, codec, shard_samples: as of `ShardWriter`. workers: threads that read and encode (default: one a
-    processor). Renders of finished shards are not read again: BadConfig for one that was changed since. Raises BadSample
-    for the first render that breaks a rule, and as `ShardWriter`.
+    processor). Renders of finished shards are not read again: BadConfig for one that was changed since. Raises
+    BadSample for the first render that breaks a rule, and as `ShardWriter`.
     """
     keys = source.keys()
     checked = frozenset(keys[:_CHECKED])
@@ -80,13 +80,15 @@ def pack_renders(
 
 
 def check_unchanged(source: RenderSource, packed: Mapping[str, Path]) -> None:
-    """Raise BadConfig if a file is newer than the shard that holds what it was."""
-    written = {tar: tar.stat().st_mtime for tar in {*packed.values()}}
-    for key in source.keys():
-        for file in source.files(key) if key in packed else ():
-            if file.stat().st_mtime > written[packed[key]]:
+    """Raise BadConfig if a file is gone, or newer than the shard that holds what it was."""
+    written, there = {tar: tar.stat().st_mtime for tar in {*packed.values()}}, {*source.keys()}
+    for key, tar in packed.items():
+        if key not in there:
+            raise BadConfig(f"{tar} holds the sample {key!r}, which is no longer there: pack into another folder")
+        for file in source.files(key):
+            if file.stat().st_mtime > written[tar]:
                 raise BadConfig(
-                    f"{file} was written after {packed[key]}, which holds its sample: delete {packed[key].parent} and "
+                    f"{file} was written after {tar}, which holds its sample: delete {tar.parent} and "
                     "pack again (copies keep their time with cp -p)"
                 )
 

@@ -91,6 +91,12 @@ def test_packing_carries_on_without_reading_what_is_done(tmp_path: Path, monkeyp
     os.utime(labels, (later, later))
     with pytest.raises(BadConfig, match=f"{labels} was written after .*train-00000.tar, which holds its sample"):
         pack_renders(open_renders(folder), Path(whole.path), "bsi", None, 2, 0)
+    for kind in ("range", "projector", "labels"):
+        (folder / kind / "scene-001.png").unlink()
+    rows = (folder / "samples.jsonl").read_text().splitlines(keepends=True)
+    (folder / "samples.jsonl").write_text("".join(row for row in rows if "scene-001" not in row))
+    with pytest.raises(BadConfig, match="train-00000.tar holds the sample 'scene-001', which is no longer there"):
+        pack_renders(open_renders(folder), Path(whole.path), "bsi", None, 2, 0)
 
 
 def test_planes_facing_normals_and_a_table_of_csv_go_with_samples(tmp_path: Path) -> None:
