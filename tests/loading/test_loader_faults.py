@@ -15,7 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import warm
 from processes import start_interruptible
+from warm import Program
 
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.core import BodysegError
@@ -287,15 +289,19 @@ while True:
 """
 
 
+def _in_its_own_python(words: list[str]) -> subprocess.Popen[str]:
+    """A program whose server of forks is its child, and not the server of all programs of `warm`."""
+    pipe = subprocess.PIPE
+    return start_interruptible([sys.executable, *words], stdout=pipe, stderr=pipe, text=True, start_new_session=True)
+
+
 @pytest.mark.parametrize(
     ("number", "start_method"),
     [(signal.SIGINT, "fork"), (signal.SIGINT, "forkserver"), (signal.SIGKILL, "fork")],
 )
 def test_a_signal_to_the_run_leaves_nothing_behind(small_set: Path, number: int, start_method: str) -> None:
-    command = [sys.executable, "-c", ENDLESS, str(small_set), start_method, "2"]
-    with start_interruptible(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    ) as run:
+    words = ["-c", ENDLESS, str(small_set), start_method, "2"]
+    with Program(words, start_new_session=True) if start_method == "fork" else _in_its_own_python(words) as run:
         assert run.stdout is not None
         workers = [int(word) for word in run.stdout.readline().split()]
         assert len(workers) == 4
@@ -318,7 +324,6 @@ def test_a_signal_to_the_run_leaves_nothing_behind(small_set: Path, number: int,
 
 
 def test_a_run_that_ends_in_the_middle_of_a_pass_ends_cleanly(small_set: Path) -> None:
-    command = [sys.executable, "-W", "error", "-c", ENDLESS, str(small_set), "fork", "2", "leave"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = warm.run(["-c", ENDLESS, str(small_set), "fork", "2", "leave"], strict=True)
     assert (done.returncode, done.stderr) == (0, "")
     await_end([int(word) for word in done.stdout.split()])
