@@ -33,6 +33,7 @@ _PRELOADED = (
     "bodyseg_data.loading.range_images",
     "bodyseg_data.loading.workers",
     "bodyseg_model.training.loop",
+    "numba",
 )
 
 
@@ -90,7 +91,9 @@ class Program:
     def __enter__(self) -> Program:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, failed: object, *_: object) -> None:
+        if failed and self.returncode is None:
+            self.send_signal(signal.SIGKILL)
         self.wait()
         for stream in (self.stdout, self.stderr, self._status):
             stream.close()
@@ -168,6 +171,7 @@ if __name__ == "__main__":
     sys.path[:] = sys.path[1:]
     _words, _strict = _serve(socket.socket(fileno=int(sys.argv[1])))
     if _strict:
+        sys.warnoptions.append("error")
         warnings.simplefilter("error")
     _main = sys.modules["__main__"] = types.ModuleType("__main__")
     if _words[0] == "-c":

@@ -7,8 +7,6 @@ import multiprocessing
 import os
 import re
 import signal
-import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
@@ -16,8 +14,6 @@ from typing import Any
 
 import pytest
 import warm
-from processes import start_interruptible
-from warm import Program
 
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.core import BodysegError
@@ -289,20 +285,12 @@ while True:
 """
 
 
-def _in_its_own_python(words: list[str]) -> subprocess.Popen[str]:
-    """A program whose server of forks is its child, and not the server of all programs of `warm`."""
-    pipe = subprocess.PIPE
-    return start_interruptible([sys.executable, *words], stdout=pipe, stderr=pipe, text=True, start_new_session=True)
-
-
 @pytest.mark.parametrize(
     ("number", "start_method"),
     [(signal.SIGINT, "fork"), (signal.SIGINT, "forkserver"), (signal.SIGKILL, "fork")],
 )
 def test_a_signal_to_the_run_leaves_nothing_behind(small_set: Path, number: int, start_method: str) -> None:
-    words = ["-c", ENDLESS, str(small_set), start_method, "2"]
-    with Program(words, start_new_session=True) if start_method == "fork" else _in_its_own_python(words) as run:
-        assert run.stdout is not None
+    with warm.Program(["-c", ENDLESS, str(small_set), start_method, "2"], start_new_session=True) as run:
         workers = [int(word) for word in run.stdout.readline().split()]
         assert len(workers) == 4
         for process in (run.pid, *workers):  # nothing that has a name, so nothing that could stay
