@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import multiprocessing
 import sys
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
@@ -29,6 +30,10 @@ from bodyseg_data.packing import Packing, pack
 from bodyseg_data.packing.jobs import Engine
 from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import ViewGrid
+
+# Processes of a fork server, the way of multiprocessing's three that tests choose unless they are about another one,
+# are then as quick to start as forks, and have nothing of the tests' process.
+multiprocessing.set_forkserver_preload(["bodyseg_data.loading.range_images", "bodyseg_data.loading.workers", "numba"])
 
 # Nothing imports pymeshlab (GPL-3.0) by default: where a test does not ask for it by the fixture, importing it fails.
 sys.modules["pymeshlab"] = None  # type: ignore[assignment]

@@ -298,12 +298,12 @@ def pack_on(
         progress.begin(title, unit)
         progress.update(done, total)
 
-    with open_engine(engine, workers, packing) as engine_context:
-        if engine_context.note is not None:
-            sys.stderr.write(f"{progress.title}: {engine_context.note}\n")
-        on_faults = replace(on_faults, progress=checked)
+    others = multiprocessing.active_children()  # of the program that calls this
+    with open_engine(engine, workers, packing) as opened:
+        if opened.note is not None:
+            sys.stderr.write(f"{progress.title}: {opened.note}\n")
         try:
-            return pack(packing, out, engine_context.executor, engine_context.workers, packed, on_faults)
+            return pack(packing, out, opened.executor, opened.workers, packed, replace(on_faults, progress=checked))
         finally:
             if workers_mb is not None:
-                workers_mb += [peak_mb(worker.pid) for worker in multiprocessing.active_children()]
+                workers_mb += [peak_mb(each.pid) for each in multiprocessing.active_children() if each not in others]

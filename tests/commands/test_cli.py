@@ -4,6 +4,7 @@ import dataclasses
 import importlib
 import inspect
 import json
+import multiprocessing
 import os
 import shlex
 import signal
@@ -422,13 +423,18 @@ def test_every_bench_has_its_module_and_its_figure() -> None:
             assert callable(getattr(figure, f"draw_{name}"))
 
 
-def test_a_report_says_how_it_was_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_report_says_how_it_was_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
     monkeypatch.setattr(shard, "provenance", lambda command: {"command": command})
     report, out = tmp_path / "report.json", tmp_path / "shards"
     for name in ("one", "two"):  # of files, which workers render without loading the body model
         write_mesh(tmp_path / "people" / f"{name}.ply")
     write_by_vertex(tmp_path / "people" / "landmarks.json")
     words = ["--views", "2", "--workers", "1", "--out", str(out), "--report", str(report)]
+    other = multiprocessing.get_context("fork").Process(target=signal.pause)  # no worker of this packing
+    other.start()
+    request.addfinalizer(other.kill)
     for made in (4, 0):  # the second time, everything is there
         assert main(["shard", "--source", "folder", "--path", str(tmp_path / "people"), *words]) == 0
         figures = json.loads(report.read_text())

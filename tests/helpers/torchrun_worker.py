@@ -1,9 +1,9 @@
-"""Program that torchrun starts: a few batches of a loader, then trainings; dropout, which ranks draw apart, is off.
+"""One rank, as torchrun starts it: a few batches of a loader, then trainings; dropout, drawn by each rank, is off.
 
-torchrun --nproc-per-node=2 torchrun_worker.py OUT SET BATCHES TRAININGS
+RANK=R WORLD_SIZE=2 torchrun_worker.py OUT SET BATCHES TRAININGS
 
 This rank's keys and the state of its loader go to files in OUT. TRAININGS: command lines of `bodyseg` as JSON, each
-with the port at which its processes meet: [[PORT, [WORD, ...]], ...]. One start for all, since a start costs seconds.
+with the port at which its processes meet: [[PORT, [WORD, ...]], ...].
 """
 
 from __future__ import annotations
@@ -38,8 +38,7 @@ def batches(out: Path, folder: str, count: int) -> None:
 
 
 def train(port: int, words: list[str]) -> None:
-    """Run a training whose process group meets at a port of its own: torchrun's keeps the last group's addresses."""
-    os.environ.pop("TORCHELASTIC_USE_AGENT_STORE", None)
+    """Run a training whose process group meets at a port of its own."""
     os.environ["MASTER_PORT"] = str(port)
     if main(words) != 0:
         sys.exit(f"failed: {words}")

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+import warm
 
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.artifacts import Augmentation
@@ -171,7 +170,7 @@ def test_a_script_without_a_guard_is_told_so(figures_set: Path, tmp_path: Path) 
         "images = RangeImages(sys.argv[1], 'none')\n"
         "list(loader(images, 4, num_workers=1, worker_method='process', start_method='spawn'))\n"
     )
-    done = subprocess.run([sys.executable, str(script), str(figures_set)], capture_output=True, text=True, timeout=120)
+    done = warm.run([str(script), str(figures_set)], timeout=120)
     assert done.returncode == 1
     assert 'needs `if __name__ == "__main__":` with this start method' in done.stderr.splitlines()[-1]
 
@@ -186,8 +185,7 @@ def test_a_transform_of_a_cell_is_said_to_be_one(figures_set: Path) -> None:
         "images = RangeImages(sys.argv[1], 'none', transform=mine)\n"
         "list(loader(images, 4, num_workers=1, worker_method='process', start_method='spawn'))\n"
     )
-    command = [sys.executable, "-c", cell, str(figures_set)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    done = warm.run(["-c", cell, str(figures_set)], timeout=120)
     assert done.returncode == 1
     assert "the images cannot be unpickled in a worker: AttributeError: Can't get attribute 'mine'" in done.stderr
     assert "must be in a module, not in a notebook's cell" in done.stderr and "__name__ ==" not in done.stderr

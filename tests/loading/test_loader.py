@@ -67,7 +67,7 @@ def test_a_part_of_a_batch_is_held_too(
 
 
 def test_a_forkserver_gives_the_same_bits(small_set: Path, expected: list[tuple[list[str], bytes, bytes]]) -> None:
-    """As spawned workers do: tests of mixtures, of sets of users and of stores start some."""
+    """As spawned workers do, which a program that changes its folder starts (test_arguments.py)."""
     images = RangeImages(small_set, "all", "train")
     batches = loader(images, 3, 1, worker_method="process", start_method="forkserver")
     assert [bits(batch) for batch in batches] == expected[:6]

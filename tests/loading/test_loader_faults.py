@@ -7,15 +7,13 @@ import multiprocessing
 import os
 import re
 import signal
-import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
 from typing import Any
 
 import pytest
-from processes import start_interruptible
+import warm
 
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.core import BodysegError
@@ -292,11 +290,7 @@ while True:
     [(signal.SIGINT, "fork"), (signal.SIGINT, "forkserver"), (signal.SIGKILL, "fork")],
 )
 def test_a_signal_to_the_run_leaves_nothing_behind(small_set: Path, number: int, start_method: str) -> None:
-    command = [sys.executable, "-c", ENDLESS, str(small_set), start_method, "2"]
-    with start_interruptible(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    ) as run:
-        assert run.stdout is not None
+    with warm.Program(["-c", ENDLESS, str(small_set), start_method, "2"], start_new_session=True) as run:
         workers = [int(word) for word in run.stdout.readline().split()]
         assert len(workers) == 4
         for process in (run.pid, *workers):  # nothing that has a name, so nothing that could stay
@@ -318,7 +312,6 @@ def test_a_signal_to_the_run_leaves_nothing_behind(small_set: Path, number: int,
 
 
 def test_a_run_that_ends_in_the_middle_of_a_pass_ends_cleanly(small_set: Path) -> None:
-    command = [sys.executable, "-W", "error", "-c", ENDLESS, str(small_set), "fork", "2", "leave"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = warm.run(["-c", ENDLESS, str(small_set), "fork", "2", "leave"], strict=True)
     assert (done.returncode, done.stderr) == (0, "")
     await_end([int(word) for word in done.stdout.split()])

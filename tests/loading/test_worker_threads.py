@@ -7,8 +7,6 @@ import multiprocessing
 import os
 import re
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -17,7 +15,7 @@ from typing import Any
 
 import pytest
 import torch
-from processes import start_interruptible
+import warm
 
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.core import BadConfig, BadShard, BodysegError
@@ -342,11 +340,7 @@ while True:
 
 
 def test_an_interrupt_ends_the_run(small_set: Path) -> None:
-    command = [sys.executable, "-W", "error", "-c", ENDLESS, str(small_set)]
-    with start_interruptible(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    ) as run:
-        assert run.stdout is not None
+    with warm.Program(["-c", ENDLESS, str(small_set)], strict=True) as run:
         assert run.stdout.readline() == "5\n"
         run.send_signal(signal.SIGINT)
         _, errors = run.communicate(timeout=WITHIN_S)
@@ -355,8 +349,7 @@ def test_an_interrupt_ends_the_run(small_set: Path) -> None:
 
 
 def test_a_run_that_fails_in_the_middle_of_a_pass_ends_cleanly(small_set: Path) -> None:
-    command = [sys.executable, "-W", "error", "-c", ENDLESS, str(small_set), "fail"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=WITHIN_S, check=False)
+    done = warm.run(["-c", ENDLESS, str(small_set), "fail"], strict=True)
     assert done.returncode == 1
     assert done.stderr.count("Traceback") == 1
     assert "bodyseg-worker" not in done.stderr

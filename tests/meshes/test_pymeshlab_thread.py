@@ -26,7 +26,7 @@ pytestmark = pytest.mark.usefixtures("pymeshlab")
 
 _CHECKED_MALLOC = {"LD_PRELOAD": "libc_malloc_debug.so.0", "GLIBC_TUNABLES": "glibc.malloc.check=3"}
 _SCRIPT = """
-import os, sys, threading
+import os, sys, threading, time
 sys.path[:0] = {paths!r}
 import numpy as np
 from shapes import ball
@@ -39,6 +39,10 @@ def ended(*works):
         thread.start()
     for thread in threads:
         thread.join()
+    # Python is done with them; C may still be ending them, and a fork then copies locks (of OpenSSL, of the malloc that
+    # checks) which nobody in the child opens.
+    while any(os.path.exists(f"/proc/self/task/{{thread.native_id}}") for thread in threads):
+        time.sleep(0.001)
 
 def repaired():
     whole = ball(subdivisions=3)

@@ -166,10 +166,12 @@ def test_a_new_network_is_one_new_file_and_one_line(
     assert before.count(line) == 1
     file.write_text(before.replace(line, line + '    "toy": "bodyseg_model.networks.toy.Toy",\n'))
 
-    run, data = str(tmp_path / "run"), str(figures_set)
+    run, data, scores = str(tmp_path / "run"), str(figures_set), str(tmp_path / "scores.json")
+    toy, serial = ["--network", "toy", "--settings", '{"width": 5}'], ["--num-workers", "0"]
+    short = ["--steps", "2", "--batch-size", "2", "--precision", "float32", *serial]
     commands = [
-        ["train", "--data", data, "--network", "toy", "--settings", '{"width": 5}', "--steps", "2", "--out", run],
-        ["evaluate", "--data", data, "--run", run, "--frames", "2", "--json", str(tmp_path / "scores.json")],
+        ["train", "--data", data, *toy, *short, "--out", run],
+        ["evaluate", "--data", data, "--run", run, "--frames", "2", "--json", scores, *serial],
         ["export", "--run", run, "--out", str(tmp_path / "toy.safetensors")],
     ]
     with imported_from(tmp_path, monkeypatch) as package:
@@ -180,5 +182,5 @@ def test_a_new_network_is_one_new_file_and_one_line(
     card = json.loads((tmp_path / "toy.json").read_text())
     assert (card["network"], card["settings"]) == ("toy", {"width": 5})
     assert card["recipe"]["steps"] == 2 and card["recipe"]["mirror"], "the recipe of compact is the default"
-    scores = json.loads((tmp_path / "scores.json").read_text())
-    assert scores["card"]["network"] == "toy" and scores["images"] == 8
+    found = json.loads(Path(scores).read_text())
+    assert found["card"]["network"] == "toy" and found["images"] == 8

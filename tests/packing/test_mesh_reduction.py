@@ -213,6 +213,7 @@ def _rim(mesh: Mesh) -> set[bytes]:
     return {ends.tobytes() for ends in np.sort(mesh.vertices[edges.ends[edges.faces != 2]], axis=1)}
 
 
+@pytest.mark.usefixtures("quick_geodesics")
 @pytest.mark.parametrize("case", list(CASES)[:-1])
 def test_broken_bodies_are_reduced_or_left_whole(case: str) -> None:
     broken = CASES[case](sound(Body(BALL, MARKS)), np.random.default_rng(0)).body("broken")

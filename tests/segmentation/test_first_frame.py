@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
+import warm
 
 PROGRAM = """
 import numpy as np, torch
@@ -31,6 +30,6 @@ print(sorted(name for name, loop in loops.items() if len(loop.nopython_signature
 
 
 def test_no_loop_is_loaded_by_the_first_frame_in_two_threads() -> None:
-    done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, timeout=200, check=False)
+    done = warm.run(["-c", PROGRAM], timeout=200)
     assert done.returncode == 0, done.stderr
     assert done.stdout == "[]\n"

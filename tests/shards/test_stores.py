@@ -386,7 +386,7 @@ def test_one_shard_a_glob_and_the_manifest_choose_as_they_do_locally(
     assert len(web.log()) == 4, "nothing but manifests is fetched before it is needed"
 
 
-@pytest.mark.parametrize("method", ["fork", "spawn"])
+@pytest.mark.parametrize("method", ["fork", "forkserver"])
 def test_workers_read_remote_sets_however_they_are_started(
     method: str, web: WebServer, manifest: Manifest, tmp_path: Path, expected: Any
 ) -> None:

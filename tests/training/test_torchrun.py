@@ -1,4 +1,4 @@
-"""Two processes of torchrun: what their loaders give them, and trainings that they do together."""
+"""Two processes as torchrun starts them: what their loaders give them, and trainings that they do together."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 import torch
-from processes import run_on_two_ranks
 from servers import free_port
 from small_training import log
+from warm import run_on_two_ranks
 
 from bodyseg_data import RangeImages, loader
 from bodyseg_model.commands import main

@@ -14,7 +14,6 @@ from benches.data.workers.subject import Setup
 from PIL import Image
 
 from bodyseg_data.core import BadSample
-from bodyseg_data.machine.kernels import VARIABLE
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +24,6 @@ def figures(small_set: Path) -> dict[str, Any]:
         patch.setattr(bench, "VARIANTS", ("all",))
         # Not "fork": the process of the tests has threads, and a fork of it may die of what they held.
         patch.setattr(bench, "START_METHOD", "forkserver")
-        patch.setenv(VARIABLE, "numpy")  # for the processes: of so few pixels, loading the compiler costs more
         found = bench.measure(
             small_set,
             (1,),

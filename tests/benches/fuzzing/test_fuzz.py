@@ -7,8 +7,6 @@ import io
 import json
 import os
 import struct
-import subprocess
-import sys
 import tarfile
 import time
 import zlib
@@ -17,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import warm
 from benches.fuzzing import fuzzing
 from benches.fuzzing.bench import by_all_loops
 from benches.fuzzing.fuzzing import TARGETS, Target, campaign, feed, one_input
@@ -292,7 +291,6 @@ sys.exit("the hook does not work")
 
 def test_streaming_in_one_process_reads_no_pickle(small_set: Path) -> None:
     """Besides what numba keeps of its compiled loops, which is code, like Python's own."""
-    command = [sys.executable, "-c", _READ_EVERYTHING, str(small_set), "compiled"]
     environment = {**os.environ, "BODYSEG_KERNELS": "compiled"}
-    done = subprocess.run(command, capture_output=True, text=True, timeout=100, env=environment, check=False)
+    done = warm.run(["-c", _READ_EVERYTHING, str(small_set), "compiled"], env=environment)
     assert done.returncode == 0, done.stderr

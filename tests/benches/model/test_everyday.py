@@ -13,10 +13,10 @@ from bodyseg_data.bodies.sources.open_bodies import WideBodies
 
 
 class FewWideBodies(WideBodies):
-    """One in twenty of the bodies: posing all of them takes most of the time."""
+    """One in a hundred of the bodies: posing all of them takes most of the time."""
 
     def bodies(self) -> Sequence[BodyRef]:
-        return super().bodies()[::20]
+        return super().bodies()[::100]
 
 
 def test_the_figures_are_those_of_the_bodies_drawn(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
+import warm
 from benches.model import training_speed
 from benches.model.training_speed import Way, bench_training, summary
 from small_training import TINY
 
 from bodyseg_data.core import BadConfig
+
+
+def _run_warm(command: list[str], env: dict[str, str], **_: Any) -> subprocess.CompletedProcess[str]:
+    assert command[:3] == [sys.executable, "-m", "bodyseg_model"]
+    return warm.run(["-c", "from bodyseg_model.commands import main; raise SystemExit(main())", *command[3:]], env=env)
 
 
 def test_every_way_is_timed_by_the_command(small_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -19,6 +28,7 @@ def test_every_way_is_timed_by_the_command(small_set: Path, monkeypatch: pytest.
     monkeypatch.setattr(training_speed, "ways", lambda cores: {"default": Way(1, 1)})
     command, tiny = Way.command, ["--settings", json.dumps(TINY), "--precision", "float32"]
     monkeypatch.setattr(Way, "command", lambda *arguments: [*command(*arguments), *tiny])
+    monkeypatch.setattr(training_speed.subprocess, "run", _run_warm)
     done: list[tuple[int, int]] = []
     found = bench_training(str(small_set), 4, lambda *numbers: done.append(numbers))
     assert done == [(1, 1)]

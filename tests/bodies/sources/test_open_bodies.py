@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import warm
 from folders import ROOT
 from scipy.spatial import cKDTree
 
@@ -222,7 +223,7 @@ def test_bits_are_the_same_in_another_process_with_other_threads(built: Built) -
         "        print(hashlib.sha256(mesh.vertices.tobytes() + mesh.faces.tobytes()).hexdigest())\n"
         "print(torch.get_num_threads())\n"
     )
-    answer = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT)
+    answer = warm.run(["-c", script], cwd=ROOT)
     expected = [digest(built(name)) for name in ("person-001", "B-jumping-027", "posture-24")]
     assert answer.stdout.split() == [*expected, "2"]
     assert not answer.stderr

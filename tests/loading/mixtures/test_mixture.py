@@ -131,10 +131,10 @@ def _parts(mixture: Mixture) -> list[Any]:
     return [(known, 1.0, range(8)), (people, 3)]
 
 
-def test_spawned_workers_give_the_same_bits(mixture: Mixture) -> None:
+def test_workers_of_a_fork_server_give_the_same_bits(mixture: Mixture) -> None:
     expected = bits(loader(mixture, 9))
     mixture.set_epoch(0)
-    assert bits(loader(mixture, 9, 1, worker_method="process", start_method="spawn")) == expected
+    assert bits(loader(mixture, 9, 1, worker_method="process", start_method="forkserver")) == expected
 
 
 def test_sixteen_bits_are_the_same_ranges(mixture: Mixture) -> None:
