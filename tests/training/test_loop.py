@@ -78,7 +78,7 @@ def files(folder: Path) -> dict[str, bytes]:
 
 def test_bodies_are_learned(small_set: Path, tmp_path: Path) -> None:
     changes = {
-        "steps": 80,
+        "steps": 50,
         "batch_size": 4,
         "learning_rate": 1e-2,
         "mirror": False,
@@ -104,7 +104,7 @@ def test_bodies_are_learned(small_set: Path, tmp_path: Path) -> None:
         image = images.image(index)
         range_m = torch.from_numpy(image.range.astype("float32") * images.step_m)[None, None]
         matrix.add(image.labels, predict(trained.network, range_m).labels[0].numpy())
-    assert matrix.average_per_class_accuracy() > 0.8  # of 33 classes: 0.03 without learning
+    assert matrix.average_per_class_accuracy() > 0.65  # of 33 classes: 0.03 without learning
     assert trained.card["variant"] == "occ"
 
 
