@@ -434,6 +434,7 @@ def test_a_report_says_how_it_was_made(
     words = ["--views", "2", "--workers", "1", "--out", str(out), "--report", str(report)]
     other = multiprocessing.get_context("fork").Process(target=signal.pause)  # no worker of this packing
     other.start()
+    request.addfinalizer(other.join)
     request.addfinalizer(other.kill)
     for made in (4, 0):  # the second time, everything is there
         assert main(["shard", "--source", "folder", "--path", str(tmp_path / "people"), *words]) == 0
