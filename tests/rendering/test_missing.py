@@ -1,16 +1,16 @@
 """Without a system library or a package, the one line that a user sees says what to install.
 
-The absence is staged in a fresh process, since libraries that are loaded stay loaded.
+The absence is staged in a process that has no library of renderers yet, since libraries that are loaded stay loaded.
 """
 
 from __future__ import annotations
 
 import importlib.util
 import os
-import subprocess
 import sys
 
 import pytest
+import warm
 from folders import HELPERS, ROOT
 
 from bodyseg_data.core import MissingLibrary
@@ -62,9 +62,7 @@ def outcome(action: str, hidden: tuple[str, ...] = (), packages: tuple[str, ...]
     )
     names = ("PYOPENGL_PLATFORM", "DISPLAY", "EGL_DEVICE_ID")
     environment = {key: value for key, value in os.environ.items() if key not in names} | settings
-    answer = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, env=environment, timeout=60, check=False
-    )
+    answer = warm.run(["-c", script], env=environment)
     assert answer.returncode == 0, answer.stderr
     assert "\n" not in answer.stdout, "the message is one line"
     return answer.stdout

@@ -15,8 +15,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("anny")
 
 from benches.model import chosen  # noqa: E402
-from benches.model.people import landmarks  # noqa: E402
-from benches.model.people.bench import bench_people  # noqa: E402
+from benches.model.people import bench, intervals, landmarks  # noqa: E402
 from benches.model.people.bodies import annotated_bodies  # noqa: E402
 from benches.model.people.intervals import interval, summed  # noqa: E402
 from benches.model.people.landmarks import placed  # noqa: E402
@@ -152,8 +151,12 @@ def test_what_the_bench_finds_on_bodies_with_known_landmarks(
     monkeypatch.setattr(landmarks, "fit_body", lambda body, mesh: FittedBody(mesh, body, fits[mesh.name], 0.06))
     monkeypatch.setattr(chosen, "load_network", lambda path: SimpleNamespace(network=Places(0, 10)))
     monkeypatch.setattr(landmarks, "partition", partial(partition, method="edges"))  # six times, of 13 718 vertices
+    monkeypatch.setattr(intervals, "_DRAWS", 50)
+    monkeypatch.setattr(bench, "fitting_body", lambda: body)
     steps: list[tuple[int, int]] = []
-    figures = bench_people(str(tmp_path), views=1, poses=1, progress=lambda done, total: steps.append((done, total)))
+    figures = bench.bench_people(
+        str(tmp_path), views=1, poses=1, progress=lambda done, total: steps.append((done, total))
+    )
     assert (figures["bodies"], figures["people"], figures["network"]) == (2, 2, "shipped")
     assert steps[-1] == (6, 6)
     found = figures["landmarks"]
