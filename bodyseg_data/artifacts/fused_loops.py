@@ -209,8 +209,10 @@ def apply_covered(artifacts: Sequence[Artifact], image: RangeImage, scene: Scene
     apply(shadow, occluded, strengths, noisy, SEGMENTS, runs, scratch, *into, second, second_scratch)
 
 
-def compile_all(projectors: int) -> None:
-    """Compile the loops for rigs of 1 or 2 projectors, or load their machine code, by applying them to one pixel."""
+def compile_all(projectors: int, others: bool) -> None:
+    """Compile the loops for rigs of 1 or 2 projectors, or load their machine code, by applying them to one pixel; for
+    artifacts other than `COVERED`, too.
+    """
     word = np.uint64(0)
     strengths = Strengths(word, word, np.float32(0), word, word, np.uint32(0))
     image, labels = np.zeros(1, np.uint16), np.zeros(1, np.uint8)
@@ -218,7 +220,7 @@ def compile_all(projectors: int) -> None:
     # Without occlusion, and with one projector, there is no second one.
     for second in ((None, None), (_NO_SHADOW, second_scratch_for(scratch, 1, 1)))[:projectors]:
         apply(_NO_SHADOW, True, strengths, True, SEGMENTS, -1, scratch, image, labels, *second)
-    normals_of(_NO_STREAM, 1)
-    incidence(
-        image.reshape(1, 1), Camera(1, 1, 1.0, (0.5, 0.5), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), np.zeros(1, np.intp)
-    )
+    if others:
+        normals_of(_NO_STREAM, 1)
+        camera = Camera(1, 1, 1.0, (0.5, 0.5), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+        incidence(image.reshape(1, 1), camera, np.zeros(1, np.intp))

@@ -1,8 +1,10 @@
 """Compilation of loops over pixels by numba.
 
-Loops of streaming have NumPy forms that give the same bits, for installs without numba. BODYSEG_KERNELS chooses: `auto`
-(the default: compiled if numba can be imported), `numpy`, or `compiled`. The choice changes how long a sample takes and
-nothing else. All other loops are compiled in any case, and an extra brings numba for them.
+Loops of streaming have NumPy forms that give the same bits, for installs without numba, and for as long as another
+process compiles a loop that this one needs (`if_ready`). BODYSEG_KERNELS chooses: `auto` (the default: compiled if
+numba can be imported, as soon as machine code is there), `numpy`, or `compiled`, which waits for the compiler. The
+choice changes how long a sample takes and nothing else. All other loops are compiled in any case, and an extra brings
+numba for them.
 
 Machine code is kept on disk, in NUMBA_CACHE_DIR or the user's cache folder, under a digest of all that shapes it.
 """
@@ -10,20 +12,26 @@ Machine code is kept on disk, in NUMBA_CACHE_DIR or the user's cache folder, und
 from __future__ import annotations
 
 import contextlib
+import errno
+import gc
 import hashlib
 import inspect
 import os
+import pickle
 import platform
+import subprocess
 import sys
 import tempfile
 import threading
+import warnings
 from collections.abc import Callable, Iterator
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
 from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_data.machine.host import processors
 
 VARIABLE: Final = "BODYSEG_KERNELS"
 _CHOICES: Final = ("auto", "numpy", "compiled")
@@ -50,37 +58,171 @@ def use_compiled() -> bool:
     return True
 
 
+class NotYet(Exception):
+    """A loop has no machine code yet, or none at all: its NumPy form is to be used."""
+
+
+class _IfReady(threading.local):
+    """Context for a call of compiled loops behind which NumPy's form stands: `with if_ready: return loops(...).f(x)`.
+
+    A loop without machine code raises NotYet before it has done anything, which ends the context, and no more than
+    that; another process then compiles it. Outside of the context, a call compiles it itself.
+    """
+
+    depth = 0
+
+    def __enter__(self) -> None:
+        self.depth += 1
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> bool:
+        self.depth -= 1
+        return kind is NotYet
+
+
+if_ready: Final = _IfReady()
+
+
+def loops(module: str) -> Any:
+    """The module of compiled loops of that name. Raises NotYet where NumPy's forms are to be used."""
+    if not use_compiled():
+        raise NotYet
+    return import_module(module)
+
+
 def compiled(loops: Callable[..., Any], feature: str, extra: str = "fast") -> Any:
     """`loops`, a function of arrays and numbers, as machine code, made at the first call and kept on disk.
 
     Without fast-math or threads, so with the same bits as Python's. Raises MissingLibrary as `require_numba`.
     """
-    numba = require_numba(feature, extra)
-    options = {"nogil": True, "error_model": "numpy"}
-    with _one_at_a_time:  # numba asks for the folder once, here
-        before = numba.config.CACHE_DIR
-        folder = _folder(before, _digest(loops, numba))
-        if folder is None:
-            return numba.njit(loops, **options)
-        numba.config.CACHE_DIR = str(folder)
-        try:
-            return _saved_if_possible(numba.njit(loops, cache=True, **options))
-        finally:
-            numba.config.CACHE_DIR = before
-
-
-def _saved_if_possible(function: Any) -> Any:
-    """A compiled function that goes on where its code cannot be saved, as on a disk that has filled meanwhile: numba
-    raises OSError then, after it has compiled.
-    """
-    save = function._cache.save_overload
-
-    def save_or_not(signature: Any, code: Any) -> None:
-        with contextlib.suppress(OSError):
-            save(signature, code)
-
-    function._cache.save_overload = save_or_not
+    function = require_numba(feature, extra).njit(loops, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
+    function._cache = _Kept(function)
     return function
+
+
+class _Kept:
+    """Machine code of a function on disk, in the place of numba's cache, which it uses."""
+
+    def __init__(self, function: Any) -> None:
+        self._function = function
+        self._compiling: dict[Any, subprocess.Popen[bytes]] = {}
+
+    @cached_property
+    def _files(self) -> tuple[Any, Path] | None:
+        """The cache of numba and its folder; None if none can be written to."""
+        numba, caching = import_module("numba"), import_module("numba.core.caching")
+        with _one_at_a_time:  # numba asks for the folder once, here
+            before = numba.config.CACHE_DIR
+            folder = _folder(before, _digest(self._function.py_func, numba))
+            if folder is None:
+                return None
+            numba.config.CACHE_DIR = str(folder)
+            try:
+                return caching.FunctionCache(self._function.py_func), folder
+            finally:
+                numba.config.CACHE_DIR = before
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        """Machine code for types of arguments; None if there is none, which lets numba compile it here. In `if_ready`,
+        raises NotYet instead, as long as another process compiles it.
+        """
+        if not if_ready.depth or _failed or os.environ.get(VARIABLE) == "compiled" or self._files is None:
+            return self._load(signature, context)
+        other = self._compiling.get(signature)
+        with _locked(self._files[1] / _COMPILING) as free:
+            if not free or (other is not None and other.poll() is None):
+                raise NotYet
+        found = self._load(signature, context)
+        if found is not None:
+            self._compiling.pop(signature, None)
+        elif other is not None and other.returncode:
+            _failed.add(signature)  # this process compiles from now on, and says what is wrong
+        else:
+            self._start(signature)
+            raise NotYet
+        return found
+
+    def _load(self, signature: Any, context: Any) -> Any:
+        if self._files is None:
+            return None
+        # numba would load all that its compiler knows of Python and NumPy first, and SciPy, for half a second.
+        import_module("numba.core.runtime").rtsys.initialize(context)
+        return self._files[0]._load_overload(signature, context)
+
+    def save_overload(self, signature: Any, code: Any) -> None:
+        """Keep machine code; goes on where it cannot be saved, as on a disk that has filled meanwhile.
+
+        numba reads the function's index, writes it and then the code: of two processes, one could lose its entry, or
+        get the other's code under its own.
+        """
+        if self._files is not None:
+            with contextlib.suppress(OSError), _locked(self._files[1] / "saving", wait=True):
+                self._files[0].save_overload(signature, code)
+
+    def _start(self, signature: Any) -> None:
+        """Have another process compile the function, unless all processors are at that."""
+        _running[:] = [each for each in _running if each.poll() is None]
+        if len(_running) >= processors() or self._files is None:
+            return
+        python = f"from {__name__} import compile_sent; compile_sent()"
+        paths = os.pathsep.join(path or str(Path.cwd()) for path in sys.path)
+        environment = {**os.environ, "PYTHONPATH": paths, VARIABLE: "compiled"}
+        function = self._function.py_func
+        try:
+            process = subprocess.Popen(
+                [sys.executable, "-P", "-c", python],
+                env=environment,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,  # Ctrl-C is not for it
+            )
+            with process.stdin as pipe:  # type: ignore[union-attr]
+                for part in ((str(self._files[1]), function.__module__, function.__qualname__), signature):
+                    pickle.dump(part, pipe)
+        except OSError:  # no memory, no such program
+            _failed.add(signature)
+            return
+        self._compiling[signature] = process
+        _running.append(process)
+
+
+_COMPILING: Final = "compiling"
+_running: list[subprocess.Popen[bytes]] = []
+_failed: set[Any] = set()
+"""What other processes were to compile and did not."""
+
+
+def compile_sent() -> None:
+    """Compile the loop that another process has sent for the types that it has sent (`_Kept`), unless a third one does;
+    ends with an error if the code cannot be kept.
+    """
+    folder, module, name = pickle.load(sys.stdin.buffer)
+    with _locked(Path(folder) / _COMPILING) as free:
+        if not free:
+            return
+        gc.disable()  # what the compiler makes lives as long as the process, or is freed without it
+        _given.append(Path(folder).parent)
+        signature = pickle.load(sys.stdin.buffer)
+        found = getattr(import_module(module), name)
+        function = found if hasattr(found, "py_func") else compiled(found, "compiling")
+        function.compile(signature)
+        if function._cache._load(signature, function.targetctx) is None:
+            raise SystemExit(1)
+
+
+@contextlib.contextmanager
+def _locked(file: Path, wait: bool = False) -> Iterator[bool]:
+    """Hold a file's lock, which no fork inherits; yields False if another process holds it."""
+    with file.open("ab") as opened:
+        free = True
+        with contextlib.suppress(ImportError):
+            import fcntl  # not on Windows, where streaming needs this module
+
+            try:
+                fcntl.lockf(opened, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            except OSError as error:  # others: a disk without locks
+                free = error.errno not in (errno.EACCES, errno.EAGAIN)
+        yield free
 
 
 def require_numba(feature: str, extra: str = "fast") -> Any:
@@ -94,19 +236,46 @@ def require_numba(feature: str, extra: str = "fast") -> Any:
 
 
 def _folder(named: str, digest: str) -> Path | None:
-    """The folder of a digest, in the one named or in the user's cache folder; None if it cannot be written to.
-
-    Only this user may write there, for its files are run. Where it has no code yet, the disk must have room for it.
+    """The folder of a digest, in the one named or in the user's cache folder, else in one that ends with this process;
+    None if none can be written to.
     """
     try:
         cache = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
-        folder = (Path(named) if named else Path(cache) / "bodyseg" / "kernels") / digest
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder, buffering=0) as tried:
-            if not any(folder.glob("*.nbc")) and tried.write(bytes(_ROOM)) < _ROOM:
-                return None
-    except (OSError, RuntimeError):  # RuntimeError: this user has no home
-        return None
+        home = Path(named) if named else Path(cache) / "bodyseg" / "kernels"
+    except RuntimeError:  # this user has no home
+        home = None
+    for root in _given or (home, None):
+        with contextlib.suppress(OSError):
+            if (folder := _usable((root or _of_process(home)) / digest)) is not None:
+                return folder
+    return None
+
+
+_given: list[Path] = []
+"""The one folder to keep code in, if another process has chosen it."""
+
+
+@lru_cache(maxsize=1)
+def _of_process(home: Path | None) -> Path:
+    """A folder that is removed at the end of this process."""
+    _kept_open.append(folder := tempfile.TemporaryDirectory(prefix="bodyseg-kernels-"))
+    text = f"compiled loops cannot be kept in {home or 'a home'}, so every process compiles them anew: "
+    warnings.warn(f"{text}NUMBA_CACHE_DIR names another folder", RuntimeWarning, stacklevel=2)
+    return Path(folder.name)
+
+
+_kept_open: list[tempfile.TemporaryDirectory[str]] = []
+
+
+def _usable(folder: Path) -> Path | None:
+    """The folder, made if need be; None, or OSError, if it cannot be written to.
+
+    Only this user may write there, for its files are run. Where it has no code yet, the disk must have room for it.
+    """
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=folder, buffering=0) as tried:
+        if not any(folder.glob("*.nbc")) and tried.write(bytes(_ROOM)) < _ROOM:
+            return None
     return folder
 
 
