@@ -155,12 +155,6 @@ class Augmentation:
             _unlabel_lost(made)
         return made
 
-    def prepare(self) -> None:
-        """Load the loops that will be needed, so that workers forked from this process have them too."""
-        with if_ready:
-            if self.applied:
-                loops(_LOOPS).compile_all(len(self.rig.projectors), self._covered < len(self.applied))
-
     @property
     def keeps_outline(self) -> bool:
         """True if pixels outside the clean foreground are known to stay background; only compiled loops know it."""

@@ -139,11 +139,6 @@ class LabelMap:
             return
         flat[:] = looked_up(flat, table)
 
-    def prepare(self) -> None:
-        """Load the loops of `write`, so that workers forked from this process have them too."""
-        for edges in (None, np.zeros(2, np.int32)):
-            self.write(np.zeros((1, 1), np.uint8), edges)
-
     @cached_property
     def mirrored(self) -> NDArray[np.uint8]:
         """Class label -> class label in the mirror image, uint8 [256]; other values stay as they are.

@@ -11,6 +11,7 @@ Machine code is kept on disk, in NUMBA_CACHE_DIR or the user's cache folder, und
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import errno
 import gc
@@ -19,6 +20,7 @@ import inspect
 import os
 import pickle
 import platform
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -63,10 +65,10 @@ class NotYet(Exception):
 
 
 class _IfReady(threading.local):
-    """Context for a call of compiled loops behind which NumPy's form stands: `with if_ready: return loops(...).f(x)`.
+    """Context for loops behind which NumPy's form stands: `with if_ready: return loops(...).f(x)`.
 
-    A loop without machine code raises NotYet before it has done anything, which ends the context, and no more than
-    that; another process then compiles it. Outside of the context, a call compiles it itself.
+    A loop without machine code raises NotYet before it has done anything, which ends the context alone; another process
+    then compiles it. Outside of the context, a call compiles it.
     """
 
     depth = 0
@@ -95,133 +97,138 @@ def compiled(loops: Callable[..., Any], feature: str, extra: str = "fast") -> An
     Without fast-math or threads, so with the same bits as Python's. Raises MissingLibrary as `require_numba`.
     """
     function = require_numba(feature, extra).njit(loops, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
-    function._cache = _Kept(function)
+    function._cache = _Kept(loops)
     return function
 
 
 class _Kept:
     """Machine code of a function on disk, in the place of numba's cache, which it uses."""
 
-    def __init__(self, function: Any) -> None:
-        self._function = function
-        self._compiling: dict[Any, subprocess.Popen[bytes]] = {}
+    def __init__(self, loops: Callable[..., Any]) -> None:
+        self._loops = loops
+        self._sent: dict[Any, subprocess.Popen[bytes]] = {}
+        self._until_saved = contextlib.ExitStack()
 
     @cached_property
-    def _files(self) -> tuple[Any, Path] | None:
+    def files(self) -> tuple[Any, Path] | None:
         """The cache of numba and its folder; None if none can be written to."""
         numba, caching = import_module("numba"), import_module("numba.core.caching")
         with _one_at_a_time:  # numba asks for the folder once, here
             before = numba.config.CACHE_DIR
-            folder = _folder(before, _digest(self._function.py_func, numba))
+            folder = _folder(before, _digest(self._loops, numba))
             if folder is None:
                 return None
             numba.config.CACHE_DIR = str(folder)
             try:
-                return caching.FunctionCache(self._function.py_func), folder
+                return caching.FunctionCache(self._loops), folder
             finally:
                 numba.config.CACHE_DIR = before
 
     def load_overload(self, signature: Any, context: Any) -> Any:
-        """Machine code for types of arguments; None if there is none, which lets numba compile it here. In `if_ready`,
-        raises NotYet instead, as long as another process compiles it.
+        """Machine code for types of arguments; None if there is none, which lets numba compile it, once for all
+        processes. In `if_ready`, raises NotYet instead, and has another process compile it.
         """
-        if not if_ready.depth or _failed or os.environ.get(VARIABLE) == "compiled" or self._files is None:
-            return self._load(signature, context)
-        other = self._compiling.get(signature)
-        with _locked(self._files[1] / _COMPILING) as free:
-            if not free or (other is not None and other.poll() is None):
-                raise NotYet
-        found = self._load(signature, context)
-        if found is not None:
-            self._compiling.pop(signature, None)
-        elif other is not None and other.returncode:
-            _failed.add(signature)  # this process compiles from now on, and says what is wrong
-        else:
-            self._start(signature)
-            raise NotYet
-        return found
-
-    def _load(self, signature: Any, context: Any) -> Any:
-        if self._files is None:
+        if self.files is None:
             return None
-        # numba would load all that its compiler knows of Python and NumPy first, and SciPy, for half a second.
+        cache, folder = self.files
+        # numba would load all that its compiler knows of Python and NumPy here, and SciPy, for half a second.
         import_module("numba.core.runtime").rtsys.initialize(context)
-        return self._files[0]._load_overload(signature, context)
+        if not if_ready.depth or _failed or os.environ.get(VARIABLE) == "compiled":
+            found = cache._load_overload(signature, context)
+            if found is None:
+                # Without the lock, numba would give one type's code to another where two processes save at once.
+                self._until_saved.enter_context(_locked(folder / _COMPILING, wait=True))
+                found = cache._load_overload(signature, context)  # which another process may have made meanwhile
+            if found is not None:
+                self._until_saved.close()
+            return found
+        process = self._sent.get(signature)
+        with _locked(folder / _COMPILING) as free:
+            if not free or (process is not None and process.poll() is None):
+                raise NotYet
+        found = cache._load_overload(signature, context)
+        if found is not None or (process is not None and process.returncode):
+            _failed.extend([signature] * (found is None))  # what is wrong, this process says when it compiles
+            return found
+        if sum(each.poll() is None for each in _processes) < processors():
+            try:
+                self._sent[signature] = _send(folder, self._loops, signature)
+            except OSError:  # no memory, no such program
+                _failed.append(signature)
+                return None
+        raise NotYet
 
     def save_overload(self, signature: Any, code: Any) -> None:
-        """Keep machine code; goes on where it cannot be saved, as on a disk that has filled meanwhile.
+        """Keep machine code; goes on where it cannot be saved, as on a disk that has filled meanwhile."""
+        with self._until_saved, contextlib.suppress(OSError):
+            if self.files is not None:
+                self.files[0].save_overload(signature, code)
 
-        numba reads the function's index, writes it and then the code: of two processes, one could lose its entry, or
-        get the other's code under its own.
-        """
-        if self._files is not None:
-            with contextlib.suppress(OSError), _locked(self._files[1] / "saving", wait=True):
-                self._files[0].save_overload(signature, code)
 
-    def _start(self, signature: Any) -> None:
-        """Have another process compile the function, unless all processors are at that."""
-        _running[:] = [each for each in _running if each.poll() is None]
-        if len(_running) >= processors() or self._files is None:
-            return
-        python = f"from {__name__} import compile_sent; compile_sent()"
-        paths = os.pathsep.join(path or str(Path.cwd()) for path in sys.path)
-        environment = {**os.environ, "PYTHONPATH": paths, VARIABLE: "compiled"}
-        function = self._function.py_func
-        try:
-            process = subprocess.Popen(
-                [sys.executable, "-P", "-c", python],
-                env=environment,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                start_new_session=True,  # Ctrl-C is not for it
-            )
-            with process.stdin as pipe:  # type: ignore[union-attr]
-                for part in ((str(self._files[1]), function.__module__, function.__qualname__), signature):
-                    pickle.dump(part, pipe)
-        except OSError:  # no memory, no such program
-            _failed.add(signature)
-            return
-        self._compiling[signature] = process
-        _running.append(process)
+def compile_ahead(first: Any, work: Callable[[], None]) -> None:
+    """Have another process compile the loops that `work`, a module's function, calls, while this one compiles others,
+    and then waits for those; nothing where `first`, one of these loops, has machine code.
+    """
+    files = first._cache.files
+    with contextlib.suppress(OSError):
+        if files is not None and not any(files[1].glob("*.nbc")):
+            _send(files[1], work, None)
 
 
 _COMPILING: Final = "compiling"
-_running: list[subprocess.Popen[bytes]] = []
-_failed: set[Any] = set()
-"""What other processes were to compile and did not."""
+_processes: list[subprocess.Popen[bytes]] = []
+_failed: list[Any] = []
+"""What other processes were to compile and did not; this one compiles from then on."""
+
+
+def _send(folder: Path, function: Callable[..., Any], signature: Any) -> subprocess.Popen[bytes]:
+    """Start a process that compiles a module's function for types of arguments, or calls it if they are None."""
+    paths = os.pathsep.join(path or str(Path.cwd()) for path in sys.path)
+    process = subprocess.Popen(
+        [sys.executable, "-P", "-c", f"from {__name__} import compile_sent; compile_sent()"],
+        env={**os.environ, "PYTHONPATH": paths, VARIABLE: "compiled"},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,  # Ctrl-C is not for it
+    )
+    _processes.append(process)
+    with process.stdin as pipe:  # type: ignore[union-attr]
+        for part in ((str(folder), function.__module__, function.__qualname__), signature):
+            pickle.dump(part, pipe)
+    return process
 
 
 def compile_sent() -> None:
-    """Compile the loop that another process has sent for the types that it has sent (`_Kept`), unless a third one does;
-    ends with an error if the code cannot be kept.
-    """
+    """Do what `_send` has sent, unless a third process is at it; ends with an error if code cannot be kept."""
     folder, module, name = pickle.load(sys.stdin.buffer)
     with _locked(Path(folder) / _COMPILING) as free:
         if not free:
             return
-        gc.disable()  # what the compiler makes lives as long as the process, or is freed without it
+        gc.disable()  # it would look through all that the compiler keeps, again and again
         _given.append(Path(folder).parent)
         signature = pickle.load(sys.stdin.buffer)
         found = getattr(import_module(module), name)
+        if signature is None:
+            found()
+            return
         function = found if hasattr(found, "py_func") else compiled(found, "compiling")
         function.compile(signature)
-        if function._cache._load(signature, function.targetctx) is None:
+        if function._cache.files[0]._load_overload(signature, function.targetctx) is None:
             raise SystemExit(1)
 
 
 @contextlib.contextmanager
 def _locked(file: Path, wait: bool = False) -> Iterator[bool]:
-    """Hold a file's lock, which no fork inherits; yields False if another process holds it."""
-    with file.open("ab") as opened:
+    """Hold a file's lock, which no fork inherits; yields False if another process holds it. A disk may have none."""
+    with contextlib.ExitStack() as opened:
         free = True
-        with contextlib.suppress(ImportError):
+        try:
             import fcntl  # not on Windows, where streaming needs this module
 
-            try:
-                fcntl.lockf(opened, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-            except OSError as error:  # others: a disk without locks
-                free = error.errno not in (errno.EACCES, errno.EAGAIN)
+            fcntl.lockf(opened.enter_context(file.open("ab")), fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except (ImportError, OSError) as error:
+            free = getattr(error, "errno", None) not in (errno.EACCES, errno.EAGAIN)
         yield free
 
 
@@ -235,48 +242,38 @@ def require_numba(feature: str, extra: str = "fast") -> Any:
         ) from error
 
 
+_given: list[Path] = []
+"""The one folder to keep code in, if another process has chosen it."""
+
+
 def _folder(named: str, digest: str) -> Path | None:
     """The folder of a digest, in the one named or in the user's cache folder, else in one that ends with this process;
     None if none can be written to.
+
+    Only this user may write there, for its files are run. Where it has no code yet, the disk must have room for it.
     """
-    try:
+    home = None
+    with contextlib.suppress(RuntimeError):  # this user has no home
         cache = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
         home = Path(named) if named else Path(cache) / "bodyseg" / "kernels"
-    except RuntimeError:  # this user has no home
-        home = None
     for root in _given or (home, None):
         with contextlib.suppress(OSError):
-            if (folder := _usable((root or _of_process(home)) / digest)) is not None:
-                return folder
+            folder = (root or _of_process(home)) / digest
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder, buffering=0) as tried:
+                if any(folder.glob("*.nbc")) or tried.write(bytes(_ROOM)) == _ROOM:
+                    return folder
     return None
-
-
-_given: list[Path] = []
-"""The one folder to keep code in, if another process has chosen it."""
 
 
 @lru_cache(maxsize=1)
 def _of_process(home: Path | None) -> Path:
     """A folder that is removed at the end of this process."""
-    _kept_open.append(folder := tempfile.TemporaryDirectory(prefix="bodyseg-kernels-"))
+    folder = tempfile.mkdtemp(prefix="bodyseg-kernels-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
     text = f"compiled loops cannot be kept in {home or 'a home'}, so every process compiles them anew: "
     warnings.warn(f"{text}NUMBA_CACHE_DIR names another folder", RuntimeWarning, stacklevel=2)
-    return Path(folder.name)
-
-
-_kept_open: list[tempfile.TemporaryDirectory[str]] = []
-
-
-def _usable(folder: Path) -> Path | None:
-    """The folder, made if need be; None, or OSError, if it cannot be written to.
-
-    Only this user may write there, for its files are run. Where it has no code yet, the disk must have room for it.
-    """
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    with tempfile.TemporaryFile(dir=folder, buffering=0) as tried:
-        if not any(folder.glob("*.nbc")) and tried.write(bytes(_ROOM)) < _ROOM:
-            return None
-    return folder
+    return Path(folder)
 
 
 def _digest(loops: Callable[..., Any], numba: Any) -> str:
