@@ -130,15 +130,13 @@ class _Kept:
         """
         if self.files is None:
             return None
-        cache, folder = self.files
-        # numba would load all that its compiler knows of Python and NumPy here, and SciPy, for half a second.
-        import_module("numba.core.runtime").rtsys.initialize(context)
+        folder = self.files[1]
         if not if_ready.depth or _failed or os.environ.get(VARIABLE) == "compiled":
-            found = cache._load_overload(signature, context)
+            found = self.kept(signature, context)
             if found is None:
                 # Without the lock, numba would give one type's code to another where two processes save at once.
                 self._until_saved.enter_context(_locked(folder / _COMPILING, wait=True))
-                found = cache._load_overload(signature, context)  # which another process may have made meanwhile
+                found = self.kept(signature, context)  # which another process may have made meanwhile
             if found is not None:
                 self._until_saved.close()
             return found
@@ -146,7 +144,7 @@ class _Kept:
         with _locked(folder / _COMPILING) as free:
             if not free or (process is not None and process.poll() is None):
                 raise NotYet
-        found = cache._load_overload(signature, context)
+        found = self.kept(signature, context)
         if found is not None or (process is not None and process.returncode):
             _failed.extend([signature] * (found is None))  # what is wrong, this process says when it compiles
             return found
@@ -157,6 +155,18 @@ class _Kept:
                 _failed.append(signature)
                 return None
         raise NotYet
+
+    def kept(self, signature: Any, context: Any) -> Any:
+        """Machine code that is on disk, or None. Files that a power cut has cut short are removed."""
+        # numba would load all that its compiler knows of Python and NumPy here, and SciPy, for half a second.
+        import_module("numba.core.runtime").rtsys.initialize(context)
+        cache, folder = self.files or (None, None)
+        try:
+            return cache and cache._load_overload(signature, context)
+        except (EOFError, pickle.UnpicklingError):
+            for file in folder.rglob("*.nb?"):
+                file.unlink(missing_ok=True)
+            return None
 
     def save_overload(self, signature: Any, code: Any) -> None:
         """Keep machine code; goes on where it cannot be saved, as on a disk that has filled meanwhile."""
@@ -171,7 +181,7 @@ def compile_ahead(first: Any, work: Callable[[], None]) -> None:
     """
     files = first._cache.files
     with contextlib.suppress(OSError):
-        if files is not None and not any(files[1].glob("*.nbc")):
+        if files is not None and not any(files[1].rglob("*.nbc")):
             _send(files[1], work, None)
 
 
@@ -214,7 +224,7 @@ def compile_sent() -> None:
             return
         function = found if hasattr(found, "py_func") else compiled(found, "compiling")
         function.compile(signature)
-        if function._cache.files[0]._load_overload(signature, function.targetctx) is None:
+        if function._cache.kept(signature, function.targetctx) is None:
             raise SystemExit(1)
 
 
@@ -261,7 +271,7 @@ def _folder(named: str, digest: str) -> Path | None:
             folder = (root or _of_process(home)) / digest
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=folder, buffering=0) as tried:
-                if any(folder.glob("*.nbc")) or tried.write(bytes(_ROOM)) == _ROOM:
+                if any(folder.rglob("*.nbc")) or tried.write(bytes(_ROOM)) == _ROOM:
                     return folder
     return None
 

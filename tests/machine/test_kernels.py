@@ -95,6 +95,15 @@ def test_machine_code_is_kept_and_found_again(sources: Path, tmp_path: Path) -> 
     assert numba.config.CACHE_DIR == ""
 
 
+@pytest.mark.parametrize("kind", ["nbc", "nbi"])
+def test_files_that_are_cut_short_are_made_anew(kind: str, sources: Path, tmp_path: Path) -> None:
+    for _ in range(2):
+        assert answer(sources) == 1024
+        for file in (tmp_path / "cache").rglob(f"*.{kind}"):
+            assert file.stat().st_size > 20
+            os.truncate(file, 20)
+
+
 @pytest.mark.parametrize(
     ("name", "old", "new", "expected"),
     [
