@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import multiprocessing
+import os
 import sys
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
@@ -23,6 +24,7 @@ from small_rig import SMALL
 from bodyseg_data.bodies import SOURCES
 from bodyseg_data.commands import shard
 from bodyseg_data.core import MissingLibrary
+from bodyseg_data.machine.kernels import VARIABLE
 from bodyseg_data.meshes import GeodesicMethod, with_pymeshlab
 from bodyseg_data.meshes import partitioning as surface_parts
 from bodyseg_data.meshes.geodesics import nearest_sources
@@ -37,6 +39,9 @@ multiprocessing.set_forkserver_preload(["bodyseg_data.loading.range_images", "bo
 
 # Nothing imports pymeshlab (GPL-3.0) by default: where a test does not ask for it by the fixture, importing it fails.
 sys.modules["pymeshlab"] = None  # type: ignore[assignment]
+
+# Tests of compiled loops wait for the compiler.
+os.environ.setdefault(VARIABLE, "compiled")
 
 # No test depends on how busy the machine is. Examples are others in every run.
 hypothesis.settings.register_profile(

@@ -13,9 +13,8 @@ from bodyseg_data.artifacts.constants import SEGMENTS
 from bodyseg_data.artifacts.missing_data import MissingData, threshold
 from bodyseg_data.artifacts.noise import Noise, steps_of
 from bodyseg_data.artifacts.occlusion import Occlusion, projector_views
-from bodyseg_data.artifacts.random_loops import draw_normals, normals_of, raw_words
+from bodyseg_data.artifacts.random_loops import draw_normals, raw_words
 from bodyseg_data.artifacts.scratch import BLOCK, CHUNK, constant, copy_unless_same, scratch_for, second_scratch_for
-from bodyseg_data.artifacts.sensor_loops import incidence
 from bodyseg_data.artifacts.shadow_loops import (
     Shadow,
     find_runs,
@@ -27,7 +26,6 @@ from bodyseg_data.artifacts.shadow_loops import (
 )
 from bodyseg_data.core import Draws
 from bodyseg_data.machine import compiled
-from bodyseg_data.rigs import Camera
 from bodyseg_data.samples import FARTHEST_STEPS
 
 COVERED: Final[tuple[type[Artifact], ...]] = (Occlusion, Noise, MissingData)
@@ -207,18 +205,3 @@ def apply_covered(artifacts: Sequence[Artifact], image: RangeImage, scene: Scene
     copy_unless_same(sample.labels, image.labels)
     into = image.range.reshape(-1), image.labels.reshape(-1)
     apply(shadow, occluded, strengths, noisy, SEGMENTS, runs, scratch, *into, second, second_scratch)
-
-
-def compile_all(projectors: int) -> None:
-    """Compile the loops for rigs of 1 or 2 projectors, or load their machine code, by applying them to one pixel."""
-    word = np.uint64(0)
-    strengths = Strengths(word, word, np.float32(0), word, word, np.uint32(0))
-    image, labels = np.zeros(1, np.uint16), np.zeros(1, np.uint8)
-    scratch = scratch_for(1, 1, 1)
-    # Without occlusion, and with one projector, there is no second one.
-    for second in ((None, None), (_NO_SHADOW, second_scratch_for(scratch, 1, 1)))[:projectors]:
-        apply(_NO_SHADOW, True, strengths, True, SEGMENTS, -1, scratch, image, labels, *second)
-    normals_of(_NO_STREAM, 1)
-    incidence(
-        image.reshape(1, 1), Camera(1, 1, 1.0, (0.5, 0.5), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), np.zeros(1, np.intp)
-    )

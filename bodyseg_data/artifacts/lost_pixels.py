@@ -22,7 +22,7 @@ from bodyseg_data.artifacts.noise import drawn_bits
 from bodyseg_data.artifacts.surface import Box, box_of, compiled_forms, silhouettes, slants, widened
 from bodyseg_data.core import BadConfig, Draws, check_fields
 from bodyseg_data.labels import PARTS
-from bodyseg_data.machine import use_compiled
+from bodyseg_data.machine import if_ready
 from bodyseg_data.rigs import Camera, Rig
 
 
@@ -119,7 +119,7 @@ def _least_sums(
     pixels: NDArray[np.intp], down: Sequence[NDArray[np.float32]], along: Sequence[NDArray[np.float32]]
 ) -> NDArray[np.float32]:
     """The least sum at each pixel, [N], of a `down` [h] at its row and of the `along` [w] at its column."""
-    if use_compiled():
+    with if_ready:
         values = np.empty(len(pixels), np.float32)
         compiled_forms().least_sums(pixels, len(along[0]), np.stack(down), np.stack(along), values)
         return values
@@ -275,7 +275,7 @@ class GrazingLoss(Artifact):
         """As `Artifact.apply`."""
         bits = drawn_bits(draws, "grazing loss", len(scene.pixels), np.uint16)
         ranges, limit, steepest = image.range.reshape(-1), self.share * 65536, np.float32(math.radians(self.from_deg))
-        if use_compiled():
+        with if_ready:
             compiled_forms().lose_steep(
                 ranges, scene.pixels, bits, np.uint32(math.ceil(limit)), scene.incidence, steepest
             )
@@ -309,7 +309,7 @@ class EdgeLoss(Artifact):
         edge = widened(silhouettes(clean, self.jump_mm / 1000 / scene.step_m), self.width_px - 1)
         bits = drawn_bits(draws, "edge loss", len(scene.pixels), np.uint16)
         ranges, limit, marked = image.range.reshape(-1), self.share * 65536, edge.reshape(-1)
-        if use_compiled():
+        with if_ready:
             compiled_forms().lose_marked(ranges, scene.pixels, bits, np.uint32(math.ceil(limit)), marked)
             return
         lost = (bits < limit) & marked[scene.pixels]
@@ -327,7 +327,7 @@ def _lose_first(
     count = _rounded(share, len(pixels))
     if count:
         limit = np.partition(values, count - 1)[count - 1]
-        if use_compiled():
+        with if_ready:
             compiled_forms().mark_below(pixels, values, limit, count, lost[box])
             return lost
         gone = values < limit

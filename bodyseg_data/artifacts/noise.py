@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import import_module
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,9 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene, bounded
 from bodyseg_data.artifacts.constants import FIRST_SEGMENT, OFFSET_MASK, SEGMENT_SHIFT, SEGMENTS
 from bodyseg_data.core import BadConfig, Draws, check_fields
-from bodyseg_data.machine import use_compiled
+from bodyseg_data.machine import if_ready, loops
+
+_LOOPS: Final = "bodyseg_data.artifacts.random_loops"
 
 
 @dataclass(frozen=True)
@@ -72,18 +73,16 @@ def normals(draws: NDArray[np.uint32]) -> NDArray[np.float32]:
 
 def drawn_bits(draws: Draws, purpose: str, count: int, kind: type[np.uint16] | type[np.uint32]) -> NDArray[Any]:
     """One draw a pixel of a purpose, [count]; see `Draws.pixels`."""
-    if use_compiled():
-        loops = import_module("bodyseg_data.artifacts.random_loops")
-        found: NDArray[Any] = loops.bits_of(draws.stream(purpose), count, kind)
+    with if_ready:
+        found: NDArray[Any] = loops(_LOOPS).bits_of(draws.stream(purpose), count, kind)
         return found
     return draws.pixels(purpose, count, kind)
 
 
 def drawn_normals(draws: Draws, purpose: str, count: int) -> NDArray[np.float32]:
     """One standard normal for each 32 random bits of a purpose, float32 [N]; see `normals`."""
-    if use_compiled():
-        loops = import_module("bodyseg_data.artifacts.random_loops")
-        found: NDArray[np.float32] = loops.normals_of(draws.stream(purpose), count)
+    with if_ready:
+        found: NDArray[np.float32] = loops(_LOOPS).normals_of(draws.stream(purpose), count)
         return found
     return normals(draws.pixels(purpose, count, np.uint32))
 

@@ -18,7 +18,7 @@ from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene, bounded
 from bodyseg_data.artifacts.noise import as_range, drawn_bits, drawn_normals
 from bodyseg_data.artifacts.surface import compiled_forms, grazing, widened
 from bodyseg_data.core import BadConfig, Draws, check_fields
-from bodyseg_data.machine import use_compiled
+from bodyseg_data.machine import if_ready
 from bodyseg_data.rigs import Rig
 
 POWERS: Final = (-0.5, 0.0, 0.5, 1.0, 1.5, 2.0)
@@ -54,7 +54,7 @@ class AxialNoise(Artifact):
 
     def sigma_m(self, range_m: NDArray[np.float32], angle: NDArray[np.float32]) -> NDArray[np.float32]:
         """The standard deviation, metres, [N]; range_m: metres, [N]; angle: of incidence, radians, [N]."""
-        if use_compiled():
+        with if_ready:
             terms = tuple(map(np.float32, (self.constant_mm, self.quadratic_mm, self.from_m, self.grazing_mm)))
             compiled = np.empty_like(range_m)
             compiled_forms().axial_sigma(range_m, angle, terms, round(2 * self.grazing_power), compiled)
@@ -104,7 +104,7 @@ class LateralNoise(Artifact):
         near = widened(clean > 0, REACH)
         pixels = np.flatnonzero(near)
         normals = drawn_normals(draws, "lateral noise", 2 * len(pixels))
-        if use_compiled():
+        with if_ready:
             flat, terms = (
                 np.ascontiguousarray(clean).reshape(-1),
                 (np.float32(self.constant_px), np.float32(self.grazing_px)),
@@ -152,7 +152,7 @@ class MixedPixels(Artifact):
         behind = 0 if self.background_m is None else round(self.background_m / scene.step_m)
         # The higher half of a draw chooses, the lower one is the position in the gap.
         bits = drawn_bits(draws, "mixed pixels", len(scene.pixels), np.uint32)
-        if use_compiled():
+        with if_ready:
             flat, steps = image.range.reshape(-1), np.ascontiguousarray(scene.sample.range).reshape(-1)
             limits = self.share * 65536, behind, self.jump_mm, scene.step_m
             compiled_forms().mix(flat, steps, image.range.shape[1], scene.pixels, bits, *limits)
@@ -187,7 +187,7 @@ class RangeRounding(Artifact):
         """As `Artifact.apply`."""
         steps = self.step_mm / 1000 / scene.step_m
         ranges = image.range.reshape(-1)
-        if use_compiled():
+        with if_ready:
             compiled_forms().round_ranges(ranges, steps)
             return
         pixels = np.flatnonzero(ranges)
@@ -246,7 +246,7 @@ class DisparityRounding(Artifact):
         """As `Artifact.apply`. Raises BadConfig for a rig whose camera and projector are at one point."""
         scale = focal_baseline(scene.rig, self.focal_px, self.baseline_m) / self.step_px / scene.step_m
         ranges = image.range.reshape(-1)
-        if use_compiled():
+        with if_ready:
             compiled_forms().round_disparities(ranges, scale)
             return
         pixels = np.flatnonzero(ranges)
@@ -268,7 +268,7 @@ def add_gaussian(image: RangeImage, scene: Scene, draws: Draws, purpose: str, si
     """
     ranges, pixels = image.range.reshape(-1), scene.pixels
     normals = drawn_normals(draws, purpose, len(pixels))
-    if use_compiled():
+    with if_ready:
         compiled_forms().add_gaussian(ranges, pixels, normals, sigma_m, np.float32(scene.step_m))
         return
     before = ranges[pixels]

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.constants import ARCCOS, FAR, STEEPEST
-from bodyseg_data.machine import use_compiled
+from bodyseg_data.machine import if_ready, loops
 from bodyseg_data.rigs import Camera
 
 Box = tuple[slice, slice]
@@ -83,7 +82,7 @@ def incidence(range_image: NDArray[np.uint16], camera: Camera, pixels: NDArray[n
 
     range_image: clean, uint16 [H, W], 0 is background. pixels: flat indices of the foreground in reading order, [N].
     """
-    if use_compiled():
+    with if_ready:
         found: NDArray[np.float32] = compiled_forms().incidence(range_image, camera, pixels)
         return found
     box = box_of(range_image)
@@ -108,7 +107,7 @@ def silhouettes(range_image: NDArray[np.uint16], jump: float) -> NDArray[np.bool
     range_image: uint16 [H, W], 0 is background; jump: in its steps. Neighbours are those above, below, left and right;
     the image's border is none.
     """
-    if use_compiled():
+    with if_ready:
         found: NDArray[np.bool_] = compiled_forms().silhouettes(range_image, jump)
         return found
     z = range_image.astype(np.int32)
@@ -126,7 +125,7 @@ def silhouettes(range_image: NDArray[np.uint16], jump: float) -> NDArray[np.bool
 
 def widened(marked: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
     """Mark all pixels at most `pixels` rows and columns away from a marked one, [H, W]."""
-    if use_compiled():
+    with if_ready:
         compiled: NDArray[np.bool_] = compiled_forms().widened(marked, pixels)
         return compiled
     found = marked.copy()
@@ -141,5 +140,5 @@ def widened(marked: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
 
 
 def compiled_forms() -> Any:
-    """The compiled forms; they load numba, so not before they are used."""
-    return import_module("bodyseg_data.artifacts.sensor_loops")
+    """The compiled forms, for `if_ready`."""
+    return loops("bodyseg_data.artifacts.sensor_loops")

@@ -12,8 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
-from importlib import import_module
+from functools import cached_property
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -24,9 +23,11 @@ from bodyseg_data.artifacts.scratch import copy_unless_same
 from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
 from bodyseg_data.core import BadConfig, BadSample, Draws, check_epoch, check_seed
 from bodyseg_data.labels import BACKGROUND
-from bodyseg_data.machine import use_compiled
+from bodyseg_data.machine import if_ready, loops
 from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import Sample
+
+_LOOPS: Final = "bodyseg_data.artifacts.fused_loops"
 
 VariantName = Literal["none", "occ", "noise", "md", "all", "occ+noise", "occ+md", "noise+md"]
 
@@ -136,36 +137,35 @@ class Augmentation:
         for artifact in self.applied:
             drawn.update(artifact.draw(draws))
         made = RangeImage(sample.key, image, labels, drawn)
-        covered = self._covered if use_compiled() else 0
-        others = self.applied[covered:]
+        covered, clean = 0, sample
         # Artifacts see the clean sample, also where its arrays are to be written.
-        clean = _apart(sample, made) if others else sample
-        if covered:
-            _loops().apply_covered(self.applied[:covered], made, Scene(sample, self.rig), draws)
-        else:
+        with if_ready:
+            if self._covered:
+                clean = _apart(sample, made) if self._covered < len(self.applied) else sample
+                loops(_LOOPS).apply_covered(self.applied[: self._covered], made, Scene(sample, self.rig), draws)
+                covered = self._covered
+        if not covered:
+            clean = _apart(sample, made) if self.applied else sample
             copy_unless_same(sample.range, image)
             copy_unless_same(sample.labels, labels)
-        if others:
+        if covered < len(self.applied):
             scene = Scene(clean, self.rig)
-            for artifact in others:
+            for artifact in self.applied[covered:]:
                 artifact.apply(made, scene, draws)
             _unlabel_lost(made)
         return made
 
-    def prepare(self) -> None:
-        """Compile or load the loops that will be needed, so that workers forked from this process have them too."""
-        if use_compiled() and self.applied:
-            _loops().compile_all(len(self.rig.projectors))
-
-    @cached_property
+    @property
     def keeps_outline(self) -> bool:
         """True if pixels outside the clean foreground are known to stay background; only compiled loops know it."""
-        return use_compiled() and self._covered == len(self.applied)
+        with if_ready:
+            return self._covered == len(self.applied)
+        return False
 
     @cached_property
     def _covered(self) -> int:
         """The number of artifacts, from the first on, that are applied in one compiled call."""
-        covered: int = _loops().covered(self.applied) if self.applied else 0
+        covered: int = loops(_LOOPS).covered(self.applied) if self.applied else 0
         return covered
 
 
@@ -208,9 +208,3 @@ def _check_fit(sample: Sample, what: str, array: NDArray[Any], kind: type[np.gen
             f"{sample.key}: {what} must be a contiguous array of {kind.__name__} {sample.range.shape} "
             f"that can be written to, found {array.dtype} {array.shape}"
         )
-
-
-@lru_cache(maxsize=1)
-def _loops() -> Any:
-    """The compiled loops; they load numba, so not before they are used."""
-    return import_module("bodyseg_data.artifacts.fused_loops")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import import_module, resources
+from importlib import resources
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Final
@@ -25,9 +25,10 @@ from bodyseg_data.labels.classes import (
     looked_up,
 )
 from bodyseg_data.labels.parts import COLOURS, PART_CLASSES
-from bodyseg_data.machine import use_compiled
+from bodyseg_data.machine import if_ready, loops
 
 LABEL_MAP_FORMAT: Final = "bodyseg labels 1"
+_LOOPS: Final = "bodyseg_data.labels.label_loops"
 
 
 def colour_labels(
@@ -128,20 +129,15 @@ class LabelMap:
         """
         flat = labels.reshape(-1)
         table, wide = self._tables[unlabelled]
-        if edges is not None and use_compiled():
-            _loops().join_runs(flat, edges, table)
+        with if_ready:
+            if edges is not None:
+                loops(_LOOPS).join_runs(flat, edges, table)
+                return
+            first = min(-flat.__array_interface__["data"][0] % 8, flat.size)  # words must be aligned
+            words = flat[first : first + (flat.size - first) // 8 * 8].view(np.uint64)
+            loops(_LOOPS).join(flat, words, first, wide)
             return
-        if not use_compiled():
-            flat[:] = looked_up(flat, table)
-            return
-        first = min(-flat.__array_interface__["data"][0] % 8, flat.size)  # words must be aligned
-        words = flat[first : first + (flat.size - first) // 8 * 8].view(np.uint64)
-        _loops().join(flat, words, first, wide)
-
-    def prepare(self) -> None:
-        """Compile or load the loops of `write`, so that workers forked from this process have them too."""
-        for edges in (None, np.zeros(2, np.int32)):
-            self.write(np.zeros((1, 1), np.uint8), edges)
+        flat[:] = looked_up(flat, table)
 
     @cached_property
     def mirrored(self) -> NDArray[np.uint8]:
@@ -257,11 +253,6 @@ class LabelMap:
 def whole_map(classes: Classes) -> LabelMap:
     """The label map that leaves the classes of a set as they are."""
     return LabelMap(classes.name, tuple((name, (name,)) for name in classes.names), classes)
-
-
-def _loops() -> Any:
-    """The compiled loops, in a module that needs numba."""
-    return import_module("bodyseg_data.labels.label_loops")
 
 
 PARTS33: Final = whole_map(PART_CLASSES)

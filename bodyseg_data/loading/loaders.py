@@ -35,6 +35,7 @@ from bodyseg_data.loading.workers import (
     Workers,
     check_worker_method,
 )
+from bodyseg_data.machine import use_compiled
 from bodyseg_data.samples import metres
 
 Fault = tuple[int, BodysegError]
@@ -216,8 +217,8 @@ class Loader:
         planes = self.images.planes.values()
         slots = Slots(self._prefetched, self.order.largest, *self.images.shape, options.metres, planes)
         maker = _BatchMaker(self.images, slots, options.metres, self._ledger.strict)
-        for images in self.images.sets:
-            images.prepare()
+        if self._workers and options.worker_method == "process":
+            use_compiled()  # which imports numba, here, for all processes that are forked
         workers = self._new_workers(maker)
         return _WorkerState(workers, slots, weakref.finalize(self, workers.close), os.getpid())
 

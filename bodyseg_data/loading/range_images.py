@@ -180,15 +180,6 @@ class RangeImages(SampleDataset):
         """The one set itself; a mixture has several."""
         return (self,)
 
-    def prepare(self) -> None:
-        """Compile or load the loops that samples need, so that workers forked from this process have them too."""
-        self.augmentation.prepare()
-        if self._casts:
-            camera = self.manifest.rig.camera
-            seen_by_projectors(np.zeros((camera.rows, camera.columns), np.uint16), self.manifest.rig)
-        if self._joins:
-            self.label_map.prepare()
-
     def __len__(self) -> int:
         return len(self._samples)
 

@@ -1,29 +1,39 @@
 """Compilation of loops over pixels by numba.
 
-Loops of streaming have NumPy forms that give the same bits, for installs without numba. BODYSEG_KERNELS chooses: `auto`
-(the default: compiled if numba can be imported), `numpy`, or `compiled`. The choice changes how long a sample takes and
-nothing else. All other loops are compiled in any case, and an extra brings numba for them.
+Loops of streaming have NumPy forms that give the same bits, for installs without numba, and for as long as another
+process compiles a loop that this one needs (`if_ready`). BODYSEG_KERNELS chooses: `auto` (the default: compiled if
+numba can be imported, as soon as machine code is there), `numpy`, or `compiled`, which waits for the compiler. The
+choice changes how long a sample takes and nothing else. All other loops are compiled in any case, and an extra brings
+numba for them.
 
 Machine code is kept on disk, in NUMBA_CACHE_DIR or the user's cache folder, under a digest of all that shapes it.
 """
 
 from __future__ import annotations
 
+import atexit
 import contextlib
+import errno
+import gc
 import hashlib
 import inspect
 import os
+import pickle
 import platform
+import shutil
+import subprocess
 import sys
 import tempfile
 import threading
+import warnings
 from collections.abc import Callable, Iterator
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
 from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_data.machine.host import processors
 
 VARIABLE: Final = "BODYSEG_KERNELS"
 _CHOICES: Final = ("auto", "numpy", "compiled")
@@ -50,37 +60,186 @@ def use_compiled() -> bool:
     return True
 
 
+class NotYet(Exception):
+    """A loop has no machine code yet, or none at all: its NumPy form is to be used."""
+
+
+class _IfReady(threading.local):
+    """Context for loops behind which NumPy's form stands: `with if_ready: return loops(...).f(x)`.
+
+    A loop without machine code raises NotYet before it has done anything, which ends the context alone; another process
+    then compiles it. Outside of the context, a call compiles it.
+    """
+
+    depth = 0
+
+    def __enter__(self) -> None:
+        self.depth += 1
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> bool:
+        self.depth -= 1
+        return kind is NotYet
+
+
+if_ready: Final = _IfReady()
+
+
+def loops(module: str) -> Any:
+    """The module of compiled loops of that name. Raises NotYet where NumPy's forms are to be used."""
+    if not use_compiled():
+        raise NotYet
+    return import_module(module)
+
+
 def compiled(loops: Callable[..., Any], feature: str, extra: str = "fast") -> Any:
     """`loops`, a function of arrays and numbers, as machine code, made at the first call and kept on disk.
 
     Without fast-math or threads, so with the same bits as Python's. Raises MissingLibrary as `require_numba`.
     """
-    numba = require_numba(feature, extra)
-    options = {"nogil": True, "error_model": "numpy"}
-    with _one_at_a_time:  # numba asks for the folder once, here
-        before = numba.config.CACHE_DIR
-        folder = _folder(before, _digest(loops, numba))
-        if folder is None:
-            return numba.njit(loops, **options)
-        numba.config.CACHE_DIR = str(folder)
-        try:
-            return _saved_if_possible(numba.njit(loops, cache=True, **options))
-        finally:
-            numba.config.CACHE_DIR = before
-
-
-def _saved_if_possible(function: Any) -> Any:
-    """A compiled function that goes on where its code cannot be saved, as on a disk that has filled meanwhile: numba
-    raises OSError then, after it has compiled.
-    """
-    save = function._cache.save_overload
-
-    def save_or_not(signature: Any, code: Any) -> None:
-        with contextlib.suppress(OSError):
-            save(signature, code)
-
-    function._cache.save_overload = save_or_not
+    function = require_numba(feature, extra).njit(loops, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
+    function._cache = _Kept(loops)
     return function
+
+
+class _Kept:
+    """Machine code of a function on disk, in the place of numba's cache, which it uses."""
+
+    def __init__(self, loops: Callable[..., Any]) -> None:
+        self._loops = loops
+        self._sent: dict[Any, subprocess.Popen[bytes]] = {}
+        self._until_saved = contextlib.ExitStack()
+
+    @cached_property
+    def files(self) -> tuple[Any, Path] | None:
+        """The cache of numba and its folder; None if none can be written to."""
+        numba, caching = import_module("numba"), import_module("numba.core.caching")
+        with _one_at_a_time:  # numba asks for the folder once, here
+            before = numba.config.CACHE_DIR
+            folder = _folder(before, _digest(self._loops, numba))
+            if folder is None:
+                return None
+            numba.config.CACHE_DIR = str(folder)
+            try:
+                return caching.FunctionCache(self._loops), folder
+            finally:
+                numba.config.CACHE_DIR = before
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        """Machine code for types of arguments; None if there is none, which lets numba compile it, once for all
+        processes. In `if_ready`, raises NotYet instead, and has another process compile it.
+        """
+        if self.files is None:
+            return None
+        folder = self.files[1]
+        if not if_ready.depth or _failed or os.environ.get(VARIABLE) == "compiled":
+            found = self.kept(signature, context)
+            if found is None:
+                # Without the lock, numba would give one type's code to another where two processes save at once.
+                self._until_saved.enter_context(_locked(folder / _COMPILING, wait=True))
+                found = self.kept(signature, context)  # which another process may have made meanwhile
+            if found is not None:
+                self._until_saved.close()
+            return found
+        process = self._sent.get(signature)
+        with _locked(folder / _COMPILING) as free:
+            if not free or (process is not None and process.poll() is None):
+                raise NotYet
+        found = self.kept(signature, context)
+        if found is not None or (process is not None and process.returncode):
+            _failed.extend([signature] * (found is None))  # what is wrong, this process says when it compiles
+            return found
+        if sum(each.poll() is None for each in _processes) < processors():
+            try:
+                self._sent[signature] = _send(folder, self._loops, signature)
+            except OSError:  # no memory, no such program
+                _failed.append(signature)
+                return None
+        raise NotYet
+
+    def kept(self, signature: Any, context: Any) -> Any:
+        """Machine code that is on disk, or None. Files that a power cut has cut short are removed."""
+        # numba would load all that its compiler knows of Python and NumPy here, and SciPy, for half a second.
+        import_module("numba.core.runtime").rtsys.initialize(context)
+        cache, folder = self.files or (None, None)
+        try:
+            return cache and cache._load_overload(signature, context)
+        except (EOFError, pickle.UnpicklingError):
+            for file in folder.rglob("*.nb?"):
+                file.unlink(missing_ok=True)
+            return None
+
+    def save_overload(self, signature: Any, code: Any) -> None:
+        """Keep machine code; goes on where it cannot be saved, as on a disk that has filled meanwhile."""
+        with self._until_saved, contextlib.suppress(OSError):
+            if self.files is not None:
+                self.files[0].save_overload(signature, code)
+
+
+def compile_ahead(first: Any, work: Callable[[], None]) -> None:
+    """Have another process compile the loops that `work`, a module's function, calls, while this one compiles others,
+    and then waits for those; nothing where `first`, one of these loops, has machine code.
+    """
+    files = first._cache.files
+    with contextlib.suppress(OSError):
+        if files is not None and not any(files[1].rglob("*.nbc")):
+            _send(files[1], work, None)
+
+
+_COMPILING: Final = "compiling"
+_processes: list[subprocess.Popen[bytes]] = []
+_failed: list[Any] = []
+"""What other processes were to compile and did not; this one compiles from then on."""
+
+
+def _send(folder: Path, function: Callable[..., Any], signature: Any) -> subprocess.Popen[bytes]:
+    """Start a process that compiles a module's function for types of arguments, or calls it if they are None."""
+    paths = os.pathsep.join(path or str(Path.cwd()) for path in sys.path)
+    process = subprocess.Popen(
+        [sys.executable, "-P", "-c", f"from {__name__} import compile_sent; compile_sent()"],
+        env={**os.environ, "PYTHONPATH": paths, VARIABLE: "compiled"},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,  # Ctrl-C is not for it
+    )
+    _processes.append(process)
+    with process.stdin as pipe:  # type: ignore[union-attr]
+        for part in ((str(folder), function.__module__, function.__qualname__), signature):
+            pickle.dump(part, pipe)
+    return process
+
+
+def compile_sent() -> None:
+    """Do what `_send` has sent, unless a third process is at it; ends with an error if code cannot be kept."""
+    folder, module, name = pickle.load(sys.stdin.buffer)
+    with _locked(Path(folder) / _COMPILING) as free:
+        if not free:
+            return
+        gc.disable()  # it would look through all that the compiler keeps, again and again
+        _given.append(Path(folder).parent)
+        signature = pickle.load(sys.stdin.buffer)
+        found = getattr(import_module(module), name)
+        if signature is None:
+            found()
+            return
+        function = found if hasattr(found, "py_func") else compiled(found, "compiling")
+        function.compile(signature)
+        if function._cache.kept(signature, function.targetctx) is None:
+            raise SystemExit(1)
+
+
+@contextlib.contextmanager
+def _locked(file: Path, wait: bool = False) -> Iterator[bool]:
+    """Hold a file's lock, which no fork inherits; yields False if another process holds it. A disk may have none."""
+    with contextlib.ExitStack() as opened:
+        free = True
+        try:
+            import fcntl  # not on Windows, where streaming needs this module
+
+            fcntl.lockf(opened.enter_context(file.open("ab")), fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except (ImportError, OSError) as error:
+            free = getattr(error, "errno", None) not in (errno.EACCES, errno.EAGAIN)
+        yield free
 
 
 def require_numba(feature: str, extra: str = "fast") -> Any:
@@ -93,21 +252,38 @@ def require_numba(feature: str, extra: str = "fast") -> Any:
         ) from error
 
 
+_given: list[Path] = []
+"""The one folder to keep code in, if another process has chosen it."""
+
+
 def _folder(named: str, digest: str) -> Path | None:
-    """The folder of a digest, in the one named or in the user's cache folder; None if it cannot be written to.
+    """The folder of a digest, in the one named or in the user's cache folder, else in one that ends with this process;
+    None if none can be written to.
 
     Only this user may write there, for its files are run. Where it has no code yet, the disk must have room for it.
     """
-    try:
+    home = None
+    with contextlib.suppress(RuntimeError):  # this user has no home
         cache = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
-        folder = (Path(named) if named else Path(cache) / "bodyseg" / "kernels") / digest
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder, buffering=0) as tried:
-            if not any(folder.glob("*.nbc")) and tried.write(bytes(_ROOM)) < _ROOM:
-                return None
-    except (OSError, RuntimeError):  # RuntimeError: this user has no home
-        return None
-    return folder
+        home = Path(named) if named else Path(cache) / "bodyseg" / "kernels"
+    for root in _given or (home, None):
+        with contextlib.suppress(OSError):
+            folder = (root or _of_process(home)) / digest
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder, buffering=0) as tried:
+                if any(folder.rglob("*.nbc")) or tried.write(bytes(_ROOM)) == _ROOM:
+                    return folder
+    return None
+
+
+@lru_cache(maxsize=1)
+def _of_process(home: Path | None) -> Path:
+    """A folder that is removed at the end of this process."""
+    folder = tempfile.mkdtemp(prefix="bodyseg-kernels-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    text = f"compiled loops cannot be kept in {home or 'a home'}, so every process compiles them anew: "
+    warnings.warn(f"{text}NUMBA_CACHE_DIR names another folder", RuntimeWarning, stacklevel=2)
+    return Path(folder)
 
 
 def _digest(loops: Callable[..., Any], numba: Any) -> str:

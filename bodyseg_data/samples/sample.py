@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadSample
 from bodyseg_data.labels import BACKGROUND, PART_COUNT, UNLABELLED
-from bodyseg_data.machine import compiled, use_compiled
+from bodyseg_data.machine import compiled, if_ready, use_compiled
 from bodyseg_data.samples.views import View
 
 Split = Literal["train", "test"]
@@ -320,8 +320,9 @@ def metres(steps: NDArray[np.uint16], step_m: float, out: NDArray[np.float32] | 
     step_m: one step, metres (`RangeImages.step_m`). out: float32 array to write into, of the same shape.
     """
     if out is not None and steps.shape == out.shape and steps.flags.carray and out.flags.carray and use_compiled():
-        _compiled_scale()(steps.reshape(-1), np.float32(step_m), out.reshape(-1))
-        return out
+        with if_ready:
+            _compiled_scale()(steps.reshape(-1), np.float32(step_m), out.reshape(-1))
+            return out
     found: NDArray[np.float32] = np.multiply(steps, np.float32(step_m), out=out)
     return found
 

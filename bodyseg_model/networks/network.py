@@ -24,7 +24,7 @@ from torch import nn
 
 from bodyseg_data.core import BadConfig, check_int
 from bodyseg_data.labels import BACKGROUND, PART_COUNT, PARTS33, LabelMap
-from bodyseg_data.machine import use_compiled
+from bodyseg_data.machine import if_ready, use_compiled
 
 RELIEF: Final = 2.0
 """Factor of centred ranges: they are a few decimetres, and layers learn best from numbers near one."""
@@ -194,7 +194,8 @@ def patches_of(range_m: torch.Tensor, side: int, shrink: int = 1) -> Patches:
     kind = range_m.device.type
     layers = torch.get_autocast_dtype(kind) if torch.is_autocast_enabled(kind) else range_m.dtype
     if shrink == 1 and _fits_loops(range_m, layers):
-        return _by_loops(range_m, side, layers)
+        with if_ready:
+            return _by_loops(range_m, side, layers)
     cell, (rows, columns) = side * shrink, range_m.shape[2:]
     relief = F.pad(relief_of(range_m), (0, -columns % cell, 0, -rows % cell))
     if shrink > 1:

@@ -104,8 +104,9 @@ def fill_lost(down: Any, across: Any, start: Any, ranges: Any, box: Any, corner:
         lost += flat[cells[i]] == 0
     if lost == 0:
         return
-    nearest = np.full(flat.size, np.inf)
-    chosen = np.full(flat.size, -1)
+    nearest, chosen = np.empty(flat.size), np.empty(flat.size, np.intp)
+    for i in range(flat.size):
+        nearest[i], chosen[i] = np.inf, -1
     for i in range(cells.size):
         cell = cells[i]
         if flat[cell] == 0:

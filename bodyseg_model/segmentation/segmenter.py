@@ -19,7 +19,7 @@ from bodyseg_model.runtimes import on_backend
 from bodyseg_model.segmentation.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.person_score import PersonScore
 from bodyseg_model.segmentation.surfaces import Background, find_bodies
-from bodyseg_model.segmentation.views import BodyView, usual_views, view_body, view_frame
+from bodyseg_model.segmentation.views import BodyView, compile_views_ahead, usual_views, view_body, view_frame
 
 STAGES: Final = ("background", "shape", "resample", "network", "back", "video")
 
@@ -151,6 +151,7 @@ class Segmenter:
         if camera.distortion is not None:
             raise BadConfig(f"frames must be undistorted before they are labelled, found {camera.distortion}")
         require_numba("labelling frames", extra="segment")
+        compile_views_ahead()
         self.camera, self.mirrored, self.least_confidence = camera, mirrored, least_confidence
         self.turned, self._upright = turned % 4, camera.turned(turned)
         self.background = background or Background()

@@ -90,20 +90,19 @@ def _compare(level: Any, row: Any, steps: Any, begins: Any, marks: Any) -> None:
 
 
 @_kernel
-def find_segments(frame: Any, first: Any, last: Any, found: Any, numbers: Any) -> Any:
+def find_segments(frame: Any, first: Any, last: Any, found: Any, numbers: Any, room: Any) -> Any:
     """Divide the rows from `first` to before `last` of a `surfaces.LevelledFrame` into segments, adjacent pixels of one
     surface, and join those of one surface among these rows.
 
     Segments are numbered from first * W on, and written into `found`, the `surfaces.Segments`; the segments of the
-    pixels of row r are written into `numbers`, int32 [4, W], at (r + 3) & 3, where those of the last rows stay. Returns
-    the number behind that of the last segment.
+    pixels of row r are written into `numbers`, int32 [4, W], at (r + 3) & 3, where those of the last rows stay. room:
+    zeros for `_compare`, whole words of `marks`, and these words. Returns the number behind that of the last segment.
     """
     range_m, level, focal_px = frame.range_m, frame.level, frame.focal_px
     segments, parent, area_m2 = found.segments, found.parent, found.area_m2
     columns = range_m.shape[1]
-    steps, begins = np.zeros((4, columns + 1), np.uint8), np.zeros((4, columns + 1), np.uint8)
-    marks = np.zeros((columns + 7) // 8 * 8, np.uint8)
-    words, of_row = marks.view(np.uint64), marks[:columns]
+    steps, begins, marks, words = room
+    of_row = marks[:columns]
     for row in range(max(first - 3, 0), first):
         _compare(level, row + 3, steps, begins, of_row)
     count, start = first * columns, 0
@@ -264,19 +263,20 @@ def explained(judges: Any, corners: Any, tolerance: Any, planes: Any, surface: A
 
 
 @_kernel
-def mark_plane(flat: Any, pixels: Any, columns: Any, lens: Any, plane: Any, tolerance: Any, near: Any) -> Any:
+def mark_plane(
+    flat: Any, pixels: Any, ends: Any, columns: Any, lens: Any, plane: Any, tolerance: Any, near: Any
+) -> Any:
     """Mark those of ascending pixels near a plane in `near`, bool [N]; returns the sum of their ranges cubed.
 
-    flat: float32 ranges. lens: `surfaces.Lens`. plane: float64 [3].
+    flat: float32 ranges. ends: the number of pixels before each row, and of all. lens: `surfaces.Lens`. plane: float64
+    [3].
     """
     a, b, c = plane[0] / lens.focal_px, plane[1] / lens.focal_px, plane[2]
-    total, first = 0.0, 0
-    while first < pixels.size:
-        row = pixels[first] // columns
+    total = 0.0
+    for row in range(ends.size - 1):
         start = row * columns
-        end = first + np.searchsorted(pixels[first : first + columns], start + columns)
         level = (np.float64(row) + 0.5 - lens.down) * b + c
-        of_row, marks = pixels[first:end], near[first:end]
+        of_row, marks = pixels[ends[row] : ends[row + 1]], near[ends[row] : ends[row + 1]]
         for i in range(of_row.size):  # free of branches, so that the compiler takes many pixels at once
             x, z = np.float64(of_row[i] - start) + 0.5 - lens.across, np.float64(flat[np.uint64(of_row[i])])
             marks[i] = abs((x * a + level) * z - 1.0) <= tolerance * z
@@ -284,5 +284,4 @@ def mark_plane(flat: Any, pixels: Any, columns: Any, lens: Any, plane: Any, tole
             if marks[i]:
                 z = np.float64(flat[np.uint64(of_row[i])])
                 total += z * z * z
-        first = end
     return total

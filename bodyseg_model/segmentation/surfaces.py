@@ -103,8 +103,9 @@ def _near_plane(
     """Mark the pixels within the tolerance of a plane, bool [N]; and the sum of their ranges cubed."""
     near = np.empty(len(pixels), np.bool_)
     flat, columns = range_m.ravel(), range_m.shape[1]
+    ends = np.searchsorted(pixels, columns * np.arange(len(range_m) + 1))
     lens = Lens(*camera.centre_px, camera.focal_px)
-    return near, float(_loops().mark_plane(flat, pixels, columns, lens, plane, TOLERANCE_PER_M, near))
+    return near, float(_loops().mark_plane(flat, pixels, ends, columns, lens, plane, TOLERANCE_PER_M, near))
 
 
 def _fit(rays: Points, inverse: NDArray[np.float64], plane: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -215,7 +216,9 @@ def find_segments(range_m: Floats, level: Floats, focal_px: float, threads: int 
     ends = np.empty(len(runs), np.int64)
 
     def find(run: int) -> None:
-        ends[run] = _loops().find_segments(frame, *runs[run], found, numbers[run])
+        steps, marks = np.zeros((2, 4, columns + 1), np.uint8), np.zeros((columns + 7) // 8 * 8, np.uint8)
+        room = *steps, marks, marks.view(np.uint64)  # made in the loop, it takes the compiler long
+        ends[run] = _loops().find_segments(frame, *runs[run], found, numbers[run], room)
 
     of_each(find, range(len(runs)), len(runs))
     for run in range(1, len(runs)):

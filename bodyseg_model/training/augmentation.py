@@ -12,6 +12,7 @@ import torch
 
 from bodyseg_data.core import BadConfig, chance, check_fields
 from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap
+from bodyseg_data.machine import if_ready
 from bodyseg_model.networks import in_loops
 
 
@@ -77,8 +78,9 @@ def _moved(range_m: torch.Tensor, labels: torch.Tensor, maps: torch.Tensor) -> t
         moved, named = torch.empty_like(range_m), torch.empty_like(labels)
         places = (tuple(each.numpy() for each in pair) for pair in (down, across))
         loops = import_module("bodyseg_model.training.loops")
-        loops.move_images(range_m[:, 0].numpy(), labels.numpy(), *places, moved[:, 0].numpy(), named.numpy())
-        return moved, named
+        with if_ready:
+            loops.move_images(range_m[:, 0].numpy(), labels.numpy(), *places, moved[:, 0].numpy(), named.numpy())
+            return moved, named
     row, column = ((by_column[:, None, :] + by_row[:, :, None]).round_() for by_column, by_row in (down, across))
     inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
     place = torch.where(inside, row.mul_(columns).add_(column), 0).int()
@@ -115,8 +117,9 @@ def mirror(
         moved, named = torch.empty_like(range_m), torch.empty_like(labels)
         arrays = (each.numpy() for each in (range_m[:, 0], labels, chosen))
         loops = import_module("bodyseg_model.training.loops")
-        loops.mirror_images(*arrays, label_map.mirrored, moved[:, 0].numpy(), named.numpy())
-        return moved, named
+        with if_ready:
+            loops.mirror_images(*arrays, label_map.mirrored, moved[:, 0].numpy(), named.numpy())
+            return moved, named
     picked = chosen.nonzero()[:, 0]
     range_m, labels = range_m.clone(), labels.clone()
     range_m[picked] = range_m[picked].flip(-1)

@@ -250,15 +250,6 @@ def test_a_sample_without_a_label_for_every_range_is_refused(name: VariantName) 
         augmentation(replace(sample, range=sample.range.astype(np.int64)))
 
 
-@pytest.mark.parametrize("name", VARIANTS)
-def test_preparing_changes_no_bit(name: VariantName) -> None:
-    rig, sample = _synthetic()
-    augmentation = Augmentation(rig, name)
-    before = augmentation(sample)
-    augmentation.prepare()
-    assert same_bits(augmentation(sample), before)
-
-
 def _synthetic() -> tuple[Rig, Sample]:
     """A slope and a plate before it, by formula: nothing here depends on a renderer."""
     camera = Camera(24, 20, 40.0, (10.0, 12.0), (0.0, 0.0, 0.0), (0.0, 0.0, 2.0))

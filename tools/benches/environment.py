@@ -17,7 +17,8 @@ def child_environment() -> dict[str, str]:
     """The environment of this process, in which the same packages are found from any folder."""
     homes = [str(Path(package.__path__[0]).parent) for package in (benches, bodyseg_data)]
     before = os.environ.get("PYTHONPATH")
-    return {**os.environ, "PYTHONPATH": os.pathsep.join([*homes, *([before] if before else [])])}
+    # Figures are of compiled loops, not of the form that serves until there are any.
+    return {VARIABLE: "compiled", **os.environ, "PYTHONPATH": os.pathsep.join([*homes, *([before] if before else [])])}
 
 
 @contextmanager

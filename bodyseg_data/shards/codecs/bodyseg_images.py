@@ -12,8 +12,6 @@ import struct
 import threading
 import zlib
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
-from importlib import import_module
 from typing import Any, ClassVar, Final, NamedTuple
 
 import numpy as np
@@ -21,7 +19,7 @@ import zstandard
 from numpy.typing import NDArray
 
 from bodyseg_data.labels import BACKGROUND, UNLABELLED
-from bodyseg_data.machine import use_compiled
+from bodyseg_data.machine import if_ready, loops
 from bodyseg_data.rigs import MAX_SIDE
 from bodyseg_data.shards.codecs.codec import FACING, SECOND_FACING, DecodedImages, OutputArrays
 from bodyseg_data.shards.codecs.residuals import (
@@ -41,6 +39,8 @@ from bodyseg_data.shards.codecs.residuals import (
     to_byte_planes,
 )
 from bodyseg_data.shards.earlier import split_label_bytes
+
+_LOOPS: Final = "bodyseg_data.shards.codecs.bodyseg_loops"
 
 _MAGIC: Final = b"BSI3"
 _EARLIER_MAGIC: Final = b"BSI2"
@@ -248,9 +248,9 @@ def _decode_camera(
         labels, facing = split_label_bytes(numbers[: counts.runs])
         numbers = np.concatenate([labels, facing, numbers[counts.runs :]])
     images = _camera_images(size, out)
-    if use_compiled():
+    with if_ready:
         edges = np.empty(2 * (counts.starts + box.height), np.int32)  # a row's end divides at most one stretch
-        found = _loops().fill_camera(numbers, counts, box, np.uint8(unlabelled), *images, edges)
+        found = loops(_LOOPS).fill_camera(numbers, counts, box, np.uint8(unlabelled), *images, edges)
         if found >= 0:
             return *images, edges[:found]
     # Numbers that the compiled loop refuses get here, too: the NumPy form says what is wrong with them.
@@ -277,11 +277,11 @@ def _decode_projector(
         memory = OccluderMemory(size)
     if keep:
         _of_thread.occluder = memory
-    if use_compiled():
-        held, memory.held = memory.held, 0
-        found = _loops().fill_projector(numbers, counts, box, memory.image, memory.texels, held)
+    with if_ready:
+        held = memory.held
+        found = loops(_LOOPS).fill_projector(numbers, counts, box, memory.image, memory.texels, held)
+        memory.held = max(found, 0)
         if found >= 0:
-            memory.held = found
             return memory.seen(keep)
     memory.clear()
     values, lengths, longs = _split(numbers, counts.sizes)
@@ -381,9 +381,3 @@ def _split(numbers: Bytes, sizes: Sequence[int]) -> list[Bytes]:
     """Divide numbers into rows. sizes: of these, bytes."""
     ends = np.cumsum(sizes).tolist()
     return [numbers[end - size : end] for end, size in zip(ends, sizes, strict=True)]
-
-
-@lru_cache(maxsize=1)
-def _loops() -> Any:
-    """The compiled loops; they load numba, so not before they are used."""
-    return import_module("bodyseg_data.shards.codecs.bodyseg_loops")
