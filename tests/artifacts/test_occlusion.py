@@ -369,9 +369,9 @@ def test_boxes_hold_every_texel_that_their_points_read(seed: int) -> None:
         bound_pieces(shadow, scratch.pieces, found, scratch.extremes, scratch.boxes)
         for piece in range(found):
             first, length, piece_row, _, _ = scratch.pieces[:, piece].tolist()
-            left, right, top, bottom = scratch.boxes[:, piece].tolist()
+            left, right, top, bottom, limit = scratch.boxes[:, piece].tolist()
             assert piece_row == first // 120 == (first + length - 1) // 120
-            pixels, x, y, _ = test.project(image, np.arange(first, first + length))
+            pixels, x, y, away = test.project(image, np.arange(first, first + length))
             pieces_seen += 1
             if bottom == -1:
                 given_up += 1
@@ -379,6 +379,7 @@ def test_boxes_hold_every_texel_that_their_points_read(seed: int) -> None:
             assert len(pixels) == length, "all of them in the frame"
             assert left <= max(np.floor(x).min(), 0) and right >= min(np.floor(x).max() + 1, 119)
             assert top <= max(np.floor(y).min(), 0) and bottom >= min(np.floor(y).max() + 1, 89)
+            assert away.max() - min(test.gap_steps, test.edge_steps) < limit < away.max() + 1000
             assert right - left < 80 and bottom - top < 30, "no wider than its points need"
     assert pieces_seen > 100 and given_up < pieces_seen / 2
 
