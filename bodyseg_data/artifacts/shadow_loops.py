@@ -123,9 +123,9 @@ def mark_occupied(shadow: Any, scratch: Any) -> None:
         coarse[tile] = min(coarse[tile], value)
     repeat_border(frame, shadow.rows, shadow.columns)
     # Behind a row's end are the tiles of the next one: a window there is too near, never too far.
-    for shift in (np.uint64(across), np.uint64(1), np.uint64(2)):
-        for i in range(np.uint64(coarse.size) - shift):
-            coarse[i] = min(coarse[i], coarse[i + shift])
+    for beside in (np.uint64(across), np.uint64(1), np.uint64(2)):
+        for i in range(np.uint64(coarse.size) - beside):
+            coarse[i] = min(coarse[i], coarse[i + beside])
 
 
 @_kernel

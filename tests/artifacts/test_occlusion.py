@@ -349,6 +349,22 @@ def test_bodies_of_many_chunks_get_the_same_bits(position: tuple[float, float, f
         np.testing.assert_array_equal(lit, occlusion_compiled.lit(test, *images))
 
 
+@pytest.mark.parametrize(("rows", "columns"), [(90, 1500), (700, 1), (90, 129), (3, 4000)])
+def test_projectors_of_any_shape_give_the_same_bits(rows: int, columns: int) -> None:
+    """Tiles of wide ones are larger, and the last ones of a row and of the image are cut off."""
+    rig = small_rig(baseline_m=0.3)
+    shape = replace(rig.projector, rows=rows, columns=columns, centre_px=(columns / 2, rows / 2))
+    test = ShadowTest(replace(rig, projector=shape))
+    draws = np.random.default_rng(rows)
+    camera_range, _, facing = sparse_images(test.rig, draws)
+    camera_range[camera_range > 0] = 25_000
+    # Most texels are behind what is seen, and a few before it.
+    occluder = draws.choice(np.array([0, 24_999, 20_000], np.uint16), (rows, columns), p=[0.97, 0.028, 0.002])
+    lit = test.lit(camera_range, occluder, facing)
+    np.testing.assert_array_equal(lit, occlusion_compiled.lit(test, camera_range, occluder, facing))
+    assert lit.any() and (facing & (camera_range > 0) & ~lit).any()
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_boxes_hold_every_texel_that_their_points_read(seed: int) -> None:
     """Of rough surfaces, by the projection of the NumPy form; a box that is given up has a last row of -1."""
