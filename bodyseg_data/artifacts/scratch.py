@@ -22,17 +22,20 @@ class Scratch(NamedTuple):
     """Room for the lists of one chunk of foreground pixels, and of one image.
 
     Of an image: edges: where runs of foreground begin and end; changes: whether a pixel begins or ends one, zeros
-    behind the image; coarse: which texels of four rows of the projector's image hold anything, a bit for a few columns;
-    nearest: the least range of the four texels that begin at one, 65535 between samples.
+    behind the image; frame: the projector's image, less one step, with its border repeated, 65535 between samples;
+    coarse: the least of it in each window of 2 x 4 tiles; shift: the power of two of columns in a tile, which has half
+    as many rows; across: tiles in a row.
     Of a chunk: pieces, its pieces of runs; extremes: their ranges; boxes: their texels; marks: which points are kept;
-    floats, ints: numbers of points, flat, in rows of `ROOM`; texels: the four of each; candidates: points near an
-    occupied texel; words: random bits; halves, quarters: the same memory in smaller pieces.
+    floats, ints: numbers of points, flat, in rows of `ROOM`; texels: the four of each; words: random bits; halves,
+    quarters: the same memory in smaller pieces.
     """
 
     edges: NDArray[np.int32]
     changes: NDArray[np.uint8]
-    coarse: NDArray[np.uint64]
-    nearest: NDArray[np.uint16]
+    coarse: NDArray[np.uint16]
+    frame: NDArray[np.uint16]
+    shift: int
+    across: int
     pieces: NDArray[np.int32]
     extremes: NDArray[np.float32]
     boxes: NDArray[np.int32]
@@ -40,7 +43,6 @@ class Scratch(NamedTuple):
     floats: NDArray[np.float32]
     ints: NDArray[np.int32]
     texels: NDArray[np.uint16]
-    candidates: NDArray[np.int32]
     words: NDArray[np.uint64]
     halves: NDArray[np.uint32]
     quarters: NDArray[np.uint16]
@@ -56,16 +58,14 @@ def scratch_for(pixels: int, rows: int, columns: int) -> Scratch:
         _of_thread.scratch = Scratch(
             edges=np.empty(pixels + 2, np.int32),
             changes=np.zeros(pixels // 8 * 8 + 8, np.uint8),
-            coarse=np.empty(rows + 3, np.uint64),
-            nearest=np.full(rows * columns, 65535, np.uint16),
+            **_of_projector(rows, columns),
             pieces=np.empty((5, CHUNK), np.int32),
             extremes=np.empty((2, CHUNK), np.float32),
-            boxes=np.empty((4, CHUNK), np.int32),
+            boxes=np.empty((5, CHUNK), np.int32),
             marks=np.empty(ROOM, np.uint8),
-            floats=np.empty(3 * ROOM, np.float32),
-            ints=np.empty(3 * ROOM, np.int32),
+            floats=np.empty(4 * ROOM, np.float32),
+            ints=np.empty(ROOM, np.int32),
             texels=np.empty(4 * ROOM, np.uint16),
-            candidates=np.empty(ROOM, np.int32),
             words=words,
             halves=words.view(np.uint32),
             quarters=words.view(np.uint16),
@@ -78,17 +78,24 @@ def scratch_for(pixels: int, rows: int, columns: int) -> Scratch:
 def second_scratch_for(scratch: Scratch, rows: int, columns: int) -> Scratch:
     """The calling thread's scratch for a second projector, whose image has `rows` and `columns`.
 
-    Apart from `coarse`, `nearest` and `marks`, which hold one projector's results, its memory is that of `scratch`.
+    Apart from `marks` and what is of a projector's image, its memory is that of `scratch`.
     """
     if getattr(_of_thread, "second_sizes", None) != (rows, columns):
-        _of_thread.second = (
-            np.empty(rows + 3, np.uint64),
-            np.full(rows * columns, 65535, np.uint16),
-            np.empty(ROOM, np.uint8),
-        )
+        _of_thread.second = _of_projector(rows, columns) | {"marks": np.empty(ROOM, np.uint8)}
         _of_thread.second_sizes = rows, columns
-    coarse, nearest, marks = _of_thread.second
-    return scratch._replace(coarse=coarse, nearest=nearest, marks=marks)
+    return scratch._replace(**_of_thread.second)
+
+
+def _of_projector(rows: int, columns: int) -> dict[str, Any]:
+    shift = max((columns - 1).bit_length() - 7, 3)  # at most 128 tiles across
+    across = ((columns - 1) >> shift) + 1
+    coarse = np.empty((((rows - 1) >> shift - 1) + 2) * across, np.uint16)
+    return {
+        "coarse": coarse,
+        "frame": np.full((rows + 2) * (columns + 2), 65535, np.uint16),
+        "shift": shift,
+        "across": across,
+    }
 
 
 def constant(array: NDArray[Any]) -> NDArray[Any]:

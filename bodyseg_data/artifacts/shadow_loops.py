@@ -25,7 +25,6 @@ _NONE: Final = np.float32(0)
 _HALF: Final = np.float32(0.5)
 _ONE: Final = np.float32(1)
 _OUTSIDE: Final = np.float32(np.nan)
-_ALWAYS: Final = np.int32(2**30)
 _kernel = partial(compiled, feature="the compiled form of the artifacts")
 
 
@@ -103,56 +102,60 @@ def take_pieces(edges: Any, runs: Any, run: Any, taken: Any, row: Any, width: An
 
 @_kernel
 def mark_occupied(shadow: Any, scratch: Any) -> None:
-    """Note the texels that hold anything: in `coarse`, a bit for a few columns of a row, and in `nearest`, the least
-    range, less one step, of the four texels that begin at one.
-
-    To the left of the first column is the last one of the row above, where points are then looked at in vain.
+    """Write the projector's image as the test reads it into `frame`, which holds nothing (`occlusion.framed`), and the
+    least of it in windows of tiles into `coarse`.
     """
-    texels, image, coarse, nearest = shadow.texels, shadow.projector_range, scratch.coarse, scratch.nearest
-    columns = np.int64(shadow.columns)
-    shift = column_shift(columns)
-    for row in range(np.uint64(coarse.size)):
-        coarse[row] = np.uint64(0)
-    texel_row, start = np.int64(0), np.int64(0)
+    texels, image, coarse, frame = shadow.texels, shadow.projector_range, scratch.coarse, scratch.frame
+    columns, across, shift = np.int64(shadow.columns), np.int64(scratch.across), np.int64(scratch.shift)
+    coarse[:] = 65535
+    row, start = np.int64(0), np.int64(0)
     for i in range(np.uint64(texels.size)):
         texel: Any = np.int64(texels[i])
         while texel >= start + columns:
-            texel_row += 1
+            row += 1
             start += columns
         while texel < start:
-            texel_row -= 1
+            row -= 1
             start -= columns
-        coarse[np.uint64(texel_row)] |= np.uint64(1) << np.uint64((texel - start) >> shift)
         value = np.uint16(image[np.uint64(texel)] - np.uint16(1))
-        here, left = np.uint64(texel), np.uint64(max(texel - 1, 0))
-        above, above_left = np.uint64(max(texel - columns, 0)), np.uint64(max(texel - columns - 1, 0))
-        nearest[here] = min(nearest[here], value)
-        nearest[left] = min(nearest[left], value)
-        nearest[above] = min(nearest[above], value)
-        nearest[above_left] = min(nearest[above_left], value)
-    for row in range(np.uint64(shadow.rows)):
-        coarse[row] |= coarse[row + np.uint64(1)] | coarse[row + np.uint64(2)] | coarse[row + np.uint64(3)]
+        frame[np.uint64(texel + 2 * row + columns + 3)] = value
+        tile = np.uint64((row >> (shift - 1)) * across + ((texel - start) >> shift))
+        coarse[tile] = min(coarse[tile], value)
+    repeat_border(frame, shadow.rows, shadow.columns)
+    # Behind a row's end are the tiles of the next one: a window there is too near, never too far.
+    for beside in (np.uint64(across), np.uint64(1), np.uint64(2)):
+        for i in range(np.uint64(coarse.size) - beside):
+            coarse[i] = min(coarse[i], coarse[i + beside])
 
 
 @_kernel
 def forget_occupied(shadow: Any, scratch: Any) -> None:
-    """Leave `nearest` as it was before `mark_occupied`."""
-    texels, nearest, columns, empty = shadow.texels, scratch.nearest, np.int64(shadow.columns), np.uint16(65535)
+    """Leave `frame` as it was before `mark_occupied`."""
+    texels, frame, columns = shadow.texels, scratch.frame, np.int64(shadow.columns)
+    row, start = np.int64(0), np.int64(0)
     for i in range(np.uint64(texels.size)):
         texel: Any = np.int64(texels[i])
-        nearest[np.uint64(texel)] = empty
-        nearest[np.uint64(max(texel - 1, 0))] = empty
-        nearest[np.uint64(max(texel - columns, 0))] = empty
-        nearest[np.uint64(max(texel - columns - 1, 0))] = empty
+        while texel >= start + columns:
+            row += 1
+            start += columns
+        while texel < start:
+            row -= 1
+            start -= columns
+        frame[np.uint64(texel + 2 * row + columns + 3)] = 65535
+    repeat_border(frame, shadow.rows, shadow.columns)
 
 
 @_kernel
-def column_shift(columns: Any) -> Any:
-    """The power of two of columns that share a bit, so that 64 bits hold a row."""
-    shift = np.int64(0)
-    while (columns - 1) >> shift > 63:
-        shift += 1
-    return shift
+def repeat_border(frame: Any, rows: Any, columns: Any) -> None:
+    """Repeat the border of the image in a flat frame around it."""
+    stride = np.uint64(columns + 2)
+    last = np.uint64(rows) * stride
+    for i in range(stride):
+        frame[i], frame[last + stride + i] = frame[stride + i], frame[last + i]
+    one = np.uint64(1)
+    for row in range(np.uint64(rows + 2)):
+        left, right = row * stride, (row + one) * stride - one
+        frame[left], frame[right] = frame[left + one], frame[right - one]
 
 
 @_kernel
@@ -177,7 +180,8 @@ def bound_pieces(shadow: Any, pieces: Any, found: Any, extremes: Any, boxes: Any
     """Write the first and last row and column of the texels that a piece's points can read into `boxes`, int32.
 
     A projection is a quotient of linear functions of the column, and of the range, so over both it is greatest and
-    least at one of four extremes. Pieces that may reach out of the frame get a last row of -1.
+    least at one of four extremes. Pieces that may reach out of the frame get a last row of -1. The fifth number is the
+    range, less one step, from which on a texel cannot shade any of them.
     """
     p = shadow.projection
     offset_x, across_column, across_row, across_0, off_x = p[0, 0], p[0, 1], p[0, 2], p[0, 3], p[0, 4]
@@ -187,6 +191,8 @@ def bound_pieces(shadow: Any, pieces: Any, found: Any, extremes: Any, boxes: Any
     last_column, last_row = np.int32(shadow.columns - 1), np.int32(shadow.rows - 1)
     firsts, lengths, rows = pieces[0], pieces[1], pieces[2]
     width = np.int32(shadow.width)
+    # A step is far more than what rounding can make of an interpolated range.
+    surely_lit = min(shadow.gap_steps, shadow.edge_steps) - _ONE
     for piece in range(np.uint64(found)):
         row, left = np.float32(rows[piece]), np.float32(np.int32(firsts[piece] - np.int32(rows[piece] * width)))
         right = left + np.float32(lengths[piece] - np.int32(1))
@@ -218,100 +224,82 @@ def bound_pieces(shadow: Any, pieces: Any, found: Any, extremes: Any, boxes: Any
         boxes[1, piece] = min(np.int32(max(x_high, _NONE)) + np.int32(1), last_column) if inside else np.int32(0)
         boxes[2, piece] = np.int32(max(y_low, _NONE)) if inside else np.int32(0)
         boxes[3, piece] = min(np.int32(max(y_high, _NONE)) + np.int32(1), last_row) if inside else np.int32(-1)
+        farthest = max(max(away_0, away_1), max(away_2, away_3)) + off_z
+        boxes[4, piece] = np.int32(min(farthest, FARTHEST_STEPS) - surely_lit) + np.int32(1)
 
 
 @_kernel
-def project_near(shadow: Any, pieces: Any, found: Any, scratch: Any) -> Any:
-    """Project the points of pieces that face the projector and whose box holds an occupied texel; returns their number.
+def find_near(shadow: Any, pieces: Any, found: Any, scratch: Any) -> Any:
+    """Find the pieces that face the projector and that a texel may shade; returns the number of their points.
 
-    Writes texel coordinates and range into `floats`, and into `ints` the point's index, its texel to the upper left,
-    and from which range on a texel cannot shade it. Points outside the frame get NaN, which no rule calls lit.
+    Writes the points' slopes (`ShadowTest`) and ranges into `floats`, and into row 4 of the pieces where there, or -1.
     """
     camera_range, of_columns, of_rows = shadow.camera_range, shadow.of_columns, shadow.of_rows
-    p, boxes, coarse, floats, ints = shadow.projection, scratch.boxes, scratch.coarse, scratch.floats, scratch.ints
-    offset_x, offset_y, offset_z = p[0, 0], p[1, 0], p[2, 0]
-    columns = np.int32(shadow.columns)
-    last_x, last_y = np.float32(shadow.columns) - _HALF, np.float32(shadow.rows) - _HALF
-    # A step is far more than what rounding can make of an interpolated range.
-    surely_lit = min(shadow.gap_steps, shadow.edge_steps) - _ONE
+    boxes, coarse, floats = scratch.boxes, scratch.coarse, scratch.floats
     width, height = np.uint64(shadow.width), np.uint64(of_rows.size // 3)
-    shift, one = np.uint64(column_shift(shadow.columns)), np.uint64(1)
-    second, third = np.uint64(ROOM), np.uint64(2 * ROOM)
+    shift, half, across = np.int32(scratch.shift), np.int32(scratch.shift - 1), np.int32(scratch.across)
+    second, third, fourth = np.uint64(ROOM), np.uint64(2 * ROOM), np.uint64(3 * ROOM)
     count = np.uint64(0)
     for piece in range(np.uint64(found)):
         low, high, top, bottom = boxes[0, piece], boxes[1, piece], boxes[2, piece], boxes[3, piece]
-        hit = bottom < 0
-        if not hit and pieces[4, piece]:
-            between = ((one << (np.uint64(high) >> shift)) << one) - (one << (np.uint64(low) >> shift))
-            last: Any = max(bottom - 3, top)
-            bits = coarse[np.uint64(top)] | coarse[np.uint64(last)]
-            for texel_row in range(np.uint64(top + 4), np.uint64(max(last, top + 4))):
-                bits |= coarse[texel_row]
-            hit = bits & between != 0
-        if hit:
-            first, row, point = np.uint64(pieces[0, piece]), np.uint64(pieces[2, piece]), np.int32(pieces[3, piece])
+        faces, pieces[4, piece] = pieces[4, piece] != 0, np.int32(-1)
+        low, high, top, bottom = low >> shift, high >> shift, top >> half, bottom >> half
+        one, other = np.uint64(top * across + low), np.uint64(top * across + max(high - np.int32(3), low))
+        near = min(coarse[one], coarse[other]) < boxes[4, piece]
+        if faces and (near or bottom > top + 1 or high > low + 7 or bottom < 0):
+            pieces[4, piece] = count
+            first, row = np.uint64(pieces[0, piece]), np.uint64(pieces[2, piece])
             left = first - row * width
             of_row_x, of_row_y, of_row_z = of_rows[row], of_rows[height + row], of_rows[height + height + row]
-            for i in range(min(np.uint64(BLOCK), width - left)):
-                z = np.float32(camera_range[first + i])
-                away = z * np.float32(of_columns[width + width + left + i] + of_row_z) + offset_z
-                x = (z * np.float32(of_columns[left + i] + of_row_x) + offset_x) / away
-                y = (z * np.float32(of_columns[width + left + i] + of_row_y) + offset_y) / away
-                inside = (away > _NONE) & (x >= -_HALF) & (x < last_x) & (y >= -_HALF) & (y < last_y)
-                texel_x = np.int32(max(np.floor(x), _NONE)) if inside else np.int32(0)
-                texel_y = np.int32(max(np.floor(y), _NONE)) if inside else np.int32(0)
-                limit = np.int32(min(away - _ONE, FARTHEST_STEPS) - surely_lit) + np.int32(1)
-                floats[count + i] = x if inside else _OUTSIDE
-                floats[second + count + i] = y
-                floats[third + count + i] = away
-                ints[count + i] = point + np.int32(i)
-                ints[second + count + i] = texel_y * columns + texel_x
-                ints[third + count + i] = limit if inside else _ALWAYS
+            span = min(np.uint64(BLOCK), width - left)
+            for i in range(span):
+                floats[count + i] = np.float32(of_columns[left + i] + of_row_x)
+                floats[second + count + i] = np.float32(of_columns[width + left + i] + of_row_y)
+                floats[third + count + i] = np.float32(of_columns[width + width + left + i] + of_row_z)
+            for i in range(span):
+                floats[fourth + count + i] = np.float32(camera_range[first + i])
             count += np.uint64(pieces[1, piece])
     return count
 
 
 @_kernel
-def read_texels(shadow: Any, count: Any, scratch: Any) -> Any:
-    """Move the points that a texel may shade to the front of `floats` and of `ints`, and read their four texels, less
-    one step, into `texels`. Returns their number.
+def read_texels(shadow: Any, count: Any, scratch: Any) -> None:
+    """Project points, and read the four texels around them, less one step, into `texels`.
+
+    Texel coordinates and range take the place of slopes in `floats`. Points outside the frame get NaN for their column,
+    which no rule calls lit.
     """
-    image, floats, ints, texels = shadow.projector_range, scratch.floats, scratch.ints, scratch.texels
-    nearest, candidates = scratch.nearest, scratch.candidates
-    last_x, last_y = np.float32(shadow.columns - 1), np.float32(shadow.rows - 1)
-    columns = np.uint64(shadow.columns)
+    p, frame, floats, starts, texels = shadow.projection, scratch.frame, scratch.floats, scratch.ints, scratch.texels
+    offset_x, offset_y, offset_z = p[0, 0], p[1, 0], p[2, 0]
+    last_x, last_y = np.float32(shadow.columns) - _HALF, np.float32(shadow.rows) - _HALF
+    stride = np.int32(shadow.columns + 2)
     second, third, fourth = np.uint64(ROOM), np.uint64(2 * ROOM), np.uint64(3 * ROOM)
-    hits = np.uint64(0)
     for point in range(np.uint64(count)):
-        candidates[hits] = point
-        hits += np.uint64(np.int32(nearest[np.uint64(ints[second + point])]) < ints[third + point])
-    step = np.uint16(1)
-    for hit in range(hits):
-        found = np.uint64(candidates[hit])
-        x, y, at = floats[found], floats[second + found], np.uint64(ints[second + found])
-        floats[hit], floats[second + hit], floats[third + hit] = x, y, floats[third + found]
-        ints[hit] = ints[found]
-        # Beyond the border, the texel beside is the same one.
-        right = np.uint64((x >= _NONE) & (x < last_x))
-        below = columns if (y >= _NONE) & (y < last_y) else np.uint64(0)
-        # One step off, an empty texel wraps round to 65535, which is behind every point, as it should be.
-        texels[hit] = np.uint16(image[at] - step)
-        texels[second + hit] = np.uint16(image[at + right] - step)
-        texels[third + hit] = np.uint16(image[at + below] - step)
-        texels[fourth + hit] = np.uint16(image[at + below + right] - step)
-    return hits
+        z = floats[fourth + point]
+        away = z * floats[third + point] + offset_z
+        x, y = (z * floats[point] + offset_x) / away, (z * floats[second + point] + offset_y) / away
+        inside = (away > _NONE) & (x >= -_HALF) & (x < last_x) & (y >= -_HALF) & (y < last_y)
+        floats[point], floats[second + point], floats[third + point] = x if inside else _OUTSIDE, y, away
+        column = np.int32(np.floor(x if inside else _NONE)) + np.int32(1)
+        row = np.int32(np.floor(y if inside else _NONE)) + np.int32(1)
+        starts[point] = row * stride + column
+    below, one = np.uint64(stride), np.uint64(1)
+    for point in range(np.uint64(count)):
+        at = np.uint64(starts[point])
+        texels[point], texels[second + point] = frame[at], frame[at + one]
+        texels[third + point], texels[fourth + point] = frame[at + below], frame[at + below + one]
 
 
 @_kernel
-def decide(hits: Any, floats: Any, texels: Any, gap_steps: Any, edge_steps: Any) -> None:
+def decide(count: Any, floats: Any, texels: Any, gap_steps: Any, edge_steps: Any) -> None:
     """Write 1 into `floats` where light gets to, else 0."""
     second, third, fourth = np.uint64(ROOM), np.uint64(2 * ROOM), np.uint64(3 * ROOM)
-    for hit in range(np.uint64(hits)):
-        a, b = np.float32(texels[hit]), np.float32(texels[second + hit])
-        c, d = np.float32(texels[third + hit]), np.float32(texels[fourth + hit])
-        x, y = floats[hit], floats[second + hit]
+    for point in range(np.uint64(count)):
+        a, b = np.float32(texels[point]), np.float32(texels[second + point])
+        c, d = np.float32(texels[third + point]), np.float32(texels[fourth + point])
+        x, y = floats[point], floats[second + point]
         along, below = x - np.floor(x), y - np.floor(y)
-        away = min(floats[third + hit] - _ONE, FARTHEST_STEPS)
+        away = min(floats[third + point] - _ONE, FARTHEST_STEPS)
         upper, lower = a + along * (b - a), c + along * (d - c)
         surface = away - (upper + below * (lower - upper)) <= gap_steps
         limit = away - edge_steps
@@ -320,7 +308,7 @@ def decide(hits: Any, floats: Any, texels: Any, gap_steps: Any, edge_steps: Any)
         votes += below * (_ONE - along) if c >= limit else _NONE
         votes += below * along if d >= limit else _NONE
         torn = max(max(a, b), max(c, d)) - min(min(a, b), min(c, d)) >= edge_steps
-        floats[hit] = _ONE if (votes >= _HALF if torn else surface) else _NONE
+        floats[point] = _ONE if (votes >= _HALF if torn else surface) else _NONE
 
 
 @_kernel
@@ -330,7 +318,7 @@ def mark_lit(shadow: Any, found: Any, scratch: Any, marks: Any, lit: Any) -> Non
     scratch: as `mark_occupied` left it for this projector. lit: points that need no answer, where `marks` may get
     either, as the other projector lights them; None without one: the compiler then leaves it out.
     """
-    pieces, floats, ints = scratch.pieces, scratch.floats, scratch.ints
+    pieces, floats = scratch.pieces, scratch.floats
     size = np.int64(shadow.camera_range.size)
     for piece in range(np.uint64(found)):
         first, point = np.uint64(pieces[0, piece]), np.uint64(pieces[3, piece])
@@ -345,11 +333,14 @@ def mark_lit(shadow: Any, found: Any, scratch: Any, marks: Any, lit: Any) -> Non
         pieces[4, piece] = faces
     find_extremes(shadow.camera_range, pieces, found, scratch.extremes)
     bound_pieces(shadow, pieces, found, scratch.extremes, scratch.boxes)
-    count = project_near(shadow, pieces, found, scratch)
-    hits = read_texels(shadow, count, scratch)
-    decide(hits, floats, scratch.texels, shadow.gap_steps, shadow.edge_steps)
-    for hit in range(hits):
-        marks[np.uint64(ints[hit])] &= np.uint8(floats[hit])
+    count = find_near(shadow, pieces, found, scratch)
+    read_texels(shadow, count, scratch)
+    decide(count, floats, scratch.texels, shadow.gap_steps, shadow.edge_steps)
+    for piece in range(np.uint64(found)):
+        if pieces[4, piece] >= 0:
+            point, at = np.uint64(pieces[3, piece]), np.uint64(pieces[4, piece])
+            for i in range(np.uint64(pieces[1, piece])):
+                marks[point + i] &= np.uint8(floats[at + i])
 
 
 @_kernel

@@ -59,8 +59,7 @@ def exact_range(
     image = np.zeros((projector.rows, projector.columns), np.uint16)
     _, x, y, away = test.project(camera_range, np.flatnonzero(faces_projector))
     width = projector.columns + 2
-    start = (np.floor(y).astype(np.int32) + 1) * np.int32(width) + np.floor(x).astype(np.int32) + np.int32(1)
-    start = start.astype(np.intp)
+    start = _starts(image.shape, x, y)
     read = np.flatnonzero(_footprint(start, image.shape))
     image.ravel()[read] = ranges(read)
 
@@ -71,6 +70,12 @@ def exact_range(
     behind = np.minimum(away - np.float32(1), FARTHEST_STEPS) - nearest
     image[~_footprint(start[behind > test.gap_steps - _MARGIN], image.shape)] = 0
     return image, x, y, away
+
+
+def _starts(shape: tuple[int, ...], x: Floats, y: Floats) -> NDArray[np.intp]:
+    """The upper left ones of the four texels around points, [N], as flat indices into the framed image."""
+    found = (np.floor(y).astype(np.int32) + 1) * np.int32(shape[1] + 2) + np.floor(x).astype(np.int32) + np.int32(1)
+    return found.astype(np.intp)
 
 
 def _footprint(start: NDArray[np.intp], shape: tuple[int, int]) -> NDArray[np.bool_]:
@@ -92,9 +97,12 @@ def coarsened(test: ShadowTest, image: Range, x: Floats, y: Floats, away: Floats
     """An image, uint16 [Hp, Wp], with which light reaches the same of the given points (`ShadowTest.reached`) as with
     `image`, in the steps of the test's rig.
     """
-    texels = texel_indices(image.shape, x, y)
-    read = np.flatnonzero(_any(image.ravel()[texels] > 0))  # the others read nothing, now or then
-    texels, points = texels[:, read], (x[read], y[read], away[read])
+    held = framed(image) != _EMPTY
+    held[:-1] |= held[1:]
+    held[:, :-1] |= held[:, 1:]
+    read = np.flatnonzero(held.ravel().take(_starts(image.shape, x, y)))  # the others read nothing, now or then
+    points = x[read], y[read], away[read]
+    texels = texel_indices(image.shape, *points[:2])
     answers = test.reached(image, *points)
     coarse = _simplest(image, *texel_bounds(test, image, texels, points, answers))
     while len(wrong := np.flatnonzero(test.reached(coarse, *points) != answers)):
@@ -130,31 +138,32 @@ def texel_bounds(
     Where the two bounds conflict, a lit point keeps its texels as they are, which bounds them from above, and other lit
     points may conflict with that in turn.
     """
-    ranges = (image.ravel()[texels] - np.uint16(1)).astype(np.int32)  # wraps round where it is empty
+    ranges = (image.ravel().take(texels) - np.uint16(1)).astype(np.int32)  # wraps round where it is empty
     away = np.minimum(points[2] - np.float32(1), FARTHEST_STEPS)
     enough = np.ceil(away).astype(np.int32) - int(test.gap_steps) + _MARGIN
     lowest, highest = np.zeros(image.size, np.int32), np.full(image.size, _EMPTY, np.int32)
     hard = np.flatnonzero(~lit | _any(ranges < enough))
-    read, needed = texels[:, hard], enough[hard]
-    low, high = _as_they_are(test, ranges[:, hard], (points[0][hard], points[1][hard], away[hard]), lit[hard])
-    left = lit[hard]
+    read, needed, left = texels.take(hard, axis=1), enough[hard], lit[hard]
+    low = np.broadcast_to(needed, read.shape).copy()
     kept = np.flatnonzero(~left)
     near, width = np.zeros(image.size, np.bool_), image.shape[1]
     while len(kept):  # in dozens of rounds where a scene fills the image, most with a few points
-        moved = read[:, kept].ravel()
-        np.minimum.at(highest, moved, high[:, kept].ravel())
+        moved, at = read.take(kept, axis=1).ravel(), hard[kept]
+        low[:, kept], high = _as_they_are(
+            test, ranges.take(at, axis=1), (points[0][at], points[1][at], away[at]), lit[at]
+        )
+        np.minimum.at(highest, moved, high.ravel())
         # Only points that read a moved texel can conflict; their upper left one is it, or beside or above it.
         marks = np.maximum(np.concatenate([moved - shift for shift in (0, 1, width, width + 1)]), 0)
         near[marks] = True
-        asked = np.flatnonzero(near[read[0]] & left)
+        asked = np.flatnonzero(near.take(read[0]) & left)
         near[marks] = False
-        kept = asked[_any(highest[read[:, asked]] < needed[asked])]
+        kept = asked[_any(highest.take(read.take(asked, axis=1)) < needed[asked])]
         left[kept] = False
-    low[:, left] = needed[left]
     np.maximum.at(lowest, read.ravel(), low.ravel())
-    easy = np.flatnonzero(_any(highest[texels] < _EMPTY))
-    easy = easy[lit[easy] & ~_any(ranges[:, easy] < enough[easy])]
-    for texel in texels[:, easy]:
+    easy = np.flatnonzero(_any(highest.take(texels) < _EMPTY))
+    easy = easy[lit[easy] & ~_any(ranges.take(easy, axis=1) < enough[easy])]
+    for texel in texels.take(easy, axis=1):
         np.maximum.at(lowest, texel, enough[easy])  # not all four at once: numpy 2.4 mixes up what it repeats
     return lowest, highest
 

@@ -274,13 +274,13 @@ def steps(range_m: NDArray[np.floating[Any]], step_m: float, where: str) -> NDAr
     step_m: one step, metres (`Rig.range_step_m`). where: origin of the ranges, for the message. Raises BadSample for a
     range below 0 or beyond 65535 steps.
     """
-    rounded = np.rint(np.asarray(range_m, np.float64) / step_m)
-    fits = (rounded >= 0) & (rounded <= 65535)  # False for NaN too
-    if not fits.all():
+    rounded = np.asarray(range_m, np.float64) / step_m
+    np.rint(rounded, out=rounded)
+    if rounded.size and not (rounded.min() >= 0 and rounded.max() <= 65535):  # False for NaN too
         reach = f"{65535 * step_m:.5g} m, 65535 steps of {1e3 * step_m:g} mm"
-        raise BadSample(f"{where}: a range must be 0 to {reach}, found {range_m[~fits][0]:.5g} m")
-    foreground = np.asarray(range_m) > 0
-    return np.where(foreground, np.maximum(rounded, 1), 0).astype(np.uint16)
+        found = np.asarray(range_m)[~((rounded >= 0) & (rounded <= 65535))][0]
+        raise BadSample(f"{where}: a range must be 0 to {reach}, found {found:.5g} m")
+    return np.maximum(rounded, np.asarray(range_m) > 0).astype(np.uint16)
 
 
 def info_from_json(tree: Any, key: str) -> SampleInfo:

@@ -349,6 +349,21 @@ def test_bodies_of_many_chunks_get_the_same_bits(position: tuple[float, float, f
         np.testing.assert_array_equal(lit, occlusion_compiled.lit(test, *images))
 
 
+@pytest.mark.parametrize(("rows", "columns"), [(90, 1500), (700, 1), (90, 129), (3, 4000)])
+def test_projectors_of_any_shape_give_the_same_bits(rows: int, columns: int) -> None:
+    """Tiles of wide ones are larger, and the last ones of a row and of the image are cut off."""
+    rig = small_rig(baseline_m=0.3)
+    shape = replace(rig.projector, rows=rows, columns=columns, centre_px=(columns / 2, rows / 2))
+    test = ShadowTest(replace(rig, projector=shape))
+    draws = np.random.default_rng(rows)
+    camera_range = np.full((90, 120), 25_000, np.uint16)
+    # Most texels are behind what is seen, and a few before it.
+    occluder = draws.choice(np.array([0, 24_999, 20_000], np.uint16), (rows, columns), p=[0.97, 0.028, 0.002])
+    lit = test.lit(camera_range, occluder, camera_range > 0)
+    np.testing.assert_array_equal(lit, occlusion_compiled.lit(test, camera_range, occluder, camera_range > 0))
+    assert 0 < lit.mean() < 0.999
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_boxes_hold_every_texel_that_their_points_read(seed: int) -> None:
     """Of rough surfaces, by the projection of the NumPy form; a box that is given up has a last row of -1."""
@@ -369,9 +384,9 @@ def test_boxes_hold_every_texel_that_their_points_read(seed: int) -> None:
         bound_pieces(shadow, scratch.pieces, found, scratch.extremes, scratch.boxes)
         for piece in range(found):
             first, length, piece_row, _, _ = scratch.pieces[:, piece].tolist()
-            left, right, top, bottom = scratch.boxes[:, piece].tolist()
+            left, right, top, bottom, limit = scratch.boxes[:, piece].tolist()
             assert piece_row == first // 120 == (first + length - 1) // 120
-            pixels, x, y, _ = test.project(image, np.arange(first, first + length))
+            pixels, x, y, away = test.project(image, np.arange(first, first + length))
             pieces_seen += 1
             if bottom == -1:
                 given_up += 1
@@ -379,6 +394,7 @@ def test_boxes_hold_every_texel_that_their_points_read(seed: int) -> None:
             assert len(pixels) == length, "all of them in the frame"
             assert left <= max(np.floor(x).min(), 0) and right >= min(np.floor(x).max() + 1, 119)
             assert top <= max(np.floor(y).min(), 0) and bottom >= min(np.floor(y).max() + 1, 89)
+            assert away.max() - min(test.gap_steps, test.edge_steps) < limit < away.max() + 1000
             assert right - left < 80 and bottom - top < 30, "no wider than its points need"
     assert pieces_seen > 100 and given_up < pieces_seen / 2
 

@@ -160,17 +160,15 @@ def encode_slopes(crop: Range, runs: Runs) -> Slopes:
     """Encode `crop`, the ranges in the box, 0 exactly where `runs`, those of its labels, are background."""
     flat = np.ascontiguousarray(crop).ravel()
     starts, _ = foreground_runs(runs)
-    change = np.diff(flat, prepend=np.uint16(0))
+    step = np.diff(flat, prepend=np.uint16(0)).reshape(crop.shape)
     inner = flat > 0
     inner[starts] = False
-    # In column order, the last step above is the previous one.
-    columns, rows = np.nonzero(inner.reshape(crop.shape).T)
-    index = rows * crop.shape[1] + columns
-    step = change[index]
+    inner = inner.reshape(crop.shape)
     above = np.zeros_like(step)
-    above[1:] = np.where(columns[1:] == columns[:-1], step[:-1], 0)
-    coded = np.zeros_like(flat)
-    coded[index] = zigzag(step - above)
+    for row in range(1, len(step)):
+        above[row] = above[row - 1]
+        np.copyto(above[row], step[row - 1], where=inner[row - 1])
+    coded = zigzag(step - above)
     firsts = to_byte_planes(zigzag(np.diff(flat[starts], prepend=np.uint16(0))))
     return Slopes(firsts, *escape_large(coded[inner], np.uint16))
 
