@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         part_beside,
         read_bytes,
         read_json,
+        read_toml,
         refuse_special,
         sync,
         write_atomically,

@@ -86,6 +86,11 @@ def _forget(token: str) -> None:
         del _FILESYSTEMS[key]
 
 
+def is_transient(status: int) -> bool:
+    """True for the status of a reply that another attempt may avoid."""
+    return status in _TRANSIENT_STATUSES
+
+
 class TransientFailure(Exception):
     """Failure that another attempt may avoid. wait_s: pause that the server demands, seconds."""
 

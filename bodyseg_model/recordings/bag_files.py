@@ -18,10 +18,11 @@ from functools import partial
 from importlib import import_module
 from itertools import accumulate, islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, BinaryIO, Final
 from urllib.parse import quote
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_model.recordings.bag_messages import (
@@ -47,17 +48,17 @@ _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _INDEX = 2, 3, 4, 5, 6, 7
 _MCAP_RECORD: Final = struct.Struct("<BQ")
 _MESSAGE_START: Final = struct.Struct("<HIQQ")
 _PLAIN: Final = -1
+_SCANNED: Final = (1 << 26, 100)
+"""Bytes that chunks without an index may claim, or how many times those of the file."""
+
 _ENCODINGS: Final[dict[str, Encoding]] = {"cdr": "cdr", "ros1": "ros1"}
 
 _PACKED: Final = (".zstd", ".zst")
 
 
-class _McapPlace(NamedTuple):
-    """A message's record: in the chunk at byte `chunk` of the file, or in the file itself (`_PLAIN`), from `offset`."""
-
-    time_ns: int
-    chunk: int
-    offset: int
+_Places = NDArray[np.int64]
+"""Messages' records [N, 3]: time, ns; the byte of the file where the chunk lies, or `_PLAIN`, in the file itself; the
+byte of that where the record lies."""
 
 
 class McapBag:
@@ -71,11 +72,13 @@ class McapBag:
         self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
         self._held: tuple[int, bytes] = (_PLAIN, b"")
-        locations: dict[int, list[_McapPlace]] = {}
+        self._found: dict[int, list[_Places]] = {}
+        self._left = max(_SCANNED[0], _SCANNED[1] * path.stat().st_size)
+        self._messages = 0
         try:
             with path.open("rb") as file:
-                self._list(file, locations)
-            self._locations = self._by_topic(locations)
+                self._list(file)
+            self._locations = self._by_topic()
         except MissingLibrary:
             raise
         except Exception as error:  # a damaged file raises what the parser likes
@@ -85,10 +88,10 @@ class McapBag:
             ) from error
         self.topics = list(self._locations)
 
-    def _by_topic(self, locations: dict[int, list[_McapPlace]]) -> dict[Topic, list[_McapPlace]]:
+    def _by_topic(self) -> dict[Topic, _Places]:
         """Join the messages of a topic's channels, in the order of time."""
-        joined: dict[tuple[str, str, Encoding], list[_McapPlace]] = {}
-        for number, found in locations.items():
+        joined: dict[tuple[str, str, Encoding], list[_Places]] = {}
+        for number, found in self._found.items():
             channel = self._channels.get(number)
             schema = self._schemas.get(channel.schema_id) if channel is not None else None
             if channel is not None and schema is not None and channel.message_encoding in _ENCODINGS:
@@ -96,65 +99,81 @@ class McapBag:
                 joined.setdefault((channel.topic, kind, _ENCODINGS[channel.message_encoding]), []).extend(found)
         by_topic = {}
         for name, found in sorted(joined.items()):
-            found.sort()
-            by_topic[Topic(*name, as_times([location.time_ns for location in found]))] = found
+            places = np.concatenate(found)
+            places = places[np.lexsort(places.T[::-1])]
+            by_topic[Topic(*name, as_times(places[:, 0]))] = places
         return by_topic
+
+    def _note(self, number: int, places: Any) -> None:
+        """Note messages of a channel: time, chunk and offset of each. Raises ValueError for too many."""
+        self._messages += len(places)
+        if self._messages > MOST_MESSAGES:
+            raise ValueError(f"it must have at most {MOST_MESSAGES} messages")
+        found = np.array(places, np.int64).reshape(-1, 3)
+        if found.min(initial=0) < _PLAIN:
+            raise ValueError("a message's time and place must be below 2^63")
+        self._found.setdefault(number, []).append(found)
 
     def read(self, topic: Topic, index: int) -> bytes:
         """Read message `index` of a topic."""
-        location = self._locations[topic][index]
-        if location.chunk == _PLAIN:
+        _, chunk, offset = self._locations[topic][index].tolist()
+        if chunk == _PLAIN:
             with self._path.open("rb") as file:
-                return _mcap_record(file, location.offset, _MESSAGE)[_MESSAGE_START.size :]
-        if self._held[0] != location.chunk:
+                return _mcap_record(file, offset, _MESSAGE)[_MESSAGE_START.size :]
+        if self._held[0] != chunk:
             self._held = (_PLAIN, b"")  # not two chunks at once
             with self._path.open("rb") as file:
-                self._held = location.chunk, _mcap_chunk(file, location.chunk)
-        return _mcap_record(io.BytesIO(self._held[1]), location.offset, _MESSAGE)[_MESSAGE_START.size :]
+                self._held = chunk, _mcap_chunk(file, chunk, LARGEST_MESSAGE)
+        return _mcap_record(io.BytesIO(self._held[1]), offset, _MESSAGE)[_MESSAGE_START.size :]
 
-    def _list(self, file: BinaryIO, locations: dict[int, list[_McapPlace]]) -> None:
+    def _list(self, file: BinaryIO) -> None:
         """List where messages lie, by channel: by the index behind each chunk, or else by its own records."""
         if file.read(len(MAGIC)) != MAGIC:
             raise ValueError("its first bytes are others")
         chunk, indexed, whole = _PLAIN, True, False
+        plain: dict[int, list[tuple[int, int, int]]] = {}
         for opcode, offset in _mcap_records(file, len(MAGIC)):
             if opcode == _INDEX:
                 data = _mcap_record(file, offset, _INDEX)
-                entries = np.frombuffer(data, "<u8", offset=6, count=min((len(data) - 6) // 16 * 2, 2 * MOST_MESSAGES))
+                entries = np.frombuffer(data, "<i8", offset=6, count=(len(data) - 6) // 16 * 2).reshape(-1, 2)
                 number = int.from_bytes(data[:2], "little")
-                locations.setdefault(number, []).extend(
-                    _McapPlace(int(time), chunk, int(start)) for time, start in entries.reshape(-1, 2)
-                )
+                self._note(number, np.insert(entries, 1, chunk, axis=1))
                 indexed = True
                 if number not in self._channels:
-                    self._scan(_mcap_chunk(file, chunk), None, chunk)
+                    self._scan(file, chunk, noted=False)
             elif opcode in (_SCHEMA, _CHANNEL):
                 self._define(opcode, _mcap_record(file, offset, opcode))
             else:
                 if not indexed:
-                    self._scan(_mcap_chunk(file, chunk), locations, chunk)
+                    self._scan(file, chunk)
                     indexed = True
                 if opcode == _CHUNK:
                     chunk, indexed = offset, False
                 elif opcode == _MESSAGE:
                     file.seek(offset + _MCAP_RECORD.size)
                     number, _, time, _ = _MESSAGE_START.unpack(file.read(_MESSAGE_START.size))
-                    locations.setdefault(number, []).append(_McapPlace(time, _PLAIN, offset))
+                    plain.setdefault(number, []).append((time, _PLAIN, offset))
                 elif opcode == _FOOTER:
                     whole = True
                     break
         if not whole:
             raise ValueError("it ends before its footer")
+        for number, places in plain.items():
+            self._note(number, places)
 
-    def _scan(self, data: bytes, locations: dict[int, list[_McapPlace]] | None, chunk: int) -> None:
-        """Note the schemas and channels of a chunk, and where `locations` is given its messages as well."""
-        file = io.BytesIO(data)
-        for opcode, offset in _mcap_records(file, 0):
+    def _scan(self, file: BinaryIO, chunk: int, noted: bool = True) -> None:
+        """Note the schemas and channels of the chunk at a byte, and its messages unless an index lists them."""
+        data = _mcap_chunk(file, chunk, min(self._left, LARGEST_MESSAGE))
+        self._left -= len(data)
+        within, found = io.BytesIO(data), dict[int, list[tuple[int, int, int]]]()
+        for opcode, offset in _mcap_records(within, 0):
             if opcode in (_SCHEMA, _CHANNEL):
-                self._define(opcode, _mcap_record(file, offset, opcode))
-            elif opcode == _MESSAGE and locations is not None:
+                self._define(opcode, _mcap_record(within, offset, opcode))
+            elif opcode == _MESSAGE and noted:
                 number, _, time, _ = _MESSAGE_START.unpack_from(data, offset + _MCAP_RECORD.size)
-                locations.setdefault(number, []).append(_McapPlace(time, chunk, offset))
+                found.setdefault(number, []).append((time, chunk, offset))
+        for number, places in found.items():
+            self._note(number, places)
 
     def _define(self, opcode: int, data: bytes) -> None:
         record = _mcap_parsed("Schema" if opcode == _SCHEMA else "Channel", data)
@@ -168,8 +187,8 @@ def _mcap_records(file: BinaryIO, start: int) -> Iterator[tuple[int, int]]:
     while offset + _MCAP_RECORD.size <= size:
         file.seek(offset)
         opcode, length = _MCAP_RECORD.unpack(file.read(_MCAP_RECORD.size))
-        if offset + _MCAP_RECORD.size + length > size:
-            raise ValueError(f"it is cut off at byte {offset}")
+        if not opcode or offset + _MCAP_RECORD.size + length > size:
+            raise ValueError(f"it is cut off at byte {offset}" if opcode else f"no record begins at byte {offset}")
         yield opcode, offset
         offset += _MCAP_RECORD.size + length
 
@@ -195,12 +214,18 @@ def _mcap_parsed(kind: str, data: bytes) -> Any:
     return getattr(records, kind).read(streams.ReadDataStream(io.BytesIO(data)))
 
 
-def _mcap_chunk(file: BinaryIO, offset: int) -> bytes:
-    """Read the chunk at a byte, decompressed. Raises ValueError, also for a wrong checksum."""
+def _mcap_chunk(file: BinaryIO, offset: int, most: int) -> bytes:
+    """Read the chunk at a byte, of at most so many bytes when it is decompressed.
+
+    Raises ValueError, also for a wrong checksum.
+    """
     chunk = _mcap_parsed("Chunk", _mcap_record(file, offset, _CHUNK))
-    data = decompressed(chunk.data) if chunk.compression else chunk.data
-    if len(data) != chunk.uncompressed_size:
-        raise ValueError(f"a chunk must have {chunk.uncompressed_size} bytes, found {len(data)}")
+    size = chunk.uncompressed_size
+    if size > most:
+        raise ValueError(f"the chunk at byte {offset} claims {size} bytes of {len(chunk.data)}, beyond any recording's")
+    data = decompressed(chunk.data, size) if chunk.compression else chunk.data
+    if len(data) != size:
+        raise ValueError(f"a chunk must have {size} bytes, found {len(data)}")
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
         raise ValueError(f"the checksum of the chunk at byte {offset} must be {chunk.uncompressed_crc:08x}")
     return data

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import struct
 import warnings
 from pathlib import Path
 from typing import Any, Final
@@ -12,9 +14,12 @@ from PIL import Image, TiffImagePlugin
 
 from bodyseg_data.core import BadConfig
 from bodyseg_data.machine import silence_libtiff
-from bodyseg_model.recordings.recording import LARGEST_SIDE, Frame, FrameSource, stored_recording
+from bodyseg_model.recordings.recording import LARGEST_SIDE, MOST_FRAMES, Frame, FrameSource, stored_recording
 
 _MODES: Final = {"I;16": np.uint16, "I;16B": np.uint16, "I;16L": np.uint16, "I": np.int32, "F": np.float32}
+
+_BIG: Final = 43  # version of a TIFF with offsets of 64 bits
+_TILE_SIDES: Final = (322, 323)  # tags of TIFF 6.0
 
 # Pillow decodes 64 bits, and only has no name for them: byte order, grey either way, floating point, bits.
 for _order, _raw in ((b"II", "F;64F"), (b"MM", "F;64BF")):
@@ -34,32 +39,82 @@ def open_tiff(path: Path, topic: str | None, step_m: float | None) -> tuple[Fram
         floating = pages.read(0).dtype.kind == "f"
     except BadConfig as error:
         raise BadConfig(f"{path}: {error}") from error
-    return stored_recording(path, pages, [None] * pages.count, floating, step_m)
+    return stored_recording(path, pages, pages.count, floating, step_m)
 
 
 class _Pages(FrameSource):
-    """Pages of a TIFF. The file is opened for every page, so that no handle outlives a call."""
+    """Pages of a TIFF, listed once by their offsets. The file is opened for every page, so that no handle outlives a
+    call.
+    """
 
     def __init__(self, path: Path) -> None:
         silence_libtiff()
         self._path = path
         try:
-            with warnings.catch_warnings(action="error"), Image.open(path, formats=["TIFF"]) as image:
-                count = getattr(image, "n_frames", 1)
-        except Exception as error:  # a damaged TIFF raises what Pillow likes
+            with path.open("rb") as file:
+                self._offsets = _pages(file)
+        except (OSError, ValueError, struct.error) as error:
             raise BadConfig(f"{path} must be a whole TIFF: {error}") from error
-        self.count: int = count
+        self.count = len(self._offsets)
 
     def read(self, index: int) -> NDArray[Any]:
         try:
-            with warnings.catch_warnings(action="error"), Image.open(self._path, formats=["TIFF"]) as image:
-                image.seek(index)
+            with (
+                warnings.catch_warnings(action="error"),
+                _FromPage(self._path, self._offsets[index]) as file,
+                Image.open(file, formats=["TIFF"]) as image,
+            ):
                 mode, size = image.mode, image.size
-                if mode in _MODES and max(size) <= LARGEST_SIDE:
+                tile = [int(image.tag_v2.get(tag, 1)) for tag in _TILE_SIDES]  # type: ignore[attr-defined]
+                if mode in _MODES and max(*size, *tile) <= LARGEST_SIDE:
                     return np.asarray(image).astype(_MODES[mode])
-        except Exception as error:  # as above
+        except Exception as error:  # a damaged page raises what Pillow likes
             raise BadConfig(f"page {index} of the TIFF cannot be read: {error}") from error
         raise BadConfig(
             f"a page must be grey of 16 or 32 bits or floating point, at most {LARGEST_SIDE} a side, found {mode!r} of "
             f"{size[1]} x {size[0]}"
         )
+
+
+def _pages(file: io.BufferedReader) -> list[int]:
+    """Offsets of a TIFF's pages, each of which names the next. Raises ValueError, struct.error."""
+    size = file.seek(0, io.SEEK_END)
+    file.seek(0)
+    order = "<" if file.read(2) == b"II" else ">"
+
+    def number(kind: str, offset: int) -> int:
+        file.seek(offset)
+        value: int = struct.unpack(order + kind, file.read(struct.calcsize(kind)))[0]
+        return value
+
+    wide = number("H", 2) == _BIG
+    many, entry, link = ("Q", 20, "Q") if wide else ("H", 12, "I")
+    offsets: dict[int, None] = {}
+    offset = number(link, 8 if wide else 4)
+    while offset and offset not in offsets:  # some writers end with a page that was there before
+        entries = number(many, offset) if offset < size else size
+        end = offset + struct.calcsize(many) + entry * entries
+        if end > size:
+            raise ValueError(f"page {len(offsets)} at byte {offset} lies beyond its end")
+        if len(offsets) == MOST_FRAMES:
+            raise ValueError(f"it has more than {MOST_FRAMES} pages")
+        offsets[offset] = None
+        offset = number(link, end)
+    return list(offsets)
+
+
+class _FromPage(io.FileIO):
+    """A TIFF whose header names the page at an offset as the first: Pillow loads all pages before the one it seeks."""
+
+    def __init__(self, path: Path, offset: int) -> None:
+        super().__init__(path)
+        head = super().read(16)
+        order = "<" if head[:2] == b"II" else ">"
+        at, kind = (8, "Q") if _BIG in head[2:4] else (4, "I")
+        self._head = head[:at] + struct.pack(order + kind, offset)
+        self.seek(0)
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        start = self.tell()
+        data = super().read(-1 if size is None else size) or b""
+        return self._head[start : start + len(data)] + data[max(len(self._head) - start, 0) :]
