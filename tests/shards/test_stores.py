@@ -646,7 +646,7 @@ def test_what_the_hub_refuses_is_one_line(
     with pytest.raises((Unreachable, BadConfig)) as caught:
         RangeImages(address, variant="none", storage_options=given, retry_policy=policy, cache=tmp_path)
     said = str(caught.value)
-    assert message in said and "\n" not in said and not any(len(text) > 5 and text in said for text in (TOKEN, "wrong-"))
+    assert message in said and "\n" not in said and TOKEN not in said and "wrong-" not in said
 
 
 def test_a_hub_that_names_no_commit_is_refused(web: WebServer, monkeypatch: pytest.MonkeyPatch) -> None:
