@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BadMesh
-from bodyseg_data.files import read_bytes, read_json, refuse_special
+from bodyseg_data.files import read_json, refuse_special
 from bodyseg_data.labels import BACKGROUND, UNLABELLED, Classes, classes_from_json
 from bodyseg_data.meshes import MeshContent
 
@@ -224,16 +224,8 @@ def labels_from_file(path: Path, content: MeshContent, table: Mapping[int, str])
         if path.suffix.lower() == ".npy":
             given: Any = np.load(path, mmap_mode="r", allow_pickle=False)  # takes no memory for a size that it claims
         else:
-            given = json.loads(read_bytes(path))
-    except (
-        BadConfig,
-        OSError,
-        ValueError,
-        EOFError,
-        RecursionError,
-        SyntaxError,
-        TokenError,
-    ) as error:  # of NumPy, too
+            given = json.loads(path.read_bytes())
+    except (OSError, ValueError, EOFError, RecursionError, SyntaxError, TokenError) as error:  # of NumPy's headers, too
         raise BadMesh(f"cannot read the labels {path}: {error}") from error
     if isinstance(given, dict):
         return labels_of_parts(given, content, str(path))

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
         part_beside,
         read_bytes,
         read_json,
-        read_toml,
         refuse_special,
         sync,
         write_atomically,

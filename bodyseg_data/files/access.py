@@ -24,9 +24,8 @@ from bodyseg_data.core import BadConfig
 _LARGEST_FILE: Final = 1 << 31
 _LARGEST_JSON: Final = 1 << 26  # objects of Python take twenty times as many bytes
 _LARGEST_TOML: Final = 1 << 20
+# A key of more than 17 parts, whose prefixes `tomllib` would keep one by one: 9 GB of 50 000 parts.
 _DOTTED: Final = re.compile(r"""(?:(?<![\w"'-])(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){17}""")
-"""A key of more than 17 parts, whose prefixes `tomllib` would keep one by one: 9 GB of 50 000 parts."""
-
 _CHUNK_BYTES: Final = 1 << 20
 _PART: Final = ".part"
 _LOCK: Final = ".lock"
@@ -175,28 +174,6 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 def read_json(path: Path) -> dict[str, Any]:
     """The object in a JSON file. Raises BadConfig, naming it."""
     return parse_json(read_bytes(path, _LARGEST_JSON), str(path))
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """The tables in a TOML file. Raises BadConfig, naming it."""
-    try:
-        return _parse_toml(read_bytes(path, _LARGEST_TOML).decode(), str(path))
-    except UnicodeDecodeError as error:
-        raise BadConfig(f"{path} is not TOML: {error}") from error
-
-
-def _parse_toml(text: str, where: str) -> dict[str, Any]:
-    """The tables in TOML text; `where` names its origin in messages. Raises BadConfig."""
-    try:
-        if len(text) > _LARGEST_TOML:
-            raise ValueError(f"it must have at most {_LARGEST_TOML} letters, found {len(text)}")
-        if found := _DOTTED.search(text):
-            raise ValueError(f"a key must have at most 17 parts, found {found[0][:30]}...")
-        tree = tomllib.loads(text)
-        repr(tree)  # raises ValueError for a hexadecimal number that is longer than Python prints
-    except (ValueError, RecursionError) as error:  # also numbers and brackets beyond reason
-        raise BadConfig(f"{where} is not TOML: {error}") from error
-    return tree
 
 
 def read_bytes(path: Path, limit: int = _LARGEST_FILE) -> bytes:
@@ -355,7 +332,15 @@ class TomlFiles:
 
     def parse(self, text: str, where: str) -> dict[str, Any]:
         """Parse the text of a file; the tree comes without its format. where: its origin. Raises BadConfig."""
-        tree = _parse_toml(text, f"{self.kind} {where}")
+        try:
+            if len(text) > _LARGEST_TOML:
+                raise ValueError(f"it must have at most {_LARGEST_TOML} letters")
+            if found := _DOTTED.search(text):
+                raise ValueError(f"a key must have at most 17 parts, found {found[0][:30]}...")
+            tree = tomllib.loads(text)
+            repr(tree)  # raises ValueError for a hexadecimal number that is longer than Python prints
+        except (ValueError, RecursionError) as error:  # also numbers and brackets beyond reason
+            raise BadConfig(f"{self.kind} {where} is not TOML: {error}") from error
         if tree.pop("format", None) != self.file_format:
             raise BadConfig(f"{self.kind} {where}: 'format' must be {self.file_format!r}")
         return tree

@@ -33,7 +33,7 @@ _CHUNK_S: Final = 0.2
 _BLOCK_BYTES: Final = 4 << 20
 """Size of requests to filesystems that give no partial ranges: the most that a broken connection loses."""
 
-_TRANSIENT_STATUSES: Final = frozenset({408, 425, 429, 500, 502, 503, 504})
+TRANSIENT_STATUSES: Final = frozenset({408, 425, 429, 500, 502, 503, 504})
 _PERMANENT_ERRORS: Final = (PermissionError, IsADirectoryError, ValueError, TypeError, NotImplementedError)
 _PERMANENT_ERROR_NAMES: Final = frozenset(
     {"NoCredentialsError", "PartialCredentialsError", "ProfileNotFound", "ParamValidationError"}
@@ -84,11 +84,6 @@ class Filesystem:
 def _forget(token: str) -> None:
     for key in [key for key in _FILESYSTEMS if key[:2] == (os.getpid(), token)]:
         del _FILESYSTEMS[key]
-
-
-def is_transient(status: int) -> bool:
-    """True for the status of a reply that another attempt may avoid."""
-    return status in _TRANSIENT_STATUSES
 
 
 class TransientFailure(Exception):
@@ -268,7 +263,7 @@ def _check_response(response: Any, start: int | None, stop: int | None) -> None:
         raise FileMissing(f"{status} {response.reason}")
     if status == 416:
         raise TransientFailure(f"ends before byte {start}")
-    if status in _TRANSIENT_STATUSES:
+    if status in TRANSIENT_STATUSES:
         wait = response.headers.get("Retry-After", "")
         raise TransientFailure(f"{status} {response.reason}", float(wait) if re.fullmatch(r"[0-9]{1,6}", wait) else 0.0)
     if status not in (200, 206) or (start is None and status == 206):

@@ -191,9 +191,9 @@ def read_card(weights: Path) -> dict[str, Any]:
 
 
 def _build(card: dict[str, Any], where: Path, held: Mapping[str, torch.Tensor]) -> Network:
-    """A network with new weights, as a card or a plan describes it. held: its weights.
+    """A network with new weights, as a card or a plan describes it.
 
-    Raises BadConfig, naming the file, also for a network far larger than these, before it takes the memory.
+    Raises BadConfig, naming the file, also for one far larger than the weights `held`, before it takes the memory.
     """
     name, settings = card.get("network"), card.get("settings")
     if not isinstance(name, str) or not isinstance(settings, dict):
@@ -202,10 +202,9 @@ def _build(card: dict[str, Any], where: Path, held: Mapping[str, torch.Tensor]) 
 
     def count(_module: torch.nn.Module, _name: str, weights: torch.nn.Parameter) -> None:
         nonlocal left
-        if get_ident() == thread:
-            left -= weights.numel()
-            if left < 0:
-                raise BadConfig(f"{where}: the network must fit its weights, found a larger one")
+        left -= weights.numel() if get_ident() == thread else 0
+        if left < 0:
+            raise BadConfig(f"{where}: the network must fit its weights, found a larger one")
 
     hook = register_module_parameter_registration_hook(count)
     try:

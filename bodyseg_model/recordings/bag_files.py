@@ -48,17 +48,14 @@ _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _INDEX = 2, 3, 4, 5, 6, 7
 _MCAP_RECORD: Final = struct.Struct("<BQ")
 _MESSAGE_START: Final = struct.Struct("<HIQQ")
 _PLAIN: Final = -1
-_SCANNED: Final = (1 << 26, 100)
-"""Bytes that chunks without an index may claim, or how many times those of the file."""
-
+_SCANNED: Final = (1 << 26, 100)  # bytes that chunks without an index may claim, or times those of the file
 _ENCODINGS: Final[dict[str, Encoding]] = {"cdr": "cdr", "ros1": "ros1"}
 
 _PACKED: Final = (".zstd", ".zst")
 
 
 _Places = NDArray[np.int64]
-"""Messages' records [N, 3]: time, ns; the byte of the file where the chunk lies, or `_PLAIN`, in the file itself; the
-byte of that where the record lies."""
+"""Messages' records [N, 4]: channel; time, ns; byte of the chunk, `_PLAIN` for the file itself; byte within that."""
 
 
 class McapBag:
@@ -72,7 +69,7 @@ class McapBag:
         self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
         self._held: tuple[int, bytes] = (_PLAIN, b"")
-        self._found: dict[int, list[_Places]] = {}
+        self._found: list[_Places] = []
         self._left = max(_SCANNED[0], _SCANNED[1] * path.stat().st_size)
         self._messages = 0
         try:
@@ -90,33 +87,27 @@ class McapBag:
 
     def _by_topic(self) -> dict[Topic, _Places]:
         """Join the messages of a topic's channels, in the order of time."""
-        joined: dict[tuple[str, str, Encoding], list[_Places]] = {}
-        for number, found in self._found.items():
-            channel = self._channels.get(number)
-            schema = self._schemas.get(channel.schema_id) if channel is not None else None
-            if channel is not None and schema is not None and channel.message_encoding in _ENCODINGS:
+        joined: dict[tuple[str, str, Encoding], list[int]] = {}
+        for number, channel in self._channels.items():
+            schema = self._schemas.get(channel.schema_id)
+            if schema is not None and channel.message_encoding in _ENCODINGS:
                 kind = schema.name if "/msg/" in schema.name else schema.name.replace("/", "/msg/", 1)
-                joined.setdefault((channel.topic, kind, _ENCODINGS[channel.message_encoding]), []).extend(found)
-        by_topic = {}
-        for name, found in sorted(joined.items()):
-            places = np.concatenate(found)
-            places = places[np.lexsort(places.T[::-1])]
-            by_topic[Topic(*name, as_times(places[:, 0]))] = places
-        return by_topic
+                joined.setdefault((channel.topic, kind, _ENCODINGS[channel.message_encoding]), []).append(number)
+        places = np.concatenate([np.empty((0, 4), np.int64), *self._found])
+        places = places[np.lexsort(places.T[:0:-1])]
+        by_topic = {name: places[np.isin(places[:, 0], numbers)] for name, numbers in sorted(joined.items())}
+        return {Topic(*name, as_times(found[:, 1])): found for name, found in by_topic.items() if len(found)}
 
-    def _note(self, number: int, places: Any) -> None:
-        """Note messages of a channel: time, chunk and offset of each. Raises ValueError for too many."""
+    def _note(self, places: Any) -> None:
+        """Note messages' `_Places`. Raises ValueError for too many."""
+        self._found.append(np.array(places, np.int64).reshape(-1, 4))
         self._messages += len(places)
-        if self._messages > MOST_MESSAGES:
-            raise ValueError(f"it must have at most {MOST_MESSAGES} messages")
-        found = np.array(places, np.int64).reshape(-1, 3)
-        if found.min(initial=0) < _PLAIN:
-            raise ValueError("a message's time and place must be below 2^63")
-        self._found.setdefault(number, []).append(found)
+        if self._messages > MOST_MESSAGES or self._found[-1].min(initial=0) < _PLAIN:
+            raise ValueError(f"it must have at most {MOST_MESSAGES} messages, of times and places below 2^63")
 
     def read(self, topic: Topic, index: int) -> bytes:
         """Read message `index` of a topic."""
-        _, chunk, offset = self._locations[topic][index].tolist()
+        _, _, chunk, offset = self._locations[topic][index].tolist()
         if chunk == _PLAIN:
             with self._path.open("rb") as file:
                 return _mcap_record(file, offset, _MESSAGE)[_MESSAGE_START.size :]
@@ -131,13 +122,13 @@ class McapBag:
         if file.read(len(MAGIC)) != MAGIC:
             raise ValueError("its first bytes are others")
         chunk, indexed, whole = _PLAIN, True, False
-        plain: dict[int, list[tuple[int, int, int]]] = {}
+        plain: list[tuple[int, int, int, int]] = []
         for opcode, offset in _mcap_records(file, len(MAGIC)):
             if opcode == _INDEX:
                 data = _mcap_record(file, offset, _INDEX)
                 entries = np.frombuffer(data, "<i8", offset=6, count=(len(data) - 6) // 16 * 2).reshape(-1, 2)
                 number = int.from_bytes(data[:2], "little")
-                self._note(number, np.insert(entries, 1, chunk, axis=1))
+                self._note([(number, time, chunk, start) for time, start in entries.tolist()])
                 indexed = True
                 if number not in self._channels:
                     self._scan(file, chunk, noted=False)
@@ -152,28 +143,26 @@ class McapBag:
                 elif opcode == _MESSAGE:
                     file.seek(offset + _MCAP_RECORD.size)
                     number, _, time, _ = _MESSAGE_START.unpack(file.read(_MESSAGE_START.size))
-                    plain.setdefault(number, []).append((time, _PLAIN, offset))
+                    plain.append((number, time, _PLAIN, offset))
                 elif opcode == _FOOTER:
                     whole = True
                     break
         if not whole:
             raise ValueError("it ends before its footer")
-        for number, places in plain.items():
-            self._note(number, places)
+        self._note(plain)
 
     def _scan(self, file: BinaryIO, chunk: int, noted: bool = True) -> None:
         """Note the schemas and channels of the chunk at a byte, and its messages unless an index lists them."""
         data = _mcap_chunk(file, chunk, min(self._left, LARGEST_MESSAGE))
         self._left -= len(data)
-        within, found = io.BytesIO(data), dict[int, list[tuple[int, int, int]]]()
+        within, found = io.BytesIO(data), list[tuple[int, int, int, int]]()
         for opcode, offset in _mcap_records(within, 0):
             if opcode in (_SCHEMA, _CHANNEL):
                 self._define(opcode, _mcap_record(within, offset, opcode))
             elif opcode == _MESSAGE and noted:
                 number, _, time, _ = _MESSAGE_START.unpack_from(data, offset + _MCAP_RECORD.size)
-                found.setdefault(number, []).append((time, chunk, offset))
-        for number, places in found.items():
-            self._note(number, places)
+                found.append((number, time, chunk, offset))
+        self._note(found)
 
     def _define(self, opcode: int, data: bytes) -> None:
         record = _mcap_parsed("Schema" if opcode == _SCHEMA else "Channel", data)
@@ -215,10 +204,7 @@ def _mcap_parsed(kind: str, data: bytes) -> Any:
 
 
 def _mcap_chunk(file: BinaryIO, offset: int, most: int) -> bytes:
-    """Read the chunk at a byte, of at most so many bytes when it is decompressed.
-
-    Raises ValueError, also for a wrong checksum.
-    """
+    """Read the chunk at a byte, decompressed to at most so many. Raises ValueError, also for a wrong checksum."""
     chunk = _mcap_parsed("Chunk", _mcap_record(file, offset, _CHUNK))
     size = chunk.uncompressed_size
     if size > most:

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_data.core import BadConfig
 from bodyseg_data.machine import missing_library
 from bodyseg_model.networks import Network, check_range_images
 from bodyseg_model.runtimes.onnx_files import RANGE, SCORES, OnnxModel, scores_part
@@ -138,17 +138,14 @@ class RuntimeNetwork(Network):
             if threads not in self._sessions:
                 self._sessions[threads] = self._runtime(self._graph, self._precision, threads)
             found = self._sessions[threads].scores(range_m.detach().cpu().float().contiguous().numpy())
-        except MissingLibrary:
-            raise
         except Exception as error:  # of the runtime's own kinds
             text = " ".join(str(error).split())
             why = f"it asks for more than {_MOST_BYTES} bytes" if "vailable memory" in text else text[:300]
             raise BadConfig(f"{self.identity['backend']} cannot compute the network: {why}") from error
-        sides = [-(-side // self.output_stride) for side in range_m.shape[2:]]
-        if found.shape != (len(range_m), *sides, self.classes):
+        wanted = [len(range_m), *(-(-side // self.output_stride) for side in range_m.shape[2:]), self.classes]
+        if list(found.shape) != wanted:
             raise BadConfig(
-                f"a network of stride {self.output_stride} and {self.classes} classes must give scores of "
-                f"{[len(range_m), *sides, self.classes]}, found {list(found.shape)}"
+                f"a network of its stride and classes must give scores of {wanted}, found {list(found.shape)}"
             )
         return torch.from_numpy(found).permute(0, 3, 1, 2)
 

@@ -129,7 +129,7 @@ def test_files_that_are_no_cameras_are_named(name: str, content: str, message: s
 
 def test_a_file_that_cannot_be_read_is_named(folder: Path) -> None:
     (folder / "cameras.json").mkdir()
-    assert refusal(folder) == f"{folder / 'cameras.json'}: the file cannot be read: Is a directory"
+    assert refusal(folder) == f"cannot read {folder / 'cameras.json'}: Is a directory"
 
 
 def test_a_frame_must_fit_its_camera(folder: Path) -> None:

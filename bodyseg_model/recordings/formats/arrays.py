@@ -9,9 +9,8 @@ import math
 import re
 import struct
 import zipfile
-from bisect import bisect_right
 from dataclasses import dataclass
-from itertools import accumulate
+from itertools import islice
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -21,7 +20,14 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadConfig
 from bodyseg_model.recordings.frame_files import read_part
 from bodyseg_model.recordings.frames import natural_key
-from bodyseg_model.recordings.recording import ArrayFrames, Frame, FrameSource, check_pixels, stored_recording
+from bodyseg_model.recordings.recording import (
+    MOST_FRAMES,
+    ArrayFrames,
+    Frame,
+    FrameSource,
+    check_pixels,
+    stored_recording,
+)
 
 _LONGEST_HEADER: Final = 10_000
 _TIMES: Final = ("times", "time", "timestamps")
@@ -76,11 +82,13 @@ def open_npz(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame
         _check(array.shape, array.kind, f"{path}, {array.title!r}", step_m)
     if len({array.kind.kind for array in chosen}) > 1:
         raise BadConfig(f"arrays of frames must all be whole numbers or all floating point, found both in {path}")
-    frames = _Zipped(path, chosen)
-    if times is not None and len(times) != frames.count:
-        raise BadConfig(f"times must be as many as frames, found {len(times)} for {frames.count} in {path}")
+    each = ((array, number) for array in chosen for number in range(array.count))
+    locations = list(islice(each, MOST_FRAMES + 1))
+    if times is not None and len(times) != len(locations):
+        raise BadConfig(f"times must be as many as frames, found {len(times)} for {len(locations)} in {path}")
     floating = bool(chosen) and chosen[0].kind.kind == "f"
-    return stored_recording(path, frames, times or frames.count, floating, step_m, part=topic or "")
+    frames = _Zipped(path, locations)
+    return stored_recording(path, frames, times or len(locations), floating, step_m, part=topic or "")
 
 
 def _chosen(families: dict[str, list[_Array]], images: list[_Array], topic: str | None, path: Path) -> list[_Array]:
@@ -101,8 +109,8 @@ def _chosen(families: dict[str, list[_Array]], images: list[_Array], topic: str 
 
 @dataclass(frozen=True)
 class _Array:
-    """An array in a zip, whose numbers begin at byte `start` of its file; `stored_at`: of the zip itself, for those of
-    several frames that are not compressed. columns_first: True for Fortran's order.
+    """An array in a zip: its numbers begin at byte `start` of its file, and of several frames that are not compressed
+    at byte `stored_at` of the zip. columns_first: True for Fortran's order.
     """
 
     member: zipfile.ZipInfo
@@ -137,25 +145,18 @@ class _Array:
 
 
 class _Zipped(FrameSource):
-    """Frames of arrays in a zip; the array that was read last stays open, so that neighbours are read in one pass.
-
-    Frames that are not compressed are read where they lie.
+    """Frames of arrays in a zip; those that are not compressed are read where they lie. Of others, the array that was
+    read last stays open, so that neighbours are read in one pass.
     """
 
-    def __init__(self, path: Path, arrays: list[_Array]) -> None:
-        self._path, self._arrays = path, arrays
-        self._ends = [*accumulate(array.count for array in arrays)]
-        self.count = self._ends[-1] if arrays else 0
+    def __init__(self, path: Path, locations: list[tuple[_Array, int]]) -> None:
+        self._path, self._locations = path, locations
         self._archive: zipfile.ZipFile | None = None
         self._held: tuple[_Array, IO[bytes]] | None = None
         self._whole: tuple[_Array, NDArray[Any]] | None = None
 
-    def __del__(self) -> None:
-        self._close()
-
     def read(self, index: int) -> NDArray[Any]:
-        place = bisect_right(self._ends, index)
-        array, number = self._arrays[place], index - self._ends[place] + self._arrays[place].count
+        array, number = self._locations[index]
         size = array.sides[-2] * array.sides[-1] * array.kind.itemsize
         try:
             if array.columns_first:
@@ -164,41 +165,32 @@ class _Zipped(FrameSource):
             if array.stored_at is not None:
                 data = read_part(self._path, array.stored_at + number * size, size)
             else:
-                file = self._opened(array)
-                file.seek(array.start + number * size)
-                data = file.read(size)
+                data = self._opened(array, array.start + number * size).read(size)
         except Exception as error:  # as above
-            self._close()
+            if self._held is not None:
+                self._held[1].close()
+            self._held = self._archive = None
             raise BadConfig(f"the array {array.title!r} must be whole: {error}") from error
         if len(data) != size:
             raise BadConfig(f"the array {array.title!r} must be whole, found {len(data)} of {size} bytes")
         return np.frombuffer(data, array.kind).reshape(array.sides[-2:])
 
-    def _opened(self, array: _Array) -> IO[bytes]:
-        """The file of an array, open; the zip's list of them is read once."""
+    def _opened(self, array: _Array, offset: int) -> IO[bytes]:
+        """The file of an array, at a byte; the zip's list of them is read once."""
         if self._archive is None:
             self._archive = zipfile.ZipFile(self._path)
         if self._held is None or self._held[0] is not array:
-            if self._held is not None:
-                self._held[1].close()
             self._held = array, self._archive.open(array.member)
+        self._held[1].seek(offset)
         return self._held[1]
 
     def _stack(self, array: _Array) -> NDArray[Any]:
         """All frames [N, H, W] of an array in Fortran's order, which lie in each other; the last array stays."""
         if self._whole is None or self._whole[0] is not array:
             self._whole = None
-            file = self._opened(array)
-            file.seek(0)
-            values = np.lib.format.read_array(file, max_header_size=_LONGEST_HEADER)
+            values = np.lib.format.read_array(self._opened(array, 0), max_header_size=_LONGEST_HEADER)
             self._whole = array, values.reshape(array.count, *array.sides[-2:])
         return self._whole[1]
-
-    def _close(self) -> None:
-        for each in (self._held[1] if self._held else None, self._archive):
-            if each is not None:
-                each.close()
-        self._held = self._archive = None
 
 
 def _described(archive: zipfile.ZipFile, member: zipfile.ZipInfo, path: Path) -> _Array | None:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import io
-import struct
 import warnings
 from pathlib import Path
-from typing import Any, Final
+from typing import IO, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,25 +42,23 @@ def open_tiff(path: Path, topic: str | None, step_m: float | None) -> tuple[Fram
 
 
 class _Pages(FrameSource):
-    """Pages of a TIFF, listed once by their offsets. The file is opened for every page, so that no handle outlives a
-    call.
-    """
+    """Pages of a TIFF, listed once. The file is opened for every page, so that no handle outlives a call."""
 
     def __init__(self, path: Path) -> None:
         silence_libtiff()
         self._path = path
         try:
             with path.open("rb") as file:
-                self._offsets = _pages(file)
-        except (OSError, ValueError, struct.error) as error:
+                self._starts = _pages(file)
+        except (OSError, ValueError) as error:
             raise BadConfig(f"{path} must be a whole TIFF: {error}") from error
-        self.count = len(self._offsets)
+        self.count = len(self._starts)
 
     def read(self, index: int) -> NDArray[Any]:
         try:
             with (
                 warnings.catch_warnings(action="error"),
-                _FromPage(self._path, self._offsets[index]) as file,
+                _FromPage(self._path, self._starts[index]) as file,
                 Image.open(file, formats=["TIFF"]) as image,
             ):
                 mode, size = image.mode, image.size
@@ -76,43 +73,34 @@ class _Pages(FrameSource):
         )
 
 
-def _pages(file: io.BufferedReader) -> list[int]:
-    """Offsets of a TIFF's pages, each of which names the next. Raises ValueError, struct.error."""
-    size = file.seek(0, io.SEEK_END)
-    file.seek(0)
-    order = "<" if file.read(2) == b"II" else ">"
+def _pages(file: IO[bytes]) -> list[bytes]:
+    """For each page of a TIFF, the header that names it as the first. Raises ValueError."""
 
-    def number(kind: str, offset: int) -> int:
+    def number(offset: int, count: int) -> int:
         file.seek(offset)
-        value: int = struct.unpack(order + kind, file.read(struct.calcsize(kind)))[0]
-        return value
+        return int.from_bytes(file.read(count), order)
 
-    wide = number("H", 2) == _BIG
-    many, entry, link = ("Q", 20, "Q") if wide else ("H", 12, "I")
-    offsets: dict[int, None] = {}
-    offset = number(link, 8 if wide else 4)
-    while offset and offset not in offsets:  # some writers end with a page that was there before
-        entries = number(many, offset) if offset < size else size
-        end = offset + struct.calcsize(many) + entry * entries
-        if end > size:
-            raise ValueError(f"page {len(offsets)} at byte {offset} lies beyond its end")
-        if len(offsets) == MOST_FRAMES:
+    start, size = file.read(8), file.seek(0, io.SEEK_END)
+    order: Literal["little", "big"] = "little" if start[:2] == b"II" else "big"
+    many, entry, link = (8, 20, 8) if number(2, 2) == _BIG else (2, 12, 4)
+    found, offset = dict[int, bytes](), number(link, link) or size
+    while offset and offset not in found:  # some writers end with a page that was there before
+        end = offset + many + entry * number(offset, many)
+        if end + link > size:
+            raise ValueError(f"page {len(found)} lies beyond its end: byte {offset}")
+        if len(found) == MOST_FRAMES:
             raise ValueError(f"it has more than {MOST_FRAMES} pages")
-        offsets[offset] = None
-        offset = number(link, end)
-    return list(offsets)
+        found[offset] = start[:link] + offset.to_bytes(link, order)
+        offset = number(end, link)
+    return list(found.values())
 
 
 class _FromPage(io.FileIO):
-    """A TIFF whose header names the page at an offset as the first: Pillow loads all pages before the one it seeks."""
+    """A TIFF with another header, which names another first page: Pillow loads all pages before the one it seeks."""
 
-    def __init__(self, path: Path, offset: int) -> None:
+    def __init__(self, path: Path, head: bytes) -> None:
         super().__init__(path)
-        head = super().read(16)
-        order = "<" if head[:2] == b"II" else ">"
-        at, kind = (8, "Q") if _BIG in head[2:4] else (4, "I")
-        self._head = head[:at] + struct.pack(order + kind, offset)
-        self.seek(0)
+        self._head = head
 
     def read(self, size: int | None = -1, /) -> bytes:
         start = self.tell()
