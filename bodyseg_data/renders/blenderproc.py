@@ -76,10 +76,9 @@ def _datasets(path: Path) -> dict[str, Any]:
                 held = file.get(name)
                 if isinstance(held, h5py.Dataset):
                     most = None if held.size is None else max(held.size, math.prod(held.chunks or ()))
-                    if most is None or most * held.dtype.itemsize > MOST_NUMBERS * 8:
-                        raise ValueError(f"{name} holds nothing, or more than an image can")
-                    if held.external or held.is_virtual or held.file.filename != file.filename:
-                        raise ValueError(f"{name} must be in the file itself, found it in another")
+                    elsewhere = held.external or held.is_virtual or held.file.filename != file.filename
+                    if most is None or elsewhere or most * held.dtype.itemsize > MOST_NUMBERS * 8:
+                        raise ValueError(f"{name} holds nothing, or more than an image can, or lies in another file")
                     found[name] = held[()]
             if _ATTRIBUTES in found:
                 text = found[_ATTRIBUTES]

@@ -76,10 +76,7 @@ def _read_picture(path: Path) -> NDArray[Any]:
 
     data = path.read_bytes()
     try:
-        with (
-            warnings.catch_warnings(action="ignore"),
-            Image.open(io.BytesIO(data), formats=("PNG", "TIFF")) as picture,
-        ):
+        with warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(data), formats=("PNG", "TIFF")) as picture:
             tags = getattr(picture, "tag_v2", {})
             if max(math.prod(picture.size), math.prod(int(tags.get(tag, 1)) for tag in _TILE_SIDES)) > MOST_NUMBERS:
                 raise ValueError("it has more pixels than an image can")

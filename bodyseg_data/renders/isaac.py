@@ -155,9 +155,7 @@ def _camera(path: Path) -> tuple[tuple[int, int, float], NDArray[np.float64]]:
     """
     table = Table(read_json(path), str(path))
     if table.has("cameraModel") and (model := table.text("cameraModel")) not in ("pinhole", ""):
-        raise BadConfig(
-            f"{path}: 'cameraModel' must be pinhole, found {model!r}: F-Theta and other fisheyes are not read"
-        )
+        raise BadConfig(f"{path}: 'cameraModel' must be pinhole, not F-Theta or another fisheye, found {model!r}")
     columns, rows = (int(side) for side in table.numbers("renderProductResolution", 2))
     width = table.numbers("cameraAperture", 2)[0]
     focal_px = table.positive("cameraFocalLength") / width * columns if width > 0 else 0.0

@@ -1,7 +1,4 @@
-"""Sets on the Hugging Face hub, as the http address of one commit.
-
-The hub's own file system would read 5 MB ahead of every range, and begin anew when a connection breaks.
-"""
+"""Sets on the Hugging Face hub, as the http address of one commit: its file system reads 5 MB ahead of every range."""
 
 from __future__ import annotations
 

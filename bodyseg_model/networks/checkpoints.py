@@ -28,8 +28,6 @@ from bodyseg_model.networks.registry import build
 _CHECKPOINT: Final = "checkpoint.json"
 """Step, loader state and tensors' name of a run's last checkpoint."""
 
-_SLACK: Final = 1 << 20  # numbers: of smaller networks, the message names the weights that do not fit
-
 CheckpointName = Literal["best", "last"]
 
 SHIPPED: Final = Path(__file__).parents[1] / "weights" / "compact.safetensors"
@@ -191,14 +189,11 @@ def read_card(weights: Path) -> dict[str, Any]:
 
 
 def _build(card: dict[str, Any], where: Path, held: Mapping[str, torch.Tensor]) -> Network:
-    """A network with new weights, as a card or a plan describes it.
-
-    Raises BadConfig, naming the file, also for one far larger than the weights `held`, before it takes the memory.
-    """
+    """A network as a card or a plan describes it. Raises BadConfig, naming the file, also for one far beyond `held`."""
     name, settings = card.get("network"), card.get("settings")
     if not isinstance(name, str) or not isinstance(settings, dict):
         raise BadConfig(f"{where} must name the network and its settings")
-    left, thread = _SLACK + 2 * sum(tensor.numel() for tensor in held.values()), get_ident()
+    left, thread = (1 << 20) + 2 * sum(tensor.numel() for tensor in held.values()), get_ident()
 
     def count(_module: torch.nn.Module, _name: str, weights: torch.nn.Parameter) -> None:
         nonlocal left

@@ -24,8 +24,7 @@ FLOAT_STEP_M: Final = 2.5e-4
 LARGEST_SIDE: Final = 4096
 """The most rows or columns of a frame."""
 
-MOST_FRAMES: Final = 1 << 20
-"""The most frames of one file: ten hours at 30 a second."""
+MOST_FRAMES: Final = 1 << 20  # of one file: ten hours at 30 a second
 
 _MOST_STEPS: Final = 65535
 
@@ -165,10 +164,8 @@ def stored_recording(
     """
     label = f"{path}: {part}" if part else str(path)
     count = times_s if isinstance(times_s, int) else len(times_s)
-    if not count:
-        raise BadConfig(f"a recording must hold frames, found none in {label}")
-    if count > MOST_FRAMES:
-        raise BadConfig(f"a recording must hold at most {MOST_FRAMES} frames, found {count} in {label}")
+    if not 0 < count <= MOST_FRAMES:
+        raise BadConfig(f"a recording must hold 1 to {MOST_FRAMES} frames, found {count or 'none'} in {label}")
     times_s = [None] * count if isinstance(times_s, int) else times_s
     step_m = FLOAT_STEP_M if floating else given_step_m or own_step_m or MILLIMETRE
     several = count > 1

@@ -38,10 +38,7 @@ CONFIDENCE: Final = "confidence"
 """Names of values: range images [B, 1, H, W], metres; scores [B, H / stride, W / stride, C], rounded up; labels uint8
 and confidences float32, [B, H, W]."""
 
-_REFUSED: Final = ("String", "Regex", "Sequence", "Optional", "ConcatFrom")
-"""Beginnings of names of operators of text and lists, whose memory no runtime bounds."""
-
-_LARGEST_STRIDE: Final = 64
+_REFUSED: Final = ("String", "Regex", "Sequence", "Optional", "ConcatFrom")  # no runtime bounds their memory
 _EXAMPLE: Final = (1, 1, 200, 136)
 _AXES: Final = {RANGE: {0: "images", 2: "rows", 3: "columns"}} | {
     name: {0: "images", 1: "rows", 2: "columns"} for name in (LABELS, CONFIDENCE)
@@ -139,8 +136,8 @@ class GraphFacts:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if not 1 <= self.output_stride <= _LARGEST_STRIDE:
-            raise BadConfig(f"output_stride must be 1 to {_LARGEST_STRIDE}, found {self.output_stride}")
+        if not 1 <= self.output_stride <= 64:
+            raise BadConfig(f"output_stride must be 1 to 64, found {self.output_stride}")
 
 
 @dataclass(frozen=True)
@@ -186,9 +183,7 @@ def write_onnx(path: Path, model: OnnxModel) -> int:
 
 
 def read_onnx(path: Path) -> OnnxModel:
-    """Read a file that `write_onnx` wrote. Raises BadConfig, naming it, for any other, for one with loops, operators of
-    others, weights elsewhere or a newer opset, and MissingLibrary.
-    """
+    """Read a file that `write_onnx` wrote. Raises BadConfig, naming it, for any other, and MissingLibrary."""
     onnx = import_onnx()
     data = read_bytes(path)
     try:

@@ -144,9 +144,7 @@ class RuntimeNetwork(Network):
             raise BadConfig(f"{self.identity['backend']} cannot compute the network: {why}") from error
         wanted = [len(range_m), *(-(-side // self.output_stride) for side in range_m.shape[2:]), self.classes]
         if list(found.shape) != wanted:
-            raise BadConfig(
-                f"a network of its stride and classes must give scores of {wanted}, found {list(found.shape)}"
-            )
+            raise BadConfig(f"by its stride and classes, scores must be {wanted}, found {list(found.shape)}")
         return torch.from_numpy(found).permute(0, 3, 1, 2)
 
 

@@ -344,7 +344,7 @@ def test_images_are_bounded_by_what_they_declare(tmp_path: Path) -> None:
             read_array(tmp_path / name)
     (tmp_path / "secret").write_bytes(bytes(100))
     for options, message in (
-        ({"shape": (10, 10), "external": [(str(tmp_path / "secret"), 0, 100)]}, "found it in another"),
+        ({"shape": (10, 10), "external": [(str(tmp_path / "secret"), 0, 100)]}, "lies in another file"),
         ({"shape": (10**5, 10**5), "chunks": (10, 10)}, "more than an image can"),
         ({"shape": (10, 10), "maxshape": (None, None), "chunks": (30_000, 30_000)}, "more than an image can"),
     ):

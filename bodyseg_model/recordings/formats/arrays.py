@@ -20,14 +20,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadConfig
 from bodyseg_model.recordings.frame_files import read_part
 from bodyseg_model.recordings.frames import natural_key
-from bodyseg_model.recordings.recording import (
-    MOST_FRAMES,
-    ArrayFrames,
-    Frame,
-    FrameSource,
-    check_pixels,
-    stored_recording,
-)
+from bodyseg_model.recordings.recording import ArrayFrames, Frame, FrameSource, check_pixels, stored_recording
 
 _LONGEST_HEADER: Final = 10_000
 _TIMES: Final = ("times", "time", "timestamps")
@@ -83,7 +76,7 @@ def open_npz(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame
     if len({array.kind.kind for array in chosen}) > 1:
         raise BadConfig(f"arrays of frames must all be whole numbers or all floating point, found both in {path}")
     each = ((array, number) for array in chosen for number in range(array.count))
-    locations = list(islice(each, MOST_FRAMES + 1))
+    locations = list(islice(each, 1 << 21))  # more than a recording may hold
     if times is not None and len(times) != len(locations):
         raise BadConfig(f"times must be as many as frames, found {len(times)} for {len(locations)} in {path}")
     floating = bool(chosen) and chosen[0].kind.kind == "f"

@@ -38,7 +38,7 @@ def open_tiff(path: Path, topic: str | None, step_m: float | None) -> tuple[Fram
         floating = pages.read(0).dtype.kind == "f"
     except BadConfig as error:
         raise BadConfig(f"{path}: {error}") from error
-    return stored_recording(path, pages, pages.count, floating, step_m)
+    return stored_recording(path, pages, len(pages.starts), floating, step_m)
 
 
 class _Pages(FrameSource):
@@ -49,16 +49,15 @@ class _Pages(FrameSource):
         self._path = path
         try:
             with path.open("rb") as file:
-                self._starts = _pages(file)
+                self.starts = _pages(file)
         except (OSError, ValueError) as error:
             raise BadConfig(f"{path} must be a whole TIFF: {error}") from error
-        self.count = len(self._starts)
 
     def read(self, index: int) -> NDArray[Any]:
         try:
             with (
                 warnings.catch_warnings(action="error"),
-                _FromPage(self._path, self._starts[index]) as file,
+                _FromPage(self._path, self.starts[index]) as file,
                 Image.open(file, formats=["TIFF"]) as image,
             ):
                 mode, size = image.mode, image.size

@@ -509,15 +509,17 @@ def hostile_scenes(generator: Generator) -> dict[str, bytes]:
 def _recordings() -> dict[str, bytes]:
     """Name -> bytes of a recording of three frames."""
     frames = (1000 + np.arange(3 * 24 * 32).reshape(3, 24, 32) % 1717).astype(np.uint16)
-    pages, found = [Image.fromarray(frame) for frame in frames], {}
-    for name, write in (
-        ("a.npy", lambda file: np.save(file, frames)),
-        ("stack.npz", lambda file: np.savez(file, depth=frames, times=np.arange(3.0))),
-        ("packed.npz", lambda file: np.savez_compressed(file, f1=frames[0], f2=frames[1], f3=frames[2])),
-        ("a.tif", lambda file: pages[0].save(file, "TIFF", save_all=True, append_images=pages[1:])),
-        ("big.tif", lambda file: pages[0].save(file, "TIFF", save_all=True, append_images=pages[1:], big_tiff=True)),
-        ("lzw.tif", lambda file: pages[0].save(file, "TIFF", compression="tiff_lzw")),
-    ):
+    pages, found = [Image.fromarray(frame) for frame in frames], dict[str, bytes]()
+    whole = {"format": "TIFF", "save_all": True, "append_images": pages[1:]}
+    writers: dict[str, Callable[[io.BytesIO], object]] = {
+        "a.npy": lambda file: np.save(file, frames),
+        "stack.npz": lambda file: np.savez(file, depth=frames, times=np.arange(3.0)),
+        "packed.npz": lambda file: np.savez_compressed(file, f1=frames[0], f2=frames[1], f3=frames[2]),
+        "a.tif": lambda file: pages[0].save(file, **whole),
+        "big.tif": lambda file: pages[0].save(file, **whole, big_tiff=True),
+        "lzw.tif": lambda file: pages[0].save(file, **whole, compression="tiff_lzw"),
+    }
+    for name, write in writers.items():
         buffer = io.BytesIO()
         write(buffer)
         found[name] = buffer.getvalue()
