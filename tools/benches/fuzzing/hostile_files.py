@@ -510,7 +510,7 @@ def _recordings() -> dict[str, bytes]:
     """Name -> bytes of a recording of three frames."""
     frames = (1000 + np.arange(3 * 24 * 32).reshape(3, 24, 32) % 1717).astype(np.uint16)
     pages, found = [Image.fromarray(frame) for frame in frames], dict[str, bytes]()
-    whole = {"format": "TIFF", "save_all": True, "append_images": pages[1:]}
+    whole: dict[str, Any] = {"format": "TIFF", "save_all": True, "append_images": pages[1:]}
     writers: dict[str, Callable[[io.BytesIO], object]] = {
         "a.npy": lambda file: np.save(file, frames),
         "stack.npz": lambda file: np.savez(file, depth=frames, times=np.arange(3.0)),
