@@ -18,10 +18,9 @@ from typing import Any, Final, TypeVar
 from urllib.parse import parse_qsl, unquote, urlsplit
 
 from bodyseg_data.core import BadConfig, BodysegError, MissingLibrary, check_int
-from bodyseg_data.shards.hub import pinned
 from bodyseg_data.shards.manifest import MANIFEST_NAME
 from bodyseg_data.shards.store import LocalFolder, Store
-from bodyseg_data.shards.transport import FileMissing, PermanentFailure, TransientFailure, open_transport
+from bodyseg_data.shards.transport import FileMissing, PermanentFailure, TransientFailure, open_transport, pinned
 
 
 class Unreachable(BodysegError):
