@@ -31,6 +31,7 @@ ELSEWHERE: Final = {
     "add_your_own.md": "each example runs by itself in test_how_to.py",
     "cards.md": "needs the cards of a set; tests/cards reads one by both libraries",
     "your_renders.md": "needs the set of its commands; test_your_renders.py runs both",
+    "publish.md": "a set of nobody; tests/transfer/test_publish.py runs its commands",
     "remote.md": "the addresses are of nobody; tests/shards/test_stores.py reads from servers on loopback",
 }
 """Documents whose Python is not run here, and why."""
@@ -42,6 +43,8 @@ NOT_RUN: Final = {
     "import webdataset as wds": "names shards of somebody else; bench loader reads by it",
     "from streaming import": "needs MosaicML Streaming; bench loader reads by it",
     "from litdata import": "needs LitData; bench loader reads by it",
+    "import ray": "needs Ray; the function that it calls runs in the block before",
+    "from pyspark": "needs Spark; the function that it calls runs in the block before",
     "import realsense": "needs a camera; tests/recordings has stand-ins for two",
 }
 """Text of a block that is not run -> why."""

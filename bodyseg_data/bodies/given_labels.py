@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BadMesh
-from bodyseg_data.files import read_json
+from bodyseg_data.files import read_json, refuse_special
 from bodyseg_data.labels import BACKGROUND, UNLABELLED, Classes, classes_from_json
 from bodyseg_data.meshes import MeshContent
 
@@ -149,9 +149,10 @@ def labels_of_numbers(
     found = np.asarray(values)
     if found.ndim == 2 and 1 in found.shape:
         found = found.ravel()
-    if found.ndim != 1 or found.dtype.kind not in "iuf" or (found.dtype.kind == "f" and (found % 1 != 0).any()):
+    with np.errstate(invalid="ignore"):
+        numbers = found.astype(np.int64) if found.ndim == 1 and found.dtype.kind in "iuf" else None
+    if numbers is None or not np.array_equal(numbers, found):
         raise BadMesh(f"{where}: labels must be whole numbers in one row, found {found.dtype} {found.shape}")
-    numbers = found.astype(np.int64)
     corners = _at_corners(numbers, content, where, of)
     names = tuple(table.values())
     place = {number: at for at, number in enumerate(table)}
@@ -219,6 +220,7 @@ def labels_from_file(path: Path, content: MeshContent, table: Mapping[int, str])
     said = {"faces": "face_labels", "vertices": "vertex_labels"}
     of = next((of for of, name in said.items() if name in path.name.lower()), "")
     try:
+        refuse_special(path)
         if path.suffix.lower() == ".npy":
             given: Any = np.load(path, mmap_mode="r", allow_pickle=False)  # takes no memory for a size that it claims
         else:

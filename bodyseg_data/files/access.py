@@ -10,6 +10,7 @@ import errno
 import gzip
 import json
 import os
+import re
 import secrets
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
@@ -21,6 +22,10 @@ from typing import Any, Final
 from bodyseg_data.core import BadConfig
 
 _LARGEST_FILE: Final = 1 << 31
+_LARGEST_JSON: Final = 1 << 26  # objects of Python take twenty times as many bytes
+_LARGEST_TOML: Final = 1 << 20
+# A key of more than 17 parts, whose prefixes `tomllib` would keep one by one: 9 GB of 50 000 parts.
+_DOTTED: Final = re.compile(r"""(?:(?<![\w"'-])(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){17}""")
 _CHUNK_BYTES: Final = 1 << 20
 _PART: Final = ".part"
 _LOCK: Final = ".lock"
@@ -168,14 +173,15 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 def read_json(path: Path) -> dict[str, Any]:
     """The object in a JSON file. Raises BadConfig, naming it."""
-    return parse_json(read_bytes(path), str(path))
+    return parse_json(read_bytes(path, _LARGEST_JSON), str(path))
 
 
-def read_bytes(path: Path) -> bytes:
-    """All of a file. Raises BadConfig, naming it, if it is missing or too large."""
+def read_bytes(path: Path, limit: int = _LARGEST_FILE) -> bytes:
+    """All of a file. Raises BadConfig, naming it, if it is missing, no plain file or larger than `limit` bytes."""
     try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise BadConfig(f"{path} is larger than {_LARGEST_FILE} bytes")
+        refuse_special(path)
+        if path.stat().st_size > limit:
+            raise BadConfig(f"{path} is larger than {limit} bytes")
         return path.read_bytes()
     except OSError as error:
         raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error
@@ -318,14 +324,21 @@ class TomlFiles:
                 )
             return (self.folder / f"{name_or_path}.toml").read_text(encoding="utf-8")
         try:
-            return path.read_text(encoding="utf-8")
+            refuse_special(path)
+            with path.open(encoding="utf-8") as file:
+                return file.read(_LARGEST_TOML + 1)
         except (OSError, UnicodeDecodeError) as error:
             raise BadConfig(f"cannot read the {self.kind} file {path}: {error}") from error
 
     def parse(self, text: str, where: str) -> dict[str, Any]:
         """Parse the text of a file; the tree comes without its format. where: its origin. Raises BadConfig."""
         try:
+            if len(text) > _LARGEST_TOML:
+                raise ValueError(f"it must have at most {_LARGEST_TOML} letters")
+            if found := _DOTTED.search(text):
+                raise ValueError(f"a key must have at most 17 parts, found {found[0][:30]}...")
             tree = tomllib.loads(text)
+            repr(tree)  # raises ValueError for a hexadecimal number that is longer than Python prints
         except (ValueError, RecursionError) as error:  # also numbers and brackets beyond reason
             raise BadConfig(f"{self.kind} {where} is not TOML: {error}") from error
         if tree.pop("format", None) != self.file_format:

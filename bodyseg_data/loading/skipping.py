@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 from bodyseg_data.core import BadConfig, BadSample, BadShard
+from bodyseg_data.files import refuse_special
 
+_FIRST = b'{"epoch": '  # bytes of a log: a record as JSON
 _Error = TypeVar("_Error", bound=Exception)
 
 
@@ -92,7 +94,7 @@ class SkipLedger:
 def checked_log(on_error: str, path: str | Path | None) -> Path | None:
     """Return the absolute path of the log after opening it once, so that no run fails at its first bad sample.
 
-    Raises BadConfig for a path that cannot be appended to.
+    Raises BadConfig for a path that cannot be appended to, and for a file that is no such log.
     """
     if path is None:
         return None
@@ -101,10 +103,15 @@ def checked_log(on_error: str, path: str | Path | None) -> Path | None:
     if not isinstance(path, str | Path) or not str(path).strip() or "\0" in str(path):
         raise BadConfig(f"skip_log must be a file's path, found {path!r}")
     try:
-        with Path(path).open("a"):
-            return Path(path).absolute()
+        refuse_special(Path(path))
+        with Path(path).open("ab+") as file:
+            file.seek(0)
+            first = file.read(len(_FIRST))
     except OSError as error:
         raise BadConfig(f"skip_log {path} cannot be written: {error.strerror or error}") from error
+    if first not in (b"", _FIRST):
+        raise BadConfig(f"skip_log {path} must be a new file or a log of skipped samples, found another's")
+    return Path(path).absolute()
 
 
 def checked_budget(on_error: str, budget: float | None, samples: int) -> int | None:

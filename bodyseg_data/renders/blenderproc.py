@@ -8,6 +8,7 @@ intrinsics nor names of classes: set.toml gives both. The projector is a second 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -72,10 +73,13 @@ def _datasets(path: Path) -> dict[str, Any]:
         refuse_special(path)
         with h5py.File(path, "r") as file:
             for name in (_DEPTH, _DISTANCE, *_CLASSES, _INSTANCES, _ATTRIBUTES):
-                if isinstance(file.get(name), h5py.Dataset):
-                    if file[name].size is None or file[name].size > MOST_NUMBERS:
-                        raise ValueError(f"{name} holds nothing, or more than an image can")
-                    found[name] = file[name][()]
+                held = file.get(name)
+                if isinstance(held, h5py.Dataset):
+                    most = None if held.size is None else max(held.size, math.prod(held.chunks or ()))
+                    elsewhere = held.external or held.is_virtual or held.file.filename != file.filename
+                    if most is None or elsewhere or most * held.dtype.itemsize > MOST_NUMBERS * 8:
+                        raise ValueError(f"{name} holds nothing, or more than an image can, or lies in another file")
+                    found[name] = held[()]
             if _ATTRIBUTES in found:
                 text = found[_ATTRIBUTES]
                 found[_ATTRIBUTES] = json.loads(text if isinstance(text, str | bytes) else np.asarray(text).tobytes())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import math
-import struct
+import warnings
 from collections.abc import Collection
 from functools import lru_cache
 from pathlib import Path
@@ -33,6 +33,7 @@ _LEAST_M: Final = 0.01
 _NEAR_M: Final = 0.3
 """A farthest surface nearer than this speaks against a unit that is guessed."""
 
+_TILE_SIDES: Final = (322, 323)  # tags of TIFF 6.0
 _DEPTH: Final = ("Z", "V", "Y", "R")  # names that programs give to the one channel of a depth image
 _UNITS: Final = (("millimetres", 1e-3), ("centimetres", 1e-2))
 
@@ -74,11 +75,11 @@ def _read_picture(path: Path) -> NDArray[Any]:
     from PIL import Image, UnidentifiedImageError
 
     data = path.read_bytes()
-    # Before Pillow, which warns on standard error.
-    if data[:4] == b"\x89PNG" and len(data) > 24 and math.prod(struct.unpack(">II", data[16:24])) > MOST_NUMBERS:
-        raise ValueError("it has more pixels than an image can")
     try:
-        with Image.open(io.BytesIO(data), formats=("PNG", "TIFF")) as picture:
+        with warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(data), formats=("PNG", "TIFF")) as picture:
+            tags = getattr(picture, "tag_v2", {})
+            if max(math.prod(picture.size), math.prod(int(tags.get(tag, 1)) for tag in _TILE_SIDES)) > MOST_NUMBERS:
+                raise ValueError("it has more pixels than an image can")
             if picture.mode in ("LA", "CMYK", "YCbCr", "LAB"):
                 raise ValueError(f"a picture must be of integers, floats or RGB colours, found mode {picture.mode}")
             return np.asarray(picture)  # a palette's picture gives its numbers, which are the labels
@@ -91,6 +92,10 @@ def _read_exr(path: Path) -> NDArray[Any]:
         import OpenEXR
     except ImportError as error:
         raise missing_library("reading OpenEXR files", error, extra="renders") from error
+    with OpenEXR.File(str(path), header_only=True) as file:
+        (left, top), (right, bottom) = file.header()["dataWindow"]
+        if (int(right) - int(left) + 1) * (int(bottom) - int(top) + 1) > MOST_NUMBERS:
+            raise ValueError("it has more pixels than an image can")
     with OpenEXR.File(str(path), separate_channels=True) as file:
         channels = {name: channel.pixels for name, channel in file.channels().items()}
     ends: dict[str, str] = {}

@@ -16,7 +16,6 @@ import contextlib
 import csv
 import io
 import re
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BadSample
-from bodyseg_data.files import Table, parse_json, read_bytes
+from bodyseg_data.files import Table, TomlFiles, parse_json, read_bytes
 from bodyseg_data.labels import BACKGROUND, Classes, classes_from_json
 from bodyseg_data.rigs import Rig, load_rig, rig_from_json
 from bodyseg_data.samples import SPLITS, SampleInfo, Split, Value, kind_of
@@ -37,6 +36,7 @@ TABLES: Final = ("samples.jsonl", "samples.csv")
 
 Along = Literal["axis", "ray"]
 
+_FILES: Final = TomlFiles("set", Path(), SET_FORMAT)
 _COLOUR: Final = re.compile(r"#[0-9a-fA-F]{6}")
 _SMALL: Final = 1 << 16
 _BORDER: Final = 0.05
@@ -123,13 +123,7 @@ def read_set(folder: Path) -> SetFile:
     path = folder / SET_NAME
     if not path.exists():
         return SetFile(path)
-    try:
-        tree = tomllib.loads(read_bytes(path).decode())
-        repr(tree)  # raises ValueError for a hexadecimal number that is longer than Python prints
-    except (ValueError, RecursionError) as error:
-        raise BadConfig(f"{path} is not TOML: {error}") from error
-    if tree.pop("format", None) != SET_FORMAT:
-        raise BadConfig(f"{path}: 'format' must be {SET_FORMAT!r}")
+    tree = _FILES.parse(_FILES.read(path), str(path))
     rows, lists = tree.pop("classes", None), {name: tree.pop(name, None) for name in ("background", "no_range")}
     rigs = _rigs(tree.pop("rig", None), tree.pop("rigs", None), path)
     table = Table(tree, str(path))

@@ -20,7 +20,7 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 from bodyseg_data.core import BadConfig, BodysegError, MissingLibrary, check_int
 from bodyseg_data.shards.manifest import MANIFEST_NAME
 from bodyseg_data.shards.store import LocalFolder, Store
-from bodyseg_data.shards.transport import FileMissing, PermanentFailure, TransientFailure, open_transport
+from bodyseg_data.shards.transport import FileMissing, PermanentFailure, TransientFailure, open_transport, pinned
 
 
 class Unreachable(BodysegError):
@@ -81,6 +81,10 @@ class RemoteFolder:
         except ValueError as error:
             raise BadConfig(f"not an address: {error}") from None
         self.name = re.sub(r"(?<=://)[^/@]*@", "", self._base)
+        if protocol == "hf":  # one commit for all reads, also of other processes
+            stall_s = retry_policy.stall_s
+            self.name, self._base, options = self._with_retries("", lambda _: pinned(self.name, options, stall_s))
+            self._secrets = sorted({*self._secrets, *_secrets("", options)}, key=len, reverse=True)
         try:
             self._transport = open_transport(self._base, options, retry_policy.stall_s, retry_policy.total_s)
         except MissingLibrary:
@@ -226,7 +230,7 @@ def _texts(value: Any) -> Iterator[str]:
         for entry in value:
             yield from _texts(entry)
     elif isinstance(value, str):
-        yield value
+        yield from {value, value.removeprefix("Bearer ")}
     elif isinstance(value, bytes):
         yield value.decode("utf-8", "replace")
 

@@ -19,8 +19,10 @@ from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, Protocol
+from urllib.parse import unquote
 
-from bodyseg_data.core import MissingLibrary
+from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_data.machine import missing_library
 
 _FILESYSTEMS: dict[tuple[int, str, int], Any] = {}
 """Filesystems by process, token and thread, 0 for those that threads share.
@@ -40,6 +42,7 @@ _PERMANENT_ERROR_NAMES: Final = frozenset(
 )
 _PERMANENT_ERRNOS: Final = frozenset({errno.EINVAL, errno.ENOSYS})
 _LISTINGS: Final = frozenset({"use_listings_cache", "listings_expiry_time", "max_paths"})
+_HUB_FOLDER: Final = re.compile(r"hf://datasets/([^/@]+/[^/@]+)(?:@([^/]+))?((?:/.*)?)")
 _CONTENT_RANGE: Final = re.compile(r"bytes ([0-9]{1,19})-([0-9]{1,19})/([0-9]{1,19}|\*)")
 
 
@@ -345,3 +348,34 @@ def _classified_errors() -> Iterator[None]:
 def _describe(error: Exception) -> str:
     text = (error.strerror if isinstance(error, OSError) else None) or str(error)
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def pinned(url: str, options: Mapping[str, Any], timeout_s: float) -> tuple[str, str, dict[str, Any]]:
+    """Of a folder on the Hugging Face hub: its address with a commit for the revision, that of http, and its options.
+
+    The hub's own file system reads 5 MB ahead of every range, and begins anew when a connection breaks. options:
+    `token` and `endpoint` (else HF_TOKEN, HF_ENDPOINT), and those of http addresses. Raises BadConfig for another
+    address, MissingLibrary, TransientFailure, PermanentFailure.
+    """
+    match = _HUB_FOLDER.fullmatch(url)
+    if match is None:
+        raise BadConfig(f"an address of the hub must be hf://datasets/OWNER/NAME[@REVISION][/FOLDER], found {url}")
+    try:
+        hub = import_module("huggingface_hub")
+    except ImportError as error:
+        raise missing_library("hf:// addresses", error, extra="hub") from error
+    name, revision, rest = match[1], unquote(match[2] or "main"), dict(options)
+    token, endpoint = rest.pop("token", None), rest.pop("endpoint", None) or os.environ.get("HF_ENDPOINT")
+    api = hub.HfApi(endpoint=endpoint, token=token)
+    try:
+        commit = str(api.dataset_info(name, revision=revision, timeout=timeout_s).sha)
+    except Exception as error:  # of the hub, and of the library that it connects by
+        status = getattr(getattr(error, "response", None), "status_code", None)
+        passes = status in _TRANSIENT_STATUSES if status else not isinstance(error, ValueError)
+        asked = f"{status} for revision {revision!r}: is it there, and may the token (HF_TOKEN) read it?"
+        raise (TransientFailure if passes else PermanentFailure)(asked if status else repr(error)) from None
+    if not re.fullmatch("[0-9a-f]{40}", commit):
+        raise PermanentFailure(f"the hub must name a commit of 40 digits, found {commit[:60]!r}")
+    headers = {**hub.utils.build_hf_headers(token=token), **rest.pop("headers", {})}
+    address = hub.hf_hub_url(name, match[3].strip("/"), repo_type="dataset", revision=commit, endpoint=api.endpoint)
+    return f"hf://datasets/{name}@{commit}{match[3].rstrip('/')}", address.rstrip("/"), {**rest, "headers": headers}

@@ -8,12 +8,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from threading import get_ident
 from typing import Any, ClassVar, Final, Literal
 
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load as parse_tensors
 from safetensors.torch import save as tensor_bytes
+from torch.nn.modules.module import register_module_parameter_registration_hook
 
 from bodyseg_data.artifacts import SensorModel, load_sensor_model, sensor_model_from_json
 from bodyseg_data.core import BadConfig
@@ -167,12 +169,13 @@ def load_network(path: Path | str | None = None, checkpoint: CheckpointName | No
     if file.suffix != ".safetensors":
         raise BadConfig(f"a network is a run's folder or a .safetensors file, found {path}")
     card = read_card(file)
-    network = _build(card, file.with_suffix(".json"))
     data, expected = read_bytes(file), card.get(CardWords.WEIGHTS_SHA256)
     digest = hashlib.sha256(data).hexdigest()
     if expected not in (None, digest):
         raise BadConfig(f"{file} is damaged or not the file of its card: SHA-256 {digest}, expected {expected}")
-    fill(network, _parse(data, file), file)
+    tensors = _parse(data, file)
+    network = _build(card, file.with_suffix(".json"), tensors)
+    fill(network, tensors, file)
     return trained_network(network, {**card, CardWords.WEIGHTS_SHA256: digest}, file.with_suffix(".json"))
 
 
@@ -185,12 +188,24 @@ def read_card(weights: Path) -> dict[str, Any]:
     return card
 
 
-def _build(card: dict[str, Any], where: Path) -> Network:
-    """A network with new weights, as a card or a plan describes it. Raises BadConfig, naming the file."""
+def _build(card: dict[str, Any], where: Path, held: Mapping[str, torch.Tensor]) -> Network:
+    """A network as a card or a plan describes it. Raises BadConfig, naming the file, also for one far beyond `held`."""
     name, settings = card.get("network"), card.get("settings")
     if not isinstance(name, str) or not isinstance(settings, dict):
         raise BadConfig(f"{where} must name the network and its settings")
-    return build(name, settings)
+    left, thread = (1 << 20) + 2 * sum(tensor.numel() for tensor in held.values()), get_ident()
+
+    def count(_module: torch.nn.Module, _name: str, weights: torch.nn.Parameter) -> None:
+        nonlocal left
+        left -= weights.numel() if get_ident() == thread else 0
+        if left < 0:
+            raise BadConfig(f"{where}: the network must fit its weights, found a larger one")
+
+    hook = register_module_parameter_registration_hook(count)
+    try:
+        return build(name, settings)
+    finally:
+        hook.remove()
 
 
 def trained_network(network: Network, card: dict[str, Any], where: Path) -> Trained:
@@ -265,7 +280,7 @@ def _last_weights(folder: Path) -> Trained:
     if checkpoint is None:
         raise BadConfig(f"{folder} has no checkpoint yet")
     plan = read_json(folder / RunFiles.PLAN)
-    network = _build(plan, folder / RunFiles.PLAN)
+    network = _build(plan, folder / RunFiles.PLAN, checkpoint.tensors)
     fill(network, checkpoint.part(Checkpoint.AVERAGED) or checkpoint.part(Checkpoint.TRAINED), folder / checkpoint.file)
     steps = {"step": checkpoint.step, "last_step": checkpoint.step}
     card = {**plan, "format": CardWords.FORMAT, **steps, CardWords.WEIGHTS_SHA256: checkpoint.sha256}

@@ -18,10 +18,11 @@ from functools import partial
 from importlib import import_module
 from itertools import accumulate, islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, BinaryIO, Final
 from urllib.parse import quote
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_model.recordings.bag_messages import (
@@ -47,17 +48,14 @@ _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _INDEX = 2, 3, 4, 5, 6, 7
 _MCAP_RECORD: Final = struct.Struct("<BQ")
 _MESSAGE_START: Final = struct.Struct("<HIQQ")
 _PLAIN: Final = -1
+_SCANNED: Final = (1 << 26, 100)  # bytes that chunks without an index may claim, or times those of the file
 _ENCODINGS: Final[dict[str, Encoding]] = {"cdr": "cdr", "ros1": "ros1"}
 
 _PACKED: Final = (".zstd", ".zst")
 
 
-class _McapPlace(NamedTuple):
-    """A message's record: in the chunk at byte `chunk` of the file, or in the file itself (`_PLAIN`), from `offset`."""
-
-    time_ns: int
-    chunk: int
-    offset: int
+_Places = NDArray[np.int64]
+"""Messages' records [N, 4]: channel; time, ns; byte of the chunk, `_PLAIN` for the file itself; byte within that."""
 
 
 class McapBag:
@@ -71,11 +69,13 @@ class McapBag:
         self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
         self._held: tuple[int, bytes] = (_PLAIN, b"")
-        locations: dict[int, list[_McapPlace]] = {}
+        self._found: list[_Places] = []
+        self._left = max(_SCANNED[0], _SCANNED[1] * path.stat().st_size)
+        self._messages = 0
         try:
             with path.open("rb") as file:
-                self._list(file, locations)
-            self._locations = self._by_topic(locations)
+                self._list(file)
+            self._locations = self._by_topic()
         except MissingLibrary:
             raise
         except Exception as error:  # a damaged file raises what the parser likes
@@ -85,76 +85,84 @@ class McapBag:
             ) from error
         self.topics = list(self._locations)
 
-    def _by_topic(self, locations: dict[int, list[_McapPlace]]) -> dict[Topic, list[_McapPlace]]:
+    def _by_topic(self) -> dict[Topic, _Places]:
         """Join the messages of a topic's channels, in the order of time."""
-        joined: dict[tuple[str, str, Encoding], list[_McapPlace]] = {}
-        for number, found in locations.items():
-            channel = self._channels.get(number)
-            schema = self._schemas.get(channel.schema_id) if channel is not None else None
-            if channel is not None and schema is not None and channel.message_encoding in _ENCODINGS:
+        joined: dict[tuple[str, str, Encoding], list[int]] = {}
+        for number, channel in self._channels.items():
+            schema = self._schemas.get(channel.schema_id)
+            if schema is not None and channel.message_encoding in _ENCODINGS:
                 kind = schema.name if "/msg/" in schema.name else schema.name.replace("/", "/msg/", 1)
-                joined.setdefault((channel.topic, kind, _ENCODINGS[channel.message_encoding]), []).extend(found)
-        by_topic = {}
-        for name, found in sorted(joined.items()):
-            found.sort()
-            by_topic[Topic(*name, as_times([location.time_ns for location in found]))] = found
-        return by_topic
+                joined.setdefault((channel.topic, kind, _ENCODINGS[channel.message_encoding]), []).append(number)
+        places = np.concatenate([np.empty((0, 4), np.int64), *self._found])
+        places = places[np.lexsort(places.T[:0:-1])]
+        by_topic = {name: places[np.isin(places[:, 0], numbers)] for name, numbers in sorted(joined.items())}
+        return {Topic(*name, as_times(found[:, 1])): found for name, found in by_topic.items() if len(found)}
+
+    def _note(self, places: Any) -> None:
+        """Note messages' `_Places`. Raises ValueError for too many."""
+        self._found.append(np.array(places, np.int64).reshape(-1, 4))
+        self._messages += len(places)
+        if self._messages > MOST_MESSAGES or self._found[-1].min(initial=0) < _PLAIN:
+            raise ValueError(f"it must have at most {MOST_MESSAGES} messages, of times and places below 2^63")
 
     def read(self, topic: Topic, index: int) -> bytes:
         """Read message `index` of a topic."""
-        location = self._locations[topic][index]
-        if location.chunk == _PLAIN:
+        _, _, chunk, offset = self._locations[topic][index].tolist()
+        if chunk == _PLAIN:
             with self._path.open("rb") as file:
-                return _mcap_record(file, location.offset, _MESSAGE)[_MESSAGE_START.size :]
-        if self._held[0] != location.chunk:
+                return _mcap_record(file, offset, _MESSAGE)[_MESSAGE_START.size :]
+        if self._held[0] != chunk:
             self._held = (_PLAIN, b"")  # not two chunks at once
             with self._path.open("rb") as file:
-                self._held = location.chunk, _mcap_chunk(file, location.chunk)
-        return _mcap_record(io.BytesIO(self._held[1]), location.offset, _MESSAGE)[_MESSAGE_START.size :]
+                self._held = chunk, _mcap_chunk(file, chunk, LARGEST_MESSAGE)
+        return _mcap_record(io.BytesIO(self._held[1]), offset, _MESSAGE)[_MESSAGE_START.size :]
 
-    def _list(self, file: BinaryIO, locations: dict[int, list[_McapPlace]]) -> None:
+    def _list(self, file: BinaryIO) -> None:
         """List where messages lie, by channel: by the index behind each chunk, or else by its own records."""
         if file.read(len(MAGIC)) != MAGIC:
             raise ValueError("its first bytes are others")
         chunk, indexed, whole = _PLAIN, True, False
+        plain: list[tuple[int, int, int, int]] = []
         for opcode, offset in _mcap_records(file, len(MAGIC)):
             if opcode == _INDEX:
                 data = _mcap_record(file, offset, _INDEX)
-                entries = np.frombuffer(data, "<u8", offset=6, count=min((len(data) - 6) // 16 * 2, 2 * MOST_MESSAGES))
+                entries = np.frombuffer(data, "<i8", offset=6, count=(len(data) - 6) // 16 * 2).reshape(-1, 2)
                 number = int.from_bytes(data[:2], "little")
-                locations.setdefault(number, []).extend(
-                    _McapPlace(int(time), chunk, int(start)) for time, start in entries.reshape(-1, 2)
-                )
+                self._note([(number, time, chunk, start) for time, start in entries.tolist()])
                 indexed = True
                 if number not in self._channels:
-                    self._scan(_mcap_chunk(file, chunk), None, chunk)
+                    self._scan(file, chunk, noted=False)
             elif opcode in (_SCHEMA, _CHANNEL):
                 self._define(opcode, _mcap_record(file, offset, opcode))
             else:
                 if not indexed:
-                    self._scan(_mcap_chunk(file, chunk), locations, chunk)
+                    self._scan(file, chunk)
                     indexed = True
                 if opcode == _CHUNK:
                     chunk, indexed = offset, False
                 elif opcode == _MESSAGE:
                     file.seek(offset + _MCAP_RECORD.size)
                     number, _, time, _ = _MESSAGE_START.unpack(file.read(_MESSAGE_START.size))
-                    locations.setdefault(number, []).append(_McapPlace(time, _PLAIN, offset))
+                    plain.append((number, time, _PLAIN, offset))
                 elif opcode == _FOOTER:
                     whole = True
                     break
         if not whole:
             raise ValueError("it ends before its footer")
+        self._note(plain)
 
-    def _scan(self, data: bytes, locations: dict[int, list[_McapPlace]] | None, chunk: int) -> None:
-        """Note the schemas and channels of a chunk, and where `locations` is given its messages as well."""
-        file = io.BytesIO(data)
-        for opcode, offset in _mcap_records(file, 0):
+    def _scan(self, file: BinaryIO, chunk: int, noted: bool = True) -> None:
+        """Note the schemas and channels of the chunk at a byte, and its messages unless an index lists them."""
+        data = _mcap_chunk(file, chunk, min(self._left, LARGEST_MESSAGE))
+        self._left -= len(data)
+        within, found = io.BytesIO(data), list[tuple[int, int, int, int]]()
+        for opcode, offset in _mcap_records(within, 0):
             if opcode in (_SCHEMA, _CHANNEL):
-                self._define(opcode, _mcap_record(file, offset, opcode))
-            elif opcode == _MESSAGE and locations is not None:
+                self._define(opcode, _mcap_record(within, offset, opcode))
+            elif opcode == _MESSAGE and noted:
                 number, _, time, _ = _MESSAGE_START.unpack_from(data, offset + _MCAP_RECORD.size)
-                locations.setdefault(number, []).append(_McapPlace(time, chunk, offset))
+                found.append((number, time, chunk, offset))
+        self._note(found)
 
     def _define(self, opcode: int, data: bytes) -> None:
         record = _mcap_parsed("Schema" if opcode == _SCHEMA else "Channel", data)
@@ -168,8 +176,8 @@ def _mcap_records(file: BinaryIO, start: int) -> Iterator[tuple[int, int]]:
     while offset + _MCAP_RECORD.size <= size:
         file.seek(offset)
         opcode, length = _MCAP_RECORD.unpack(file.read(_MCAP_RECORD.size))
-        if offset + _MCAP_RECORD.size + length > size:
-            raise ValueError(f"it is cut off at byte {offset}")
+        if not opcode or offset + _MCAP_RECORD.size + length > size:
+            raise ValueError(f"it is cut off at byte {offset}" if opcode else f"no record begins at byte {offset}")
         yield opcode, offset
         offset += _MCAP_RECORD.size + length
 
@@ -195,12 +203,15 @@ def _mcap_parsed(kind: str, data: bytes) -> Any:
     return getattr(records, kind).read(streams.ReadDataStream(io.BytesIO(data)))
 
 
-def _mcap_chunk(file: BinaryIO, offset: int) -> bytes:
-    """Read the chunk at a byte, decompressed. Raises ValueError, also for a wrong checksum."""
+def _mcap_chunk(file: BinaryIO, offset: int, most: int) -> bytes:
+    """Read the chunk at a byte, decompressed to at most so many. Raises ValueError, also for a wrong checksum."""
     chunk = _mcap_parsed("Chunk", _mcap_record(file, offset, _CHUNK))
-    data = decompressed(chunk.data) if chunk.compression else chunk.data
-    if len(data) != chunk.uncompressed_size:
-        raise ValueError(f"a chunk must have {chunk.uncompressed_size} bytes, found {len(data)}")
+    size = chunk.uncompressed_size
+    if size > most:
+        raise ValueError(f"the chunk at byte {offset} claims {size} bytes of {len(chunk.data)}, beyond any recording's")
+    data = decompressed(chunk.data, size) if chunk.compression else chunk.data
+    if len(data) != size:
+        raise ValueError(f"a chunk must have {size} bytes, found {len(data)}")
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
         raise ValueError(f"the checksum of the chunk at byte {offset} must be {chunk.uncompressed_crc:08x}")
     return data

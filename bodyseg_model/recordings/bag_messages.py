@@ -13,6 +13,7 @@ import bz2
 import io
 import math
 import struct
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -182,7 +183,7 @@ def missing(error: ImportError) -> MissingLibrary:
     return missing_library("reading and writing bags", error, extra="recordings")
 
 
-def as_times(times_ns: Sequence[int]) -> NDArray[np.int64]:
+def as_times(times_ns: Sequence[int] | NDArray[np.int64]) -> NDArray[np.int64]:
     """Return times in nanoseconds as an array, int64 [N]. Raises ValueError or OverflowError for others."""
     if len(times_ns) > MOST_MESSAGES:
         raise ValueError(f"a topic must have at most {MOST_MESSAGES} messages, found {len(times_ns)}")
@@ -214,11 +215,11 @@ def decode(bag: Bag, topic: Topic, index: int) -> Any:
         raise BadConfig(f"the message is no {topic.kind}: {error}") from error
 
 
-def decompressed(data: bytes) -> bytes:
+def decompressed(data: bytes, most: int = sys.maxsize) -> bytes:
     """Decompress bzip2, LZ4 frames or zstd, told by their first bytes; others are returned as they are.
 
     Records of a plain chunk cannot begin so: they would be larger than any chunk. Raises ValueError for more than
-    `LARGEST_MESSAGE` bytes, MissingLibrary, and what the libraries raise for damaged data.
+    `most` or `LARGEST_MESSAGE` bytes, MissingLibrary, and what the libraries raise for damaged data.
     """
     if data.startswith(_BZ2):
         stream: IO[bytes] = bz2.BZ2File(io.BytesIO(data))
@@ -232,13 +233,14 @@ def decompressed(data: bytes) -> bytes:
         stream = zstandard.ZstdDecompressor().stream_reader(data)
     else:
         return bytes(data)
+    most = min(most, LARGEST_MESSAGE)
     with stream:  # read in pieces, because libraries allocate all that they may return
         pieces, size = list[bytes](), 0
         while piece := stream.read(_PIECE):
             pieces.append(piece)
             size += len(piece)
-            if size > LARGEST_MESSAGE:
-                raise ValueError(f"a piece must have at most {LARGEST_MESSAGE} bytes")
+            if size > most:
+                raise ValueError(f"a piece must have at most {most} bytes")
     return b"".join(pieces)
 
 

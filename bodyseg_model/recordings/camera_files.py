@@ -8,12 +8,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
 from bodyseg_data.core import BadConfig
-from bodyseg_data.files import Table, parse_json, refuse_special
+from bodyseg_data.files import Table, parse_json, read_bytes
 from bodyseg_data.rigs import Distortion, Rig
 from bodyseg_model.recordings.cameras import FrameCamera, Intrinsics, frame_camera
 from bodyseg_model.recordings.frame_files import PngSource, list_tar, read_part
@@ -147,22 +148,14 @@ class _Home:
     def _tree(self, name: str) -> dict[str, Any] | None:
         """The object in a JSON file; None if there is no such file. Raises BadConfig."""
         where, member, path = self._where(name), self._members.get(name), self._path / name
-        try:
-            if not self._in_tar:
-                refuse_special(path)
-                part = path, 0, path.stat().st_size
-            elif member is not None:
-                part = self._path, member.offset, member.size
-            else:
-                return None
-        except FileNotFoundError:
+        if not self._in_tar:
+            return parse_json(read_bytes(path, _LARGEST_FILE), where) if os.path.lexists(path) else None
+        if member is None:
             return None
-        except OSError as error:
-            raise BadConfig(f"cannot read {where}: {error.strerror or error}") from error
-        if part[2] > _LARGEST_FILE:
-            raise BadConfig(f"a file of cameras must have at most {_LARGEST_FILE} bytes, found {part[2]}: {where}")
+        if member.size > _LARGEST_FILE:
+            raise BadConfig(f"{where} is larger than {_LARGEST_FILE} bytes")
         try:
-            data = read_part(*part)
+            data = read_part(self._path, member.offset, member.size)
         except BadConfig as error:
             raise BadConfig(f"{where}: {error}") from error
         return parse_json(data, where)

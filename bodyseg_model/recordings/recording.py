@@ -24,6 +24,8 @@ FLOAT_STEP_M: Final = 2.5e-4
 LARGEST_SIDE: Final = 4096
 """The most rows or columns of a frame."""
 
+MOST_FRAMES: Final = 1 << 20  # of one file: ten hours at 30 a second
+
 _MOST_STEPS: Final = 65535
 
 Pixels = NDArray[np.uint16]
@@ -148,24 +150,26 @@ def in_steps(values: NDArray[Any], float_m: float = 1.0) -> Pixels:
 def stored_recording(
     path: Path,
     source: FrameSource,
-    times_s: Sequence[float | None],
+    times_s: Sequence[float | None] | int,
     floating: bool,
     given_step_m: float | None = None,
     own_step_m: float | None = None,
     camera: Intrinsics | None = None,
     part: str = "",
 ) -> tuple[Frame, ...]:
-    """List the frames of a file that holds many: one for each of `times_s`.
+    """List the frames of a file that holds many: one for each of `times_s`, or so many without times.
 
     floating: frames are of floating point. given_step_m: metres a step, or that 1.0 is, as the caller says; own_step_m:
-    as the recording says. Raises BadConfig for no frame.
+    as the recording says. Raises BadConfig for no frame, or more than `MOST_FRAMES`.
     """
     label = f"{path}: {part}" if part else str(path)
-    if not times_s:
-        raise BadConfig(f"a recording must hold frames, found none in {label}")
+    count = times_s if isinstance(times_s, int) else len(times_s)
+    if not 0 < count <= MOST_FRAMES:
+        raise BadConfig(f"a recording must hold 1 to {MOST_FRAMES} frames, found {count or 'none'} in {label}")
+    times_s = [None] * count if isinstance(times_s, int) else times_s
     step_m = FLOAT_STEP_M if floating else given_step_m or own_step_m or MILLIMETRE
-    several = len(times_s) > 1
-    digits = max(4, len(str(len(times_s) - 1)))
+    several = count > 1
+    digits = max(4, len(str(count - 1)))
     return tuple(
         Frame(
             f"{index:0{digits}d}" if several else path.stem,

@@ -38,6 +38,7 @@ CONFIDENCE: Final = "confidence"
 """Names of values: range images [B, 1, H, W], metres; scores [B, H / stride, W / stride, C], rounded up; labels uint8
 and confidences float32, [B, H, W]."""
 
+_REFUSED: Final = ("String", "Regex", "Sequence", "Optional", "ConcatFrom")  # no runtime bounds their memory
 _EXAMPLE: Final = (1, 1, 200, 136)
 _AXES: Final = {RANGE: {0: "images", 2: "rows", 3: "columns"}} | {
     name: {0: "images", 1: "rows", 2: "columns"} for name in (LABELS, CONFIDENCE)
@@ -135,6 +136,8 @@ class GraphFacts:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        if not 1 <= self.output_stride <= 64:
+            raise BadConfig(f"output_stride must be 1 to 64, found {self.output_stride}")
 
 
 @dataclass(frozen=True)
@@ -189,11 +192,26 @@ def read_onnx(path: Path) -> OnnxModel:
     except Exception as error:  # protobuf's and onnx's errors share no class
         first = str(error).strip().splitlines()[:1] or [""]
         raise BadConfig(f"{path} is not a whole ONNX file: {first[0]}") from error
+    if fault := _fault_of(graph):
+        raise BadConfig(f"{path}: {fault}")
     texts = {entry.key: entry.value for entry in graph.metadata_props}
     if texts.get("format") != FORMAT:
         raise BadConfig(f"{path}: the format must be {FORMAT!r}, found {texts.get('format')!r}")
     try:
         facts, card = json.loads(texts["graph"]), json.loads(texts["card"])
         return OnnxModel(graph, GraphFacts(**facts), dict(card))
-    except (KeyError, TypeError, ValueError, BadConfig) as error:
+    except (KeyError, TypeError, ValueError, RecursionError, BadConfig) as error:
         raise BadConfig(f"{path}: its metadata must describe the graph and its network ({error})") from error
+
+
+def _fault_of(model: Any) -> str | None:
+    """What may make a graph compute without end, or read other files; None for nothing."""
+    nodes = model.graph.node
+    parts = [attribute for node in nodes for attribute in node.attribute]
+    strange = sorted({node.op_type for node in nodes if node.domain or node.op_type.startswith(_REFUSED)})
+    if strange or model.functions or any(part.HasField("g") or part.graphs for part in parts):
+        return f"a graph must have plain operators, no loops, branches or functions, found {strange or 'some'}"
+    if any(each.external_data for each in (*model.graph.initializer, *(part.t for part in parts))):
+        return "a graph must hold its weights itself, found the name of another file"
+    newest = max((each.version for each in model.opset_import), default=0)
+    return f"a graph's opset must be at most {OPSET}, found {newest}" if newest > OPSET else None

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from functools import cache
 from importlib import import_module
 from typing import Any, ClassVar, Final, Literal
 
@@ -19,7 +21,8 @@ from bodyseg_model.runtimes.onnx_files import RANGE, SCORES, OnnxModel, scores_p
 
 Precision = Literal["float32", "bfloat16"]
 
-_ERRORS_ONLY: Final = 3  # of ONNX Runtime's log
+_FATAL_ONLY: Final = 4  # of ONNX Runtime's log
+_MOST_BYTES: Final = 1 << 32  # of ONNX Runtime in all: small graphs may ask for any number
 
 
 class Runtime(ABC):
@@ -59,13 +62,25 @@ class OnnxRuntime(Runtime):
         library = self.loaded()
         options = library.SessionOptions()
         options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
-        options.log_severity_level = _ERRORS_ONLY
+        options.log_severity_level = _FATAL_ONLY  # errors are raised, and their lines are the message
+        options.add_session_config_entry("session.use_env_allocators", "1")
+        _limit_memory()
         self._session = library.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
 
     def scores(self, range_m: NDArray[np.float32]) -> NDArray[np.float32]:
         """See `Runtime.scores`."""
         found: NDArray[np.float32] = self._session.run([SCORES], {RANGE: range_m})[0]
         return found
+
+
+@cache
+def _limit_memory() -> None:
+    """Bound what ONNX Runtime allocates in this process, unless its user already has."""
+    library = OnnxRuntime.loaded()
+    arena = library.OrtAllocatorType.ORT_ARENA_ALLOCATOR
+    info = library.OrtMemoryInfo("Cpu", arena, 0, library.OrtMemType.DEFAULT)
+    with contextlib.suppress(library.capi.onnxruntime_pybind11_state.Fail):
+        library.create_and_register_allocator(info, library.OrtArenaCfg({"max_mem": _MOST_BYTES}))
 
 
 class OpenVino(Runtime):
@@ -116,12 +131,20 @@ class RuntimeNetwork(Network):
         self.eval()
 
     def scores(self, range_m: torch.Tensor) -> torch.Tensor:
-        """Compute scores; see `Network.scores`."""
+        """Compute scores; see `Network.scores`. Raises BadConfig for a graph that cannot, or gives others."""
         check_range_images(range_m)
         threads = torch.get_num_threads()
-        if threads not in self._sessions:
-            self._sessions[threads] = self._runtime(self._graph, self._precision, threads)
-        found = self._sessions[threads].scores(range_m.detach().cpu().float().contiguous().numpy())
+        try:
+            if threads not in self._sessions:
+                self._sessions[threads] = self._runtime(self._graph, self._precision, threads)
+            found = self._sessions[threads].scores(range_m.detach().cpu().float().contiguous().numpy())
+        except Exception as error:  # of the runtime's own kinds
+            text = " ".join(str(error).split())
+            why = f"it asks for more than {_MOST_BYTES} bytes" if "vailable memory" in text else text[:300]
+            raise BadConfig(f"{self.identity['backend']} cannot compute the network: {why}") from error
+        wanted = [len(range_m), *(-(-side // self.output_stride) for side in range_m.shape[2:]), self.classes]
+        if list(found.shape) != wanted:
+            raise BadConfig(f"by its stride and classes, scores must be {wanted}, found {list(found.shape)}")
         return torch.from_numpy(found).permute(0, 3, 1, 2)
 
 

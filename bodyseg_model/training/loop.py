@@ -106,7 +106,8 @@ def train(
         options = seed, run_options, validation, pretrained
         training = Training(network, name_of(network), images, recipe, folder, processes, *options)
         with claimed(folder.path, "training") if processes.first else contextlib.nullcontext():
-            training.run(resume, report or (lambda metrics: None), facts or {})
+            read_from = {"read_from": [each.path for each in images.sets]}
+            training.run(resume, report or (lambda metrics: None), {**read_from, **(facts or {})})
         processes.from_first(True)  # the others wait until the first has written the network
     return load_network(folder.path)
 

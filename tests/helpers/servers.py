@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import json
 import random
 import re
 import select
@@ -47,6 +48,7 @@ class WebServer(ThreadingHTTPServer):
         self.root, self.s3 = root, s3
         self.shard_bytes = (root / "train-00000.tar").stat().st_size
         self.faults = Faults()
+        self.commits = {"main": "a" * 40, "v1.0": "b" * 40}
         self.errors: list[BaseException] = []
         self._log: list[Request] = []
         self._answering = 0
@@ -186,6 +188,10 @@ class _Handler(BaseHTTPRequestHandler):
             case "signed":
                 known = parse_qs(urlsplit(self.path).query).get("token") == [TOKEN]
                 return self._file(name) if known else refusal(403)
+            case "api" | "datasets":
+                return self._hub(name)
+            case "content":  # another origin, which gets no token
+                return refusal(400) if self.headers.get("Authorization") else self._file(name)
             case "forbidden":
                 return refusal(403)
             case "packed":
@@ -195,6 +201,25 @@ class _Handler(BaseHTTPRequestHandler):
             case "faulty":
                 return server.spoiled(name, self._file(name))
         return refusal(404)
+
+    def _hub(self, name: str) -> Reply:
+        """The hub's API for one private set: its commits by revision, and its files, shards at another address."""
+        server = self.server
+        if self.headers.get("Authorization") != f"Bearer {TOKEN}":
+            return refusal(401, X_Error_Code="RepoNotFound")
+        if name.startswith("datasets/"):
+            revision = name.removeprefix("datasets/owner/name/revision/")
+            if revision not in server.commits:
+                return refusal(404, X_Error_Code="RevisionNotFound")
+            body = json.dumps({"id": "owner/name", "sha": server.commits[revision]}).encode()
+            return Reply(body, len(body), status=200, headers={"Content-Type": "application/json"})
+        known, _, file = name.partition("/resolve/")
+        commit, _, file = file.partition("/")
+        if known != "owner/name" or commit not in server.commits.values():
+            return refusal(404)
+        if not file.endswith(".tar"):
+            return self._file(file)
+        return refusal(302, Location=f"http://localhost:{server.server_port}/content/{file}")
 
     def _file(self, name: str, ranges: bool = True) -> Reply:
         try:

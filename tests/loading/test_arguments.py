@@ -212,3 +212,9 @@ def test_a_log_that_cannot_be_written_is_found_at_once(images: RangeImages, tmp_
             loader(images, 4, on_error="skip", skip_budget=1, skip_log=path)
     with pytest.raises(BadConfig, match="^skip_log is for on_error='skip', found it with 'stop'$"):
         loader(images, 4, skip_log=tmp_path / "log.jsonl")
+    (tmp_path / "notes.txt").write_text("mine\n")
+    with pytest.raises(BadConfig, match=r"^skip_log .*notes.txt must be a new file or a log of skipped samples"):
+        loader(images, 4, on_error="skip", skip_budget=1, skip_log=tmp_path / "notes.txt")
+    assert (tmp_path / "notes.txt").read_text() == "mine\n"
+    (tmp_path / "log.jsonl").write_text('{"epoch": 0, "key": "a"}\n')
+    loader(images, 4, on_error="skip", skip_budget=1, skip_log=tmp_path / "log.jsonl")

@@ -179,3 +179,10 @@ def test_files_too_large_are_not_read(tmp_path: Path) -> None:
         file.truncate((1 << 31) + 1)
     with pytest.raises(BadConfig, match="is larger than"):
         read_json(tmp_path / "x.json")
+
+
+def test_a_network_larger_than_its_weights_is_not_built(file: Path) -> None:
+    card = file.with_suffix(".json")
+    write_json(card, {**read_json(card), "settings": {"widths": [2048] * 6, "blocks": [32] * 6}})  # 58 GB
+    with pytest.raises(BadConfig, match=r"network\.json: the network must fit its weights, found a larger one"):
+        load_network(file)

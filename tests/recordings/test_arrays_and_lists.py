@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from pngs import RAMP, png
 from bodyseg_data.core import BadConfig
 from bodyseg_model.recordings import find_frames, to_metres
 from bodyseg_model.recordings.camera_files import cameras_beside
+from bodyseg_model.recordings.formats.tiff import open_tiff
 from bodyseg_model.recordings.frames import open_recording
 
 STACK = np.stack([RAMP, RAMP[::-1], RAMP // 2])
@@ -127,7 +129,7 @@ def test_a_list_that_is_no_text_is_refused(tmp_path: Path) -> None:
     assert "a list of frames must be text" in refusal(folder)
     with (folder / "depth.txt").open("wb") as file:
         file.truncate(1 << 27)
-    assert "a list of frames must have at most" in refusal(folder)
+    assert "depth.txt is larger than 67108864 bytes" in refusal(folder)
     assert "found a folder with depth.txt" in refusal(folder, "a")
 
 
@@ -204,7 +206,7 @@ def test_arrays_of_other_shapes_and_types_are_refused(tmp_path: Path) -> None:
         "one number": (np.array(3.0), "found one number"),
         "too many sides": (np.ones((2, 2, 4, 6)), "found 2 x 2 x 4 x 6"),
         "too large": (np.zeros((1, 5000), np.uint16), "found 1 x 5000"),
-        "no frame": (np.zeros((0, 4, 6), np.uint16), "a recording must hold frames, found none"),
+        "no frame": (np.zeros((0, 4, 6), np.uint16), "a recording must hold 1 to 1048576 frames, found none"),
     }
     for values, message in wrong.values():
         np.save(tmp_path / "a.npy", values)
@@ -368,4 +370,85 @@ def test_damage_within_a_zip_is_of_its_frames(tmp_path: Path) -> None:
     np.lib.format.write_array_header_1_0(buffer, {"descr": "<u2", "fortran_order": False, "shape": (9, 60, 84)})
     with zipfile.ZipFile(tmp_path / "b.npz", "w") as archive:
         archive.writestr("depth.npy", buffer.getvalue() + bytes(60 * 84 * 2))
-    assert "found 0 of 10080 bytes" in broken(tmp_path / "b.npz", 1)
+    assert "bytes that it declares, found 9 x 60 x 84 of uint16, in 10208 bytes" in refusal(tmp_path / "b.npz")
+
+
+@pytest.mark.parametrize("packing", [None, "tiff_adobe_deflate", "tiff_lzw"])
+@pytest.mark.parametrize("big", [False, True])
+def test_a_page_is_read_by_its_offset(packing: str | None, big: bool, tmp_path: Path) -> None:
+    pages, path = [Image.fromarray(image) for image in STACK], tmp_path / "stack"
+    pages[0].save(path, "TIFF", save_all=True, append_images=pages[1:], compression=packing, big_tiff=big)
+    check_stack(path)
+    data = bytearray(path.read_bytes())
+    head = open_tiff(path, None, None)[1].source.starts[1]  # type: ignore[attr-defined]
+    second = int.from_bytes(head[len(head) // 2 :], "little")
+    data[second + 8 : second + 24] = b"\xff" * 16  # its tags, but not how many
+    path.write_bytes(data)
+    assert np.array_equal(open_recording(path)[2].read(), STACK[2])
+    assert "page 1 of the TIFF cannot be read" in broken(path, 1)
+
+
+def tiff(rest: bytes, **tags: int) -> bytes:
+    """A TIFF of 16 x 16 pixels of 16 bits; tags: further ones, as "t322"."""
+    known = {256: 16, 257: 16, 258: 16, 259: 8, 262: 1, 277: 1} | {int(name[1:]): tags[name] for name in tags}
+    entries = b"".join(struct.pack("<HHII", tag, 4, 1, known[tag]) for tag in sorted(known))
+    return b"II*\0" + struct.pack("<IH", 8, len(known)) + entries + rest
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"II*\0" + struct.pack("<IH", 8, 65535) + bytes(99), "page 0 lies beyond its end: byte 8"),
+        (b"II+\0" + struct.pack("<HHQQ", 8, 0, 16, 1 << 62) + bytes(99), "page 0 lies beyond its end: byte 16"),
+        (b"MM\0*" + bytes(3), "page 0 lies beyond its end"),
+        (b"II*\0" + struct.pack("<IHI", 8, 0, 1 << 31), "page 1 lies beyond its end: byte 2147483648"),
+        (
+            b"II*\0" + b"".join(struct.pack("<IH", 8 + 6 * page, 0) for page in range(9)) + bytes(4),
+            "more than 8 pages",
+        ),
+        (tiff(bytes(4), t256=40_000, t257=40_000), "page 0 of the TIFF cannot be read"),
+        (tiff(bytes(4), t322=32_768, t323=32_768, t324=8, t325=8), "at most 4096 a side"),
+    ],
+)
+def test_tiffs_that_lie(data: bytes, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bodyseg_model.recordings.formats.tiff.MOST_FRAMES", 8)
+    (tmp_path / "a.tif").write_bytes(data)
+    assert message in refusal(tmp_path / "a.tif")
+
+
+def test_a_zip_is_listed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    images = {f"f{number}": RAMP + np.uint16(number) for number in range(12)}
+    np.savez(tmp_path / "stored.npz", **images)
+    np.savez_compressed(tmp_path / "packed.npz", **images)
+    np.savez(tmp_path / "stack.npz", depth=np.stack([*images.values()]))
+    opened, opener = [], zipfile.ZipFile
+
+    def count(*words: Any, **options: Any) -> zipfile.ZipFile:
+        opened.append(words)
+        return opener(*words, **options)
+
+    monkeypatch.setattr(zipfile, "ZipFile", count)
+    for name, times in (("stored", 2), ("packed", 2), ("stack", 1)):
+        opened.clear()
+        frames = open_recording(tmp_path / f"{name}.npz")
+        for number in (0, 11, 3, 3, 4):
+            assert np.array_equal(frames[number].read(), images[f"f{number}"])
+        assert len(opened) == times
+
+
+@pytest.mark.parametrize("shape", [(10**9, 10, 10), (10**9, 8, 8, 1), (-1, 9, 9), (10**5, 10**5)])
+def test_an_array_has_the_bytes_that_it_declares(shape: tuple[int, ...], tmp_path: Path) -> None:
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<u2", "fortran_order": False, "shape": shape})
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("depth.npy", header.getvalue())
+    size = (tmp_path / "a.npz").stat().st_size
+    assert size < 400 and "an array must have the bytes that it declares" in refusal(tmp_path / "a.npz")
+
+
+def test_frames_are_counted_before_they_are_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bodyseg_model.recordings.recording.MOST_FRAMES", 2)
+    np.save(tmp_path / "a.npy", STACK)
+    np.savez_compressed(tmp_path / "a.npz", STACK)
+    for name in ("a.npy", "a.npz"):
+        assert "1 to 2 frames, found 3" in refusal(tmp_path / name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import struct
 import sys
 import tracemalloc
 from collections.abc import Callable
@@ -384,3 +385,32 @@ def test_a_camera_may_stand_below_its_topic(tmp_path: Path) -> None:
     sent = [camera_info(RAMP.shape, f"{DEPTH}/camera_info"), compressed(png(RAMP), "png", topic=f"{DEPTH}/compressed")]
     (frame,) = open_recording(write_mcap(tmp_path / "a.mcap", sent))
     assert frame.camera is not None and frame.camera.fx == 100
+
+
+def chunk_of(data: bytes, claimed: int | None = None) -> bytes:
+    """A record of MCAP: a chunk of these bytes, packed, with no index."""
+    packed = zstandard.ZstdCompressor().compress(data)
+    head = struct.pack("<QQQII", 0, 0, len(data) if claimed is None else claimed, 0, 4)
+    body = head + b"zstd" + struct.pack("<Q", len(packed)) + packed
+    return struct.pack("<BQ", 6, len(body)) + body
+
+
+@pytest.mark.parametrize(
+    ("chunks", "message"),
+    [
+        ([chunk_of(bytes(10_000_000))], "no record begins at byte 0"),
+        ([chunk_of(struct.pack("<BQ", 9, 9_000_000) + bytes(9_000_000))] * 3, "claims 9000009 bytes of"),
+        ([chunk_of(bytes(1 << 20), 99)], "a piece must have at most 99 bytes"),
+        ([chunk_of(bytes(9), 1 << 60)], "claims 1152921504606846976 bytes of"),
+        ([chunk_of(struct.pack("<BQHIQQ", 5, 22, 1, 0, 1, 1) * 1001)], "at most 1000 messages"),
+        ([chunk_of(struct.pack("<BQHIQQ", 5, 22, 1, 0, 1 << 63, 1))], "must be a whole MCAP file"),
+    ],
+)
+def test_chunks_are_bounded_before_they_are_believed(
+    chunks: list[bytes], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bodyseg_model.recordings.bag_files._SCANNED", (20_000_000, 100))
+    monkeypatch.setattr("bodyseg_model.recordings.bag_files.MOST_MESSAGES", 1000)
+    path, footer = tmp_path / "a.mcap", struct.pack("<BQ", 2, 20) + bytes(20)
+    path.write_bytes(b"\x89MCAP0\r\n" + b"".join(chunks) + footer)
+    assert message in refusal(path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import struct
 import sys
 from collections.abc import Callable
 from functools import partial
@@ -16,6 +17,9 @@ from PIL import Image
 from rendered_scenes import blenderproc, isaac, plain, save
 
 from bodyseg_data.commands.cli import main
+from bodyseg_data.core import BadSample
+from bodyseg_data.renders.blenderproc import _datasets
+from bodyseg_data.renders.images import read_array
 
 FIRST = "scene-000"
 
@@ -321,3 +325,30 @@ def test_damaged_files_end_in_one_line(tmp_path: Path, capsys: pytest.CaptureFix
             assert pack(folder) in (0, 2), (path.name, capsys.readouterr().err)
             shutil.rmtree(folder.parent / "shards", ignore_errors=True)
         path.write_bytes(whole)
+
+
+def test_images_are_bounded_by_what_they_declare(tmp_path: Path) -> None:
+    h5py, exr = pytest.importorskip("h5py"), pytest.importorskip("OpenEXR")
+    header = {"compression": exr.ZIPS_COMPRESSION, "type": exr.scanlineimage}
+    exr.File(header, {"Z": np.ones((20, 30), np.float32)}).write(str(tmp_path / "a.exr"))
+    assert read_array(tmp_path / "a.exr").shape == (20, 30)
+    data = bytearray((tmp_path / "a.exr").read_bytes())
+    window = data.index(b"dataWindow\0box2i\0") + len(b"dataWindow\0box2i\0") + 4
+    data[window : window + 16] = struct.pack("<4i", 0, 0, 60_000, 60_000)
+    (tmp_path / "a.exr").write_bytes(data)
+    tags = {256: 16, 257: 16, 258: 16, 259: 8, 262: 1, 277: 1, 322: 32_768, 323: 32_768, 324: 8, 325: 8}
+    entries = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in tags.items())
+    (tmp_path / "a.tif").write_bytes(b"II*\0" + struct.pack("<IH", 8, len(tags)) + entries + bytes(4))
+    for name in ("a.exr", "a.tif"):
+        with pytest.raises(BadSample, match="it has more pixels than an image can"):
+            read_array(tmp_path / name)
+    (tmp_path / "secret").write_bytes(bytes(100))
+    for options, message in (
+        ({"shape": (10, 10), "external": [(str(tmp_path / "secret"), 0, 100)]}, "lies in another file"),
+        ({"shape": (10**5, 10**5), "chunks": (10, 10)}, "more than an image can"),
+        ({"shape": (10, 10), "maxshape": (None, None), "chunks": (30_000, 30_000)}, "more than an image can"),
+    ):
+        with h5py.File(tmp_path / "a.hdf5", "w") as file:
+            file.create_dataset("depth", dtype="u1", **options)
+        with pytest.raises(BadSample, match=message):
+            _datasets(tmp_path / "a.hdf5")

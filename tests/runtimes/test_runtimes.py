@@ -274,3 +274,43 @@ def test_a_file_is_what_was_written(tmp_path: Path) -> None:
     read = read_onnx(tmp_path / "toy.onnx")
     assert read.facts == model.facts and read.card == {"seed": 4}
     assert [*map(np.sum, ask(read, frames()))] == [*map(np.sum, ask(model, frames()))]
+
+
+def graph_of(*nodes: Any, inputs: Any = (), opset: int = 18, facts: Any = None) -> bytes:
+    """A file of a graph that nobody exported, whose last node gives the scores."""
+    helper, real = onnx.helper, onnx.TensorProto.FLOAT
+    named = [helper.make_node("Identity", ["scores"], [name]) for name in ("labels", "confidence")]
+    sides = {"range_m": ["n", 1, "r", "c"], "labels": ["a", "b", "c"], "confidence": ["a", "b", "c"]}
+    values = [helper.make_tensor_value_info(name, real, shape) for name, shape in sides.items()]
+    graph = helper.make_graph([*nodes, *named], "g", values[:1], values[1:], inputs)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=9)
+    texts = facts or json.dumps({"classes": 33, "output_stride": 4})
+    helper.set_model_props(model, {"format": "bodyseg onnx 1", "graph": texts, "card": "{}"})
+    data: bytes = model.SerializeToString()
+    return data
+
+
+def test_graphs_that_lie_are_one_line(tmp_path: Path) -> None:
+    make, tensor, whole = onnx.helper.make_node, onnx.helper.make_tensor, onnx.TensorProto.INT64
+    plain, huge = make("Identity", ["range_m"], ["scores"]), make("ConstantOfShape", ["s"], ["scores"])
+    sizes = [tensor("s", whole, [1], [1 << 40])]
+    squared = [make("Shape", ["range_m"], ["h"]), make("Mul", ["h", "h"], ["q"]), make("Mul", ["q", "q"], ["s"]), huge]
+    value, real, flag = onnx.helper.make_tensor_value_info, onnx.TensorProto.FLOAT, onnx.TensorProto.BOOL
+    kept = [[value(f"go{end}", flag, []), value(f"x{end}", real, ["n", 1, "r", "c"])] for end in ("", "_on")]
+    steps = [make("Identity", [name], [f"{name}_on"]) for name in ("go", "x")]
+    body = onnx.helper.make_graph(steps, "body", [value("i", whole, []), *kept[0]], kept[1])
+    loop = make("Loop", ["", "on", "range_m"], ["scores"], body=body)
+    on = [tensor("on", flag, [], [True])]
+    for data, message in (
+        (graph_of(huge, inputs=sizes), "it asks for more than 4294967296 bytes"),
+        (graph_of(*squared), "it asks for more than 4294967296 bytes"),
+        (graph_of(plain), r"scores must be \[1, 50, 34, 33\], found \[1, 1, 200, 136\]"),
+        (graph_of(loop, inputs=on), "plain operators, no loops, branches or functions, found some"),
+        (graph_of(plain, opset=19), "opset must be at most 18, found 19"),
+        (graph_of(plain, facts=json.dumps({"classes": 33, "output_stride": 10**9})), "output_stride must be 1 to 64"),
+        (graph_of(plain, facts="[" * 100_000), "its metadata must describe the graph"),
+    ):
+        (tmp_path / "a.onnx").write_bytes(data)
+        with pytest.raises(BadConfig, match=message) as caught:
+            predict(backends.load_run(tmp_path / "a.onnx").network, torch.ones(1, 1, 200, 136))
+        assert "\n" not in str(caught.value) and len(str(caught.value)) < 500

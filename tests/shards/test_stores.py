@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 import torch
 from replies import Reply, refusal
-from servers import WebServer, free_port, s3_server, web_server
+from servers import TOKEN, WebServer, free_port, s3_server, web_server
 from torch.utils.data import DataLoader
 
 from bodyseg_data import RangeImages, loader
@@ -595,3 +595,62 @@ def test_an_address_that_cannot_be_opened_is_one_error_and_nothing_else_on_stand
 def test_host_and_port_of_an_address_reach_the_filesystem() -> None:
     with pytest.raises(BadConfig, match=r"ftp://127\.0\.0\.1:1/set: .*refused"):
         RemoteFolder("ftp://127.0.0.1:1/set", {}, RetryPolicy())
+
+
+HUB = "hf://datasets/owner/name"
+
+
+def test_a_set_on_the_hub_is_read_at_one_commit(
+    web: WebServer, tmp_path: Path, expected: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("huggingface_hub")
+    monkeypatch.setattr(web, "commits", {"main": "a" * 40, "v1.0": "b" * 40})
+    monkeypatch.setenv("HF_ENDPOINT", web.url("").rstrip("/"))
+    monkeypatch.setenv("HF_TOKEN", TOKEN)
+    options: dict[str, Any] = {"variant": "noise", "retry_policy": QUICK, "cache_bytes": 0}
+    images = RangeImages(HUB, **options)
+    assert images.path == f"{HUB}@{'a' * 40}"
+    monkeypatch.setitem(web.commits, "main", "c" * 40)
+    monkeypatch.setitem(web.commits, "refs/pr/1", "a" * 40)  # the old commit is still there
+    monkeypatch.delenv("HF_TOKEN")
+    copy = pickle.loads(pickle.dumps(images))
+    for each in (images, copy):
+        assert bits(each) == expected
+    assert {request.path.split("/")[5] for request in web.log("/resolve/")} == {"a" * 40}
+    assert all(request.status in (200, 206) for request in web.log("/content/"))
+    named = RangeImages(f"{HUB}@v1.0", **options, storage_options={"token": TOKEN})
+    assert named.path == f"{HUB}@{'b' * 40}"
+    assert bits(named) == expected
+    other = RangeImages(f"{HUB}@refs%2Fpr%2F1/train-*.tar", **options, storage_options={"token": TOKEN})
+    assert other.path == f"{HUB}@{'a' * 40}" and set(other.keys) <= set(images.keys)
+
+
+@pytest.mark.parametrize(
+    ("address", "options", "message"),
+    [
+        (HUB, {}, "401"),
+        (HUB, {"token": "wrong-token"}, "401"),
+        (f"{HUB}@absent", {"token": TOKEN}, "404"),
+        ("hf://datasets/owner/other", {"token": TOKEN}, "404"),
+        ("hf://owner/name", {}, "must be hf://datasets/OWNER/NAME"),
+        ("hf://datasets/owner", {}, "must be hf://datasets/OWNER/NAME"),
+        (HUB, {"token": TOKEN, "endpoint": "http://127.0.0.1:1"}, f"{HUB}"),
+    ],
+)
+def test_what_the_hub_refuses_is_one_line(
+    address: str, options: dict[str, str], message: str, web: WebServer, tmp_path: Path
+) -> None:
+    pytest.importorskip("huggingface_hub")
+    given = {"endpoint": web.url("").rstrip("/"), **options}
+    policy = RetryPolicy(tries=2, first_wait_s=0.001)
+    with pytest.raises((Unreachable, BadConfig)) as caught:
+        RangeImages(address, variant="none", storage_options=given, retry_policy=policy, cache=tmp_path)
+    said = str(caught.value)
+    assert message in said and "\n" not in said and TOKEN not in said and "wrong-" not in said
+
+
+def test_a_hub_that_names_no_commit_is_refused(web: WebServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("huggingface_hub")
+    monkeypatch.setattr(web, "commits", {"main": "../../elsewhere"})
+    with pytest.raises(Unreachable, match="must name a commit of 40 digits"):
+        RemoteFolder(HUB, {"endpoint": web.url("").rstrip("/"), "token": TOKEN}, QUICK)

@@ -44,7 +44,7 @@ FORMATS: Final[dict[str, Format]] = {
     "mcap": Format("MCAP", "bag_files.open_mcap", (b"\x89MCAP0\r\n",), (".mcap",)),
     "npy": Format("NPY array", "formats.arrays.open_npy", (b"\x93NUMPY",), (".npy",)),
     "npz": Format("NPZ arrays", "formats.arrays.open_npz", (b"PK\x03\x04", b"PK\x05\x06"), (".npz",)),
-    "tiff": Format("TIFF", "formats.tiff.open_tiff", (b"II*\0", b"MM\0*"), (".tif", ".tiff")),
+    "tiff": Format("TIFF", "formats.tiff.open_tiff", (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"), (".tif", ".tiff")),
     "mkv": Format("Matroska", "formats.matroska.open_mkv", (b"\x1a\x45\xdf\xa3",), (".mkv",)),
     "tum": Format("folder with depth.txt", "formats.tum.open_tum", entry="depth.txt"),
 }

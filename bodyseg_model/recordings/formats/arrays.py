@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import math
 import re
+import struct
 import zipfile
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -16,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig
+from bodyseg_model.recordings.frame_files import read_part
 from bodyseg_model.recordings.frames import natural_key
 from bodyseg_model.recordings.recording import ArrayFrames, Frame, FrameSource, check_pixels, stored_recording
 
@@ -23,6 +26,8 @@ _LONGEST_HEADER: Final = 10_000
 _TIMES: Final = ("times", "time", "timestamps")
 _MOST_TIMES: Final = 1 << 24
 _LARGEST_STACK: Final = 1 << 30
+_MOST_PACKED: Final = 1100  # bytes that deflate makes of one
+_LENGTHS_AT: Final = 26  # of name and extra field, in a member's header (APPNOTE.TXT 4.3.7)
 _RANGES: Final = re.compile(r"depth|(?<![a-z])(z|range|ranges|distance)(?![a-z])")
 _BESIDE: Final = re.compile(
     r"conf|mask|valid|std|sigma|noise|var|err|rgb|col|time|amp|ir(?![a-z])|infra|intens|label|vis"
@@ -42,7 +47,7 @@ def open_npy(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame
         raise BadConfig(f"{path} must be a whole NPY file of numbers: {error}") from error
     shape = _check(values.shape, values.dtype, str(path), step_m)
     frames = values.reshape(shape) if len(shape) == 3 else values.reshape(1, *shape)
-    return stored_recording(path, ArrayFrames(frames), [None] * len(frames), values.dtype.kind == "f", step_m)
+    return stored_recording(path, ArrayFrames(frames), len(frames), values.dtype.kind == "f", step_m)
 
 
 def open_npz(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame, ...]:
@@ -54,10 +59,11 @@ def open_npz(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame
     """
     try:
         with zipfile.ZipFile(path) as archive:
-            arrays = [array for name in archive.namelist() if (array := _described(archive, name)) is not None]
+            found = (_described(archive, member, path) for member in archive.infolist())
+            arrays = [array for array in found if array is not None]
             times = next((_times(archive, array) for array in arrays if array.title in _TIMES), None)
-    except BadConfig:
-        raise
+    except BadConfig as error:
+        raise BadConfig(f"{path}: {error}") from error
     except Exception as error:  # a damaged zip raises what zipfile, zlib, lzma and NumPy like
         raise BadConfig(f"{path} must be a whole NPZ file: {error}") from error
     images = [array for array in arrays if array.shaped and array.title not in _TIMES]
@@ -69,14 +75,13 @@ def open_npz(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame
         _check(array.shape, array.kind, f"{path}, {array.title!r}", step_m)
     if len({array.kind.kind for array in chosen}) > 1:
         raise BadConfig(f"arrays of frames must all be whole numbers or all floating point, found both in {path}")
-    locations = [(array, number) for array in chosen for number in range(array.count)]
+    each = ((array, number) for array in chosen for number in range(array.count))
+    locations = list(islice(each, 1 << 21))  # more than a recording may hold
     if times is not None and len(times) != len(locations):
         raise BadConfig(f"times must be as many as frames, found {len(times)} for {len(locations)} in {path}")
     floating = bool(chosen) and chosen[0].kind.kind == "f"
-    part = topic or ""
-    return stored_recording(
-        path, _Zipped(path, locations), times or [None] * len(locations), floating, step_m, part=part
-    )
+    frames = _Zipped(path, locations)
+    return stored_recording(path, frames, times or len(locations), floating, step_m, part=topic or "")
 
 
 def _chosen(families: dict[str, list[_Array]], images: list[_Array], topic: str | None, path: Path) -> list[_Array]:
@@ -97,17 +102,20 @@ def _chosen(families: dict[str, list[_Array]], images: list[_Array], topic: str 
 
 @dataclass(frozen=True)
 class _Array:
-    """An array in a zip, by its header, which ends at byte `start`. columns_first: True for Fortran's order."""
+    """An array in a zip: its numbers begin at byte `start` of its file, and of several frames that are not compressed
+    at byte `stored_at` of the zip. columns_first: True for Fortran's order.
+    """
 
-    member: str
+    member: zipfile.ZipInfo
     shape: tuple[int, ...]
     kind: np.dtype[Any]
     start: int
+    stored_at: int | None
     columns_first: bool = False
 
     @property
     def title(self) -> str:
-        return self.member.removesuffix(".npy")
+        return self.member.filename.removesuffix(".npy")
 
     @property
     def family(self) -> str:
@@ -130,16 +138,15 @@ class _Array:
 
 
 class _Zipped(FrameSource):
-    """Frames of arrays in a zip; the array that was read last stays open, so that neighbours are read in one pass."""
+    """Frames of arrays in a zip; those that are not compressed are read where they lie. Of others, the array that was
+    read last stays open, so that neighbours are read in one pass.
+    """
 
     def __init__(self, path: Path, locations: list[tuple[_Array, int]]) -> None:
         self._path, self._locations = path, locations
-        self._member = ""
-        self._file: IO[bytes] | None = None
-        self._whole: tuple[str, NDArray[Any]] | None = None
-
-    def __del__(self) -> None:
-        self._close()
+        self._archive: zipfile.ZipFile | None = None
+        self._held: tuple[_Array, IO[bytes]] | None = None
+        self._whole: tuple[_Array, NDArray[Any]] | None = None
 
     def read(self, index: int) -> NDArray[Any]:
         array, number = self._locations[index]
@@ -148,51 +155,62 @@ class _Zipped(FrameSource):
             if array.columns_first:
                 found: NDArray[Any] = self._stack(array)[number]
                 return found
-            if self._file is None or self._member != array.member:
-                self._close()
-                with zipfile.ZipFile(self._path) as archive:
-                    self._member, self._file = array.member, archive.open(array.member)
-            self._file.seek(array.start + number * size)
-            data = self._file.read(size)
+            if array.stored_at is not None:
+                data = read_part(self._path, array.stored_at + number * size, size)
+            else:
+                data = self._opened(array, array.start + number * size).read(size)
         except Exception as error:  # as above
-            self._close()
+            if self._held is not None:
+                self._held[1].close()
+            self._held = self._archive = None
             raise BadConfig(f"the array {array.title!r} must be whole: {error}") from error
         if len(data) != size:
             raise BadConfig(f"the array {array.title!r} must be whole, found {len(data)} of {size} bytes")
         return np.frombuffer(data, array.kind).reshape(array.sides[-2:])
 
+    def _opened(self, array: _Array, offset: int) -> IO[bytes]:
+        """The file of an array, at a byte; the zip's list of them is read once."""
+        if self._archive is None:
+            self._archive = zipfile.ZipFile(self._path)
+        if self._held is None or self._held[0] is not array:
+            self._held = array, self._archive.open(array.member)
+        self._held[1].seek(offset)
+        return self._held[1]
+
     def _stack(self, array: _Array) -> NDArray[Any]:
         """All frames [N, H, W] of an array in Fortran's order, which lie in each other; the last array stays."""
-        if self._whole is None or self._whole[0] != array.member:
+        if self._whole is None or self._whole[0] is not array:
             self._whole = None
-            with zipfile.ZipFile(self._path) as archive, archive.open(array.member) as file:
-                values = np.lib.format.read_array(file, max_header_size=_LONGEST_HEADER)
-            self._whole = array.member, values.reshape(array.count, *array.sides[-2:])
+            values = np.lib.format.read_array(self._opened(array, 0), max_header_size=_LONGEST_HEADER)
+            self._whole = array, values.reshape(array.count, *array.sides[-2:])
         return self._whole[1]
 
-    def _close(self) -> None:
-        if self._file is not None:
-            self._file.close()
-        self._file = None
 
-
-def _described(archive: zipfile.ZipFile, member: str) -> _Array | None:
-    """Read the header of an array; None for another file. Raises ValueError."""
-    if not member.endswith(".npy"):
+def _described(archive: zipfile.ZipFile, member: zipfile.ZipInfo, path: Path) -> _Array | None:
+    """Read the header of an array in the zip at `path`; None for another file. Raises ValueError, BadConfig."""
+    if not member.filename.endswith(".npy"):
         return None
     with archive.open(member) as file:
         version = np.lib.format.read_magic(file)
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, columns_first, kind = read(file, max_header_size=_LONGEST_HEADER)
         start = file.tell()
-    if columns_first and kind.itemsize * math.prod(shape) > _LARGEST_STACK:
-        raise BadConfig(f"an array this large must have rows first (C order), found {member!r} in {archive.filename}")
-    return _Array(member, shape, kind, start, columns_first and len(shape) > 1)
+    declared = kind.itemsize * math.prod(shape)
+    if min(shape, default=0) < 0 or start + declared > min(member.file_size, _MOST_PACKED * path.stat().st_size):
+        found = f"{' x '.join(map(str, shape))} of {kind}, in {member.compress_size} bytes"
+        raise BadConfig(f"an array must have the bytes that it declares, found {found}: {member.filename!r}")
+    if columns_first and declared > _LARGEST_STACK:
+        raise BadConfig(f"an array this large must have rows first (C order), found {member.filename!r}")
+    stored_at = None
+    if len(shape) > 2 and member.compress_type == zipfile.ZIP_STORED:  # of one frame, the zip checks the checksum
+        name, extra = struct.unpack("<HH", read_part(path, member.header_offset + _LENGTHS_AT, 4))
+        stored_at = member.header_offset + _LENGTHS_AT + 4 + name + extra + start
+    return _Array(member, shape, kind, start, stored_at, columns_first and len(shape) > 1)
 
 
 def _times(archive: zipfile.ZipFile, array: _Array) -> list[float]:
     if len(array.shape) != 1 or array.kind.kind not in "fiu" or array.shape[0] > _MOST_TIMES:
-        raise BadConfig(f"{array.title!r} must hold one time a frame, seconds, in {archive.filename}")
+        raise BadConfig(f"{array.title!r} must hold one time a frame, seconds")
     with archive.open(array.member) as file:
         file.seek(array.start)
         data = file.read(array.shape[0] * array.kind.itemsize)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import warnings
 from pathlib import Path
-from typing import Any, Final
+from typing import IO, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +13,12 @@ from PIL import Image, TiffImagePlugin
 
 from bodyseg_data.core import BadConfig
 from bodyseg_data.machine import silence_libtiff
-from bodyseg_model.recordings.recording import LARGEST_SIDE, Frame, FrameSource, stored_recording
+from bodyseg_model.recordings.recording import LARGEST_SIDE, MOST_FRAMES, Frame, FrameSource, stored_recording
 
 _MODES: Final = {"I;16": np.uint16, "I;16B": np.uint16, "I;16L": np.uint16, "I": np.int32, "F": np.float32}
+
+_BIG: Final = 43  # version of a TIFF with offsets of 64 bits
+_TILE_SIDES: Final = (322, 323)  # tags of TIFF 6.0
 
 # Pillow decodes 64 bits, and only has no name for them: byte order, grey either way, floating point, bits.
 for _order, _raw in ((b"II", "F;64F"), (b"MM", "F;64BF")):
@@ -34,32 +38,70 @@ def open_tiff(path: Path, topic: str | None, step_m: float | None) -> tuple[Fram
         floating = pages.read(0).dtype.kind == "f"
     except BadConfig as error:
         raise BadConfig(f"{path}: {error}") from error
-    return stored_recording(path, pages, [None] * pages.count, floating, step_m)
+    return stored_recording(path, pages, len(pages.starts), floating, step_m)
 
 
 class _Pages(FrameSource):
-    """Pages of a TIFF. The file is opened for every page, so that no handle outlives a call."""
+    """Pages of a TIFF, listed once. The file is opened for every page, so that no handle outlives a call."""
 
     def __init__(self, path: Path) -> None:
         silence_libtiff()
         self._path = path
         try:
-            with warnings.catch_warnings(action="error"), Image.open(path, formats=["TIFF"]) as image:
-                count = getattr(image, "n_frames", 1)
-        except Exception as error:  # a damaged TIFF raises what Pillow likes
+            with path.open("rb") as file:
+                self.starts = _pages(file)
+        except (OSError, ValueError) as error:
             raise BadConfig(f"{path} must be a whole TIFF: {error}") from error
-        self.count: int = count
 
     def read(self, index: int) -> NDArray[Any]:
         try:
-            with warnings.catch_warnings(action="error"), Image.open(self._path, formats=["TIFF"]) as image:
-                image.seek(index)
+            with (
+                warnings.catch_warnings(action="error"),
+                _FromPage(self._path, self.starts[index]) as file,
+                Image.open(file, formats=["TIFF"]) as image,
+            ):
                 mode, size = image.mode, image.size
-                if mode in _MODES and max(size) <= LARGEST_SIDE:
+                tile = [int(image.tag_v2.get(tag, 1)) for tag in _TILE_SIDES]  # type: ignore[attr-defined]
+                if mode in _MODES and max(*size, *tile) <= LARGEST_SIDE:
                     return np.asarray(image).astype(_MODES[mode])
-        except Exception as error:  # as above
+        except Exception as error:  # a damaged page raises what Pillow likes
             raise BadConfig(f"page {index} of the TIFF cannot be read: {error}") from error
         raise BadConfig(
             f"a page must be grey of 16 or 32 bits or floating point, at most {LARGEST_SIDE} a side, found {mode!r} of "
             f"{size[1]} x {size[0]}"
         )
+
+
+def _pages(file: IO[bytes]) -> list[bytes]:
+    """For each page of a TIFF, the header that names it as the first. Raises ValueError."""
+
+    def number(offset: int, count: int) -> int:
+        file.seek(offset)
+        return int.from_bytes(file.read(count), order)
+
+    start, size = file.read(8), file.seek(0, io.SEEK_END)
+    order: Literal["little", "big"] = "little" if start[:2] == b"II" else "big"
+    many, entry, link = (8, 20, 8) if number(2, 2) == _BIG else (2, 12, 4)
+    found, offset = dict[int, bytes](), number(link, link) or size
+    while offset and offset not in found:  # some writers end with a page that was there before
+        end = offset + many + entry * number(offset, many)
+        if end + link > size:
+            raise ValueError(f"page {len(found)} lies beyond its end: byte {offset}")
+        if len(found) == MOST_FRAMES:
+            raise ValueError(f"it has more than {MOST_FRAMES} pages")
+        found[offset] = start[:link] + offset.to_bytes(link, order)
+        offset = number(end, link)
+    return list(found.values())
+
+
+class _FromPage(io.FileIO):
+    """A TIFF with another header, which names another first page: Pillow loads all pages before the one it seeks."""
+
+    def __init__(self, path: Path, head: bytes) -> None:
+        super().__init__(path)
+        self._head = head
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        start = self.tell()
+        data = super().read(-1 if size is None else size) or b""
+        return self._head[start : start + len(data)] + data[max(len(self._head) - start, 0) :]

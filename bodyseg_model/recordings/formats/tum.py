@@ -10,6 +10,7 @@ from pathlib import Path, PurePosixPath
 from typing import Final
 
 from bodyseg_data.core import BadConfig
+from bodyseg_data.files import read_bytes
 from bodyseg_model.recordings.frames import png_file
 from bodyseg_model.recordings.recording import Frame
 
@@ -27,11 +28,7 @@ def open_tum(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame
         raise BadConfig(f"--topic is for recordings that hold several, found a folder with {_LIST}: {path}")
     list_file = path / _LIST
     try:
-        if list_file.stat().st_size > _LARGEST_LIST:
-            raise BadConfig(f"a list of frames must have at most {_LARGEST_LIST} bytes: {list_file}")
-        lines = list_file.read_text("utf-8").splitlines()
-    except OSError as error:
-        raise BadConfig(f"cannot read {list_file}: {error.strerror or error}") from error
+        lines = read_bytes(list_file, _LARGEST_LIST).decode().splitlines()
     except UnicodeDecodeError as error:
         raise BadConfig(f"a list of frames must be text: {list_file}: {error}") from error
     step = step_m or _STEP_M

@@ -23,7 +23,7 @@ KILLS: Final = 20
 
 _SEED: Final = 0
 _SHARES: Final = {
-    "bsi": 0.25,
+    "bsi": 0.22,
     "png": 0.15,
     "sample": 0.2,
     "tar": 0.15,
@@ -35,6 +35,8 @@ _SHARES: Final = {
     "landmarks": 0.03,
     "lnd": 0.01,
     "ply": 0.03,
+    "scenes": 0.01,
+    "recording": 0.02,
 }
 """Share of the inputs that each reader gets: most for the readers of files that come from elsewhere."""
 

@@ -18,7 +18,7 @@ import time
 import tracemalloc
 import warnings
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from benches.environment import child_environment
 from benches.fuzzing.hostile import declared_bytes
 from benches.fuzzing.hostile_files import KEY, MAKERS, column_set
+from bodyseg_data.bodies.sources.labelled import LabelledScenes
 from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh, BadSample, BadShard, BodysegError
 from bodyseg_data.machine.kernels import VARIABLE
 from bodyseg_data.meshes import load_landmark_file, read_mesh
@@ -40,6 +41,7 @@ from bodyseg_data.shards.columns import column_file, read_column
 from bodyseg_data.shards.earlier import EARLIER_FIELDS, piece_as_current
 from bodyseg_data.shards.index import Piece
 from bodyseg_data.shards.tar import parse_members
+from bodyseg_model.recordings import open_recording
 
 SECONDS_EACH: Final = 2.0
 """The processor time that one input may take; the largest image allowed takes a second."""
@@ -87,14 +89,35 @@ def _column(given: tuple[str, bytes], folder: Path) -> object:
     return read_column(folder, column_set(), name)
 
 
-def _renders(given: Mapping[str, bytes], folder: Path) -> object:
-    """Every render of a folder."""
+@contextlib.contextmanager
+def _laid_out(given: Mapping[str, bytes], folder: Path) -> Iterator[Path]:
+    """A folder of these files."""
     with tempfile.TemporaryDirectory(dir=folder) as name:
         for file, data in given.items():
             path = Path(name) / file
             path.parent.mkdir(exist_ok=True)
             path.write_bytes(data)
-        source = open_renders(Path(name))
+        yield Path(name)
+
+
+def _scenes(given: Mapping[str, bytes], folder: Path) -> object:
+    """Every scene of a folder, with its classes."""
+    with _laid_out(given, folder) as path:
+        source = LabelledScenes(path)
+        return [source.build(body) for body in source.bodies()], source.classes
+
+
+def _recording(given: tuple[str, bytes], folder: Path) -> object:
+    """Every frame of a recording."""
+    name, data = given
+    (folder / name).write_bytes(data)
+    return [frame.read() for frame in open_recording(folder / name)]
+
+
+def _renders(given: Mapping[str, bytes], folder: Path) -> object:
+    """Every render of a folder."""
+    with _laid_out(given, folder) as path:
+        source = open_renders(path)
         return [source.load(key) for key in source.keys()]  # noqa: SIM118  # no dictionary
 
 
@@ -120,6 +143,8 @@ TARGETS: Final[dict[str, Target]] = {
     "landmarks": Target(_from_file("l.json", load_landmark_file), (BadLandmarks,)),
     "lnd": Target(_from_file("l.lnd", load_landmark_file), (BadLandmarks,)),
     "ply": Target(_from_file("m.ply", read_mesh), (BadMesh,)),
+    "scenes": Target(_scenes, (BadConfig, BadMesh)),
+    "recording": Target(_recording, (BadConfig,)),
 }
 """Name -> reader."""
 

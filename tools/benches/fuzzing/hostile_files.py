@@ -21,6 +21,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
+from PIL import Image
 
 from benches.data.codec.earlier import earlier_images, earlier_pngs
 from benches.fuzzing.hostile import hostile_image, hostile_json, hostile_png, hostile_tree, spoiled
@@ -400,6 +401,7 @@ def hostile_renders(generator: Generator) -> dict[str, bytes]:
 
 
 _TOML: Final = ("true", "-1", "0", "1e308", "nan", "inf", '""', '"x"', "[]", "[1, 2]", "{}", "1979-05-27", "9" * 400)
+_TOML_KEYS: Final = (*("a" + dot * 20_000 for dot in (".a", " . a", '."a"')), "[" * 5000, "a = {" * 5000)
 _TOML_LONG: Final = ("0x" + "f" * 5000, "9" * 5000, "[" * 300 + "]" * 300, "[" * 5000, f'"{"y" * 9000}"', '"\\u0000"')
 
 
@@ -409,7 +411,10 @@ def _other_value(text: str, generator: Generator) -> bytes:
     keyed = [number for number, line in enumerate(lines) if "=" in line and not line.startswith("#")]
     number = keyed[int(generator.integers(len(keyed)))]
     values = _TOML if generator.integers(2) else _TOML_LONG
-    lines[number] = f"{lines[number].partition('=')[0]}= {values[int(generator.integers(len(values)))]}"
+    key = lines[number].partition("=")[0]
+    if generator.integers(8) == 0:
+        key = _TOML_KEYS[int(generator.integers(len(_TOML_KEYS)))]
+    lines[number] = f"{key}= {values[int(generator.integers(len(values)))]}"
     return "\n".join(lines).encode()
 
 
@@ -463,6 +468,88 @@ def hostile_ply(generator: Generator) -> bytes:
     return spoiled(whole, generator) if generator.integers(8) else whole
 
 
+_SCENES: Final = {
+    "room/scene.json": {
+        "format": "bodyseg scene 1",
+        "meshes": [
+            {"mesh": "../box.ply", "labels": "../vertex_labels.json", "position_m": [0.5, 0, 0]},
+            {"mesh": "../box.ply", "class": "wall", "units": "cm"},
+        ],
+        "centre_m": [0, 1, 0],
+        "split": "test",
+    },
+    "vertex_labels.json": [0, 1, 1, 2],
+    "classes.json": {"name": "rooms", "classes": ["wall", {"name": "floor", "colour": "#1e90ff"}, "man"]},
+}
+"""A folder of meshes with labels: name of a file of JSON -> content."""
+
+
+def hostile_scenes(generator: Generator) -> dict[str, bytes]:
+    """A folder of a scene and its classes, one of whose files is spoiled, has other values, or is missing."""
+    points = np.eye(4, 3, dtype="<f4").tobytes()
+    faces = b"".join(b"\3" + np.array(face, "<i4").tobytes() for face in ((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0)))
+    files = {"box.ply": _PLY.format(form="binary_little_endian", vertices=4, faces=4).encode() + points + faces}
+    files |= {name: json.dumps(tree).encode() for name, tree in _SCENES.items()}
+    name = [*_SCENES][int(generator.integers(len(_SCENES)))]
+    match int(generator.integers(6)):
+        case 0:
+            files["box.ply"] = hostile_ply(generator)
+        case 1:
+            files[name] = hostile_json(files[name].decode(), generator)
+        case 2:
+            del files[name]
+        case 3 | 4:
+            files[name] = json.dumps(hostile_tree(_SCENES[name], generator)).encode()
+        case _:
+            pass
+    return files
+
+
+@lru_cache(maxsize=1)
+def _recordings() -> dict[str, bytes]:
+    """Name -> bytes of a recording of three frames."""
+    frames = (1000 + np.arange(3 * 24 * 32).reshape(3, 24, 32) % 1717).astype(np.uint16)
+    pages, found = [Image.fromarray(frame) for frame in frames], dict[str, bytes]()
+    whole: dict[str, Any] = {"format": "TIFF", "save_all": True, "append_images": pages[1:]}
+    writers: dict[str, Callable[[io.BytesIO], object]] = {
+        "a.npy": lambda file: np.save(file, frames),
+        "stack.npz": lambda file: np.savez(file, depth=frames, times=np.arange(3.0)),
+        "packed.npz": lambda file: np.savez_compressed(file, f1=frames[0], f2=frames[1], f3=frames[2]),
+        "a.tif": lambda file: pages[0].save(file, **whole),
+        "big.tif": lambda file: pages[0].save(file, **whole, big_tiff=True),
+        "lzw.tif": lambda file: pages[0].save(file, **whole, compression="tiff_lzw"),
+    }
+    for name, write in writers.items():
+        buffer = io.BytesIO()
+        write(buffer)
+        found[name] = buffer.getvalue()
+    return found
+
+
+_DECLARED: Final = (b"(3, 24, 32)", (b"(999999999,)", b"(3, 24, -2)", b"(9, 99, 99)", b"(24, 32, 3)", b"(99999, 5)"))
+
+
+def hostile_recording(generator: Generator) -> tuple[str, bytes]:
+    """A recording: its name, and its bytes, spoiled mostly at its ends, where zips and TIFFs list what they hold, or
+    with another shape in its header.
+    """
+    names = [*_recordings()]
+    name = names[int(generator.integers(len(names)))]
+    data = _recordings()[name]
+    match int(generator.integers(5)):
+        case 0:
+            return name, data
+        case 1:
+            old, others = _DECLARED
+            return name, data.replace(old, others[int(generator.integers(len(others)))])
+        case 2:
+            return name, spoiled(data, generator)
+        case 3:
+            return name, spoiled(data[:300], generator) + data[300:]
+        case _:
+            return name, data[:-300] + spoiled(data[-300:], generator)
+
+
 MAKERS: Final[dict[str, Callable[[Generator], Any]]] = {
     "bsi": hostile_bsi,
     "png": hostile_pngs,
@@ -476,5 +563,7 @@ MAKERS: Final[dict[str, Callable[[Generator], Any]]] = {
     "landmarks": hostile_landmarks,
     "lnd": hostile_lnd,
     "ply": hostile_ply,
+    "scenes": hostile_scenes,
+    "recording": hostile_recording,
 }
 """Target -> what makes an input for it."""
