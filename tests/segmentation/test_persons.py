@@ -78,7 +78,7 @@ def slow_parts(answer: Segmentation, near: tuple[float, ...]) -> list[tuple[Any,
     return rows
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(st.integers(0, 2**32), st.booleans(), st.sampled_from([(0.0, 0.0, 0.0), (0.3, -0.2, 1.5)]))
 def test_parts_are_those_of_a_loop(seed: int, mirrored: bool, near: tuple[float, float, float]) -> None:
     answer = drawn(seed, mirrored)
@@ -88,7 +88,7 @@ def test_parts_are_those_of_a_loop(seed: int, mirrored: bool, near: tuple[float,
         np.testing.assert_allclose(parts[name], [row[number] for row in slow], rtol=1e-5, atol=1e-6, err_msg=name)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(st.integers(0, 2**32))
 def test_points_are_those_of_all_people_with_a_range(seed: int) -> None:
     answer = drawn(seed)
