@@ -10,17 +10,18 @@ guessed. Lengths and moments are fitted by `bench joints`; docs/how-to/robot.md 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig
-from bodyseg_data.labels import BACKGROUND, LANDMARKS, PART_COUNT, PARTS33, LabelMap
-from bodyseg_model.segmentation.persons import Labelled, Records, SurfacePixels
+from bodyseg_data.labels import LANDMARKS, PART_COUNT, PARTS33, LabelMap
+from bodyseg_model.segmentation.persons import NUMBERS, Labelled, Records, SurfacePixels, parts_of
 
 JOINTS: Final = (
     "head",
@@ -44,20 +45,22 @@ MOST_ERROR_M: Final = 0.15
 FILE: Final = "joints.json"
 FORMAT: Final = "bodyseg joints 1"
 
-LEAST_PIXELS: Final = 8, 4
-"""Pixels of a part, and pairs of neighbours across a border, that make it a feature."""
+LEAST_PIXELS: Final = 8
+"""Pixels of a part that make it a feature."""
+
+LEAST_PAIRS: Final = 4
+"""Pairs of neighbours across a border that make it one."""
 
 _SAME_M: Final = 0.05  # range between neighbours on one surface
-_CODES: Final = 1 << 8  # of a border: the lower label times this, and the other; of a part: its label twice
 _UNSEEN: Final = 1e6  # variance, square metres
 
 Floats = NDArray[np.float64]
 
 
 def code_of(part: int, other: int | None = None) -> int:
-    """Number of a feature: of a part, or of the border between two."""
+    """Number of a feature, of a part or of the border between two: 256 x the lower label + the other or the same."""
     low, high = sorted((part, part if other is None else other))
-    return low * _CODES + high
+    return low * NUMBERS + high
 
 
 def feature_points(answer: Labelled, codes: NDArray[np.int64]) -> Floats:
@@ -66,33 +69,39 @@ def feature_points(answer: Labelled, codes: NDArray[np.int64]) -> Floats:
 
     codes: int64 [F], of `code_of`, each once.
     """
-    seen, people, columns = SurfacePixels(answer), len(answer.bodies), answer.labels.shape[1]
-    number = np.full(_CODES * _CODES, -1, np.int64)
+    seen, columns = SurfacePixels(answer), answer.labels.shape[1]
+    number = np.full(NUMBERS * NUMBERS, -1, np.int64)
     number[codes] = np.arange(len(codes))
-    label, points = seen.label.astype(np.int64), (seen.x, seen.y, seen.z)
-    below = np.full(answer.labels.size + columns, -1, np.int64)
-    below[seen.pixels] = np.arange(len(label))
-    ends = [(np.arange(len(label)), np.arange(len(label)))]
-    right = np.flatnonzero((np.diff(seen.pixels) == 1) & (seen.column[1:] > 0))
-    under = below[seen.pixels + columns]
-    upper = np.flatnonzero(under >= 0)
-    for first, second in ((right, right + 1), (upper, under[upper])):
-        border = (label[first] != label[second]) & (np.abs(seen.z[first] - seen.z[second]) < _SAME_M)
-        border &= seen.person[first] == seen.person[second]
-        ends.append((first[border], second[border]))
-    a, b = (np.concatenate(each) for each in zip(*ends, strict=True))
-    known = (label[a] != BACKGROUND) & (label[b] != BACKGROUND)
-    feature = number[np.minimum(label[a], label[b]) * _CODES + np.maximum(label[a], label[b])]
-    known &= feature >= 0
-    a, b, feature = a[known], b[known], feature[known]
-    place = (seen.person[a].astype(np.int64) - 1) * len(codes) + feature
-    count = np.bincount(place, minlength=people * len(codes))
-    least = np.where(codes // _CODES == codes % _CODES, *LEAST_PIXELS)
-    count = np.where(count >= np.tile(least, people), count, 0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        sums = (np.bincount(place, (along[a] + along[b]) / 2, len(count)) for along in points)
-        means = [np.where(count > 0, each / count, np.nan) for each in sums]
-    return np.stack(means, axis=1).reshape(people, len(codes), 3)
+    found = np.full((len(answer.bodies), len(codes), 3), np.nan)
+    parts = parts_of(seen, (0.0, 0.0, 0.0))
+    place = number[parts["part"].astype(np.int64) * (NUMBERS + 1)]
+    known = (place >= 0) & (parts["pixels"] >= LEAST_PIXELS)
+    found[parts["person"][known].astype(np.int64) - 1, place[known]] = parts["centroid_m"][known]
+
+    # Neighbours of one person that have two labels: to the right, where a run ends; and below, whose pixel may come
+    # anywhere in the list.
+    first = seen.begin[1:] - 1
+    first = first[(seen.pixels[first] + 1 == seen.pixels[first + 1]) & (seen.column[first + 1] > 0)]
+    first = first[seen.person[first] == seen.person[first + 1]]
+    image = np.zeros(answer.labels.size + columns, np.uint32)
+    image[seen.pixels] = seen.keys
+    below = image.take(seen.pixels + columns)
+    upper = np.flatnonzero((below != seen.keys) & (below ^ seen.keys < NUMBERS))
+    other = np.concatenate([seen.label[first + 1], (below[upper] % NUMBERS).astype(np.uint8)]).astype(np.int64)
+    z = np.concatenate([seen.z[first + 1], answer.range_m.ravel()[seen.pixels[upper] + columns]])
+    x = z * seen.across[np.concatenate([seen.column[first] + 1, seen.column[upper]])]
+    y = z * seen.down[np.concatenate([seen.row[first], seen.row[upper] + 1])]
+    first = np.concatenate([first, upper])
+    label = seen.label[first].astype(np.int64)
+    border = number[np.minimum(label, other) * NUMBERS + np.maximum(label, other)]
+    near = (border >= 0) & (np.abs(z - seen.z[first]) < _SAME_M)
+    place = ((seen.person[first].astype(np.int64) - 1) * len(codes) + border)[near]
+    count = np.bincount(place, minlength=len(answer.bodies) * len(codes))
+    ends = ((seen.x[first], x), (seen.y[first], y), (seen.z[first], z))
+    sums = np.stack([np.bincount(place, ((a + b) / 2)[near], len(count)) for a, b in ends], axis=1)
+    enough = count >= LEAST_PAIRS
+    found.reshape(-1, 3)[enough] = sums[enough] / count[enough, None]
+    return found
 
 
 def behind(points: Floats, by_m: Floats) -> Floats:
@@ -133,7 +142,7 @@ class JointMap:
         return places, errors, seen.sum(axis=-1)
 
 
-def joint_map_from_json(tree: dict[str, list[dict[str, list[int] | list[list[str]]]]]) -> JointMap:
+def joint_map_from_json(tree: Mapping[str, Any]) -> JointMap:
     """Rebuild the map from plain JSON: of every joint features, by names of parts, lengths in mm and the upper triangle
     of the moments in mm².
     """

@@ -33,14 +33,16 @@ PART: Final = np.dtype(
         ("nearest_m", "f4", 3),
         ("distance_m", "f4"),
         ("confidence", "f4"),
-    ]
+    ],
+    align=True,
 )
 """A part of a person. person: from 1. part: its label. pixels: how many show it. rows, columns: of its box, the first
 and one beyond the last, as slices take them. centroid_m: mean of its points. nearest_m: the one nearest to the camera,
 or to the point that was given, and distance_m: how far. confidence: mean of its pixels, 0 to 1.
 """
 
-_NUMBERS: Final = 1 << 8  # of labels
+NUMBERS: Final = 1 << 8
+"""Numbers of labels, of which 255 is none."""
 
 Records = NDArray[np.void]
 
@@ -69,28 +71,40 @@ def person_image(answer: Labelled) -> NDArray[np.uint16]:
 
 
 class SurfacePixels:
-    """The pixels of people that have a range, each person's in reading order.
+    """The pixels of people that have a range, each person's in reading order, and their runs: pixels of one part, side
+    by side in a row, which are far fewer.
 
-    pixels: int32 [N], row * W + column. person: uint16 [N], from 1. label: uint8 [N]. confidence: float32 [N]. x, y, z:
-    float32 [N], metres, in the camera's frame.
+    pixels: int64 [N], row * W + column. person: uint16 [N], from 1. label: uint8 [N]. keys: uint32 [N], 256 x person +
+    label. row, column: int32 [N]. confidence: float32 [N]. x, y, z: float32 [N], metres, in the camera's frame. across,
+    down: float32 [W] and [H], x and y at z = 1. begin: int64 [R], the first pixel of each run.
     """
 
     def __init__(self, answer: Labelled) -> None:
         bodies, columns = answer.bodies, answer.labels.shape[1]
-        pixels = np.concatenate([np.zeros(0, np.int32), *(body.pixels.astype(np.int32) for body in bodies)])
-        person = np.repeat(np.arange(1, len(bodies) + 1, dtype=np.uint16), [len(body.pixels) for body in bodies])
-        confidence = np.concatenate([np.zeros(0, np.float32), *(body.confidence for body in bodies)])
-        z = answer.range_m.ravel().take(pixels).astype(np.float32, copy=False)
-        measured = (z > 0) & (z < np.inf)  # False for NaN
-        if not measured.all():
-            pixels, person, confidence, z = (each[measured] for each in (pixels, person, confidence, z))
+        pixels: NDArray[np.intp] = np.concatenate([np.zeros(0, np.intp), *(body.pixels for body in bodies)])
+        person: NDArray[np.uint16] = np.repeat(
+            np.arange(1, len(bodies) + 1, dtype=np.uint16), [len(body.pixels) for body in bodies]
+        )
+        confidence: NDArray[np.float32] = np.concatenate(
+            [np.zeros(0, np.float32), *(body.confidence for body in bodies)]
+        )
+        z: NDArray[np.float32] = answer.range_m.ravel().take(pixels).astype(np.float32, copy=False)
+        if len(z) and not (z.min() > 0 and z.max() < np.inf):  # or NaN
+            measured = (z > 0) & (z < np.inf)
+            pixels, person, confidence, z = pixels[measured], person[measured], confidence[measured], z[measured]
         self.pixels, self.person, self.confidence, self.z = pixels, person, confidence, z
         self.label = answer.labels.ravel().take(pixels)
-        self.row = pixels // columns
-        self.column = pixels - self.row * columns
-        across, down = (slopes.astype(np.float32) for slopes in answer.camera.slopes)
-        self.x = z * (-across if answer.mirrored else across).take(self.column)
-        self.y = z * down.take(self.row)
+        self.keys = person * np.uint32(NUMBERS) + self.label
+        narrow = pixels.astype(np.int32)
+        self.row = narrow // np.int32(columns)
+        self.column = narrow - self.row * np.int32(columns)
+        self.across, self.down = (slopes.astype(np.float32) for slopes in answer.camera.slopes)
+        if answer.mirrored:
+            self.across = -self.across
+        self.x, self.y = z * self.across.take(self.column), z * self.down.take(self.row)
+        begins = np.ones(len(pixels), np.bool_)
+        begins[1:] = (np.diff(self.keys) != 0) | (np.diff(narrow) != 1) | (self.column[1:] == 0)
+        self.begin = np.flatnonzero(begins)
 
 
 def labelled_points(answer: Labelled) -> Records:
@@ -110,39 +124,40 @@ def measured_parts(answer: Labelled, near_m: Sequence[float] = (0.0, 0.0, 0.0)) 
     """
     if len(near_m) != 3 or not all(map(math.isfinite, near_m)):
         raise BadConfig(f"a point must have three finite coordinates, metres, found {near_m}")
-    seen = SurfacePixels(answer)
+    return parts_of(SurfacePixels(answer), near_m)
+
+
+def parts_of(seen: SurfacePixels, near_m: Sequence[float]) -> Records:
+    """As `measured_parts`, of pixels."""
     if not len(seen.pixels):
         return np.zeros(0, PART)
-    # Runs of pixels of one part, side by side in a row: far fewer than pixels, and to sum over them moves none.
-    keys = seen.person * np.uint32(_NUMBERS) + seen.label
-    begins = np.ones(len(keys), np.bool_)
-    begins[1:] = (keys[1:] != keys[:-1]) | (seen.pixels[1:] != seen.pixels[:-1] + 1) | (seen.column[1:] == 0)
-    begin = np.flatnonzero(begins)
-    end = np.append(begin[1:], len(keys))
-    found, of = np.unique(keys[begin], return_inverse=True)
+    begin, end = seen.begin, np.append(seen.begin[1:], len(seen.pixels))
+    found, of = np.unique(seen.keys[begin], return_inverse=True)
     order = np.argsort(of, kind="stable")  # by part, each part's in reading order
     runs = np.bincount(of)
     first = np.cumsum(runs) - runs
 
     def sums(values: NDArray[Any]) -> NDArray[np.float64]:
-        return np.bincount(of, np.add.reduceat(values, begin, dtype=np.float64))
+        total: NDArray[np.float64] = np.bincount(of, np.add.reduceat(values, begin, dtype=np.float64))
+        return total
 
     parts = np.zeros(len(found), PART)
-    parts["person"], parts["part"] = np.divmod(found, _NUMBERS)
+    parts["person"], parts["part"] = np.divmod(found, NUMBERS)
     parts["pixels"] = count = np.bincount(of, end - begin)
     parts["confidence"] = sums(seen.confidence) / count
     last = order[first + runs - 1]
     parts["rows"] = np.stack([seen.row[begin[order[first]]], seen.row[begin[last]] + 1], axis=1)
     left, right = seen.column[begin[order]], seen.column[end[order] - 1] + 1
     parts["columns"] = np.stack([np.minimum.reduceat(left, first), np.maximum.reduceat(right, first)], axis=1)
-    points, squares = (seen.x, seen.y, seen.z), np.zeros(len(keys), np.float32)
+    points, squares = (seen.x, seen.y, seen.z), np.zeros(len(seen.z), np.float32)
     for axis, (along, to) in enumerate(zip(points, near_m, strict=True)):
         parts["centroid_m"][:, axis] = sums(along) / count
-        squares += (along - np.float32(to)) ** 2
+        squares += np.square(along - np.float32(to) if to else along)
     least = np.minimum.reduceat(squares, begin)[order]
     nearest = np.minimum.reduceat(least, first)
     has = np.flatnonzero(least == np.repeat(nearest, runs))
     winners = order[has[np.searchsorted(has, first)]]
     at = [start + squares[start:stop].argmin() for start, stop in zip(begin[winners], end[winners], strict=True)]
     parts["nearest_m"], parts["distance_m"] = np.stack([along[at] for along in points], axis=1), np.sqrt(nearest)
-    return parts[parts["part"] != BACKGROUND]
+    labelled: Records = parts[parts["part"] != BACKGROUND]
+    return labelled
