@@ -47,7 +47,7 @@ NUMBERS: Final = 1 << 8
 Records = NDArray[np.void]
 
 
-class Labelled(Protocol):
+class FrameLabels(Protocol):
     """Labels of a frame as `Segmentation` has them."""
 
     @property
@@ -62,7 +62,7 @@ class Labelled(Protocol):
     def mirrored(self) -> bool: ...
 
 
-def person_image(answer: Labelled) -> NDArray[np.uint16]:
+def person_image(answer: FrameLabels) -> NDArray[np.uint16]:
     """The person that each pixel shows, uint16 [H, W], from 1, in the order of `bodies`; 0 where there is none."""
     image = np.zeros(answer.labels.shape, np.uint16)
     for number, body in enumerate(answer.bodies, start=1):
@@ -79,7 +79,7 @@ class SurfacePixels:
     down: float32 [W] and [H], x and y at z = 1. begin: int64 [R], the first pixel of each run.
     """
 
-    def __init__(self, answer: Labelled) -> None:
+    def __init__(self, answer: FrameLabels) -> None:
         bodies, columns = answer.bodies, answer.labels.shape[1]
         pixels: NDArray[np.intp] = np.concatenate([np.zeros(0, np.intp), *(body.pixels for body in bodies)])
         person: NDArray[np.uint16] = np.repeat(
@@ -107,7 +107,7 @@ class SurfacePixels:
         self.begin = np.flatnonzero(begins)
 
 
-def labelled_points(answer: Labelled) -> Records:
+def labelled_points(answer: FrameLabels) -> Records:
     """The points of all people, `POINT` [N], those without a label too: whoever keeps away from people needs them."""
     seen = SurfacePixels(answer)
     points = np.zeros(len(seen.pixels), POINT)
@@ -116,7 +116,7 @@ def labelled_points(answer: Labelled) -> Records:
     return points
 
 
-def measured_parts(answer: Labelled, near_m: Sequence[float] = (0.0, 0.0, 0.0)) -> Records:
+def measured_parts(answer: FrameLabels, near_m: Sequence[float] = (0.0, 0.0, 0.0)) -> Records:
     """Each part of each person, `PART` [N], by person and part; what no pixel shows is left out, as is no label.
 
     near_m: the point, in the camera's frame, to which the nearest point is sought: the camera itself, or a gripper.
@@ -138,8 +138,7 @@ def parts_of(seen: SurfacePixels, near_m: Sequence[float]) -> Records:
     first = np.cumsum(runs) - runs
 
     def sums(values: NDArray[Any]) -> NDArray[np.float64]:
-        total: NDArray[np.float64] = np.bincount(of, np.add.reduceat(values, begin, dtype=np.float64))
-        return total
+        return np.bincount(of, np.add.reduceat(values, begin, dtype=np.float64)).astype(np.float64, copy=False)
 
     parts = np.zeros(len(found), PART)
     parts["person"], parts["part"] = np.divmod(found, NUMBERS)

@@ -40,8 +40,8 @@ BONES: Final = (
 )
 """Bones of the open body that begin at `JOINTS`."""
 
-FITTED: Final = (("wide", "train"), ("open", "train"))
-HELD_OUT: Final = (("open", "test"), ("hard", "test"))
+FITTED: Final[tuple[tuple[str, Split], ...]] = (("wide", "train"), ("open", "train"))
+HELD_OUT: Final[tuple[tuple[str, Split], ...]] = (("open", "test"), ("hard", "test"))
 CODES: Final = np.array(
     [code_of(part) for part in range(PART_COUNT)] + [code_of(*pair) for pair in combinations(range(PART_COUNT), 2)]
 )
@@ -139,7 +139,8 @@ def fitted(points: Floats, joints: Floats, codes: NDArray[np.int64], ray: bool =
     their mirror images, so that both sides have the same map.
     """
     points, joints = _with_mirror_images(points, joints, codes)
-    share, found = (~np.isnan(points[..., 0])).mean(axis=0), []
+    share = (~np.isnan(points[..., 0])).mean(axis=0)
+    found: list[dict[str, Any]] = []
     usual = np.flatnonzero(share >= _LEAST_SEEN)
     points, codes, share = points[:, usual], codes[usual], share[usual]
     units = points / np.linalg.norm(points, axis=-1, keepdims=True)
