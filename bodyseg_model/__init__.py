@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from bodyseg_data.core import lazy_door
 
 __all__ = [
+    "JOINTS",
     "Background",
     "Evaluation",
     "FrameLabeller",
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
     from bodyseg_model.networks import Network, Trained, load_network, predict
     from bodyseg_model.recordings import LiveRecording, frame_camera, open_recording, orbbec, realsense, to_metres
     from bodyseg_model.runtimes import on_backend
-    from bodyseg_model.segmentation import Background, FrameLabeller, Segmenter, shipped_score
+    from bodyseg_model.segmentation import JOINTS, Background, FrameLabeller, Segmenter, shipped_score
     from bodyseg_model.training import Recipe, RunOptions, Validation, recipe_for, train
 else:
     __getattr__, __dir__, _ = lazy_door(__name__)

@@ -59,6 +59,7 @@ class Options:
     frames: tuple[Path, ...] = option(RECORDINGS_HELP, positional=True)
     out: Path = option("folder for labels, overlays, preview.gif, legend.png and summary.json")
     labels_out: Path | None = option("also write labels with their frames' times into this .mcap file or new bag", None)
+    points: bool = option("with --labels-out: also write the points of people, with label and confidence", False)
     run: Path | None = option("a training's folder, a .safetensors or .onnx file (default: the one that ships)", None)
     backend: BackendName | None = option(BACKEND_HELP, None)
     precision: Precision | None = option(QUICK_PRECISION_HELP, None)
@@ -145,7 +146,8 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
                 if labelled.own_camera is None:
                     shadows.add(labelled.number, frame.name, labelled.range_m, bodies)
                 if messages is not None:
-                    messages.add(frame, labelled.labels, labelled.stamp)
+                    points = labelled.points() if options.points else None
+                    messages.add(frame, labelled.labels, labelled.stamp, points)
                 done = labelled.number + 1
                 results.add(labelled, frame, partial(progress.update, done, len(frames)))
             if done < len(frames):  # the last ones are skipped
@@ -169,6 +171,8 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
 
 def _labels_out(options: Options, label_map: LabelMap) -> contextlib.AbstractContextManager[LabelsOut | None]:
     if options.labels_out is None:
+        if options.points:
+            raise BadConfig("--points are written beside labels: give --labels-out, too")
         return contextlib.nullcontext()
     if options.labels_out.resolve().is_relative_to(options.out.resolve()):
         raise BadConfig(f"--labels-out must lie outside --out, found {options.labels_out}")

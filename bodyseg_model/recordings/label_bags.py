@@ -1,9 +1,10 @@
-"""Labels of frames as messages of ROS 2: in an MCAP file, or in a bag, with the times of their frames."""
+"""Labels and points of frames as messages of ROS 2: in an MCAP file, or in a bag, with the times of their frames."""
 
 from __future__ import annotations
 
 import contextlib
 import shutil
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any, Final, Protocol
@@ -20,10 +21,18 @@ from bodyseg_model.recordings.recording import Frame, Stamp
 TOPIC: Final = "/bodyseg/labels"
 """Topic of the labels."""
 
+POINTS_TOPIC: Final = "/bodyseg/points"
+"""Topic of the points."""
+
+CLOUD: Final = "sensor_msgs/msg/PointCloud2"
+
 LEGEND: Final = "bodyseg.labels"
 """Name of the metadata that say which number is which part."""
 
 _SUFFIX: Final = ".mcap"
+
+# Of sensor_msgs/msg/PointField.
+_DATATYPES: Final = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 
 
 @contextlib.contextmanager
@@ -52,17 +61,56 @@ def legend(label_map: LabelMap) -> dict[str, str]:
     return {"map": label_map.name, **names, str(BACKGROUND): "no label"}
 
 
+def cloud_fields(records: NDArray[np.void], xyz: str | None = None) -> dict[str, Any]:
+    """The fields of a sensor_msgs/msg/PointCloud2 but its header, one point a record.
+
+    records: structured, [N]. xyz: name of the column of three numbers that becomes x, y and z. Of several numbers in a
+    column, "count" tells; "fields" are those of sensor_msgs/msg/PointField; "data" is uint8 [N x point_step]. Raises
+    BadConfig for a column that a message cannot hold.
+    """
+    fields = []
+    for name in records.dtype.names or ():
+        kind, offset = records.dtype.fields[name][:2]  # type: ignore[index]  # structured, as it has names
+        base, count = kind.base, int(np.prod(kind.shape))
+        if base.str[1:] not in _DATATYPES:
+            raise BadConfig(f"a point's column must be of whole or real numbers, found {name!r} of {base}")
+        parts = [(each, offset + base.itemsize * n, 1) for n, each in enumerate("xyz")]
+        fields += [
+            {"name": each, "offset": at, "datatype": _DATATYPES[base.str[1:]], "count": many}
+            for each, at, many in (parts if name == xyz else [(name, offset, count)])
+        ]
+    return {
+        "height": 1,
+        "width": len(records),
+        "fields": fields,
+        "is_bigendian": sys.byteorder == "big",
+        "point_step": records.itemsize,
+        "row_step": records.nbytes,
+        "data": np.frombuffer(records.tobytes(), np.uint8),
+        "is_dense": True,
+    }
+
+
 class LabelsOut:
-    """Writer of label images, one a frame: sensor_msgs/msg/Image of encoding mono8 on `TOPIC`."""
+    """Writer of label images, one a frame: sensor_msgs/msg/Image of encoding mono8 on `TOPIC`; of points, where they
+    are given: `CLOUD` on `POINTS_TOPIC`.
+    """
 
     def __init__(self, out: _Out, label_map: LabelMap, frames_per_second: float) -> None:
         self._out, self._rate, self._count = out, frames_per_second, 0
         self._types = typestore("cdr").types
 
-    def add(self, frame: Frame, labels: NDArray[np.uint8], of_message: Stamp | None) -> None:
+    def add(
+        self,
+        frame: Frame,
+        labels: NDArray[np.uint8],
+        of_message: Stamp | None,
+        points: NDArray[np.void] | None = None,
+    ) -> None:
         """Write the labels of a frame, uint8 [H, W], with time and coordinate frame of its message, `frame.stamp()`.
 
-        A frame that is no message has its time alone; one without a time is `frames_per_second` from the one before.
+        points: of people, structured (`cloud_fields`), to be written, too; their coordinate frame is the same. A frame
+        that is no message has its time alone; one without a time is `frames_per_second` from the one before.
         """
         time_ns = round(1e9 * (self._count / self._rate if frame.time_s is None else frame.time_s))
         stamp = of_message or Stamp(time_ns, "")
@@ -70,8 +118,9 @@ class LabelsOut:
         self._count += 1
         kinds = self._types
         time = kinds["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest)
-        message = kinds[IMAGE](
-            header=kinds["std_msgs/msg/Header"](stamp=time, frame_id=stamp.frame_id),
+        header = kinds["std_msgs/msg/Header"](stamp=time, frame_id=stamp.frame_id)
+        image = kinds[IMAGE](
+            header=header,
             height=labels.shape[0],
             width=labels.shape[1],
             encoding="mono8",
@@ -79,11 +128,17 @@ class LabelsOut:
             step=labels.shape[1],
             data=labels.ravel(),
         )
-        self._out.write(max(time_ns, 0), bytes(typestore("cdr").serialize_cdr(message, IMAGE)))
+        messages = [(TOPIC, IMAGE, image)]
+        if points is not None:
+            cloud = cloud_fields(points)
+            cloud["fields"] = [kinds["sensor_msgs/msg/PointField"](**each) for each in cloud["fields"]]
+            messages.append((POINTS_TOPIC, CLOUD, kinds[CLOUD](header=header, **cloud)))
+        for topic, kind, message in messages:
+            self._out.write(topic, kind, max(time_ns, 0), bytes(typestore("cdr").serialize_cdr(message, kind)))
 
 
 class _Out(Protocol):
-    def write(self, time_ns: int, data: bytes) -> None: ...
+    def write(self, topic: str, kind: str, time_ns: int, data: bytes) -> None: ...
     def finish(self, metadata: dict[str, str]) -> None: ...
     def abandon(self) -> None: ...
 
@@ -96,16 +151,18 @@ class _McapOut:
             from mcap.writer import Writer
         except ImportError as error:
             raise missing(error) from error
-        text, _ = typestore("cdr").generate_msgdef(IMAGE, ros_version=2)
         self._path, self._part = path, part
         self._file: IO[bytes] = part.open("wb")
         self._writer: Any = Writer(self._file)
         self._writer.start("ros2")
-        schema = self._writer.register_schema(IMAGE, "ros2msg", text.encode())
-        self._channel = self._writer.register_channel(TOPIC, "cdr", schema)
+        self._channels: dict[str, int] = {}
 
-    def write(self, time_ns: int, data: bytes) -> None:
-        self._writer.add_message(self._channel, time_ns, data, time_ns)
+    def write(self, topic: str, kind: str, time_ns: int, data: bytes) -> None:
+        if topic not in self._channels:
+            text, _ = typestore("cdr").generate_msgdef(kind, ros_version=2)
+            schema = self._writer.register_schema(kind, "ros2msg", text.encode())
+            self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
+        self._writer.add_message(self._channels[topic], time_ns, data, time_ns)
 
     def finish(self, metadata: dict[str, str]) -> None:
         self._writer.add_metadata(LEGEND, metadata)
@@ -134,10 +191,12 @@ class _BagOut:
         self._path, self._part = path, part
         self._writer: Any = Writer(part / path.name, version=9, storage_plugin=StoragePlugin.MCAP)
         self._writer.open()
-        self._connection = self._writer.add_connection(TOPIC, IMAGE, typestore=typestore("cdr"))
+        self._connections: dict[str, Any] = {}
 
-    def write(self, time_ns: int, data: bytes) -> None:
-        self._writer.write(self._connection, time_ns, data)
+    def write(self, topic: str, kind: str, time_ns: int, data: bytes) -> None:
+        if topic not in self._connections:
+            self._connections[topic] = self._writer.add_connection(topic, kind, typestore=typestore("cdr"))
+        self._writer.write(self._connections[topic], time_ns, data)
 
     def finish(self, metadata: dict[str, str]) -> None:
         for key, value in metadata.items():

@@ -47,9 +47,8 @@ Item = TypeVar("Item")
 class LabelledFrame(Segmentation):
     """A frame and its labels, people, things and confidences.
 
-    number: its place, from 0, among the frames of its recording or stream. range_m: float32 [H, W], metres, without
-    lens distortion, 0 = nothing measured. camera: of `range_m`. milliseconds: of reading, "read", and of each of the
-    segmenter's `STAGES`.
+    number: its place, from 0, among the frames of its recording or stream. milliseconds: of reading, "read", and of
+    each of the segmenter's `STAGES`.
 
     Of a recording's frames alone: frame, which knows name, time and file; stored: uint16 [H, W], without lens
     distortion, in the recording's steps; own_camera: if it has one of its own; stamp: of its message, if it was asked
@@ -57,8 +56,6 @@ class LabelledFrame(Segmentation):
     """
 
     number: int
-    range_m: NDArray[np.float32] = field(repr=False)
-    camera: Camera
     frame: Frame | None = None
     stored: Pixels | None = field(default=None, repr=False)
     own_camera: FrameCamera | None = None
@@ -179,6 +176,7 @@ class FrameLabeller:
             self._people,
             self.video,
             quarters,
+            self.label_map,
         )
 
     def __call__(self, range_m: NDArray[np.float32], camera: Camera) -> LabelledFrame:
@@ -427,7 +425,7 @@ def _label_found(
         answer = segmenter.label(found)
     times = {_READ: read_ms, **answer.milliseconds}
     fields = {**vars(answer), **of_frame, "milliseconds": times}
-    return LabelledFrame(range_m=segmenter.as_frame(found), camera=segmenter.camera, **fields)
+    return LabelledFrame(**fields)
 
 
 def read_ahead(items: Iterable[Item]) -> Generator[Item, None, None]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Final
@@ -11,13 +12,15 @@ import torch
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, Stopwatch
-from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.labels import BACKGROUND, PART_COUNT, PARTS33, LabelMap
 from bodyseg_data.machine import of_each, require_numba
 from bodyseg_data.rigs import Camera, Rig, load_rig
 from bodyseg_model.networks import Network, device_of, predict_each
 from bodyseg_model.runtimes import on_backend
 from bodyseg_model.segmentation.carried_labels import CarriedLabels
+from bodyseg_model.segmentation.joints import found_joints
 from bodyseg_model.segmentation.person_score import PersonScore
+from bodyseg_model.segmentation.persons import Records, labelled_points, measured_parts, person_image
 from bodyseg_model.segmentation.surfaces import Background, find_bodies
 from bodyseg_model.segmentation.views import BodyView, compile_views_ahead, usual_views, view_body, view_frame
 
@@ -55,14 +58,19 @@ class Thing:
 @dataclass(frozen=True)
 class Segmentation:
     """Labels of a frame, uint8 [H, W], the network's classes on bodies, 255 elsewhere; its bodies, the largest first;
-    and the time of each of `STAGES`, milliseconds. things: surfaces of a body's size that are no person, which have no
-    labels.
+    and the time of each of `STAGES`, milliseconds. range_m: the frame, float32 [H, W], metres, without lens distortion,
+    0 = nothing measured. camera: of `range_m`. things: surfaces of a body's size that are no person, which have no
+    labels. mirrored: the frame shows left for right. label_map: the classes, where they are known.
     """
 
     labels: NDArray[np.uint8] = field(repr=False)
     bodies: tuple[LabelledBody, ...]
     milliseconds: dict[str, float]
+    range_m: NDArray[np.float32] = field(repr=False)
+    camera: Camera = field(repr=False)
     things: tuple[Thing, ...] = ()
+    mirrored: bool = field(default=False, repr=False)
+    label_map: LabelMap | None = field(default=None, repr=False)
 
     @property
     def pixels(self) -> int:
@@ -83,6 +91,23 @@ class Segmentation:
         for body in self.bodies:
             image.ravel()[body.pixels] = body.confidence
         return image
+
+    @property
+    def persons(self) -> NDArray[np.uint16]:
+        """The person that each pixel shows: 1 for the first of `bodies` (`person_image`)."""
+        return person_image(self)
+
+    def points(self) -> Records:
+        """The points of all people, with label, person and confidence, `POINT` [N] (`labelled_points`)."""
+        return labelled_points(self)
+
+    def parts(self, near_m: Sequence[float] = (0.0, 0.0, 0.0)) -> Records:
+        """Pixels, box, centroid, nearest point and confidence of each person's parts, `PART` [N] (`measured_parts`)."""
+        return measured_parts(self, near_m)
+
+    def joints(self) -> Records:
+        """The 15 joints of every person, `JOINT` [people, 15] (`found_joints`)."""
+        return found_joints(self, self.label_map)
 
 
 FoundBody = tuple[NDArray[np.intp], float | None, BodyView]
@@ -109,7 +134,7 @@ def turned_image(image: NDArray[Any], quarters: int) -> NDArray[Any]:
 def _turned_back(answer: Segmentation, quarters: int) -> Segmentation:
     """The answer to an upright frame as one to the frame that was turned clockwise by so many right angles."""
     # At each pixel of the upright frame the pixel of the other.
-    labels = turned_image(answer.labels, -quarters)
+    labels, range_m = (turned_image(image, -quarters) for image in (answer.labels, answer.range_m))
     place = turned_image(np.arange(labels.size).reshape(labels.shape), quarters).ravel()
     bodies = []
     for body in answer.bodies:
@@ -117,7 +142,7 @@ def _turned_back(answer: Segmentation, quarters: int) -> Segmentation:
         order = np.argsort(pixels)
         bodies.append(replace(body, pixels=pixels[order], confidence=body.confidence[order]))
     things = tuple(replace(thing, pixels=np.sort(place[thing.pixels])) for thing in answer.things)
-    return replace(answer, labels=labels, bodies=tuple(bodies), things=things)
+    return replace(answer, labels=labels, bodies=tuple(bodies), things=things, range_m=range_m)
 
 
 class Segmenter:
@@ -130,8 +155,9 @@ class Segmenter:
     which surfaces of a body's size are people or things, in the background mode "people" (`shipped_score`); None to
     label all of them. video: carries evidence from frame to frame of a recording, whose frames must then come in order
     (`CarriedLabels`); None to label each alone. turned: right angles by which the camera was mounted turned clockwise,
-    as seen from behind it: frames are turned clockwise by as many before they are labelled, and labels back. Raises
-    BadConfig for a confidence outside 0 to 1 or a camera with distortion; MissingLibrary without numba.
+    as seen from behind it: frames are turned clockwise by as many before they are labelled, and labels back. label_map:
+    the network's classes; by default the 33 parts for a network of 33. Raises BadConfig for a confidence outside 0 to 1
+    or a camera with distortion; MissingLibrary without numba.
     """
 
     def __init__(
@@ -145,6 +171,7 @@ class Segmenter:
         people: PersonScore | None = None,
         video: CarriedLabels | None = None,
         turned: int = 0,
+        label_map: LabelMap | None = None,
     ) -> None:
         if not 0 <= least_confidence <= 1:
             raise BadConfig(f"a confidence must be 0 to 1, found {least_confidence:g}")
@@ -159,6 +186,7 @@ class Segmenter:
         self.device = device_of(network)
         self.people = people if self.background.mode == "people" else None
         self.video = video
+        self.label_map = label_map or (PARTS33 if network.classes == PART_COUNT else None)
         self._network = on_backend(network)
         self._prepared = False
 
@@ -229,12 +257,17 @@ class Segmenter:
                 labels = self.video(range_m, labels, seen, self._upright)
         for labelled in bodies:
             labels.ravel()[labelled.pixels[labelled.confidence < self.least_confidence]] = BACKGROUND
-        answer = Segmentation(labels, tuple(bodies), watch.milliseconds, found.things)
+        answer = Segmentation(
+            labels,
+            tuple(bodies),
+            watch.milliseconds,
+            range_m,
+            self.camera,
+            found.things,
+            self.mirrored,
+            self.label_map,
+        )
         return _turned_back(answer, self.turned) if self.turned else answer
-
-    def as_frame(self, found: FoundSurfaces) -> NDArray[np.float32]:
-        """The frame whose surfaces were found, as it came, float32 [H, W], metres."""
-        return turned_image(found.range_m, -self.turned)
 
     def prepare(self) -> None:
         """Load the compiled loops and label usual views, so that the first frames take no longer than others: a network

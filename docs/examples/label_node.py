@@ -6,17 +6,29 @@ Run it with topics of your own:
         -r depth:=/camera/depth/image_rect_raw -r camera_info:=/camera/depth/camera_info
 
 The variable keeps PyTorch's threads from taking the processors of other nodes (docs/how-to/segment.md). The node
-publishes mono8 images on `labels`: part 0 to 32, 255 elsewhere, with the header of their range image.
+publishes, with the header of the range image:
+
+- `labels`, mono8: part 0 to 32, 255 = unlabelled; `label_info`, once for all: the names of these numbers;
+- `persons`, 16UC1: 0 = nobody, 1 for the first person ...; the numbers are of one frame alone;
+- `points`, PointCloud2: x, y, z (metres, x right, y down, z ahead), label, person, confidence;
+- `parts`, PointCloud2: of each part of each person x, y, z of its middle, nearest_m, distance_m, pixels, confidence ...
+
+Only what somebody subscribes to is made.
 """
 
+from array import array
+
+import numpy as np
 import rclpy
 from rclpy.node import Node
-from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import CameraInfo, Image
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
+from vision_msgs.msg import LabelInfo, VisionClass
 
 from bodyseg_data import BodysegError
 from bodyseg_model import FrameLabeller, LiveRecording, to_metres
 from bodyseg_model.recordings.bag_messages import IMAGE, camera_of, pixels
+from bodyseg_model.recordings.label_bags import cloud_fields
 
 
 class LabelNode(Node):
@@ -24,9 +36,17 @@ class LabelNode(Node):
         super().__init__("bodyseg")
         self.camera = None
         self.labeller = FrameLabeller()
-        self.labels = self.create_publisher(Image, "labels", qos_profile_sensor_data)
+        kinds = {"labels": Image, "persons": Image, "points": PointCloud2, "parts": PointCloud2}
+        self.out = {topic: self.create_publisher(kind, topic, qos_profile_sensor_data) for topic, kind in kinds.items()}
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.create_publisher(LabelInfo, "label_info", latched).publish(self.label_info())
         self.create_subscription(CameraInfo, "camera_info", self.on_camera, qos_profile_sensor_data)
         self.create_subscription(Image, "depth", self.on_image, qos_profile_sensor_data)
+
+    def label_info(self) -> LabelInfo:
+        names = {**dict(enumerate(self.labeller.label_map.names)), 255: "unlabelled"}
+        classes = [VisionClass(class_id=number, class_name=name) for number, name in names.items()]
+        return LabelInfo(class_map=classes, threshold=float(self.labeller.least_confidence))
 
     def on_camera(self, message: CameraInfo) -> None:
         self.camera = self.camera or camera_of(message, "camera_info", rectified=True)
@@ -37,14 +57,32 @@ class LabelNode(Node):
         try:
             (frame,) = LiveRecording([pixels(message, IMAGE)])
             range_m = to_metres(frame.read(), frame.step_m)
-            labels = self.labeller(range_m, self.camera.frame_camera(range_m.shape).camera).labels
+            answer = self.labeller(range_m, self.camera.frame_camera(range_m.shape).camera)
         except BodysegError as error:
             self.get_logger().error(str(error))
             return
-        rows, columns = labels.shape
-        answer = Image(header=message.header, height=rows, width=columns, encoding="mono8", step=columns)
-        answer.data = labels.tobytes()
-        self.labels.publish(answer)
+        makers = {
+            "labels": lambda: self.image(answer.labels, "mono8"),
+            "persons": lambda: self.image(answer.persons, "16UC1"),
+            "points": lambda: self.cloud(answer.points()),
+            "parts": lambda: self.cloud(answer.parts(), "centroid_m"),
+        }
+        for topic, make in makers.items():
+            if self.out[topic].get_subscription_count():
+                made = make()
+                made.header = message.header
+                self.out[topic].publish(made)
+
+    def image(self, values: np.ndarray, encoding: str) -> Image:
+        rows, columns = values.shape
+        data = array("B", values.astype(values.dtype.newbyteorder("<")).tobytes())  # rclpy checks lists byte by byte
+        return Image(height=rows, width=columns, encoding=encoding, step=columns * values.itemsize, data=data)
+
+    def cloud(self, records: np.ndarray, xyz: str | None = None) -> PointCloud2:
+        fields = cloud_fields(records, xyz)
+        fields["fields"] = [PointField(**each) for each in fields["fields"]]
+        fields["data"] = array("B", fields["data"].tobytes())
+        return PointCloud2(**fields)
 
 
 if __name__ == "__main__":

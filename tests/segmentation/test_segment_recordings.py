@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 from PIL import Image
 from rosbags.rosbag2 import Reader
 
+from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_model.commands import cli, segment
 from bodyseg_model.networks import Trained
 from bodyseg_model.recordings.bag_messages import typestore
+from bodyseg_model.recordings.label_bags import cloud_fields
 from bodyseg_model.runtimes import load_run
 
 
@@ -107,6 +109,35 @@ def test_labels_go_out_with_the_stamps_of_their_frames(tmp_path: Path) -> None:
     assert not list(tmp_path.glob(".*"))
 
 
+def test_points_go_out_beside_labels(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Read as subscribers read a PointCloud2: each field from its own offset."""
+    np.save(tmp_path / "a.npy", STACK)
+    words = (tmp_path / "a.npy", "--focal", "100", "--out", tmp_path / "out", "--points")
+    assert "--points are written beside labels: give --labels-out, too" in refused(capsys, *words)
+    path = tmp_path / "labels.mcap"
+    assert run(*words, "--labels-out", path) == 0
+    with path.open("rb") as file:
+        messages = list(make_reader(file, validate_crcs=True).iter_messages(topics="/bodyseg/points"))
+    assert len(messages) == 5
+    for number, (schema, _, message) in enumerate(messages):
+        assert schema is not None and schema.name == "sensor_msgs/msg/PointCloud2"
+        cloud: Any = typestore("cdr").deserialize_cdr(message.data, schema.name)
+        body = labels(tmp_path / "out", f"{number:04d}") != BACKGROUND
+        assert cloud.width == body.sum() and cloud.is_dense and not cloud.is_bigendian
+        rows = cloud.data.reshape(cloud.width, cloud.point_step)
+        at = {each.name: (each.offset, each.datatype, each.count) for each in cloud.fields}
+        assert [*at] == ["x", "y", "z", "label", "person", "confidence"] and at["z"] == (8, 7, 1)
+        np.testing.assert_allclose(rows[:, 8:12].copy().view("<f4").ravel(), 2)
+        named = labels(tmp_path / "out", f"{number:04d}")[body]
+        np.testing.assert_array_equal(rows[:, at["label"][0]], named)
+        assert (rows[:, 14:16].copy().view("<u2") == 1).all() and at["person"] == (14, 4, 1)
+
+
+def test_a_message_holds_numbers_alone() -> None:
+    with pytest.raises(BadConfig, match="a point's column must be of whole or real numbers, found 'name' of <U4"):
+        cloud_fields(np.zeros(1, [("x", "f4"), ("name", "U4")]))
+
+
 def test_labels_go_out_as_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     np.save(tmp_path / "a.npy", STACK)
     words = (tmp_path / "a.npy", "--focal", "100", "--fps", "4", "--out", tmp_path / "out", "--labels-out")
@@ -114,6 +145,12 @@ def test_labels_go_out_as_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[st
     with Reader(tmp_path / "bag") as reader:
         times = [time for _, time, _ in reader.messages()]
     assert times == [number * 250_000_000 for number in range(5)], "frames without times follow --fps"
+    assert run(*words, tmp_path / "points", "--points") == 0
+    with Reader(tmp_path / "points") as reader:
+        assert {name: each.msgcount for name, each in reader.topics.items()} == {
+            "/bodyseg/labels": 5,
+            "/bodyseg/points": 5,
+        }
     assert "the folder of a bag must be a new one" in refused(capsys, *words, tmp_path / "bag")
     assert "an .mcap file or the folder of a bag, found" in refused(capsys, *words, tmp_path / "labels.txt")
     assert "--labels-out must lie outside --out" in refused(capsys, *words, tmp_path / "out" / "a.mcap")

@@ -87,6 +87,7 @@ BENCHES: Final = {
         required=("data",),
         optional=("runs", "poses", "alone", "flip_average"),
     ),
+    "joints": Bench("model.people.joints", None, "bodies to fit to, 240", required=("data",), optional=("runs",)),
     "sensor_fit": Bench("model.sensor_fit.bench", "figure", "bodies, 1"),
     "tutorial": Bench("model.tutorial", None, "frames of the recording, 20"),
     "architectures": Bench(
@@ -143,7 +144,7 @@ class Options:
     runs: tuple[Path, ...] | None = option(
         "for variants: folder of runs VARIANT-SEED, where missing ones are trained; for architectures and ablation: "
         "folders of runs NAME-SEED; for motion: runs, all of them; for network, runtimes, numerical, sensors, things, "
-        "windows, people, real, steady and failures: runs",
+        "windows, people, joints, real, steady and failures: runs",
         None,
     )
     seeds: int | None = option("for variants: trainings of each variant (default 3)", None)

@@ -99,6 +99,7 @@ def _shipped() -> Iterator[Step]:
     yield _bench("sensors", "--views", "2", drawn=True, reads=shipped)
     yield _bench("shapes", "--views", "20000")
     yield _bench("things", "--views", "240", reads=shipped)
+    yield _bench("joints", "--data", FAUST, reads=shipped)
     yield _bench("windows", "--data", HARD, drawn=True, reads=shipped)
     yield _bench("gpu", "--data", OPEN, reads=shipped, alone=True, gpu=True)
     failures = ("--data", OPEN, "--images", "1000", "--hard", HARD)
