@@ -155,7 +155,7 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
     results.finish(
         {
             "network": {"file": "shipped" if options.run is None else str(options.run), **_facts(trained)},
-            "labels": {"name": labeller.label_map.name, "classes": [*labeller.label_map.names]},
+            "labels": labeller.label_map.to_json(),
             **recording.to_json(),
             **labeller.to_json(),
             "frames_per_second": round(per_second, 2),

@@ -98,8 +98,18 @@ def check_classes(classes: int) -> int:
     return count
 
 
+def check_network(network: object) -> None:
+    """Raise BadConfig for another object than a network, as users' own are before they are wrapped."""
+    if not isinstance(network, Network):
+        raise BadConfig(
+            f"a network must be a bodyseg_model.Network, found {type(network).__name__}: `bodyseg_model.wrapped` makes "
+            "one of a torch module, in whose answer it is `.network`"
+        )
+
+
 def check_label_map(network: Network, label_map: LabelMap) -> None:
-    """Raise BadConfig unless a network has as many classes as a label map."""
+    """Raise BadConfig unless a network has as many classes as a label map, or for no network."""
+    check_network(network)
     if network.classes != len(label_map):
         raise BadConfig(
             f"the network must have the {len(label_map)} classes of labels {label_map.name!r}, found {network.classes}"

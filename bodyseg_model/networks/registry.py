@@ -16,7 +16,7 @@ from torch import nn
 from bodyseg_data.core import BadConfig, generator
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import use_compiled
-from bodyseg_model.networks.network import Network, check_range_images
+from bodyseg_model.networks.network import Network, check_network, check_range_images
 
 
 class Prediction(NamedTuple):
@@ -89,6 +89,7 @@ def predict(network: Network, range_m: torch.Tensor) -> Prediction:
     labels. Scores that are coarser than the image are interpolated, as they were in training. Raises BadConfig for a
     wrong shape or a network in training mode.
     """
+    check_network(network)
     check_range_images(range_m)
     if network.training:
         raise BadConfig("predict needs a network in evaluation mode: call network.eval() first")

@@ -23,7 +23,7 @@ from bodyseg_data.core import BadConfig, check_fields
 from bodyseg_data.files import read_bytes, write_result
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import missing_library
-from bodyseg_model.networks import Network, Trained
+from bodyseg_model.networks import Network, Trained, check_network
 
 FORMAT: Final = "bodyseg onnx 1"
 SUFFIX: Final = ".onnx"
@@ -153,9 +153,22 @@ def to_onnx(network: Network, card: dict[str, Any] | None = None) -> OnnxModel:
 
 def export_trained(trained: Trained) -> OnnxModel:
     """A trained network as an ONNX graph with its card, whose entries name its labels and its rig in any case."""
+    check_network(getattr(trained, "network", trained))
     label_map, rig = trained.label_map, trained.rig
     card = {**trained.card, "labels": label_map.to_json(), "rig": rig.to_json()}
     return to_onnx(trained.network, card)
+
+
+def export_onnx(trained: Trained, path: str | Path) -> int:
+    """Write a trained network with its card as an ONNX file, which commands take as `--run`, at once or not at all;
+    returns the file's size, bytes.
+
+    Raises BadConfig and MissingLibrary as `answer_graph`, BadConfig for another suffix or a path that cannot be
+    written.
+    """
+    if Path(path).suffix != SUFFIX:
+        raise BadConfig(f"an ONNX file must be called NAME{SUFFIX}, found {path}")
+    return write_onnx(Path(path), export_trained(trained))
 
 
 def write_onnx(path: Path, model: OnnxModel) -> int:
