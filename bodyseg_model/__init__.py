@@ -23,7 +23,6 @@ __all__ = [
     "Trained",
     "Validation",
     "evaluate",
-    "export_onnx",
     "frame_camera",
     "load_network",
     "on_backend",
@@ -37,6 +36,7 @@ __all__ = [
     "to_metres",
     "train",
     "wrapped",
+    "write_onnx",
 ]
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from bodyseg_model.evaluation import Evaluation, evaluate, open_images
     from bodyseg_model.networks import Network, Trained, load_network, predict, wrapped
     from bodyseg_model.recordings import LiveRecording, frame_camera, open_recording, orbbec, realsense, to_metres
-    from bodyseg_model.runtimes import export_onnx, on_backend
+    from bodyseg_model.runtimes import on_backend, write_onnx
     from bodyseg_model.segmentation import Background, FrameLabeller, Segmenter, shipped_score
     from bodyseg_model.training import Recipe, RunOptions, Validation, recipe_for, train
 else:

@@ -1,4 +1,4 @@
-"""Copies of sets and networks between folders and addresses, complete only at their end; labels for other programs."""
+"""Copies of sets and networks between folders and addresses: resumed, verified, complete only at their end."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
-    from bodyseg_data.transfer.label_formats import LabelFormat, LabelImage, write_labels
     from bodyseg_data.transfer.transfers import (
         Bundle,
         LocalTarget,

@@ -77,9 +77,7 @@ def summary(scores: Scores) -> Tree:
         },
         "pixel_accuracy": _share(matrix.pixel_accuracy()),
         "mean_iou": _share(matrix.mean_iou()),
-        "swaps": {
-            kind.replace("/", "_"): _share_of(count, pixels) for kind in SWAPS if (count := kinds[kind]) is not None
-        },
+        "swaps": {kind.replace("/", "_"): _share_of(kinds[kind], pixels) for kind in SWAPS if kind in kinds},
     }
     if scores.confidences is not None:
         found["confidence"] = {

@@ -18,20 +18,15 @@ if TYPE_CHECKING:
         read_checkpoint,
         save_network,
         trained_network,
+        wrapped,
     )
     from bodyseg_model.networks.model_cards import model_card, network_file, page_file
-    from bodyseg_model.networks.network import (
-        FlipAverage,
-        Network,
-        check_label_map,
-        check_network,
-        check_range_images,
-        in_loops,
-    )
+    from bodyseg_model.networks.network import FlipAverage, Network, check_label_map, check_range_images, in_loops
     from bodyseg_model.networks.patch_loops import BITS, nearest
     from bodyseg_model.networks.registry import (
         NetworkName,
         build,
+        check_network,
         device_of,
         find_device,
         name_of,
@@ -39,6 +34,5 @@ if TYPE_CHECKING:
         predict,
         predict_each,
     )
-    from bodyseg_model.networks.wrapped_module import wrapped
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

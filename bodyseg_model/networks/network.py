@@ -98,18 +98,8 @@ def check_classes(classes: int) -> int:
     return count
 
 
-def check_network(network: object) -> None:
-    """Raise BadConfig for another object than a network, as users' own are before they are wrapped."""
-    if not isinstance(network, Network):
-        raise BadConfig(
-            f"a network must be a bodyseg_model.Network, found {type(network).__name__}: `bodyseg_model.wrapped` makes "
-            "one of a torch module, in whose answer it is `.network`"
-        )
-
-
 def check_label_map(network: Network, label_map: LabelMap) -> None:
-    """Raise BadConfig unless a network has as many classes as a label map, or for no network."""
-    check_network(network)
+    """Raise BadConfig unless a network has as many classes as a label map."""
     if network.classes != len(label_map):
         raise BadConfig(
             f"the network must have the {len(label_map)} classes of labels {label_map.name!r}, found {network.classes}"
@@ -144,6 +134,27 @@ class FlipAverage(Network):
         else:
             own, mirrored = (self.network.scores(image) for image in (seen, seen.flip(3)))
         return (own + mirrored.flip(3)[:, self._opposite]) / 2
+
+
+class WrappedModule(Network):
+    """A torch module as a network; see `checkpoints.wrapped`."""
+
+    def __init__(self, module: nn.Module, classes: int, prepare: Any, multiple: int) -> None:
+        super().__init__({}, classes)
+        self.module, self.prepare, self.multiple = module, prepare, check_int("multiple", multiple, 1)
+
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+        """Compute scores; see `Network.scores`. Raises BadConfig where the module gives others."""
+        check_range_images(range_m)
+        rows, columns = range_m.shape[2:]
+        image = F.pad(range_m, (0, -columns % self.multiple, 0, -rows % self.multiple))
+        scores = self.module(image if self.prepare is None else self.prepare(image))
+        whole = [len(image), self.classes, *image.shape[2:]]
+        found = list(scores.shape) if isinstance(scores, torch.Tensor) else type(scores).__name__
+        if found != whole:
+            raise BadConfig(f"{type(self.module).__name__} must give scores [B, classes, H, W], {whole}, found {found}")
+        seen: torch.Tensor = scores[:, :, :rows, :columns]
+        return seen
 
 
 # Range images as networks see them.

@@ -16,7 +16,7 @@ from torch import nn
 from bodyseg_data.core import BadConfig, generator
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import use_compiled
-from bodyseg_model.networks.network import Network, check_network, check_range_images
+from bodyseg_model.networks.network import Network, check_range_images
 
 
 class Prediction(NamedTuple):
@@ -74,6 +74,13 @@ def build(name: str, settings: Mapping[str, Any] | None = None, seed: int | None
         return kind.from_settings(dict(settings or {}))
     except TypeError as error:
         raise BadConfig(f"settings of {name} that it does not take: {dict(settings or {})!r} ({error})") from error
+
+
+def check_network(network: object) -> None:
+    """Raise BadConfig for what is no network, as users' own are before they are wrapped."""
+    if not isinstance(network, Network):
+        found = f"found {type(network).__name__}: `bodyseg_model.wrapped(module).network` is one"
+        raise BadConfig(f"a network must be a bodyseg_model.Network, {found}")
 
 
 def device_of(network: nn.Module) -> torch.device:

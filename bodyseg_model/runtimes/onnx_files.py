@@ -159,20 +159,11 @@ def export_trained(trained: Trained) -> OnnxModel:
     return to_onnx(trained.network, card)
 
 
-def export_onnx(trained: Trained, path: str | Path) -> int:
-    """Write a trained network with its card as an ONNX file, which commands take as `--run`, at once or not at all;
-    returns the file's size, bytes.
-
-    Raises BadConfig and MissingLibrary as `answer_graph`, BadConfig for another suffix or a path that cannot be
-    written.
+def write_onnx(path: Path | str, trained: Trained | OnnxModel) -> int:
+    """Write a network with its card as an ONNX file, which commands take as `--run`, at once or not at all; returns the
+    file's size, bytes. Raises BadConfig and MissingLibrary as `answer_graph`.
     """
-    if Path(path).suffix != SUFFIX:
-        raise BadConfig(f"an ONNX file must be called NAME{SUFFIX}, found {path}")
-    return write_onnx(Path(path), export_trained(trained))
-
-
-def write_onnx(path: Path, model: OnnxModel) -> int:
-    """Write a model with its metadata, at once or not at all; returns the file's size, bytes. Raises BadConfig."""
+    model = trained if isinstance(trained, OnnxModel) else export_trained(trained)
     onnx = import_onnx()
     graph = onnx.ModelProto()
     graph.CopyFrom(model.graph)
@@ -188,7 +179,7 @@ def write_onnx(path: Path, model: OnnxModel) -> int:
     }
     onnx.helper.set_model_props(graph, texts)
     data: bytes = graph.SerializeToString()
-    write_result(path, data)
+    write_result(Path(path), data)
     return len(data)
 
 

@@ -15,15 +15,7 @@ if TYPE_CHECKING:
         LabelledRecording,
         Turned,
     )
-    from bodyseg_model.segmentation.output_folder import (
-        LABELS,
-        OVERLAY,
-        SUMMARY,
-        UNDISTORTED,
-        FrameResults,
-        OutputFolder,
-        read_summary,
-    )
+    from bodyseg_model.segmentation.output_folder import LABELS, OVERLAY, UNDISTORTED, FrameResults, OutputFolder
     from bodyseg_model.segmentation.person_score import PersonScore, shipped_score
     from bodyseg_model.segmentation.pictures import Preview, draw_overlay
     from bodyseg_model.segmentation.segmenter import LabelledBody, Segmentation, Segmenter

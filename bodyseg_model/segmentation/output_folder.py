@@ -169,22 +169,17 @@ def _earlier_frames(out: Path, held: Sequence[str]) -> list[dict[str, Any]]:
             f"--out must be a new folder, or one of earlier results of `bodyseg segment`: {out} holds "
             f"{(strange or held)[0]}"
         )
-    try:
-        frames = [frame for name in notes for frame in read_summary(out / name)["each"]]
-    except BadConfig as error:
-        raise BadConfig(
-            f"--out must be a new folder, or one of earlier results of `bodyseg segment`: {error}"
-        ) from error
-    return list({frame["name"]: frame for frame in frames}.values())
-
-
-def read_summary(file: Path) -> dict[str, Any]:
-    """Read the summary of a call, or what one that was cut short left. Raises BadConfig for another file."""
-    tree = read_json(file)
-    each = tree.get("each")
-    if tree.get("format") != FORMAT or not isinstance(each, list) or not all(map(_is_frame, each)):
-        raise BadConfig(f"{file} is not of format {FORMAT!r}")
-    return tree
+    frames: dict[str, dict[str, Any]] = {}
+    for name in notes:
+        tree = read_json(out / name)
+        each = tree.get("each")
+        if tree.get("format") != FORMAT or not isinstance(each, list) or not all(map(_is_frame, each)):
+            raise BadConfig(
+                f"--out must be a new folder, or one of earlier results of `bodyseg segment`: {out / name} is not of "
+                f"format {FORMAT!r}"
+            )
+        frames |= {frame["name"]: frame for frame in each}
+    return list(frames.values())
 
 
 def _is_frame(entry: Any) -> bool:
@@ -284,5 +279,4 @@ class FrameResults(WriteBehind):
         if self._preview is not None:
             save_picture(draw_legend(_LEGEND_WIDTH, self._label_map), self._out.path / LEGEND)
             write_result(self._out.path / PREVIEW, self._preview.to_gif())
-        preview = None if self._preview is None else self._preview.to_json()
-        self._out.finish({**facts, "preview": preview, "peak_mb": peak_mb(), **self.summary.to_json()})
+        self._out.finish({**facts, "peak_mb": peak_mb(), **self.summary.to_json()})
