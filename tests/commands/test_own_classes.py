@@ -182,7 +182,7 @@ def test_frames_are_labelled_whole(folder: Path, tmp_path: Path) -> None:
     words = [str(frame), "--run", str(folder / "run"), "--units", "mm", "--focal", "18", "--device", "cpu"]
     assert main(["segment", *words, "--out", str(tmp_path / "out")]) == 0
     told = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert told["labels"] == {"name": "robot cell", "classes": [*NAMES]} and told["background"] == {"mode": "frame"}
+    assert told["labels"] == whole_map(CELL_CLASSES).to_json() and told["background"] == {"mode": "frame"}
     labels = pixels_of(tmp_path / "out" / "labels" / "frame.png")
     range_m = images.image(0).range * np.float32(STEP_M)
     assert np.array_equal(labels != 255, range_m > 0)
