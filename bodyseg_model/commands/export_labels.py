@@ -37,12 +37,9 @@ EXAMPLE = "bodyseg export-labels --in labelled --out coco --format coco"
 
 _FORMAT: Final = "bodyseg label export 1"
 _NOTE: Final = "export.json"  # of every export: what it is, and that another may replace it
-_BATCH: Final = 64  # frames that LeRobot's file gets together
 
 DENSE_POSE: Final = np.zeros(256, np.uint8)
-"""Label of the 33 parts -> DensePose's chart, uint8 [256], 0 for all else: limbs as in the label map limbs14. Of charts
-that the parts do not tell apart, such as the inside and outside of an arm, the first stands for both.
-"""
+"""Label of the 33 parts -> DensePose's chart, uint8 [256], 0 for none; the first of those not told apart."""
 DENSE_POSE[: len(PARTS33)] = [
     *(23, 23, 23, 2, 2, 2, 2, 2, 2, 1, 1, 1, 1, 1, 1),  # head; front and back of the trunk
     *(16, 15, 20, 19, 20, 19, 3, 4),  # right and left: shoulder, elbow, wrist, hand
@@ -50,6 +47,7 @@ DENSE_POSE[: len(PARTS33)] = [
 ]
 
 FormatName = Literal["coco", "panoptic", "dense-pose-parts", "png", "lerobot"]
+Images = Iterator["LabelImage"]
 
 
 @dataclass(frozen=True)
@@ -78,9 +76,9 @@ class LabelImage(NamedTuple):
     """Labels of one image, uint8 [H, W], 255 where there is none.
 
     name: of its files; it may name folders. number: from 1, the same in every export. instances: uint16 [H, W], number,
-    from 1, of a pixel's person or thing, 0 where that is not known; None where nothing is counted. crowds: numbers that
-    several share. range: uint16 [H, W], steps of `step_m` metres, 0 = nothing measured; None: not known. sequence: of
-    images that follow each other, such as the views of a body.
+    from 1, of a pixel's person or thing, 0: not known; None where nothing is counted. crowds: numbers that several
+    share. range: uint16 [H, W], steps of `step_m` metres, 0 = nothing measured; None: not known. sequence: of images
+    that follow each other.
     """
 
     name: str
@@ -91,9 +89,6 @@ class LabelImage(NamedTuple):
     range: NDArray[np.uint16] | None = None
     step_m: float = 1e-3
     sequence: str = ""
-
-
-Images = Iterator[LabelImage]
 
 
 def run(options: Options) -> int:
@@ -299,8 +294,7 @@ def _coco(folder: Path, label_map: LabelMap, images: Images, options: Options, p
 
 def _indexed(folder: Path, label_map: LabelMap, images: Images, options: Options) -> None:
     """PNGs of labels with the classes' colours as palette."""
-    colours = label_map.colours
-    palette = np.concatenate([colours, np.zeros((256 - len(colours), 3), np.uint8)])
+    palette = np.concatenate([label_map.colours, np.zeros((256 - len(label_map), 3), np.uint8)])
     for image in _with_ranges(folder, images):
         _path(folder, f"labels/{image.name}.png").write_bytes(_png(image.labels, palette))
 
@@ -331,10 +325,10 @@ def _lerobot(folder: Path, label_map: LabelMap, images: Images, options: Options
             if image.range is None:
                 raise BadConfig("a data set of LeRobot needs ranges: give --frames, as they were given to segment")
             told = {"dtype": "image", "shape": [*image.range.shape, 1], "names": ["height", "width", "channels"]}
-            of_depth = {**told, "info": {"is_depth_map": True, "range_step_m": image.step_m}}
-            if features.setdefault(depth, of_depth) != of_depth:
+            pair = {labels: told, depth: {**told, "info": {"is_depth_map": True, "range_step_m": image.step_m}}}
+            if features != {**features, **pair} and frame:
                 raise BadConfig(f"images of LeRobot have one size and step, found another one: {image.name}")
-            features[labels] = told
+            features |= pair
             if image.sequence != sequence:
                 sequence, places = image.sequence, {"data/chunk_index": 0, "data/file_index": 0}
                 places |= {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0, "dataset_from_index": frame}
@@ -345,7 +339,7 @@ def _lerobot(folder: Path, label_map: LabelMap, images: Images, options: Options
             pictures = {depth: _png(image.range), labels: _png(image.labels)}
             held = {name: {"bytes": data, "path": f"{image.name}.png"} for name, data in pictures.items()}
             rows.append({**held, "timestamp": within / options.fps, **at})
-            if len(rows) == _BATCH:
+            if len(rows) == 64:
                 writer.write_table(arrow.Table.from_pylist(rows, schema))
                 rows = []
         writer.write_table(arrow.Table.from_pylist(rows, schema))

@@ -189,11 +189,11 @@ def wrapped(
     all of it, which has a card.
 
     module: range images, float32 [B, 1, H, W], metres along the optical axis, 0 = nothing measured, of any size ->
-    scores (logits), float [B, C, H, W]; other scores raise BadConfig. It is put into evaluation mode, and stays on its
-    device. labels: its C classes in their order, as names or a label map. rig: of the images that it was trained on, to
-    which bodies are resampled; None for the paper's. prepare: makes the module's input of the range images, where it
-    takes other units, normalised ranges or more channels. multiple: range images are padded by 0 at their right and
-    bottom until both sides are multiples of it. Raises BadConfig for anything else.
+    scores (logits), float [B, C, H, W]. It is put into evaluation mode, and stays on its device. labels: its C classes
+    in their order, as names or a label map. rig: of the images that it was trained on, to which bodies are resampled;
+    None for the paper's. prepare: makes the module's input of range images, where it takes other units, normalised
+    ranges or more channels. multiple: range images are padded by 0 until both sides are multiples of it. Raises
+    BadConfig, where scores have another shape as soon as they are asked for.
     """
     if not isinstance(module, nn.Module) or isinstance(module, Network):
         raise BadConfig(f"what is wrapped must be a torch module and no Network, found {type(module).__name__}")

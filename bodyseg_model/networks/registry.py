@@ -79,8 +79,8 @@ def build(name: str, settings: Mapping[str, Any] | None = None, seed: int | None
 def check_network(network: object) -> None:
     """Raise BadConfig for what is no network, as users' own are before they are wrapped."""
     if not isinstance(network, Network):
-        found = f"found {type(network).__name__}: `bodyseg_model.wrapped(module).network` is one"
-        raise BadConfig(f"a network must be a bodyseg_model.Network, {found}")
+        what = "a network must be a bodyseg_model.Network: `bodyseg_model.wrapped(module).network` is one"
+        raise BadConfig(f"{what}, found {type(network).__name__}")
 
 
 def device_of(network: nn.Module) -> torch.device:

@@ -160,9 +160,7 @@ def export_trained(trained: Trained) -> OnnxModel:
 
 
 def write_onnx(path: Path | str, trained: Trained | OnnxModel) -> int:
-    """Write a network with its card as an ONNX file, which commands take as `--run`, at once or not at all; returns the
-    file's size, bytes. Raises BadConfig and MissingLibrary as `answer_graph`.
-    """
+    """Write a network with its card as an ONNX file, at once or not at all; returns its bytes. Raises BadConfig."""
     model = trained if isinstance(trained, OnnxModel) else export_trained(trained)
     onnx = import_onnx()
     graph = onnx.ModelProto()

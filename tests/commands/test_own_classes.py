@@ -13,7 +13,7 @@ from open_sets import CELL_CLASSES, NAMES, STEP_M, write_open_set
 from PIL import Image
 
 from bodyseg_data import BadConfig, LabelMap, Mixture, RangeImages
-from bodyseg_data.labels import LANDMARKS, LabelClass, classes_of
+from bodyseg_data.labels import LANDMARKS, LabelClass, classes_of, whole_map
 from bodyseg_model import load_network
 from bodyseg_model.commands import main
 from bodyseg_model.segmentation import FrameLabeller
