@@ -176,7 +176,7 @@ def _frames(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Ima
                 if ranges.shape != labels.shape:
                     raise BadConfig(f"{frame.where}: its labels are of another size, {labels.shape}")
                 of_range = ranges * (ranges < 65535), frame.step_m, str(frame.sequence)  # 65535 is saturated
-            yield LabelImage(name, number, labels, *counted, *of_range)
+            yield LabelImage(name, number, labels, counted[0], counted[1], *of_range)
             progress(number, len(each))
 
     return label_map, images()
@@ -344,10 +344,10 @@ def _lerobot(folder: Path, label_map: LabelMap, images: Images, options: Options
                 rows = []
         writer.write_table(arrow.Table.from_pylist(rows, schema))
     total, paths = len(episodes), "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-    info = {"codebase_version": "v3.0", "robot_type": None, "fps": options.fps, "total_episodes": total}
-    info |= {"total_frames": episodes[-1]["dataset_to_index"], "total_tasks": 1, "splits": {"train": f"0:{total}"}}
-    info |= {"chunks_size": 1000, "data_files_size_in_mb": 100, "video_files_size_in_mb": 200, "video_path": None}
-    write_json(_path(folder, "meta/info.json"), {**info, "data_path": paths, "features": features})
+    info: dict[str, Any] = {"codebase_version": "v3.0", "robot_type": None, "fps": options.fps, "video_path": None}
+    info |= {"total_episodes": total, "total_frames": episodes[-1]["dataset_to_index"], "total_tasks": 1}
+    info |= {"chunks_size": 1000, "data_files_size_in_mb": 100, "video_files_size_in_mb": 200, "features": features}
+    write_json(_path(folder, "meta/info.json"), {**info, "data_path": paths, "splits": {"train": f"0:{total}"}})
     # pandas, which reads the tasks, finds them as the index.
     column = {"name": "task", "field_name": "task", "pandas_type": "unicode", "numpy_type": "object", "metadata": None}
     index = json.dumps({"index_columns": ["task"], "column_indexes": [], "columns": [column]})
