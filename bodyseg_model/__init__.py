@@ -36,14 +36,16 @@ __all__ = [
     "shipped_score",
     "to_metres",
     "train",
+    "wrapped",
+    "write_onnx",
 ]
 
 if TYPE_CHECKING:
     from bodyseg_data import __version__ as __version__
     from bodyseg_model.evaluation import Evaluation, evaluate, open_images
-    from bodyseg_model.networks import Network, Trained, load_network, predict
+    from bodyseg_model.networks import Network, Trained, load_network, predict, wrapped
     from bodyseg_model.recordings import LiveRecording, frame_camera, open_recording, orbbec, realsense, to_metres
-    from bodyseg_model.runtimes import on_backend
+    from bodyseg_model.runtimes import on_backend, write_onnx
     from bodyseg_model.segmentation import JOINTS, Background, FrameLabeller, Segmenter, shipped_score
     from bodyseg_model.training import Recipe, RunOptions, Validation, recipe_for, train
 else:

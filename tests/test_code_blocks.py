@@ -77,7 +77,7 @@ BEFORE: Final = {
 """Names that a document's text introduces, or that its reader has at hand."""
 
 PYTHON: Final = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
-SHELL: Final = re.compile(r"^(?: {4})?((?:tools/|bodyseg )[a-z]+ .*)$", re.MULTILINE)
+SHELL: Final = re.compile(r"^(?: {4})?((?:tools/|bodyseg )[a-z]+(?:-[a-z]+)* .*)$", re.MULTILINE)
 
 
 def examples(document: Path) -> list[str]:

@@ -36,7 +36,9 @@ DOTTED_NAME = re.compile(rf"(?<![\w./-])(?:{'|'.join(HOMES)})(?:\.[A-Za-z_]\w*)+
 MEMBER = re.compile(r"`([A-Z]\w+)\.([a-z]\w*)")
 CLASS = re.compile(r"^ *class (\w+)", re.MULTILINE)
 BENCH = re.compile(r"\b(?:tools/|`)bench ([a-z_]+)")
-COMMAND = re.compile(r"(?:\btools/|^ *bodyseg |`bodyseg |-m bodyseg_model )(\w+)(?![\w./-]| \d)([^`\n]*)", re.MULTILINE)
+COMMAND = re.compile(
+    r"(?:\btools/|^ *bodyseg |`bodyseg |-m bodyseg_model )(\w+(?:-\w+)*)(?![\w./-]| \d)([^`\n]*)", re.MULTILINE
+)
 """A command's name, which is no folder, file or format ("bodyseg shards 5"), and the rest of its line."""
 
 OPTION = re.compile(r"(?<=\s)--[a-z][a-z-]*")

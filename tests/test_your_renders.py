@@ -76,7 +76,7 @@ def test_the_tutorial_runs_from_renders_to_labels(
     assert images.manifest.classes.names == tuple(program.CLASSES)
     assert (len(images), images.manifest.planes) == (3, {"instances": "uint16"})
     scores = json.loads(Path("scores.json").read_text())
-    assert [each["name"] for each in scores["parts"]] == program.CLASSES
+    assert [each["name"] for each in scores["classes"]] == program.CLASSES
     labelled = sorted(Path("labelled/labels").glob("*.png"))
     assert [path.stem for path in labelled] == list(images.keys)
     for index, path in enumerate(labelled):

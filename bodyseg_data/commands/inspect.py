@@ -154,7 +154,7 @@ def summarise(images: RangeImages) -> dict[str, Any]:
         "kept": round(kept_pixels / max(clean_pixels, 1), 4),
         **{f"mean_{name}": round(float(np.mean(values)), 4) if values else None for name, values in drawn.items()},
         "classes": label_map.name,
-        "part_shares": {
+        "class_shares": {
             name: round(int(count) / max(int(pixels.sum()), 1), 4)
             for name, count in zip(label_map.names, pixels, strict=True)
         },

@@ -5,10 +5,8 @@ from __future__ import annotations
 import os
 import subprocess
 from pathlib import Path
-from typing import Any
 
 from bodyseg_data.core import BadConfig
-from bodyseg_data.files import write_json
 from bodyseg_data.machine import hardware
 
 
@@ -27,11 +25,6 @@ def check_target(path: Path, option: str) -> None:
         raise BadConfig(f"{option} needs a file in a folder that is there, found {path}")
     if not os.access(folder, os.W_OK | os.X_OK):
         raise BadConfig(f"{option} needs a folder that can be written, found {path}")
-
-
-def write_figures(path: Path, figures: dict[str, Any]) -> None:
-    """Write figures as JSON, atomically. Raises BadConfig if the file cannot be written."""
-    write_json(path, figures)
 
 
 def _commit() -> str:

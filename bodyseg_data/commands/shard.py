@@ -15,8 +15,9 @@ from typing import Any, Final
 from bodyseg_data.bodies import SOURCES, Units, UpAxis, collapsed
 from bodyseg_data.commands.options import command_line, option
 from bodyseg_data.commands.progress import Progress
-from bodyseg_data.commands.records import check_target, provenance, write_figures
+from bodyseg_data.commands.records import check_target, provenance
 from bodyseg_data.core import BadConfig, BadMesh, one_line
+from bodyseg_data.files import write_json
 from bodyseg_data.machine import peak_mb, processors
 from bodyseg_data.meshes import GeodesicMethod
 from bodyseg_data.packing import (
@@ -176,7 +177,7 @@ def _reported(options: Options, unit: str, make: Callable[[Progress, list[float 
     if options.report is not None:
         made = manifest.samples() - (progress.before or 0)
         figures = _figures(options, manifest, made, time.perf_counter() - start, workers_mb)
-        write_figures(options.report, origin | figures)
+        write_json(options.report, origin | figures)
     size = sum(shard.size for shard in manifest.shards)
     sys.stdout.write(
         f"{options.out}: {manifest.samples()} samples in {len(manifest.shards)} shards, {size / 1e6:.1f} MB, "

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
+    from bodyseg_data.renders.images import read_array
     from bodyseg_data.renders.layouts import LayoutName, open_renders
     from bodyseg_data.renders.source import ProjectorRanges, Render, RenderSource
 else:

@@ -18,11 +18,10 @@ from bodyseg_data.commands import (
     last_name,
     option,
     provenance,
-    write_figures,
 )
 from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import new_chart, save_picture
-from bodyseg_data.files import make_folder
+from bodyseg_data.files import make_folder, write_json
 from bodyseg_data.labels import LabelMap
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, OccluderName, RangeImages, WorkerMethod
 from bodyseg_data.machine import peak_mb
@@ -109,7 +108,7 @@ def run(options: Options) -> int:
     scores = report(found)
     seconds = {stage: round(value / 1000, 2) for stage, value in found.milliseconds.items()}
     described = [_describe(images, options.images, trained) for images in sets]
-    write_figures(
+    write_json(
         options.json,
         {
             **facts,

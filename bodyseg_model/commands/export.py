@@ -10,7 +10,7 @@ from bodyseg_data.commands import option
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import read_json, write_json
 from bodyseg_model.networks import CardWords, Trained, confusion_file, load_network, save_network
-from bodyseg_model.runtimes import OPSET, SUFFIX, export_trained, write_onnx
+from bodyseg_model.runtimes import OPSET, SUFFIX, write_onnx
 
 EXAMPLE = "bodyseg export --run runs/all-0 --scores scores.json --out compact.safetensors"
 
@@ -36,7 +36,7 @@ def run(options: Options) -> int:
     scores = {} if options.scores is None else {"scores": read_json(options.scores)}
     confusion = scores.get("scores", {}).pop("confusion", None)
     if options.onnx is not None:
-        size = write_onnx(options.onnx, export_trained(Trained(trained.network, {**trained.card, **scores})))
+        size = write_onnx(options.onnx, Trained(trained.network, {**trained.card, **scores}))
         sys.stderr.write(f"wrote {options.onnx}, {size / 1e6:.1f} MB, opset {OPSET}\n")
     if options.out is not None:
         facts = {name: value for name, value in trained.card.items() if name not in _OF_THE_FILE}

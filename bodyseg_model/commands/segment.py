@@ -46,7 +46,7 @@ from bodyseg_model.training import use_threads
 
 EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"
 
-_OF_THE_CARD: Final = ("network", "variant", "seed", "steps", "data", "rig", "sensor", "weights_sha256")
+_OF_THE_CARD: Final = ("network", "variant", "seed", "steps", "data", "sensor", "weights_sha256")
 _NEAR: Final = 0.7  # of the stand-off; docs/results/segment.md has the accuracy by distance
 _SURE: Final = 0.8  # mean confidence; below it, other turns of frames are tried
 _SHADOW_FRAMES: Final = 8  # whose shadows tell whether a recording is mirrored
@@ -157,7 +157,7 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
     results.finish(
         {
             "network": {"file": "shipped" if options.run is None else str(options.run), **_facts(trained)},
-            "labels": {"name": labeller.label_map.name, "classes": [*labeller.label_map.names]},
+            "labels": labeller.label_map.to_json(),
             **recording.to_json(),
             **labeller.to_json(),
             "frames_per_second": round(per_second, 2),

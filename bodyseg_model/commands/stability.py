@@ -10,10 +10,10 @@ from typing import Any, Final
 
 import torch
 
-from bodyseg_data.commands import WHERE_HELP, Progress, command_line, last_name, option, provenance, write_figures
+from bodyseg_data.commands import WHERE_HELP, Progress, command_line, last_name, option, provenance
 from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import new_chart
-from bodyseg_data.files import make_folder
+from bodyseg_data.files import make_folder, write_json
 from bodyseg_data.labels import PART_CLASSES
 from bodyseg_data.loading import RangeImages
 from bodyseg_model.networks import find_device
@@ -84,7 +84,7 @@ def run(options: Options) -> int:
     }
     figures["seconds"] = round(time.perf_counter() - start, 1)
     written, picture = options.out / "stability.json", options.out / "stability.png"
-    write_figures(written, figures)
+    write_json(written, figures)
     draw_stability(figures, picture)
     sys.stderr.write(f"{_remarks(groups, reference)}wrote {written}, {picture}\n")
     return 0

@@ -27,7 +27,7 @@ from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, OccluderName, RangeImages, WorkerMethod, loader
 from bodyseg_data.samples import ReadSplit, split_key
 from bodyseg_model.evaluation.scores import Confidences, ConfusionMatrix, PerImageAccuracy, count_pairs, pairs_of
-from bodyseg_model.networks import Network, check_label_map, device_of, predict
+from bodyseg_model.networks import Network, check_label_map, check_network, device_of, predict
 
 _WORST: Final = 10
 _WHOLE: Final = "all"  # the subset of images whose set names none
@@ -214,6 +214,7 @@ def evaluate(
     total = len(images) if count is None else min(check_int("the number of images", count, 1), len(images))
     found = Evaluation(confidences, label_map=images.label_map)
     predicts = images.label_map if label_map is None else label_map
+    check_network(network)
     check_label_map(network, predicts)
     joined = None if predicts.difference(images.label_map) is None else predicts.joined_to(images.label_map)
     grouped = "subset" in images.manifest.fields.kinds

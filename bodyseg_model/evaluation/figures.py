@@ -27,7 +27,7 @@ from bodyseg_data.drawing import (
 from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap, colour_labels, label_map_from_json
 from bodyseg_model.evaluation.evaluation import PredictedImage
 from bodyseg_model.evaluation.reports import PAPERS_THRESHOLD, subset_order
-from bodyseg_model.evaluation.scores import KINDS, ConfusionMatrix, kinds_of, told_kinds
+from bodyseg_model.evaluation.scores import KINDS, ConfusionMatrix, kinds_of
 
 Tree = dict[str, Any]
 
@@ -55,7 +55,7 @@ def draw_figures(figures: Tree, folder: Path) -> list[Path]:
 def draw_parts(figures: Tree) -> Any:
     """Average per-class accuracy of the set and its subsets, and accuracy of each class: the paper's Fig. 6."""
     groups = {"all": figures, **figures["subsets"]}
-    parts = figures["parts"]
+    parts = figures["classes"]
     figure = new_chart(9.5, 3.2 + 0.27 * (len(groups) + len(parts)))
     upper, lower = figure.subplots(2, 1, height_ratios=(len(groups) + 0.6, len(parts) + 0.6), sharex=True)
     _bars(
@@ -129,12 +129,11 @@ def draw_confusion(figures: Tree) -> Any:
     bar = figure.colorbar(drawn, ax=axis, shrink=0.6, pad=0.01, ticks=[0, 0.01, 0.05, 0.1, 0.25, 0.5, 1])
     bar.ax.set_yticklabels(["0", "1 %", "5 %", "10 %", "25 %", "50 %", "100 %"], fontsize=9)
     swaps = figures["swaps"]
-    face = f"front for back: {_percent(swaps['front_back'])}, and left for right as well: {_percent(swaps['both'])}"
-    told = told_kinds(label_map)
     handles = []
-    if "left/right" in told:
+    if "left_right" in swaps:
         handles.append(Line2D([], [], label=f"left for right: {_percent(swaps['left_right'])} of all pixels", **sides))
-    if "front/back" in told:
+    if "front_back" in swaps:
+        face = f"front for back: {_percent(swaps['front_back'])}, and left for right as well: {_percent(swaps['both'])}"
         handles.append(Line2D([], [], label=face, **faces))
     if handles:
         figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=10, frameon=False)

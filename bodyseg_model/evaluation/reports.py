@@ -50,7 +50,7 @@ def report(evaluation: Evaluation) -> Tree:
     """All scores of all images together, the summary of every subset, and the images of lowest accuracy."""
     total = evaluation.total()
     labels = {} if evaluation.label_map == PARTS33 else {"labels": evaluation.label_map.to_json()}
-    details: Tree = {**labels, "parts": _parts(total), "confusion": total.confusion.counts.tolist()}
+    details: Tree = {**labels, "classes": _classes(total), "confusion": total.confusion.counts.tolist()}
     if total.confidences is not None:
         details |= _confidences(total.confidences)
     return {
@@ -77,7 +77,7 @@ def summary(scores: Scores) -> Tree:
         },
         "pixel_accuracy": _share(matrix.pixel_accuracy()),
         "mean_iou": _share(matrix.mean_iou()),
-        "swaps": {kind.replace("/", "_"): _share_of(kinds[kind], pixels) for kind in SWAPS},
+        "swaps": {kind.replace("/", "_"): _share_of(kinds[kind], pixels) for kind in SWAPS if kind in kinds},
     }
     if scores.confidences is not None:
         found["confidence"] = {
@@ -89,7 +89,7 @@ def summary(scores: Scores) -> Tree:
     return found
 
 
-def _parts(scores: Scores) -> list[Tree]:
+def _classes(scores: Scores) -> list[Tree]:
     """Scores of each class: accuracy over all pixels, mean and standard deviation over the images that show it."""
     accuracy, iou = scores.confusion.per_class_accuracy(), scores.confusion.intersection_over_union()
     mean, deviation = scores.per_image.mean(), scores.per_image.deviation()
@@ -133,8 +133,8 @@ def subset_order(subset: str) -> tuple[bool, str]:
     return subset not in PAPERS_SUBSETS, subset
 
 
-def _share_of(count: int | None, pixels: int) -> float | None:
-    return None if count is None or not pixels else round(count / pixels, _DECIMALS)
+def _share_of(count: int, pixels: int) -> float | None:
+    return round(count / pixels, _DECIMALS) if pixels else None
 
 
 def _share(value: float) -> float | None:

@@ -347,11 +347,11 @@ def _kind(label_map: LabelMap, truth: int, predicted: int) -> str:
 _OPPOSITE: Final = ([{"front"}, {"back"}], [{"back"}, {"front"}])
 
 
-def count_kinds(confusion: NDArray[np.int64], label_map: LabelMap = PARTS33) -> dict[str, int | None]:
-    """Pixels of each kind in a confusion matrix, int64 [C, C]; None for a kind that the classes cannot tell."""
+def count_kinds(confusion: NDArray[np.int64], label_map: LabelMap = PARTS33) -> dict[str, int]:
+    """Pixels of each kind that the classes can tell in a confusion matrix, int64 [C, C]."""
     counts = np.bincount(kinds_of(label_map).ravel(), confusion.ravel(), len(KINDS))
     told = told_kinds(label_map)
-    return {kind: int(count) if kind in told else None for kind, count in zip(KINDS, counts, strict=True)}
+    return {kind: int(count) for kind, count in zip(KINDS, counts, strict=True) if kind in told}
 
 
 def told_kinds(label_map: LabelMap) -> frozenset[str]:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         read_checkpoint,
         save_network,
         trained_network,
+        wrapped,
     )
     from bodyseg_model.networks.labelling import label_pixels
     from bodyseg_model.networks.model_cards import model_card, network_file, page_file
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from bodyseg_model.networks.registry import (
         NetworkName,
         build,
+        check_network,
         device_of,
         find_device,
         name_of,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,13 +16,14 @@ from safetensors import SafetensorError
 from safetensors.torch import load as parse_tensors
 from safetensors.torch import save as tensor_bytes
 from torch.nn.modules.module import register_module_parameter_registration_hook
+from torch import nn
 
 from bodyseg_data.artifacts import SensorModel, load_sensor_model, sensor_model_from_json
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import read_bytes, read_json, write_json, write_result
-from bodyseg_data.labels import PARTS33, LabelMap, label_map_from_json
+from bodyseg_data.labels import PARTS33, LabelClass, LabelMap, classes_of, label_map_from_json, whole_map
 from bodyseg_data.rigs import Rig, load_rig, rig_from_json
-from bodyseg_model.networks.network import Network, check_label_map
+from bodyseg_model.networks.network import Network, WrappedModule, check_label_map
 from bodyseg_model.networks.registry import build
 
 _CHECKPOINT: Final = "checkpoint.json"
@@ -177,6 +178,32 @@ def load_network(path: Path | str | None = None, checkpoint: CheckpointName | No
     network = _build(card, file.with_suffix(".json"), tensors)
     fill(network, tensors, file)
     return trained_network(network, {**card, CardWords.WEIGHTS_SHA256: digest}, file.with_suffix(".json"))
+
+
+def wrapped(
+    module: nn.Module,
+    labels: LabelMap | Iterable[str | LabelClass] = PARTS33,
+    *,
+    rig: Rig | None = None,
+    prepare: Callable[[torch.Tensor], torch.Tensor] | None = None,
+    multiple: int = 1,
+) -> Trained:
+    """Wrap a torch module: `Segmenter` and `evaluate` take `wrapped(module).network`, `FrameLabeller` and `write_onnx`
+    all of it, which has a card.
+
+    module: range images, float32 [B, 1, H, W], metres along the optical axis, 0 = nothing measured, of any size ->
+    scores (logits), float [B, C, H, W]. It is put into evaluation mode, and stays on its device. labels: its C classes
+    in their order, as names or a label map. rig: of the images that it was trained on, to which bodies are resampled;
+    None for the paper's. prepare: makes the module's input of range images, where it takes other units, normalised
+    ranges or more channels. multiple: range images are padded by 0 until both sides are multiples of it. Raises
+    BadConfig, where scores have another shape as soon as they are asked for.
+    """
+    if not isinstance(module, nn.Module) or isinstance(module, Network):
+        raise BadConfig(f"what is wrapped must be a torch module and no Network, found {type(module).__name__}")
+    label_map = labels if isinstance(labels, LabelMap) else whole_map(classes_of(labels))
+    card = {"format": CardWords.FORMAT, "network": type(module).__name__, "settings": {}, "labels": label_map.to_json()}
+    card["rig"] = (load_rig() if rig is None else rig).to_json()
+    return Trained(WrappedModule(module, len(label_map), prepare, multiple).eval(), card)
 
 
 def read_card(weights: Path) -> dict[str, Any]:

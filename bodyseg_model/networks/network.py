@@ -136,6 +136,27 @@ class FlipAverage(Network):
         return (own + mirrored.flip(3)[:, self._opposite]) / 2
 
 
+class WrappedModule(Network):
+    """A torch module as a network; see `checkpoints.wrapped`."""
+
+    def __init__(self, module: nn.Module, classes: int, prepare: Any, multiple: int) -> None:
+        super().__init__({}, classes)
+        self.module, self.prepare, self.multiple = module, prepare, check_int("multiple", multiple, 1)
+
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+        """Compute scores; see `Network.scores`. Raises BadConfig where the module gives others."""
+        check_range_images(range_m)
+        rows, columns = range_m.shape[2:]
+        image = F.pad(range_m, (0, -columns % self.multiple, 0, -rows % self.multiple))
+        scores = self.module(image if self.prepare is None else self.prepare(image))
+        whole = [len(image), self.classes, *image.shape[2:]]
+        found = list(scores.shape) if isinstance(scores, torch.Tensor) else type(scores).__name__
+        if found != whole:
+            raise BadConfig(f"{type(self.module).__name__} must give scores [B, classes, H, W], {whole}, found {found}")
+        seen: torch.Tensor = scores[:, :, :rows, :columns]
+        return seen
+
+
 # Range images as networks see them.
 
 

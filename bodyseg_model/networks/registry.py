@@ -76,6 +76,13 @@ def build(name: str, settings: Mapping[str, Any] | None = None, seed: int | None
         raise BadConfig(f"settings of {name} that it does not take: {dict(settings or {})!r} ({error})") from error
 
 
+def check_network(network: object) -> None:
+    """Raise BadConfig for what is no network, as users' own are before they are wrapped."""
+    if not isinstance(network, Network):
+        what = "a network must be a bodyseg_model.Network: `bodyseg_model.wrapped(module).network` is one"
+        raise BadConfig(f"{what}, found {type(network).__name__}")
+
+
 def device_of(network: nn.Module) -> torch.device:
     """Device of a network's weights; the processor for one without weights."""
     return next((weight.device for weight in network.parameters()), torch.device("cpu"))
@@ -89,6 +96,7 @@ def predict(network: Network, range_m: torch.Tensor) -> Prediction:
     labels. Scores that are coarser than the image are interpolated, as they were in training. Raises BadConfig for a
     wrong shape or a network in training mode.
     """
+    check_network(network)
     check_range_images(range_m)
     if network.training:
         raise BadConfig("predict needs a network in evaluation mode: call network.eval() first")

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
         quick_precision,
         to_device,
     )
-    from bodyseg_model.runtimes.onnx_files import OPSET, SUFFIX, export_trained, write_onnx
+    from bodyseg_model.runtimes.onnx_files import OPSET, SUFFIX, write_onnx
     from bodyseg_model.runtimes.runtime import Precision
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -21,6 +21,7 @@ from bodyseg_model.networks import (
     FlipAverage,
     Network,
     Trained,
+    check_network,
     device_of,
     find_device,
     load_network,
@@ -63,6 +64,7 @@ def on_backend(network: Network, backend: BackendName | None = None, precision: 
     unknown backend, a precision that it does not have, a network that cannot be written as ONNX; MissingLibrary, naming
     the extra.
     """
+    check_network(network)
     if isinstance(network, FlipAverage):
         return FlipAverage(on_backend(network.network, backend, precision), network.label_map)
     if isinstance(network, RuntimeNetwork):
@@ -100,6 +102,7 @@ def put_on_backend(
     trained: Trained, backend: BackendName | None, precision: Precision | None, flip_average: bool = False
 ) -> Trained:
     """A trained network with its card on a backend; see `on_backend`. flip_average: as `FlipAverage`."""
+    check_network(getattr(trained, "network", trained))
     network = on_backend(trained.network, backend, precision)
     return Trained(FlipAverage(network, trained.label_map) if flip_average else network, trained.card)
 

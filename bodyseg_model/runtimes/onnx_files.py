@@ -23,7 +23,7 @@ from bodyseg_data.core import BadConfig, check_fields
 from bodyseg_data.files import read_bytes, write_result
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import missing_library
-from bodyseg_model.networks import Network, Trained
+from bodyseg_model.networks import Network, Trained, check_network
 
 FORMAT: Final = "bodyseg onnx 1"
 SUFFIX: Final = ".onnx"
@@ -156,13 +156,15 @@ def to_onnx(network: Network, card: dict[str, Any] | None = None) -> OnnxModel:
 
 def export_trained(trained: Trained) -> OnnxModel:
     """A trained network as an ONNX graph with its card, whose entries name its labels and its rig in any case."""
+    check_network(getattr(trained, "network", trained))
     label_map, rig = trained.label_map, trained.rig
     card = {**trained.card, "labels": label_map.to_json(), "rig": rig.to_json()}
     return to_onnx(trained.network, card)
 
 
-def write_onnx(path: Path, model: OnnxModel) -> int:
-    """Write a model with its metadata, at once or not at all; returns the file's size, bytes. Raises BadConfig."""
+def write_onnx(path: Path | str, trained: Trained | OnnxModel) -> int:
+    """Write a network with its card as an ONNX file, at once or not at all; returns its bytes. Raises BadConfig."""
+    model = trained if isinstance(trained, OnnxModel) else export_trained(trained)
     onnx = import_onnx()
     graph = onnx.ModelProto()
     graph.CopyFrom(model.graph)
@@ -178,7 +180,7 @@ def write_onnx(path: Path, model: OnnxModel) -> int:
     }
     onnx.helper.set_model_props(graph, texts)
     data: bytes = graph.SerializeToString()
-    write_result(path, data)
+    write_result(Path(path), data)
     return len(data)
 
 

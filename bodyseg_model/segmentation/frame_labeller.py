@@ -266,17 +266,11 @@ class FrameLabeller:
 
     def to_json(self) -> dict[str, Any]:
         """Settings that labels depend on besides network and frames, as plain JSON."""
-        camera, people = self.rig.camera, self._people if self.background.mode == "people" else None
+        people = self._people if self.background.mode == "people" else None
         return {
             "background": self.background.to_json(),
             "person_score": None if people is None else {"cutoff": people.cutoff},
-            "resampling": {
-                "rig": self.rig.name,
-                "focal_px": camera.focal_px,
-                "distance_m": self.rig.stand_off_m,
-                "rule": "each body is scaled so that its median range gets the pixel size of that camera at that "
-                "distance",
-            },
+            "rig": self.rig.to_json(),
             "least_confidence": self.least_confidence,
             "video": None if self.video is None else asdict(self.video.carrying),
             "device": str(device_of(self.trained.network)),

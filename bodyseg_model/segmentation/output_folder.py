@@ -279,5 +279,4 @@ class FrameResults(WriteBehind):
         if self._preview is not None:
             save_picture(draw_legend(_LEGEND_WIDTH, self._label_map), self._out.path / LEGEND)
             write_result(self._out.path / PREVIEW, self._preview.to_gif())
-        preview = None if self._preview is None else self._preview.to_json()
-        self._out.finish({**facts, "preview": preview, "peak_mb": peak_mb(), **self.summary.to_json()})
+        self._out.finish({**facts, "peak_mb": peak_mb(), **self.summary.to_json()})

@@ -120,10 +120,6 @@ class Preview:
         self._palette.putpalette(_palette(label_map).ravel().tolist())
         self._frames: list[Image.Image] = []
 
-    def to_json(self) -> dict[str, float]:
-        """Number of frames and the file's rate, for summary.json: delays of a GIF are whole hundredths of a second."""
-        return {"frames": len(self._frames), "frames_per_second": round(100 / self._hundredths, 2)}
-
     def add(self, picture: NDArray[np.uint8]) -> None:
         """Append an overlay, sRGB uint8 [H, W, 3], all of one size; it is ignored once there are `MOST_FRAMES`."""
         if len(self._frames) < MOST_FRAMES:

@@ -183,11 +183,11 @@ class Segmenter:
         self.turned, self._upright = turned % 4, camera.turned(turned)
         self.background = background or Background()
         self.rig = rig or load_rig()
-        self.device = device_of(network)
         self.people = people if self.background.mode == "people" else None
         self.video = video
         self.label_map = label_map or (PARTS33 if network.classes == PART_COUNT else None)
         self._network = on_backend(network)
+        self.device = device_of(network)
         self._prepared = False
 
     def __repr__(self) -> str:

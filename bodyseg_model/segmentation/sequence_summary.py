@@ -157,11 +157,7 @@ class SequenceSummary:
             "labelled": sum(frame["labelled"] for frame in self._frames),
             "mean_confidence": _rounded(self.mean_confidence),
             "ms": {"first_frame_counted": len(self._frames) == 1, **self.milliseconds},
-            "flicker": {
-                "of": "pixels with a label in two frames that follow each other; nothing compensates for motion",
-                "still": f"those whose range changed by less than {STILL_M:g} m",
-                **self._flicker.to_json(),
-            },
+            "flicker": self._flicker.to_json(),
             "each": self._frames,
         }
 

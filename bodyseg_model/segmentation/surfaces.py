@@ -324,18 +324,8 @@ class Background:
             )
 
     def to_json(self) -> dict[str, Any]:
-        """Everything that the removal depends on, for summary.json."""
-        if self.mode in ("keep", "frame"):
-            return {"mode": self.mode}
-        if self.mode == "limits":
-            return asdict(self)
-        return {
-            **asdict(self),
-            "neighbours": {"pixels": GAP_PIXELS, "shadow_m": SHADOW_M, "jump_m": JUMP_M, "jump_share": JUMP_SHARE},
-            "plane": {"least_m2": LEAST_AREA_M2, "tolerance_per_m": TOLERANCE_PER_M},
-            "body": {"area_m2": list(BODY_AREA_M2), "extent_m": BODY_EXTENT_M, "height_m": BODY_HEIGHT_M},
-            "loose": {"area_m2": LOOSE_AREA_M2, "reach_m": list(REACH_M)},
-        }
+        """Mode, and limits where they count, for summary.json."""
+        return {"mode": self.mode} if self.mode in ("keep", "frame") else asdict(self)
 
 
 def find_bodies(range_m: NDArray[np.float32], camera: Camera, background: Background, threads: int = 1) -> Bodies:

@@ -360,9 +360,9 @@ def test_inspect_counts_and_draws_classes(
 ) -> None:
     words = ["inspect", str(figures_set), "--variant", "none", "--json"]
     assert main(words) == 0
-    parts = json.loads(capsys.readouterr().out)["part_shares"]
+    parts = json.loads(capsys.readouterr().out)["class_shares"]
     assert main([*words, "--labels", "limbs14", "--out", str(tmp_path / "sheet.png")]) == 0
-    shares = json.loads(capsys.readouterr().out)["part_shares"]
+    shares = json.loads(capsys.readouterr().out)["class_shares"]
     limbs = load_label_map("limbs14")
     assert list(shares) == list(limbs.names)
     for name, landmarks in limbs.classes:
@@ -383,8 +383,8 @@ def test_inspect_counts_what_a_set_holds(figures_set: Path, variant: str, capsys
     assert counts["subsets"] == {"A": 12, "people": 12}
     total = sum(path.stat().st_size for path in figures_set.glob("*.tar"))
     assert total - 6 * 10240 - 6 * 1024 < counts["bytes"] < total, "all but the archives' ends"
-    assert len(counts["part_shares"]) == 33
-    assert sum(counts["part_shares"].values()) == pytest.approx(1, abs=0.01)
+    assert len(counts["class_shares"]) == 33
+    assert sum(counts["class_shares"].values()) == pytest.approx(1, abs=0.01)
     if variant == "none":
         assert counts["kept"] == 1
         assert counts["mean_sigma_mm"] is None

@@ -13,7 +13,7 @@ from open_sets import CELL_CLASSES, NAMES, STEP_M, write_open_set
 from PIL import Image
 
 from bodyseg_data import BadConfig, LabelMap, Mixture, RangeImages
-from bodyseg_data.labels import LANDMARKS, LabelClass, classes_of
+from bodyseg_data.labels import LANDMARKS, LabelClass, classes_of, whole_map
 from bodyseg_model import load_network
 from bodyseg_model.commands import main
 from bodyseg_model.segmentation import FrameLabeller
@@ -58,7 +58,7 @@ def test_inspect_names_classes_fields_planes_and_rigs(folder: Path, capsys: pyte
     sheet = folder / "sheet.png"
     assert main(["inspect", str(folder / "cells"), "--json", "--out", str(sheet)]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert tuple(told["part_shares"]) == NAMES and told["classes"] == "robot cell"
+    assert tuple(told["class_shares"]) == NAMES and told["classes"] == "robot cell"
     assert told["rigs"] == 2 and told["planes"] == {"instances": "uint16", "material": "uint8"}
     assert told["fields"]["cell"] == {"c0": 4, "c1": 4, "c2": 4}
     assert sum(told["fields"]["height_m"].values()) == 12
@@ -113,7 +113,7 @@ def test_a_network_is_trained_scored_and_exported_with_its_classes(folder: Path)
     scores, figures = folder / "scores.json", folder / "figures"
     assert main(["evaluate", *words, "--json", str(scores), "--figures", str(figures), "--device", "cpu"]) == 0
     told = json.loads(scores.read_text())
-    assert [part["name"] for part in told["parts"]] == [*NAMES] and len(told["confusion"]) == 12
+    assert [part["name"] for part in told["classes"]] == [*NAMES] and len(told["confusion"]) == 12
     assert list(told["subsets"]) == ["all"] and told["subsets"]["all"]["images"] == 4
     assert (figures / "samples.png").exists()
     assert main(["card", str(folder / "run")]) == 0
@@ -182,7 +182,7 @@ def test_frames_are_labelled_whole(folder: Path, tmp_path: Path) -> None:
     words = [str(frame), "--run", str(folder / "run"), "--units", "mm", "--focal", "18", "--device", "cpu"]
     assert main(["segment", *words, "--out", str(tmp_path / "out")]) == 0
     told = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert told["labels"] == {"name": "robot cell", "classes": [*NAMES]} and told["background"] == {"mode": "frame"}
+    assert told["labels"] == whole_map(CELL_CLASSES).to_json() and told["background"] == {"mode": "frame"}
     labels = pixels_of(tmp_path / "out" / "labels" / "frame.png")
     range_m = images.image(0).range * np.float32(STEP_M)
     assert np.array_equal(labels != 255, range_m > 0)

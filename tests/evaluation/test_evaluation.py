@@ -248,8 +248,8 @@ def test_the_report_by_hand() -> None:
         "mean": round(np.mean([2 / 3, 0.5, 1]), 5),
         "sd": round(np.std([2 / 3, 0.5, 1], ddof=1), 5),
     }
-    assert tree["parts"][7]["accuracy"] == 0.5 and tree["parts"][7]["sd_over_images"] is None
-    assert tree["parts"][20]["accuracy"] is None
+    assert tree["classes"][7]["accuracy"] == 0.5 and tree["classes"][7]["sd_over_images"] is None
+    assert tree["classes"][20]["accuracy"] is None
     assert tree["worst_images"][0] == {"key": "hard-7", "average_per_class_accuracy": 0.5}
     assert tree["risk_coverage"]["risk"][-1] == round(4 / 11, 5)
     assert tree["confidence"]["ece"] == round(4 / 11, 5), "sure of everything"
@@ -338,8 +338,8 @@ def test_the_command_writes_scores_and_figures(
     assert call(*words[:4], "--json", again, "--frames", 0, "--num-workers", 0, "--batch-size", 3) == 0
     other = json.loads(again.read_text())
     assert other["milliseconds_per_frame"] is None
-    assert {name: other[name] for name in ("parts", "confusion", "thresholds")} == {
-        name: tree[name] for name in ("parts", "confusion", "thresholds")
+    assert {name: other[name] for name in ("classes", "confusion", "thresholds")} == {
+        name: tree[name] for name in ("classes", "confusion", "thresholds")
     }
 
 

@@ -17,8 +17,8 @@ from fakes import FiguresEntry
 from folders import ROOT
 
 from bodyseg_data.bodies import SOURCES
-from bodyseg_data.commands import write_figures
 from bodyseg_data.core import BadConfig
+from bodyseg_data.files import write_json
 from bodyseg_data.packing import Packing, pack
 from bodyseg_data.samples import ViewGrid
 from bodyseg_model.commands import main
@@ -170,7 +170,7 @@ def test_a_disk_that_may_not_be_written_is_one_line(interrupted: Interrupted, tm
         with pytest.raises(BadConfig, match="cannot write shards in .*: Read-only file system"):
             interrupted.pack(disk / "out")
         with pytest.raises(BadConfig, match=r"cannot write .*x\.json: Read-only file system"):
-            write_figures(disk / "x.json", {})
+            write_json(disk / "x.json", {})
         assert list(disk.iterdir()) == []
         _mount(disk, "size=1m", _MS_REMOUNT)
         interrupted.pack(disk / "out")
@@ -238,13 +238,13 @@ def test_a_report_that_does_not_fit_leaves_the_set_whole(
     monkeypatch.setattr(shard, "provenance", lambda command: {})
     out, report = tmp_path / "out", tmp_path / "report.json"
     words = ["shard", "--source", "open", "--out", str(out), "--report", str(report)]
-    limit, write = no_file_above(50), shard.write_figures
+    limit, write = no_file_above(50), shard.write_json
 
     def limited(path: Path, figures: dict[str, object]) -> None:
         with limit:
             write(path, figures)
 
-    monkeypatch.setattr(shard, "write_figures", limited)
+    monkeypatch.setattr(shard, "write_json", limited)
     assert main(words) == 2
     assert capsys.readouterr().err.splitlines()[-1] == f"bodyseg shard: cannot write {report}: File too large"
     assert contents(out) == interrupted.whole

@@ -20,7 +20,6 @@ from bodyseg_model.networks import build, load_network, predict, save_network
 from bodyseg_model.runtimes import (
     backend_of,
     backends,
-    export_trained,
     on_backend,
     quick_precision,
     to_device,
@@ -31,6 +30,7 @@ from bodyseg_model.runtimes.onnx_files import (
     GraphFacts,
     OnnxModel,
     answer_graph,
+    export_trained,
     import_onnx,
     read_onnx,
     scores_part,

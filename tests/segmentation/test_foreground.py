@@ -352,7 +352,7 @@ def test_limits_are_in_order(limits: tuple[float, float]) -> None:
     [
         (Background("keep"), {"mode"}),
         (Background("limits"), {"mode", "near_m", "far_m"}),
-        (Background(), {"mode", "near_m", "far_m", "neighbours", "plane", "body", "loose"}),
+        (Background(), {"mode", "near_m", "far_m"}),
     ],
 )
 def test_all_that_the_removal_depends_on_is_stated(background: Background, keys: set[str]) -> None:

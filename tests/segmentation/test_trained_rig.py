@@ -77,8 +77,7 @@ def test_the_command_labels_frames_of_the_rig_that_the_run_is_of(
     said = capsys.readouterr().err
     assert "camera assumed: rig small, which the network was trained for, by the frames' size: give --focal" in said
     facts = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert facts["resampling"]["rig"] == "small" and facts["resampling"]["focal_px"] == SMALL.camera.focal_px
-    assert rig_from_json(facts["network"]["rig"]) == SMALL and facts["network"]["sensor"] == sensor
+    assert rig_from_json(facts["rig"]) == SMALL and facts["network"]["sensor"] == sensor
     assert facts["each"][0]["bodies"][0]["scale"] == pytest.approx(1)
 
 

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from benches.charts.processors import FOLDER, folder_name
 from benches.measuring import Conditions
-from bodyseg_data.commands import Progress, check_target, option, provenance, write_figures
+from bodyseg_data.commands import Progress, check_target, option, provenance
 from bodyseg_data.commands.options import flag_of
 from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import check_picture, new_chart
-from bodyseg_data.files import make_folder
+from bodyseg_data.files import make_folder, write_json
 from bodyseg_data.machine import hardware
 
 EXAMPLE = "tools/bench occlusion --json occlusion.json"
@@ -206,7 +206,7 @@ def run(options: Options) -> int:
     if json_file is None:
         sys.stdout.write(json.dumps(origin | figures, indent=1) + "\n")
     else:
-        write_figures(json_file, origin | figures)
+        write_json(json_file, origin | figures)
         sys.stderr.write(f"wrote {json_file}\n")
     if picture is not None:
         drawing = importlib.import_module(f"benches.{bench.module.rpartition('.')[0]}.{bench.figure}")

@@ -12,9 +12,9 @@ from benches.charts.drawing import Picture, draw
 from benches.charts.processors import figures_of, panels_of
 from benches.charts.report import described
 from benches.results.page import render_page
-from bodyseg_data.commands import option, write_figures
+from bodyseg_data.commands import option
 from bodyseg_data.core import BadConfig
-from bodyseg_data.files import make_folder, write_result
+from bodyseg_data.files import make_folder, write_json, write_result
 
 EXAMPLE = "tools/chart --in docs/results --out charts"
 
@@ -85,4 +85,4 @@ def _write(out: Path, drawn: dict[str, Picture], descriptions: dict[str, Any]) -
     for name, picture in drawn.items():
         write_result(out / f"{name}.svg", picture.svg)
         write_result(out / f"{name}.png", picture.png)
-    write_figures(out / _ALL, descriptions)
+    write_json(out / _ALL, descriptions)

@@ -1,0 +1,365 @@
+"""`bodyseg export-labels`: labels of a set, or of what `bodyseg segment` wrote, in formats of other programs.
+
+COCO's as cocodataset.org/#format-data describes them; DensePose's charts as detectron2's DENSEPOSE_DATASETS.md numbers
+them; LeRobot's v3.0 as the package `lerobot` 0.4 reads it. A new format is a function and an entry of `FORMATS`.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from importlib import import_module
+from itertools import chain
+from pathlib import Path
+from typing import Any, Final, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from bodyseg_data.artifacts import PAPER_SENSOR, VariantName
+from bodyseg_data.commands import WHERE_HELP, Progress, command_line, option, provenance
+from bodyseg_data.core import BadConfig, MissingLibrary, ProgressCallback, check_int
+from bodyseg_data.files import part_beside, read_json, write_json
+from bodyseg_data.labels import BACKGROUND, PART_CLASSES, PARTS33, LabelMap, label_map_from_json
+from bodyseg_data.loading import RangeImages
+from bodyseg_data.renders import read_array
+from bodyseg_data.samples import ReadSplit, split_key
+from bodyseg_model.recordings import find_frames
+from bodyseg_model.segmentation import LABELS, UNDISTORTED
+
+EXAMPLE = "bodyseg export-labels --in labelled --out coco --format coco"
+
+_FORMAT: Final = "bodyseg label export 1"
+_NOTE: Final = "export.json"  # of every export: what it is, and that another may replace it
+
+DENSE_POSE: Final = np.zeros(256, np.uint8)
+"""Label of the 33 parts -> DensePose's chart, uint8 [256], 0 for none; the first of those not told apart."""
+DENSE_POSE[: len(PARTS33)] = [
+    *(23, 23, 23, 2, 2, 2, 2, 2, 2, 1, 1, 1, 1, 1, 1),  # head; front and back of the trunk
+    *(16, 15, 20, 19, 20, 19, 3, 4),  # right and left: shoulder, elbow, wrist, hand
+    *(7, 8, 13, 14, 11, 12, 6, 5, 6, 5),  # hip, front and back of the knee, ankle, toes
+]
+
+FormatName = Literal["coco", "panoptic", "dense-pose-parts", "png", "lerobot"]
+Images = Iterator["LabelImage"]
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of `bodyseg export-labels`."""
+
+    folder: str = option("folder that `bodyseg segment` wrote, or folder or address of a set", address=True, flag="in")
+    out: Path = option("folder for the export: a new one, or of an earlier export")
+    format: FormatName = option("COCO's run lengths or panoptic PNGs, DensePose's parts, indexed PNGs, LeRobot v3.0")
+    frames: tuple[Path, ...] = option(
+        "of `segment`'s folder: the frames, as given to it; exports their ranges, too", ()
+    )
+    topic: str | None = option("topic of a bag or array of an NPZ file among --frames", None)
+    variant: VariantName = option("of a set: artifacts of the ranges; labels are those without artifacts", "none")
+    sensor: str = option("the artifacts: a sensor that ships with the package, or a TOML file", PAPER_SENSOR)
+    seed: int = option("seed of the artifacts", 0)
+    split: ReadSplit | None = option("only this split of a set (default: train and test)", None)
+    where: tuple[str, ...] = option(WHERE_HELP, ())
+    labels: str | None = option("classes of a set to export: a label map (default: the set's)", None)
+    instances: str | None = option("the set's image of instances (default: instances, if it has one)", None)
+    uncompressed: bool = option("COCO's run lengths as numbers, not as text", False)
+    fps: int = option("LeRobot's frames per second", 10)
+
+
+class LabelImage(NamedTuple):
+    """Labels of one image, uint8 [H, W], 255 where there is none.
+
+    name: of its files; it may name folders. number: from 1, the same in every export. instances: uint16 [H, W], number,
+    from 1, of a pixel's person or thing, 0: not known; None where nothing is counted. crowds: numbers that several
+    share. range: uint16 [H, W], steps of `step_m` metres, 0 = nothing measured; None: not known. sequence: of images
+    that follow each other.
+    """
+
+    name: str
+    number: int
+    labels: NDArray[np.uint8]
+    instances: NDArray[np.uint16] | None
+    crowds: frozenset[int] = frozenset()
+    range: NDArray[np.uint16] | None = None
+    step_m: float = 1e-3
+    sequence: str = ""
+
+
+def run(options: Options) -> int:
+    """Write the export: its folder appears when it is whole, in place of one of an earlier export."""
+    check_int("--fps", options.fps, 1)
+    facts = {"format": _FORMAT, **provenance(command_line("bodyseg export-labels", options))}
+    out, part, old = options.out, part_beside(options.out), part_beside(options.out)
+    opened = _frames if (Path(options.folder) / "summary.json").is_file() else _samples
+    try:
+        held = sorted(entry.name for entry in out.iterdir()) if out.exists() else []
+        if held and (_NOTE not in held or read_json(out / _NOTE).get("format") != _FORMAT):
+            raise BadConfig(f"--out must be a new folder, or one of an earlier export: {out} holds {held[0]}")
+        with Progress("exporting", "images") as progress:
+            label_map, images = opened(options, progress.update)
+            part.mkdir(parents=True)
+            FORMATS[options.format](part, label_map, images, options)
+        colours = zip(label_map.names, label_map.colours, strict=True)
+        rows = [{"name": name, "color": f"#{bytes(colour).hex()}", "attributes": []} for name, colour in colours]
+        (part / "classes.json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+        write_json(part / _NOTE, {**facts, "kind": options.format, "labels": label_map.to_json()})
+        if out.exists():
+            out.rename(old)
+        part.rename(out)
+    except OSError as error:
+        raise BadConfig(f"cannot write {out}: {(error.strerror or str(error)).splitlines()[0]}") from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+        if old.exists():
+            shutil.rmtree(old) if out.exists() else old.rename(out)
+    sys.stderr.write(f"wrote {out}\n")
+    return 0
+
+
+def _samples(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Images]:
+    """Classes and samples of a set: numbers are places in the whole set, views of one body are a sequence."""
+    if options.frames:
+        raise BadConfig(f"--frames are of a folder that `bodyseg segment` wrote, found none in {options.folder}")
+    chosen: dict[str, Any] = {"sensor": options.sensor, "labels": options.labels, "where": options.where}
+    planes = [options.instances] if options.instances else []
+    images = RangeImages(options.folder, options.variant, options.split, options.seed, planes=planes, **chosen)
+    plane = options.instances or ("instances" if "instances" in images.manifest.planes else None)
+    numbers = {key: at for at, key in enumerate(chain.from_iterable(each.keys for each in images.manifest.shards), 1)}
+
+    def each() -> Images:
+        for index in range(len(images)):
+            sample = images.clean(index)
+            labels, instances = images.label_map.table[sample.labels], None
+            if plane is not None:
+                instances = sample.planes[plane].astype(np.uint16)
+            elif images.manifest.classes == PART_CLASSES:  # one person a view
+                instances = (labels != BACKGROUND).astype(np.uint16)
+            ranges = images.augmentation_of(sample)(sample, images.epoch).range
+            of_range = ranges, images.manifest.rig_of(sample).range_step_m, split_key(sample.key)[0]
+            yield LabelImage(sample.key, numbers[sample.key], labels, instances, frozenset(), *of_range)
+            progress(index + 1, len(images))
+
+    return images.label_map, each()
+
+
+def _frames(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Images]:
+    """Classes and frames of `bodyseg segment`: numbers are places in its summary, frames of one input a sequence."""
+    if options.variant != "none" or options.where or options.split or options.labels or options.instances:
+        raise BadConfig(f"--variant, --split, --where, --labels and --instances are of sets, not of {options.folder}")
+    folder = Path(options.folder)
+    frames = {each.path_id: each for each in find_frames(options.frames, options.topic)} if options.frames else {}
+    try:
+        summary = read_json(folder / "summary.json")
+        label_map = label_map_from_json(summary["labels"], f"{folder}, labels")
+        each = [(at["name"], at["path_id"], [body["box"] for body in at["bodies"]]) for at in summary["each"]]
+    except (KeyError, TypeError) as error:
+        raise BadConfig(f"{folder / 'summary.json'} is none of `bodyseg segment`: {error!r}") from error
+
+    def images() -> Images:
+        for number, (name, path_id, boxes) in enumerate(each, 1):
+            of_range: tuple[Any, float, str] = (None, 1e-3, "")
+            labels = read_array(folder / LABELS / f"{name}.png")
+            if labels.ndim != 2 or labels.dtype != np.uint8:
+                raise BadConfig(f"labels must be uint8 [H, W], found {labels.dtype} {labels.shape}: {name}")
+            counted = persons(labels, boxes) if label_map.of == PART_CLASSES else (None, frozenset[int]())
+            if frames:
+                if path_id not in frames:
+                    raise BadConfig(f"--frames must be those that were labelled: {name} is not among them")
+                frame, bent = frames[path_id], folder / UNDISTORTED / f"{name}.png"
+                ranges = read_array(bent) if bent.exists() else frame.read()
+                if ranges.shape != labels.shape:
+                    raise BadConfig(f"{frame.where}: its labels are of another size, {labels.shape}")
+                of_range = ranges * (ranges < 65535), frame.step_m, str(frame.sequence)  # 65535 is saturated
+            yield LabelImage(name, number, labels, counted[0], counted[1], *of_range)
+            progress(number, len(each))
+
+    return label_map, images()
+
+
+def persons(labels: NDArray[np.uint8], boxes: Sequence[Sequence[int]]) -> tuple[NDArray[np.uint16], frozenset[int]]:
+    """Number, from 1, of each labelled pixel's body, by the bodies' boxes (first row and column, end row and column);
+    and numbers that several share, as they have a labelled pixel in both boxes and are not told apart.
+    """
+    found, crowds = np.zeros(labels.shape, np.uint16), set[int]()
+    for number, (top, left, bottom, right) in enumerate(boxes, 1):
+        part, shown = found[top:bottom, left:right], labels[top:bottom, left:right] != BACKGROUND
+        for met in set(np.unique(part[shown]).tolist()) - {0}:
+            found[found == met] = number
+            crowds = (crowds - {met}) | {number}
+        part[shown] = number
+    return found, frozenset(crowds)
+
+
+def segments(image: LabelImage) -> Iterator[tuple[dict[str, Any], NDArray[np.int64]]]:
+    """Yield COCO's facts, with id category + 256 instance, and run lengths of every class of every instance."""
+    codes, rows = image.labels.astype(np.int32) + 1, len(image.labels)
+    if image.instances is not None:
+        codes += 256 * image.instances.astype(np.int32)
+    flat = np.where(image.labels == BACKGROUND, 0, codes).T.ravel()
+    starts = np.flatnonzero(np.diff(flat, prepend=-1))
+    runs, kinds = np.stack([starts, np.append(starts[1:], flat.size)], 1), flat[starts]
+    for code in np.unique(kinds[kinds > 0]).tolist():
+        own = runs[kinds == code]
+        counts = np.diff(own.ravel(), prepend=0, append=flat.size)
+        (left, top), (right, bottom) = np.divmod(own[:, 0], rows), np.divmod(own[:, 1] - 1, rows)
+        over = (left != right).any()  # a run goes on at the top of the next column
+        first, last = (0, rows - 1) if over else (int(top.min()), int(bottom.max()))
+        box = [int(left[0]), first, int(right[-1] - left[0]) + 1, last - first + 1]
+        facts = {"id": code, "category_id": code & 255, "area": int(counts[1::2].sum()), "bbox": box}
+        facts |= {"iscrowd": int(code >> 8 in image.crowds), "instance": code >> 8}
+        yield facts, counts if counts[-1] else counts[:-1]
+
+
+def compressed(counts: NDArray[np.int64]) -> str:
+    """COCO's text of run lengths: from the fourth on, less the one before the last; in signed digits of five bits, the
+    least first, each a character from "0" on, with 32 added where another follows.
+    """
+    text = bytearray()
+    for at, count in enumerate(counts.tolist()):
+        left = count - (int(counts[at - 2]) if at > 2 else 0)
+        more = True
+        while more:
+            digit, left = left & 31, left >> 5
+            more = left != (-1 if digit & 16 else 0)
+            text.append(digit + 32 * more + 48)
+    return text.decode()
+
+
+def _wider(label_map: LabelMap, label: int) -> str:
+    """What a class is a part of, as the set says; else "person" for body parts, or the name of the set's classes."""
+    own = {label_map.of.entries[member].within for member in label_map.members[label]}
+    return (own.pop() if len(own) == 1 else None) or ("person" if label_map.of == PART_CLASSES else label_map.of.name)
+
+
+def _path(folder: Path, name: str) -> Path:
+    """A path within the export's folder, whose own folder is made. Raises BadConfig for one that leads out of it."""
+    path = folder / name
+    if ".." in path.parts:
+        raise BadConfig(f"an image's name must stay in its folder, found {name}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def _with_ranges(folder: Path, images: Images) -> Images:
+    """Yield images, with their ranges written, where they are known."""
+    for image in images:
+        if image.range is not None:
+            _path(folder, f"range/{image.name}.png").write_bytes(_png(image.range))
+        yield image
+
+
+def _png(image: NDArray[Any], palette: NDArray[np.uint8] | None = None) -> bytes:
+    picture, buffer = Image.fromarray(image), io.BytesIO()
+    if palette is not None:
+        picture.putpalette(palette.tobytes())
+    picture.save(buffer, "PNG", compress_level=2)
+    return buffer.getvalue()
+
+
+def _coco(folder: Path, label_map: LabelMap, images: Images, options: Options, panoptic: bool = False) -> None:
+    """One annotation for every segment; for `panoptic` one for every image, and a PNG of ids, R + 256 G + 256^2 B."""
+    told_images, written, things = list[dict[str, Any]](), 0, False
+    with _path(folder, "panoptic.json" if panoptic else "annotations.json").open("w", encoding="utf-8") as file:
+        file.write('{"info": {"description": "exported by bodyseg"}, "licenses": [], "annotations": [')
+        for image in _with_ranges(folder, images):
+            (rows, columns), things = image.labels.shape, things or image.instances is not None
+            size = {"width": columns, "height": rows, "range_step_m": image.step_m}
+            told_images.append({"id": image.number, "file_name": f"range/{image.name}.png", **size})
+            entries, ids = list[dict[str, Any]](), np.zeros(image.labels.size, np.uint32)
+            for facts, counts in segments(image):
+                ids[np.repeat(np.arange(len(counts)) % 2 > 0, counts)] = facts["id"]
+                told = counts.tolist() if options.uncompressed else compressed(counts)
+                of_image = {"id": written + len(entries) + 1, "image_id": image.number}
+                runs = {**of_image, "segmentation": {"size": [rows, columns], "counts": told}}
+                entries.append(facts if panoptic else {**facts, **runs})
+            if panoptic:
+                colours = np.stack([ids >> shift & 255 for shift in (0, 8, 16)], -1).astype(np.uint8)
+                colours = np.ascontiguousarray(colours.reshape(columns, rows, 3).swapaxes(0, 1))
+                _path(folder, f"panoptic/{image.name}.png").write_bytes(_png(colours))
+                entries = [{"image_id": image.number, "file_name": f"{image.name}.png", "segments_info": entries}]
+            file.writelines(f"{',' * (written + at > 0)}\n{json.dumps(entry)}" for at, entry in enumerate(entries))
+            written += len(entries)
+        kind = {"isthing": int(things)} if panoptic else {}
+        names = enumerate(label_map.names)
+        wider = ({"id": at + 1, "name": name, "supercategory": _wider(label_map, at)} for at, name in names)
+        categories = json.dumps([{**each, **kind} for each in wider])
+        file.write(f'],\n"categories": {categories},\n"images": {json.dumps(told_images)}}}\n')
+
+
+def _indexed(folder: Path, label_map: LabelMap, images: Images, options: Options) -> None:
+    """PNGs of labels with the classes' colours as palette."""
+    palette = np.concatenate([label_map.colours, np.zeros((256 - len(label_map), 3), np.uint8)])
+    for image in _with_ranges(folder, images):
+        _path(folder, f"labels/{image.name}.png").write_bytes(_png(image.labels, palette))
+
+
+def _dense_pose(folder: Path, label_map: LabelMap, images: Images, options: Options) -> None:
+    """Images of DensePose's charts, the I of its IUV: uint8, 0 = nobody; see `DENSE_POSE`."""
+    differing = label_map.difference(PARTS33)
+    if differing is not None:
+        raise BadConfig(f"DensePose's parts are made of the 33 parts, found {differing}")
+    for image in _with_ranges(folder, images):
+        _path(folder, f"dense_pose/{image.name}.png").write_bytes(_png(DENSE_POSE[image.labels]))
+
+
+def _lerobot(folder: Path, label_map: LabelMap, images: Images, options: Options) -> None:
+    """Codebase version v3.0: sequences as episodes; ranges and labels as PNGs of 16 and 8 bits in a Parquet file."""
+    try:
+        arrow, parquet = import_module("pyarrow"), import_module("pyarrow.parquet")
+    except ImportError as error:
+        raise MissingLibrary("LeRobot's format needs the package 'pyarrow': pip install pyarrow") from error
+    kinds = {"timestamp": "float32"} | dict.fromkeys(("frame_index", "episode_index", "index", "task_index"), "int64")
+    features: dict[str, Any] = {name: {"dtype": kind, "shape": [1], "names": None} for name, kind in kinds.items()}
+    depth, labels = "observation.images.depth", "observation.images.labels"
+    picture = arrow.struct([("bytes", arrow.binary()), ("path", arrow.string())])
+    schema = arrow.schema({depth: picture, labels: picture, **kinds})
+    episodes, rows, sequence, task = list[dict[str, Any]](), list[dict[str, Any]](), None, "label what the camera sees"
+    with parquet.ParquetWriter(_path(folder, "data/chunk-000/file-000.parquet"), schema) as writer:
+        for frame, image in enumerate(images):
+            if image.range is None:
+                raise BadConfig("a data set of LeRobot needs ranges: give --frames, as they were given to segment")
+            told = {"dtype": "image", "shape": [*image.range.shape, 1], "names": ["height", "width", "channels"]}
+            pair = {labels: told, depth: {**told, "info": {"is_depth_map": True, "range_step_m": image.step_m}}}
+            if features != {**features, **pair} and frame:
+                raise BadConfig(f"images of LeRobot have one size and step, found another one: {image.name}")
+            features |= pair
+            if image.sequence != sequence:
+                sequence, places = image.sequence, {"data/chunk_index": 0, "data/file_index": 0}
+                places |= {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0, "dataset_from_index": frame}
+                episodes.append({"episode_index": len(episodes), "tasks": [task], "length": 0, **places})
+            within = episodes[-1]["length"]
+            episodes[-1] |= {"length": within + 1, "dataset_to_index": frame + 1}
+            at = {"frame_index": within, "episode_index": len(episodes) - 1, "index": frame, "task_index": 0}
+            pictures = {depth: _png(image.range), labels: _png(image.labels)}
+            held = {name: {"bytes": data, "path": f"{image.name}.png"} for name, data in pictures.items()}
+            rows.append({**held, "timestamp": within / options.fps, **at})
+            if len(rows) == 64:
+                writer.write_table(arrow.Table.from_pylist(rows, schema))
+                rows = []
+        writer.write_table(arrow.Table.from_pylist(rows, schema))
+    total, paths = len(episodes), "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+    info: dict[str, Any] = {"codebase_version": "v3.0", "robot_type": None, "fps": options.fps, "video_path": None}
+    info |= {"total_episodes": total, "total_frames": episodes[-1]["dataset_to_index"], "total_tasks": 1}
+    info |= {"chunks_size": 1000, "data_files_size_in_mb": 100, "video_files_size_in_mb": 200, "features": features}
+    write_json(_path(folder, "meta/info.json"), {**info, "data_path": paths, "splits": {"train": f"0:{total}"}})
+    # pandas, which reads the tasks, finds them as the index.
+    column = {"name": "task", "field_name": "task", "pandas_type": "unicode", "numpy_type": "object", "metadata": None}
+    index = json.dumps({"index_columns": ["task"], "column_indexes": [], "columns": [column]})
+    tasks = arrow.table({"task_index": [0], "task": [task]}).replace_schema_metadata({"pandas": index})
+    for name, table in (("tasks", tasks), ("episodes/chunk-000/file-000", arrow.Table.from_pylist(episodes))):
+        parquet.write_table(table, _path(folder, f"meta/{name}.parquet"))
+
+
+FORMATS: Final[dict[FormatName, Callable[..., None]]] = {
+    "coco": _coco,
+    "panoptic": partial(_coco, panoptic=True),
+    "dense-pose-parts": _dense_pose,
+    "png": _indexed,
+    "lerobot": _lerobot,
+}
