@@ -15,8 +15,8 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load as parse_tensors
 from safetensors.torch import save as tensor_bytes
-from torch.nn.modules.module import register_module_parameter_registration_hook
 from torch import nn
+from torch.nn.modules.module import register_module_parameter_registration_hook
 
 from bodyseg_data.artifacts import SensorModel, load_sensor_model, sensor_model_from_json
 from bodyseg_data.core import BadConfig
