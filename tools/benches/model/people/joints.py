@@ -27,8 +27,8 @@ from bodyseg_data.rendering import RasterRenderer
 from bodyseg_data.rigs import PlacedCamera, axes_at, load_sensor
 from bodyseg_data.samples import Split
 from bodyseg_model.networks import Trained
-from bodyseg_model.segmentation import Background, Segmentation, Segmenter
-from bodyseg_model.segmentation.joints import FORMAT, JOINTS, JointMap, behind, code_of, feature_points
+from bodyseg_model.segmentation import JOINTS, Background, Segmentation, Segmenter
+from bodyseg_model.segmentation.joints import FORMAT, JointMap, behind, code_of, feature_points
 from bodyseg_model.segmentation.joints import joint_map_from_json as from_json
 
 BONES: Final = (
