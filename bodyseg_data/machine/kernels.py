@@ -160,13 +160,13 @@ class _Kept:
         """Machine code that is on disk, or None. Files that a power cut has cut short are removed."""
         # numba would load all that its compiler knows of Python and NumPy here, and SciPy, for half a second.
         import_module("numba.core.runtime").rtsys.initialize(context)
-        cache, folder = self.files or (None, None)
-        try:
-            return cache and cache._load_overload(signature, context)
-        except (EOFError, pickle.UnpicklingError):
-            for file in folder.rglob("*.nb?"):
-                file.unlink(missing_ok=True)
-            return None
+        if self.files is not None:
+            try:
+                return self.files[0]._load_overload(signature, context)
+            except (EOFError, pickle.UnpicklingError):
+                for file in self.files[1].rglob("*.nb?"):
+                    file.unlink(missing_ok=True)
+        return None
 
     def save_overload(self, signature: Any, code: Any) -> None:
         """Keep machine code; goes on where it cannot be saved, as on a disk that has filled meanwhile."""
