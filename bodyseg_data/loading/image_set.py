@@ -8,13 +8,16 @@ samples, valid for any number of workers or ranks and any batch size.
 
 from __future__ import annotations
 
+import bisect
+import copy
+import itertools
 import operator
 import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import FrameType
-from typing import Any, Final, NotRequired, Protocol, TypedDict, runtime_checkable
+from typing import Any, Final, Literal, NotRequired, Protocol, TypedDict, runtime_checkable
 
 import numpy as np
 import torch
@@ -26,6 +29,7 @@ from bodyseg_data.core import BadConfig, check_epoch, check_int
 from bodyseg_data.labels import LabelMap
 from bodyseg_data.loading.selection import Permutation
 from bodyseg_data.samples import Sample
+from bodyseg_data.shards import Place
 
 
 def check_bool(name: str, value: Any) -> bool:
@@ -35,6 +39,10 @@ def check_bool(name: str, value: Any) -> bool:
     if not isinstance(value, np.bool_):
         raise BadConfig(f"{name} must be True or False, found {value!r}")
     return bool(value)
+
+
+Shuffle = bool | Literal["blocks"]
+"""Whether samples come in another order in each epoch: of all samples, or by blocks of neighbours."""
 
 
 Request = tuple[int, int]
@@ -50,7 +58,7 @@ _PROGRESS: Final = frozenset({"format", "epoch", "position", "skipped"})
 class Requests:
     """Samples of one epoch in the order of a pass.
 
-    indices: int64 [N], or a `Permutation`, whose slices are. epochs: int64 [N], of each sample's draws.
+    indices: int64 [N], or an order whose slices are that. epochs: int64 [N], of each sample's draws.
     """
 
     indices: NDArray[np.int64] | Permutation
@@ -110,7 +118,7 @@ class ImageSet(Protocol):
         """All that batches depend on besides their order, as plain JSON."""
         ...
 
-    def requests(self, epoch: int, shuffle: bool = True) -> Requests:
+    def requests(self, epoch: int, shuffle: Shuffle = True) -> Requests:
         """Samples of an epoch in the order of a pass: a function of the seeds and the epoch alone."""
         ...
 
@@ -152,7 +160,7 @@ class SampleDataset(Dataset[dict[str, Any]]):
     def batches(
         self: ImageSet,
         batch_size: int,
-        shuffle: bool | None = None,
+        shuffle: Shuffle | None = None,
         drop_last: bool = False,
         rank: int | None = None,
         world_size: int | None = None,
@@ -266,6 +274,15 @@ class Pass:
         own, after = (first + (end - first) * rank // self.world_size for rank in (self.rank, self.rank + 1))
         return self.order.part(own, after)
 
+    def places(self, images: ImageSet) -> Iterator[Place]:
+        """Where the bytes of this rank's samples are, in their order."""
+        apart = replace(self, order=replace(self.order, indices=copy.copy(self.order.indices)))
+        starts = [*itertools.accumulate(map(len, images.sets), initial=0)]
+        for number in range(len(self)):
+            for _, index in apart.batch(number):
+                which = bisect.bisect_right(starts, index) - 1
+                yield from images.sets[which].places(index - starts[which])
+
 
 class BatchOrder(Sampler[list[Request]]):
     """Batch sampler that yields lists of (epoch of the draws, index); every pass is the next epoch.
@@ -283,7 +300,7 @@ class BatchOrder(Sampler[list[Request]]):
         self,
         images: ImageSet,
         batch_size: int,
-        shuffle: bool | None = None,
+        shuffle: Shuffle | None = None,
         drop_last: bool = False,
         rank: int | None = None,
         world_size: int | None = None,
@@ -295,7 +312,9 @@ class BatchOrder(Sampler[list[Request]]):
             )
         self.images, self.drop_last = images, check_bool("drop_last", drop_last)
         self.batch_size = check_int("batch_size", batch_size, 1)
-        self.shuffle = images.split == "train" if shuffle is None else check_bool("shuffle", shuffle)
+        if shuffle is None:
+            shuffle = images.split == "train"
+        self.shuffle: Shuffle = "blocks" if shuffle == "blocks" else check_bool("shuffle, or 'blocks',", shuffle)
         self._found_rank = rank is None
         self.rank, self.world_size = find_rank(rank, world_size)
         if len(images) < self.world_size:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 import weakref
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -14,7 +15,7 @@ import numpy as np
 import torch
 
 from bodyseg_data.core import BadConfig, BodysegError, check_int
-from bodyseg_data.loading.image_set import Batch, BatchOrder, ImageSet, Pass, Request, check_bool
+from bodyseg_data.loading.image_set import Batch, BatchOrder, ImageSet, Pass, Request, Shuffle, check_bool
 from bodyseg_data.loading.skipping import (
     SKIPPABLE,
     OnError,
@@ -37,6 +38,7 @@ from bodyseg_data.loading.workers import (
 )
 from bodyseg_data.machine import use_compiled
 from bodyseg_data.samples import metres
+from bodyseg_data.shards import TALLY, LookAhead, Stage
 
 Fault = tuple[int, BodysegError]
 """(index in the batch, error): returned by a worker and raised in the user's process."""
@@ -98,6 +100,7 @@ class _BatchMaker:
     def __call__(self, batch: tuple[int, list[Request]]) -> list[Fault]:
         slot, requests = batch
         ranges, labels, *planes = self.slots.arrays(slot)
+        TALLY.start(self.slots.tallies()[slot].data)
         steps = np.empty(ranges.shape[2:], np.uint16)
         faults: list[Fault] = []
         for number, (epoch, index) in enumerate(requests):
@@ -112,11 +115,16 @@ class _BatchMaker:
             else:
                 if self.metres:
                     metres(steps, self.images.step_m, ranges[row, 0])
+                TALLY.lap(Stage.DELIVER)
+        TALLY.count(Stage.SAMPLES, len(requests) - len(faults))
+        TALLY.count(Stage.BATCHES)
         return faults
 
 
 class Loader:
     """Iterates over batches, pass after pass; every pass is another epoch with another order and other draws.
+
+    What a pass reads from an address is fetched ahead, in the order in which it is needed, while the pass lasts.
 
     The first pass is the images' `epoch`; `images.set_epoch(n)` makes the next pass epoch n. Use one loader for all
     epochs: a new one starts at `images.epoch` and starts new workers. One pass runs at a time. A batch never changes
@@ -132,6 +140,9 @@ class Loader:
         self._prefetched = max(1, min(self._workers * options.prefetch_factor, len(order)))
         self._passes = 0
         self._state: _WorkerState | None = None
+        self._tallied: list[Any] = [[0.0] * len(Stage)]
+        """Rows of tallies besides those in the slots; the first is of this thread."""
+        self._waited = self._taken = 0.0
 
     def __repr__(self) -> str:
         order, workers = self.order, self._options.num_workers
@@ -161,6 +172,20 @@ class Loader:
         """
         return [] if self._state is None else self._state.workers.peaks_mb()
 
+    def stats(self) -> dict[str, float]:
+        """Where time has gone so far, at any time and in any thread: name -> number, all workers and passes together.
+
+        Seconds of workers: store (waiting for bytes), decode, artifacts, transform (and label map), deliver (metres,
+        hand-over); fetch: of requests to a network; waited: of the loop, for batches. batches, samples: made. bytes,
+        requests: fetched. hits, stalls: samples of a remote set whose bytes were at hand, and that were waited for.
+        ready, in_flight: batches that are made and that are ordered, now.
+        """
+        state = self._state
+        rows = self._tallied if state is None else [*self._tallied, *state.slots.tallies()]
+        found = dict(zip((each.name.lower() for each in Stage), np.sum(rows, axis=0).tolist(), strict=True))
+        ready, in_flight = found["batches"] - self._taken, 0 if state is None else len(state.in_flight)
+        return {**found, "waited": self._waited, "ready": max(0, ready), "in_flight": in_flight}
+
     def state_dict(self) -> dict[str, Any]:
         """Progress so far as plain JSON: epoch, position, skipped samples, and the identity of the images."""
         return {**self.order.state_dict(), "skipped": self._ledger.state()}
@@ -178,8 +203,11 @@ class Loader:
         plan = self.order.begin_pass()
         self._passes += 1
         this = self._passes
+        ahead = LookAhead(plan.places(self.images), not self._workers or self._options.worker_method == "thread")
         try:
             state = self._idle_workers()
+            ahead.start(images.reader.store for images in self.images.sets)
+            self._tallied += ahead.rows
             for number in range(min(self._prefetched, len(plan))):
                 _submit(state, plan, number)
             for number in range(len(plan)):
@@ -197,10 +225,14 @@ class Loader:
         except GeneratorExit:
             raise  # the next pass discards the batches in flight
         except BaseException:
+            ahead.close()  # first, or workers might wait for it
             if self._passes == this and self._state is not None:
                 ending, self._state = self._state, None  # before closing, which may be interrupted, too
+                self._tallied.append(ending.slots.tallies().sum(0))
                 ending.close()
             raise
+        finally:
+            ahead.close()
 
     def _idle_workers(self) -> _WorkerState:
         """Return workers with no request pending, starting them if need be."""
@@ -210,6 +242,7 @@ class Loader:
         while in_flight:  # requested by a pass that was left early
             self._state.workers.discard()
             self._state.slots.release(in_flight.popleft())
+        self._taken = self.stats()["batches"]
         return self._state
 
     def _new_state(self) -> _WorkerState:
@@ -230,7 +263,10 @@ class Loader:
         return ProcessWorkers(maker, self._workers, self._options.start_method)
 
     def _deliver(self, state: _WorkerState, plan: Pass, number: int) -> Batch:
+        begun = time.perf_counter()
         faults: list[Fault] = state.workers.result()
+        came = time.perf_counter()
+        self._waited, self._taken = self._waited + came - begun, self._taken + 1
         slot = state.in_flight.popleft()
         requests = plan.batch(number)
         locations = [self.images.location(index) for _, index in requests]
@@ -245,6 +281,7 @@ class Loader:
         batch: Batch = {"range": ranges, "labels": labels, "key": keys, "epoch": epochs}
         if planes:
             batch["planes"] = dict(zip(self.images.planes, planes, strict=True))
+        self._tallied[0][Stage.DELIVER] += time.perf_counter() - came
         return batch
 
 
@@ -258,7 +295,7 @@ def loader(
     images: ImageSet,
     batch_size: int,
     num_workers: int = 0,
-    shuffle: bool | None = None,
+    shuffle: Shuffle | None = None,
     drop_last: bool = False,
     *,
     rank: int | None = None,
@@ -274,7 +311,8 @@ def loader(
 ) -> Loader:
     """Return a loader of batches of `images`, made by `num_workers` workers (0: by the caller's thread); see `Batch`.
 
-    images: `RangeImages` or a `Mixture`. shuffle: None shuffles the train split only. drop_last: leave out the last
+    images: `RangeImages` or a `Mixture`. shuffle: True for a permutation of all samples, "blocks" for one that reads
+    few shards at a time (docs/how-to/remote.md), None for True with the train split only. drop_last: leave out the last
     batch if it is not full.
 
     rank, world_size: number of this process and of all processes; each gets the same number of batches of

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bisect
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bodyseg_data.artifacts import RangeImage
 from bodyseg_data.core import BadConfig, BadShard, check_epoch, check_int, check_seed
-from bodyseg_data.labels import LabelMap
-from bodyseg_data.loading.image_set import Request, Requests, SampleDataset, check_index
+from bodyseg_data.loading.image_set import Request, Requests, SampleDataset, Shuffle, check_index
 from bodyseg_data.loading.mixture_order import SetStream, Shares, Weight, read_schedule
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.loading.selection import permutation
@@ -58,12 +57,14 @@ class Mixture(SampleDataset):
     def __init__(self, sets: Sequence[Part], samples: int | None = None, seed: int = 0, epoch: int = 0) -> None:
         parts = _checked_parts(sets)
         self.sets: tuple[RangeImages, ...] = tuple(part[0] for part in parts)
-        self.seed = check_seed(seed)
+        first, self.seed = self.sets[0], check_seed(seed)
+        self.step_m, self.shape, self.label_map, self.planes = first.step_m, first.shape, first.label_map, first.planes
+        """As of all sets; label maps of others have the same classes."""
         self._streams = [SetStream(part[0], *part[2:]) for part in parts]
         self._starts = list(itertools.accumulate(map(len, self.sets), initial=0))
         self._samples = self._starts[-1] if samples is None else check_int("samples", samples, 1)
         self._shares = Shares([read_schedule(part[1]) for part in parts], self._samples)
-        self._held: tuple[int, bool, Requests] | None = None
+        self._held: tuple[int, Shuffle, Requests] | None = None
         self.epoch = 0
         self.epochs_set = 0
         self.set_epoch(epoch)
@@ -81,26 +82,6 @@ class Mixture(SampleDataset):
         """The split of all sets; None if they have several."""
         splits = {images.split for images in self.sets}
         return splits.pop() if len(splits) == 1 else None
-
-    @property
-    def step_m(self) -> float:
-        """One step of uint16 range images, metres."""
-        return self.sets[0].step_m
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns of the images."""
-        return self.sets[0].shape
-
-    @property
-    def label_map(self) -> LabelMap:
-        """The first set's label map; those of others have the same classes."""
-        return self.sets[0].label_map
-
-    @property
-    def planes(self) -> Mapping[str, np.dtype[Any]]:
-        """Name -> type of the sets' further images that batches hold."""
-        return self.sets[0].planes
 
     @property
     def keys(self) -> list[str]:
@@ -122,10 +103,11 @@ class Mixture(SampleDataset):
         before, after = self._shares.before(check_epoch(epoch)), self._shares.before(epoch + 1)
         return [end - start for start, end in zip(before, after, strict=True)]
 
-    def requests(self, epoch: int, shuffle: bool = True) -> Requests:
+    def requests(self, epoch: int, shuffle: Shuffle = True) -> Requests:
         """Samples of an epoch in the order of a pass: a function of the seeds and the epoch alone.
 
-        shuffle: False gives the sets one after the other, each in stored order. No other epoch is computed: the time is
+        shuffle: False gives the sets one after the other, each in stored order; "blocks" mixes the sets and leaves the
+        samples of each in its order by blocks. No other epoch is computed: the time is
         the same for every epoch, but for a few microseconds for each epoch before the last knot of a schedule.
         """
         if self._held is None or self._held[:2] != (epoch, shuffle):
@@ -133,7 +115,7 @@ class Mixture(SampleDataset):
             self._held = (epoch, shuffle, self._new_requests(check_epoch(epoch), shuffle))
         return self._held[2]
 
-    def _new_requests(self, epoch: int, shuffle: bool) -> Requests:
+    def _new_requests(self, epoch: int, shuffle: Shuffle) -> Requests:
         starts, counts = self._shares.before(epoch), self.counts(epoch)
         indices, epochs = np.empty(len(self), np.int64), np.empty(len(self), np.int64)
         end = 0
@@ -145,6 +127,8 @@ class Mixture(SampleDataset):
         if not shuffle:
             return Requests(indices, epochs)
         mixed = permutation(len(self), self.seed, epoch, "mixture")
+        if shuffle == "blocks":  # which set comes when, as without blocks
+            mixed[np.argsort(np.searchsorted(np.cumsum(counts), mixed, side="right"), kind="stable")] = np.arange(end)
         return Requests(indices[mixed], epochs[mixed])
 
     def evenly_sampled(self, count: int) -> NDArray[np.int64]:

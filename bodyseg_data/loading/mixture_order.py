@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bodyseg_data.core import BadConfig, chance, check_epoch
-from bodyseg_data.loading.image_set import Requests
+from bodyseg_data.loading.image_set import Requests, Shuffle
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.loading.selection import permutation
 
@@ -151,7 +151,7 @@ class SetStream:
         self.images = images
         self._units = None if sample_weights is None else _checked_units(sample_weights, images)
         self._occurrences = 1 if self._units is None else _most(self._units)
-        self._held: tuple[int, bool, Requests] | None = None
+        self._held: tuple[int, Shuffle, Requests] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_held": None}  # a spawned worker makes no order
@@ -163,7 +163,7 @@ class SetStream:
             return None
         return hashlib.blake2b(self._units.astype("<i8").tobytes(), digest_size=16).hexdigest()
 
-    def take(self, start: int, count: int, shuffle: bool) -> Requests:
+    def take(self, start: int, count: int, shuffle: Shuffle) -> Requests:
         """Return `count` samples from position `start` of the sequence. shuffle: False for stored order in a pass."""
         length = len(self.images)
         indices, epochs = np.empty(count, np.int64), np.empty(count, np.int64)
@@ -186,18 +186,19 @@ class SetStream:
         found: NDArray[np.int64] = np.searchsorted(sums, at, side="right")
         return found
 
-    def _pass(self, number: int, shuffle: bool) -> Requests:
+    def _pass(self, number: int, shuffle: Shuffle) -> Requests:
         """Return one pass, whole; the last one is kept, as an epoch may end in the middle of it."""
         if self._held is None or self._held[:2] != (number, shuffle):
             self._held = None
             self._held = (number, shuffle, self._new_pass(number, shuffle))
         return self._held[2]
 
-    def _new_pass(self, number: int, shuffle: bool) -> Requests:
+    def _new_pass(self, number: int, shuffle: Shuffle) -> Requests:
         if self._units is None:
             return self.images.requests(number, shuffle)
         length, seed = len(self.images), self.images.seed
-        order = permutation(length, seed, number)
+        blocks = shuffle == "blocks"
+        order = self.images.order(number, shuffle) if blocks else permutation(length, seed, number)
         sums = np.cumsum(self._units[order])
         start = int(chance(seed, number, "", "sample weights") * int(sums[-1]))
         found = np.searchsorted(sums, _steps(int(sums[-1]), length, start), side="right")
@@ -205,6 +206,8 @@ class SetStream:
         first = np.r_[True, found[1:] != found[:-1]]
         occurrence = at - np.maximum.accumulate(np.where(first, at, 0))
         indices, epochs = order[found], number * self._occurrences + occurrence
+        if blocks:
+            return Requests(indices, epochs)
         mixed = permutation(length, seed, number, "occurrences") if shuffle else np.argsort(indices, kind="stable")
         return Requests(indices[mixed], epochs[mixed])
 

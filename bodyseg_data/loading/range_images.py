@@ -31,9 +31,9 @@ from bodyseg_data.core import BadConfig, BadSample, BadShard, Draws, check_epoch
 from bodyseg_data.labels import BACKGROUND, UNLABELLED, LabelMap, load_label_map, whole_map
 from bodyseg_data.loading.conditions import named_fields, texts_of
 from bodyseg_data.loading.descriptions import arrow_table, table_of
-from bodyseg_data.loading.image_set import Request, Requests, SampleDataset, check_bool, check_index
+from bodyseg_data.loading.image_set import Request, Requests, SampleDataset, Shuffle, check_bool, check_index
 from bodyseg_data.loading.pipelines import sample_of
-from bodyseg_data.loading.selection import Permutation, Selection, permutation
+from bodyseg_data.loading.selection import BlockOrder, Permutation, Selection, permutation
 from bodyseg_data.loading.skipping import with_text
 from bodyseg_data.loading.slots import SCRATCH, item_tensor
 from bodyseg_data.loading.transform import (
@@ -48,11 +48,14 @@ from bodyseg_data.loading.transform import (
 from bodyseg_data.samples import ReadSplit, Sample, metres
 from bodyseg_data.shards import (
     RIG_FIELD,
+    TALLY,
     CheckedFile,
     Manifest,
+    Place,
     RetryPolicy,
     ShardReader,
     ShardRecord,
+    Stage,
     open_columns,
     open_store,
     read_manifest,
@@ -155,7 +158,7 @@ class RangeImages(SampleDataset):
         chosen = self._samples.shards
         files: list[CheckedFile] = [self.manifest.shards[number] for number in chosen]
         files += [column.shards[number] for column in self.columns.values() if column.planes for number in chosen]
-        self._reader = ShardReader(with_cache(store, files, cache, cache_bytes), self.manifest, self.columns)
+        self.reader = ShardReader(with_cache(store, files, cache, cache_bytes), self.manifest, self.columns)
         self.epoch = 0
         self.epochs_set = 0
         self.set_epoch(epoch)
@@ -201,7 +204,7 @@ class RangeImages(SampleDataset):
         Its projector range is the one that artifacts use: with `occluder="camera"`, made of the camera's.
         """
         shard, within = self._where(index)
-        sample = self._reader.read(shard, within, self.occluder == "stored", unlabelled=self.unlabelled)
+        sample = self.reader.read(shard, within, self.occluder == "stored", unlabelled=self.unlabelled)
         return self._shaded(sample) if self.occluder == "camera" else sample
 
     def augmentation_of(self, sample: Sample) -> Augmentation:
@@ -251,7 +254,7 @@ class RangeImages(SampleDataset):
         try:
             shard, within = self._where(index)
             stored = self.augmentation.needs_projector and self.occluder == "stored"
-            sample = self._reader.read(shard, within, stored, (image, labels), self.unlabelled, (*self.planes,))
+            sample = self.reader.read(shard, within, stored, (image, labels), self.unlabelled, (*self.planes,))
             return self._made_of(sample, epoch, image, labels)
         except BadSample as error:
             name, _, offset = self.location(index)
@@ -264,6 +267,7 @@ class RangeImages(SampleDataset):
         if self._casts:
             sample = self._shaded(sample)
         made = self.augmentation_of(sample).into(sample, epoch, image, labels)
+        TALLY.lap(Stage.ARTIFACTS)
         if self.planes:
             made = replace(made, planes=_in_order(sample, self.planes))
         if self.transforms:
@@ -274,6 +278,7 @@ class RangeImages(SampleDataset):
         if self._joins:
             known = sample.occupancy if self.augmentation.keeps_outline and not self.transforms else None
             self.label_map.write(made.labels, None if known is None else known.edges, self.unlabelled)
+        TALLY.lap(Stage.TRANSFORM)
         return made
 
     def __getitem__(self, index: int | Request) -> dict[str, Any]:
@@ -362,15 +367,26 @@ class RangeImages(SampleDataset):
             digest.update("".join(f"{keys[index]} {checksums[index]}\n" for index in own).encode())
         return digest.hexdigest()
 
-    def order(self, epoch: int, shuffle: bool = True) -> NDArray[np.int64]:
-        """Return the sample indices in the order of a pass, int64 [len(self)]: a function of seed and epoch alone."""
+    def order(self, epoch: int, shuffle: Shuffle = True) -> NDArray[np.int64]:
+        """Return the sample indices in the order of a pass, int64 [len(self)]: a function of seed and epoch alone.
+
+        shuffle: "blocks" for the order of `BlockOrder`: blocks of 32 neighbours, 32 of them mixed at a time.
+        """
+        if not isinstance(shuffle, bool):
+            return BlockOrder(len(self), self.seed, check_epoch(epoch))[:]
         return permutation(len(self), self.seed, check_epoch(epoch)) if shuffle else np.arange(len(self))
 
-    def requests(self, epoch: int, shuffle: bool = True) -> Requests:
-        """`order`, of many samples in parts, with the epoch of the draws, which is the same for all samples."""
-        in_parts = shuffle and len(self) > WHOLE_ORDER
-        order = Permutation(len(self), self.seed, check_epoch(epoch)) if in_parts else self.order(epoch, shuffle)
+    def requests(self, epoch: int, shuffle: Shuffle = True) -> Requests:
+        """`order`, of many samples and by blocks in parts, with the epoch of the draws, the same for all samples."""
+        in_parts = BlockOrder if shuffle == "blocks" else Permutation if shuffle and len(self) > WHOLE_ORDER else None
+        order = self.order(epoch, shuffle) if in_parts is None else in_parts(len(self), self.seed, check_epoch(epoch))
         return Requests(order, np.broadcast_to(np.int64(epoch), len(self)))
+
+    def places(self, index: int) -> list[Place]:
+        """Where the bytes of a sample are, and those of its planes that are columns."""
+        number, within = self._where(index)
+        files = [self.manifest, *(self.columns[name] for name in self.planes if name in self.columns)]
+        return [(self.reader.store, each.shards[number], within) for each in files]
 
     def evenly_sampled(self, count: int) -> NDArray[np.int64]:
         """Return at most `count` indices at even distances in stored order, each once, int64 [M]."""

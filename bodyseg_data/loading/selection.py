@@ -32,6 +32,12 @@ BodyRow = tuple[str, ...]
 
 _BLOCK_WORDS: Final = 1 << 18
 
+BLOCK_SAMPLES: Final = 32
+"""Samples of a block of `BlockOrder`, neighbours in the manifest's order."""
+
+_FIRST_PARTS: Final = (0, 4, 12, 28)
+"""First blocks of its first parts; each further part has 32."""
+
 
 def permutation(count: int, seed: int, epoch: int, purpose: str = "order") -> NDArray[np.int64]:
     """An order of `count` things in an epoch, int64 [count]: sorts raw Philox words, whose bits NumPy guarantees."""
@@ -44,7 +50,8 @@ class Permutation:
 
     A part holds the things whose words share their highest bits. All words are drawn again for each, so the whole order
     takes longer than by `permutation`, and memory for one part and a block of words only. part_bits: parts
-    hold 2**part_bits things, or half as many, on average.
+    hold 2**part_bits things, or half as many, on average. The part read last is held: who reads elsewhere at the same
+    time needs a copy.
     """
 
     def __init__(self, count: int, seed: int, epoch: int, purpose: str = "order", part_bits: int = 21) -> None:
@@ -93,6 +100,34 @@ class Permutation:
         words = np.random.Philox(key=self._key)
         for start in range(0, self._count, _BLOCK_WORDS):
             yield start, words.random_raw(min(_BLOCK_WORDS, self._count - start))
+
+
+class BlockOrder(Permutation):
+    """An order, computed part by part, in which neighbours come near each other, so that few files are read at a time.
+
+    Blocks of `BLOCK_SAMPLES` neighbours are permuted. A part holds 4, 8, 16 and from then on 32 of the blocks that
+    follow each other, and its things are permuted: the first batches come from few places, later ones from many.
+    """
+
+    def __init__(self, count: int, seed: int, epoch: int) -> None:
+        super().__init__(count, seed, epoch, "order in blocks")
+        self._permuted = permutation(-(-count // BLOCK_SAMPLES), seed, epoch, "blocks")
+        starts = [*_FIRST_PARTS, *range(2 * _FIRST_PARTS[-1] + 4, len(self._permuted), _FIRST_PARTS[-1] + 4)]
+        self._starts = [start for start in starts if start < len(self._permuted)]
+
+    @cached_property
+    def _ends(self) -> NDArray[np.int64]:
+        sizes = np.full(len(self._permuted), BLOCK_SAMPLES)
+        sizes[self._permuted == len(sizes) - 1] -= BLOCK_SAMPLES * len(sizes) - self._count
+        return np.cumsum(np.add.reduceat(sizes, self._starts))
+
+    def _part(self, part: int) -> NDArray[np.int64]:
+        blocks = self._permuted[self._starts[part] : [*self._starts, len(self._permuted)][part + 1]]
+        things = (blocks[:, None] * BLOCK_SAMPLES + np.arange(BLOCK_SAMPLES)).ravel()
+        things = things[things < self._count]
+        words = np.random.Philox(key=self._key, counter=[0, part, 0, 0]).random_raw(len(things))
+        order: NDArray[np.int64] = things[np.argsort(words, kind="stable")]
+        return order
 
 
 Group = tuple[str, ...]

@@ -31,6 +31,7 @@ from torch.utils.data import default_collate, get_worker_info
 from torch.utils.data._utils.collate import default_collate_fn_map  # where the manual of `default_collate` extends it
 
 from bodyseg_data.core import BadConfig
+from bodyseg_data.shards import Stage
 
 _KEPT_BYTES: Final = 2**26
 """The most memory that is kept: for 60 items of 640 x 329 pixels."""
@@ -115,12 +116,13 @@ class Slots:
         self._offsets = [0, *itertools.accumulate(sizes)]
         self._stride = self._offsets[-1]
         self._count = in_flight + SPARE
+        self._size = self._count * (self._stride + 8 * len(Stage))
         self._free = list(range(self._count))
         self._lent: dict[int, tuple[weakref.ref[Any], ...]] = {}
         try:
-            self._map(_anonymous_file(self._count * self._stride))
+            self._map(_anonymous_file(self._size))
         except OSError as error:
-            gigabytes = self._count * self._stride / 1e9
+            gigabytes = self._size / 1e9
             raise BadConfig(
                 f"{self._count} batches of {batch_size} samples take {gigabytes:.1f} GB, which cannot be allocated: "
                 f"{error.strerror or error}; use a smaller batch_size, or fewer workers"
@@ -129,7 +131,7 @@ class Slots:
     def _map(self, file: int) -> None:
         self._file = file
         weakref.finalize(self, os.close, file)
-        self._memory = mmap.mmap(file, self._count * self._stride)
+        self._memory = mmap.mmap(file, self._size)
 
     def __getstate__(self) -> dict[str, Any]:
         """State for a process being started: the memory is passed on as an open file."""
@@ -147,6 +149,11 @@ class Slots:
             for dtype, offset in zip(self._dtypes, self._offsets, strict=False)
         )
         return [ranges[:, None], *others]
+
+    def tallies(self) -> NDArray[np.float64]:
+        """What was tallied over all batches of each slot, float64 [slots, len(Stage)]."""
+        count = self._count * len(Stage)
+        return np.frombuffer(self._memory, np.float64, count, self._count * self._stride).reshape(self._count, -1)
 
     def acquire(self) -> int:
         """Return a free slot, which is then acquired."""

@@ -73,15 +73,17 @@ class Workers(Protocol):
 
     def discard(self) -> None:
         """Remove the oldest request, waiting for its result if it may have begun. Raises as `result`."""
+        self.result()
 
     def peaks_mb(self) -> list[float | None]:
         """The most memory that each worker process has had, MB, as `peak_mb`; none for workers in this process."""
+        return []
 
     def close(self) -> None:
         """End the workers and remove all requests."""
 
 
-class InlineWorkers:
+class InlineWorkers(Workers):
     """Workers without processes or threads: a request is handled when its result is fetched, by whoever fetches it."""
 
     def __init__(self, work: Callable[[Any], Any]) -> None:
@@ -99,10 +101,6 @@ class InlineWorkers:
     def discard(self) -> None:
         """See `Workers.discard`."""
         self._requests.popleft()
-
-    def peaks_mb(self) -> list[float | None]:
-        """See `Workers.peaks_mb`."""
-        return []
 
     def close(self) -> None:
         """See `Workers.close`."""
@@ -134,7 +132,7 @@ def checked_result(found: Any, worker: str) -> Any:
     raise error
 
 
-class ThreadWorkers:
+class ThreadWorkers(Workers):
     """`count` threads, started at once, that take requests from one queue; results come in the order of the requests.
 
     work: called in the threads, possibly by several at once, with a request. Signals, and hence Ctrl-C, do not reach
@@ -176,14 +174,6 @@ class ThreadWorkers:
         number, found = self._answers.popleft().get()
         return checked_result(found, f"worker {number} of {len(self._threads)} (thread)")
 
-    def discard(self) -> None:
-        """See `Workers.discard`."""
-        self.result()
-
-    def peaks_mb(self) -> list[float | None]:
-        """See `Workers.peaks_mb`."""
-        return []
-
     def close(self) -> None:
         """See `Workers.close`: threads end after their current request, which is waited for unless it takes long."""
         if os.getpid() != self._owner:
@@ -211,7 +201,7 @@ def _serve_thread(work: Callable[[Any], Any], number: int, requests: _Requests) 
         del task, request, answer, found  # or they would live until the next request
 
 
-class ProcessWorkers:
+class ProcessWorkers(Workers):
     """`count` processes, started at once. Request n goes to worker n modulo `count`; results come in the same order.
 
     work: called in the workers, with a request; must be picklable unless processes are forked. A worker ends when its
@@ -276,10 +266,6 @@ class ProcessWorkers:
             raise self._lost(worker) from None
         self._received += 1
         return checked_result(found, self._name(worker))
-
-    def discard(self) -> None:
-        """See `Workers.discard`."""
-        self.result()
 
     def peaks_mb(self) -> list[float | None]:
         """See `Workers.peaks_mb`."""

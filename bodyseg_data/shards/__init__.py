@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
+    from bodyseg_data.shards.ahead import LookAhead, Place
     from bodyseg_data.shards.cache import with_cache, with_kept_index
     from bodyseg_data.shards.codecs import CODECS, CodecName
     from bodyseg_data.shards.codecs.png import SIGNATURE, check_checksums, decode_chunks, read_chunks, read_header
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
     )
     from bodyseg_data.shards.remote import RemoteFolder, RetryPolicy, Unreachable, open_store
     from bodyseg_data.shards.sample_codec import check_codec, decode_sample, encode_sample, facing_masks, parse_info
-    from bodyseg_data.shards.store import READ_ATTEMPTS, LocalFolder, Store, open_file
+    from bodyseg_data.shards.store import READ_ATTEMPTS, TALLY, LocalFolder, Stage, Store, open_file
     from bodyseg_data.shards.tar import ShardReader, TarWriter
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -23,8 +23,8 @@ from bodyseg_data.core import BadConfig, BadShard
 from bodyseg_data.shards.index import IndexedShards
 from bodyseg_data.shards.manifest import Manifest
 from bodyseg_data.shards.records import CheckedFile, check_bytes
-from bodyseg_data.shards.remote import RemoteFolder
-from bodyseg_data.shards.store import READ_ATTEMPTS, Store
+from bodyseg_data.shards.remote import Pause, RemoteFolder
+from bodyseg_data.shards.store import READ_ATTEMPTS, TALLY, Stage, Store
 
 DEFAULT_CACHE_BYTES: Final = 20 * 10**9
 """Default size limit, bytes: room for about 300 000 samples."""
@@ -33,7 +33,10 @@ IN_USE_S: Final = 60.0
 """Seconds since its last read during which a shard is not evicted, so that two sets do not evict each other's."""
 
 _NAME: Final = re.compile(r"[0-9a-f]{64}(?:\.tar|\.([0-9]{1,15})\.part)")
-_POLL_S: Final = 0.05
+_POLL_S: Final = 0.01
+
+BUSY: Final = -1
+"""In place of a part's descriptor: another process or thread is writing it."""
 
 
 def default_folder() -> Path:
@@ -68,52 +71,52 @@ class ShardCache:
         """Path of the shard during its download."""
         return self.folder / f"{record.sha256}.{record.size}.part"
 
-    def read(self, record: CheckedFile, offset: int, length: int) -> bytes | None:
-        """Read bytes of a shard and mark it as used; None if the complete shard is not in the cache."""
+    def read(self, record: CheckedFile, offset: int, length: int, part: bool = False) -> bytes | None:
+        """Read bytes of a shard and mark it as used; None if the complete shard is not in the cache.
+
+        part: read what has come of it instead, which no hash has checked; None if these bytes have not.
+        """
         try:
-            with self.path(record).open("rb", buffering=0) as file:
+            with (self.part if part else self.path)(record).open("rb", buffering=0) as file:
                 if time.time() - os.fstat(file.fileno()).st_mtime > self.in_use_s / 4:
                     with contextlib.suppress(OSError):  # the file of another user
                         os.utime(file.fileno())
-                return os.pread(file.fileno(), length, offset)
+                data = os.pread(file.fileno(), length, offset)
         except FileNotFoundError:
             return None
+        return None if part and len(data) < length else data
 
     @contextlib.contextmanager
     def claim(self, record: CheckedFile) -> Iterator[int | None]:
         """Open and lock the part file, as a descriptor, for the download of the shard.
 
-        Waits while another process downloads it. None if the shard is complete by then or there is no room for it.
+        BUSY while another process downloads it, None if the shard is complete or there is no room for it.
         """
-        handle = self._wait_for_part(record)
+        handle = self._open_and_lock(record)
         try:
             yield handle
         finally:
-            if handle is not None:
-                # A process forked meanwhile holds the same lock, and closing would not release it.
-                fcntl.flock(handle, fcntl.LOCK_UN)
-                os.close(handle)
+            if handle not in (None, BUSY):
+                _release(handle)
 
     def finish(self, record: CheckedFile) -> None:
         """Turn the claimed part, now complete, into the shard."""
         self.part(record).replace(self.path(record))
 
-    def used_bytes(self) -> int:
-        """Bytes taken by shards; partial downloads count in full."""
-        return sum(entry.size for entry in self._entries())
-
-    def _wait_for_part(self, record: CheckedFile) -> int | None:
+    def _open_and_lock(self, record: CheckedFile) -> int | None:
         while not self.path(record).exists():
             handle = self._open_part(record)
             if handle is None:
                 return None
-            locked = _try_lock(handle) and is_same_file(handle, self.part(record))
-            if locked and not self.path(record).exists():
+            if not _try_lock(handle):
+                os.close(handle)
+                return BUSY
+            same = is_same_file(handle, self.part(record))
+            if same and not self.path(record).exists():
                 return handle
-            if locked:  # finished between the check and the opening, which created a new part
+            if same:  # finished between the check and the opening, which created a new part
                 self.part(record).unlink()
             os.close(handle)
-            time.sleep(_POLL_S)
         return None
 
     def _open_part(self, record: CheckedFile) -> int | None:
@@ -129,8 +132,7 @@ class ShardCache:
                 return None
             return os.open(part, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         finally:
-            fcntl.flock(guard, fcntl.LOCK_UN)
-            os.close(guard)
+            _release(guard)
 
     def _make_room(self, size: int) -> bool:
         """Evict the least recently used shards; evict none and return False if that would not free `size` bytes."""
@@ -172,8 +174,13 @@ def _evict(path: Path) -> bool:
             path.unlink(missing_ok=True)
         return True
     finally:
-        fcntl.flock(handle, fcntl.LOCK_UN)
-        os.close(handle)
+        _release(handle)
+
+
+def _release(handle: int) -> None:
+    """Unlock and close: a process forked meanwhile holds the same lock, and closing alone would not release it."""
+    fcntl.flock(handle, fcntl.LOCK_UN)
+    os.close(handle)
 
 
 def _try_lock(handle: int) -> bool:
@@ -196,43 +203,63 @@ class CachedStore:
     """Store that downloads complete shards to the cache and reads their samples there.
 
     The first of the `records`, in stored order, that fit into the cache's limit are cached; samples of the others are
-    read by byte range. The choice never changes, so no shard is downloaded again and again.
+    read by byte range. The choice never changes, so no shard is downloaded again and again. A sample is read as soon as
+    its bytes have come, before the rest of its shard.
     """
 
     def __init__(self, remote: RemoteFolder, records: Iterable[CheckedFile], cache: ShardCache) -> None:
-        self._remote, self._cache = remote, cache
+        self.remote, self._cache = remote, cache
         self._records = {record.name: record for record in records}
-        self._to_cache = set()
+        self.to_cache = set()
+        """Names of the shards to keep whole."""
+        self._spoiled: set[str] = set()
         room = cache.limit
         for record in self._records.values():
             room -= record.size
             if room < 0:
                 break
-            self._to_cache.add(record.name)
+            self.to_cache.add(record.name)
 
     @property
     def name(self) -> str:
         """The address, for messages."""
-        return self._remote.name
+        return self.remote.name
 
     def read(self, name: str, offset: int, length: int) -> bytes:
         """See `Store.read`."""
         record = self._records[name]
         data = self._from_cache(record, offset, length)
-        if data is None and name in self._to_cache and self._ensure_cached(record):
-            data = self._from_cache(record, offset, length)
-        return self._remote.read(name, offset, length) if data is None else data
+        if data is None and name in self.to_cache:
+            TALLY.count(Stage.STALLS)
+            while (kept := self.keep(record)) is None:
+                if (
+                    name not in self._spoiled
+                    and (data := self._cache.read(record, offset, length, part=True)) is not None
+                ):
+                    return data
+                time.sleep(_POLL_S)
+            data = self._from_cache(record, offset, length) if kept else None
+        elif data is not None:
+            TALLY.count(Stage.HITS)
+        return self.remote.read(name, offset, length) if data is None else data
+
+    def is_here(self) -> bool:
+        """Whether all shards are in the cache."""
+        return len(self.to_cache) == len(self._records) and all(
+            self._cache.path(record).exists() for record in self._records.values()
+        )
 
     def read_file(self, name: str, limit: int) -> bytes | None:
         """See `Store.read_file`."""
-        return self._remote.read_file(name, limit)
+        return self.remote.read_file(name, limit)
 
     def size(self, name: str) -> int:
         """See `Store.size`."""
-        return self._remote.size(name)
+        return self.remote.size(name)
 
     def prepare_reread(self, name: str) -> bool:
         """See `Store.prepare_reread`. A cached shard with a wrong hash is removed, to be downloaded again."""
+        self._spoiled.add(name)  # not read again before it is whole
         path = self._cache.path(self._records[name])
         try:
             with path.open("rb") as file:
@@ -250,25 +277,30 @@ class CachedStore:
             self._disable_cache(error)
             return None
 
-    def _ensure_cached(self, record: CheckedFile) -> bool:
-        """Download the shard unless it is cached; False if it cannot be cached."""
+    def keep(self, record: CheckedFile, pause: Pause = time.sleep) -> bool | None:
+        """Download the shard unless it is cached; False if it cannot be cached.
+
+        None while another process or thread is downloading it. pause: see `RemoteFolder.fetch`. Raises Unreachable.
+        """
         try:
             with self._cache.claim(record) as handle:
+                if handle == BUSY:
+                    return None
                 if handle is not None:
-                    self._fill(record, handle)
+                    self._fill(record, handle, pause)
             return self._cache.path(record).exists()
         except OSError as error:
             self._disable_cache(error)
             return False
 
-    def _fill(self, record: CheckedFile, handle: int) -> None:
+    def _fill(self, record: CheckedFile, handle: int, pause: Pause) -> None:
         try:
-            problem = self._fetch(record, handle)
+            problem = self._fetch(record, handle, pause)
             if problem is None:
                 self._cache.finish(record)
             else:
                 # Its other samples may be intact: each is checked when it is read.
-                self._to_cache.discard(record.name)
+                self.to_cache.discard(record.name)
                 _warn(
                     f"{self.name}: {problem} (fetched {READ_ATTEMPTS} times): this shard is not kept, but read by range"
                 )
@@ -277,14 +309,14 @@ class CachedStore:
                 os.ftruncate(handle, 0)  # leave a full disk as it was
             raise
 
-    def _fetch(self, record: CheckedFile, handle: int) -> str | None:
+    def _fetch(self, record: CheckedFile, handle: int, pause: Pause) -> str | None:
         """Continue the download of the part file until its hash is right; otherwise return the problem."""
         problem = None
         os.ftruncate(handle, min(os.fstat(handle).st_size, record.size))
         for _ in range(READ_ATTEMPTS):
             fetched = os.lseek(handle, 0, os.SEEK_END)
             with os.fdopen(handle, "wb", closefd=False) as file:
-                self._remote.fetch(record.name, fetched, record.size, file.write)
+                self.remote.fetch(record.name, fetched, record.size, file.write, pause)
             found = _find_altered(record, handle)
             if found is None:
                 os.fsync(handle)
@@ -295,7 +327,7 @@ class CachedStore:
 
     def _disable_cache(self, error: OSError) -> None:
         """Stop caching, with a warning: a full disk must not end a run, so shards are read by byte range."""
-        self._to_cache.clear()
+        self.to_cache.clear()
         _warn(f"{self._cache.folder}: {error.strerror or error}: shards are no longer kept there, but read by range")
 
 

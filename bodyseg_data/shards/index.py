@@ -29,7 +29,6 @@ from bodyseg_data.shards.records import (
     BLOCK,
     LARGEST_SAMPLE,
     LARGEST_SHARD,
-    Descriptions,
     Entry,
     Fields,
     ShardRecord,
@@ -227,29 +226,10 @@ class _IndexedShard(ShardRecord):
             self._shards.where(self._number),
         )
 
-    @property
-    def keys(self) -> tuple[str, ...]:
-        return self._whole.keys
-
-    @property
-    def offsets(self) -> tuple[int, ...]:
-        return self._whole.offsets
-
-    @property
-    def lengths(self) -> tuple[int, ...]:
-        return self._whole.lengths
-
-    @property
-    def crc32(self) -> tuple[int, ...]:
-        return self._whole.crc32
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        return self._whole.notes
-
-    @property
-    def descriptions(self) -> Descriptions:
-        return self._whole.descriptions
+    def __getattr__(self, name: str) -> Any:
+        if name not in ("keys", "offsets", "lengths", "crc32", "notes", "descriptions"):
+            raise AttributeError(name)
+        return getattr(self._whole, name)
 
 
 def write_index(records: Iterable[ShardRecord], folder: Path) -> ShardTable:

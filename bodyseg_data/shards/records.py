@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple, Protocol
 
 from bodyseg_data.core import BadSample, BadShard
 from bodyseg_data.samples import FIELD_KINDS, SPLITS, SampleInfo, Split, Value, check_field_name, check_key, kind_of
-from bodyseg_data.shards.store import READ_ATTEMPTS, Store
+from bodyseg_data.shards.store import READ_ATTEMPTS, TALLY, Stage, Store
 
 BLOCK: Final = 512
 """Bytes of a block of a tar; samples are whole blocks."""
@@ -327,6 +327,7 @@ def read_checked(store: Store, file: CheckedFile, index: int) -> bytes:
             data = store.read(file.name, offset, length)
         except OSError as error:
             raise BadShard(f"{location(file, index)}: cannot be read: {error.strerror or error}") from error
+        TALLY.lap(Stage.STORE)
         try:
             check_bytes(data, file, index)
         except BadShard:

@@ -19,7 +19,7 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 
 from bodyseg_data.core import BadConfig, BodysegError, MissingLibrary, check_int
 from bodyseg_data.shards.manifest import MANIFEST_NAME
-from bodyseg_data.shards.store import LocalFolder, Store
+from bodyseg_data.shards.store import TALLY, LocalFolder, Pieces, Stage, Store
 from bodyseg_data.shards.transport import FileMissing, PermanentFailure, TransientFailure, open_transport, pinned
 
 
@@ -28,6 +28,10 @@ class Unreachable(BodysegError):
 
 
 _SHORTEST_SECRET: Final = 4
+
+Sink = Callable[[bytes], object]
+Pause = Callable[[float], object]
+"""Waits for a number of seconds before another attempt; may raise to end the download."""
 
 Result = TypeVar("Result")
 
@@ -75,7 +79,7 @@ class RemoteFolder:
         protocol, _, rest = url.partition("://")
         rest, mark, query = rest.partition("?") if protocol in ("http", "https") else (rest, "", "")
         self._base, self._query = f"{protocol}://{rest.rstrip('/')}", mark + query
-        self._retry_policy = retry_policy
+        self._retry_policy, self.pieces = retry_policy, Pieces()
         try:
             self._secrets = sorted(_secrets(url, options), key=len, reverse=True)
         except ValueError as error:
@@ -94,13 +98,38 @@ class RemoteFolder:
 
     def read(self, name: str, offset: int, length: int) -> bytes:
         """Read bytes `offset` to `offset + length` of a file. Raises Unreachable."""
+        read_ahead = self.pieces.take(name, offset, length)
+        if read_ahead is not None:
+            return read_ahead
+        TALLY.count(Stage.STALLS)
         data = bytearray()
-        self._fetch(name, offset, offset + length, data.extend, allow_whole_file=False)
+        self.fetch(name, offset, offset + length, data.extend, ranges=True)
         return bytes(data)
 
-    def fetch(self, name: str, start: int, stop: int, sink: Callable[[bytes], object]) -> None:
-        """Pass bytes `start` to `stop` of a file to `sink`, in chunks, once and in order. Raises Unreachable."""
-        self._fetch(name, start, stop, sink, allow_whole_file=True)
+    def fetch(
+        self, name: str, start: int, stop: int, sink: Sink, pause: Pause = time.sleep, ranges: bool = False
+    ) -> None:
+        """Pass bytes `start` to `stop` of a file to `sink`, in chunks, once and in order. Raises Unreachable.
+
+        pause: called with 0 before each chunk and with the seconds to wait before another attempt; what it raises ends
+        the download. ranges: refuse a server that ignores them.
+        """
+        streak, begun = _FailureStreak(self._retry_policy), time.perf_counter()
+        TALLY.count(Stage.BYTES, stop - start)
+        while start < stop:
+            attempt_start = start
+            TALLY.count(Stage.REQUESTS)
+            try:
+                with closing(self._chunks(name, start, stop, not ranges)) as chunks:
+                    for chunk in chunks:
+                        pause(0)
+                        sink(chunk)
+                        start += len(chunk)
+            except TransientFailure as failure:
+                pause(self._wait_after(streak, failure, name, start - attempt_start))
+            except PermanentFailure as error:
+                raise self._unreachable(name, error) from None
+        TALLY.count(Stage.FETCH, time.perf_counter() - begun)
 
     def read_file(self, name: str, limit: int) -> bytes | None:
         """Read a whole file of at most `limit` bytes; None if it does not exist. Raises Unreachable."""
@@ -146,20 +175,6 @@ class RemoteFolder:
         """See `Store.prepare_reread`: a network may have altered the bytes."""
         return True
 
-    def _fetch(self, name: str, start: int, stop: int, sink: Callable[[bytes], object], allow_whole_file: bool) -> None:
-        streak = _FailureStreak(self._retry_policy)
-        while start < stop:
-            attempt_start = start
-            try:
-                with closing(self._chunks(name, start, stop, allow_whole_file)) as chunks:
-                    for chunk in chunks:
-                        sink(chunk)
-                        start += len(chunk)
-            except TransientFailure as failure:
-                self._wait_or_give_up(streak, failure, name, start - attempt_start)
-            except PermanentFailure as error:
-                raise self._unreachable(name, error) from None
-
     def _chunks(self, name: str, start: int, stop: int, allow_whole_file: bool) -> Any:
         return self._transport.chunks(f"{self._base}/{name}{self._query}", start, stop, allow_whole_file)
 
@@ -169,17 +184,17 @@ class RemoteFolder:
             try:
                 return attempt(f"{self._base}/{name}{self._query}")
             except TransientFailure as failure:
-                self._wait_or_give_up(streak, failure, name, 0)
+                time.sleep(self._wait_after(streak, failure, name, 0))
             except FileMissing:
                 raise
             except PermanentFailure as error:
                 raise self._unreachable(name, error) from None
 
-    def _wait_or_give_up(self, streak: _FailureStreak, failure: TransientFailure, name: str, received: int) -> None:
+    def _wait_after(self, streak: _FailureStreak, failure: TransientFailure, name: str, received: int) -> float:
         wait = streak.wait_after(failure, received)
         if wait is None:
             raise self._unreachable(name, failure, f" ({streak.failures} attempts)") from None
-        time.sleep(wait)
+        return wait
 
     def _unreachable(self, name: str, error: Exception, note: str = "") -> Unreachable:
         return Unreachable(f"{self.name}/{name}: {self._scrub(str(error))}{note}")

@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import io
 import os
+import threading
+import time
+from collections.abc import MutableSequence
+from concurrent.futures import Future, wait
+from enum import IntEnum
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -14,6 +19,78 @@ READ_ATTEMPTS: Final = 3
 """Number of reads before altered bytes count as the content of the file."""
 
 _BUFFER_BYTES: Final = 4 << 20
+
+
+class Stage(IntEnum):
+    """What threads that make samples tally: seconds of each stage up to DELIVER, then counts."""
+
+    STORE, FETCH, DECODE, ARTIFACTS, TRANSFORM, DELIVER, BATCHES, SAMPLES, BYTES, REQUESTS, HITS, STALLS = range(12)
+
+
+class Tally(threading.local):
+    """What the current thread does, added up in a row that other threads or processes may read."""
+
+    def __init__(self) -> None:
+        self.start([0.0] * len(Stage))
+
+    def start(self, row: MutableSequence[float]) -> None:
+        """Tally in `row`, float [len(Stage)], from now on."""
+        self.row, self._since = row, time.perf_counter()
+
+    def lap(self, stage: Stage) -> None:
+        """The time since the last lap, or the start, was of `stage`."""
+        now = time.perf_counter()
+        self.row[stage] += now - self._since
+        self._since = now
+
+    def count(self, what: Stage, number: float = 1) -> None:
+        """Add to a count."""
+        self.row[what] += number
+
+
+TALLY: Final = Tally()
+
+
+class Pieces:
+    """What is read ahead of a store's files. Threads may use it at once; copies, in forks and by pickle, are empty."""
+
+    def __init__(self) -> None:
+        self._owner, self._changing = os.getpid(), threading.Lock()
+        self._pieces: dict[tuple[str, int], Future[bytes]] = {}
+        self.size = 0
+        """Bytes that are expected or held."""
+
+    def __reduce__(self) -> tuple[type[Pieces], tuple[()]]:
+        return Pieces, ()
+
+    def expect(self, name: str, offset: int, length: int) -> Future[bytes] | None:
+        """Have `take` wait for a range; None if it does already."""
+        if self._owner != os.getpid():
+            self.__init__()  # type: ignore[misc]  # a lock may have been held at the fork
+        with self._changing:
+            if (name, offset) in self._pieces:
+                return None
+            self.size += length
+            return self._pieces.setdefault((name, offset), Future())
+
+    def take(self, name: str, offset: int, length: int) -> bytes | None:
+        """Return a range once it has come; None if it is not expected, or no longer."""
+        piece = self._pieces.get((name, offset)) if self._owner == os.getpid() else None
+        if piece is None:
+            return None
+        TALLY.count(Stage.HITS if piece.done() else Stage.STALLS)
+        wait([piece])
+        with self._changing:  # not before, or `clear` would not find it
+            if self._pieces.pop((name, offset), None) is not None:
+                self.size -= length
+        return None if piece.cancelled() else piece.result()
+
+    def clear(self) -> None:
+        """Expect nothing more."""
+        with self._changing:
+            for piece in self._pieces.values():
+                piece.cancel()
+            self._pieces, self.size = {}, 0
 
 
 class Store(Protocol):

@@ -24,7 +24,7 @@ from bodyseg_data.shards.codecs.codec import OutputArrays
 from bodyseg_data.shards.manifest import Manifest
 from bodyseg_data.shards.records import BLOCK, BODY_FIELDS, Fields, ShardRecord, describe, location, read_checked
 from bodyseg_data.shards.sample_codec import decode_sample, parse_info
-from bodyseg_data.shards.store import Store, store_at
+from bodyseg_data.shards.store import TALLY, Stage, Store, store_at
 
 
 class TarWriter:
@@ -162,7 +162,7 @@ class ShardReader:
     def __init__(
         self, where: Path | Store, manifest: Manifest, columns: Mapping[str, Manifest] = MappingProxyType({})
     ) -> None:
-        self._store, self._manifest, self._columns = store_at(where), manifest, dict(columns)
+        self.store, self._manifest, self._columns = store_at(where), manifest, dict(columns)
         self._sizes, self._projectors = image_sizes(manifest.rig), len(manifest.rig.projectors)
 
     def read(
@@ -184,6 +184,7 @@ class ShardReader:
         try:
             sample = decode_sample(key, members, projector, out, self._projectors, unlabelled, planes)
             check_sizes(sample, *self._sizes)
+            TALLY.lap(Stage.DECODE)
         except BadSample as error:
             raise BadShard(f"{location(record, index)}: {error}") from error
         for name, column in self._columns.items():
@@ -198,7 +199,7 @@ class ShardReader:
             vars(sample).update(info=info)
         elif wanted:
             try:
-                plane = decode_piece(column, sample.key, read_checked(self._store, record, index))
+                plane = decode_piece(column, sample.key, read_checked(self.store, record, index))
             except BadSample as error:
                 raise BadShard(f"{location(record, index)}: {error}") from error
             vars(sample).update(planes={**sample.planes, name: plane})
@@ -206,7 +207,7 @@ class ShardReader:
     def members(self, shard: int, index: int) -> tuple[str, dict[str, bytes]]:
         """Read the key and the members, extension -> bytes, of a sample, which is not decoded. Raises as `read`."""
         record = self._manifest.shards[shard]
-        data, key = read_checked(self._store, record, index), record.entry(index).key
+        data, key = read_checked(self.store, record, index), record.entry(index).key
         try:
             return key, parse_members(key, data)
         except BadSample as error:

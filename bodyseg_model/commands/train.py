@@ -6,10 +6,11 @@ import contextlib
 import hashlib
 import sys
 import time
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 from bodyseg_data import RangeImages
 from bodyseg_data.artifacts import (
@@ -33,6 +34,7 @@ from bodyseg_data.samples import ReadSplit
 from bodyseg_model.networks import CardWords, CheckpointName, Network, NetworkName, build, load_network, network_class
 from bodyseg_model.training import (
     DEFAULT_EVERY,
+    WAITING_ADVICE,
     GeometricAugmentation,
     Metrics,
     RecipeName,
@@ -44,6 +46,9 @@ from bodyseg_model.training import (
     train,
     use_threads,
 )
+
+_WAIT_ADVISED: Final = 0.2
+"""Share of a training's waiting from which on there is advice."""
 
 EXAMPLE = "bodyseg train --data shards --variant all --network compact --out runs/all-0"
 
@@ -243,9 +248,12 @@ def reporting(folder: Path, steps: int, log_every: int) -> Iterator[Report]:
     board: Any = None
     start = time.monotonic()
     first: int | None = None
+    waits: dict[str, float] = defaultdict(float)
 
     def report(metrics: Metrics) -> None:
         nonlocal board, first
+        if metrics.waited_for is not None:
+            waits[metrics.waited_for] += metrics.data_wait * log_every / steps
         first = max(0, metrics.step - log_every) if first is None else first
         done = metrics.step - first
         left = (time.monotonic() - start) / max(1, done) * (steps - metrics.step)
@@ -254,12 +262,13 @@ def reporting(folder: Path, steps: int, log_every: int) -> Iterator[Report]:
             steps,
             f"loss {metrics.loss:.3f}, right {metrics.pixel_accuracy:.1%}, per class {metrics.accuracy:.1%}, "
             f"{rate_text(metrics.images_per_second, 'images')}, waited {metrics.data_wait:.0%}"
+            f"{'' if metrics.waited_for is None else f' for {metrics.waited_for}'}"
             f"{_validation_text(metrics)}, {left:.0f} s left",
         )
         if new_board is not None:
             board = board or new_board(str(folder / "tensorboard"))  # not earlier: a refused training leaves nothing
             for name, value in metrics.to_json().items():
-                if name != "step":
+                if name not in ("step", "waited_for"):
                     board.add_scalar(name, value, metrics.step)
 
     try:
@@ -268,6 +277,9 @@ def reporting(folder: Path, steps: int, log_every: int) -> Iterator[Report]:
     finally:
         if board is not None:
             board.close()
+        if waits and sum(waits.values()) > _WAIT_ADVISED:
+            stage = max(waits, key=waits.__getitem__)
+            sys.stderr.write(f"waited mostly for {stage}; what may help: {WAITING_ADVICE[stage]}\n")
 
 
 def _validation_text(metrics: Metrics) -> str:

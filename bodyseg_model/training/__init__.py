@@ -12,6 +12,6 @@ if TYPE_CHECKING:
     from bodyseg_model.training.loop import RunOptions, Training, open_data, train
     from bodyseg_model.training.plan import RunFolder
     from bodyseg_model.training.recipes import Recipe, RecipeName, recipe_for
-    from bodyseg_model.training.validation import DEFAULT_EVERY, Metrics, Report, Validation
+    from bodyseg_model.training.validation import DEFAULT_EVERY, WAITING_ADVICE, Metrics, Report, Validation
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -49,7 +49,7 @@ from bodyseg_model.training.recipes import (
     recipe_for,
     set_learning_rate,
 )
-from bodyseg_model.training.validation import Metrics, MetricsWindow, Report, Validation
+from bodyseg_model.training.validation import WAITING_ADVICE, Metrics, MetricsWindow, Report, Validation
 
 
 class Diverged(BodysegError):
@@ -110,6 +110,10 @@ def train(
             training.run(resume, report or (lambda metrics: None), {**read_from, **(facts or {})})
         processes.from_first(True)  # the others wait until the first has written the network
     return load_network(folder.path)
+
+
+_WAIT_NAMED: Final = 0.01
+"""Share of waiting from which on the log says what for."""
 
 
 @dataclass(frozen=True)
@@ -197,6 +201,7 @@ class Training:
         objective = self._objective()
         self.network.train()
         window = MetricsWindow(self.processes, self.network.classes)
+        self._loaded = data_loader.stats()
         batches = _endless(data_loader)
         whole = True
         try:
@@ -228,6 +233,11 @@ class Training:
         if self.step % self.run_options.log_every and self.step < self.recipe.steps and not due:
             return window
         metrics = window.metrics(self.step, self.optimiser.param_groups[-1]["lr"])
+        now = data_loader.stats()
+        if metrics.data_wait >= _WAIT_NAMED:
+            slowest = max(WAITING_ADVICE, key=lambda stage: now[stage] - self._loaded[stage])
+            metrics = replace(metrics, waited_for=slowest)
+        self._loaded = now
         if due:
             metrics = self._validated(metrics, facts)
         if self.processes.first:

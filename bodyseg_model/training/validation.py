@@ -26,7 +26,8 @@ class Metrics:
 
     step: number of steps done. loss: mean over the steps. accuracy: average per class; pixel_accuracy: share of the
     selected pixels that are right. learning_rate: of the last layer, in the last step. images_per_second: over all
-    processes. data_wait: share of the time spent waiting for data.
+    processes. data_wait: share of the time spent waiting for data; waited_for: the stage of loading that took longest
+    meanwhile (`Loader.stats`), None below 1 %.
 
     val_accuracy, val_pixel_accuracy: average per class, and share of all pixels that are right, on the images held out
     for validation; val_best_step: step of the highest val_accuracy so far. None in steps without a validation.
@@ -39,6 +40,7 @@ class Metrics:
     learning_rate: float
     images_per_second: float
     data_wait: float
+    waited_for: str | None = None
     val_accuracy: float | None = None
     val_pixel_accuracy: float | None = None
     val_best_step: int | None = None
@@ -47,6 +49,12 @@ class Metrics:
         """The metrics as a JSON object, without those that are None."""
         return {name: value for name, value in asdict(self).items() if value is not None}
 
+
+WAITING_ADVICE: Final = {
+    **dict.fromkeys(("decode", "artifacts", "transform", "deliver"), "more num_workers, up to the processors"),
+    "store": "shuffle='blocks', a cache with room for the set, or a nearer store",
+}
+"""Stage of loading -> what helps a training that waits for it."""
 
 Report = Callable[[Metrics], None]
 """Function that is called with the metrics of each line of the log."""

@@ -4,7 +4,7 @@ import hashlib
 from pathlib import Path
 
 import pytest
-from benches.data.reading import bench
+from benches.data.reading import bench, far
 from benches.data.reading.manifests import SHARD_SAMPLES, fit, write_large_manifest
 
 from bodyseg_data.core import BadConfig
@@ -40,6 +40,24 @@ def test_ranks_share_caches_and_manifests_are_opened(small_set: Path, monkeypatc
     assert 10 < indexed["index_bytes"] / SHARD_SAMPLES < 30
     assert largest["bytes"] - indexed["bytes"] < 2 * 500, "a short line a shard"
     assert set(found["fits"]) == {"bytes", "cpu_s", "memory_bytes"}
+
+
+def test_a_far_store_is_read_in_every_order(small_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("aiohttp")
+    monkeypatch.setattr(far, "LATENCY_S", 0.0)
+    monkeypatch.setattr(far, "RATE", 1e9)
+    found = far.bench_far(data=str(small_set))
+    assert [(row["cache"], row["order"], row["look_ahead"]) for row in found["rows"][:4]] == [
+        ("whole", "blocks", True),
+        ("whole", "global", True),
+        ("whole", "stored", True),
+        ("whole", "global", False),
+    ]
+    assert {row["times_the_set"] for row in found["rows"][:4]} == {1.0} and len(found["rows"]) == 12
+    assert all(0 < row["first_s"] <= row["epoch_s"] and row["requests"] for row in found["rows"])
+    assert found["rows"][11]["requests"] == found["samples"] == 24, "without a cache and look-ahead a request a sample"
+    assert found["mixing"]["stored"]["subjects"] <= found["mixing"]["global"]["subjects"]
+    assert found["warm_over_local"] > 0
 
 
 def test_too_few_samples_for_the_ranks_are_one_line(small_set: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,13 +28,9 @@ class CountedFolder(RemoteFolder):
 
     requests = sent = 0
 
-    def read(self, name: str, offset: int, length: int) -> bytes:
-        self._count(length)
-        return super().read(name, offset, length)
-
-    def fetch(self, name: str, start: int, stop: int, sink: Callable[[bytes], object]) -> None:
+    def fetch(self, name: str, start: int, stop: int, *how: Any, **more: Any) -> None:
         self._count(stop - start)
-        super().fetch(name, start, stop, sink)
+        super().fetch(name, start, stop, *how, **more)
 
     def _count(self, size: int) -> None:
         self.requests += -(-size // _BLOCK_BYTES)
