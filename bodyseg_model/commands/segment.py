@@ -219,10 +219,13 @@ def _remarks(
     if recording.skipped:
         lines.append(f"{len(recording.skipped)} frames could not be read: skipped in summary.json lists them")
     if summary.things:
-        lines.append(f"{summary.things / frames:.2g} things a frame got no label: --keep-things labels them, too")
+        lines.append(
+            f"{summary.things / frames:.2g} things a frame got no label ({summary.doubted} of {summary.things} for low "
+            "confidence, the others for their shape): --keep-things labels them, too"
+        )
     if options.turned == "auto":
         lines.append(f"--turned auto: {recording.turned_deg}")
-    elif options.turned is None and background != "frame" and (summary.mean_confidence or 1.0) < _SURE:
+    elif options.turned is None and background != "frame" and _confidence(summary) < _SURE:
         turned = recording.surer_turn_deg()
         if turned is not None:
             lines.append(f"the network is surer of people when frames are turned: give --turned {turned} if they are")
@@ -238,6 +241,11 @@ def _remarks(
             f"frames are probably {shown} --mirrored"
         )
     return lines + _too_near(summary, recording.labeller.rig)
+
+
+def _confidence(summary: SequenceSummary) -> float:
+    """Mean confidence of people; where nobody was found, 0 if the network doubted things, and 1 if it saw none."""
+    return summary.mean_confidence or float(not summary.doubted)
 
 
 def _too_near(summary: SequenceSummary, rig: Rig) -> list[str]:

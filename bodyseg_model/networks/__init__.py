@@ -8,6 +8,7 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_model.networks.checkpoints import (
+        SHIPPED,
         CardWords,
         Checkpoint,
         CheckpointName,
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
         Trained,
         confusion_file,
         load_network,
+        read_card,
         read_checkpoint,
         save_network,
         trained_network,

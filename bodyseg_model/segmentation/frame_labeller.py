@@ -69,8 +69,8 @@ Found = Callable[[], LabelledFrame]
 class FrameLabeller:
     """Labels frames of any range sensor: recordings (`recording`), streams of arrays (`stream`), or one array (a call).
 
-    A frame is undistorted, its surfaces are found and told apart by their shape, people are resampled for the network
-    and labelled, and labels mapped back (`Segmenter`, one for each camera).
+    A frame is undistorted, its surfaces are found, what may be people is resampled for the network and labelled, and
+    labels mapped back (`Segmenter`, one for each camera). Shape and confidence tell people from things.
 
     trained: the network with its card, by default the one that ships. background: rule for removing the background, by
     default `Background()`, and for a network of other classes than body parts `Background("frame")`. mirrored: True if
@@ -111,7 +111,7 @@ class FrameLabeller:
         self.background = background or Background("people" if of_parts else "frame")
         self.mirrored, self.least_confidence = mirrored, least_confidence
         self.video = CarriedLabels() if video else None
-        self._people = None if keep_things else shipped_score()
+        self._people = None if keep_things else shipped_score(self.trained.card)
         self._turned, self._judged = turned, 0
         self._looked_at, self._confidence = 0, np.zeros(4)  # of each turn, the sum over judged frames
         self._segmenters = lru_cache(maxsize=_KEPT)(self._new_segmenter)
@@ -269,7 +269,7 @@ class FrameLabeller:
         people = self._people if self.background.mode == "people" else None
         return {
             "background": self.background.to_json(),
-            "person_score": None if people is None else {"cutoff": people.cutoff},
+            "person_score": people and {"cutoff": people.cutoff, "by_confidence": people.by_confidence},
             "rig": self.rig.to_json(),
             "least_confidence": self.least_confidence,
             "video": None if self.video is None else asdict(self.video.carrying),

@@ -1,15 +1,15 @@
-"""A score that tells people from things by the shape of a surface, before a network labels it.
+"""A score that tells people from things, by the shape of a surface and by how sure a network is of its labels.
 
-So it goes with any network, whatever classes it has, and no network is shown a thing. The shape of a surface is what a
-camera sees of it: ranges over cells of 5 cm, and 16 measures of them. Furniture is flat where bodies are curved: the
-second differences of neighbouring cells are near 0 on planes; noise, which is estimated from pixels, is allowed for.
+The shape is what a camera sees of a surface: ranges over cells of 5 cm, and 16 measures of them. Furniture is flat
+where bodies are curved: the second differences of neighbouring cells are near 0 on planes; noise, which is estimated
+from pixels, is allowed for. A small convolutional network judges it, for any labelling network, whatever classes that
+has. It sees the surface at `CELL_M` a pixel, 48 x 48 of them, in three channels: range from the median, what is
+measured, and range from the mean of the 3 x 3 cells around, which shows how a body is curved; and the measures. NumPy
+computes its 8 825 weights in a thirtieth of the time of the network that labels bodies: a runtime's threads would take
+processors from that one. `weights/shape_network.json` holds the weights, and says how they were made.
 
-A small convolutional network judges the shape. It sees the surface at `CELL_M` a pixel, 48 x 48 of them, in three
-channels: range from the median, what is measured, and range from the mean of the 3 x 3 cells around, which shows how a
-body is curved; and the measures. NumPy computes its 8 825 weights in a thirtieth of the time of the network that labels
-bodies: a runtime's threads would take processors from that one. `weights/shape_network.json` holds the weights, and
-says how they were made; `tools/bench things` counts whom it finds in rooms it was not fitted to
-(docs/reference/things.md).
+Shapes of things that it was not fitted to often look like people to it, and the labelling network is less sure of them:
+both together decide (docs/reference/things.md). `tools/bench limits` fits the limit, which a network's card holds.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -29,30 +29,16 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig
 from bodyseg_data.rigs import Camera
+from bodyseg_model.networks import SHIPPED, read_card
 
 MEASURES: Final = (
-    "flat share",
-    "flat share down",
-    "flat share across",
-    "curvature down",
-    "curvature across",
-    "median curvature",
-    "upper quartile of curvature",
-    "log curved share",
-    "log hollow share",
-    "filled cells",
-    "width",
-    "height",
-    "depth",
-    "log area",
-    "area of bounding box",
-    "log area of height squared",
-)
+    "flat share", "flat share down", "flat share across", "curvature down", "curvature across", "median curvature",
+    "upper quartile of curvature", "log curved share", "log hollow share", "filled cells", "width", "height", "depth",
+    "log area", "area of bounding box", "log area of height squared",
+)  # fmt: skip
 """What is measured of a shape, in its order."""
 
-CELL_M: Final = 0.05
-"""Side of the cells over which ranges are averaged, metres."""
-
+CELL_M: Final = 0.05  # side of the cells over which ranges are averaged, metres
 _PIXELS_A_CELL: Final = 5  # a side: of larger cells, only every second, third ... pixel is read
 _FEW: Final = 4096  # of the pixels for a median, evenly spaced, no fewer are read
 _JUMP_M: Final = 0.15  # greatest difference of range between neighbouring cells of one surface, metres
@@ -69,10 +55,8 @@ FILE: Final = "shape_network.json"
 SIDE: Final = 48
 """Cells of an image, a side: 2.4 m. Of larger surfaces the middle is seen."""
 
-CHANNELS: Final = 3
-
 SHAPES: Final = {
-    "layer1.weight": (8, CHANNELS, 4, 4),
+    "layer1.weight": (8, 3, 4, 4),
     "layer1.bias": (8,),
     "layer2.weight": (16, 8, 3, 3),
     "layer2.bias": (16,),
@@ -85,17 +69,9 @@ SHAPES: Final = {
 }
 """Names and shapes of the weights, as PyTorch's `Conv2d` [out, in, rows, columns] and `Linear` [out, in] have them."""
 
-CONVOLUTIONS: Final = ("layer1", "layer2", "layer3")
-"""Of stride 2, with one cell of zeros around their image."""
-
-RANGE_M: Final = 0.4
-"""Range from the median that is 1 in the first channel, metres."""
-
-CURVED_M: Final = 0.03
-"""Range from the mean around that is 1 in the third channel, metres."""
-
-MOST: Final = 2.0
-"""Most in the first and third channels, either side of 0."""
+_RANGE_M: Final = 0.4  # from the median, that is 1 in the first channel
+_CURVED_M: Final = 0.03  # from the mean around, that is 1 in the third channel
+_MOST: Final = 2.0  # in both, either side of 0
 
 Floats = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -109,11 +85,12 @@ class SurfaceShape:
     """Shape of a surface as the camera sees it. measures: `MEASURES`, float64 [16], all 0 where no pixel is read.
 
     cells: mean ranges of cells of about `CELL_M` in the surface's bounding box, float64 [h, w], metres, NaN where less
-    than half of one is measured.
+    than half of one is measured. noise_m: standard deviation of a pixel's range, metres, 0 where it cannot be told.
     """
 
     measures: Floats = field(repr=False)
     cells: Floats = field(repr=False)
+    noise_m: float = 0.0
 
 
 def surface_shape(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camera: Camera) -> SurfaceShape:
@@ -130,7 +107,8 @@ def surface_shape(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camera
     if not len(rows):  # a surface narrower than the step
         return SurfaceShape(np.zeros(len(MEASURES)), np.full((1, 1), np.nan))
     z = range_m.ravel().take(step * (rows * camera.columns + columns)).astype(np.float64)
-    limit = _FLAT_M + _SIGMAS * math.sqrt(6.0) / _MAD / side * _noise(rows, columns, z)
+    noise_m = _noise(rows, columns, z) / _MAD
+    limit = _FLAT_M + _SIGMAS * math.sqrt(6.0) / side * noise_m
     cells, filled = _mean_cells(rows, columns, z, side)
     down, across = _second_differences(cells), _second_differences(cells.T)
     curvature = np.concatenate([down, across])
@@ -154,7 +132,7 @@ def surface_shape(pixels: NDArray[np.intp], range_m: NDArray[np.float32], camera
         area / (width * height),
         math.log(area / height**2),
     ]
-    return SurfaceShape(np.array(measures), cells)
+    return SurfaceShape(np.array(measures), cells, noise_m)
 
 
 def _every(pixels: NDArray[np.intp], width: int, step: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -228,7 +206,7 @@ class ShapeNetwork:
     def logit(self, image: Image, measures: Floats) -> float:
         """The same of `shape_image`, float32 [2, 48, 48], and of the shape's measures, float64 [16]."""
         image = with_curvature(image)
-        for name in CONVOLUTIONS:
+        for name in ("layer1", "layer2", "layer3"):
             image = np.maximum(_convolved(image, *self._layer(name)), 0)
         flat = image.reshape(len(image), -1)
         (hidden, hidden_bias), (out, out_bias) = self._layer("hidden"), self._layer("out")
@@ -248,7 +226,7 @@ def shape_image(cells: Floats) -> Image:
     image = np.zeros((2, SIDE, SIDE), np.float32)
     known = np.isfinite(cells)
     if known.any():
-        from_median = np.clip((cells - np.median(cells[known])) / RANGE_M, -MOST, MOST)
+        from_median = np.clip((cells - np.median(cells[known])) / _RANGE_M, -_MOST, _MOST)
         (down, rows), (across, columns) = (_middle(size) for size in cells.shape)
         image[0, down, across] = np.where(known, from_median, 0)[rows, columns]
         image[1, down, across] = known[rows, columns]
@@ -272,7 +250,7 @@ def with_curvature(image: Image) -> Image:
     rows = around[..., :-2, :] + around[..., 1:-1, :] + around[..., 2:, :]
     nine = rows[..., :-2] + rows[..., 1:-1] + rows[..., 2:]
     mean = nine[..., 0, :, :] / np.maximum(nine[..., 1, :, :], 1)
-    bulge = np.clip((ranges - mean) * known * np.float32(RANGE_M / CURVED_M), -MOST, MOST)
+    bulge = np.clip((ranges - mean) * known * np.float32(_RANGE_M / _CURVED_M), -_MOST, _MOST)
     return np.concatenate([image, bulge[..., None, :, :]], axis=-3)
 
 
@@ -306,31 +284,77 @@ def shipped_shape_network() -> ShapeNetwork:
 # The score.
 
 
-ByShape = Callable[[SurfaceShape], float]
-"""Gives the logarithm of the odds that a surface of this shape is a person."""
+CARD_ENTRY: Final = "least_confidence_of_people"
+"""Entry of a network's card: the cutoff of its `PersonScore`, which `tools/bench limits` fits."""
+
+_DOUBT: Final = 0.2  # of the odds against a person by shape, as a logarithm
+_MOST_DOUBT: Final = 6.0
+_NOISE: Final = 0.3
+_NOISE_M: Final = 0.02  # from here on, networks are less sure of people
+_AREA: Final = 0.9
+_AREA_M2: Final = 0.25  # below, too
+_NO_DOUBT: Final = -5.0  # logarithm of odds below which a shape without much noise is a thing
+_PROBABLE: Final = 1e-4  # a probability's least distance from 0 and 1
+
+
+class SeenShape(NamedTuple):
+    """The shape of a surface: logarithm of the odds that it is a person, noise of its ranges in metres, and area as if
+    it faced the camera in square metres.
+    """
+
+    odds: float
+    noise_m: float
+    area_m2: float
 
 
 @dataclass(frozen=True)
 class PersonScore:
-    """Probability that a surface is a person, by its shape.
+    """Score of a surface, 0 to 1, by its shape and by how sure of its labels a network is.
 
-    by_shape: judges shapes. cutoff: least probability of a person, 0 to 1. Raises BadConfig for a cutoff out of range.
+    by_shape: logarithm of the odds of a person by shape. cutoff: least score of a person, 0 to 1. by_confidence: False
+    to judge by the shape alone. Raises BadConfig for a cutoff out of range.
     """
 
-    by_shape: ByShape = field(repr=False)
+    by_shape: Callable[[SurfaceShape], float] = field(repr=False)
     cutoff: float
+    by_confidence: bool = False
 
     def __post_init__(self) -> None:
-        if not 0 <= self.cutoff <= 1:
-            raise BadConfig(f"a score of people needs a cutoff from 0 to 1, found {self.cutoff:g}")
+        if not isinstance(self.cutoff, (int, float)) or not 0 <= self.cutoff <= 1:
+            raise BadConfig(f"a score of people needs a cutoff from 0 to 1, found {self.cutoff!r}")
 
-    def __call__(self, pixels: NDArray[np.intp], range_m: NDArray[np.float32], camera: Camera) -> float:
-        """Score one surface, 0 to 1. Arguments as of `surface_shape`."""
-        odds = self.by_shape(surface_shape(pixels, range_m, camera))
+    def seen(self, pixels: NDArray[np.intp], range_m: NDArray[np.float32], camera: Camera) -> SeenShape:
+        """Judge the shape of one surface. Arguments as of `surface_shape`."""
+        shape = surface_shape(pixels, range_m, camera)
+        return SeenShape(self.by_shape(shape), shape.noise_m, math.exp(shape.measures[MEASURES.index("log area")]))
+
+    def rules_out(self, shape: SeenShape) -> bool:
+        """True for a thing that no network need label."""
+        if self.by_confidence:
+            return shape.odds < _NO_DOUBT and shape.noise_m < _NOISE_M
+        return self(shape) < self.cutoff
+
+    def __call__(self, shape: SeenShape, mean_confidence: float | None = None) -> float:
+        """Score one surface. mean_confidence: of the network's labels of it; None to score the shape.
+
+        The score is the confidence of a large surface with little noise whose shape is a person's. A shape counts
+        against a person alone: things that its network has not seen often look like people to it. Noise, and a
+        small area, excuse low confidence.
+        """
+        odds = shape.odds
+        if self.by_confidence and mean_confidence is not None:
+            sure = min(max(mean_confidence, _PROBABLE), 1 - _PROBABLE)
+            odds = math.log(sure / (1 - sure)) + _DOUBT * min(max(shape.odds, -_MOST_DOUBT), 0.0)
+            odds += _NOISE * math.log(max(shape.noise_m / _NOISE_M, 1.0))
+            odds -= _AREA * math.log(min(max(shape.area_m2 / _AREA_M2, _PROBABLE), 1.0))
         return 1 / (1 + math.exp(-min(max(odds, -700.0), 700.0)))
 
 
-def shipped_score() -> PersonScore:
-    """The score that ships with the package. Raises as `shipped_shape_network`."""
-    network = shipped_shape_network()
-    return PersonScore(network, network.cutoff)
+def shipped_score(card: Mapping[str, Any] | None = None) -> PersonScore:
+    """The score that ships with the package, for the network of a card (`Trained.card`).
+
+    card: by default that of the network that ships. Without an entry `CARD_ENTRY` the shape alone decides. Raises
+    BadConfig as `shipped_shape_network` and `PersonScore`.
+    """
+    network, cutoff = shipped_shape_network(), (read_card(SHIPPED) if card is None else card).get(CARD_ENTRY)
+    return PersonScore(network, network.cutoff) if cutoff is None else PersonScore(network, cutoff, True)

@@ -19,7 +19,7 @@ from bodyseg_model.networks import Network, device_of, predict_each
 from bodyseg_model.runtimes import on_backend
 from bodyseg_model.segmentation.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.joints import found_joints
-from bodyseg_model.segmentation.person_score import PersonScore
+from bodyseg_model.segmentation.person_score import PersonScore, SeenShape
 from bodyseg_model.segmentation.persons import Records, labelled_points, measured_parts, person_image
 from bodyseg_model.segmentation.surfaces import Background, find_bodies
 from bodyseg_model.segmentation.views import BodyView, compile_views_ahead, usual_views, view_body, view_frame
@@ -32,7 +32,7 @@ class LabelledBody:
     """One body of a frame. pixels: int64 [N], row * columns + column, ascending. confidence: float32 [N].
 
     median_range_m, turn_rad, scale: its median range, and rotation and scale of its view for the network (`BodyView`).
-    person: probability that it is a person, 0 to 1 (`PersonScore`); None if nobody asked.
+    person: its score as a person, 0 to 1 (`PersonScore`); None if nobody asked.
     """
 
     pixels: NDArray[np.intp] = field(repr=False)
@@ -47,12 +47,14 @@ class LabelledBody:
 class Thing:
     """A surface of a body's size that is no person. pixels: as of `LabelledBody`. median_range_m: of the pixels.
 
-    person: probability that it is a person, 0 to 1.
+    person: its score as a person, 0 to 1 (`PersonScore`). mean_confidence: of the network that labels people; None if
+    the shape alone left no doubt, and the network was not asked.
     """
 
     pixels: NDArray[np.intp] = field(repr=False)
     median_range_m: float
     person: float
+    mean_confidence: float | None = None
 
 
 @dataclass(frozen=True)
@@ -110,14 +112,15 @@ class Segmentation:
         return found_joints(self, self.label_map)
 
 
-FoundBody = tuple[NDArray[np.intp], float | None, BodyView]
-"""A body before a network has labelled it: pixels and person, as of `LabelledBody`, and what the network sees."""
+FoundBody = tuple[NDArray[np.intp], SeenShape | None, BodyView]
+"""A body before a network has labelled it: pixels as of `LabelledBody`, shape, and what the network sees."""
 
 
 @dataclass(frozen=True)
 class FoundSurfaces:
-    """The surfaces of a frame that have a body's size, people and things, the largest of each first. range_m: the
-    frame, turned upright, float32 [H, W], metres; pixels are of it. milliseconds: of each of `STAGES` so far.
+    """The surfaces of a frame that have a body's size, the largest first: bodies may be people, things are none by
+    their shape alone. range_m: the frame, turned upright, float32 [H, W], metres; pixels are of it. milliseconds: of
+    each of `STAGES` so far.
     """
 
     range_m: NDArray[np.float32] = field(repr=False)
@@ -217,39 +220,47 @@ class Segmenter:
         with watch("background"):
             range_m = turned_image(range_m, self.turned)
             surfaces = find_bodies(range_m, camera, self.background, threads)
-        people: list[tuple[NDArray[np.intp], float | None]] = [(pixels, None) for pixels in surfaces]
-        things: tuple[Thing, ...] = ()
+        people: list[tuple[NDArray[np.intp], SeenShape | None]] = [(pixels, None) for pixels in surfaces]
+        things: list[Thing] = []
         if self.people is not None:
-            score, flat = self.people, range_m.ravel()
+            score, people = self.people, []
             with watch("shape"):
-                scores = of_each(lambda pixels: score(pixels, range_m, camera), surfaces, threads)
-                judged = list(zip(surfaces, scores, strict=True))
-                people = [each for each in judged if each[1] >= score.cutoff]
-                things = tuple(
-                    Thing(pixels, float(np.median(flat[pixels])), person)
-                    for pixels, person in judged
-                    if person < score.cutoff
-                )
+                shapes = of_each(lambda pixels: score.seen(pixels, range_m, camera), surfaces, threads)
+                for pixels, shape in zip(surfaces, shapes, strict=True):
+                    if score.rules_out(shape):
+                        things.append(Thing(pixels, float(np.median(range_m.ravel()[pixels])), score(shape)))
+                    else:
+                        people.append((pixels, shape))
         with watch("resample"):
             resample = partial(view_body, range_m, camera=camera, rig=self.rig, mirrored=self.mirrored)
             if self.background.mode == "frame":
                 resample = partial(view_frame, range_m, mirrored=self.mirrored)
             views = of_each(resample, [pixels for pixels, _ in people], threads)
-        bodies = tuple((pixels, person, view) for (pixels, person), view in zip(people, views, strict=True))
-        return FoundSurfaces(range_m, bodies, things, watch.milliseconds)
+        bodies = tuple((pixels, shape, view) for (pixels, shape), view in zip(people, views, strict=True))
+        return FoundSurfaces(range_m, bodies, tuple(things), watch.milliseconds)
 
     def label(self, found: FoundSurfaces) -> Segmentation:
-        """Label the bodies of a frame. With `video`, frames must come in order."""
+        """Label the bodies of a frame; those whose labels the network doubts too much for people are things, too.
+
+        With `video`, frames must come in order.
+        """
         range_m, watch = found.range_m, Stopwatch(STAGES)
         watch.milliseconds.update(found.milliseconds)
         labels = np.full(range_m.shape, BACKGROUND, np.uint8)
         bodies: list[LabelledBody] = []
+        things = list(found.things)
         with watch("network"):
             answers = predict_each(self._network, [view.range_m for _, _, view in found.bodies])
         with watch("back"):
-            for (pixels, person, view), (view_labels, view_confidence) in zip(found.bodies, answers, strict=True):
+            for (pixels, shape, view), (view_labels, view_confidence) in zip(found.bodies, answers, strict=True):
+                confidence, person = view.back(view_confidence), None
+                if self.people is not None and shape is not None:
+                    mean = float(confidence.mean(dtype=np.float64))
+                    person = self.people(shape, mean)
+                    if person < self.people.cutoff:
+                        things.append(Thing(pixels, view.median_range_m, person, mean))
+                        continue
                 labels.ravel()[pixels] = view.back(view_labels)
-                confidence = view.back(view_confidence)
                 bodies.append(LabelledBody(pixels, view.median_range_m, view.turn_rad, view.scale, confidence, person))
         if self.video is not None:
             with watch("video"):
@@ -263,7 +274,7 @@ class Segmenter:
             watch.milliseconds,
             range_m,
             self.camera,
-            found.things,
+            tuple(things),
             self.mirrored,
             self.label_map,
         )
@@ -282,7 +293,7 @@ class Segmenter:
         room[rows // 4 : 3 * rows // 4, 3 * columns // 8 : 5 * columns // 8] /= 2  # of a body's size for most cameras
         for pixels in find_bodies(room, self._upright, self.background, torch.get_num_threads()):
             if self.people is not None:
-                self.people(pixels, room, self._upright)
+                self.people.seen(pixels, room, self._upright)
         view_body(np.full_like(room, self.rig.stand_off_m), np.arange(1), self._upright, self.rig, self.mirrored)
         for views in usual_views(self.rig, self._network.together):
             predict_each(self._network, views)

@@ -104,7 +104,11 @@ class SequenceSummary:
                 "mean_confidence": _rounded(segmentation.mean_confidence),
                 "bodies": [_body(body, range_m.shape[1]) for body in bodies],
                 "things": [
-                    {**_place(thing.pixels, range_m.shape[1], thing.median_range_m), "person": _rounded(thing.person)}
+                    {
+                        **_place(thing.pixels, range_m.shape[1], thing.median_range_m),
+                        "mean_confidence": _rounded(thing.mean_confidence),
+                        "person": _rounded(thing.person),
+                    }
                     for thing in segmentation.things
                 ],
                 "flicker": None if change is None else change.to_json(),
@@ -127,6 +131,11 @@ class SequenceSummary:
     def things(self) -> int:
         """Surfaces of a body's size in all frames together that are no person."""
         return sum(len(frame["things"]) for frame in self._frames)
+
+    @property
+    def doubted(self) -> int:
+        """Of `things`, those that were labelled, and whose labels the network doubted."""
+        return sum(thing["mean_confidence"] is not None for frame in self._frames for thing in frame["things"])
 
     @property
     def mean_confidence(self) -> float | None:
@@ -153,6 +162,7 @@ class SequenceSummary:
             "frames_with_people": sum(frame["people"] > 0 for frame in self._frames),
             "people": self.people,
             "things": self.things,
+            "things_doubted": self.doubted,
             "pixels": sum(frame["pixels"] for frame in self._frames),
             "labelled": sum(frame["labelled"] for frame in self._frames),
             "mean_confidence": _rounded(self.mean_confidence),

@@ -19,7 +19,13 @@ from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.rigs import Camera, load_sensor
 from bodyseg_model.networks import load_network
 from bodyseg_model.segmentation import Background, PersonScore, Segmenter, shipped_score
-from bodyseg_model.segmentation.person_score import MEASURES, SurfaceShape, shipped_shape_network, surface_shape
+from bodyseg_model.segmentation.person_score import (
+    MEASURES,
+    SeenShape,
+    SurfaceShape,
+    shipped_shape_network,
+    surface_shape,
+)
 
 CAMERA = Camera(240, 320, 262.5, (160.0, 120.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -105,19 +111,41 @@ def flat_is_thing(shape: SurfaceShape) -> float:
 def test_a_score_is_the_probability_of_a_persons_shape() -> None:
     frame = column()
     pixels = np.flatnonzero(frame)
-    for odds, expected in ((3.0, 1 / (1 + math.exp(-3))), (0.0, 0.5), (1e9, 1.0)):
-        assert PersonScore(always(odds), 0.5)(pixels, frame, CAMERA) == pytest.approx(expected)
-    assert PersonScore(always(-1e9), 0.5)(pixels, frame, CAMERA) < 1e-300
-    with pytest.raises(BadConfig, match="^a score of people needs a cutoff from 0 to 1, found 2$"):
+    for odds, expected in ((3.0, 1 / (1 + math.exp(-3))), (0.0, 0.5), (1e9, 1.0), (-1e9, 0.0)):
+        score = PersonScore(always(odds), 0.5)
+        assert score(score.seen(pixels, frame, CAMERA)) == pytest.approx(expected, abs=1e-300)
+    with pytest.raises(BadConfig, match="^a score of people needs a cutoff from 0 to 1, found 2.0$"):
         PersonScore(always(0.0), 2.0)
 
 
-def test_the_score_that_ships_is_that_of_the_network_of_shapes() -> None:
-    frame, network = column(), shipped_shape_network()
-    pixels, score = np.flatnonzero(frame), shipped_score()
-    odds = network(surface_shape(pixels, frame, CAMERA))
-    assert score(pixels, frame, CAMERA) == pytest.approx(1 / (1 + math.exp(-odds)))
-    assert score.cutoff == network.cutoff
+def test_what_counts_for_a_person() -> None:
+    """The confidence of a large surface without noise; doubts by the shape count against it, noise and size for it."""
+    score = PersonScore(always(0.0), 0.5, by_confidence=True)
+    assert score(SeenShape(3.0, 0.01, 0.5), 0.6) == pytest.approx(0.6)
+    doubted = score(SeenShape(-5.0, 0.01, 0.5), 0.6)
+    assert math.log(doubted / (1 - doubted)) == pytest.approx(math.log(1.5) - 1.0)
+    assert score(SeenShape(-50.0, 0.01, 0.5), 0.6) == score(SeenShape(-6.0, 0.01, 0.5), 0.6) < doubted
+    assert score(SeenShape(3.0, 0.06, 0.5), 0.6) > 0.65 and score(SeenShape(3.0, 0.01, 0.1), 0.6) > 0.75
+    assert 0 < score(SeenShape(3.0, 0.0, 0.0), 0.0) < score(SeenShape(3.0, 0.0, 0.5), 1.0) < 1
+    assert score.rules_out(SeenShape(-7.0, 0.01, 0.5))
+    assert not score.rules_out(SeenShape(-9.0, 0.08, 0.5)), "a noisy person's shape may be far from a person's"
+
+
+@pytest.mark.parametrize(("sigma_m", "least"), [(0.0, 0.0), (0.03, 0.028), (0.08, 0.07)])
+def test_noise_of_ranges_is_estimated(sigma_m: float, least: float) -> None:
+    frame = noisy(board(), sigma_m)
+    found = surface_shape(np.flatnonzero(frame), frame, CAMERA).noise_m
+    assert least <= found <= 1.15 * sigma_m + 0.002
+
+
+def test_the_limit_belongs_to_a_networks_card() -> None:
+    alone, network = shipped_score({}), shipped_shape_network()
+    assert not alone.by_confidence and alone.cutoff == network.cutoff and alone.by_shape is network
+    assert shipped_score() == shipped_score(load_network().card) and shipped_score().by_confidence
+    assert shipped_score({"least_confidence_of_people": 0.7}).cutoff == 0.7
+    for bad in (2, "high", [0.5]):
+        with pytest.raises(BadConfig, match="^a score of people needs a cutoff from 0 to 1, found "):
+            shipped_score({"least_confidence_of_people": bad})
 
 
 def test_a_thing_is_not_shown_to_the_network() -> None:
@@ -126,7 +154,7 @@ def test_a_thing_is_not_shown_to_the_network() -> None:
     found = Segmenter(network, CAMERA, people=PersonScore(flat_is_thing, 0.5))(frame)
     assert len(network.seen) == len(found.bodies) == len(found.things) == 1
     (thing,) = found.things
-    assert thing.person < 0.5 and thing.median_range_m == pytest.approx(2.0)
+    assert thing.mean_confidence is None and thing.person < 0.5 and thing.median_range_m == pytest.approx(2.0)
     np.testing.assert_array_equal(thing.pixels, np.flatnonzero(np.roll(board(slant=0.0), -60, axis=1)))
     assert (found.labels.ravel()[thing.pixels] == BACKGROUND).all()
 
@@ -143,6 +171,13 @@ def test_a_segmenter_labels_people_alone() -> None:
         found.labels.ravel()[person.pixels], everything.labels.ravel()[everything.bodies[1].pixels]
     )
     assert found.pixels == len(person.pixels) and min(found.milliseconds[stage] for stage in ("shape", "network")) > 0
+    doubting = PersonScore(always(9.0), 0.6, by_confidence=True)
+    doubted = Segmenter(Places(0, 10, sure_m=0.1), CAMERA, people=doubting)(frame)
+    assert not doubted.bodies and [len(thing.pixels) for thing in doubted.things] == [
+        len(body.pixels) for body in everything.bodies
+    ]
+    assert doubted.things[0].mean_confidence == pytest.approx(0.52, abs=0.01)
+    assert (doubted.labels == BACKGROUND).all()
     kept = Segmenter(Places(0, 10), CAMERA, Background("keep"), people=PersonScore(always(-9.0), 0.5))(frame)
     assert len(kept.bodies) == 1 and not kept.things, "who keeps all that was measured has said what it is"
 

@@ -29,7 +29,7 @@ from bodyseg_model.networks import Trained, build, save_network
 from bodyseg_model.recordings import Skipping, find_frames
 from bodyseg_model.recordings.camera_files import cameras_beside
 from bodyseg_model.runtimes import backends, load_run
-from bodyseg_model.segmentation import shipped_score
+from bodyseg_model.segmentation import PersonScore, shipped_score
 from bodyseg_model.segmentation.views import Undistortion, usual_views
 
 Frame = NDArray[np.uint16]
@@ -509,12 +509,32 @@ def test_a_block_is_no_person(
     out = tmp_path / "out"
     assert run(recording, "--focal", "100", "--out", out, keep_things=False) == 0
     facts = report(out)
-    assert facts["person_score"] == {"cutoff": shipped_score().cutoff}
+    assert facts["person_score"] == {"cutoff": shipped_score({}).cutoff, "by_confidence": False}
     assert (facts["people"], facts["things"], facts["labelled"], facts["mean_confidence"]) == (0, 5, 0, None)
     (thing,) = facts["each"][0]["things"]
     assert thing["pixels"] == 480 and thing["box"] == [10, 14, 50, 26] and 0 <= thing["person"] < 0.1
+    assert thing["mean_confidence"] is None and facts["things_doubted"] == 0
     assert (pixels(out / "labels" / "7.png") == BACKGROUND).all()
-    assert "1 things a frame got no label: --keep-things labels them, too" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert (
+        "1 things a frame got no label (0 of 5 for low confidence, the others for their shape): --keep-things" in said
+    )
+
+
+def test_what_the_network_doubts_is_said(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    card = {"rig": SMALL.to_json(), "least_confidence_of_people": 0.9}
+    unsure = Trained(Places(0, 5, sure_m=0.1), card)
+    monkeypatch.setattr(segment, "load_run", lambda run: unsure)
+    monkeypatch.setattr(PersonScore, "rules_out", lambda score, shape: False)
+    out = tmp_path / "out"
+    assert run(recording, "--focal", "100", "--out", out, keep_things=False) == 0
+    facts = report(out)
+    assert facts["person_score"] == {"cutoff": 0.9, "by_confidence": True}
+    assert (facts["people"], facts["things"], facts["things_doubted"]) == (0, 5, 5)
+    assert 0 < facts["each"][0]["things"][0]["mean_confidence"] < 0.6
+    assert "no label (5 of 5 for low confidence, the others for their shape)" in capsys.readouterr().err
 
 
 def test_things_are_told_whatever_classes_a_network_has(

@@ -77,6 +77,7 @@ BENCHES: Final = {
     "sensors": Bench("model.networks.sensors", "sensors_figure", "bodies, 12", optional=("runs",)),
     "shapes": Bench("model.things.shapes", None, "made rooms to fit to, 20000"),
     "things": Bench("model.things.bench", None, "made rooms, 240", optional=("runs",)),
+    "limits": Bench("model.things.limits", "limits_figure", "made rooms to fit to, 200", optional=("runs", "data")),
     "segment": Bench("model.segment.bench", "figure", "made rooms of each size, 24"),
     "windows": Bench(
         "model.segment.windows", "windows_figure", "made rooms, 120", required=("data",), optional=("runs", "images")
@@ -145,7 +146,7 @@ class Options:
     runs: tuple[Path, ...] | None = option(
         "for variants: folder of runs VARIANT-SEED, where missing ones are trained; for architectures and ablation: "
         "folders of runs NAME-SEED; for motion: runs, all of them; for network, runtimes, numerical, sensors, things, "
-        "windows, people, joints, real, steady and failures: runs",
+        "limits, windows, people, joints, real, steady and failures: runs",
         None,
     )
     seeds: int | None = option("for variants: trainings of each variant (default 3)", None)

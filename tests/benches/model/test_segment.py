@@ -128,7 +128,7 @@ def test_the_bench_runs_every_way_and_draws(tmp_path: Path, monkeypatch: pytest.
             assert 0 < way["p50_ms"] <= way["p95_ms"] and way["processor_ms"] > 0 < way["frames_per_second"]
         surfaces, things = ([count[what] for count in size["after"].values()] for what in ("surfaces", "things"))
         assert (surfaces[0], things[0]) == (2, 1) and surfaces == sorted(surfaces, reverse=True)
-        assert size["after"]["shape"]["people_found"] == ways["float32"]["found"]
+        assert size["after"]["network"]["people_found"] == ways["float32"]["found"]
         for way in ways.values():
             assert way["rounds"] == [way["frames_per_second"]]
             assert set(way["ms"]) == {*STAGES, "frame"} and way["people"] == 1

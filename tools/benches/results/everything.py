@@ -32,6 +32,7 @@ from benches.results.trainings import (
 FAUST: Final = "data/faust"
 KINECT: Final = "data/real/kinect_v1"
 MIT: Final = "data/mit"
+ROOM: Final = "data/real/kinect_v1_room"
 
 PROCESSORS: Final = ("amd-epyc-2-cores", "intel-xeon-processor-with-amx-2-cores")
 """Those whose results are published, as `benches.charts.processors.folder_name` names them."""
@@ -100,6 +101,7 @@ def _shipped() -> Iterator[Step]:
     yield _bench("shapes", "--views", "20000")
     yield _bench("things", "--views", "240", reads=shipped)
     yield _bench("joints", "--data", FAUST, reads=shipped)
+    yield _bench("limits", "--views", "200", "--data", ROOM, drawn=True, reads=shipped)
     yield _bench("windows", "--data", HARD, drawn=True, reads=shipped)
     yield _bench("gpu", "--data", OPEN, reads=shipped, alone=True, gpu=True)
     failures = ("--data", OPEN, "--images", "1000", "--hard", HARD)

@@ -26,7 +26,7 @@ from PIL import Image
 
 from benches.measuring import medians
 from benches.model.segment.live import live
-from benches.model.things.rooms import LEAST_SEEN_M2, TEST_SEED, TEST_SOURCES, Counts, Room, Rooms
+from benches.model.things.rooms import LEAST_SEEN_M2, TEST_SEED, TEST_SOURCES, Counts, Room, Rooms, people_of
 from bodyseg_data.bodies import open_source
 from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.labels import BACKGROUND
@@ -87,7 +87,7 @@ LIVE: Final[dict[str, tuple[BackendName | None, Precision | None]]] = {
 }
 """Ways to label a live sensor's frames: backend and precision of each."""
 
-DROPPING: Final = ("background", "shape")
+DROPPING: Final = ("background", "shape", "network")
 """Stages after which fewer surfaces are left, in their order."""
 
 
@@ -209,8 +209,11 @@ def left_after(rooms: Sequence[Room], camera: Camera) -> dict[str, Any]:
     counts = {stage: Counts() for stage in DROPPING}
     for room in rooms:
         result = segmenter(room.range_m)
-        people = [body for body in result.bodies if score(body.pixels, room.range_m, camera) >= score.cutoff]
-        for count, bodies in zip(counts.values(), (result.bodies, people), strict=True):
+        shapes = [score.seen(body.pixels, room.range_m, camera) for body in result.bodies]
+        judged = zip(result.bodies, shapes, strict=True)
+        shown = [body for body, shape in judged if not score.rules_out(shape)]
+        people = people_of(score, result.bodies, shapes)
+        for count, bodies in zip(counts.values(), (result.bodies, shown, people), strict=True):
             count.add(room, bodies, result.labels, 1 / camera.focal_px)
     return {stage: count.to_json() for stage, count in counts.items()}
 

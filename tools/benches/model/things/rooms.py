@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from typing import Any, Final
@@ -16,25 +16,118 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts import AxialNoise
+from bodyseg_data.artifacts import Augmentation, AxialNoise
 from bodyseg_data.bodies import BodyRef, BodySource, open_source
 from bodyseg_data.core import Draws, ProgressCallback, generator, silent
 from bodyseg_data.labels import BACKGROUND
-from bodyseg_data.meshes import Mesh, Partition, Solid, cuboid, together
+from bodyseg_data.meshes import Mesh, Partition, Solid, cuboid, together, turned_solid
 from bodyseg_data.packing import FURNITURE, Numbers
 from bodyseg_data.rendering import RasterRenderer
 from bodyseg_data.rigs import Camera, PlacedCamera, axes_at, load_sensor
-from bodyseg_data.samples import Split
+from bodyseg_data.samples import FARTHEST_STEPS, Sample, SampleInfo, Split, metres
 from bodyseg_model.networks import Network
 from bodyseg_model.segmentation import LabelledBody, PersonScore, Segmenter
+from bodyseg_model.segmentation.person_score import SeenShape
 
 MOST_PEOPLE: Final = 3
 MOST_THINGS: Final = 5
 
-KINDS: Final = tuple(name for name in FURNITURE if name != "plank")
+Kind = Callable[[Numbers], Solid]
+
+KINDS: Final[Mapping[str, Kind]] = {name: kind for name, kind in FURNITURE.items() if name != "plank"}
 """Things that stand on a floor."""
 
-_KEPT: Final = 32  # bodies, once they are built
+
+def curtain(numbers: Numbers, width_m: float = 0.0) -> Solid:
+    """A hanging curtain: a sheet in folds, which may be drawn together. width_m: 0 for a drawn one."""
+    width, high = width_m or numbers.between(0.3, 1.6), numbers.between(1.2, 2.4)
+    low, fold = numbers.between(0.0, 0.5), numbers.between(0.1, 0.35)
+    deep, slack = numbers.between(0.02, 0.09), numbers.between(-0.3, 0.3)
+    x = np.linspace(-width / 2, width / 2, max(12, round(40 * width)))
+    phase = 2 * math.pi * (x / fold + slack * np.sin(3 * x / width))
+    corners = np.stack([np.tile(x, 4), np.zeros(4 * len(x)), np.tile(deep * np.sin(phase), 4)], axis=1)
+    corners = corners.reshape(4, -1, 3)
+    corners[1::2, :, 1], corners[::2, :, 1] = high, low
+    corners[2:, :, 2] += 0.02
+    a, b = np.arange(len(x) - 1), np.arange(len(x) - 1) + 1
+    front_low, front_high, back_low, back_high = (side * len(x) for side in range(4))
+    faces = [
+        [front_low + a, front_high + a, front_high + b],
+        [front_low + a, front_high + b, front_low + b],
+        [back_low + a, back_high + b, back_high + a],
+        [back_low + a, back_low + b, back_high + b],
+    ]
+    return Solid(corners.reshape(-1, 3), np.concatenate([np.stack(face, axis=1) for face in faces]).astype(np.int32))
+
+
+def post(numbers: Numbers) -> Solid:
+    """A post or a pillar, round or square, or two of them one upon another."""
+    height, thick = numbers.between(1.0, 2.4), numbers.between(0.05, 0.25)
+    if numbers.whole(0, 1):
+        return turned_solid([(thick, 0.0), (thick * numbers.between(0.6, 1.0), height)])
+    return cuboid((2 * thick, height, 2 * thick), (0.0, height / 2, 0.0))
+
+
+def board(numbers: Numbers) -> Solid:
+    """A board, a door or a picture that leans back, with a rail or a ledge across it."""
+    width, height, lean = numbers.between(0.3, 1.1), numbers.between(0.8, 2.0), numbers.between(0.0, 0.35)
+    ledge = cuboid((width, 0.06, 0.1), (0.0, height * numbers.between(0.1, 0.9), -0.05))
+    solid = together([cuboid((width, height, 0.03), (0.0, height / 2, 0.0)), ledge])
+    axes = np.array([[1.0, 0.0, 0.0], [0.0, math.cos(lean), math.sin(lean)], [0.0, -math.sin(lean), math.cos(lean)]])
+    return solid.placed(axes, np.zeros(3))
+
+
+def sofa(numbers: Numbers) -> Solid:
+    """An armchair or a sofa with round cushions."""
+    width, depth, seat = numbers.between(0.7, 1.7), numbers.between(0.7, 0.95), numbers.between(0.35, 0.5)
+    back, thick = seat + numbers.between(0.3, 0.55), numbers.between(0.12, 0.25)
+    pieces = [
+        cuboid((width, seat, depth), (0.0, seat / 2, 0.0)),
+        cuboid((width, back, thick), (0.0, back / 2, depth / 2)),
+        *(cuboid((thick, seat + 0.2, depth), (x * width / 2, (seat + 0.2) / 2, 0.0)) for x in (-1, 1)),
+    ]
+    for _ in range(numbers.whole(0, 3)):
+        middle = numbers.between(-width / 3, width / 3), numbers.between(-0.1, 0.2)
+        pieces.append(_ball(numbers.between(0.12, 0.3), numbers.between(0.15, 0.3)).moved((middle[0], seat, middle[1])))
+    return together(pieces)
+
+
+def coats(numbers: Numbers) -> Solid:
+    """A stand with coats and a hat, or a lone coat on the wall: folds around a pole."""
+    pole = turned_solid([(0.03, 0.0), (0.03, numbers.between(1.5, 1.9))])
+    hung = [curtain(numbers, numbers.between(0.25, 0.5)).turned(numbers.between(-math.pi, math.pi)) for _ in range(3)]
+    return together([pole, *hung[: numbers.whole(1, 3)], _ball(0.13, 0.2).moved((0.0, numbers.between(1.4, 1.7), 0.0))])
+
+
+def cushioned_bed(numbers: Numbers) -> Solid:
+    """A bed with pillows and a crumpled blanket."""
+    bed = FURNITURE["bed"](numbers)
+    top = float(np.median(bed.vertices[:, 1]))
+    heaps = [
+        _ball(numbers.between(0.15, 0.45), numbers.between(0.1, 0.35)).moved(
+            (numbers.between(-0.7, 0.7), top - 0.05, numbers.between(-0.3, 0.3))
+        )
+        for _ in range(numbers.whole(1, 4))
+    ]
+    return together([bed, *heaps])
+
+
+def _ball(radius: float, height: float) -> Solid:
+    angles = [math.pi * step / 12 for step in range(1, 12)]
+    return turned_solid([(radius * math.sin(angle), height * (1 - math.cos(angle)) / 2) for angle in angles])
+
+
+OTHER_KINDS: Final[Mapping[str, Kind]] = {
+    "curtain": curtain,
+    "post": post,
+    "board": board,
+    "sofa": sofa,
+    "coats": coats,
+    "cushioned bed": cushioned_bed,
+}
+"""Things that nothing was fitted to."""
+
+_KEPT: Final = 128  # bodies, once they are built
 _ATTEMPTS: Final = 12
 _NEAREST_M: Final = 0.7  # on the floor, where a camera sees the upper half of a person
 _FARTHEST_M: Final = 4.4
@@ -65,8 +158,17 @@ class _Person:
     parts: Partition | None
 
 
+@lru_cache(maxsize=_KEPT)
+def _built(source: BodySource, body: BodyRef, parts: bool) -> _Person:
+    built = source.build(body)
+    return _Person(built.mesh, built.partition() if parts else None)
+
+
 class Rooms:
     """Makes rooms by their numbers, with people drawn from `bodies` of one source.
+
+    kinds: of things; without any, people stand before nothing, as if the background had been removed. sensor: its
+    artifacts fall on the clean frame; by default `_measured`.
 
     parts: label them, too. touching: things stand against people, where there are any, or reach into them, as chairs do
     into who sits on them; otherwise people and things keep apart.
@@ -80,60 +182,126 @@ class Rooms:
         seed: int,
         parts: bool = True,
         touching: bool = False,
+        kinds: Mapping[str, Kind] = KINDS,
+        sensor: Augmentation | None = None,
     ) -> None:
         self.camera = camera
-        self._source, self._bodies, self._seed, self._parts = source, bodies, seed, parts
-        self._touching = touching
-        self._built = lru_cache(maxsize=_KEPT)(self._build)
+        self._source: Any = source
+        self._bodies, self._seed, self._parts = bodies, seed, parts
+        self._touching, self._kinds, self._sensor = touching, tuple(kinds.values()), sensor
+        self._made = lru_cache(maxsize=1)(self._make)
 
-    def __call__(self, number: int) -> Room:
-        """Make the room of a number. The same arguments give the same frame."""
+    def __call__(self, number: int, epoch: int = 0) -> Room:
+        """Make the room of a number. The same arguments give the same frame; epoch: draws other artifacts."""
+        scene = self._made(number)
+        if self._sensor is None or scene.sample is None:
+            range_m = _measured(scene.nearest, generator(self._seed, epoch, f"room {number}", "noise"))
+        else:
+            range_m = metres(self._sensor(scene.sample, epoch).range, self._sensor.rig.range_step_m)
+        lost, none = range_m == 0, np.int32(-1)
+        person, thing = np.where(lost, none, scene.person), np.where(lost, none, scene.thing)
+        labels = np.where(lost, np.uint8(BACKGROUND), scene.labels)
+        return Room(range_m, person, thing, labels, scene.people, scene.things)
+
+    def _make(self, number: int) -> _Scene:
         key = f"room {number}"
         numbers = Numbers(Draws(self._seed, 0, key), "room")
         height, pitch = numbers.between(0.8, 2.0), numbers.between(-25.0, 5.0)
         camera = PlacedCamera(self.camera, axes_at(0, pitch), np.array([0.0, height, 0.0]))
         people, things = numbers.whole(0, MOST_PEOPLE), numbers.whole(0, MOST_THINGS)
         floor = _Floor(self.camera)
-        layers = [_walls(numbers)]
+        layers = [_walls(numbers)] if self._kinds else [together([])]
         bodies = []
         for _ in range(people):
-            body = self._built(numbers.whole(0, len(self._bodies) - 1))
+            body = _built(self._source, self._bodies[numbers.whole(0, len(self._bodies) - 1)], self._parts)
             pose = floor.find_pose(Solid(body.mesh.vertices, body.mesh.faces), numbers)
             if pose is not None:
                 bodies.append((body, pose))
-        for _ in range(things):
-            thing = FURNITURE[KINDS[numbers.whole(0, len(KINDS) - 1)]](numbers)
+        for _ in range(things if self._kinds else 0):
+            thing = self._kinds[numbers.whole(0, len(self._kinds) - 1)](numbers)
             at_people = self._touching and bodies
             pose = floor.find_touching(thing, len(bodies), numbers) if at_people else floor.find_pose(thing, numbers)
             if pose is not None:
                 layers.append(pose.of(thing))
         return self._seen(key, camera, layers, bodies)
 
-    def _build(self, index: int) -> _Person:
-        built = self._source.build(self._bodies[index])
-        return _Person(built.mesh, built.partition() if self._parts else None)
-
-    def _seen(self, key: str, camera: PlacedCamera, layers: list[Solid], bodies: list[tuple[_Person, _Pose]]) -> Room:
+    def _seen(self, key: str, camera: PlacedCamera, layers: list[Solid], bodies: list[tuple[_Person, _Pose]]) -> _Scene:
         shape = camera.camera.rows, camera.camera.columns
         nearest = np.full(shape, np.inf, np.float32)
         person, thing = np.full(shape, -1, np.int32), np.full(shape, -1, np.int32)
         labels = np.full(shape, BACKGROUND, np.uint8)
+        lit, shadow = np.zeros(shape, np.bool_), _Shadow(self._sensor, camera)
         rays = camera.camera.pixel_rays()
         for number, solid in enumerate(layers):  # the first is the room itself
             seen = RasterRenderer(solid).render(camera)
             before = (seen.face >= 0) & (seen.range < nearest)
             nearest[before], thing[before] = seen.range[before], number - 1
+            lit[before] = shadow.faced(solid, seen.face[before])
         for number, (body, pose) in enumerate(bodies):
-            seen = RasterRenderer(pose.of(Solid(body.mesh.vertices, body.mesh.faces))).render(camera)
+            solid = pose.of(Solid(body.mesh.vertices, body.mesh.faces))
+            seen = RasterRenderer(solid).render(camera)
             before = (seen.face >= 0) & (seen.range < nearest)
             nearest[before], thing[before], person[before] = seen.range[before], -1, number
+            lit[before] = shadow.faced(solid, seen.face[before])
             if body.parts is not None:
                 points = camera.to_body(rays[before] * seen.range[before][:, None])
                 labels[before] = body.parts.labels_at(body.mesh, seen.face[before], pose.back(points))
-        range_m = _measured(nearest, generator(self._seed, 0, key, "noise"))
-        for image, empty in ((person, -1), (thing, -1), (labels, BACKGROUND)):
-            image[range_m == 0] = empty
-        return Room(range_m, person, thing, labels, len(bodies), len(layers) - 1)
+        nearest[~np.isfinite(nearest)] = 0
+        sample = shadow.sample(key, nearest, lit)
+        return _Scene(nearest, sample, person, thing, labels, len(bodies), len(layers) - 1)
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """A room before it is measured, as of `Room`. nearest: float32 [H, W], metres. sample: for a sensor's artifacts."""
+
+    nearest: NDArray[np.float32]
+    sample: Sample | None
+    person: NDArray[np.int32]
+    thing: NDArray[np.int32]
+    labels: NDArray[np.uint8]
+    people: int
+    things: int
+
+
+class _Shadow:
+    """What the projector of a sensor sees of a room, if artifacts need it; the sensor may be None."""
+
+    def __init__(self, sensor: Augmentation | None, camera: PlacedCamera) -> None:
+        self._sensor, self._solids = sensor, list[Solid]()
+        if sensor is not None:
+            rig = sensor.rig
+            axes = rig.camera.axes.T @ camera.axes
+            origin = camera.position - np.asarray(rig.camera.position_m) @ axes
+            at = np.asarray(rig.projector.position_m) @ axes + origin
+            self._projector = PlacedCamera(rig.projector, rig.projector.axes @ axes, at)
+
+    def faced(self, solid: Solid, faces: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """Mark `faces` [N] of a solid of the room that turn to the projector, bool [N]."""
+        if self._sensor is None or not len(solid.faces):
+            return np.ones(len(faces), np.bool_)
+        self._solids.append(solid)
+        offsets = self._projector.position - solid.vertices[solid.faces[:, 0]]
+        return np.asarray(np.einsum("ij,ij->i", solid.normals, offsets) > 0)[faces]
+
+    def sample(self, key: str, nearest: NDArray[np.float32], lit: NDArray[np.bool_]) -> Sample | None:
+        """A sample of the scene, without labels. nearest: metres, 0 = nothing."""
+        if self._sensor is None:
+            return None
+        step_m, occluders = self._sensor.rig.range_step_m, None
+        if self._sensor.needs_projector:
+            first = np.full(self._sensor.rig.projector_shape, np.inf, np.float32)
+            for solid in self._solids:
+                seen = RasterRenderer(solid).render(self._projector)
+                np.copyto(first, seen.range, where=(seen.face >= 0) & (seen.range < first))
+            occluders = _whole_steps(first, step_m)
+        labels = np.where(nearest > 0, 0, BACKGROUND).astype(np.uint8)
+        return Sample(key, _whole_steps(nearest, step_m), occluders, labels, lit & (nearest > 0), SampleInfo("train"))
+
+
+def _whole_steps(range_m: NDArray[np.float32], step_m: float) -> NDArray[np.uint16]:
+    counted = np.rint(range_m / step_m)
+    return np.where(counted <= float(FARTHEST_STEPS), counted, 0).astype(np.uint16)
 
 
 @dataclass(frozen=True)
@@ -218,11 +386,10 @@ def _walls(numbers: Numbers) -> Solid:
 
 def _measured(nearest: NDArray[np.float32], draws: np.random.Generator) -> NDArray[np.float32]:
     """Ranges with a Kinect's noise, in whole millimetres; two pixels in a hundred are lost, and steep edges are."""
-    seen = np.where(np.isfinite(nearest), nearest, 0.0)
-    sigma = _NOISE.sigma_m(seen.ravel(), np.zeros(seen.size, np.float32)).reshape(seen.shape)
-    noisy = seen + draws.normal(0.0, 1.0, seen.shape) * sigma
-    lost = (seen == 0) | (draws.random(seen.shape) < 0.02)
-    lost[:, 1:] |= np.abs(np.diff(seen, axis=1)) > 0.25
+    sigma = _NOISE.sigma_m(nearest.ravel(), np.zeros(nearest.size, np.float32)).reshape(nearest.shape)
+    noisy = nearest + draws.normal(0.0, 1.0, nearest.shape) * sigma
+    lost = (nearest == 0) | (draws.random(nearest.shape) < 0.02)
+    lost[:, 1:] |= np.abs(np.diff(nearest, axis=1)) > 0.25
     return np.where(lost, 0.0, np.maximum(np.rint(1000 * noisy), 0) / 1000).astype(np.float32)
 
 
@@ -287,14 +454,17 @@ def people_and_things(
 ) -> dict[str, Any]:
     """Measure a network on `count` made rooms, with labels on every surface of a body's size, and on people alone.
 
-    Returns plain JSON: `Counts.to_json` "before" and "after" the score, and its processor time, milliseconds a frame.
+    Returns plain JSON: `Counts.to_json` "before" and "after" the score, the surfaces that the network need not label,
+    and the score's processor time, milliseconds a frame.
     """
-    before, after, seconds = Counts(), Counts(), 0.0
+    before, after, seconds, spared = Counts(), Counts(), 0.0, 0
     for done, (segmenter, room) in enumerate(_frames(network, count)):
         result = segmenter(room.range_m)
         start = time.thread_time()
-        people = [body for body in result.bodies if score(body.pixels, room.range_m, segmenter.camera) >= score.cutoff]
+        shapes = [score.seen(body.pixels, room.range_m, segmenter.camera) for body in result.bodies]
+        people = people_of(score, result.bodies, shapes)
         seconds += time.thread_time() - start
+        spared += sum(map(score.rules_out, shapes))
         before.add(room, result.bodies, result.labels, 1 / segmenter.camera.focal_px)
         after.add(room, people, result.labels, 1 / segmenter.camera.focal_px)
         progress(done + 1, count)
@@ -305,8 +475,19 @@ def people_and_things(
         "seed": TEST_SEED,
         "before": before.to_json(),
         "after": after.to_json(),
+        "not_labelled": spared,
         "score_ms": round(1000 * seconds / count, 3),
     }
+
+
+def people_of(score: PersonScore, bodies: Sequence[LabelledBody], shapes: Sequence[SeenShape]) -> list[LabelledBody]:
+    """The bodies that are people by their shapes and confidences."""
+    judged = zip(bodies, shapes, strict=True)
+    return [
+        body
+        for body, shape in judged
+        if not score.rules_out(shape) and score(shape, float(body.confidence.mean())) >= score.cutoff
+    ]
 
 
 def rooms_of(
