@@ -57,25 +57,25 @@ def alter(image: Any, labels: Any, found: Any, scratch: Any, losing: Any, noisy:
         while piece < np.uint64(found) and np.uint64(pieces[0, piece]) == first + length:
             length += np.uint64(pieces[1, piece])
             piece += np.uint64(1)
-        # Whole blocks are quicker; pixels behind the last point stay. Numbers of 32 bits are compared in half the time.
+        # Whole blocks are quicker; pixels behind the last point stay.
         blocks = (np.int64(length) + BLOCK - 1) // BLOCK
-        span, end = np.uint64(min(size - np.int64(first), blocks * BLOCK)), np.uint32(length)
+        span = np.uint64(min(size - np.int64(first), blocks * BLOCK))
         if noisy:
             for i in range(span):
                 before = image[first + i]
                 value = np.rint(np.float32(before) + normals[point + i] * steps)
                 value = min(max(value, _NEAREST), FARTHEST_STEPS)
                 after = np.uint16(np.int32(value)) * np.uint16(marks[point + i])
-                image[first + i] = np.uint16(after) if np.uint32(i) < end else before
+                image[first + i] = np.uint16(after) if i < length else before
         else:
             for i in range(span):
                 before = image[first + i]
-                image[first + i] = np.uint16(before * np.uint16(marks[point + i])) if np.uint32(i) < end else before
+                image[first + i] = np.uint16(before * np.uint16(marks[point + i])) if i < length else before
         if losing:
             for i in range(span):
                 # A mark less one is 0 for kept pixels and all bits, which is background, for the others.
                 lost = np.uint8(marks[point + i] - np.uint8(1))
-                labels[first + i] |= lost if np.uint32(i) < end else np.uint8(0)
+                labels[first + i] |= lost if i < length else np.uint8(0)
 
 
 @_kernel
