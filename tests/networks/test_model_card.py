@@ -11,8 +11,7 @@ import pytest
 from bodyseg_data.cards import Publication
 from bodyseg_data.core import BadConfig
 from bodyseg_model.commands import main
-from bodyseg_model.networks import confusion_file, model_card
-from bodyseg_model.networks.checkpoints import SHIPPED
+from bodyseg_model.networks import SHIPPED, confusion_file, model_card
 
 PUBLICATION = Publication("Parts of people", date(2026, 1, 31), "Apache-2.0", "A. Author")
 

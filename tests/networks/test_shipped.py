@@ -15,8 +15,7 @@ from bodyseg_data.packing.options import evenly_sampled
 from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import ViewGrid
 from bodyseg_model.evaluation import evaluate
-from bodyseg_model.networks import load_network
-from bodyseg_model.networks.checkpoints import SHIPPED
+from bodyseg_model.networks import SHIPPED, load_network
 
 
 def test_the_shipped_network_is_small_and_says_where_it_is_from() -> None:

@@ -9,8 +9,7 @@ from typing import Any
 
 from torch import nn
 
-from bodyseg_model.networks import FlipAverage, Trained, load_network
-from bodyseg_model.networks.checkpoints import SHIPPED
+from bodyseg_model.networks import SHIPPED, FlipAverage, Trained, load_network
 from bodyseg_model.training import GeometricAugmentation, Recipe
 
 

@@ -33,8 +33,7 @@ from benches.model.networks.network_times import (
 )
 from bodyseg_data.core import BadConfig, ProgressCallback, check_int, silent
 from bodyseg_data.loading import Batch, RangeImages, WorkerMethod, loader
-from bodyseg_model.networks import Network, build, load_network, predict
-from bodyseg_model.networks.checkpoints import SHIPPED
+from bodyseg_model.networks import SHIPPED, Network, build, load_network, predict
 from bodyseg_model.training import Metrics, RunFolder, RunOptions, Training, recipe_for
 from bodyseg_model.training.distributed import ProcessGroup
 

@@ -12,8 +12,8 @@ from benches.results.step import RESULTS, SHIPPED, Places, Step
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import read_json
 from bodyseg_data.shards import MANIFEST_NAME
+from bodyseg_model.networks import SHIPPED as SHIPPED_FILE
 from bodyseg_model.networks import RunFiles
-from bodyseg_model.networks.checkpoints import SHIPPED as SHIPPED_FILE
 
 
 class Products:

@@ -20,8 +20,8 @@ from benches.results.survey import Status, Survey
 from bodyseg_data.commands import provenance
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import write_result
+from bodyseg_model.networks import SHIPPED as SHIPPED_FILE
 from bodyseg_model.networks import RunFiles
-from bodyseg_model.networks.checkpoints import SHIPPED as SHIPPED_FILE
 
 PROGRAMS: Final = {
     "bodyseg": [sys.executable, "-m", "benches.model.networks.baselines"],  # `bodyseg` that knows rivals of ours, too

@@ -101,7 +101,6 @@ def _epoch(
     with TemporaryDirectory(dir=folder) as place, _looking(looks):
         kept = {"cache_bytes": 0} if limit == 0 else {"cache": place, "cache_bytes": limit}
         images = RangeImages(server.url, "all", **kept)
-        images.prepare()
         server.forget()
         start, processor = time.perf_counter(), time.process_time()
         first, samples = 0.0, 0

@@ -10,8 +10,7 @@ from typing import Any, Final
 
 from benches.model.networks.baselines import with_baselines
 from bodyseg_data.core import BadConfig
-from bodyseg_model.networks import Network, Trained, load_network
-from bodyseg_model.networks.checkpoints import SHIPPED
+from bodyseg_model.networks import SHIPPED, Network, Trained, load_network
 
 SHARED: Final = ("steps", "batch_size", "accumulate")
 """Fields of a recipe that all networks share; the others may be tuned to a network."""

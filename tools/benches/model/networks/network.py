@@ -32,8 +32,7 @@ from benches.model.networks.network_times import (
 from bodyseg_data.core import BadConfig, MissingLibrary, ProgressCallback, silent
 from bodyseg_data.files import read_json
 from bodyseg_data.machine import processors
-from bodyseg_model.networks import Network, build, load_network
-from bodyseg_model.networks.checkpoints import SHIPPED
+from bodyseg_model.networks import SHIPPED, Network, build, load_network
 from bodyseg_model.networks.registry import NETWORKS
 from bodyseg_model.runtimes import on_backend
 
