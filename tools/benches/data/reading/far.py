@@ -46,6 +46,7 @@ def bench_far(
     with TemporaryDirectory(prefix="bodyseg-far-") as folder:
         packed = Path(data) if data else _packed(views, Path(folder) / "set")
         images = RangeImages(packed)
+        images.image(0)  # its loops are compiled
         sizes = [shard.size for shard in images.manifest.shards]
         tick = counter(progress, (len(ORDERS) + 1) * len(CACHES) + 1)
         rows = []
@@ -101,7 +102,6 @@ def _epoch(
     with TemporaryDirectory(dir=folder) as place, _looking(looks):
         kept = {"cache_bytes": 0} if limit == 0 else {"cache": place, "cache_bytes": limit}
         images = RangeImages(server.url, "all", **kept)
-        images.prepare()
         server.forget()
         start, processor = time.perf_counter(), time.process_time()
         first, samples = 0.0, 0
