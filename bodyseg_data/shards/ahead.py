@@ -32,14 +32,10 @@ CONNECTIONS: Final = 8
 _HELD_BYTES: Final = 1 << 26
 """Bytes of ranges that are planned, or held in memory, at most."""
 
+# A joined range that is as long takes no further piece; widest gap in one; samples that are planned at once.
 _RANGE_BYTES: Final = 1 << 20
-"""A joined range that is as long takes no further piece."""
-
 _GAP_BYTES: Final = 1 << 15
-"""Widest gap between two ranges that are joined."""
-
 _SCANNED: Final = 4096
-"""Samples that are planned at once, at most."""
 
 _POLL_S: Final = 0.01
 _END_TIMEOUT_S: Final = 5.0

@@ -210,8 +210,7 @@ class CachedStore:
     def __init__(self, remote: RemoteFolder, records: Iterable[CheckedFile], cache: ShardCache) -> None:
         self.remote, self._cache = remote, cache
         self._records = {record.name: record for record in records}
-        self.to_cache = set()
-        """Names of the shards to keep whole."""
+        self.to_cache = set()  # names of the shards to keep whole
         self._spoiled: set[str] = set()
         room = cache.limit
         for record in self._records.values():

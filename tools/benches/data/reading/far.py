@@ -46,6 +46,7 @@ def bench_far(
     with TemporaryDirectory(prefix="bodyseg-far-") as folder:
         packed = Path(data) if data else _packed(views, Path(folder) / "set")
         images = RangeImages(packed)
+        images.image(0)  # its loops are compiled
         sizes = [shard.size for shard in images.manifest.shards]
         tick = counter(progress, (len(ORDERS) + 1) * len(CACHES) + 1)
         rows = []
