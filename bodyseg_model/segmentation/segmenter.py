@@ -188,8 +188,8 @@ class Segmenter:
         self.rig = rig or load_rig()
         self.people = people if self.background.mode == "people" else None
         self.video = video
-        self.label_map = label_map or (PARTS33 if network.classes == PART_COUNT else None)
         self._network = on_backend(network)
+        self.label_map = label_map or (PARTS33 if network.classes == PART_COUNT else None)
         self.device = device_of(network)
         self._prepared = False
 
