@@ -301,7 +301,7 @@ LOADER: dict[str, tuple[dict[str, Any], str]] = {
         {"start_method": "thread"},
         "start_method must be fork, spawn, forkserver or None, found 'thread'",
     ),
-    "text for yes": ({"shuffle": "no"}, "shuffle, or 'blocks', must be True or False, found 'no'"),
+    "text for yes": ({"shuffle": "no"}, "shuffle must be True, False or 'blocks', found 'no'"),
     "rank alone": ({"rank": 1}, "rank and world_size are given together or not at all, found 1 of None"),
     "rank too high": ({"rank": 1, "world_size": 1}, "rank must be less than world_size, found 1 of 1"),
     "more ranks than samples": (

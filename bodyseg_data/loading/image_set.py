@@ -32,12 +32,12 @@ from bodyseg_data.samples import Sample
 from bodyseg_data.shards import Place
 
 
-def check_bool(name: str, value: Any) -> bool:
+def check_bool(name: str, value: Any, choices: str = "True or False") -> bool:
     """Return `value` as a bool. Raises BadConfig, calling it `name`, for anything else: text would count as True."""
     if isinstance(value, bool):
         return value
     if not isinstance(value, np.bool_):
-        raise BadConfig(f"{name} must be True or False, found {value!r}")
+        raise BadConfig(f"{name} must be {choices}, found {value!r}")
     return bool(value)
 
 
@@ -314,7 +314,8 @@ class BatchOrder(Sampler[list[Request]]):
         self.batch_size = check_int("batch_size", batch_size, 1)
         if shuffle is None:
             shuffle = images.split == "train"
-        self.shuffle: Shuffle = "blocks" if shuffle == "blocks" else check_bool("shuffle, or 'blocks',", shuffle)
+        choices = "True, False or 'blocks'"
+        self.shuffle: Shuffle = "blocks" if shuffle == "blocks" else check_bool("shuffle", shuffle, choices)
         self._found_rank = rank is None
         self.rank, self.world_size = find_rank(rank, world_size)
         if len(images) < self.world_size:

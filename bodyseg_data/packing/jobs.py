@@ -9,8 +9,8 @@ import signal
 import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
-from contextlib import contextmanager
+from concurrent.futures import Executor, Future, InvalidStateError, ProcessPoolExecutor
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -72,6 +72,14 @@ def processes(workers: int | None) -> Iterator[Engine]:
         executor.shutdown(wait=True, cancel_futures=True)
 
 
+class _Job(Future[Any]):
+    """A future that may be cancelled before its worker is killed: Python 3.11 prints a traceback then."""
+
+    def set_exception(self, exception: BaseException | None) -> None:
+        with suppress(InvalidStateError):
+            super().set_exception(exception)
+
+
 class _Workers(ProcessPoolExecutor):
     """Processes that Ctrl-C on a terminal does not reach: it goes to this one, which ends them."""
 
@@ -81,7 +89,9 @@ class _Workers(ProcessPoolExecutor):
         with signals_held():
             before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
             try:
-                return super().submit(fn, *args, **kwargs)
+                future = super().submit(fn, *args, **kwargs)
+                future.__class__ = _Job
+                return future
             finally:
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
 

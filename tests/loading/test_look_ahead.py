@@ -101,7 +101,7 @@ def test_ranks_share_an_order_by_blocks_and_go_on_in_the_middle_of_it(figures_se
     assert taken + [key for key, _ in bits(second)] == whole
     with pytest.raises(BadConfig, match="the state belongs to another run: shuffle 'blocks', here True"):
         loader(images, 4, shuffle=True).load_state_dict(first.state_dict())
-    with pytest.raises(BadConfig, match="shuffle, or 'blocks', must be True or False, found 'block'"):
+    with pytest.raises(BadConfig, match="shuffle must be True, False or 'blocks', found 'block'"):
         loader(images, 4, shuffle="block")  # type: ignore[arg-type]  # on purpose
 
 

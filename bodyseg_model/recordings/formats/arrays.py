@@ -148,6 +148,17 @@ class _Zipped(FrameSource):
         self._held: tuple[_Array, IO[bytes]] | None = None
         self._whole: tuple[_Array, NDArray[Any]] | None = None
 
+    def __del__(self) -> None:
+        self._close()
+
+    def _close(self) -> None:
+        """Close what is open; it is opened again where it is needed."""
+        if self._held is not None:
+            self._held[1].close()
+        if self._archive is not None:
+            self._archive.close()
+        self._held = self._archive = None
+
     def read(self, index: int) -> NDArray[Any]:
         array, number = self._locations[index]
         size = array.sides[-2] * array.sides[-1] * array.kind.itemsize
@@ -160,9 +171,7 @@ class _Zipped(FrameSource):
             else:
                 data = self._opened(array, array.start + number * size).read(size)
         except Exception as error:  # as above
-            if self._held is not None:
-                self._held[1].close()
-            self._held = self._archive = None
+            self._close()
             raise BadConfig(f"the array {array.title!r} must be whole: {error}") from error
         if len(data) != size:
             raise BadConfig(f"the array {array.title!r} must be whole, found {len(data)} of {size} bytes")
@@ -173,6 +182,8 @@ class _Zipped(FrameSource):
         if self._archive is None:
             self._archive = zipfile.ZipFile(self._path)
         if self._held is None or self._held[0] is not array:
+            if self._held is not None:
+                self._held[1].close()
             self._held = array, self._archive.open(array.member)
         self._held[1].seek(offset)
         return self._held[1]

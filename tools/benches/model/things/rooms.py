@@ -386,6 +386,7 @@ def _walls(numbers: Numbers) -> Solid:
 
 def _measured(nearest: NDArray[np.float32], draws: np.random.Generator) -> NDArray[np.float32]:
     """Ranges with a Kinect's noise, in whole millimetres; two pixels in a hundred are lost, and steep edges are."""
+    nearest = np.where(np.isfinite(nearest), nearest, 0.0)
     sigma = _NOISE.sigma_m(nearest.ravel(), np.zeros(nearest.size, np.float32)).reshape(nearest.shape)
     noisy = nearest + draws.normal(0.0, 1.0, nearest.shape) * sigma
     lost = (nearest == 0) | (draws.random(nearest.shape) < 0.02)
