@@ -137,6 +137,7 @@ def _speed() -> Iterator[Step]:
     yield _bench("scaling", alone=True)
     yield _bench("cluster", alone=True)
     yield _bench("reading", "--data", READ, alone=True)
+    yield _bench("far", alone=True)
     yield _bench("sensor_fit", drawn=True, alone=True)
     yield _bench("reliability")
     for name, source in (("packing", "open"), ("packing_hard", "hard")):
