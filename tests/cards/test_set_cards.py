@@ -120,6 +120,8 @@ def test_an_altered_shard_is_found_by_its_checksum(mlcroissant: Any, described: 
 
 
 def test_hugging_faces_datasets_stream_a_set(described: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    hub = pytest.importorskip("huggingface_hub.constants")
+    monkeypatch.setattr(hub, "HF_HUB_OFFLINE", True)  # by the variable alone, it would stay so for other tests
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
     monkeypatch.setenv("HF_HOME", str(tmp_path))
     datasets = pytest.importorskip("datasets")
