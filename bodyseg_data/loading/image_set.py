@@ -8,9 +8,7 @@ samples, valid for any number of workers or ranks and any batch size.
 
 from __future__ import annotations
 
-import bisect
 import copy
-import itertools
 import operator
 import os
 import sys
@@ -124,6 +122,10 @@ class ImageSet(Protocol):
 
     def location(self, index: int) -> tuple[str, str, int]:
         """(shard name, key, byte offset in the shard) of a sample."""
+        ...
+
+    def places(self, index: int) -> list[Place]:
+        """Where the bytes of a sample are."""
         ...
 
     def clean(self, index: int) -> Sample:
@@ -277,11 +279,9 @@ class Pass:
     def places(self, images: ImageSet) -> Iterator[Place]:
         """Where the bytes of this rank's samples are, in their order."""
         apart = replace(self, order=replace(self.order, indices=copy.copy(self.order.indices)))
-        starts = [*itertools.accumulate(map(len, images.sets), initial=0)]
         for number in range(len(self)):
             for _, index in apart.batch(number):
-                which = bisect.bisect_right(starts, index) - 1
-                yield from images.sets[which].places(index - starts[which])
+                yield from images.places(index)
 
 
 class BatchOrder(Sampler[list[Request]]):

@@ -17,6 +17,7 @@ from bodyseg_data.loading.mixture_order import SetStream, Shares, Weight, read_s
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.loading.selection import permutation
 from bodyseg_data.samples import Sample
+from bodyseg_data.shards import Place
 
 Part = tuple[RangeImages, Weight] | tuple[RangeImages, Weight, ArrayLike]
 """(images, weight) or (images, weight, sample weights) of one set of a mixture."""
@@ -189,6 +190,11 @@ class Mixture(SampleDataset):
         images, within = self._where(index)
         shard, key, offset = images.location(within)
         return f"{images.path}/{shard}", key, offset
+
+    def places(self, index: int) -> list[Place]:
+        """See `RangeImages.places`."""
+        images, within = self._where(index)
+        return images.places(within)
 
     def _where(self, index: int) -> tuple[RangeImages, int]:
         """Return the set of a stored sample, and its index there."""
