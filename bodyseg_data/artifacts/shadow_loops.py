@@ -101,6 +101,18 @@ def take_pieces(edges: Any, runs: Any, run: Any, taken: Any, row: Any, width: An
 
 
 @_kernel
+def row_of(texel: Any, row: Any, start: Any, columns: Any) -> Any:
+    """Row of a texel and the first texel in it, from those of another that is near."""
+    while texel >= start + columns:
+        row += 1
+        start += columns
+    while texel < start:
+        row -= 1
+        start -= columns
+    return row, start
+
+
+@_kernel
 def mark_occupied(shadow: Any, scratch: Any) -> None:
     """Write the projector's image as the test reads it into `frame`, which holds nothing (`occlusion.framed`), and the
     least of it in windows of tiles into `coarse`.
@@ -111,12 +123,7 @@ def mark_occupied(shadow: Any, scratch: Any) -> None:
     row, start = np.int64(0), np.int64(0)
     for i in range(np.uint64(texels.size)):
         texel: Any = np.int64(texels[i])
-        while texel >= start + columns:
-            row += 1
-            start += columns
-        while texel < start:
-            row -= 1
-            start -= columns
+        row, start = row_of(texel, row, start, columns)
         value = np.uint16(image[np.uint64(texel)] - np.uint16(1))
         frame[np.uint64(texel + 2 * row + columns + 3)] = value
         tile = np.uint64((row >> (shift - 1)) * across + ((texel - start) >> shift))
@@ -135,12 +142,7 @@ def forget_occupied(shadow: Any, scratch: Any) -> None:
     row, start = np.int64(0), np.int64(0)
     for i in range(np.uint64(texels.size)):
         texel: Any = np.int64(texels[i])
-        while texel >= start + columns:
-            row += 1
-            start += columns
-        while texel < start:
-            row -= 1
-            start -= columns
+        row, start = row_of(texel, row, start, columns)
         frame[np.uint64(texel + 2 * row + columns + 3)] = 65535
     repeat_border(frame, shadow.rows, shadow.columns)
 
