@@ -146,7 +146,8 @@ class _Kept:
                 raise NotYet
         found = self.kept(signature, context)
         if found is not None or (process is not None and process.returncode):
-            _failed.extend([signature] * (found is None))  # what is wrong, this process says when it compiles
+            if found is None:
+                _failed.append(signature)  # what is wrong, this process says when it compiles
             return found
         if sum(each.poll() is None for each in _processes) < processors():
             try:

@@ -170,8 +170,9 @@ def _loops() -> Any:
     return import_module("bodyseg_model.segmentation.pixel_loops")
 
 
+@cache
 def compile_views_ahead() -> None:
-    """Have another process compile the loops of planes, views and labels, while this one compiles other loops."""
+    """Have another process compile the loops of planes, views and labels, while this one compiles other loops; once."""
     compile_ahead(_loops().fill_lost, _label_once)
 
 
