@@ -28,6 +28,8 @@ from bodyseg_data.labels.parts import COLOURS, PART_CLASSES
 from bodyseg_data.machine import if_ready, loops
 
 LABEL_MAP_FORMAT: Final = "bodyseg labels 1"
+REST: Final = "*"
+"""Stands, alone, for all that a class may join which no other class does, and for surfaces of no class."""
 _LOOPS: Final = "bodyseg_data.labels.label_loops"
 
 
@@ -51,9 +53,9 @@ class LabelMap:
     """Classes that take the place of a set's own, each a union of some of them.
 
     name: of the map. classes: (name, names of the set's classes that it joins) of each; a class's label is its index.
-    Classes of the set that stand nowhere are labelled as background. of: the set's own. Raises BadConfig for a map
-    without classes or with more than 254, one that joins none, an unknown class, one in two classes, or a name given
-    twice.
+    Classes of the set that stand nowhere are labelled as background, unless a class joins `REST`, as for a network that
+    is to tell people from the room. of: the set's own. Raises BadConfig for a map without classes or with more than
+    254, one that joins none, an unknown class, one in two classes, or a name given twice.
     """
 
     name: str
@@ -63,16 +65,18 @@ class LabelMap:
     def __post_init__(self) -> None:
         where, kind = f"labels {self.name!r}", self._kind
         names, joined = [name for name, _ in self.classes], [each for _, members in self.classes for each in members]
+        most = min(MOST_CLASSES, len(self.of) + (REST in joined))
         if not 1 <= len(names) <= MOST_CLASSES:
-            raise BadConfig(
-                f"{where}: there must be 1 to {min(MOST_CLASSES, len(self.of))} classes, found {len(names) or 'none'}"
-            )
+            raise BadConfig(f"{where}: there must be 1 to {most} classes, found {len(names) or 'none'}")
         for what, found in (("class", names), (kind, joined)):
             for each in found:
                 if found.count(each) > 1:
                     raise BadConfig(f"{where}: a {what} is named once, found {each!r} twice")
+        for name, members in self.classes:
+            if REST in members and len(members) > 1:
+                raise BadConfig(f"{where}: {REST!r} must be alone in its class, found {members!r} in {name!r}")
         for each in joined:
-            if each not in self.of.names:
+            if each not in self.of.names and each != REST:
                 known = "the 33 landmarks" if self.of == PART_CLASSES else f"the classes {self.of.name!r}"
                 raise BadConfig(f"{where}: {each!r} is none of {known}")
         for name, members in self.classes:
@@ -98,7 +102,16 @@ class LabelMap:
     @cached_property
     def members(self) -> tuple[tuple[int, ...], ...]:
         """Labels, in the set, of what each class joins."""
-        return tuple(tuple(map(self.of.names.index, members)) for _, members in self.classes)
+        named = {each for _, members in self.classes for each in members}
+        rest = (*(label for label, each in enumerate(self.of.names) if each not in named), UNLABELLED)
+        return tuple(
+            rest if members == (REST,) else tuple(map(self.of.names.index, members)) for _, members in self.classes
+        )
+
+    @property
+    def has_rest(self) -> bool:
+        """True if surfaces of no class have a class of this map."""
+        return bool(self.table[UNLABELLED] != BACKGROUND)
 
     @cached_property
     def table(self) -> NDArray[np.uint8]:

@@ -153,6 +153,8 @@ class RangeImages(SampleDataset):
         self.shape = transformed_shape(self.transforms, camera.rows, camera.columns)
         """Rows and columns of the images, as the transforms leave them."""
         self._joins = not self.label_map.is_whole
+        if self.label_map.has_rest:
+            self.unlabelled = UNLABELLED
         self.selection = Selection.of(pattern, split, only, where, val_share, self.manifest.fields)
         self._samples = self.selection.choose(self.manifest, str(path))
         chosen = self._samples.shards
@@ -277,7 +279,8 @@ class RangeImages(SampleDataset):
             made = transform_image(seen, self.transforms, draws, self.unlabelled)
         if self._joins:
             known = sample.occupancy if self.augmentation.keeps_outline and not self.transforms else None
-            self.label_map.write(made.labels, None if known is None else known.edges, self.unlabelled)
+            edges = None if known is None or self.label_map.has_rest else known.edges
+            self.label_map.write(made.labels, edges, self.unlabelled)
         TALLY.lap(Stage.TRANSFORM)
         return made
 

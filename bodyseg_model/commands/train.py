@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import itertools
 import sys
 import time
 from collections import defaultdict
@@ -73,7 +74,10 @@ class Options:
     noise_mm: float | None = option("largest sigma of the noise, mm (default: 100)", None)
     missing: tuple[float, ...] | None = option("shares of pixels that images lose (default: 0 0.05 0.5)", None)
     losses: float | None = option("largest share of pixels lost in patches, stripes, at grazing angles", None)
-    sensor: str = option("the artifacts: a sensor that ships with the package, or a TOML file", PAPER_SENSOR)
+    sensor: tuple[str, ...] = option(
+        "the artifacts: a sensor that ships with the package, or a TOML file; of several, each set once with each",
+        (PAPER_SENSOR,),
+    )
     artifacts: str = option("strengths of any artifacts that differ from the sensor's, as JSON", "{}")
     recipe: RecipeName | None = option("the recipe (default: the network's own)", None)
     steps: int | None = option("how often weights change (default: the network's recipe); may differ on --resume", None)
@@ -124,7 +128,7 @@ def run(options: Options) -> int:
     )
     validation = _validation(options)
     images = open_data(
-        options.data, options.weights, options.samples, options.seed, lambda address: _open(options, address, "train")
+        _pairs(options), options.weights, options.samples, options.seed, lambda pair: _open(options, *pair, "train")
     )
     network = _network(options, images.label_map)
     pretrained = None if options.pretrained is None else _pretrained(options.pretrained, network, options, images)
@@ -150,13 +154,18 @@ def run(options: Options) -> int:
     return 0
 
 
-def _open(options: Options, address: str, split: ReadSplit) -> RangeImages:
+def _pairs(options: Options) -> list[tuple[str, str]]:
+    """Address and sensor of each set that is read."""
+    return list(itertools.product(options.data, options.sensor))
+
+
+def _open(options: Options, address: str, sensor: str, split: ReadSplit) -> RangeImages:
     return RangeImages(
         address,
         options.variant,
         split,
         options.seed,
-        sensor=_sensor(options),
+        sensor=_sensor(options, sensor),
         only=options.only,
         where=options.where,
         val_share=options.val_share or 0.0,
@@ -178,7 +187,7 @@ def _validation(options: Options) -> Validation | None:
                 raise BadConfig(f"{flag} is for a training with images to validate on: give --val-share, like 0.1")
         return None
     return Validation(
-        [_open(options, address, "val") for address in options.data],
+        [_open(options, *pair, "val") for pair in _pairs(options)],
         DEFAULT_EVERY if options.val_every is None else options.val_every,
         options.val_images,
         options.patience,
@@ -194,8 +203,8 @@ def _say_end(card: dict[str, Any], steps: int) -> None:
     sys.stderr.write(f"{ended}; the network has the weights of step {step}{score}\n")
 
 
-def _sensor(options: Options) -> SensorModel:
-    sensor = load_sensor_model(options.sensor)
+def _sensor(options: Options, name: str) -> SensorModel:
+    sensor = load_sensor_model(name)
     given: list[Artifact] = [*parse_artifacts(options.artifacts, "--artifacts", sensor)]
     if options.noise_mm is not None:
         given.append(Noise(0.0, options.noise_mm))

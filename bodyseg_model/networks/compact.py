@@ -19,7 +19,7 @@ from torch import nn
 
 from bodyseg_data.core import BadConfig, check_fields
 from bodyseg_data.labels import PART_COUNT
-from bodyseg_model.networks.network import Network, check_range_images, patches_of
+from bodyseg_model.networks.network import MEASURES, Network, check_range_images, metric_patches, patches_of
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,9 @@ class CompactSettings:
 
     patch: pixels along one side of a patch of the first layer, 2, 4, 8 or 16. widths: channels at 1 / patch,
     1 / (2 patch) ... of the resolution. blocks: residual blocks at each. context: whether every cell also gets the mean
-    over the whole body. shrink: pixels along one side of the squares that are averaged first; 1 for none. classes: see
-    `Network`.
+    over the whole body. shrink: pixels along one side of the squares that are averaged first; 1 for none. focal_px: of
+    the camera whose images the network sees with their true measures, for which a patch is a place in the room
+    (`network.metric_patches`); 0 for images of one body, wherever it stands. classes: see `Network`.
     """
 
     patch: int = 16
@@ -37,6 +38,7 @@ class CompactSettings:
     blocks: tuple[int, ...] = (2, 2, 1)
     context: bool = True
     shrink: int = 1
+    focal_px: float = 0.0
     classes: int = PART_COUNT
 
     def __post_init__(self) -> None:
@@ -45,6 +47,10 @@ class CompactSettings:
             raise BadConfig(f"patch must be 2, 4, 8 or 16, found {self.patch!r}")
         if self.shrink not in (1, 2, 4):
             raise BadConfig(f"shrink must be 1, 2 or 4, found {self.shrink!r}")
+        if self.focal_px and not (1 <= self.focal_px <= 1e6 and self.shrink == 1):
+            raise BadConfig(
+                f"focal_px must be 0, or 1 to 1e6 with a shrink of 1, found {self.focal_px!r} and {self.shrink!r}"
+            )
         if not 1 <= len(self.widths) <= 6 or any(not 1 <= width <= 2048 for width in self.widths):
             raise BadConfig(f"widths must be 1 to 6 numbers from 1 to 2048, found {self.widths!r}")
         if len(self.blocks) != len(self.widths) or any(not 0 <= count <= 32 for count in self.blocks):
@@ -57,7 +63,8 @@ class Compact(Network):
     """Range images -> scores of the classes, for images of any size.
 
     The input has two channels (`network.relief_of`): each pixel's range less the mean over the body, and whether it was
-    measured. The distance itself does not enter, so a person may stand anywhere; the size in pixels does.
+    measured. The distance itself does not enter, so a person may stand anywhere; the size in pixels does. With
+    `focal_px` the image is a whole room, and what a patch measures there enters instead.
     """
 
     output_stride: int = 4
@@ -65,9 +72,10 @@ class Compact(Network):
     def __init__(self, settings: CompactSettings | None = None) -> None:
         shape = settings or CompactSettings()
         plain = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(shape).items()}
-        super().__init__({name: value for name, value in plain.items() if name != "classes"}, shape.classes)
+        left_out = {"classes"} if shape.focal_px else {"classes", "focal_px"}
+        super().__init__({name: value for name, value in plain.items() if name not in left_out}, shape.classes)
         patch, widths, blocks = shape.patch, shape.widths, shape.blocks
-        self.embed = _layer(2 * patch * patch, widths[0], 1)
+        self.embed = _layer(2 * patch * patch + (MEASURES if shape.focal_px else 0), widths[0], 1)
         self.down = nn.ModuleList(
             nn.Sequential(
                 *([_layer(widths[level - 1], width, 3, 2)] if level else []),
@@ -80,6 +88,7 @@ class Compact(Network):
         self.narrow = nn.ModuleList(_layer(deep, shallow, 1) for shallow, deep in pairs)
         self.fuse = nn.ModuleList(_layer(shallow, shallow, 3) for shallow, _ in pairs)
         self._patch, self._shrink, self._cell = patch, shape.shrink, patch * shape.shrink
+        self._focal_px = shape.focal_px
         self._fine = max(1, self._cell // self.output_stride)
         self.head = nn.Conv2d(widths[0], self.classes * self._fine**2, 1)
         # As the values between layers are laid out: else each convolution lays its weights out anew.
@@ -100,7 +109,10 @@ class Compact(Network):
         """Compute scores of every fourth pixel each way; see `Network.scores`."""
         check_range_images(range_m)
         rows, columns = range_m.shape[2:]
-        values, measured = patches_of(range_m, self._patch, self._shrink)
+        if self._focal_px:
+            values, measured = metric_patches(range_m, self._patch, self._focal_px)
+        else:
+            values, measured = patches_of(range_m, self._patch, self._shrink)
         x = self.embed(values)
         seen = []
         for stage in self.down:

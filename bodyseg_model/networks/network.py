@@ -26,6 +26,9 @@ from bodyseg_data.core import BadConfig, check_int
 from bodyseg_data.labels import BACKGROUND, PART_COUNT, PARTS33, LabelMap
 from bodyseg_data.machine import if_ready, use_compiled
 
+MEASURES: Final = 7
+"""Channels of `metric_patches` beside those of a patch's pixels."""
+
 RELIEF: Final = 2.0
 """Factor of centred ranges: they are a few decimetres, and layers learn best from numbers near one."""
 
@@ -223,6 +226,41 @@ def patches_of(range_m: torch.Tensor, side: int, shrink: int = 1) -> Patches:
         relief = shrunk(relief, shrink)
     # Layers would convert after copies of twice the size.
     return Patches(_unshuffled(relief.to(layers), side), F.avg_pool2d(relief[:, 1:], side))
+
+
+def metric_patches(range_m: torch.Tensor, side: int, focal_px: float) -> Patches:
+    """Cut images of a room into patches that say what is where and how large it is, whatever stands around.
+
+    range_m: float [B, 1, H, W], metres, of a camera of focal length `focal_px` whose principal point is the middle of
+    the image. Values are, of each cell: its ranges less their mean, in units of 0.1 m and at most 3 either side; where
+    something was measured; and of the mean range Z and the cell's middle (x, y, 1) on the ray of unit depth: Z, 1 / Z,
+    x Z, y Z, whether anything was measured, x and y, scaled to about 1.
+    """
+    rows, columns = range_m.shape[2:]
+    kind = range_m.device.type
+    layers = torch.get_autocast_dtype(kind) if torch.is_autocast_enabled(kind) else range_m.dtype
+    if _fits_loops(range_m, layers):
+        with if_ready:
+            loops = import_module("bodyseg_model.networks.patch_loops")
+            cells = len(range_m), -(-rows // side), -(-columns // side)
+            cut, parts = torch.empty((*cells, 2 * side**2 + MEASURES)), torch.empty(cells)
+            image = range_m[:, 0].contiguous().numpy()
+            loops.cut_metric_patches(image, side, np.float32(focal_px), cut.numpy(), parts.numpy())
+            return Patches(cut.permute(0, 3, 1, 2).to(layers), parts[:, None])
+    metres = _unshuffled(F.pad(range_m.float(), (0, -columns % side, 0, -rows % side)), side)
+    known = (metres > 0).float()
+    share = known.mean(1, keepdim=True)
+    mean = metres.mean(1, keepdim=True) / share.clamp(min=1 / side**2)
+    relief = ((metres - mean) * (10 * known)).clamp(-3, 3)
+    down, across = (
+        ((torch.arange(count, device=range_m.device) + 0.5) * side - size / 2) / focal_px
+        for count, size in zip(mean.shape[2:], (rows, columns), strict=True)
+    )
+    y, x = (torch.zeros_like(mean) + each for each in (down[:, None], across))
+    has = (share > 0).float()
+    places = mean / 3 - has, has / mean.clamp(min=0.3), x * mean / 2, y * mean / 2, has, x, y
+    values = torch.cat([relief, known, *places], 1).to(layers).contiguous(memory_format=torch.channels_last)
+    return Patches(values, share)
 
 
 def _fits_loops(range_m: torch.Tensor, layers: torch.dtype) -> bool:

@@ -1,4 +1,6 @@
-"""Patches of range images and bits of bfloat16, compiled: the bits of `network.patches_of` in PyTorch's operations."""
+"""Patches of range images and bits of bfloat16, compiled: the bits of `network.patches_of` in PyTorch's operations, and
+within rounding those of `network.metric_patches`.
+"""
 
 from __future__ import annotations
 
@@ -67,3 +69,40 @@ def cut_patches(range_m: Any, mean: Any, relief: Any, side: Any, values: Any, me
                         to[area + start + k] = out[1, cell * side + k]
             for cell in range(across):
                 measured[image, down, cell] /= area
+
+
+@_kernel
+def cut_metric_patches(range_m: Any, side: Any, focal: Any, values: Any, share: Any) -> None:
+    """Write the patches of `network.metric_patches`, float32 [B, h, w, 2 side^2 + 7], and the share of each that was
+    measured, float32 [B, h, w]. range_m: float32 [B, H, W], metres. focal: float32, pixels.
+    """
+    images, rows, columns = range_m.shape
+    area, most = side * side, np.float32(3)
+    for image in range(images):
+        for down in range(values.shape[1]):
+            y = ((np.float32(down) + np.float32(0.5)) * np.float32(side) - np.float32(rows) / 2) / focal
+            for across in range(values.shape[2]):
+                x = ((np.float32(across) + np.float32(0.5)) * np.float32(side) - np.float32(columns) / 2) / focal
+                to, total, count = values[image, down, across], _ZERO, 0
+                for k in range(side):
+                    row = down * side + k
+                    for n in range(side):
+                        column = across * side + n
+                        metres = range_m[image, row, column] if row < rows and column < columns else _ZERO
+                        to[k * side + n] = metres
+                        total += metres
+                        count += metres > _ZERO
+                mean = total / np.float32(max(count, 1))
+                for k in range(area):
+                    known = _ONE if to[k] > _ZERO else _ZERO
+                    to[k] = min(max((to[k] - mean) * (np.float32(10) * known), -most), most)
+                    to[area + k] = known
+                has = _ONE if count else _ZERO
+                share[image, down, across] = np.float32(count) / np.float32(area)
+                to[2 * area] = mean / most - has
+                to[2 * area + 1] = has / max(mean, np.float32(0.3))
+                to[2 * area + 2] = x * mean / np.float32(2)
+                to[2 * area + 3] = y * mean / np.float32(2)
+                to[2 * area + 4] = has
+                to[2 * area + 5] = x
+                to[2 * area + 6] = y

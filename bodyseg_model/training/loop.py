@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 import torch
@@ -55,6 +55,8 @@ from bodyseg_model.training.validation import WAITING_ADVICE, Metrics, MetricsWi
 class Diverged(BodysegError):
     """A training's loss is no longer a number."""
 
+
+_Address = TypeVar("_Address")
 
 _OPTIMISER: Final = "optimiser."
 """Prefix of the optimiser's tensors in a checkpoint."""
@@ -383,11 +385,11 @@ def _endless(data_loader: Loader) -> Iterator[Batch]:
 
 
 def open_data(
-    addresses: Sequence[str],
+    addresses: Sequence[_Address],
     weights: Sequence[float],
     samples: int | None,
     seed: int,
-    open_set: Callable[[str], RangeImages],
+    open_set: Callable[[_Address], RangeImages],
 ) -> ImageSet:
     """Return the one set that `addresses` name, or a mixture of several.
 

@@ -138,6 +138,25 @@ PRESETS: Final[dict[str, Recipe]] = {
         loss_stride=4,
         geometric_augmentation=GeometricAugmentation(roll_deg=10, zoom=0.15, stretch=0.1, cut=0.3),
     ),
+    # Of `compact` that finds people in rooms, where a body's size tells: images are neither zoomed nor stretched.
+    "finder": Recipe(
+        steps=12_000,
+        batch_size=16,
+        accumulate=1,
+        optimiser="adamw",
+        learning_rate=2e-3,
+        layer_decay=1.0,
+        momentum=0.9,
+        weight_decay=0.02,
+        warmup=0.05,
+        cosine=True,
+        clip=5.0,
+        mirror=True,
+        balance=0.5,
+        bf16=True,
+        loss_stride=4,
+        geometric_augmentation=GeometricAugmentation(roll_deg=10, cut=0.3),
+    ),
 }
 """Name -> recipe. Each network names its own (`networks.network.Network.default_recipe`)."""
 
