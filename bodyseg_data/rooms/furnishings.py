@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from bodyseg_data.meshes import Solid, cuboid, together, turned_solid
-from bodyseg_data.packing.things import Numbers, bed as plain_bed, bin_, box, lamp, machine, plant
+from bodyseg_data.packing.things import Numbers, bin_, box, lamp, machine, plant
 
 Point = tuple[float, float, float]
 
@@ -31,7 +31,9 @@ def tube(points: list[Point], radius: float) -> Solid:
         after = (here + 1) % 8
         walls = [np.stack([here, after, here + 8], 1), np.stack([after, after + 8, here + 8], 1)]
         ends = [[0, k + 1, k] for k in range(1, 7)] + [[8, 8 + k, 9 + k] for k in range(1, 7)]
-        pieces.append(Solid(np.concatenate([start + ring, end + ring]), np.concatenate([*walls, ends]).astype(np.int32)))
+        pieces.append(
+            Solid(np.concatenate([start + ring, end + ring]), np.concatenate([*walls, ends]).astype(np.int32))
+        )
     return together(pieces)
 
 
@@ -112,7 +114,11 @@ def chair(numbers: Numbers, seat_m: float | None = None) -> Solid:
     width, depth, rise = numbers.between(0.38, 0.52), numbers.between(0.38, 0.5), numbers.between(0.3, 0.6)
     thick, x, z = numbers.between(0.015, 0.03), width / 2 - 0.03, depth / 2 - 0.03
     splay = numbers.between(0.0, 0.08)
-    legs = [tube([(sx * (x + splay), 0, sz * (z + splay)), (sx * x, height, sz * z)], thick) for sx in (-1, 1) for sz in (-1, 1)]
+    legs = [
+        tube([(sx * (x + splay), 0, sz * (z + splay)), (sx * x, height, sz * z)], thick)
+        for sx in (-1, 1)
+        for sz in (-1, 1)
+    ]
     seat = slab((width, numbers.between(0.03, 0.09), depth), (0, height - 0.03, 0))
     lean, back = numbers.between(0.0, 0.15), []
     kind = numbers.whole(0, 2)
@@ -122,14 +128,29 @@ def chair(numbers: Numbers, seat_m: float | None = None) -> Solid:
         posts = [tube([(sx * x, height, z), (sx * x, height + rise, z + lean)], thick) for sx in (-1, 1)]
         count = numbers.whole(2, 4)
         if kind == 1:
-            bars = [cuboid((width - 0.04, 0.05, 0.02), (0, height + rise * (n + 1) / count, z + lean * (n + 1) / count)) for n in range(count)]
+            bars = [
+                cuboid((width - 0.04, 0.05, 0.02), (0, height + rise * (n + 1) / count, z + lean * (n + 1) / count))
+                for n in range(count)
+            ]
         else:
-            bars = [tube([(x * (2 * n / (count + 2) - 1), height, z), (x * (2 * n / (count + 2) - 1), height + rise, z + lean)], 0.012) for n in range(1, count + 2)]
+            bars = [
+                tube(
+                    [
+                        (x * (2 * n / (count + 2) - 1), height, z),
+                        (x * (2 * n / (count + 2) - 1), height + rise, z + lean),
+                    ],
+                    0.012,
+                )
+                for n in range(1, count + 2)
+            ]
             bars.append(cuboid((width, 0.06, 0.03), (0, height + rise, z + lean)))
         back = posts + bars
     arms: list[Solid] = []
     if not numbers.whole(0, 2):
-        arms = [tube([(sx * x, height, -z), (sx * x, height + 0.22, -z), (sx * x, height + 0.22, z)], 0.02) for sx in (-1, 1)]
+        arms = [
+            tube([(sx * x, height, -z), (sx * x, height + 0.22, -z), (sx * x, height + 0.22, z)], 0.02)
+            for sx in (-1, 1)
+        ]
     return together([*legs, bent(seat, numbers, 0.01), *back, *arms])
 
 
@@ -142,12 +163,16 @@ def office_chair(numbers: Numbers, seat_m: float | None = None) -> Solid:
     pieces += [ball((0.06, 0.06, 0.06), (px, 0.03, pz)) for px, pz in ring]
     pieces.append(tube([(0, 0.1, 0), (0, height - 0.06, 0)], 0.03))
     pieces.append(bent(slab((width, 0.09, depth), (0, height - 0.045, 0)), numbers, 0.025))
-    back = slab((width * numbers.between(0.8, 1.0), rise, numbers.between(0.03, 0.09)), (0, height + 0.12 + rise / 2, depth / 2))
+    back = slab(
+        (width * numbers.between(0.8, 1.0), rise, numbers.between(0.03, 0.09)), (0, height + 0.12 + rise / 2, depth / 2)
+    )
     hollow = numbers.between(0.0, 0.08)
     x = back.vertices[:, 0] / width
     back = Solid(back.vertices - np.outer(hollow * 4 * x**2, (0, 0, 1)), back.faces)
     pieces.append(turned_about(bent(back, numbers, 0.025), numbers.between(-0.05, 0.25), 0, (0, height, depth / 2)))
-    pieces.append(tube([(0, height - 0.04, 0), (0, height - 0.02, depth / 2 + 0.05), (0, height + 0.3, depth / 2 + 0.06)], 0.025))
+    pieces.append(
+        tube([(0, height - 0.04, 0), (0, height - 0.02, depth / 2 + 0.05), (0, height + 0.3, depth / 2 + 0.06)], 0.025)
+    )
     if numbers.whole(0, 2):
         for sign in (-1, 1):
             post = sign * (width / 2 + 0.03)
@@ -172,8 +197,16 @@ def folding_chair(numbers: Numbers, seat_m: float | None = None) -> Solid:
 def stool(numbers: Numbers, seat_m: float | None = None) -> Solid:
     """A stool or a bar stool, round or square."""
     height, half = seat_m or numbers.between(0.4, 0.8), numbers.between(0.15, 0.22)
-    seat = turned_solid([(half, height - 0.05), (half, height)]) if numbers.whole(0, 1) else slab((2 * half, 0.06, 2 * half), (0, height - 0.03, 0))
-    legs = [tube([(sx * half, 0, sz * half), (sx * half * 0.7, height - 0.04, sz * half * 0.7)], 0.018) for sx in (-1, 1) for sz in (-1, 1)]
+    seat = (
+        turned_solid([(half, height - 0.05), (half, height)])
+        if numbers.whole(0, 1)
+        else slab((2 * half, 0.06, 2 * half), (0, height - 0.03, 0))
+    )
+    legs = [
+        tube([(sx * half, 0, sz * half), (sx * half * 0.7, height - 0.04, sz * half * 0.7)], 0.018)
+        for sx in (-1, 1)
+        for sz in (-1, 1)
+    ]
     return together([seat, *legs])
 
 
@@ -188,17 +221,25 @@ def sofa(numbers: Numbers, seat_m: float | None = None) -> Solid:
 
 
 def _upholstered(numbers: Numbers, width: float, seat_m: float | None) -> Solid:
-    height, depth, rise = seat_m or numbers.between(0.38, 0.48), numbers.between(0.55, 0.75), numbers.between(0.35, 0.55)
+    height, depth, rise = (
+        seat_m or numbers.between(0.38, 0.48),
+        numbers.between(0.55, 0.75),
+        numbers.between(0.35, 0.55),
+    )
     arm, count = numbers.between(0.1, 0.22), max(1, round(width / 0.65))
     pieces = [bent(slab((width, height - 0.1, depth), (0, (height - 0.1) / 2 + 0.05, 0)), numbers, 0.02)]
-    pieces.append(bent(slab((width + 2 * arm, height + rise, 0.2), (0, (height + rise) / 2, depth / 2 + 0.1)), numbers, 0.04))
+    pieces.append(
+        bent(slab((width + 2 * arm, height + rise, 0.2), (0, (height + rise) / 2, depth / 2 + 0.1)), numbers, 0.04)
+    )
     for sign in (-1, 1):
         tall = height + numbers.between(0.12, 0.25)
         pieces.append(bent(slab((arm, tall, depth + 0.1), (sign * (width + arm) / 2, tall / 2, 0)), numbers, 0.04))
     for number in range(count):
         x = (number + 0.5) / count * width - width / 2
         pieces.append(bent(ball((width / count * 1.05, 0.2, depth * 1.1), (x, height - 0.08, 0)), numbers, 0.03))
-        pieces.append(bent(ball((width / count, rise * 1.1, 0.26), (x, height + rise / 2, depth / 2 - 0.03)), numbers, 0.04))
+        pieces.append(
+            bent(ball((width / count, rise * 1.1, 0.26), (x, height + rise / 2, depth / 2 - 0.03)), numbers, 0.04)
+        )
     return together(pieces)
 
 
@@ -233,7 +274,12 @@ def clutter(numbers: Numbers, width: float, depth: float, height: float, most: i
         elif kind == 2:
             thing = bent(ball((2 * size, size, 1.5 * size), (0, 0, 0)), numbers, 0.03, 0.15)
         else:
-            thing = together([turned_solid([(size / 3, 0), (size / 2, size / 2)]), bent(ball((size * 1.5, size * 1.5, size * 1.5), (0, size, 0)), numbers, 0.06, 0.1)])
+            thing = together(
+                [
+                    turned_solid([(size / 3, 0), (size / 2, size / 2)]),
+                    bent(ball((size * 1.5, size * 1.5, size * 1.5), (0, size, 0)), numbers, 0.06, 0.1),
+                ]
+            )
         thing = thing.turned(numbers.between(-3, 3))
         pieces.append(thing.moved((x, height - float(thing.vertices[:, 1].min()), z)))
     return pieces
@@ -248,7 +294,11 @@ def desk(numbers: Numbers) -> Solid:
         pieces.append(cuboid((0.4, height - 0.1, depth * 0.9), (width / 2 - 0.25, height / 2 + 0.03, 0)))
     for number in range(numbers.whole(1, 2)):
         x, wide = (number - 0.4) * 0.6, numbers.between(0.4, 0.65)
-        pieces.append(cuboid((wide, wide * 0.6, 0.03), (x, height + 0.12 + wide * 0.3, depth * 0.2)).turned(numbers.between(-0.3, 0.3)))
+        pieces.append(
+            cuboid((wide, wide * 0.6, 0.03), (x, height + 0.12 + wide * 0.3, depth * 0.2)).turned(
+                numbers.between(-0.3, 0.3)
+            )
+        )
         pieces.append(tube([(x, height, depth * 0.25), (x, height + 0.3, depth * 0.22)], 0.02))
         pieces.append(cuboid((0.22, 0.015, 0.18), (x, height + 0.02, depth * 0.2)))
     pieces.append(cuboid((0.42, 0.02, 0.14), (0, height + 0.025, -depth * 0.25)))
@@ -291,7 +341,9 @@ def bed(numbers: Numbers) -> Solid:
     cover = slab((width * numbers.between(0.5, 0.95), 0.14, depth + 0.04), (width * 0.05, height - 0.05, 0), 24)
     pieces.append(bent(bent(cover, numbers, 0.06, 0.5), numbers, 0.04, 0.2))
     for sign in (-1, 1)[: numbers.whole(1, 2)]:
-        pieces.append(bent(ball((0.4, 0.2, 0.55), (0.25 - width / 2, height + 0.05, sign * depth / 4)), numbers, 0.04, 0.4))
+        pieces.append(
+            bent(ball((0.4, 0.2, 0.55), (0.25 - width / 2, height + 0.05, sign * depth / 4)), numbers, 0.04, 0.4)
+        )
     return together(pieces)
 
 
@@ -322,7 +374,11 @@ def coat_stand(numbers: Numbers) -> Solid:
     height = numbers.between(1.6, 1.85)
     pieces = [tube([(0, 0, 0), (0, height, 0)], 0.025), turned_solid([(0.22, 0), (0.2, 0.03)])]
     for number in range(numbers.whole(1, 3)):
-        hung = coat(numbers, height - numbers.between(0.05, 0.3)).moved((0, 0, -0.12)).turned(2.1 * number + numbers.between(-0.5, 0.5))
+        hung = (
+            coat(numbers, height - numbers.between(0.05, 0.3))
+            .moved((0, 0, -0.12))
+            .turned(2.1 * number + numbers.between(-0.5, 0.5))
+        )
         pieces.append(hung)
     if not numbers.whole(0, 2):
         pieces.append(ball((0.3, 0.16, 0.3), (0, height + 0.04, 0)))
@@ -334,8 +390,14 @@ def bicycle(numbers: Numbers) -> Solid:
     r, base, top = numbers.between(0.3, 0.36), numbers.between(0.95, 1.1), numbers.between(0.78, 0.95)
     wheels = together([wheel(r, 0.02, (0, r, z), 8) for z in (-base / 2, base / 2)])
     hub, seat, head, pedals = (0, r, base / 2), (0, top, base * 0.2), (0, top, -base * 0.32), (0, 0.28, 0.05)
-    bars = [tube([hub, seat, head, pedals, seat], 0.02), tube([hub, pedals], 0.02), tube([head, (0, r, -base / 2)], 0.02)]
-    bars.append(tube([(-0.25, top + 0.12, -base * 0.3), (0, top + 0.1, -base * 0.33), (0.25, top + 0.12, -base * 0.3)], 0.015))
+    bars = [
+        tube([hub, seat, head, pedals, seat], 0.02),
+        tube([hub, pedals], 0.02),
+        tube([head, (0, r, -base / 2)], 0.02),
+    ]
+    bars.append(
+        tube([(-0.25, top + 0.12, -base * 0.3), (0, top + 0.1, -base * 0.33), (0.25, top + 0.12, -base * 0.3)], 0.015)
+    )
     bars.append(ball((0.15, 0.07, 0.26), (0, top + 0.05, base * 0.2)))
     return together([wheels, *bars]).turned(math.pi / 2)
 
@@ -349,7 +411,18 @@ def wheelchair(numbers: Numbers, seat_m: float | None = None) -> Solid:
     pieces.append(bent(slab((2 * half, 0.42, 0.03), (0, height + 0.24, 0.22)), numbers, 0.03, 0.5))
     for sign in (-1, 1):
         x = sign * half
-        pieces.append(tube([(x, 0.1, -0.5), (x, height, -0.22), (x, height, 0.22), (x, height + 0.48, 0.24), (x, height + 0.5, 0.36)], 0.015))
+        pieces.append(
+            tube(
+                [
+                    (x, 0.1, -0.5),
+                    (x, height, -0.22),
+                    (x, height, 0.22),
+                    (x, height + 0.48, 0.24),
+                    (x, height + 0.5, 0.36),
+                ],
+                0.015,
+            )
+        )
         pieces.append(cuboid((0.05, 0.03, 0.3), (x, height + 0.22, -0.02)))
         pieces.append(cuboid((0.12, 0.02, 0.16), (x * 0.5, 0.1, -0.52)))
     return together(pieces)
@@ -376,7 +449,17 @@ def conveyor(numbers: Numbers) -> Solid:
     pieces = [cuboid((long, 0.12, depth), (0, height - 0.06, 0))]
     pieces += [cuboid((long, 0.1, 0.03), (0, height + 0.03, sign * depth / 2)) for sign in (-1, 1)]
     posts = max(2, round(long))
-    pieces += [tube([(long * (n / (posts - 1) - 0.5) * 0.95, 0, s * depth / 2.2), (long * (n / (posts - 1) - 0.5) * 0.95, height, s * depth / 2.2)], 0.03) for n in range(posts) for s in (-1, 1)]
+    pieces += [
+        tube(
+            [
+                (long * (n / (posts - 1) - 0.5) * 0.95, 0, s * depth / 2.2),
+                (long * (n / (posts - 1) - 0.5) * 0.95, height, s * depth / 2.2),
+            ],
+            0.03,
+        )
+        for n in range(posts)
+        for s in (-1, 1)
+    ]
     return together([*pieces, *clutter(numbers, long, depth, height, 6)])
 
 
@@ -384,8 +467,15 @@ def animal(numbers: Numbers) -> Solid:
     """A dog, or a toy of its shape."""
     long, height = numbers.between(0.4, 0.8), numbers.between(0.25, 0.45)
     pieces = [bent(ball((0.22, 0.24, long), (0, height, 0)), numbers, 0.03)]
-    pieces += [tube([(sx * 0.07, 0, sz * long * 0.36), (sx * 0.07, height, sz * long * 0.34)], 0.03) for sx in (-1, 1) for sz in (-1, 1)]
-    pieces += [ball((0.15, 0.16, 0.24), (0, height + 0.2, -long * 0.58)), tube([(0, height, -long * 0.4), (0, height + 0.17, -long * 0.52)], 0.06)]
+    pieces += [
+        tube([(sx * 0.07, 0, sz * long * 0.36), (sx * 0.07, height, sz * long * 0.34)], 0.03)
+        for sx in (-1, 1)
+        for sz in (-1, 1)
+    ]
+    pieces += [
+        ball((0.15, 0.16, 0.24), (0, height + 0.2, -long * 0.58)),
+        tube([(0, height, -long * 0.4), (0, height + 0.17, -long * 0.52)], 0.06),
+    ]
     return together([*pieces, tube([(0, height + 0.05, long * 0.45), (0, height + 0.2, long * 0.62)], 0.02)])
 
 
@@ -394,8 +484,12 @@ def ladder(numbers: Numbers) -> Solid:
     height = numbers.between(0.8, 1.9)
     if numbers.whole(0, 1):
         feet = [(0.35 * math.cos(2.1 * n), 0.0, 0.35 * math.sin(2.1 * n)) for n in range(3)]
-        return together([*(tube([foot, (0, height, 0)], 0.015) for foot in feet), cuboid((0.15, 0.12, 0.12), (0, height + 0.05, 0))])
-    rails = [tube([(sx * 0.22, 0, sz * height * 0.25), (sx * 0.16, height, 0)], 0.02) for sx in (-1, 1) for sz in (-1, 1)]
+        return together(
+            [*(tube([foot, (0, height, 0)], 0.015) for foot in feet), cuboid((0.15, 0.12, 0.12), (0, height + 0.05, 0))]
+        )
+    rails = [
+        tube([(sx * 0.22, 0, sz * height * 0.25), (sx * 0.16, height, 0)], 0.02) for sx in (-1, 1) for sz in (-1, 1)
+    ]
     steps = [cuboid((0.36, 0.03, 0.08), (0, height * n / 6, -height * 0.25 * (1 - n / 6))) for n in range(1, 6)]
     return together([*rails, *steps])
 
@@ -414,7 +508,11 @@ def heap(numbers: Numbers) -> Solid:
 def pillar(numbers: Numbers) -> Solid:
     """A pillar, a pipe or a post, round or square."""
     half, height = numbers.between(0.04, 0.25), numbers.between(1.2, 3.0)
-    return turned_solid([(half, 0), (half, height)]) if numbers.whole(0, 1) else cuboid((2 * half, height, 2 * half), (0, height / 2, 0))
+    return (
+        turned_solid([(half, 0), (half, height)])
+        if numbers.whole(0, 1)
+        else cuboid((2 * half, height, 2 * half), (0, height / 2, 0))
+    )
 
 
 def hanging(numbers: Numbers) -> Solid:
@@ -430,7 +528,9 @@ def tower(numbers: Numbers) -> Solid:
     pieces = [bent(slab((wide, height, numbers.between(0.2, 0.4)), (0, height / 2, 0)), numbers, 0.02)]
     if numbers.whole(0, 1):
         pieces.append(ball((numbers.between(0.2, 0.45),) * 2 + (0.15,), (0, height + 0.2, 0)))
-    pieces.append(tube([(0, height * 0.8, 0), (0.1, height + 0.25, 0.05), (numbers.between(-0.3, 0.3), height + 0.6, 0.1)], 0.02))
+    pieces.append(
+        tube([(0, height * 0.8, 0), (0.1, height + 0.25, 0.05), (numbers.between(-0.3, 0.3), height + 0.6, 0.1)], 0.02)
+    )
     return together(pieces)
 
 
