@@ -62,7 +62,7 @@ class Person:
 Loss = tuple[float, float, float]
 _KEPT: Final[Loss] = (-9.0, 0.0, 1.0)
 _CELLS: Final = 16  # of the field's lattice, along each axis
-_WAVES: Final = (1.0, 0.37, 0.15)  # as shares of the longest; weights below, divided by the sum's standard deviation
+_WAVES: Final = (1.0, 0.37, 0.12)  # as shares of the longest; weights below, divided by the sum's standard deviation
 _WEIGHTS: Final = (5.2, 3.1, 2.1)
 
 
@@ -410,7 +410,7 @@ class Room:
     def _thing(self, numbers: Numbers) -> Solid:
         """A thing; a third of them are seats."""
         seats = [kind for kind in self._kinds if kind in SEATS]
-        kinds = seats if seats and not numbers.whole(0, 4) else self._kinds
+        kinds = seats if seats and not numbers.whole(0, 3) else self._kinds
         return FURNISHINGS[kinds[numbers.whole(0, len(kinds) - 1)]](numbers)
 
     def _place_thing(self, numbers: Numbers) -> None:
@@ -434,7 +434,9 @@ class Room:
         there = pose.of(thing)
         least, most = there.vertices.min(axis=0), there.vertices.max(axis=0)
         near = -most[2]
-        if (near < 0.45 and least[0] < 0.6 and most[0] > -0.6) or most[0] - least[0] > 1.6 * self._half * max(near, 0.1):
+        if (near < 0.45 and least[0] < 0.6 and most[0] > -0.6) or most[0] - least[0] > 1.6 * self._half * max(
+            near, 0.1
+        ):
             return
         self._taken.append((float(least[0] + most[0]) / 2, float(-least[2] - most[2]) / 2, radius))
         self._add(there, self._loss(numbers))
