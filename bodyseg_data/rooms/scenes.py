@@ -173,9 +173,9 @@ class Room:
         ceiling = max(numbers.between(2.2, 3.2), self.height_m + 0.2)
         for _ in range(30):
             yaw = numbers.between(-0.7, 0.7)
-            far = numbers.between(1.8, 6.5) if numbers.whole(0, 9) else 12.0
+            far = numbers.between(2.0, 7.0) if numbers.whole(0, 9) else 12.0
             walls = []
-            for turn, distance in ((0, far), (0.5, numbers.between(0.7, 3.5)), (-0.5, numbers.between(0.7, 3.5))):
+            for turn, distance in ((0, far), (0.5, numbers.between(0.8, 4.5)), (-0.5, numbers.between(0.8, 4.5))):
                 angle = yaw + turn * math.pi
                 walls.append(_Wall(np.array([math.sin(angle), 0.0, -math.cos(angle)]), distance))
             ahead = [min(wall.free(step * self._half) for wall in walls) for step in (-0.9, -0.45, 0.0, 0.45, 0.9)]
@@ -193,7 +193,7 @@ class Room:
         """Of a floor: most are polished and return less, the more they are seen edge-on."""
         if numbers.whole(0, 2) == 0:
             return _KEPT
-        return numbers.between(-4.0, -1.6), numbers.between(0.0, 8.0), numbers.between(0.1, 0.6)
+        return numbers.between(-4.0, -1.6), numbers.between(0.0, 8.0), numbers.between(0.06, 0.4)
 
     def _build_wall(self, wall: _Wall, ceiling: float, numbers: Numbers) -> None:
         """A wall with at most one window or door and up to three things on it."""
@@ -290,7 +290,7 @@ class Room:
         how, far = numbers.between(0, 1), numbers.between(0, 1)
         sits, lies = person.pose.startswith(_SIT), person.pose.startswith(_LIE)
         low = numbers.between(0.3, 0.6) if lies and how < 0.6 else 0.0
-        nearest, farthest = (0.5, 1.2) if far < 0.15 else (3.0, _FARTHEST_M) if far > 0.65 else (1.0, 3.5)
+        nearest, farthest = (0.5, 1.2) if far < 0.15 else (3.0, _FARTHEST_M) if far > 0.5 else (1.0, 3.5)
         spot = self._spot(numbers, 0.4, numbers.between(nearest, farthest))
         if self.persons and how > 0.6:  # close to another
             x, away, radius = self._taken[numbers.whole(0, len(self.persons) - 1)]
