@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -17,24 +18,30 @@ from bodyseg_data.packing.things import Numbers, bin_, box, lamp, machine, plant
 
 Point = tuple[float, float, float]
 
+_AROUND: Final = np.array([[math.cos(turn * math.pi / 4), math.sin(turn * math.pi / 4)] for turn in range(8)]).T
+_TUBE: Final = np.array(
+    [
+        *([k, (k + 1) % 8, k + 8] for k in range(8)),
+        *([(k + 1) % 8, (k + 1) % 8 + 8, k + 8] for k in range(8)),
+        *([0, k + 1, k] for k in range(1, 7)),
+        *([8, 8 + k, 9 + k] for k in range(1, 7)),
+    ],
+    np.int32,
+)
+
 
 def tube(points: list[Point], radius: float) -> Solid:
     """Cylinders of eight sides around a line through points."""
-    around = np.arange(8) * (math.pi / 4)
-    pieces = []
-    for start, end in zip(np.asarray(points[:-1]), np.asarray(points[1:]), strict=True):
-        along = (end - start) / max(float(np.linalg.norm(end - start)), 1e-9)
-        side = np.cross(along, (0.0, 1.0, 0.0) if abs(along[1]) < 0.9 else (1.0, 0.0, 0.0))
-        side /= np.linalg.norm(side)
-        ring = radius * (np.outer(np.cos(around), side) + np.outer(np.sin(around), np.cross(along, side)))
-        here = np.arange(8)
-        after = (here + 1) % 8
-        walls = [np.stack([here, after, here + 8], 1), np.stack([after, after + 8, here + 8], 1)]
-        ends = [[0, k + 1, k] for k in range(1, 7)] + [[8, 8 + k, 9 + k] for k in range(1, 7)]
-        pieces.append(
-            Solid(np.concatenate([start + ring, end + ring]), np.concatenate([*walls, ends]).astype(np.int32))
-        )
-    return together(pieces)
+    start, end = np.array(points[:-1], np.float64), np.array(points[1:], np.float64)
+    x, y, z = ((end - start) / np.maximum(np.sqrt(((end - start) ** 2).sum(axis=1)), 1e-9)[:, None]).T
+    steep, none = np.abs(y) > 0.9, np.zeros(len(x))
+    side = np.where(steep, (none, z, -y), (-z, none, x))  # at right angles to the line, as is its product with it
+    side = side / np.sqrt((side**2).sum(axis=0))
+    other = np.stack([y * side[2] - z * side[1], z * side[0] - x * side[2], x * side[1] - y * side[0]])
+    ring = radius * (_AROUND[0][:, None] * side.T[:, None] + _AROUND[1][:, None] * other.T[:, None])
+    corners = np.concatenate([start[:, None] + ring, end[:, None] + ring], 1)
+    faces = _TUBE + 16 * np.arange(len(x), dtype=np.int32)[:, None, None]
+    return Solid(corners.reshape(-1, 3), faces.reshape(-1, 3))
 
 
 def wheel(across_m: float, thick_m: float, centre: Point, spokes: int) -> Solid:
@@ -45,27 +52,37 @@ def wheel(across_m: float, thick_m: float, centre: Point, spokes: int) -> Solid:
     return together([tube(rim, thick_m), *(tube([centre, rim[step * 16 // spokes]], 0.006) for step in range(spokes))])
 
 
+@lru_cache
+def _unit_ball() -> Solid:
+    angles = [math.pi * step / 12 for step in range(1, 12)]
+    return turned_solid([(math.sin(angle) / 2, -math.cos(angle) / 2) for angle in angles])
+
+
 def ball(size_m: Point, centre: Point) -> Solid:
     """An ellipsoid. size_m: its three axes."""
-    angles = [math.pi * step / 12 for step in range(1, 12)]
-    unit = turned_solid([(math.sin(angle) / 2, -math.cos(angle) / 2) for angle in angles])
+    unit = _unit_ball()
     return Solid(unit.vertices * np.asarray(size_m) + np.asarray(centre), unit.faces)
+
+
+@lru_cache
+def _unit_slab(cells: int) -> Solid:
+    steps = np.linspace(-0.5, 0.5, cells + 1)
+    u, v = (each.ravel() for each in np.meshgrid(steps, steps))
+    number = np.arange(cells * (cells + 1)).reshape(cells, cells + 1)[:, :-1].ravel()
+    square = np.stack([number, number + 1, number + cells + 2, number + cells + 1], 1)
+    faces = np.concatenate([square[:, [0, 1, 2]], square[:, [0, 2, 3]]]).astype(np.int32)
+    sides = [
+        (np.roll(np.stack([u, v, np.full(u.shape, half)], 1), -axis, 1), half)
+        for axis in range(3)
+        for half in (-0.5, 0.5)
+    ]
+    return together([Solid(corners, faces[:, :: 1 if half > 0 else -1]) for corners, half in sides])
 
 
 def slab(size_m: Point, centre: Point, cells: int = 8) -> Solid:
     """A cuboid whose sides have corners enough to be bent."""
-    steps = np.linspace(-0.5, 0.5, cells + 1)
-    u, v = (each.ravel() for each in np.meshgrid(steps, steps))
-    half = np.full(u.shape, 0.5)
-    number = np.arange(cells * (cells + 1)).reshape(cells, cells + 1)[:, :-1].ravel()
-    square = np.stack([number, number + 1, number + cells + 2, number + cells + 1], 1)
-    faces = np.concatenate([square[:, [0, 1, 2]], square[:, [0, 2, 3]]]).astype(np.int32)
-    sides = []
-    for axis in range(3):
-        for sign in (-1, 1):
-            corners = np.stack([u, v, half * sign], 1)[:, np.roll((0, 1, 2), axis)]
-            sides.append(Solid(corners * np.asarray(size_m) + np.asarray(centre), faces[:, :: sign or 1]))
-    return together(sides)
+    unit = _unit_slab(cells)
+    return Solid(unit.vertices * np.asarray(size_m) + np.asarray(centre), unit.faces)
 
 
 def sheet(width_m: float, height_m: float, fold_m: float, folds: float, numbers: Numbers) -> Solid:
