@@ -22,7 +22,7 @@ from bodyseg_data.rendering import Renderer, Surface
 from bodyseg_data.rigs import PlacedCamera, axes_at
 from bodyseg_data.samples import FARTHEST_STEPS, View
 
-_MOST_DRAWS: Final = 1024
+_MOST_DRAWS: Final = 4096
 
 ThingsPlace = Literal["none", "before", "behind", "both"]
 """Places of things: between camera and body, behind or beside the body, or both."""
@@ -49,7 +49,7 @@ _GAP_M: Final = 0.05  # between a body and a thing, at least
 
 
 class Numbers:
-    """Random numbers of one purpose, one after another, at most 1024."""
+    """Random numbers of one purpose, one after another, at most 4096."""
 
     def __init__(self, draws: Draws, purpose: str) -> None:
         self._words = iter(draws.pixels(purpose, _MOST_DRAWS, np.uint32).tolist())

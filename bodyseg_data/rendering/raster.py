@@ -3,7 +3,8 @@
 Seen from the camera's centre, the ray through a pixel meets the triangle a, b, c where the triple products ray.(b x c),
 ray.(c x a) and ray.(a x b) have one sign; there the range is a.(b x c) over their sum (Olano and Greer, "Triangle scan
 conversion using 2D homogeneous coordinates", 1997). Two triangles get exactly opposite numbers for an edge they share,
-so no ray passes between them, and no clipping is needed.
+so no ray passes between them, and no clipping is needed. Along a row each triple product grows or falls with the column,
+also as rounded, so the pixels of a triangle are one span: it is looked for at its ends only.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from bodyseg_data.rigs import PlacedCamera
 
 _NEAR_M: Final = 1e-3  # a triangle nearer to the camera's plane is tested at every pixel
 _MARGIN_PX: Final = 1e-6  # added to the bounding box of a triangle, for rounding
+_NARROW_PX: Final = 12  # up to which all pixels of a row are tested
 
 
 class RasterRenderer(Renderer):
@@ -92,17 +94,48 @@ def _fill_loop(
         if volume < 0:  # seen from inside: both sides are drawn
             volume = -volume
             ux, uy, uz, vx, vy, vz, wx, wy, wz = -ux, -uy, -uz, -vx, -vy, -vz, -wx, -wy, -wz
+        narrow = right - left < _NARROW_PX
         for row in range(top, bottom + 1):
             y = down[row]
             u_row, v_row, w_row = uy * y + uz, vy * y + vz, wy * y + wz
-            for column in range(left, right + 1):
-                x = across[column]
-                u, v, w = ux * x + u_row, vx * x + v_row, wx * x + w_row
-                if min(u, min(v, w)) >= 0:
-                    z = volume / (u + v + w)
-                    pixel = np.uint64(row * columns + column)  # unsigned: no code for negative indices
-                    if z < depth[pixel]:  # NaN for a degenerate triangle
-                        depth[pixel], face[pixel] = z, number
+            first, last, line = left, right, row * columns
+            if narrow:
+                for column in range(left, right + 1):
+                    x = across[column]
+                    u, v, w = ux * x + u_row, vx * x + v_row, wx * x + w_row
+                    if min(u, min(v, w)) >= 0:
+                        z = volume / (u + v + w)
+                        pixel = np.uint64(line + column)  # unsigned: no code for negative indices
+                        if z < depth[pixel]:  # NaN for a degenerate triangle
+                            depth[pixel], face[pixel] = z, number
+                continue
+            for slope, level in ((ux, u_row), (vx, v_row), (wx, w_row)):
+                if slope == 0:
+                    if level < 0:
+                        last = first - 1
+                    continue
+                guess = -level / slope * focal + centre_x - 0.5
+                end = first if not guess > first else last if guess > last else int(guess)
+                if slope > 0:
+                    while end > first and slope * across[end - 1] + level >= 0:
+                        end -= 1
+                    while end <= last and slope * across[end] + level < 0:
+                        end += 1
+                    first = end
+                else:
+                    while end < last and slope * across[end + 1] + level >= 0:
+                        end += 1
+                    while end >= first and slope * across[end] + level < 0:
+                        end -= 1
+                    last = end
+                if first > last:
+                    break
+            for column in range(first, last + 1):  # without branches, so that it is vectorised
+                x, pixel = across[column], np.uint64(line + column)
+                z = volume / ((ux * x + u_row) + (vx * x + v_row) + (wx * x + w_row))
+                nearer = z < depth[pixel]
+                depth[pixel] = z if nearer else depth[pixel]
+                face[pixel] = number if nearer else face[pixel]
 
 
 _project: Any = compiled(_project_loop, "the raster renderer")

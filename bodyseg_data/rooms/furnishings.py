@@ -8,31 +8,40 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
 
 from bodyseg_data.meshes import Solid, cuboid, together, turned_solid
-from bodyseg_data.packing.things import Numbers, bed as plain_bed, bin_, box, lamp, machine, plant
+from bodyseg_data.packing.things import Numbers, bin_, box, lamp, machine, plant
 
 Point = tuple[float, float, float]
+
+_AROUND: Final = np.array([[math.cos(turn * math.pi / 4), math.sin(turn * math.pi / 4)] for turn in range(8)]).T
+_TUBE: Final = np.array(
+    [
+        *([k, (k + 1) % 8, k + 8] for k in range(8)),
+        *([(k + 1) % 8, (k + 1) % 8 + 8, k + 8] for k in range(8)),
+        *([0, k + 1, k] for k in range(1, 7)),
+        *([8, 8 + k, 9 + k] for k in range(1, 7)),
+    ],
+    np.int32,
+)
 
 
 def tube(points: list[Point], radius: float) -> Solid:
     """Cylinders of eight sides around a line through points."""
-    around = np.arange(8) * (math.pi / 4)
-    pieces = []
-    for start, end in zip(np.asarray(points[:-1]), np.asarray(points[1:]), strict=True):
-        along = (end - start) / max(float(np.linalg.norm(end - start)), 1e-9)
-        side = np.cross(along, (0.0, 1.0, 0.0) if abs(along[1]) < 0.9 else (1.0, 0.0, 0.0))
-        side /= np.linalg.norm(side)
-        ring = radius * (np.outer(np.cos(around), side) + np.outer(np.sin(around), np.cross(along, side)))
-        here = np.arange(8)
-        after = (here + 1) % 8
-        walls = [np.stack([here, after, here + 8], 1), np.stack([after, after + 8, here + 8], 1)]
-        ends = [[0, k + 1, k] for k in range(1, 7)] + [[8, 8 + k, 9 + k] for k in range(1, 7)]
-        pieces.append(Solid(np.concatenate([start + ring, end + ring]), np.concatenate([*walls, ends]).astype(np.int32)))
-    return together(pieces)
+    start, end = np.array(points[:-1], np.float64), np.array(points[1:], np.float64)
+    x, y, z = ((end - start) / np.maximum(np.sqrt(((end - start) ** 2).sum(axis=1)), 1e-9)[:, None]).T
+    steep, none = np.abs(y) > 0.9, np.zeros(len(x))
+    side = np.where(steep, (none, z, -y), (-z, none, x))  # at right angles to the line, as is its product with it
+    side = side / np.sqrt((side**2).sum(axis=0))
+    other = np.stack([y * side[2] - z * side[1], z * side[0] - x * side[2], x * side[1] - y * side[0]])
+    ring = radius * (_AROUND[0][:, None] * side.T[:, None] + _AROUND[1][:, None] * other.T[:, None])
+    corners = np.concatenate([start[:, None] + ring, end[:, None] + ring], 1)
+    faces = _TUBE + 16 * np.arange(len(x), dtype=np.int32)[:, None, None]
+    return Solid(corners.reshape(-1, 3), faces.reshape(-1, 3))
 
 
 def wheel(across_m: float, thick_m: float, centre: Point, spokes: int) -> Solid:
@@ -43,27 +52,37 @@ def wheel(across_m: float, thick_m: float, centre: Point, spokes: int) -> Solid:
     return together([tube(rim, thick_m), *(tube([centre, rim[step * 16 // spokes]], 0.006) for step in range(spokes))])
 
 
+@lru_cache
+def _unit_ball() -> Solid:
+    angles = [math.pi * step / 12 for step in range(1, 12)]
+    return turned_solid([(math.sin(angle) / 2, -math.cos(angle) / 2) for angle in angles])
+
+
 def ball(size_m: Point, centre: Point) -> Solid:
     """An ellipsoid. size_m: its three axes."""
-    angles = [math.pi * step / 12 for step in range(1, 12)]
-    unit = turned_solid([(math.sin(angle) / 2, -math.cos(angle) / 2) for angle in angles])
+    unit = _unit_ball()
     return Solid(unit.vertices * np.asarray(size_m) + np.asarray(centre), unit.faces)
 
 
-def slab(size_m: Point, centre: Point, cells: int = 12) -> Solid:
-    """A cuboid whose sides have corners enough to be bent."""
+@lru_cache
+def _unit_slab(cells: int) -> Solid:
     steps = np.linspace(-0.5, 0.5, cells + 1)
     u, v = (each.ravel() for each in np.meshgrid(steps, steps))
-    half = np.full(u.shape, 0.5)
     number = np.arange(cells * (cells + 1)).reshape(cells, cells + 1)[:, :-1].ravel()
     square = np.stack([number, number + 1, number + cells + 2, number + cells + 1], 1)
     faces = np.concatenate([square[:, [0, 1, 2]], square[:, [0, 2, 3]]]).astype(np.int32)
-    sides = []
-    for axis in range(3):
-        for sign in (-1, 1):
-            corners = np.stack([u, v, half * sign], 1)[:, np.roll((0, 1, 2), axis)]
-            sides.append(Solid(corners * np.asarray(size_m) + np.asarray(centre), faces[:, :: sign or 1]))
-    return together(sides)
+    sides = [
+        (np.roll(np.stack([u, v, np.full(u.shape, half)], 1), -axis, 1), half)
+        for axis in range(3)
+        for half in (-0.5, 0.5)
+    ]
+    return together([Solid(corners, faces[:, :: 1 if half > 0 else -1]) for corners, half in sides])
+
+
+def slab(size_m: Point, centre: Point, cells: int = 8) -> Solid:
+    """A cuboid whose sides have corners enough to be bent."""
+    unit = _unit_slab(cells)
+    return Solid(unit.vertices * np.asarray(size_m) + np.asarray(centre), unit.faces)
 
 
 def sheet(width_m: float, height_m: float, fold_m: float, folds: float, numbers: Numbers) -> Solid:
@@ -103,370 +122,475 @@ def turned_about(solid: Solid, angle_rad: float, axis: int, at: Point) -> Solid:
     return Solid((solid.vertices - at) @ matrix.T + at, solid.faces)
 
 
-# Seats. The height of the seat, and where a seat is part of the width, are drawn unless given.
+# Seats: the height of the seat, and where a seat is part of it the width, are drawn unless given.
 
 
-def chair(numbers: Numbers, seat_m: float | None = None) -> Solid:
-    """A chair of four legs, with or without arms; its back is of boards, of bars or one bent board."""
-    height = seat_m or numbers.between(0.4, 0.5)
-    width, depth, rise = numbers.between(0.38, 0.52), numbers.between(0.38, 0.5), numbers.between(0.3, 0.6)
-    thick, x, z = numbers.between(0.015, 0.03), width / 2 - 0.03, depth / 2 - 0.03
-    splay = numbers.between(0.0, 0.08)
-    legs = [tube([(sx * (x + splay), 0, sz * (z + splay)), (sx * x, height, sz * z)], thick) for sx in (-1, 1) for sz in (-1, 1)]
-    seat = slab((width, numbers.between(0.03, 0.09), depth), (0, height - 0.03, 0))
-    lean, back = numbers.between(0.0, 0.15), []
-    kind = numbers.whole(0, 2)
-    if kind == 0:
-        back = [bent(slab((width, rise, 0.03), (0, height + 0.1 + rise / 2, depth / 2)), numbers, 0.02, 1.0)]
+def legs(width: float, depth: float, height: float, thick: float, splay: float = 0.0) -> list[Solid]:
+    """Four legs under a board of that width and depth, which stand out by `splay`."""
+    corners = [(sx * (width / 2 - thick), sz * (depth / 2 - thick)) for sx in (-1, 1) for sz in (-1, 1)]
+    return [tube([(x * (1 + splay), 0, z * (1 + splay)), (x, height, z)], thick) for x, z in corners]
+
+
+def star(height: float, reach: float = 0.3) -> list[Solid]:
+    """Five feet with castors, and the post on them."""
+    ring = [(reach * math.cos(2 * math.pi * foot / 5), reach * math.sin(2 * math.pi * foot / 5)) for foot in range(5)]
+    feet = [
+        piece for x, z in ring for piece in (tube([(0, 0.12, 0), (x, 0.07, z)], 0.022), ball((0.06,) * 3, (x, 0.03, z)))
+    ]
+    return [*feet, tube([(0, 0.1, 0), (0, height, 0)], 0.03)]
+
+
+def chair(n: Numbers, seat_m: float | None = None) -> Solid:
+    """A chair with or without arms; its back is a board, of bars, of rungs, or one shell with the seat."""
+    height, splay, kind = seat_m or n.between(0.4, 0.5), n.between(0.0, 0.3), n.whole(0, 4)
+    width, depth, rise = n.between(0.38, 0.52), n.between(0.38, 0.5), n.between(0.3, 0.6)
+    thick, x, z, lean = n.between(0.01, 0.025), width / 2 - 0.03, depth / 2 - 0.03, n.between(0.0, 0.15)
+    seat = slab((width, n.between(0.02, 0.09), depth), (0, height - 0.03, 0))
+    posts = [tube([(sx * x, height, z), (sx * x, height + rise, z + lean)], thick) for sx in (-1, 1)]
+    if kind < 2:  # one board, with a gap below or not
+        tall = rise * n.between(0.5, 1.0)
+        board = bent(slab((width, tall, n.between(0.02, 0.06)), (0, height + rise - tall / 2, z)), n, 0.03, 0.8)
+        back = [*posts, turned_about(board, lean, 0, (0, height, z))]
+    elif kind == 2:
+        bars = n.whole(2, 5)
+        at = [(bar + 1) / bars for bar in range(bars)]
+        back = [*posts, *(cuboid((width - 0.04, 0.05, 0.02), (0, height + rise * up, z + lean * up)) for up in at)]
+    elif kind == 3:
+        across = [x * (2 * rung / 6 - 1) for rung in range(1, 6)]
+        back = [*posts, cuboid((width, 0.06, 0.03), (0, height + rise, z + lean))]
+        back += [tube([(at, height, z), (at, height + rise, z + lean)], 0.012) for at in across]
     else:
-        posts = [tube([(sx * x, height, z), (sx * x, height + rise, z + lean)], thick) for sx in (-1, 1)]
-        count = numbers.whole(2, 4)
-        if kind == 1:
-            bars = [cuboid((width - 0.04, 0.05, 0.02), (0, height + rise * (n + 1) / count, z + lean * (n + 1) / count)) for n in range(count)]
-        else:
-            bars = [tube([(x * (2 * n / (count + 2) - 1), height, z), (x * (2 * n / (count + 2) - 1), height + rise, z + lean)], 0.012) for n in range(1, count + 2)]
-            bars.append(cuboid((width, 0.06, 0.03), (0, height + rise, z + lean)))
-        back = posts + bars
+        shell = slab((width, 0.02, depth + rise), (0, height, rise / 2), 12).vertices
+        above = np.maximum(shell[:, 2] - depth / 2, 0.0)
+        shell = shell + np.outer(above, (0, 1, lean - 1)) + np.outer((shell[:, 0] / width) ** 2, (0, 0.12, 0))
+        seat, back = Solid(shell, slab((1, 1, 1), (0, 0, 0), 12).faces), []
     arms: list[Solid] = []
-    if not numbers.whole(0, 2):
-        arms = [tube([(sx * x, height, -z), (sx * x, height + 0.22, -z), (sx * x, height + 0.22, z)], 0.02) for sx in (-1, 1)]
-    return together([*legs, bent(seat, numbers, 0.01), *back, *arms])
+    if not n.whole(0, 2):
+        at = [(-z, 0.0), (-z, 0.22), (z, 0.22)]
+        arms = [tube([(sx * x, height + up, along) for along, up in at], 0.02) for sx in (-1, 1)]
+    under = star(height) if not n.whole(0, 5) else legs(width, depth, height, thick, splay)
+    return together([*under, bent(seat, n, 0.015), *back, *arms])
 
 
-def office_chair(numbers: Numbers, seat_m: float | None = None) -> Solid:
-    """A chair on a star of five feet with castors; its back is a cushion or a net, with arms or without."""
-    height = seat_m or numbers.between(0.42, 0.56)
-    width, depth, rise = numbers.between(0.44, 0.54), numbers.between(0.42, 0.52), numbers.between(0.4, 0.75)
-    ring = [(0.3 * math.cos(2 * math.pi * n / 5), 0.3 * math.sin(2 * math.pi * n / 5)) for n in range(5)]
-    pieces = [tube([(0, 0.12, 0), (px, 0.07, pz)], 0.022) for px, pz in ring]
-    pieces += [ball((0.06, 0.06, 0.06), (px, 0.03, pz)) for px, pz in ring]
-    pieces.append(tube([(0, 0.1, 0), (0, height - 0.06, 0)], 0.03))
-    pieces.append(bent(slab((width, 0.09, depth), (0, height - 0.045, 0)), numbers, 0.025))
-    back = slab((width * numbers.between(0.8, 1.0), rise, numbers.between(0.03, 0.09)), (0, height + 0.12 + rise / 2, depth / 2))
-    hollow = numbers.between(0.0, 0.08)
-    x = back.vertices[:, 0] / width
-    back = Solid(back.vertices - np.outer(hollow * 4 * x**2, (0, 0, 1)), back.faces)
-    pieces.append(turned_about(bent(back, numbers, 0.025), numbers.between(-0.05, 0.25), 0, (0, height, depth / 2)))
-    pieces.append(tube([(0, height - 0.04, 0), (0, height - 0.02, depth / 2 + 0.05), (0, height + 0.3, depth / 2 + 0.06)], 0.025))
-    if numbers.whole(0, 2):
-        for sign in (-1, 1):
-            post = sign * (width / 2 + 0.03)
-            pieces.append(tube([(post * 0.7, height - 0.04, 0), (post, height, 0), (post, height + 0.2, 0)], 0.02))
-            pieces.append(slab((0.08, 0.03, 0.26), (post, height + 0.21, 0), 3))
-    if not numbers.whole(0, 3):
-        pieces.append(bent(slab((0.28, 0.16, 0.06), (0, height + rise + 0.24, depth / 2)), numbers, 0.02))
+def office_chair(n: Numbers, seat_m: float | None = None) -> Solid:
+    """A chair on castors, its back a cushion, a round one or a net, turned and leant; with arms or headrest or without."""
+    height, lean, bow = seat_m or n.between(0.42, 0.56), n.between(-0.05, 0.3), n.between(0.0, 0.3)
+    width, depth, rise = n.between(0.42, 0.54), n.between(0.4, 0.52), n.between(0.3, 0.75)
+    made = ball if n.whole(0, 1) else slab
+    grown = 1.15 if made is ball else 1.0
+    seat = made((width * grown, 0.1, depth * grown), (0, height - 0.05, 0))
+    top = [made((width * n.between(0.75, 1.0), rise, n.between(0.03, 0.1)), (0, height + 0.12 + rise / 2, depth / 2))]
+    if not n.whole(0, 2):
+        top.append(bent(slab((0.28, 0.16, 0.06), (0, height + rise + 0.24, depth / 2)), n, 0.02))
+    back = together(top)
+    back = Solid(back.vertices - np.outer(bow * back.vertices[:, 0] ** 2 / width, (0, 0, 4)), back.faces)
+    hold = [(0, height - 0.06, 0), (0, height - 0.05, depth / 2 + 0.04), (0, height + 0.3, depth / 2 + 0.05)]
+    pieces = [
+        bent(seat, n, 0.025),
+        turned_about(bent(back, n, 0.025), lean, 0, (0, height, depth / 2)),
+        tube(hold, 0.025),
+    ]
+    if n.whole(0, 2):
+        up = n.between(0.14, 0.26)
+        for x in (-width / 2 - 0.03, width / 2 + 0.03):
+            pieces.append(tube([(x * 0.7, height - 0.05, 0), (x, height, 0), (x, height + up, 0)], 0.02))
+            pieces.append(slab((0.08, 0.03, 0.26), (x, height + up, 0), 3))
+    return together([*star(height - 0.06), together(pieces).turned(n.between(-3, 3) if not n.whole(0, 2) else 0.0)])
+
+
+def folding_chair(n: Numbers, seat_m: float | None = None) -> Solid:
+    """A folding chair: two crossed frames, a seat and a narrow back; at times folded."""
+    height, x = seat_m or n.between(0.42, 0.48), n.between(0.18, 0.24)
+    top, flat = height + n.between(0.3, 0.42), 0.25 if seat_m is None and not n.whole(0, 4) else 1.0
+    frames = [tube([(s * x, 0, -0.2), (s * x, height, 0.12), (s * x, top, 0.22)], 0.012) for s in (-1, 1)]
+    frames += [tube([(s * (x - 0.03), 0, 0.24), (s * (x - 0.03), height, -0.16)], 0.012) for s in (-1, 1)]
+    seat, back = (
+        slab((2 * x, 0.02, 0.36), (0, height, 0)),
+        slab((2 * x, n.between(0.1, 0.25), 0.015), (0, top - 0.06, 0.21)),
+    )
+    if flat < 1:
+        seat = turned_about(seat, 1.3, 0, (0, height, 0))
+    made = together([*frames, seat, bent(back, n, 0.015, 1.0)])
+    return Solid(made.vertices * (1, 1, flat), made.faces)
+
+
+def stool(n: Numbers, seat_m: float | None = None) -> Solid:
+    """A stool or a bar stool, round or square, on legs or on castors."""
+    height, half = seat_m or n.between(0.4, 0.8), n.between(0.15, 0.22)
+    seat = (
+        turned_solid([(half, height - 0.05), (half, height)])
+        if n.whole(0, 1)
+        else slab((2 * half, 0.06, 2 * half), (0, height - 0.03, 0))
+    )
+    return together(
+        [
+            seat,
+            *(legs(1.5 * half, 1.5 * half, height - 0.03, 0.018, 0.3) if n.whole(0, 2) else star(height - 0.03, 0.25)),
+        ]
+    )
+
+
+def armchair(n: Numbers, seat_m: float | None = None) -> Solid:
+    """An armchair with cushions."""
+    return _upholstered(n, n.between(0.5, 0.7), seat_m)
+
+
+def sofa(n: Numbers, seat_m: float | None = None) -> Solid:
+    """A sofa of two or three seats, with cushions."""
+    return _upholstered(n, n.between(1.2, 2.0), seat_m)
+
+
+def _upholstered(n: Numbers, width: float, seat_m: float | None) -> Solid:
+    height, depth, rise = seat_m or n.between(0.38, 0.48), n.between(0.55, 0.75), n.between(0.35, 0.55)
+    arm, count = n.between(0.1, 0.22), max(1, round(width / 0.65))
+    pieces = [bent(slab((width, height - 0.1, depth), (0, (height - 0.1) / 2 + 0.05, 0)), n, 0.02)]
+    pieces.append(bent(slab((width + 2 * arm, height + rise, 0.2), (0, (height + rise) / 2, depth / 2 + 0.1)), n, 0.04))
+    tall = height + n.between(0.12, 0.25)
+    for x in (-(width + arm) / 2, (width + arm) / 2):
+        pieces.append(bent(slab((arm, tall, depth + 0.1), (x, tall / 2, 0)), n, 0.04))
+    for x in ((number + 0.5) / count * width - width / 2 for number in range(count)):
+        pieces.append(bent(ball((width / count * 1.05, 0.2, depth * 1.1), (x, height - 0.08, 0)), n, 0.03))
+        pieces.append(bent(ball((width / count, rise * 1.1, 0.26), (x, height + rise / 2, depth / 2 - 0.03)), n, 0.04))
     return together(pieces)
 
 
-def folding_chair(numbers: Numbers, seat_m: float | None = None) -> Solid:
-    """A folding chair: two crossed frames, a seat and a narrow back."""
-    height, x = seat_m or numbers.between(0.42, 0.48), numbers.between(0.18, 0.24)
-    top = height + numbers.between(0.3, 0.42)
-    frames = [tube([(s * x, 0, -0.2), (s * x, height, 0.12), (s * x, top, 0.22)], 0.012) for s in (-1, 1)]
-    frames += [tube([(s * (x - 0.03), 0, 0.24), (s * (x - 0.03), height, -0.16)], 0.012) for s in (-1, 1)]
-    seat = slab((2 * x, 0.02, 0.36), (0, height, 0))
-    back = slab((2 * x, numbers.between(0.1, 0.25), 0.015), (0, top - 0.06, 0.21))
-    return together([*frames, seat, bent(back, numbers, 0.015, 1.0)])
-
-
-def stool(numbers: Numbers, seat_m: float | None = None) -> Solid:
-    """A stool or a bar stool, round or square."""
-    height, half = seat_m or numbers.between(0.4, 0.8), numbers.between(0.15, 0.22)
-    seat = turned_solid([(half, height - 0.05), (half, height)]) if numbers.whole(0, 1) else slab((2 * half, 0.06, 2 * half), (0, height - 0.03, 0))
-    legs = [tube([(sx * half, 0, sz * half), (sx * half * 0.7, height - 0.04, sz * half * 0.7)], 0.018) for sx in (-1, 1) for sz in (-1, 1)]
-    return together([seat, *legs])
-
-
-def armchair(numbers: Numbers, seat_m: float | None = None) -> Solid:
-    """An armchair, or a sofa of two or three seats, with cushions."""
-    return _upholstered(numbers, numbers.between(0.5, 0.7), seat_m)
-
-
-def sofa(numbers: Numbers, seat_m: float | None = None) -> Solid:
-    """A sofa of two or three seats, with cushions."""
-    return _upholstered(numbers, numbers.between(1.2, 2.0), seat_m)
-
-
-def _upholstered(numbers: Numbers, width: float, seat_m: float | None) -> Solid:
-    height, depth, rise = seat_m or numbers.between(0.38, 0.48), numbers.between(0.55, 0.75), numbers.between(0.35, 0.55)
-    arm, count = numbers.between(0.1, 0.22), max(1, round(width / 0.65))
-    pieces = [bent(slab((width, height - 0.1, depth), (0, (height - 0.1) / 2 + 0.05, 0)), numbers, 0.02)]
-    pieces.append(bent(slab((width + 2 * arm, height + rise, 0.2), (0, (height + rise) / 2, depth / 2 + 0.1)), numbers, 0.04))
-    for sign in (-1, 1):
-        tall = height + numbers.between(0.12, 0.25)
-        pieces.append(bent(slab((arm, tall, depth + 0.1), (sign * (width + arm) / 2, tall / 2, 0)), numbers, 0.04))
-    for number in range(count):
-        x = (number + 0.5) / count * width - width / 2
-        pieces.append(bent(ball((width / count * 1.05, 0.2, depth * 1.1), (x, height - 0.08, 0)), numbers, 0.03))
-        pieces.append(bent(ball((width / count, rise * 1.1, 0.26), (x, height + rise / 2, depth / 2 - 0.03)), numbers, 0.04))
+def wheelchair(n: Numbers, seat_m: float | None = None) -> Solid:
+    """A wheelchair."""
+    height, half, r = seat_m or n.between(0.46, 0.54), n.between(0.22, 0.27), n.between(0.28, 0.31)
+    seat, back = (
+        slab((2 * half, 0.05, 0.44), (0, height - 0.025, 0)),
+        slab((2 * half, 0.42, 0.03), (0, height + 0.24, 0.22)),
+    )
+    pieces = [bent(seat, n, 0.02), bent(back, n, 0.03, 0.5)]
+    for x in (-half, half):
+        frame = [
+            (x, 0.1, -0.5),
+            (x, height, -0.22),
+            (x, height, 0.22),
+            (x, height + 0.48, 0.24),
+            (x, height + 0.5, 0.36),
+        ]
+        pieces += [tube(frame, 0.015), wheel(r, 0.02, (x * 1.2, r, 0.1), 8), wheel(0.09, 0.02, (x, 0.09, -0.35), 3)]
+        pieces += [
+            cuboid((0.05, 0.03, 0.3), (x, height + 0.22, -0.02)),
+            cuboid((0.12, 0.02, 0.16), (x * 0.5, 0.1, -0.52)),
+        ]
     return together(pieces)
 
 
 # Other furniture.
 
 
-def table(numbers: Numbers) -> Solid:
+def table(n: Numbers) -> Solid:
     """A table, on four legs or on one foot, with things on it half of the time."""
-    width, height, depth = numbers.between(0.6, 1.8), numbers.between(0.45, 0.95), numbers.between(0.5, 0.9)
-    thick = numbers.between(0.02, 0.05)
-    if numbers.whole(0, 3):
-        x, z = width / 2 - 0.05, depth / 2 - 0.05
-        legs = [tube([(sx * x, 0, sz * z), (sx * x, height, sz * z)], thick) for sx in (-1, 1) for sz in (-1, 1)]
-        top = cuboid((width, thick, depth), (0, height - thick / 2, 0))
-    else:
-        legs = [turned_solid([(0.3, 0), (0.28, 0.03), (0.05, 0.06), (0.04, height)])]
-        top = turned_solid([(width / 2, height - thick), (width / 2, height)])
-        depth = width * 0.7
-    return together([top, *legs, *(clutter(numbers, width, depth, height) if numbers.whole(0, 1) else [])])
+    width, height, depth = n.between(0.6, 1.8), n.between(0.45, 0.95), n.between(0.5, 0.9)
+    thick, under = n.between(0.02, 0.05), legs(width - 0.06, depth - 0.06, height, 0.03)
+    top = cuboid((width, thick, depth), (0, height - thick / 2, 0))
+    if not n.whole(0, 3):
+        under = [turned_solid([(0.3, 0), (0.28, 0.03), (0.05, 0.06), (0.04, height)])]
+        top, depth = turned_solid([(width / 2, height - thick), (width / 2, height)]), width * 0.7
+    return together([top, *under, *(clutter(n, width, depth, height) if n.whole(0, 1) else [])])
 
 
-def clutter(numbers: Numbers, width: float, depth: float, height: float, most: int = 5) -> list[Solid]:
+def clutter(n: Numbers, width: float, depth: float, height: float, most: int = 5, large: float = 1.0) -> list[Solid]:
     """Boxes, bottles, bags and plants on a board of that size and height."""
     pieces = []
-    for _ in range(numbers.whole(1, most)):
-        x, z = numbers.between(-0.45, 0.45) * width, numbers.between(-0.4, 0.4) * depth
-        kind, size = numbers.whole(0, 3), numbers.between(0.06, 0.18)
+    for _ in range(n.whole(1, most)):
+        x, z = n.between(-0.45, 0.45) * width, n.between(-0.4, 0.4) * depth
+        kind, size = n.whole(0, 3), n.between(0.06, 0.18) * large
         if kind == 0:
-            thing = cuboid((size * numbers.between(1, 2), size * numbers.between(0.3, 2), size), (0, 0, 0))
+            thing = cuboid((size * n.between(1, 2), size * n.between(0.3, 2), size), (0, 0, 0))
         elif kind == 1:
             thing = turned_solid([(size / 3, 0), (size / 3, size), (size / 9, 1.4 * size), (size / 9, 1.7 * size)])
         elif kind == 2:
-            thing = bent(ball((2 * size, size, 1.5 * size), (0, 0, 0)), numbers, 0.03, 0.15)
+            thing = bent(ball((2 * size, size, 1.5 * size), (0, 0, 0)), n, 0.2 * size, 1.5 * size)
         else:
-            thing = together([turned_solid([(size / 3, 0), (size / 2, size / 2)]), bent(ball((size * 1.5, size * 1.5, size * 1.5), (0, size, 0)), numbers, 0.06, 0.1)])
-        thing = thing.turned(numbers.between(-3, 3))
+            crown = bent(ball((size * 1.5,) * 3, (0, size, 0)), n, 0.4 * size, size)
+            thing = together([turned_solid([(size / 3, 0), (size / 2, size / 2)]), crown])
+        thing = thing.turned(n.between(-3, 3))
         pieces.append(thing.moved((x, height - float(thing.vertices[:, 1].min()), z)))
     return pieces
 
 
-def desk(numbers: Numbers) -> Solid:
+def desk(n: Numbers) -> Solid:
     """A desk with one or two screens, a keyboard and clutter; a cupboard or a board at a side."""
-    width, height, depth = numbers.between(1.1, 1.8), numbers.between(0.68, 0.8), numbers.between(0.6, 0.8)
-    pieces = [cuboid((width, 0.03, depth), (0, height, 0))]
+    width, height, depth = n.between(1.1, 1.8), n.between(0.68, 0.8), n.between(0.6, 0.8)
+    pieces = [
+        cuboid((width, 0.03, depth), (0, height, 0)),
+        cuboid((0.42, 0.02, 0.14), (0, height + 0.025, -depth * 0.25)),
+    ]
     pieces += [cuboid((0.04, height, depth * 0.9), (sign * (width / 2 - 0.03), height / 2, 0)) for sign in (-1, 1)]
-    if numbers.whole(0, 1):
+    if n.whole(0, 1):
         pieces.append(cuboid((0.4, height - 0.1, depth * 0.9), (width / 2 - 0.25, height / 2 + 0.03, 0)))
-    for number in range(numbers.whole(1, 2)):
-        x, wide = (number - 0.4) * 0.6, numbers.between(0.4, 0.65)
-        pieces.append(cuboid((wide, wide * 0.6, 0.03), (x, height + 0.12 + wide * 0.3, depth * 0.2)).turned(numbers.between(-0.3, 0.3)))
-        pieces.append(tube([(x, height, depth * 0.25), (x, height + 0.3, depth * 0.22)], 0.02))
-        pieces.append(cuboid((0.22, 0.015, 0.18), (x, height + 0.02, depth * 0.2)))
-    pieces.append(cuboid((0.42, 0.02, 0.14), (0, height + 0.025, -depth * 0.25)))
-    return together([*pieces, *clutter(numbers, width, depth, height + 0.015, 3)])
+    for x in (-0.25, 0.35)[: n.whole(1, 2)]:
+        wide = n.between(0.4, 0.65)
+        screen = cuboid((wide, wide * 0.6, 0.03), (0, height + 0.12 + wide * 0.3, 0)).turned(n.between(-0.5, 0.5))
+        stand = [
+            tube([(0, height, 0.03), (0, height + 0.3, 0.02)], 0.02),
+            cuboid((0.22, 0.015, 0.18), (0, height + 0.02, 0)),
+        ]
+        pieces.append(together([screen, *stand]).moved((x, 0, depth * 0.2)))
+    return together([*pieces, *clutter(n, width, depth, height + 0.015, 3)])
 
 
-def shelf(numbers: Numbers) -> Solid:
+def shelf(n: Numbers) -> Solid:
     """A rack of boards with things on them, open or with a back."""
-    width, height, depth = numbers.between(0.5, 1.4), numbers.between(0.9, 2.1), numbers.between(0.25, 0.45)
-    count = numbers.whole(2, 5)
+    width, height, depth, count = n.between(0.5, 1.4), n.between(0.9, 2.1), n.between(0.25, 0.45), n.whole(2, 5)
     pieces = [cuboid((0.03, height, depth), (sign * width / 2, height / 2, 0)) for sign in (-1, 1)]
-    if numbers.whole(0, 1):
+    if n.whole(0, 1):
         pieces.append(cuboid((width, height, 0.01), (0, height / 2, depth / 2)))
-    for board in range(count + 1):
-        at = 0.05 + (height - 0.07) * board / count
+    for at in (0.05 + (height - 0.07) * board / count for board in range(count + 1)):
         pieces.append(cuboid((width, 0.025, depth), (0, at, 0)))
-        if board < count and numbers.whole(0, 4):
-            pieces += clutter(numbers, width * 0.9, depth * 0.7, at + 0.0125)
+        if at < height - 0.1 and n.whole(0, 4):
+            pieces += clutter(n, width * 0.9, depth * 0.7, at + 0.0125)
     return together(pieces)
 
 
-def cupboard(numbers: Numbers) -> Solid:
+def cupboard(n: Numbers) -> Solid:
     """A cupboard with doors and handles, or drawers."""
-    width, height, depth = numbers.between(0.4, 1.6), numbers.between(0.6, 2.1), numbers.between(0.3, 0.65)
-    columns, rows = max(1, round(width / 0.5)), numbers.whole(1, 4)
-    pieces = [cuboid((width, height, depth), (0, height / 2, 0))]
-    for column in range(columns):
-        for row in range(rows):
-            x, y = (column + 0.5) / columns * width - width / 2, (row + 0.5) / rows * height
-            pieces.append(cuboid((width / columns - 0.02, height / rows - 0.02, 0.02), (x, y, -depth / 2)))
-            pieces.append(cuboid((0.1, 0.015, 0.03), (x, y + 0.3 * height / rows, -depth / 2 - 0.02)))
-    return together([*pieces, *(clutter(numbers, width, depth, height, 3) if numbers.whole(0, 1) else [])])
+    width, height, depth = n.between(0.4, 1.6), n.between(0.6, 2.1), n.between(0.3, 0.65)
+    columns, rows, pieces = (
+        max(1, round(width / 0.5)),
+        n.whole(1, 4),
+        [cuboid((width, height, depth), (0, height / 2, 0))],
+    )
+    for door in range(columns * rows):
+        x, y = (door // rows + 0.5) / columns * width - width / 2, (door % rows + 0.5) / rows * height
+        pieces.append(cuboid((width / columns - 0.02, height / rows - 0.02, 0.02), (x, y, -depth / 2)))
+        pieces.append(cuboid((0.1, 0.015, 0.03), (x, y + 0.3 * height / rows, -depth / 2 - 0.02)))
+    return together([*pieces, *(clutter(n, width, depth, height, 3) if n.whole(0, 1) else [])])
 
 
-def bed(numbers: Numbers) -> Solid:
+def bed(n: Numbers) -> Solid:
     """A bed with a cover in folds and pillows."""
-    width, depth, height = numbers.between(1.8, 2.1), numbers.between(0.8, 1.6), numbers.between(0.35, 0.65)
+    width, depth, height = n.between(1.8, 2.1), n.between(0.8, 1.6), n.between(0.35, 0.65)
     pieces = [cuboid((width, height - 0.1, depth), (0, (height - 0.1) / 2, 0))]
-    pieces.append(cuboid((0.05, height + numbers.between(0.1, 0.5), depth), (-width / 2, height / 2 + 0.15, 0)))
-    cover = slab((width * numbers.between(0.5, 0.95), 0.14, depth + 0.04), (width * 0.05, height - 0.05, 0), 24)
-    pieces.append(bent(bent(cover, numbers, 0.06, 0.5), numbers, 0.04, 0.2))
-    for sign in (-1, 1)[: numbers.whole(1, 2)]:
-        pieces.append(bent(ball((0.4, 0.2, 0.55), (0.25 - width / 2, height + 0.05, sign * depth / 4)), numbers, 0.04, 0.4))
-    return together(pieces)
+    pieces.append(cuboid((0.05, height + n.between(0.1, 0.5), depth), (-width / 2, height / 2 + 0.15, 0)))
+    cover = slab((width * n.between(0.5, 0.95), 0.14, depth + 0.04), (width * 0.05, height - 0.05, 0), 24)
+    pieces.append(bent(bent(cover, n, 0.06, 0.5), n, 0.04, 0.2))
+    pillow = bent(ball((0.4, 0.2, 0.55), (0.25 - width / 2, height + 0.05, 0)), n, 0.04, 0.4)
+    return together([*pieces, *(pillow.moved((0, 0, sign * depth / 4)) for sign in (-1, 1)[: n.whole(1, 2)])])
 
 
-def bag(numbers: Numbers) -> Solid:
+# What is soft, or looks like somebody.
+
+
+def bag(n: Numbers) -> Solid:
     """A bag, a rucksack or a sack."""
-    size = numbers.between(0.25, 0.6), numbers.between(0.25, 0.7), numbers.between(0.15, 0.4)
-    sack = bent(ball(size, (0, size[1] / 2, 0)), numbers, 0.08, 0.35)
-    return Solid(sack.vertices * (1, 1, 1), sack.faces)
+    size = n.between(0.25, 0.6), n.between(0.25, 0.7), n.between(0.15, 0.4)
+    return bent(ball(size, (0, size[1] / 2, 0)), n, 0.08, 0.35)
 
 
-def coat(numbers: Numbers, top_m: float) -> Solid:
+def coat(n: Numbers, top_m: float) -> Solid:
     """A coat or a shirt that hangs from that height."""
-    long, wide = numbers.between(0.6, 1.15), numbers.between(0.35, 0.5)
-    deep = numbers.between(0.08, 0.22)
-    profile = [(0.1, 0.0), (0.42, 0.06), (0.5, 0.14), (0.42, 0.45), (numbers.between(0.4, 0.6), 1.0)]
-    body = turned_solid([(radius, 1.0 - at) for radius, at in reversed(profile)])
-    body = Solid(body.vertices * (wide, long, deep) + (0, top_m - long, 0), body.faces)
-    sleeves = []
+    long, wide, deep = n.between(0.6, 1.15), n.between(0.35, 0.5), n.between(0.08, 0.22)
+    profile = [(n.between(0.4, 0.6), 0.0), (0.42, 0.55), (0.5, 0.86), (0.42, 0.94), (0.1, 1.0)]
+    body = turned_solid(profile)
+    pieces = [Solid(body.vertices * (wide, long, deep) + (0, top_m - long, 0), body.faces)]
     for sign in (-1, 1):
-        shoulder = (sign * wide * 0.42, top_m - 0.12 * long, 0.0)
-        elbow = (sign * wide * numbers.between(0.45, 0.65), top_m - 0.35 * long, numbers.between(-0.05, 0.05))
-        sleeves.append(tube([shoulder, elbow, (elbow[0], top_m - numbers.between(0.5, 0.65), elbow[2])], 0.05))
-    return bent(bent(together([body, *sleeves]), numbers, 0.05, 0.4), numbers, 0.03, 0.15)
+        elbow, down = sign * wide * n.between(0.45, 0.65), n.between(0.5, 0.65)
+        sleeve = [
+            (sign * wide * 0.42, top_m - 0.12 * long, 0.0),
+            (elbow, top_m - 0.35 * long, 0.03),
+            (elbow, top_m - down, 0),
+        ]
+        pieces.append(tube(sleeve, 0.05))
+    return bent(bent(together(pieces), n, 0.05, 0.4), n, 0.03, 0.15)
 
 
-def coat_stand(numbers: Numbers) -> Solid:
+def coat_stand(n: Numbers) -> Solid:
     """A coat stand with coats, a hat on it at times."""
-    height = numbers.between(1.6, 1.85)
+    height = n.between(1.6, 1.85)
     pieces = [tube([(0, 0, 0), (0, height, 0)], 0.025), turned_solid([(0.22, 0), (0.2, 0.03)])]
-    for number in range(numbers.whole(1, 3)):
-        hung = coat(numbers, height - numbers.between(0.05, 0.3)).moved((0, 0, -0.12)).turned(2.1 * number + numbers.between(-0.5, 0.5))
-        pieces.append(hung)
-    if not numbers.whole(0, 2):
-        pieces.append(ball((0.3, 0.16, 0.3), (0, height + 0.04, 0)))
+    for turn in range(n.whole(1, 3)):
+        hung = coat(n, height - n.between(0.05, 0.3)).moved((0, 0, -0.12))
+        pieces.append(hung.turned(2.1 * turn + n.between(-0.5, 0.5)))
+    return together([*pieces, *([] if n.whole(0, 2) else [ball((0.3, 0.16, 0.3), (0, height + 0.04, 0))])])
+
+
+def dressed_chair(n: Numbers) -> Solid:
+    """A chair with a coat over its back, or with a bag or cushions on it."""
+    made = (chair, office_chair)[n.whole(0, 1)](n, 0.45)
+    if n.whole(0, 2):
+        worn = coat(n, float(made.vertices[:, 1].max()) + 0.04).moved((0, 0, 0.25))
+        return together([made, Solid(worn.vertices * (1.1, 1, 1.6) - (0, 0, 0.15), worn.faces)])
+    return together([made, bag(n).moved((0, 0.45, 0))])
+
+
+def mannequin(n: Numbers) -> Solid:
+    """A bust on a stand, a post with a ball, or a draped column."""
+    height, torso = n.between(1.1, 1.9), n.between(0.5, 0.8)
+    size = n.between(0.25, 0.5), torso, n.between(0.15, 0.3)
+    body = ball(size, (0, height - torso / 2, 0)) if n.whole(0, 1) else slab(size, (0, height - torso / 2, 0))
+    pieces = [turned_solid([(0.2, 0), (0.18, 0.03), (n.between(0.02, 0.12), 0.06), (0.03, height - 0.1)])]
+    pieces.append(bent(body, n, n.between(0.0, 0.06)))
+    if n.whole(0, 2):
+        pieces.append(ball((n.between(0.15, 0.3),) * 3, (0, height + 0.12, 0)))
     return together(pieces)
 
 
-def bicycle(numbers: Numbers) -> Solid:
+def carpet(n: Numbers) -> Solid:
+    """A carpet or a mattress, rolled up: upright or on the floor."""
+    long, half = n.between(0.8, 2.0), n.between(0.06, 0.2)
+    rolled = turned_solid([(half, long * step / 8) for step in range(9)])
+    rolled = bent(rolled, n, 0.04, 0.6)
+    return rolled if n.whole(0, 1) else turned_about(rolled, math.pi / 2, 2, (0, half, 0)).moved((long / 2, 0, 0))
+
+
+def cushions(n: Numbers) -> Solid:
+    """Cushions, blankets or sacks, one on another."""
+    pieces, top = [], 0.0
+    for _ in range(n.whole(1, 5)):
+        size = n.between(0.3, 0.7), n.between(0.1, 0.35), n.between(0.3, 0.6)
+        one = bent((ball if n.whole(0, 2) else slab)(size, (0, size[1] / 2, 0)), n, 0.06, 0.3).turned(n.between(-1, 1))
+        pieces.append(one.moved((n.between(-0.1, 0.1), top, n.between(-0.1, 0.1))))
+        top += 0.75 * size[1]
+    return together(pieces)
+
+
+def pile(n: Numbers) -> Solid:
+    """Things of all kinds that lie about."""
+    return together(clutter(n, n.between(0.5, 1.4), n.between(0.5, 1.2), 0.0, 12, n.between(1.0, 3.0)))
+
+
+def tall_plant(n: Numbers) -> Solid:
+    """A plant with leaves, up to a person's height."""
+    height, spread, pot = n.between(0.7, 1.9), n.between(0.15, 0.45), n.between(0.2, 0.45)
+    pieces = [turned_solid([(0.12, 0.0), (0.17, pot)]), tube([(0, pot, 0), (n.between(-0.1, 0.1), height, 0)], 0.015)]
+    for _ in range(n.whole(12, 40)):
+        size, turn, up = n.between(0.08, 0.4), n.between(-3.2, 3.2), n.between(pot + 0.05, height)
+        leaf = bent(slab((size * n.between(0.2, 0.5), 0.008, size), (0, 0, spread * n.between(0.3, 1.0)), 2), n, 0.03)
+        pieces.append(turned_about(leaf, n.between(-0.9, 0.9), 0, (0, 0, 0)).turned(turn).moved((0, up, 0)))
+    return together(pieces)
+
+
+def hanging(n: Numbers) -> Solid:
+    """A curtain, a towel or a sheet that hangs free, to the floor or not."""
+    width, height, folds = n.between(0.3, 1.8), n.between(0.6, 2.2), n.between(0.5, 4)
+    cloth = sheet(width, height, n.between(0.01, 0.09), folds * max(1, 2 * width), n)
+    return cloth.moved((0, n.between(0.0, 1.0) if height < 1.2 else 0.05, 0))
+
+
+# Machines, animals and the rest.
+
+
+def bicycle(n: Numbers) -> Solid:
     """A bicycle that stands along x."""
-    r, base, top = numbers.between(0.3, 0.36), numbers.between(0.95, 1.1), numbers.between(0.78, 0.95)
-    wheels = together([wheel(r, 0.02, (0, r, z), 8) for z in (-base / 2, base / 2)])
+    r, base, top = n.between(0.3, 0.36), n.between(0.95, 1.1), n.between(0.78, 0.95)
     hub, seat, head, pedals = (0, r, base / 2), (0, top, base * 0.2), (0, top, -base * 0.32), (0, 0.28, 0.05)
-    bars = [tube([hub, seat, head, pedals, seat], 0.02), tube([hub, pedals], 0.02), tube([head, (0, r, -base / 2)], 0.02)]
-    bars.append(tube([(-0.25, top + 0.12, -base * 0.3), (0, top + 0.1, -base * 0.33), (0.25, top + 0.12, -base * 0.3)], 0.015))
-    bars.append(ball((0.15, 0.07, 0.26), (0, top + 0.05, base * 0.2)))
-    return together([wheels, *bars]).turned(math.pi / 2)
+    lines = [[hub, seat, head, pedals, seat], [hub, pedals], [head, (0, r, -base / 2)]]
+    bar = [(-0.25, top + 0.12, -base * 0.3), (0, top + 0.1, -base * 0.33), (0.25, top + 0.12, -base * 0.3)]
+    pieces = [
+        *(wheel(r, 0.02, (0, r, z), 8) for z in (-base / 2, base / 2)),
+        *(tube(line, 0.02) for line in [*lines, bar]),
+    ]
+    return together([*pieces, ball((0.15, 0.07, 0.26), (0, top + 0.05, base * 0.2))]).turned(math.pi / 2)
 
 
-def wheelchair(numbers: Numbers, seat_m: float | None = None) -> Solid:
-    """A wheelchair."""
-    height, half, r = seat_m or numbers.between(0.46, 0.54), numbers.between(0.22, 0.27), numbers.between(0.28, 0.31)
-    pieces = [wheel(r, 0.02, (sign * (half + 0.05), r, 0.1), 8) for sign in (-1, 1)]
-    pieces += [wheel(0.09, 0.02, (sign * half, 0.09, -0.35), 3) for sign in (-1, 1)]
-    pieces.append(bent(slab((2 * half, 0.05, 0.44), (0, height - 0.025, 0)), numbers, 0.02))
-    pieces.append(bent(slab((2 * half, 0.42, 0.03), (0, height + 0.24, 0.22)), numbers, 0.03, 0.5))
-    for sign in (-1, 1):
-        x = sign * half
-        pieces.append(tube([(x, 0.1, -0.5), (x, height, -0.22), (x, height, 0.22), (x, height + 0.48, 0.24), (x, height + 0.5, 0.36)], 0.015))
-        pieces.append(cuboid((0.05, 0.03, 0.3), (x, height + 0.22, -0.02)))
-        pieces.append(cuboid((0.12, 0.02, 0.16), (x * 0.5, 0.1, -0.52)))
-    return together(pieces)
-
-
-def robot_arm(numbers: Numbers) -> Solid:
+def robot_arm(n: Numbers) -> Solid:
     """An arm of a robot on a pedestal: four links with round joints and a gripper."""
-    thick, at = numbers.between(0.04, 0.08), np.array([0.0, numbers.between(0.0, 0.8), 0.0])
-    pieces = [cuboid((0.35, max(0.05, at[1]), 0.35), (0, max(0.05, at[1]) / 2, 0))]
-    way = np.array([0.0, 1.0, 0.0])
-    for link in range(4):
-        end = at + way * numbers.between(0.15, 0.45)
+    thick, at, way = n.between(0.04, 0.08), np.array([0.0, n.between(0.05, 0.8), 0.0]), np.array([0.0, 1.0, 0.0])
+    pieces = [cuboid((0.35, at[1], 0.35), (0, at[1] / 2, 0))]
+    for _ in range(4):
+        end = at + way * n.between(0.15, 0.45)
         pieces += [tube([tuple(at), tuple(end)], thick), ball((3 * thick,) * 3, tuple(end))]
-        at, thick = end, thick * 0.85
-        way = way + np.array([numbers.between(-1, 1), numbers.between(-0.7, 0.4), numbers.between(-1, 1)])
+        at, thick = np.maximum(end, (-9, 0.1, -9)), thick * 0.85
+        way = way + (n.between(-1, 1), n.between(-0.7, 0.4), n.between(-1, 1))
         way /= np.linalg.norm(way)
-        at[1] = max(at[1], 0.1)
     return together([*pieces, cuboid((0.12, 0.04, 0.06), tuple(at + way * 0.05))])
 
 
-def conveyor(numbers: Numbers) -> Solid:
+def conveyor(n: Numbers) -> Solid:
     """A conveyor or a cable tray on posts."""
-    long, height, depth = numbers.between(1.5, 3.5), numbers.between(0.4, 1.0), numbers.between(0.3, 0.7)
-    pieces = [cuboid((long, 0.12, depth), (0, height - 0.06, 0))]
+    long, height, depth = n.between(1.5, 3.5), n.between(0.4, 1.0), n.between(0.3, 0.7)
+    pieces = [cuboid((long, 0.12, depth), (0, height - 0.06, 0)), *legs(long, depth, height, 0.03)]
     pieces += [cuboid((long, 0.1, 0.03), (0, height + 0.03, sign * depth / 2)) for sign in (-1, 1)]
-    posts = max(2, round(long))
-    pieces += [tube([(long * (n / (posts - 1) - 0.5) * 0.95, 0, s * depth / 2.2), (long * (n / (posts - 1) - 0.5) * 0.95, height, s * depth / 2.2)], 0.03) for n in range(posts) for s in (-1, 1)]
-    return together([*pieces, *clutter(numbers, long, depth, height, 6)])
+    return together([*pieces, *clutter(n, long, depth, height, 6)])
 
 
-def animal(numbers: Numbers) -> Solid:
+def animal(n: Numbers) -> Solid:
     """A dog, or a toy of its shape."""
-    long, height = numbers.between(0.4, 0.8), numbers.between(0.25, 0.45)
-    pieces = [bent(ball((0.22, 0.24, long), (0, height, 0)), numbers, 0.03)]
-    pieces += [tube([(sx * 0.07, 0, sz * long * 0.36), (sx * 0.07, height, sz * long * 0.34)], 0.03) for sx in (-1, 1) for sz in (-1, 1)]
-    pieces += [ball((0.15, 0.16, 0.24), (0, height + 0.2, -long * 0.58)), tube([(0, height, -long * 0.4), (0, height + 0.17, -long * 0.52)], 0.06)]
+    long, height = n.between(0.4, 0.8), n.between(0.25, 0.45)
+    pieces = [bent(ball((0.22, 0.24, long), (0, height, 0)), n, 0.03), *legs(0.2, long * 0.75, height, 0.03)]
+    pieces += [
+        ball((0.15, 0.16, 0.24), (0, height + 0.2, -long * 0.58)),
+        tube([(0, height, -long * 0.4), (0, height + 0.17, -long * 0.52)], 0.06),
+    ]
     return together([*pieces, tube([(0, height + 0.05, long * 0.45), (0, height + 0.2, long * 0.62)], 0.02)])
 
 
-def ladder(numbers: Numbers) -> Solid:
+def ladder(n: Numbers) -> Solid:
     """A stepladder, or a tripod."""
-    height = numbers.between(0.8, 1.9)
-    if numbers.whole(0, 1):
-        feet = [(0.35 * math.cos(2.1 * n), 0.0, 0.35 * math.sin(2.1 * n)) for n in range(3)]
-        return together([*(tube([foot, (0, height, 0)], 0.015) for foot in feet), cuboid((0.15, 0.12, 0.12), (0, height + 0.05, 0))])
-    rails = [tube([(sx * 0.22, 0, sz * height * 0.25), (sx * 0.16, height, 0)], 0.02) for sx in (-1, 1) for sz in (-1, 1)]
-    steps = [cuboid((0.36, 0.03, 0.08), (0, height * n / 6, -height * 0.25 * (1 - n / 6))) for n in range(1, 6)]
-    return together([*rails, *steps])
+    height = n.between(0.8, 1.9)
+    if n.whole(0, 1):
+        feet = [(0.35 * math.cos(2.1 * foot), 0.0, 0.35 * math.sin(2.1 * foot)) for foot in range(3)]
+        return together(
+            [*(tube([foot, (0, height, 0)], 0.015) for foot in feet), cuboid((0.15, 0.12, 0.12), (0, height + 0.05, 0))]
+        )
+    rails = [
+        tube([(sx * 0.22, 0, sz * height * 0.25), (sx * 0.16, height, 0)], 0.02) for sx in (-1, 1) for sz in (-1, 1)
+    ]
+    return together(
+        [
+            *rails,
+            *(
+                cuboid((0.36, 0.03, 0.08), (0, height * step / 6, -height * 0.25 * (1 - step / 6)))
+                for step in range(1, 6)
+            ),
+        ]
+    )
 
 
-def heap(numbers: Numbers) -> Solid:
+def heap(n: Numbers) -> Solid:
     """Boxes, one on another."""
     pieces, top = [], 0.0
-    for _ in range(numbers.whole(1, 4)):
-        size = numbers.between(0.2, 0.6), numbers.between(0.12, 0.5), numbers.between(0.2, 0.5)
-        one = cuboid(size, (0, top + size[1] / 2, 0)).turned(numbers.between(-1, 1))
-        pieces.append(one.moved((numbers.between(-0.08, 0.08), 0, numbers.between(-0.08, 0.08))))
+    for _ in range(n.whole(1, 4)):
+        size = n.between(0.2, 0.6), n.between(0.12, 0.5), n.between(0.2, 0.5)
+        one = cuboid(size, (0, top + size[1] / 2, 0)).turned(n.between(-1, 1))
+        pieces.append(one.moved((n.between(-0.08, 0.08), 0, n.between(-0.08, 0.08))))
         top += size[1]
     return together(pieces)
 
 
-def pillar(numbers: Numbers) -> Solid:
+def pillar(n: Numbers) -> Solid:
     """A pillar, a pipe or a post, round or square."""
-    half, height = numbers.between(0.04, 0.25), numbers.between(1.2, 3.0)
-    return turned_solid([(half, 0), (half, height)]) if numbers.whole(0, 1) else cuboid((2 * half, height, 2 * half), (0, height / 2, 0))
+    half, height = n.between(0.04, 0.25), n.between(1.2, 3.0)
+    return (
+        turned_solid([(half, 0), (half, height)])
+        if n.whole(0, 1)
+        else cuboid((2 * half, height, 2 * half), (0, height / 2, 0))
+    )
 
 
-def hanging(numbers: Numbers) -> Solid:
-    """A curtain, a towel or a sheet that hangs free, to the floor or not."""
-    width, height = numbers.between(0.3, 1.8), numbers.between(0.6, 2.2)
-    cloth = sheet(width, height, numbers.between(0.01, 0.09), numbers.between(0.5, 4) * max(1, 2 * width), numbers)
-    return cloth.moved((0, numbers.between(0.0, 1.0) if height < 1.2 else 0.05, 0))
-
-
-def tower(numbers: Numbers) -> Solid:
-    """A computer, a fan, a heater or a vacuum cleaner: a box with a ball or a tube on it."""
-    height, wide = numbers.between(0.3, 0.9), numbers.between(0.15, 0.35)
-    pieces = [bent(slab((wide, height, numbers.between(0.2, 0.4)), (0, height / 2, 0)), numbers, 0.02)]
-    if numbers.whole(0, 1):
-        pieces.append(ball((numbers.between(0.2, 0.45),) * 2 + (0.15,), (0, height + 0.2, 0)))
-    pieces.append(tube([(0, height * 0.8, 0), (0.1, height + 0.25, 0.05), (numbers.between(-0.3, 0.3), height + 0.6, 0.1)], 0.02))
-    return together(pieces)
+def appliance(n: Numbers) -> Solid:
+    """A computer, a fan, a heater or a vacuum cleaner with its hose."""
+    height, wide = n.between(0.25, 0.9), n.between(0.15, 0.4)
+    pieces = [
+        bent((ball if n.whole(0, 1) else slab)((wide, height, n.between(0.2, 0.45)), (0, height / 2, 0)), n, 0.02)
+    ]
+    if n.whole(0, 1):
+        pieces.append(ball((*(n.between(0.2, 0.45),) * 2, 0.15), (0, height + 0.2, 0)))
+    hose = [
+        (0, height * 0.8, 0),
+        (n.between(-0.3, 0.3), height + 0.3, 0.1),
+        (n.between(-0.5, 0.5), height + 0.2, -0.3),
+        (0.3, 0.02, -0.5),
+    ]
+    return together([*pieces, tube(hose, 0.025)])
 
 
 SEATS: Final[dict[str, Callable[[Numbers, float | None], Solid]]] = {
-    "chair": chair,
-    "office_chair": office_chair,
-    "folding_chair": folding_chair,
-    "stool": stool,
-    "armchair": armchair,
-    "sofa": sofa,
-    "wheelchair": wheelchair,
+    made.__name__: made for made in (chair, office_chair, folding_chair, stool, armchair, sofa, wheelchair)
 }
 """Name -> what one sits on, with a seat of that height."""
 
+_OTHERS: Final[tuple[Callable[[Numbers], Solid], ...]] = (
+    *(table, desk, shelf, cupboard, bed, box, heap, pile, machine, lamp, plant, tall_plant, bag, cushions, carpet),
+    *(coat_stand, dressed_chair, mannequin, bicycle, robot_arm, conveyor, animal, ladder, pillar, hanging, appliance),
+)
 FURNISHINGS: Final[dict[str, Callable[[Numbers], Solid]]] = {
     **{name: (lambda numbers, made=made: made(numbers, None)) for name, made in SEATS.items()},
-    "table": table,
-    "desk": desk,
-    "shelf": shelf,
-    "cupboard": cupboard,
-    "bed": bed,
-    "box": box,
-    "heap": heap,
+    **{made.__name__: made for made in _OTHERS},
     "bin": bin_,
-    "machine": machine,
-    "lamp": lamp,
-    "plant": plant,
-    "bag": bag,
-    "coat_stand": coat_stand,
-    "bicycle": bicycle,
-    "robot_arm": robot_arm,
-    "conveyor": conveyor,
-    "animal": animal,
-    "ladder": ladder,
-    "pillar": pillar,
-    "hanging": hanging,
-    "tower": tower,
 }
 """Name -> a thing of that kind, drawn anew."""
