@@ -8,6 +8,7 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_model.networks.checkpoints import (
+        FINDER,
         SHIPPED,
         CardWords,
         Checkpoint,

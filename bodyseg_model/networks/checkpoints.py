@@ -32,6 +32,10 @@ _CHECKPOINT: Final = "checkpoint.json"
 CheckpointName = Literal["best", "last"]
 
 SHIPPED: Final = Path(__file__).parents[1] / "weights" / "compact.safetensors"
+"""Of the network that labels bodies."""
+
+FINDER: Final = SHIPPED.with_name("finder.safetensors")
+"""Of the network that finds people in rooms, whose classes are those of the label map "people"."""
 
 
 class RunFiles:

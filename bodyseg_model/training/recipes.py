@@ -156,6 +156,7 @@ PRESETS: Final[dict[str, Recipe]] = {
         bf16=True,
         loss_stride=4,
         geometric_augmentation=GeometricAugmentation(roll_deg=10, cut=0.3),
+        ema=0.999,
     ),
 }
 """Name -> recipe. Each network names its own (`networks.network.Network.default_recipe`)."""
