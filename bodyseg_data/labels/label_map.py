@@ -196,7 +196,7 @@ class LabelMap:
         found: list[Side] = []
         for label, members in enumerate(self.members):
             opposite = int(self._opposites[label])
-            own = {self.of.sides[member] for member in members} - {"middle"}
+            own = {self.of.sides[member] for member in members if member < UNLABELLED} - {"middle"}
             if opposite == label:
                 found.append("middle")
             elif len(own) == 1:

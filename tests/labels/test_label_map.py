@@ -17,6 +17,7 @@ from bodyseg_data.labels import (
     PART_CLASSES,
     PARTS,
     PARTS33,
+    UNLABELLED,
     Classes,
     LabelClass,
     LabelMap,
@@ -39,7 +40,7 @@ CROSSED = LabelMap("crossed", (("a", ("Rt. Olecranon", "Lt. PSIS")), ("b", ("Lt.
 
 
 def test_the_maps_that_ship_cover_every_part_once() -> None:
-    assert label_map_names() == ("parts33", "itop15", "limbs14")
+    assert label_map_names() == ("parts33", "itop15", "limbs14", "people")
     for name, count in (("parts33", 33), ("itop15", 15), ("limbs14", 14)):
         label_map = load_label_map(name)
         assert label_map.name == name and len(label_map) == len(label_map.names) == count
@@ -293,10 +294,34 @@ def test_files_that_are_no_map_get_one_line(tmp_path: Path, text: str, message: 
 
 def test_names_that_no_map_has(tmp_path: Path) -> None:
     with pytest.raises(
-        BadConfig, match=r"no label map is called 'limbs': give one of parts33, itop15, limbs14 or the path of a \.toml"
+        BadConfig, match=r"no label map is called 'limbs': give one of parts33, itop15, limbs14, people or the path of a \.toml"
     ):
         load_label_map("limbs")
     with pytest.raises(BadConfig, match="cannot read the label map file"):
         load_label_map(tmp_path / "nowhere.toml")
     with pytest.raises(BadConfig, match="labels must be a LabelMap, a name, or the path of a .toml file, found 14"):
         load_label_map(14)  # type: ignore[arg-type]
+
+
+def test_a_class_for_the_rest_takes_surfaces_of_no_class() -> None:
+    people = load_label_map("people")
+    assert people.names == ("person", "none") and people.has_rest and not PARTS33.has_rest
+    labels = np.array([[0, 32, UNLABELLED, BACKGROUND]], np.uint8)
+    people.write(labels, unlabelled=UNLABELLED)
+    assert labels.tolist() == [[0, 0, 1, BACKGROUND]]
+    assert people.mirrored[:2].tolist() == [0, 1] and people.sides == ("middle", "middle")
+    assert label_map_from_json(json.loads(json.dumps(people.to_json())), "a card") == people
+
+
+def test_a_class_for_the_rest_takes_classes_that_stand_nowhere() -> None:
+    hands = LabelMap("hands", (("hands", ("Rt. Dactylion", "Lt. Dactylion")), ("else", ("*",))))
+    assert hands.table[[*map(LANDMARKS.index, ("Rt. Dactylion", "Sellion")), UNLABELLED, BACKGROUND]].tolist() == [
+        0, 1, 1, BACKGROUND,
+    ]  # fmt: skip
+
+
+def test_the_rest_is_one_class_alone() -> None:
+    with pytest.raises(BadConfig, match="'\\*' must be alone in its class"):
+        LabelMap("bad", (("else", ("*", "Sellion")),))
+    with pytest.raises(BadConfig, match="a landmark is named once, found '\\*' twice"):
+        LabelMap("bad", (("else", ("*",)), ("more", ("*",))))

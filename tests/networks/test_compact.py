@@ -11,6 +11,7 @@ from benches.model.chosen import parameters
 from bodyseg_data.core import BadConfig
 from bodyseg_model.networks import build, predict, predict_each
 from bodyseg_model.networks.compact import Compact, CompactSettings, _mean_over_body, _spread
+from bodyseg_model.networks.network import MEASURES, metric_patches
 
 SMALL = CompactSettings(patch=8, widths=(6, 8), blocks=(1, 1))
 
@@ -108,6 +109,8 @@ def test_weights_belong_to_a_seed() -> None:
         ({"widths": [0, 4, 4, 4]}, "widths must be 1 to 6 numbers"),
         ({"blocks": [1]}, "blocks must be numbers from 0 to 32, one for each of"),
         ({"depth": 3}, "settings of compact that it does not take"),
+        ({"focal_px": -1.0}, "focal_px must be 0, or 1 to 1e6 with a shrink of 1, found -1.0 and 1"),
+        ({"focal_px": 525.0, "shrink": 2}, "focal_px must be 0, or 1 to 1e6 with a shrink of 1"),
     ],
 )
 def test_bad_settings_are_refused(settings: dict[str, object], message: str) -> None:
@@ -204,3 +207,49 @@ def test_a_shrunk_image_gets_scores_of_its_own_size(shrink: int, rows: int, colu
 def test_scores_lie_as_torchs_own_function_lays_them(side: int) -> None:
     cells = torch.randn(2, 3 * side**2, 5, 4)
     assert torch.equal(_spread(cells, side), F.pixel_shuffle(cells, side))
+
+
+ROOM = CompactSettings(patch=8, widths=(6, 8), blocks=(1, 1), context=False, focal_px=100.0, classes=2)
+
+
+def room(rows: int, columns: int) -> torch.Tensor:
+    draw = torch.Generator().manual_seed(3)
+    image = 0.5 + 4 * torch.rand(2, 1, rows, columns, generator=draw)
+    image *= torch.rand(2, 1, rows, columns, generator=draw) < 0.8
+    image[:, :, :9, :17] = 0  # patches without a range
+    return image
+
+
+def test_a_metric_patch_says_where_it_is_and_what_it_measures() -> None:
+    plane = torch.full((1, 1, 16, 24), 2.0)
+    plane[0, 0, 9, 1] = 2.05
+    plane[0, 0, 8:, 16:] = 0
+    values, share = metric_patches(plane, 8, 100.0)
+    assert values.shape == (1, 2 * 64 + MEASURES, 2, 3) and share.flatten().tolist() == [1, 1, 1, 1, 1, 0]
+    assert values[0, 8 + 1, 1, 0] == pytest.approx(0.5 * 63 / 64, rel=1e-4)  # 0.05 m over the mean, in units of 0.1
+    mean = 2 + 0.05 / 64
+    x, y = -8 / 100, 4 / 100  # of the middle of the cell below on the left
+    expected = [mean / 3 - 1, 1 / mean, x * mean / 2, y * mean / 2, 1, x, y]
+    assert values[0, 128:, 1, 0].tolist() == pytest.approx(expected, rel=1e-5)
+    assert values[0, :128, 1, 2].abs().max() == 0 and values[0, 128:133, 1, 2].abs().max() == 0
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(37, 61), (8, 8), (480, 640)])
+def test_loops_cut_the_metric_patches_of_torch(rows: int, columns: int) -> None:
+    from bodyseg_model.networks import patch_loops  # needs numba
+
+    image = room(rows, columns)
+    expected = metric_patches(image.requires_grad_(), 8, 100.0)  # gradients are asked for: PyTorch's operations
+    cut, share = torch.empty_like(expected.values).permute(0, 2, 3, 1), torch.empty_like(expected.measured[:, 0])
+    found = cut.contiguous()
+    patch_loops.cut_metric_patches(image.detach()[:, 0].numpy(), 8, np.float32(100), found.numpy(), share.numpy())
+    assert torch.allclose(found.permute(0, 3, 1, 2), expected.values.detach(), atol=2e-5)
+    assert torch.equal(share, expected.measured[:, 0].detach())
+
+
+def test_a_network_of_rooms_tells_near_from_far() -> None:
+    made = network(ROOM)
+    with torch.no_grad():
+        near, far = (made(torch.full((1, 1, 40, 48), metres)) for metres in (1.0, 3.0))
+    assert near.shape == (1, 2, 40, 48) and not torch.allclose(near, far, atol=1e-3)
+    assert build("compact", made.settings).settings == made.settings

@@ -11,6 +11,7 @@ import torch
 
 from bodyseg_data import Mixture, RangeImages, loader
 from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import load_label_map
 from bodyseg_model.commands import main
 from bodyseg_model.networks import build, load_network
 from bodyseg_model.training import Metrics, RunFolder, RunOptions, Training, open_data, recipe_for
@@ -66,6 +67,16 @@ def test_a_command_trains_on_a_mixture_and_its_plan_names_all_sets(small_set: Pa
     assert load_network(tmp_path / "run").card["data"] == plan["data"]
     state = json.loads((tmp_path / "run" / "checkpoint.json").read_text())["loader_state"]
     assert (state["samples"], state["position"]) == (12, 4)
+
+
+def test_a_command_trains_on_a_set_with_the_artifacts_of_several_sensors(small_set: Path, tmp_path: Path) -> None:
+    more = ["--sensor", "paper", "kinect_v1", "--weights", "1", "3", "--labels", "people", "--recipe", "finder"]
+    assert main(words([small_set], tmp_path, *more)) == 0
+    parts = RunFolder(tmp_path).plan()["data"]["mixture"]
+    assert [part["weight"] for part in parts] == [1, 3] and len({part["set"] for part in parts}) == 1
+    kinds = [{each["artifact"] for each in part["artifacts"]} for part in parts]
+    assert "disparity_rounding" in kinds[1] - kinds[0]
+    assert load_network(tmp_path).label_map == load_label_map("people")
 
 
 def test_a_training_on_a_mixture_carries_on_with_the_same_bits(small_set: Path, tmp_path: Path) -> None:

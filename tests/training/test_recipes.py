@@ -116,5 +116,5 @@ def test_a_recipe_comes_back_from_json() -> None:
 
 
 def test_an_unknown_recipe_is_refused() -> None:
-    with pytest.raises(BadConfig, match="the recipe must be one of fcn_alexnet, compact, found 'unet'"):
+    with pytest.raises(BadConfig, match="the recipe must be one of fcn_alexnet, compact, finder, found 'unet'"):
         recipe_for("unet")
