@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from bodyseg_data.meshes import Solid, cuboid, together, turned_solid
-from bodyseg_data.packing.things import Numbers, bin_, box, lamp, machine, plant
+from bodyseg_data.packing import FURNITURE, Numbers
 
 Point = tuple[float, float, float]
 
@@ -585,12 +585,12 @@ SEATS: Final[dict[str, Callable[[Numbers, float | None], Solid]]] = {
 """Name -> what one sits on, with a seat of that height."""
 
 _OTHERS: Final[tuple[Callable[[Numbers], Solid], ...]] = (
-    *(table, desk, shelf, cupboard, bed, box, heap, pile, machine, lamp, plant, tall_plant, bag, cushions, carpet),
+    *(table, desk, shelf, cupboard, bed, heap, pile, tall_plant, bag, cushions, carpet),
     *(coat_stand, dressed_chair, mannequin, bicycle, robot_arm, conveyor, animal, ladder, pillar, hanging, appliance),
 )
 FURNISHINGS: Final[dict[str, Callable[[Numbers], Solid]]] = {
     **{name: (lambda numbers, made=made: made(numbers, None)) for name, made in SEATS.items()},
     **{made.__name__: made for made in _OTHERS},
-    "bin": bin_,
+    **{name: FURNITURE[name] for name in ("box", "bin", "machine", "lamp", "plant")},
 }
 """Name -> a thing of that kind, drawn anew."""

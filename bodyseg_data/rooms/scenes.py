@@ -20,7 +20,7 @@ from bodyseg_data.core import Draws
 from bodyseg_data.labels import BACKGROUND, PART_CLASSES, UNLABELLED
 from bodyseg_data.machine import compiled
 from bodyseg_data.meshes import Mesh, Partition, Solid, cuboid, together
-from bodyseg_data.packing.things import Numbers
+from bodyseg_data.packing import Numbers
 from bodyseg_data.rendering import RasterRenderer
 from bodyseg_data.renders import Render
 from bodyseg_data.rigs import PlacedCamera, Rig, axes_at
