@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -29,6 +30,7 @@ from bodyseg_data.samples import Split
 
 Floats = NDArray[np.float64]
 
+_PARTS: Final = len(PART_CLASSES.names)
 _EMPTY: Final = 0.08  # share of rooms without anybody
 _BARE: Final = 0.12  # share of rooms without walls and floor
 _COUNTS: Final = (1,) * 11 + (2,) * 6 + (3,) * 4  # of people in the others, each as often
@@ -288,7 +290,7 @@ class Room:
 
     def _clothes(self, n: Numbers) -> list[Loss]:
         """Losses of somebody's parts."""
-        found = [_KEPT] * len(PART_CLASSES.names)
+        found = [_KEPT] * _PARTS
         for names, often, low, high in _DARK:
             dark, loss = n.between(0, 1) < often, (n.between(low, high), 1.0, n.between(0.08, 0.4))
             found = [
@@ -378,79 +380,95 @@ class Room:
         Where a surface is lost, no range is stored and the label is 255.
         """
         bodies = [pose.of(Solid(person.mesh.vertices, person.mesh.faces)) for person, pose, _ in self.persons]
-        pieces, parts = [*bodies, *(solid for solid, _ in self.solids)], len(PART_CLASSES.names)
-        whole, piece_of = together(pieces), np.repeat(np.arange(len(pieces)), [len(piece.faces) for piece in pieces])
-        camera = PlacedCamera(self.rig.camera, axes_at(0, self.pitch_deg), np.array([0.0, self.height_m, 0.0]))
+        pieces = [*bodies, *(solid for solid, _ in self.solids)]
+        whole, camera = together(pieces), PlacedCamera(self.rig.camera, axes_at(0, self.pitch_deg), self._position)
         renderer, farthest = RasterRenderer(whole), 65535.0 * self.rig.range_step_m
         seen = renderer.render(camera)
-        shape, face, range_m = seen.range.shape, seen.face.ravel(), seen.range.ravel()
-        measured = (face >= 0) & (range_m < farthest)
-        piece = np.where(measured, piece_of[face], -1)
-        labels = np.where(measured, np.uint8(UNLABELLED), np.uint8(BACKGROUND))
-        people, rays = np.zeros(face.shape, np.uint8), self.rig.camera.pixel_rays().reshape(-1, 3)
-        # Of each pixel, the row of its losses: those of a person's parts, one person after another, then of things.
-        row, first = piece + (parts - 1) * len(bodies), 0
-        row[~measured] = -1
+        face, range_m = np.where(seen.range < farthest, seen.face, np.int32(-1)), seen.range
+        labels, people = np.where(face < 0, np.uint8(BACKGROUND), np.uint8(UNLABELLED)), np.zeros(face.shape, np.uint8)
+        (across, down), first = self.rig.camera.slopes, 0
         for number, (person, pose, _) in enumerate(self.persons):
-            own = np.flatnonzero(piece == number)
-            points = pose.back(camera.to_body(rays[own] * range_m[own, None]))
-            found = person.parts.labels_at(person.mesh, face[own] - np.int32(first), points)
+            own = np.nonzero((face >= first) & (face < first + len(person.mesh.faces)))
+            away = range_m[own].astype(np.float64)
+            points = camera.to_body(np.stack([across[own[1]] * away, down[own[0]] * away, away], axis=1))
+            found = person.parts.labels_at(person.mesh, face[own] - np.int32(first), pose.back(points))
             body, first = found < UNLABELLED, first + len(person.mesh.faces)
             labels[own], people[own] = np.where(body, found, UNLABELLED), np.where(body, number + 1, 0)
-            row[own] = np.where(body, found.astype(np.int64) + parts * number, -1)
+        # Of each face the row of its losses: those of people's parts come first, one person after another.
+        rows = np.arange(len(pieces)) + (_PARTS - 1) * len(bodies)
         losses = np.array([*(loss for *_, worn in self.persons for loss in worn), *(loss for _, loss in self.solids)])
-        normals, corners = whole.normals, whole.vertices[whole.faces[:, 0]]
-        view = camera.axes, camera.position
-        lost = _lose(row, face, range_m, rays, view, normals, losses.reshape(-1, 3), _lattice())
-        labels[lost], people[lost], measured = BACKGROUND, 0, measured & ~lost
-        sight = np.einsum("ij,ij->i", normals, corners - camera.position)
-        facing, lit = [], []
+        surface = face, np.repeat(rows, [len(piece.faces) for piece in pieces]), whole.normals
+        view = camera.axes, camera.position, across, down
+        lost = _lose(range_m, labels, people, surface, view, losses.reshape(-1, 3), _lattice())
+        face[lost], labels[lost], people[lost] = -1, BACKGROUND, 0
+        corners, facing, lit = whole.vertices[whole.faces[:, 0]], [], []
+        sight = np.einsum("ij,ij->i", surface[2], corners - camera.position)
         for one in self.rig.by_projector():
             rotation, offset = one.camera_to_projector()
-            projector = PlacedCamera(
-                one.projector, rotation @ camera.axes, camera.position - camera.axes.T @ (rotation.T @ offset)
-            )
-            towards = sight * np.einsum("ij,ij->i", normals, corners - projector.position) > 0
-            facing.append((towards[face] & measured).reshape(shape))
-            ranges = renderer.render(projector).range
-            lit.append(np.where(ranges < farthest, ranges, 0))
+            place = camera.position - camera.axes.T @ (rotation.T @ offset)
+            towards = sight * np.einsum("ij,ij->i", surface[2], corners - place) > 0
+            facing.append(np.append(towards, False)[face])
+            ranges = renderer.render(PlacedCamera(one.projector, rotation @ camera.axes, place)).range
+            lit.append(np.where(ranges < farthest, ranges, np.float32(0)))
+        range_m[face < 0] = 0
         told = {"height_cm": round(100 * self.height_m), "pitch_deg": round(self.pitch_deg), "people": len(bodies)}
-        images = np.where(measured, range_m, np.float32(0)).reshape(shape), labels.reshape(shape), np.concatenate(lit)
-        return Render(self._key, *images, np.stack(facing), None, split, told, {"person": people.reshape(shape)})
+        images = range_m, labels, np.concatenate(lit), np.stack(facing)
+        return Render(self._key, *images, None, split, told, {"person": people})
+
+    @property
+    def _position(self) -> Floats:
+        return np.array([0.0, self.height_m, 0.0])
 
 
+@lru_cache
 def _lattice() -> Floats:
     """Values of the random field of losses at its lattice's points, -0.5 to 0.5, [16 ** 3]."""
     return Draws(0, 0, "losses").pixels("lattice", _CELLS**3, np.uint16) / 65535.0 - 0.5
 
 
-def _lose_loop(row: Any, face: Any, range_m: Any, rays: Any, view: Any, normals: Any, losses: Any, lattice: Any) -> Any:
-    """Whether pixels are lost, [N], by the losses [L, 3] in their `row`, -1 for none. view: axes and position.
+def _lose_loop(range_m: Any, labels: Any, people: Any, surface: Any, view: Any, losses: Any, lattice: Any) -> Any:
+    """Whether pixels are lost, [H, W], by the losses [L, 3] of what they show.
 
-    The field is a sum of three waves of the lattice, interpolated linearly; each row sees another piece of it.
+    surface: the face of each pixel, each face's row of the losses (of a person's, his part's is used), its normal.
+    view: axes and position of the camera, slopes of its rays. The field is a sum of three waves of the lattice,
+    interpolated linearly; each row sees another piece of it.
     """
-    lost, (axes, position), place = np.zeros(len(row), np.bool_), view, np.empty(3)
-    for pixel in range(len(row)):
-        if row[pixel] < 0 or losses[row[pixel], 0] + losses[row[pixel], 1] < -4.0:
-            continue
-        a, b, c, across, square = rays[pixel, 0], rays[pixel, 1], rays[pixel, 2], 0.0, 0.0
-        for axis in range(3):
-            ray, normal = a * axes[0, axis] + b * axes[1, axis] + c * axes[2, axis], normals[face[pixel], axis]
-            across, square = across + ray * normal, square + normal * normal
-            place[axis] = position[axis] + range_m[pixel] * ray
-        edge, value = 1.0 - abs(across) / np.sqrt((a * a + b * b + c * c) * max(square, 1e-30)), 0.0
-        for octave in range(3):
-            scale = 1.0 / (losses[row[pixel], 2] * _WAVES[octave])
-            x, y = place[0] * scale + 5.3 * (row[pixel] + 1) + 1024, place[1] * scale + 3.7 * octave + 1024
-            z = place[2] * scale + 1024
-            i, j, k = int(x), int(y), int(z)
-            u, v, w = x - i, y - j, z - k
-            for corner in range(8):
-                di, dj, dk = corner & 1, corner >> 1 & 1, corner >> 2
-                share = (u if di else 1 - u) * (v if dj else 1 - v) * (w if dk else 1 - w)
-                at = ((i + di) % _CELLS * _CELLS + (j + dj) % _CELLS) * _CELLS + (k + dk) % _CELLS
-                value += _WEIGHTS[octave] * share * lattice[at]
-        lost[pixel] = value < losses[row[pixel], 0] + losses[row[pixel], 1] * edge**4
+    (face, rows, normals), (axes, position, across, down) = surface, view
+    lost, place, parts = np.zeros(face.shape, np.bool_), np.empty(3), _PARTS
+    for line in range(face.shape[0]):
+        for column in range(face.shape[1]):
+            seen = face[line, column]
+            if seen < 0:
+                continue
+            row, person = rows[seen], people[line, column]
+            if person > 0:
+                row = parts * (person - 1) + labels[line, column]
+            level, graze, wave = losses[row, 0], losses[row, 1], losses[row, 2]
+            if level + graze < -4.0:
+                continue
+            a, b, sight, square = across[column], down[line], 0.0, 0.0
+            for axis in range(3):
+                ray, normal = a * axes[0, axis] + b * axes[1, axis] + axes[2, axis], normals[seen, axis]
+                sight, square = sight + ray * normal, square + normal * normal
+                place[axis] = position[axis] + range_m[line, column] * ray
+            edge = 1.0 - abs(sight) / np.sqrt((a * a + b * b + 1.0) * max(square, 1e-30))
+            level += graze * edge**4
+            if level < -4.0:
+                continue
+            value = 0.0
+            for octave in range(3):
+                scale = 1.0 / (wave * _WAVES[octave])
+                # The numbers added make all of them positive.
+                x, y = place[0] * scale + 5.3 * (row + 1) + 8192.0, place[1] * scale + 3.7 * octave + 8192.0
+                z = place[2] * scale + 8192.0
+                i, j, k = int(x), int(y), int(z)
+                u, v, w = x - i, y - j, z - k
+                for corner in range(8):
+                    di, dj, dk = corner & 1, corner >> 1 & 1, corner >> 2
+                    share = (u if di else 1 - u) * (v if dj else 1 - v) * (w if dk else 1 - w)
+                    at = ((i + di) % _CELLS * _CELLS + (j + dj) % _CELLS) * _CELLS + (k + dk) % _CELLS
+                    value += _WEIGHTS[octave] * share * lattice[at]
+            lost[line, column] = value < level
     return lost
 
 
