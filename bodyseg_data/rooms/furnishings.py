@@ -1,7 +1,7 @@
 """Things of homes and workplaces, each drawn anew from random numbers `n`.
 
 A thing stands on y = 0 around x = z = 0, in metres: x to the right, y up, its front towards -z. What is soft (cushions,
-covers, coats, bags, leaves) is bent by waves.
+covers, coats, bags, leaves) is bent by waves. The height of a seat is drawn unless given.
 """
 
 from __future__ import annotations
@@ -19,13 +19,10 @@ from bodyseg_data.packing import FURNITURE, Numbers
 
 Point = tuple[float, float, float]
 
-_TURN: Final = [turn * math.pi / 4 for turn in range(8)]
-_RING: Final = [(k, (k + 1) % 8) for k in range(8)]
-_TUBE: Final = np.array(
-    [*((a, b, a + 8) for a, b in _RING), *((b, b + 8, a + 8) for a, b in _RING)]
-    + [*((0, k + 1, k) for k in range(1, 7)), *((8, 8 + k, 9 + k) for k in range(1, 7))],
-    np.int32,
-)
+_STEP: Final = math.pi / 12
+_RING: Final = [[(k, (k + 1) % 8, k + 8), ((k + 1) % 8, (k + 1) % 8 + 8, k + 8)] for k in range(8)]
+_ENDS: Final = [[(0, k + 1, k), (8, k + 8, k + 9)] for k in range(1, 7)]
+_TUBE: Final = np.array(_RING + _ENDS, np.int32).reshape(-1, 3)
 
 
 def tube(points: list[Point], radius: float) -> Solid:
@@ -36,7 +33,8 @@ def tube(points: list[Point], radius: float) -> Solid:
     side = np.where(np.abs(y) > 0.9, (0 * x, z, -y), (-z, 0 * x, x))
     side = side / np.sqrt((side**2).sum(axis=0))
     other = np.stack([y * side[2] - z * side[1], z * side[0] - x * side[2], x * side[1] - y * side[0]])
-    ring = radius * np.stack([math.cos(turn) * side.T + math.sin(turn) * other.T for turn in _TURN], 1)
+    turns = [(radius * math.cos(3 * k * _STEP), radius * math.sin(3 * k * _STEP)) for k in range(8)]
+    ring = np.stack([cos * side.T + sin * other.T for cos, sin in turns], 1)
     corners = np.concatenate([start[:, None] + ring, end[:, None] + ring], 1)
     faces = _TUBE + 16 * np.arange(len(x), dtype=np.int32)[:, None, None]
     return Solid(corners.reshape(-1, 3), faces.reshape(-1, 3))
@@ -49,17 +47,6 @@ def wheel(radius: float, thick: float, centre: Point, spokes: int) -> Solid:
     return together([tube(rim, thick), *(tube([centre, rim[step * 16 // spokes]], 0.006) for step in range(spokes))])
 
 
-@lru_cache
-def _unit_ball() -> Solid:
-    angles = [math.pi * step / 12 for step in range(1, 12)]
-    return turned_solid([(math.sin(angle) / 2, -math.cos(angle) / 2) for angle in angles])
-
-
-def ball(size_m: Point, centre: Point) -> Solid:
-    """An ellipsoid. size_m: its three axes."""
-    return Solid(_unit_ball().vertices * size_m + centre, _unit_ball().faces)
-
-
 def _squares(rows: int, columns: int) -> NDArray[np.int32]:
     """Triangles between the points of a grid."""
     first = np.arange(rows * (columns + 1)).reshape(rows, columns + 1)[:, :-1].reshape(-1, 1)
@@ -68,19 +55,26 @@ def _squares(rows: int, columns: int) -> NDArray[np.int32]:
 
 
 @lru_cache
-def _unit_slab(cells: int) -> Solid:
-    steps = np.linspace(-0.5, 0.5, cells + 1)
-    u, v = (each.ravel() for each in np.meshgrid(steps, steps))
-    faces, sides = _squares(cells, cells), []
-    for axis in range(3):
-        for half, way in ((-0.5, -1), (0.5, 1)):
-            sides.append(Solid(np.roll(np.stack([u, v, np.full(u.shape, half)], 1), -axis, 1), faces[:, ::way]))
+def _unit(cells: int) -> Solid:
+    """A ball, or a cube whose sides have so many cells along each edge."""
+    if not cells:
+        return turned_solid([(math.sin(step * _STEP) / 2, -math.cos(step * _STEP) / 2) for step in range(1, 12)])
+    u, v = (each.ravel() for each in np.meshgrid(*[np.linspace(-0.5, 0.5, cells + 1)] * 2))
+    sides = []
+    for axis, half in ((axis, half) for axis in range(3) for half in (-0.5, 0.5)):
+        corners = np.roll(np.stack([u, v, np.full(u.shape, half)], 1), -axis, 1)
+        sides.append(Solid(corners, _squares(cells, cells)[:, :: round(2 * half)]))
     return together(sides)
 
 
 def slab(size_m: Point, centre: Point, cells: int = 8) -> Solid:
     """A cuboid whose sides have corners enough to be bent."""
-    return Solid(_unit_slab(cells).vertices * size_m + centre, _unit_slab(cells).faces)
+    return Solid(_unit(cells).vertices * size_m + centre, _unit(cells).faces)
+
+
+def ball(size_m: Point, centre: Point) -> Solid:
+    """An ellipsoid. size_m: its three axes."""
+    return slab(size_m, centre, 0)
 
 
 def sheet(n: Numbers, width: float, height: float, fold: float, folds: float) -> Solid:
@@ -126,16 +120,11 @@ def legs(width: float, depth: float, height: float, thick: float, splay: float =
     return both(*(tube([(x * (1 + splay), 0, z * (1 + splay)), (x, height, z)], thick) for z in ends))
 
 
-def star(height: float, reach: float = 0.3) -> list[Solid]:
-    """Five feet with castors, and the post on them."""
+def star(height: float, reach: float = 0.28) -> list[Solid]:
+    """Five feet, and the post on them."""
     ring = [(reach * math.cos(2 * math.pi * foot / 5), reach * math.sin(2 * math.pi * foot / 5)) for foot in range(5)]
-    feet = [tube([(0, 0.12, 0), (x, 0.07, z)], 0.022) for x, z in ring] + [
-        ball((0.06,) * 3, (x, 0.03, z)) for x, z in ring
-    ]
+    feet = [tube([(0, 0.12, 0), (x, 0.07, z), (x, 0.0, z)], 0.025) for x, z in ring]
     return [*feet, tube([(0, 0.1, 0), (0, height, 0)], 0.03)]
-
-
-# Seats: the height of the seat is drawn unless given.
 
 
 def chair(n: Numbers, seat_m: float | None = None) -> Solid:
@@ -151,13 +140,11 @@ def chair(n: Numbers, seat_m: float | None = None) -> Solid:
         tall = rise * n.between(0.5, 1.0)
         board = bent(n, slab((width, tall, n.between(0.02, 0.06)), (0, height + rise - tall / 2, z)), 0.03, 0.8)
         pieces.append(tilted(board, lean, 0, (0, height, z)))
-    elif kind == 2:
-        bars = n.whole(2, 5)
-        at = [(bar + 1) / bars for bar in range(bars)]
+    elif kind < 4:  # bars, and rungs or none
+        at = [up / 4 for up in range(n.whole(2, 4), 5)]
         pieces += [cuboid((width - 0.04, 0.05, 0.02), (0, height + rise * up, z + lean * up)) for up in at]
-    elif kind == 3:
-        pieces.append(cuboid((width, 0.06, 0.03), (0, height + rise, z + lean)))
-        pieces += [tube([(x * at / 3, height, z), (x * at / 3, height + rise, z + lean)], 0.012) for at in range(-2, 3)]
+        rungs = (-2, -1, 0, 1, 2) if kind == 3 else ()
+        pieces += [tube([(x * at / 3, height, z), (x * at / 3, height + rise, z + lean)], 0.012) for at in rungs]
     else:
         shell = slab((width, 0.02, depth + rise), (0, height, rise / 2), 12)
         above = np.maximum(shell.vertices[:, 2] - depth / 2, 0.0)
@@ -169,7 +156,7 @@ def chair(n: Numbers, seat_m: float | None = None) -> Solid:
 
 
 def office_chair(n: Numbers, seat_m: float | None = None) -> Solid:
-    """A chair on castors, turned and leant; its back is thick or thin, round or not, with arms and headrest or without."""
+    """A chair that turns and leans; its back is thick or thin, round or not, with arms and headrest or without."""
     height, lean, bow = seat_m or n.between(0.42, 0.56), n.between(-0.05, 0.3), n.between(0.0, 0.3)
     width, depth, rise = n.between(0.42, 0.54), n.between(0.4, 0.52), n.between(0.3, 0.75)
     made, grown = (ball, 1.15) if n.whole(0, 1) else (slab, 1.0)
@@ -179,9 +166,7 @@ def office_chair(n: Numbers, seat_m: float | None = None) -> Solid:
         top.append(slab((0.28, 0.16, 0.06), (0, height + rise + 0.24, depth / 2)))
     back = together(top)
     back = Solid(back.vertices - np.outer(bow * back.vertices[:, 0] ** 2 / width, (0, 0, 4)), back.faces)
-    hold = tube(
-        [(0, height - 0.06, 0), (0, height - 0.05, depth / 2 + 0.04), (0, height + 0.3, depth / 2 + 0.05)], 0.025
-    )
+    hold = tube([(0, height - 0.06, 0), (0, height - 0.05, depth / 2), (0, height + 0.3, depth / 2 + 0.05)], 0.025)
     pieces = [bent(n, seat, 0.025), tilted(bent(n, back, 0.025), lean, 0, (0, height, depth / 2)), hold]
     if n.whole(0, 2):
         x, up = width / 2 + 0.03, height + n.between(0.14, 0.26)
@@ -208,21 +193,14 @@ def stool(n: Numbers, seat_m: float | None = None) -> Solid:
     seat = turned_solid([(half, height - 0.05), (half, height)])
     if n.whole(0, 1):
         seat = slab((2 * half, 0.06, 2 * half), (0, height - 0.03, 0))
-    return together(
-        [seat, *(legs(1.5 * half, 1.5 * half, height, 0.018, 0.3) if n.whole(0, 2) else star(height, 0.25))]
-    )
+    return together([seat, *(legs(1.5 * half, 1.5 * half, height, 0.018, 0.3) if n.whole(0, 2) else star(height))])
 
 
-def armchair(n: Numbers, seat_m: float | None = None, width: float | None = None) -> Solid:
-    """An armchair with cushions."""
-    height, width = seat_m or n.between(0.38, 0.48), width or n.between(0.5, 0.7)
-    depth, rise, arm, count = (
-        n.between(0.55, 0.75),
-        n.between(0.35, 0.55),
-        n.between(0.1, 0.22),
-        max(1, round(width / 0.65)),
-    )
-    tall, outer = height + n.between(0.12, 0.25), width + 2 * arm
+def armchair(n: Numbers, seat_m: float | None = None, width: tuple[float, float] = (0.5, 0.7)) -> Solid:
+    """An armchair or a sofa, with cushions; it is as wide as between the two numbers."""
+    height, width = seat_m or n.between(0.38, 0.48), n.between(*width)
+    depth, rise, arm = n.between(0.55, 0.75), n.between(0.35, 0.55), n.between(0.1, 0.22)
+    tall, outer, count = height + n.between(0.12, 0.25), width + 2 * arm, max(1, round(width / 0.65))
     pieces = [bent(n, slab((width, height - 0.1, depth), (0, height / 2, 0)), 0.02)]
     pieces.append(bent(n, slab((outer, height + rise, 0.2), (0, (height + rise) / 2, depth / 2 + 0.1)), 0.04))
     pieces += both(bent(n, slab((arm, tall, depth + 0.1), ((width + arm) / 2, tall / 2, 0)), 0.04))
@@ -230,11 +208,6 @@ def armchair(n: Numbers, seat_m: float | None = None, width: float | None = None
         pieces.append(bent(n, ball((width / count * 1.05, 0.2, depth * 1.1), (x, height - 0.08, 0)), 0.03))
         pieces.append(bent(n, ball((width / count, rise * 1.1, 0.26), (x, height + rise / 2, depth / 2 - 0.03)), 0.04))
     return together(pieces)
-
-
-def sofa(n: Numbers, seat_m: float | None = None) -> Solid:
-    """A sofa of two or three seats, with cushions."""
-    return armchair(n, seat_m, n.between(1.2, 2.0))
 
 
 def wheelchair(n: Numbers, seat_m: float | None = None) -> Solid:
@@ -246,9 +219,6 @@ def wheelchair(n: Numbers, seat_m: float | None = None) -> Solid:
     back = bent(n, slab((2 * x, 0.42, 0.03), (0, height + 0.24, 0.22)), 0.03, 0.5)
     seat = bent(n, slab((2 * x, 0.05, 0.44), (0, height - 0.025, 0)), 0.02)
     return together([seat, back, *both(*side, wheel(r, 0.02, (x * 1.2, r, 0.1), 8))])
-
-
-# Other furniture.
 
 
 def clutter(n: Numbers, width: float, depth: float, height: float, most: int = 5, large: float = 1.0) -> list[Solid]:
@@ -271,14 +241,10 @@ def clutter(n: Numbers, width: float, depth: float, height: float, most: int = 5
     return pieces
 
 
-def table(n: Numbers) -> Solid:
-    """A table, on four legs or on one foot, with things on it half of the time."""
-    width, height, depth = n.between(0.6, 1.8), n.between(0.45, 0.95), n.between(0.5, 0.9)
-    pieces = [cuboid((width, 0.03, depth), (0, height - 0.015, 0)), *legs(width - 0.06, depth - 0.06, height, 0.03)]
-    if not n.whole(0, 3):
-        pieces, depth = [turned_solid([(width / 2, height - 0.03), (width / 2, height)])], width * 0.7
-        pieces.append(turned_solid([(0.3, 0), (0.28, 0.03), (0.05, 0.06), (0.04, height)]))
-    return together([*pieces, *(clutter(n, width, depth, height) if n.whole(0, 1) else [])])
+def _topped(n: Numbers, thing: Solid) -> Solid:
+    """A thing, with others on it half of the time."""
+    width, height, depth = np.ptp(thing.vertices, axis=0)
+    return together([thing, *(clutter(n, width, depth, height) if n.whole(0, 1) else [])])
 
 
 def desk(n: Numbers) -> Solid:
@@ -309,17 +275,6 @@ def shelf(n: Numbers) -> Solid:
     return together(pieces)
 
 
-def cupboard(n: Numbers) -> Solid:
-    """A cupboard with doors and handles, or drawers."""
-    width, height, depth, rows = n.between(0.4, 1.6), n.between(0.6, 2.1), n.between(0.3, 0.65), n.whole(1, 4)
-    columns, pieces = max(1, round(width / 0.5)), [cuboid((width, height, depth), (0, height / 2, 0))]
-    for door in range(columns * rows):
-        x, y = (door // rows + 0.5) / columns * width - width / 2, (door % rows + 0.5) / rows * height
-        pieces.append(cuboid((width / columns - 0.02, height / rows - 0.02, 0.02), (x, y, -depth / 2)))
-        pieces.append(cuboid((0.1, 0.015, 0.03), (x, y + 0.3 * height / rows, -depth / 2 - 0.02)))
-    return together([*pieces, *(clutter(n, width, depth, height, 3) if n.whole(0, 1) else [])])
-
-
 def bed(n: Numbers) -> Solid:
     """A bed with a cover in folds and pillows."""
     width, depth, height = n.between(1.8, 2.1), n.between(0.8, 1.6), n.between(0.35, 0.65)
@@ -329,9 +284,6 @@ def bed(n: Numbers) -> Solid:
     pillows = [pillow.moved((0, 0, sign * depth / 4)) for sign in (-1, 1)[: n.whole(1, 2)]]
     frame = cuboid((width, height - 0.1, depth), (0, (height - 0.1) / 2, 0))
     return together([frame, head, bent(n, bent(n, cover, 0.06, 0.5), 0.04, 0.2), *pillows])
-
-
-# What is soft, or looks like somebody.
 
 
 def bag(n: Numbers) -> Solid:
@@ -378,18 +330,6 @@ def mannequin(n: Numbers) -> Solid:
     return together([stand, bent(n, body, n.between(0.0, 0.06)), *head])
 
 
-def carpet(n: Numbers) -> Solid:
-    """A carpet or a mattress, rolled up: upright or on the floor."""
-    long, half = n.between(0.8, 2.0), n.between(0.06, 0.2)
-    rolled = bent(n, turned_solid([(half, long * step / 8) for step in range(9)]), 0.04, 0.6)
-    return rolled if n.whole(0, 1) else tilted(rolled, math.pi / 2, 2, (0, half, 0)).moved((long / 2, 0, 0))
-
-
-def heap(n: Numbers) -> Solid:
-    """Boxes, one on another."""
-    return cushions(n, 0.0)
-
-
 def cushions(n: Numbers, soft: float = 0.06) -> Solid:
     """Cushions, blankets or sacks, one on another."""
     pieces, top = [], 0.0
@@ -402,11 +342,6 @@ def cushions(n: Numbers, soft: float = 0.06) -> Solid:
     return together(pieces)
 
 
-def pile(n: Numbers) -> Solid:
-    """Things of all kinds that lie about."""
-    return together(clutter(n, n.between(0.5, 1.4), n.between(0.5, 1.2), 0.0, 12, n.between(1.0, 3.0)))
-
-
 def tall_plant(n: Numbers) -> Solid:
     """A plant with leaves, up to a person's height."""
     height, spread, pot = n.between(0.7, 1.9), n.between(0.15, 0.45), n.between(0.2, 0.45)
@@ -416,16 +351,6 @@ def tall_plant(n: Numbers) -> Solid:
         leaf = bent(n, slab((size * n.between(0.2, 0.5), 0.008, size), (0, 0, spread * n.between(0.3, 1.0)), 2), 0.03)
         pieces.append(tilted(leaf, n.between(-0.9, 0.9), 0, (0, 0, 0)).turned(turn).moved((0, up, 0)))
     return together(pieces)
-
-
-def hanging(n: Numbers) -> Solid:
-    """A curtain, a towel or a sheet that hangs free, to the floor or not."""
-    width, height, folds = n.between(0.3, 1.8), n.between(0.6, 2.2), n.between(0.5, 4)
-    cloth = sheet(n, width, height, n.between(0.01, 0.09), folds * max(1, 2 * width))
-    return cloth.moved((0, n.between(0.0, 1.0) if height < 1.2 else 0.05, 0))
-
-
-# Machines, animals and the rest.
 
 
 def bicycle(n: Numbers) -> Solid:
@@ -440,7 +365,7 @@ def bicycle(n: Numbers) -> Solid:
 
 
 def robot_arm(n: Numbers) -> Solid:
-    """An arm of a robot on a pedestal: four links with round joints and a gripper."""
+    """An arm of a robot on a pedestal: four links with round joints."""
     thick, at, way = n.between(0.04, 0.08), np.array([0.0, n.between(0.05, 0.8), 0.0]), np.array([0.0, 1.0, 0.0])
     pieces = [cuboid((0.35, at[1], 0.35), (0, at[1] / 2, 0))]
     for _ in range(4):
@@ -449,7 +374,7 @@ def robot_arm(n: Numbers) -> Solid:
         at, thick = np.maximum(end, (-9, 0.1, -9)), thick * 0.85
         way = way + (n.between(-1, 1), n.between(-0.7, 0.4), n.between(-1, 1))
         way /= np.linalg.norm(way)
-    return together([*pieces, cuboid((0.12, 0.04, 0.06), tuple(at + way * 0.05))])
+    return together(pieces)
 
 
 def conveyor(n: Numbers) -> Solid:
@@ -464,8 +389,7 @@ def animal(n: Numbers) -> Solid:
     """A dog, or a toy of its shape."""
     long, height = n.between(0.4, 0.8), n.between(0.25, 0.45)
     pieces = [bent(n, ball((0.22, 0.24, long), (0, height, 0)), 0.03), *legs(0.2, long * 0.75, height, 0.03)]
-    pieces.append(tube([(0, height, -long * 0.4), (0, height + 0.17, -long * 0.52)], 0.06))
-    pieces.append(tube([(0, height + 0.05, long * 0.45), (0, height + 0.2, long * 0.62)], 0.02))
+    pieces += [tube([(0, height, side * long * 0.4), (0, height + 0.18, side * long * 0.55)], 0.04) for side in (-1, 1)]
     return together([*pieces, ball((0.15, 0.16, 0.24), (0, height + 0.2, -long * 0.58))])
 
 
@@ -494,22 +418,27 @@ def appliance(n: Numbers) -> Solid:
     body = (ball, slab)[n.whole(0, 1)]((n.between(0.15, 0.4), height, n.between(0.2, 0.45)), (0, height / 2, 0))
     hose: list[Point] = [(0, height * 0.8, 0), (n.between(-0.3, 0.3), height + 0.3, 0.1)]
     hose += [(n.between(-0.5, 0.5), height + 0.2, -0.3), (0.3, 0.02, -0.5)]
-    head = [ball((size, size, 0.15), (0, height + 0.2, 0))] if n.whole(0, 1) else []
-    return together([bent(n, body, 0.02), tube(hose, 0.025), *head])
+    fan = [ball((size, size, 0.15), (0, height + 0.2, 0))] if n.whole(0, 1) else []
+    return together([bent(n, body, 0.02), tube(hose, 0.025), *fan])
 
 
 SEATS: Final[dict[str, Callable[[Numbers, float | None], Solid]]] = {
-    made.__name__: made for made in (chair, office_chair, folding_chair, stool, armchair, sofa, wheelchair)
+    **{made.__name__: made for made in (chair, office_chair, folding_chair, stool, armchair, wheelchair)},
+    "sofa": lambda n, seat_m: armchair(n, seat_m, (1.2, 2.0)),
 }
 """Name -> what one sits on, with a seat of that height."""
 
 _OTHERS: Final[tuple[Callable[[Numbers], Solid], ...]] = (
-    *(table, desk, shelf, cupboard, bed, heap, pile, tall_plant, bag, cushions, carpet, coat_stand, dressed_chair),
-    *(mannequin, bicycle, robot_arm, conveyor, animal, ladder, pillar, hanging, appliance),
+    *(desk, shelf, bed, tall_plant, bag, cushions, coat_stand, dressed_chair, mannequin, bicycle, robot_arm),
+    *(conveyor, animal, ladder, pillar, appliance),
 )
 FURNISHINGS: Final[dict[str, Callable[[Numbers], Solid]]] = {
     **{name: (lambda n, made=made: made(n, None)) for name, made in SEATS.items()},
     **{made.__name__: made for made in _OTHERS},
-    **{name: FURNITURE[name] for name in ("box", "bin", "machine", "lamp", "plant")},
+    **{name: FURNITURE[name] for name in ("bin", "machine", "lamp", "plant")},
+    **{name: (lambda n, made=FURNITURE[name]: _topped(n, made(n))) for name in ("table", "box")},
+    "hanging": lambda n: sheet(n, n.between(0.3, 1.8), n.between(0.6, 2.2), n.between(0.01, 0.09), n.between(1, 12)),
+    "heap": lambda n: cushions(n, 0.0),
+    "pile": lambda n: together(clutter(n, n.between(0.5, 1.4), n.between(0.5, 1.2), 0.0, 12, n.between(1.0, 3.0))),
 }
 """Name -> a thing of that kind, drawn anew."""

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -25,7 +24,20 @@ from bodyseg_data.packing import Numbers
 from bodyseg_data.rendering import RasterRenderer
 from bodyseg_data.renders import Render
 from bodyseg_data.rigs import PlacedCamera, Rig, axes_at
-from bodyseg_data.rooms.furnishings import FURNISHINGS, SEATS, about, bag, ball, bed, bent, clutter, coat, sheet, slab
+from bodyseg_data.rooms.furnishings import (
+    FURNISHINGS,
+    SEATS,
+    about,
+    bag,
+    ball,
+    bed,
+    bent,
+    both,
+    clutter,
+    coat,
+    sheet,
+    slab,
+)
 from bodyseg_data.samples import Split
 
 Floats = NDArray[np.float64]
@@ -56,6 +68,7 @@ _DARK: Final = (  # parts of somebody: names, how often they are dark, and from 
     (_SHOES, 0.15, -0.5, 2.0),
 )
 _CELLS: Final = 16  # of the field's lattice, along each axis
+_LATTICE: Final[Floats] = Draws(0, 0, "losses").pixels("lattice", _CELLS**3, np.uint16) / 65535.0 - 0.5
 _WAVES: Final = (1.0, 0.37, 0.12)  # as shares of the longest
 _WEIGHTS: Final = (5.2, 3.1, 2.1)  # with which the sum has a standard deviation of about 1
 
@@ -105,6 +118,11 @@ class _Wall:
         towards = self.normal[0] * slope - self.normal[2]
         return self.offset / towards if towards > 1e-6 else math.inf
 
+    @property
+    def pose(self) -> _Pose:
+        """Of a thing with its back to the middle of the wall."""
+        return _Pose(_facing(-self.normal), self.normal * self.offset)
+
 
 class Room:
     """One room: walls, things and people. kinds: of things, names of `FURNISHINGS`."""
@@ -118,8 +136,8 @@ class Room:
         self._half = rig.camera.columns / 2 / rig.camera.focal_px
         n = Numbers(self._draws, "room")
         self.height_m = n.between(0.4, 2.2)
-        high = 20.0 - 12.0 * self.height_m
-        low = max(-30.0, -20.0 * self.height_m)
+        self._eye = np.array([0.0, self.height_m, 0.0])
+        low, high = max(-30.0, -20.0 * self.height_m), 20.0 - 12.0 * self.height_m
         self.pitch_deg = n.between(low, max(high, low + 5))
         bare, empty = n.between(0, 1) < _BARE, n.between(0, 1) < _EMPTY
         if not bare:
@@ -141,8 +159,6 @@ class Room:
         kind = n.whole(0, 9)
         level = n.between(-0.5, 2.2) if kind < 3 else n.between(-2.6, -1.2) if kind < 6 else -9.0
         self.solids.append((solid, (level, n.between(0.0, 3.0), n.between(0.08, 0.6))))
-
-    # Walls.
 
     def _build_walls(self, n: Numbers) -> None:
         """Floor, ceiling and three walls, with what hangs on them. Most floors are polished."""
@@ -167,18 +183,14 @@ class Room:
     def _build_wall(self, wall: _Wall, ceiling: float, n: Numbers) -> None:
         """A wall with at most one window or door, curtains, a radiator, and up to four things on it."""
         wide, middle, kind = _REACH_M, n.between(-1.5, 1.5), n.whole(0, 3)
-        pieces, pose = (
-            [cuboid((wide, ceiling, 0.1), (0, ceiling / 2, 0.05))],
-            _Pose(_facing(-wall.normal), wall.normal * wall.offset),
-        )
+        pieces, pose = [cuboid((wide, ceiling, 0.1), (0, ceiling / 2, 0.05))], wall.pose
         if kind == 0:  # a window, through which nothing is measured
             half, low, high = n.between(0.4, 1.2), n.between(0.5, 1.1), ceiling - n.between(0.1, 0.5)
-            tall, level = high - low, (high + low) / 2
-            pieces = [cuboid((wide, low, 0.1), (middle, low / 2, 0.05))]
-            pieces.append(cuboid((wide, ceiling - high, 0.1), (middle, (ceiling + high) / 2, 0.05)))
-            sides = (-half - wide / 4, half + wide / 4)
-            pieces += [cuboid((wide / 2, tall, 0.1), (middle + side, level, 0.05)) for side in sides]
-            pieces += [cuboid((0.06, tall, 0.06), (middle + bar, level, 0.02)) for bar in (-half, 0, half)]
+            bands = (low, low / 2), (ceiling - high, (ceiling + high) / 2)
+            window = [cuboid((wide, tall, 0.1), (0, level, 0.05)) for tall, level in bands]
+            window += both(cuboid((wide / 2, high - low, 0.1), (half + wide / 4, (high + low) / 2, 0.05)))
+            window += [cuboid((0.06, high - low, 0.06), (bar, (high + low) / 2, 0.02)) for bar in (-half, 0, half)]
+            pieces = [together(window).moved((middle, 0, 0))]
         elif kind == 1:
             pieces.append(cuboid((0.9, 2.0, 0.05), (middle, 1.0, n.between(-0.02, 0.02))))
             pieces.append(cuboid((0.12, 0.03, 0.08), (middle + 0.35, 1.02, -0.05)))
@@ -196,21 +208,17 @@ class Room:
         for _ in range(n.whole(0, 4)):  # pictures, screens, boxes, shelves and coats on hooks
             size = n.between(0.2, 1.2), n.between(0.2, 0.9), n.between(0.02, 0.3)
             x, y = n.between(-2.5, 2.5), n.between(1.0, max(1.1, ceiling - 0.3))
-            pieces = [cuboid(size, (x, y, -size[2] / 2))]
+            pieces = [cuboid(size, (0, y, 0))]
             if size[2] > 0.25:
-                pieces = [coat(n, min(y + 0.6, ceiling - 0.2)).moved((x, 0, -0.14))]
+                pieces = [coat(n, min(y + 0.6, ceiling - 0.2))]
             elif size[2] > 0.15:
-                pieces += [
-                    each.moved((x, 0, -size[2] / 2)) for each in clutter(n, size[0], size[2], y + size[1] / 2, 3)
-                ]
-            self._add(pose.of(together(pieces)), n)
+                pieces += clutter(n, size[0], size[2] / 2, y + size[1] / 2, 3)
+            self._add(pose.of(together(pieces).moved((x, 0, -size[2] / 2))), n)
 
     def _wall_behind(self, x: float, away: float) -> _Wall | None:
         """The wall that the camera sees behind a place."""
         behind = min(self.walls, key=lambda wall: wall.free(x / away), default=None)
         return behind if behind is not None and behind.free(x / away) < 7.0 else None
-
-    # Places.
 
     def _spot(self, n: Numbers, radius: float, away: float) -> tuple[float, float] | None:
         """A free place in the room that the camera sees, x and distance, at about that distance if there is one."""
@@ -244,12 +252,6 @@ class Room:
                 by = by - out * wall.normal
         return _Pose(turn, by), least + by, most + by
 
-    def _take(self, least: Floats, most: Floats) -> None:
-        middle, size = (least + most) / 2, most - least
-        self._taken.append((float(middle[0]), float(-middle[2]), 0.45 * math.hypot(size[0], size[2])))
-
-    # People.
-
     def _place_person(self, person: Person, n: Numbers) -> bool:
         """Somebody stands free, at a wall, beside another, on a seat or a bed, or behind something; False: no place."""
         surface = Solid(person.mesh.vertices, person.mesh.faces)
@@ -265,19 +267,17 @@ class Room:
         turn, gap = about(n.between(-math.pi, math.pi)), n.between(0.0, 0.25)
         wall = self._wall_behind(*spot) if how < 0.45 and not lies else None
         if wall is not None and how < 0.1 and not sits:  # leaning at it
-            back = _facing(-wall.normal)
+            back = wall.pose.turn
             turn = back @ about(n.between(0.05, 0.2), 0) @ back.T @ turn
         pose, least, most = self._stand(surface, turn, spot, low, gap if wall else 0.02, wall)
         vertices, middle = pose.of(surface).vertices, (least + most) / 2
-        near = np.min(np.linalg.norm(vertices - (0.0, self.height_m, 0.0), axis=1))
+        near = np.min(np.linalg.norm(vertices - self._eye, axis=1))
         if -middle[2] < 0.45 or abs(middle[0]) > 0.3 - 1.1 * self._half * middle[2] or near < 0.4:
             return False
-        self._take(least, most)
+        self._taken.append((float(middle[0]), float(-middle[2]), 0.45 * math.hypot(*(most - least)[::2])))
         self.persons.append((person, pose, self._clothes(n)))
-        if sits and n.whole(0, 9):
-            self._seat_below(person, vertices, n)
-        elif low:
-            self._bed_below(vertices, low, n)
+        if low or (sits and n.whole(0, 9)):
+            self._support(person, vertices, low, n)
         elif how > 0.8 and n.whole(0, 2):  # behind something
             share = n.between(0.45, 0.95)
             turn, thing = about(n.between(-math.pi, math.pi)), self._thing(n)
@@ -293,9 +293,8 @@ class Room:
         found = [_KEPT] * _PARTS
         for names, often, low, high in _DARK:
             dark, loss = n.between(0, 1) < often, (n.between(low, high), 1.0, n.between(0.08, 0.4))
-            found = [
-                loss if dark and name in names else old for name, old in zip(PART_CLASSES.names, found, strict=True)
-            ]
+            for label, name in enumerate(PART_CLASSES.names):
+                found[label] = loss if dark and name in names else found[label]
         return found
 
     def _hold(self, person: Person, vertices: Floats, n: Numbers) -> None:
@@ -320,7 +319,7 @@ class Room:
             thing = bag(n) if kind else coat(n, 0.0)
             thing = thing.moved((0, -float(thing.vertices[:, 1].max()), 0)).turned(n.between(-1, 1))
         elif kind == 3:  # a rucksack
-            at = back - front * (size[2] / 2) + (person.middle(vertices, "Cervicale") - back) * n.between(0.1, 0.5)
+            at = back - front * (size[2] / 2) + (0, n.between(0.02, 0.2), 0)
         elif kind == 4:  # on a shoulder
             at = person.middle(vertices, ("Rt. Acromion", "Lt. Acromion")[n.whole(0, 1)]) + (0, 0.02 + size[1] / 2, 0)
             thing = Solid(thing.vertices * (1, 1, n.between(1, 3)), thing.faces)
@@ -329,23 +328,17 @@ class Room:
         if np.isfinite(at).all():
             self._add(_Pose(turn, at).of(thing), n)
 
-    def _seat_below(self, person: Person, vertices: Floats, n: Numbers) -> None:
-        at, front = person.middle(vertices, *_HIPS), person.middle(vertices, *_KNEES)
-        seat_m = at[1] - 0.12
-        if seat_m > 0.15 and np.isfinite(front).all():
+    def _support(self, person: Person, vertices: Floats, low: float, n: Numbers) -> None:
+        """A seat under somebody, or if he lies at that height, a bed along him."""
+        hips, knees, head = (person.middle(vertices, *names) for names in (_HIPS, _KNEES, ("Nuchale",)))
+        if low and np.isfinite(head).all():
+            made, (way, _, along) = bed(n), hips - head
+            made = Solid(made.vertices * (1.0, low / float(np.quantile(made.vertices[:, 1], 0.6)), 1.0), made.faces)
+            self._add(_Pose(about(math.atan2(-along, way)), hips * (1, 0, 1)).of(made), n)
+        elif not low and hips[1] > 0.27 and np.isfinite(knees).all():
             names = [name for name in SEATS if name in self._kinds] or ["chair"]
-            seat = SEATS[names[n.whole(0, len(names) - 1)]](n, float(seat_m))
-            self._add(_Pose(_facing(front - at), at * (1, 0, 1)).of(seat), n)
-
-    def _bed_below(self, vertices: Floats, low: float, n: Numbers) -> None:
-        flat = vertices[:, [0, 2]] - vertices[:, [0, 2]].mean(axis=0)
-        way = np.linalg.eigh(flat.T @ flat)[1][:, 1]
-        made = bed(n)
-        made = Solid(made.vertices * (1.0, low / float(np.quantile(made.vertices[:, 1], 0.6)), 1.0), made.faces)
-        middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-        self._add(_Pose(about(math.atan2(-way[1], way[0])), np.array([middle[0], -0.02, middle[2]])).of(made), n)
-
-    # Things.
+            seat = SEATS[names[n.whole(0, len(names) - 1)]](n, float(hips[1]) - 0.12)
+            self._add(_Pose(_facing(knees - hips), hips * (1, 0, 1)).of(seat), n)
 
     def _thing(self, n: Numbers) -> Solid:
         seats = [kind for kind in self._kinds if kind in SEATS]
@@ -355,24 +348,21 @@ class Room:
     def _place_thing(self, n: Numbers) -> None:
         """A thing stands against a wall, free, or touches somebody; few lie on their side."""
         thing, how = self._thing(n), n.between(0, 1)
-        size = np.ptp(thing.vertices, axis=0)
-        radius = 0.45 * math.hypot(size[0], size[2])
+        radius = 0.45 * math.hypot(*np.ptp(thing.vertices, axis=0)[::2])
         spot = self._spot(n, radius, n.between(1.0, _FARTHEST_M))
         if how > 0.85 and self.persons:
             spot = self._beside(n, radius, 1.3)
         if spot is None:
             return
         wall = self._wall_behind(*spot) if how < 0.5 else None
-        turn = _facing(-wall.normal) if wall else about(n.between(-math.pi, math.pi))
+        turn = wall.pose.turn if wall else about(n.between(-math.pi, math.pi))
         if not n.whole(0, 24):
             turn = turn @ about(math.pi / 2, 2 * n.whole(0, 1))
         pose, least, most = self._stand(thing, turn, spot, 0.0, n.between(0.0, 0.1), wall)
         if most[2] > -0.45 or most[0] - least[0] > -1.6 * self._half * most[2]:
             return  # it would fill the image
-        self._take(least, most)
+        self._taken.append((spot[0], spot[1], radius))
         self._add(pose.of(thing), n)
-
-    # Images.
 
     def render(self, split: Split = "train") -> Render:
         """What the rig's devices see; the plane "person" counts people from 1, 0 elsewhere.
@@ -381,7 +371,7 @@ class Room:
         """
         bodies = [pose.of(Solid(person.mesh.vertices, person.mesh.faces)) for person, pose, _ in self.persons]
         pieces = [*bodies, *(solid for solid, _ in self.solids)]
-        whole, camera = together(pieces), PlacedCamera(self.rig.camera, axes_at(0, self.pitch_deg), self._position)
+        whole, camera = together(pieces), PlacedCamera(self.rig.camera, axes_at(0, self.pitch_deg), self._eye)
         renderer, farthest = RasterRenderer(whole), 65535.0 * self.rig.range_step_m
         seen = renderer.render(camera)
         face, range_m = np.where(seen.range < farthest, seen.face, np.int32(-1)), seen.range
@@ -399,7 +389,7 @@ class Room:
         losses = np.array([*(loss for *_, worn in self.persons for loss in worn), *(loss for _, loss in self.solids)])
         surface = face, np.repeat(rows, [len(piece.faces) for piece in pieces]), whole.normals
         view = camera.axes, camera.position, across, down
-        lost = _lose(range_m, labels, people, surface, view, losses.reshape(-1, 3), _lattice())
+        lost = _lose(range_m, labels, people, surface, view, losses.reshape(-1, 3), _LATTICE)
         face[lost], labels[lost], people[lost] = -1, BACKGROUND, 0
         corners, facing, lit = whole.vertices[whole.faces[:, 0]], [], []
         sight = np.einsum("ij,ij->i", surface[2], corners - camera.position)
@@ -415,23 +405,12 @@ class Room:
         images = range_m, labels, np.concatenate(lit), np.stack(facing)
         return Render(self._key, *images, None, split, told, {"person": people})
 
-    @property
-    def _position(self) -> Floats:
-        return np.array([0.0, self.height_m, 0.0])
-
-
-@lru_cache
-def _lattice() -> Floats:
-    """Values of the random field of losses at its lattice's points, -0.5 to 0.5, [16 ** 3]."""
-    return Draws(0, 0, "losses").pixels("lattice", _CELLS**3, np.uint16) / 65535.0 - 0.5
-
 
 def _lose_loop(range_m: Any, labels: Any, people: Any, surface: Any, view: Any, losses: Any, lattice: Any) -> Any:
     """Whether pixels are lost, [H, W], by the losses [L, 3] of what they show.
 
-    surface: the face of each pixel, each face's row of the losses (of a person's, his part's is used), its normal.
-    view: axes and position of the camera, slopes of its rays. The field is a sum of three waves of the lattice,
-    interpolated linearly; each row sees another piece of it.
+    surface: the face of each pixel, each face's row of the losses and normal; of people, the part's row is used. view:
+    axes and position of the camera, slopes of its rays. The field is a sum of three waves; each row sees another piece.
     """
     (face, rows, normals), (axes, position, across, down) = surface, view
     lost, place, parts = np.zeros(face.shape, np.bool_), np.empty(3), _PARTS
