@@ -235,18 +235,18 @@ def _run_renders(options: Options) -> int:
 
 def _run_rooms(options: Options) -> int:
     """Pack made rooms, or print the plan."""
-    from bodyseg_data.rooms import RoomSet, pack_rooms  # needs numba, as no other source does before it renders
+    from bodyseg_data.rooms import chosen_kinds, pack_rooms  # needs numba, as other sources do when they render
 
     if options.samples is None:
         raise BadConfig(f"--source {ROOMS} needs --samples: how many rooms")
-    rooms = RoomSet(load_rig(options.rig), options.samples, options.split, options.kinds, options.without)
+    kinds = chosen_kinds(options.kinds, options.without)
     if options.plan:
-        counts = {"source": ROOMS, "views": rooms.samples, "split": rooms.split, "kinds": rooms.things()}
+        counts = {"source": ROOMS, "views": options.samples, "split": options.split, "kinds": kinds}
         sys.stdout.write(json.dumps(counts, indent=2) + "\n")
         return 0
-    out = _needed_out(options)
-    given = options.codec, options.shard_samples, options.workers
-    return _reported(options, "rooms", lambda progress, _: pack_rooms(rooms, out, *given, progress.update))
+    given = _needed_out(options), load_rig(options.rig), options.samples, options.split, kinds
+    how = options.codec, options.shard_samples, options.workers
+    return _reported(options, "rooms", lambda progress, _: pack_rooms(*given, *how, progress.update))
 
 
 def _needed_out(options: Options) -> Path:

@@ -372,7 +372,7 @@ def robot_arm(n: Numbers) -> Solid:
         end = at + way * n.between(0.15, 0.45)
         pieces += [tube([tuple(at), tuple(end)], thick), ball((3 * thick,) * 3, tuple(end))]
         at, thick = np.maximum(end, (-9, 0.1, -9)), thick * 0.85
-        way = way + (n.between(-1, 1), n.between(-0.7, 0.4), n.between(-1, 1))
+        way = np.add(way, (n.between(-1, 1), n.between(-0.7, 0.4), n.between(-1, 1)))
         way /= np.linalg.norm(way)
     return together(pieces)
 

@@ -1,7 +1,7 @@
 """Made rooms as a set of shards: who is in them, and the writing.
 
-Samples of a block share 20 people, drawn by the block's number: building them costs more than a room. The first process
-that needs them builds them and leaves them in the state folder of the packing for the others.
+Samples of a block share 20 people, drawn by the block's number: building them costs more than a room. The process that
+needs them first builds them, and leaves them to the others in the state folder of the packing.
 """
 
 from __future__ import annotations
@@ -9,8 +9,7 @@ from __future__ import annotations
 import fcntl
 import pickle
 import zlib
-from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -31,63 +30,26 @@ _BLOCK: Final = 400
 _PEOPLE: Final = 20
 _SOURCES: Final[dict[Split, tuple[str, str]]] = {"train": ("wide", "everyday"), "test": ("open", "hard")}
 _SECOND: Final = 0.4  # share of people of the second source
-_WAVE: Final = 8
-"""Blocks whose samples are written in turns, so that as many processes build people at once."""
+_AT_ONCE: Final = 8  # blocks that are written in turns, so that as many processes build people
 
 
-@dataclass(frozen=True)
-class RoomSet:
-    """Made rooms. kinds: of things, names of `FURNISHINGS`, all if empty; without: of these none. samples: how many.
-
-    split: of all of them, and of the people: of "wide" and "everyday", or of "open" and "hard". Raises BadConfig for a
-    kind that is not there, for none, and for less than one sample.
-    """
-
-    rig: Rig
-    samples: int
-    split: Split = "train"
-    kinds: tuple[str, ...] = ()
-    without: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        for kind in (*self.kinds, *self.without):
-            if kind not in FURNISHINGS:
-                raise BadConfig(f"rooms have things of the kinds {', '.join(FURNISHINGS)}, found {kind!r}")
-        if not self.things():
-            raise BadConfig("rooms need a kind of things, found none that is left")
-        if self.samples < 1:
-            raise BadConfig(f"a set needs at least one room, found {self.samples}")
-
-    def things(self) -> list[str]:
-        """The kinds of things, in the order of `FURNISHINGS`."""
-        return [kind for kind in FURNISHINGS if kind in (self.kinds or FURNISHINGS) and kind not in self.without]
-
-    def numbers(self) -> dict[str, int]:
-        """Key -> number of all samples, in the order of writing."""
-        wave = _WAVE * _BLOCK
-        order = sorted(range(self.samples), key=lambda n: (n // wave, n % _BLOCK, n // _BLOCK))
-        return {f"room-{self.split}-{number:06d}": number for number in order}
-
-
-@dataclass(frozen=True)
-class _Make:
-    """Makes the arguments of `ShardWriter.write` but the key, in whichever process. state: folder for the people."""
-
-    rooms: RoomSet
-    state: Path
-
-    def __call__(self, number: int) -> dict[str, Any]:
-        rooms = self.rooms
-        people = _shared_people(self.state, rooms.split, number // _BLOCK)
-        render = Room(f"room-{rooms.split}-{number:06d}", rooms.rig, people, rooms.things()).render(rooms.split)
-        made = dict(vars(render))
-        del made["key"]
-        return made
+def chosen_kinds(only: tuple[str, ...], without: tuple[str, ...]) -> tuple[str, ...]:
+    """Kinds of things for rooms: those named, all if none is, but not those left out. Raises BadConfig."""
+    unknown = [kind for kind in (*only, *without) if kind not in FURNISHINGS]
+    if unknown:
+        raise BadConfig(f"things of rooms are of the kinds {', '.join(FURNISHINGS)}, found {unknown[0]!r}")
+    found = tuple(kind for kind in FURNISHINGS if kind in (only or FURNISHINGS) and kind not in without)
+    if not found:
+        raise BadConfig("rooms need things of at least one kind, found none")
+    return found
 
 
 def pack_rooms(
-    rooms: RoomSet,
     out: Path,
+    rig: Rig,
+    samples: int,
+    split: Split = "train",
+    kinds: tuple[str, ...] = tuple(FURNISHINGS),
     codec: CodecName = "bsi",
     shard_samples: int = 1080,
     workers: int | None = None,
@@ -95,36 +57,45 @@ def pack_rooms(
 ) -> Manifest:
     """Pack made rooms into the folder `out` and return its manifest; carries on where an interrupted packing stopped.
 
-    The plane "person" numbers people from 1. codec, shard_samples: as of `ShardWriter`. workers: processes, one a
-    processor if None. The bytes are the same for any number of them. Raises as `ShardWriter`.
+    split: of all samples, with people of the sources "wide" and "everyday", or for test of "open" and "hard". The plane
+    "person" numbers people from 1. workers: processes, one a processor if None; the bytes are the same for any number.
+    Raises BadConfig without a sample, and as `ShardWriter`.
     """
-    keys = rooms.numbers()
-    lacking = [kind for kind in FURNISHINGS if kind not in rooms.things()]
-    source = f"rooms without {', '.join(lacking)}" if lacking else "rooms"
+    if samples < 1:
+        raise BadConfig(f"a set needs at least one room, found {samples}")
+    order = sorted(range(samples), key=lambda room: (room // (_AT_ONCE * _BLOCK), room % _BLOCK, room // _BLOCK))
+    keys = {f"room-{split}-{room:06d}": room for room in order}
+    lacking = ", ".join(kind for kind in FURNISHINGS if kind not in kinds)
     with (
         processes(workers) as engine,
         ShardWriter(
             out,
-            rig=rooms.rig,
+            rig=rig,
             classes=PART_CLASSES,
             projector="exact",
             planes={"person": "uint8"},
-            source=source,
+            source=f"rooms without {lacking}" if lacking else "rooms",
             codec=codec,
             shard_samples=shard_samples,
             workers=engine.workers,
             executor=engine.executor,
-            progress=lambda done, _: progress(done, len(keys)),
+            progress=lambda done, _: progress(done, samples),
         ) as writer,
     ):
-        progress(sum(key in writer for key in keys), len(keys))
-        writer.write_all(keys, _Make(rooms, (out / STATE_NAME).absolute()))
+        progress(sum(key in writer for key in keys), samples)
+        writer.write_all(keys, partial(_made, rig, split, kinds, (out / STATE_NAME).absolute()))
     return read_manifest(out)
 
 
-@lru_cache(_WAVE)
+def _made(rig: Rig, split: Split, kinds: tuple[str, ...], state: Path, room: int) -> dict[str, Any]:
+    people = _shared_people(state, split, room // _BLOCK)
+    made = dict(vars(Room(f"room-{split}-{room:06d}", rig, people, kinds).render(split)))
+    del made["key"]
+    return made
+
+
+@lru_cache(_AT_ONCE)
 def _shared_people(state: Path, split: Split, block: int) -> list[Person]:
-    """The people of a block, built by the first process that asks."""
     path = state / f"people-{split}-{block:04d}"
     with path.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
@@ -135,7 +106,7 @@ def _shared_people(state: Path, split: Split, block: int) -> list[Person]:
 
 
 def draw_people(split: Split, block: int) -> list[Person]:
-    """The people of a block of samples, with meshes reduced for a range of 1.5 m."""
+    """The people of a block of samples, with meshes that are reduced as for a distance of 1.5 m."""
     rng, found, rig = np.random.default_rng((7, block, split == "train")), [], load_rig()
     sources = [open_source(name) for name in _SOURCES[split]]
     listed = [[body for body in source.bodies() if body.split == split] for source in sources]

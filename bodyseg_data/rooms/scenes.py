@@ -319,7 +319,7 @@ class Room:
             thing = bag(n) if kind else coat(n, 0.0)
             thing = thing.moved((0, -float(thing.vertices[:, 1].max()), 0)).turned(n.between(-1, 1))
         elif kind == 3:  # a rucksack
-            at = back - front * (size[2] / 2) + (0, n.between(0.02, 0.2), 0)
+            at = np.add(back - front * (size[2] / 2), (0, n.between(0.02, 0.2), 0))
         elif kind == 4:  # on a shoulder
             at = person.middle(vertices, ("Rt. Acromion", "Lt. Acromion")[n.whole(0, 1)]) + (0, 0.02 + size[1] / 2, 0)
             thing = Solid(thing.vertices * (1, 1, n.between(1, 3)), thing.faces)
