@@ -37,7 +37,7 @@ from bodyseg_data.packing import (
 from bodyseg_data.rendering import RendererName
 from bodyseg_data.renders import LayoutName, open_renders
 from bodyseg_data.rigs import PAPER, load_rig
-from bodyseg_data.samples import SPLITS, ViewGrid, parse_choice
+from bodyseg_data.samples import SPLITS, Split, ViewGrid, parse_choice
 from bodyseg_data.shards import CodecName, Manifest, ProjectorKind
 
 EXAMPLE = "bodyseg shard --source open --meshes 40 --out shards"
@@ -45,8 +45,16 @@ EXAMPLE = "bodyseg shard --source open --meshes 40 --out shards"
 RENDERS: Final = "renders"
 """The source of scenes that another program has rendered."""
 
-_OF_ALL: Final = ("source", "path", "out", "codec", "shard_samples", "workers", "report", "plan")
-_OF_RENDERS: Final = ("layout", "projector")
+ROOMS: Final = "rooms"
+"""The source of made rooms with people."""
+
+_OF_ALL: Final = ("source", "out", "codec", "shard_samples", "workers", "report", "plan")
+_OWN: Final = {RENDERS: ("layout", "projector"), ROOMS: ("samples", "split", "kinds", "without")}
+_SHARED: Final = {RENDERS: ("path",), ROOMS: ("rig",)}
+_WHY: Final = {
+    RENDERS: "they are finished scenes, with rig and classes of their own",
+    ROOMS: "all in them is drawn by their keys",
+}
 
 
 @dataclass(frozen=True)
@@ -55,7 +63,7 @@ class Options:
 
     source: str = option(
         f"source of the bodies: {', '.join(SOURCES)}, or one that an installed package adds; or {RENDERS}: scenes "
-        "rendered elsewhere"
+        f"rendered elsewhere; or {ROOMS}: made rooms with people and furniture"
     )
     path: Path | None = option("folder of the source's meshes or renders, for sources that read one", None)
     layout: LayoutName | None = option("renders: layout of their folder (default: by its files)", None)
@@ -63,6 +71,10 @@ class Options:
         "renders: what is stored of the projector's range (default: shadow, what its shadow needs, if there is any)",
         None,
     )
+    samples: int | None = option("rooms: how many", None)
+    split: Split = option("rooms: people and split of all of them", "train")
+    kinds: tuple[str, ...] = option("rooms: kinds of things in them (default: all)", ())
+    without: tuple[str, ...] = option("rooms: kinds of things that are left out, to test with", ())
     landmarks: Path | None = option("landmark file, or folder of them (default: beside the meshes)", None)
     units: Units = option("unit of the mesh files", Packing.units)
     up: UpAxis = option("their axis that points up; a negative one as --up=-y", Packing.up)
@@ -130,6 +142,8 @@ def run(options: Options) -> int:
     _refuse_foreign(options)
     if options.source == RENDERS:
         return _run_renders(options)
+    if options.source == ROOMS:
+        return _run_rooms(options)
     check_engine(options.engine)
     packing = options.packing()
     if options.plan:
@@ -190,12 +204,13 @@ def _reported(options: Options, unit: str, make: Callable[[Progress, list[float 
 
 def _refuse_foreign(options: Options) -> None:
     """Raise BadConfig for options of another kind of source."""
-    renders = options.source == RENDERS
+    source = options.source
     for each in fields(options):
-        foreign = each.name not in (*_OF_ALL, *_OF_RENDERS) if renders else each.name in _OF_RENDERS
+        others = [other for other, own in _OWN.items() if other != source and each.name in own]
+        foreign = each.name not in (*_OF_ALL, *_OWN[source], *_SHARED[source]) if source in _OWN else others
         if foreign and getattr(options, each.name) != each.default:
             flag = "--" + each.name.replace("_", "-")
-            why = "they are finished scenes, with rig and classes of their own" if renders else "it is of renders"
+            why = _WHY[source] if source in _OWN else f"it is of {others[0]}"
             raise BadConfig(f"{flag} does not go with --source {options.source}: {why}")
 
 
@@ -216,6 +231,22 @@ def _run_renders(options: Options) -> int:
     out = _needed_out(options)
     given = options.codec, options.projector, options.shard_samples, options.workers
     return _reported(options, "renders", lambda progress, _: pack_renders(source, out, *given, progress.update))
+
+
+def _run_rooms(options: Options) -> int:
+    """Pack made rooms, or print the plan."""
+    from bodyseg_data.rooms import chosen_kinds, pack_rooms  # needs numba, as other sources do when they render
+
+    if options.samples is None:
+        raise BadConfig(f"--source {ROOMS} needs --samples: how many rooms")
+    kinds = chosen_kinds(options.kinds, options.without)
+    if options.plan:
+        counts = {"source": ROOMS, "views": options.samples, "split": options.split, "kinds": kinds}
+        sys.stdout.write(json.dumps(counts, indent=2) + "\n")
+        return 0
+    given = _needed_out(options), load_rig(options.rig), options.samples, options.split, kinds
+    how = options.codec, options.shard_samples, options.workers
+    return _reported(options, "rooms", lambda progress, _: pack_rooms(*given, *how, progress.update))
 
 
 def _needed_out(options: Options) -> Path:

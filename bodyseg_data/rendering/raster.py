@@ -3,8 +3,8 @@
 Seen from the camera's centre, the ray through a pixel meets the triangle a, b, c where the triple products ray.(b x c),
 ray.(c x a) and ray.(a x b) have one sign; there the range is a.(b x c) over their sum (Olano and Greer, "Triangle scan
 conversion using 2D homogeneous coordinates", 1997). Two triangles get exactly opposite numbers for an edge they share,
-so no ray passes between them, and no clipping is needed. Along a row each triple product grows or falls with the column,
-also as rounded, so the pixels of a triangle are one span: it is looked for at its ends only.
+so no ray passes between them, and no clipping is needed. Along a row each triple product grows or falls with the
+column, also as rounded, so the pixels of a triangle are one span: it is looked for at its ends only.
 """
 
 from __future__ import annotations

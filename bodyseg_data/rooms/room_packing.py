@@ -1,0 +1,121 @@
+"""Made rooms as a set of shards: who is in them, and the writing.
+
+Samples of a block share 20 people, drawn by the block's number: building them costs more than a room. The process that
+needs them first builds them, and leaves them to the others in the state folder of the packing.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import pickle
+import zlib
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from bodyseg_data.bodies import open_source
+from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh, ProgressCallback, silent
+from bodyseg_data.files import write_atomically
+from bodyseg_data.labels import PART_CLASSES
+from bodyseg_data.packing import STATE_NAME, ShardWriter, processes, reduced_body
+from bodyseg_data.rigs import Rig, load_rig
+from bodyseg_data.rooms.furnishings import FURNISHINGS
+from bodyseg_data.rooms.scenes import Person, Room
+from bodyseg_data.samples import Split
+from bodyseg_data.shards import CodecName, Manifest, read_manifest
+
+_BLOCK: Final = 400
+_PEOPLE: Final = 20
+_SOURCES: Final[dict[Split, tuple[str, str]]] = {"train": ("wide", "everyday"), "test": ("open", "hard")}
+_SECOND: Final = 0.4  # share of people of the second source
+_AT_ONCE: Final = 8  # blocks that are written in turns, so that as many processes build people
+
+
+def chosen_kinds(only: tuple[str, ...], without: tuple[str, ...]) -> tuple[str, ...]:
+    """Kinds of things for rooms: those named, all if none is, but not those left out. Raises BadConfig."""
+    unknown = [kind for kind in (*only, *without) if kind not in FURNISHINGS]
+    if unknown:
+        raise BadConfig(f"things of rooms are of the kinds {', '.join(FURNISHINGS)}, found {unknown[0]!r}")
+    found = tuple(kind for kind in FURNISHINGS if kind in (only or FURNISHINGS) and kind not in without)
+    if not found:
+        raise BadConfig("rooms need things of at least one kind, found none")
+    return found
+
+
+def pack_rooms(
+    out: Path,
+    rig: Rig,
+    samples: int,
+    split: Split = "train",
+    kinds: tuple[str, ...] = tuple(FURNISHINGS),
+    codec: CodecName = "bsi",
+    shard_samples: int = 1080,
+    workers: int | None = None,
+    progress: ProgressCallback = silent,
+) -> Manifest:
+    """Pack made rooms into the folder `out` and return its manifest; carries on where an interrupted packing stopped.
+
+    split: of all samples, with people of the sources "wide" and "everyday", or for test of "open" and "hard". The plane
+    "person" numbers people from 1. workers: processes, one a processor if None; the bytes are the same for any number.
+    Raises BadConfig without a sample, and as `ShardWriter`.
+    """
+    if samples < 1:
+        raise BadConfig(f"a set needs at least one room, found {samples}")
+    order = sorted(range(samples), key=lambda room: (room // (_AT_ONCE * _BLOCK), room % _BLOCK, room // _BLOCK))
+    keys = {f"room-{split}-{room:06d}": room for room in order}
+    lacking = ", ".join(kind for kind in FURNISHINGS if kind not in kinds)
+    with (
+        processes(workers) as engine,
+        ShardWriter(
+            out,
+            rig=rig,
+            classes=PART_CLASSES,
+            projector="exact",
+            planes={"person": "uint8"},
+            source=f"rooms without {lacking}" if lacking else "rooms",
+            codec=codec,
+            shard_samples=shard_samples,
+            workers=engine.workers,
+            executor=engine.executor,
+            progress=lambda done, _: progress(done, samples),
+        ) as writer,
+    ):
+        progress(sum(key in writer for key in keys), samples)
+        writer.write_all(keys, partial(_made, rig, split, kinds, (out / STATE_NAME).absolute()))
+    return read_manifest(out)
+
+
+def _made(rig: Rig, split: Split, kinds: tuple[str, ...], state: Path, room: int) -> dict[str, Any]:
+    people = _shared_people(state, split, room // _BLOCK)
+    made = dict(vars(Room(f"room-{split}-{room:06d}", rig, people, kinds).render(split)))
+    del made["key"]
+    return made
+
+
+@lru_cache(_AT_ONCE)
+def _shared_people(state: Path, split: Split, block: int) -> list[Person]:
+    path = state / f"people-{split}-{block:04d}"
+    with path.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not path.exists():
+            write_atomically(path, zlib.compress(pickle.dumps(draw_people(split, block)), 1))
+    found: list[Person] = pickle.loads(zlib.decompress(path.read_bytes()))
+    return found
+
+
+def draw_people(split: Split, block: int) -> list[Person]:
+    """The people of a block of samples, with meshes that are reduced as for a distance of 1.5 m."""
+    rng, found, rig = np.random.default_rng((7, block, split == "train")), [], load_rig()
+    sources = [open_source(name) for name in _SOURCES[split]]
+    listed = [[body for body in source.bodies() if body.split == split] for source in sources]
+    while len(found) < _PEOPLE:
+        which = int(rng.random() < _SECOND)
+        body = listed[which][int(rng.integers(len(listed[which])))]
+        try:
+            built = reduced_body(sources[which].build(body), 1.0, rig, 150, (0,), False)
+            found.append(Person(built.mesh, built.partition(), body.pose))
+        except (BadMesh, BadLandmarks):
+            continue  # another one is drawn
+    return found
