@@ -222,20 +222,17 @@ def wheelchair(n: Numbers, seat_m: float | None = None) -> Solid:
 
 
 def clutter(n: Numbers, width: float, depth: float, height: float, most: int = 5, large: float = 1.0) -> list[Solid]:
-    """Boxes, bottles, bags and plants on a board of that size and height."""
+    """Boxes, bottles and bags on a board of that size and height."""
     pieces = []
     for _ in range(n.whole(1, most)):
         x, z = n.between(-0.45, 0.45) * width, n.between(-0.4, 0.4) * depth
-        kind, size = n.whole(0, 3), n.between(0.06, 0.18) * large
+        kind, size = n.whole(0, 3), n.between(0.06, 0.2) * large
         if kind == 0:
             thing = cuboid((size * n.between(1, 2), size * n.between(0.3, 2), size), (0, 0, 0))
         elif kind == 1:
             thing = turned_solid([(size / 3, 0), (size / 3, size), (size / 9, 1.4 * size), (size / 9, 1.7 * size)])
-        elif kind == 2:
-            thing = bent(n, ball((2 * size, size, 1.5 * size), (0, 0, 0)), 0.2 * size, 1.5 * size)
         else:
-            crown = bent(n, ball((size * 1.5,) * 3, (0, size, 0)), 0.4 * size, size)
-            thing = together([turned_solid([(size / 3, 0), (size / 2, size / 2)]), crown])
+            thing = bent(n, ball((2 * size, size * n.between(1, 2), 1.5 * size), (0, 0, 0)), 0.3 * size, 1.5 * size)
         thing = thing.turned(n.between(-3, 3))
         pieces.append(thing.moved((x, height - float(thing.vertices[:, 1].min()), z)))
     return pieces
@@ -255,10 +252,10 @@ def desk(n: Numbers) -> Solid:
     if n.whole(0, 1):
         pieces.append(cuboid((0.4, height - 0.1, depth * 0.9), (width / 2 - 0.25, height / 2 + 0.03, 0)))
     for x in (-0.25, 0.35)[: n.whole(1, 2)]:
-        wide, foot = n.between(0.4, 0.65), cuboid((0.22, 0.015, 0.18), (0, height + 0.02, 0))
-        screen = [cuboid((wide, wide * 0.6, 0.03), (0, height + 0.12 + wide * 0.3, 0)), foot]
-        screen.append(tube([(0, height, 0.03), (0, height + 0.3, 0.02)], 0.02))
-        pieces.append(together(screen).turned(n.between(-0.5, 0.5)).moved((x, 0, depth * 0.2)))
+        wide = n.between(0.4, 0.65)
+        screen = cuboid((wide, wide * 0.6, 0.03), (0, height + 0.12 + wide * 0.3, 0)).turned(n.between(-0.5, 0.5))
+        screen = together([screen, tube([(0, height, 0.03), (0, height + 0.3, 0.02)], 0.03)])
+        pieces.append(screen.moved((x, 0, depth / 5)))
     return together([*pieces, *clutter(n, width, depth, height + 0.015, 3)])
 
 
@@ -398,8 +395,7 @@ def ladder(n: Numbers) -> Solid:
     height = n.between(0.8, 1.9)
     if n.whole(0, 1):
         feet = [(0.35 * math.cos(2.1 * foot), 0.0, 0.35 * math.sin(2.1 * foot)) for foot in range(3)]
-        head = cuboid((0.15, 0.12, 0.12), (0, height + 0.05, 0))
-        return together([head, *(tube([foot, (0, height, 0)], 0.015) for foot in feet)])
+        return together([ball((0.15,) * 3, (0, height, 0)), *(tube([foot, (0, height, 0)], 0.015) for foot in feet)])
     rails = both(*(tube([(0.22, 0, sign * height * 0.25), (0.16, height, 0)], 0.02) for sign in (-1, 1)))
     steps = [cuboid((0.36, 0.03, 0.08), (0, height * up / 6, height * (up - 6) / 24)) for up in range(1, 6)]
     return together([*rails, *steps])
@@ -418,8 +414,8 @@ def appliance(n: Numbers) -> Solid:
     body = (ball, slab)[n.whole(0, 1)]((n.between(0.15, 0.4), height, n.between(0.2, 0.45)), (0, height / 2, 0))
     hose: list[Point] = [(0, height * 0.8, 0), (n.between(-0.3, 0.3), height + 0.3, 0.1)]
     hose += [(n.between(-0.5, 0.5), height + 0.2, -0.3), (0.3, 0.02, -0.5)]
-    fan = [ball((size, size, 0.15), (0, height + 0.2, 0))] if n.whole(0, 1) else []
-    return together([bent(n, body, 0.02), tube(hose, 0.025), *fan])
+    fan = ball((size, size, 0.15), (0, height * n.between(0.5, 1.4), 0))
+    return together([bent(n, body, 0.02), tube(hose, 0.025), fan])
 
 
 SEATS: Final[dict[str, Callable[[Numbers, float | None], Solid]]] = {

@@ -9,6 +9,7 @@ from __future__ import annotations
 import fcntl
 import pickle
 import zlib
+from contextlib import suppress
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Final
@@ -16,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 
 from bodyseg_data.bodies import open_source
-from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh, ProgressCallback, silent
+from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh, ProgressCallback, check_int, silent
 from bodyseg_data.files import write_atomically
 from bodyseg_data.labels import PART_CLASSES
 from bodyseg_data.packing import STATE_NAME, ShardWriter, processes, reduced_body
@@ -61,9 +62,10 @@ def pack_rooms(
     "person" numbers people from 1. workers: processes, one a processor if None; the bytes are the same for any number.
     Raises BadConfig without a sample, and as `ShardWriter`.
     """
-    if samples < 1:
-        raise BadConfig(f"a set needs at least one room, found {samples}")
-    order = sorted(range(samples), key=lambda room: (room // (_AT_ONCE * _BLOCK), room % _BLOCK, room // _BLOCK))
+    order = sorted(
+        range(check_int("samples", samples, 1)),
+        key=lambda room: (room // (_AT_ONCE * _BLOCK), room % _BLOCK, room // _BLOCK),
+    )
     keys = {f"room-{split}-{room:06d}": room for room in order}
     lacking = ", ".join(kind for kind in FURNISHINGS if kind not in kinds)
     with (
@@ -101,8 +103,7 @@ def _shared_people(state: Path, split: Split, block: int) -> list[Person]:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not path.exists():
             write_atomically(path, zlib.compress(pickle.dumps(draw_people(split, block)), 1))
-    found: list[Person] = pickle.loads(zlib.decompress(path.read_bytes()))
-    return found
+    return list(pickle.loads(zlib.decompress(path.read_bytes())))
 
 
 def draw_people(split: Split, block: int) -> list[Person]:
@@ -113,9 +114,7 @@ def draw_people(split: Split, block: int) -> list[Person]:
     while len(found) < _PEOPLE:
         which = int(rng.random() < _SECOND)
         body = listed[which][int(rng.integers(len(listed[which])))]
-        try:
+        with suppress(BadMesh, BadLandmarks):  # another one is drawn
             built = reduced_body(sources[which].build(body), 1.0, rig, 150, (0,), False)
             found.append(Person(built.mesh, built.partition(), body.pose))
-        except (BadMesh, BadLandmarks):
-            continue  # another one is drawn
     return found

@@ -24,26 +24,13 @@ from bodyseg_data.packing import Numbers
 from bodyseg_data.rendering import RasterRenderer
 from bodyseg_data.renders import Render
 from bodyseg_data.rigs import PlacedCamera, Rig, axes_at
-from bodyseg_data.rooms.furnishings import (
-    FURNISHINGS,
-    SEATS,
-    about,
-    bag,
-    ball,
-    bed,
-    bent,
-    both,
-    clutter,
-    coat,
-    sheet,
-    slab,
-)
+from bodyseg_data.rooms.furnishings import FURNISHINGS, SEATS, about, ball, bent, both, clutter, coat, sheet, slab
 from bodyseg_data.samples import Split
 
 Floats = NDArray[np.float64]
 
 _PARTS: Final = len(PART_CLASSES.names)
-_EMPTY: Final = 0.08  # share of rooms without anybody
+_EMPTY: Final = 0.09  # share of rooms with walls that have nobody in them
 _BARE: Final = 0.12  # share of rooms without walls and floor
 _COUNTS: Final = (1,) * 11 + (2,) * 6 + (3,) * 4  # of people in the others, each as often
 _NEAREST_M: Final = 0.7
@@ -142,7 +129,7 @@ class Room:
         bare, empty = n.between(0, 1) < _BARE, n.between(0, 1) < _EMPTY
         if not bare:
             self._build_walls(n)
-        for number in range(0 if empty else _COUNTS[n.whole(0, len(_COUNTS) - 1)]):
+        for number in range(0 if empty and not bare else _COUNTS[n.whole(0, len(_COUNTS) - 1)]):
             own = Numbers(self._draws, f"person {number}")
             person = people[own.whole(0, len(people) - 1)]
             any(self._place_person(person, own) for _ in range(6))
@@ -192,8 +179,8 @@ class Room:
             window += [cuboid((0.06, high - low, 0.06), (bar, (high + low) / 2, 0.02)) for bar in (-half, 0, half)]
             pieces = [together(window).moved((middle, 0, 0))]
         elif kind == 1:
-            pieces.append(cuboid((0.9, 2.0, 0.05), (middle, 1.0, n.between(-0.02, 0.02))))
-            pieces.append(cuboid((0.12, 0.03, 0.08), (middle + 0.35, 1.02, -0.05)))
+            pieces.append(cuboid((0.9, 2.0, 0.1), (middle, 1.0, n.between(0.02, 0.06))))
+            pieces.append(cuboid((0.12, 0.03, 0.1), (middle + 0.35, 1.02, -0.05)))
         if not n.whole(0, 2):  # curtains
             low = max(0.02, n.between(-0.6, ceiling - 1.2))
             for side in (-1, 1)[: n.whole(1, 2)]:
@@ -239,10 +226,7 @@ class Room:
     def _stand(
         self, solid: Solid, turn: Floats, spot: tuple[float, float], low: float, gap: float, against: _Wall | None
     ) -> tuple[_Pose, Floats, Floats]:
-        """Pose of a solid that stands with its middle at a spot; its least and greatest corner there.
-
-        It is moved out of all walls, or up to one of them, as far as a gap.
-        """
+        """Pose of a solid at a spot, a gap off all walls at least, off one at most; its least and greatest corner."""
         turned = solid.vertices @ turn.T
         least, most = turned.min(axis=0), turned.max(axis=0)
         by = np.array([spot[0], low, -spot[1]]) - ((least[0] + most[0]) / 2, least[1], (least[2] + most[2]) / 2)
@@ -311,28 +295,27 @@ class Room:
                 thing = Solid(thing.vertices * (wide / size[0], 1, 1), thing.faces)
                 at = at + front * n.between(0.0, 0.1)
             else:
-                tall = n.between(0.3, 1.0)
-                cloth = sheet(n, wide + n.between(0, 0.2), tall, 0.03, n.between(1, 4))
-                thing = bent(n, cloth.moved((0, -tall, 0)), 0.04)
+                thing = bent(n, sheet(n, wide + n.between(0, 0.2), -n.between(0.3, 1.0), 0.03, n.between(1, 4)), 0.04)
         elif kind < 3:  # in one hand
             at = (left, right)[n.whole(0, 1)]
-            thing = bag(n) if kind else coat(n, 0.0)
+            thing = FURNISHINGS["bag"](n) if kind else coat(n, 0.0)
             thing = thing.moved((0, -float(thing.vertices[:, 1].max()), 0)).turned(n.between(-1, 1))
         elif kind == 3:  # a rucksack
-            at = np.add(back - front * (size[2] / 2), (0, n.between(0.02, 0.2), 0))
+            at = back - front * (size[2] / 2)
         elif kind == 4:  # on a shoulder
-            at = person.middle(vertices, ("Rt. Acromion", "Lt. Acromion")[n.whole(0, 1)]) + (0, 0.02 + size[1] / 2, 0)
+            shoulder = person.middle(vertices, ("Rt. Acromion", "Lt. Acromion")[n.whole(0, 1)])
+            at = np.add(shoulder, (0, 0.02 + size[1] / 2, 0))
             thing = Solid(thing.vertices * (1, 1, n.between(1, 3)), thing.faces)
         else:  # before the chest
             at = chest + front * (size[2] / 2 + n.between(-0.05, 0.05))
-        if np.isfinite(at).all():
+        if np.isfinite([*at, turn[0, 0]]).all():
             self._add(_Pose(turn, at).of(thing), n)
 
     def _support(self, person: Person, vertices: Floats, low: float, n: Numbers) -> None:
         """A seat under somebody, or if he lies at that height, a bed along him."""
         hips, knees, head = (person.middle(vertices, *names) for names in (_HIPS, _KNEES, ("Nuchale",)))
         if low and np.isfinite(head).all():
-            made, (way, _, along) = bed(n), hips - head
+            made, (way, _, along) = FURNISHINGS["bed"](n), hips - head
             made = Solid(made.vertices * (1.0, low / float(np.quantile(made.vertices[:, 1], 0.6)), 1.0), made.faces)
             self._add(_Pose(about(math.atan2(-along, way)), hips * (1, 0, 1)).of(made), n)
         elif not low and hips[1] > 0.27 and np.isfinite(knees).all():
@@ -341,9 +324,8 @@ class Room:
             self._add(_Pose(_facing(knees - hips), hips * (1, 0, 1)).of(seat), n)
 
     def _thing(self, n: Numbers) -> Solid:
-        seats = [kind for kind in self._kinds if kind in SEATS]
-        kinds = seats if seats and not n.whole(0, 3) else self._kinds
-        return FURNISHINGS[kinds[n.whole(0, len(kinds) - 1)]](n)
+        seats = [kind for kind in self._kinds if kind in SEATS] * (not n.whole(0, 3))
+        return FURNISHINGS[(seats or self._kinds)[n.whole(0, len(seats or self._kinds) - 1)]](n)
 
     def _place_thing(self, n: Numbers) -> None:
         """A thing stands against a wall, free, or touches somebody; few lie on their side."""
@@ -402,8 +384,8 @@ class Room:
             lit.append(np.where(ranges < farthest, ranges, np.float32(0)))
         range_m[face < 0] = 0
         told = {"height_cm": round(100 * self.height_m), "pitch_deg": round(self.pitch_deg), "people": len(bodies)}
-        images = range_m, labels, np.concatenate(lit), np.stack(facing)
-        return Render(self._key, *images, None, split, told, {"person": people})
+        images = range_m, labels, np.concatenate(lit), np.stack(facing), None
+        return Render(self._key, *images, split, told, {"person": people})
 
 
 def _lose_loop(range_m: Any, labels: Any, people: Any, surface: Any, view: Any, losses: Any, lattice: Any) -> Any:
