@@ -112,7 +112,7 @@ class _Wall:
 
 
 class Room:
-    """One room: walls, things and people. kinds: of things, names of `FURNISHINGS`."""
+    """One room: walls, things and people. kinds: names of `FURNISHINGS`; coats hang where there are coat stands."""
 
     def __init__(self, key: str, rig: Rig, people: Sequence[Person], kinds: Sequence[str], seed: int = 0) -> None:
         self._draws, self._key, self._kinds, self.rig = Draws(seed, 0, key), key, kinds, rig
@@ -196,7 +196,7 @@ class Room:
             size = n.between(0.2, 1.2), n.between(0.2, 0.9), n.between(0.02, 0.3)
             x, y = n.between(-2.5, 2.5), n.between(1.0, max(1.1, ceiling - 0.3))
             pieces = [cuboid(size, (0, y, 0))]
-            if size[2] > 0.25:
+            if size[2] > 0.25 and "coat_stand" in self._kinds:
                 pieces = [coat(n, min(y + 0.6, ceiling - 0.2))]
             elif size[2] > 0.15:
                 pieces += clutter(n, size[0], size[2] / 2, y + size[1] / 2, 3)
@@ -241,7 +241,7 @@ class Room:
         surface = Solid(person.mesh.vertices, person.mesh.faces)
         how, far = n.between(0, 1), n.between(0, 1)
         sits, lies = person.pose.startswith(_SIT), person.pose.startswith(_LIE)
-        low = n.between(0.3, 0.6) if lies and how < 0.6 else 0.0
+        low = n.between(0.3, 0.6) if lies and how < 0.6 and "bed" in self._kinds else 0.0
         nearest, farthest = (0.5, 1.2) if far < 0.15 else (3.0, _FARTHEST_M) if far > 0.5 else (1.0, 3.5)
         spot = self._spot(n, 0.4, n.between(nearest, farthest))
         if self.persons and how > 0.6:
@@ -298,7 +298,8 @@ class Room:
                 thing = bent(n, sheet(n, wide + n.between(0, 0.2), -n.between(0.3, 1.0), 0.03, n.between(1, 4)), 0.04)
         elif kind < 3:  # in one hand
             at = (left, right)[n.whole(0, 1)]
-            thing = FURNISHINGS["bag"](n) if kind else coat(n, 0.0)
+            if kind < 2 and ("coat_stand", "bag")[kind] in self._kinds:
+                thing = FURNISHINGS["bag"](n) if kind else coat(n, 0.0)
             thing = thing.moved((0, -float(thing.vertices[:, 1].max()), 0)).turned(n.between(-1, 1))
         elif kind == 3:  # a rucksack
             at = back - front * (size[2] / 2)
@@ -319,9 +320,10 @@ class Room:
             made = Solid(made.vertices * (1.0, low / float(np.quantile(made.vertices[:, 1], 0.6)), 1.0), made.faces)
             self._add(_Pose(about(math.atan2(-along, way)), hips * (1, 0, 1)).of(made), n)
         elif not low and hips[1] > 0.27 and np.isfinite(knees).all():
-            names = [name for name in SEATS if name in self._kinds] or ["chair"]
-            seat = SEATS[names[n.whole(0, len(names) - 1)]](n, float(hips[1]) - 0.12)
-            self._add(_Pose(_facing(knees - hips), hips * (1, 0, 1)).of(seat), n)
+            names = [name for name in SEATS if name in self._kinds]
+            if names:
+                seat = SEATS[names[n.whole(0, len(names) - 1)]](n, float(hips[1]) - 0.12)
+                self._add(_Pose(_facing(knees - hips), hips * (1, 0, 1)).of(seat), n)
 
     def _thing(self, n: Numbers) -> Solid:
         seats = [kind for kind in self._kinds if kind in SEATS] * (not n.whole(0, 3))
@@ -384,7 +386,7 @@ class Room:
             lit.append(np.where(ranges < farthest, ranges, np.float32(0)))
         range_m[face < 0] = 0
         told = {"height_cm": round(100 * self.height_m), "pitch_deg": round(self.pitch_deg), "people": len(bodies)}
-        images = range_m, labels, np.concatenate(lit), np.stack(facing), None
+        images = range_m, labels, np.concatenate(lit), facing[0] if len(facing) == 1 else np.stack(facing), None
         return Render(self._key, *images, split, told, {"person": people})
 
 
