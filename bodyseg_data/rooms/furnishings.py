@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Final
 
 import numpy as np
@@ -88,7 +88,7 @@ def sheet(n: Numbers, width: float, height: float, fold: float, folds: float) ->
 
 def bent(n: Numbers, solid: Solid, by_m: float, wave_m: float = 0.3) -> Solid:
     """The same with its corners moved by up to about `by_m`, in waves of about that length."""
-    points, moved = solid.vertices, 0.0
+    points, moved = solid.vertices, np.zeros_like(solid.vertices)
     for _ in range(4):
         ray = np.array([n.between(-1, 1) for _ in range(3)]) * (2 * math.pi / wave_m)
         way = np.array([n.between(-1, 1) for _ in range(3)]) * (by_m / 2)
@@ -196,9 +196,9 @@ def stool(n: Numbers, seat_m: float | None = None) -> Solid:
     return together([seat, *(legs(1.5 * half, 1.5 * half, height, 0.018, 0.3) if n.whole(0, 2) else star(height))])
 
 
-def armchair(n: Numbers, seat_m: float | None = None, width: tuple[float, float] = (0.5, 0.7)) -> Solid:
-    """An armchair or a sofa, with cushions; it is as wide as between the two numbers."""
-    height, width = seat_m or n.between(0.38, 0.48), n.between(*width)
+def armchair(n: Numbers, seat_m: float | None = None, narrowest: float = 0.5, widest: float = 0.7) -> Solid:
+    """An armchair or a sofa, with cushions."""
+    height, width = seat_m or n.between(0.38, 0.48), n.between(narrowest, widest)
     depth, rise, arm = n.between(0.55, 0.75), n.between(0.35, 0.55), n.between(0.1, 0.22)
     tall, outer, count = height + n.between(0.12, 0.25), width + 2 * arm, max(1, round(width / 0.65))
     pieces = [bent(n, slab((width, height - 0.1, depth), (0, height / 2, 0)), 0.02)]
@@ -238,8 +238,9 @@ def clutter(n: Numbers, width: float, depth: float, height: float, most: int = 5
     return pieces
 
 
-def _topped(n: Numbers, thing: Solid) -> Solid:
+def _topped(made: Callable[[Numbers], Solid], n: Numbers) -> Solid:
     """A thing, with others on it half of the time."""
+    thing = made(n)
     width, height, depth = np.ptp(thing.vertices, axis=0)
     return together([thing, *(clutter(n, width, depth, height) if n.whole(0, 1) else [])])
 
@@ -354,7 +355,7 @@ def bicycle(n: Numbers) -> Solid:
     """A bicycle that stands along x."""
     r, base, top = n.between(0.3, 0.36), n.between(0.95, 1.1), n.between(0.78, 0.95)
     hub, seat, head, pedals = (0, r, base / 2), (0, top, base * 0.2), (0, top, -base * 0.32), (0, 0.28, 0.05)
-    lines = [[hub, seat, head, pedals, seat], [hub, pedals], [head, (0, r, -base / 2)]]
+    lines: list[list[Point]] = [[hub, seat, head, pedals, seat], [hub, pedals], [head, (0, r, -base / 2)]]
     lines.append([(-0.25, top + 0.12, -base * 0.3), (0, top + 0.1, -base * 0.33), (0.25, top + 0.12, -base * 0.3)])
     wheels = [wheel(r, 0.02, (0, r, z), 8) for z in (-base / 2, base / 2)]
     saddle = ball((0.15, 0.07, 0.26), (0, top + 0.05, base * 0.2))
@@ -418,21 +419,21 @@ def appliance(n: Numbers) -> Solid:
     return together([bent(n, body, 0.02), tube(hose, 0.025), fan])
 
 
-SEATS: Final[dict[str, Callable[[Numbers, float | None], Solid]]] = {
+SEATS: Final[dict[str, Callable[..., Solid]]] = {
     **{made.__name__: made for made in (chair, office_chair, folding_chair, stool, armchair, wheelchair)},
-    "sofa": lambda n, seat_m: armchair(n, seat_m, (1.2, 2.0)),
+    "sofa": partial(armchair, narrowest=1.2, widest=2.0),
 }
-"""Name -> what one sits on, with a seat of that height."""
+"""Name -> what one sits on, drawn anew, with a seat of the height that is given, too, or drawn."""
 
 _OTHERS: Final[tuple[Callable[[Numbers], Solid], ...]] = (
     *(desk, shelf, bed, tall_plant, bag, cushions, coat_stand, dressed_chair, mannequin, bicycle, robot_arm),
     *(conveyor, animal, ladder, pillar, appliance),
 )
 FURNISHINGS: Final[dict[str, Callable[[Numbers], Solid]]] = {
-    **{name: (lambda n, made=made: made(n, None)) for name, made in SEATS.items()},
+    **SEATS,
     **{made.__name__: made for made in _OTHERS},
     **{name: FURNITURE[name] for name in ("bin", "machine", "lamp", "plant")},
-    **{name: (lambda n, made=FURNITURE[name]: _topped(n, made(n))) for name in ("table", "box")},
+    **{name: partial(_topped, FURNITURE[name]) for name in ("table", "box")},
     "hanging": lambda n: sheet(n, n.between(0.3, 1.8), n.between(0.6, 2.2), n.between(0.01, 0.09), n.between(1, 12)),
     "heap": lambda n: cushions(n, 0.0),
     "pile": lambda n: together(clutter(n, n.between(0.5, 1.4), n.between(0.5, 1.2), 0.0, 12, n.between(1.0, 3.0))),

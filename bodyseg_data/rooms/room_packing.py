@@ -23,7 +23,7 @@ from bodyseg_data.labels import PART_CLASSES
 from bodyseg_data.packing import STATE_NAME, ShardWriter, processes, reduced_body
 from bodyseg_data.rigs import Rig, load_rig
 from bodyseg_data.rooms.furnishings import FURNISHINGS
-from bodyseg_data.rooms.scenes import Person, Room
+from bodyseg_data.rooms.scenes import Room, RoomPerson
 from bodyseg_data.samples import Split
 from bodyseg_data.shards import CodecName, Manifest, read_manifest
 
@@ -97,7 +97,7 @@ def _made(rig: Rig, split: Split, kinds: tuple[str, ...], state: Path, room: int
 
 
 @lru_cache(_AT_ONCE)
-def _shared_people(state: Path, split: Split, block: int) -> list[Person]:
+def _shared_people(state: Path, split: Split, block: int) -> list[RoomPerson]:
     path = state / f"people-{split}-{block:04d}"
     with path.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
@@ -106,9 +106,10 @@ def _shared_people(state: Path, split: Split, block: int) -> list[Person]:
     return list(pickle.loads(zlib.decompress(path.read_bytes())))
 
 
-def draw_people(split: Split, block: int) -> list[Person]:
+def draw_people(split: Split, block: int) -> list[RoomPerson]:
     """The people of a block of samples, with meshes that are reduced as for a distance of 1.5 m."""
-    rng, found, rig = np.random.default_rng((7, block, split == "train")), [], load_rig()
+    rng, rig = np.random.default_rng((7, block, split == "train")), load_rig()
+    found: list[RoomPerson] = []
     sources = [open_source(name) for name in _SOURCES[split]]
     listed = [[body for body in source.bodies() if body.split == split] for source in sources]
     while len(found) < _PEOPLE:
@@ -116,5 +117,5 @@ def draw_people(split: Split, block: int) -> list[Person]:
         body = listed[which][int(rng.integers(len(listed[which])))]
         with suppress(BadMesh, BadLandmarks):  # another one is drawn
             built = reduced_body(sources[which].build(body), 1.0, rig, 150, (0,), False)
-            found.append(Person(built.mesh, built.partition(), body.pose))
+            found.append(RoomPerson(built.mesh, built.partition(), body.pose))
     return found

@@ -61,7 +61,7 @@ _WEIGHTS: Final = (5.2, 3.1, 2.1)  # with which the sum has a standard deviation
 
 
 @dataclass(frozen=True)
-class Person:
+class RoomPerson:
     """Somebody who may stand in a room: a body with its labels. pose: in words."""
 
     mesh: Mesh = field(repr=False)
@@ -72,6 +72,9 @@ class Person:
         """Middle of the parts of these names, [3], NaN without them; vertices: where the mesh's are, [V, 3]."""
         own = np.isin(self.parts.labels, [PART_CLASSES.names.index(name) for name in names])
         return vertices[own].mean(axis=0) if own.any() else np.full(3, np.nan)
+
+
+Person = RoomPerson  # the name in pickles of people
 
 
 @dataclass(frozen=True)
@@ -114,10 +117,10 @@ class _Wall:
 class Room:
     """One room: walls, things and people. kinds: names of `FURNISHINGS`; coats hang where there are coat stands."""
 
-    def __init__(self, key: str, rig: Rig, people: Sequence[Person], kinds: Sequence[str], seed: int = 0) -> None:
+    def __init__(self, key: str, rig: Rig, people: Sequence[RoomPerson], kinds: Sequence[str], seed: int = 0) -> None:
         self._draws, self._key, self._kinds, self.rig = Draws(seed, 0, key), key, kinds, rig
         self.solids: list[tuple[Solid, Loss]] = []
-        self.persons: list[tuple[Person, _Pose, list[Loss]]] = []
+        self.persons: list[tuple[RoomPerson, _Pose, list[Loss]]] = []
         self.walls: list[_Wall] = []
         self._taken: list[tuple[float, float, float]] = []  # x, distance and radius: of people, then of things
         self._half = rig.camera.columns / 2 / rig.camera.focal_px
@@ -236,7 +239,7 @@ class Room:
                 by = by - out * wall.normal
         return _Pose(turn, by), least + by, most + by
 
-    def _place_person(self, person: Person, n: Numbers) -> bool:
+    def _place_person(self, person: RoomPerson, n: Numbers) -> bool:
         """Somebody stands free, at a wall, beside another, on a seat or a bed, or behind something; False: no place."""
         surface = Solid(person.mesh.vertices, person.mesh.faces)
         how, far = n.between(0, 1), n.between(0, 1)
@@ -281,7 +284,7 @@ class Room:
                 found[label] = loss if dark and name in names else found[label]
         return found
 
-    def _hold(self, person: Person, vertices: Floats, n: Numbers) -> None:
+    def _hold(self, person: RoomPerson, vertices: Floats, n: Numbers) -> None:
         """Somebody holds or wears a thing: a box, a bag, a cloth, a rucksack, a load on a shoulder."""
         right, left = (person.middle(vertices, name) for name in ("Rt. Dactylion", "Lt. Dactylion"))
         chest, back = (person.middle(vertices, name) for name in ("Substernale", "10th Rib Midspine"))
@@ -312,7 +315,7 @@ class Room:
         if np.isfinite([*at, turn[0, 0]]).all():
             self._add(_Pose(turn, at).of(thing), n)
 
-    def _support(self, person: Person, vertices: Floats, low: float, n: Numbers) -> None:
+    def _support(self, person: RoomPerson, vertices: Floats, low: float, n: Numbers) -> None:
         """A seat under somebody, or if he lies at that height, a bed along him."""
         hips, knees, head = (person.middle(vertices, *names) for names in (_HIPS, _KNEES, ("Nuchale",)))
         if low and np.isfinite(head).all():

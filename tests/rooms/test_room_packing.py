@@ -21,7 +21,7 @@ from bodyseg_data.meshes import partition
 from bodyseg_data.packing.jobs import Engine
 from bodyseg_data.rooms import chosen_kinds, pack_rooms, room_packing
 from bodyseg_data.rooms.furnishings import FURNISHINGS
-from bodyseg_data.rooms.scenes import Person
+from bodyseg_data.rooms.scenes import RoomPerson
 from bodyseg_data.samples import Split
 
 
@@ -29,9 +29,9 @@ from bodyseg_data.samples import Split
 def built(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
     """Plain people in blocks of three samples, two in turns, threads for processes; the blocks that were built."""
     found: list[tuple[str, int]] = []
-    somebody = Person(PERSON, partition(PERSON, np.array(VERTICES), "edges"), "standing")
+    somebody = RoomPerson(PERSON, partition(PERSON, np.array(VERTICES), "edges"), "standing")
 
-    def draw(split: Split, block: int) -> list[Person]:
+    def draw(split: Split, block: int) -> list[RoomPerson]:
         found.append((split, block))
         return [somebody]
 

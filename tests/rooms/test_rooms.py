@@ -18,15 +18,15 @@ from bodyseg_data.packing import Numbers
 from bodyseg_data.packing.render_packing import contradicting
 from bodyseg_data.rooms import scenes
 from bodyseg_data.rooms.furnishings import FURNISHINGS, SEATS
-from bodyseg_data.rooms.scenes import Person, Room
+from bodyseg_data.rooms.scenes import Room, RoomPerson
 
 KINDS = list(FURNISHINGS)
 
 
 @lru_cache
-def people() -> list[Person]:
+def people() -> list[RoomPerson]:
     parts = partition(PERSON, np.array(VERTICES), "edges")
-    return [Person(PERSON, parts, pose) for pose in ("standing", "sitting", "lying_on_the_back")]
+    return [RoomPerson(PERSON, parts, pose) for pose in ("standing", "sitting", "lying_on_the_back")]
 
 
 def room(number: int, kinds: list[str] = KINDS) -> Room:
