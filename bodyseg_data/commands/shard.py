@@ -49,8 +49,7 @@ ROOMS: Final = "rooms"
 """The source of made rooms with people."""
 
 _OF_ALL: Final = ("source", "out", "codec", "shard_samples", "workers", "report", "plan")
-_OWN: Final = {RENDERS: ("layout", "projector"), ROOMS: ("samples", "split", "kinds", "without")}
-_SHARED: Final = {RENDERS: ("path",), ROOMS: ("rig",)}
+_TAKEN: Final = {RENDERS: ("path", "layout", "projector"), ROOMS: ("rig", "samples", "split", "kinds", "without")}
 _WHY: Final = {
     RENDERS: "they are finished scenes, with rig and classes of their own",
     ROOMS: "all in them is drawn by their keys",
@@ -206,11 +205,11 @@ def _refuse_foreign(options: Options) -> None:
     """Raise BadConfig for options of another kind of source."""
     source = options.source
     for each in fields(options):
-        others = [other for other, own in _OWN.items() if other != source and each.name in own]
-        foreign = each.name not in (*_OF_ALL, *_OWN[source], *_SHARED[source]) if source in _OWN else others
+        others = [other for other, names in _TAKEN.items() if each.name in names[1:]]  # the first is of bodies, too
+        foreign = each.name not in (*_OF_ALL, *_TAKEN[source]) if source in _TAKEN else others
         if foreign and getattr(options, each.name) != each.default:
             flag = "--" + each.name.replace("_", "-")
-            why = _WHY[source] if source in _OWN else f"it is of {others[0]}"
+            why = _WHY[source] if source in _TAKEN else f"it is of {others[0]}"
             raise BadConfig(f"{flag} does not go with --source {options.source}: {why}")
 
 
@@ -241,7 +240,7 @@ def _run_rooms(options: Options) -> int:
         raise BadConfig(f"--source {ROOMS} needs --samples: how many rooms")
     kinds = chosen_kinds(options.kinds, options.without)
     if options.plan:
-        counts = {"source": ROOMS, "views": options.samples, "split": options.split, "kinds": kinds}
+        counts = {"source": ROOMS, "views": options.samples, options.split: options.samples, "kinds": kinds}
         sys.stdout.write(json.dumps(counts, indent=2) + "\n")
         return 0
     given = _needed_out(options), load_rig(options.rig), options.samples, options.split, kinds

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Final
 
 import numpy as np
@@ -88,7 +88,7 @@ def sheet(n: Numbers, width: float, height: float, fold: float, folds: float) ->
 
 def bent(n: Numbers, solid: Solid, by_m: float, wave_m: float = 0.3) -> Solid:
     """The same with its corners moved by up to about `by_m`, in waves of about that length."""
-    points, moved = solid.vertices, 0.0
+    points, moved = solid.vertices, np.zeros_like(solid.vertices)
     for _ in range(4):
         ray = np.array([n.between(-1, 1) for _ in range(3)]) * (2 * math.pi / wave_m)
         way = np.array([n.between(-1, 1) for _ in range(3)]) * (by_m / 2)
@@ -196,9 +196,9 @@ def stool(n: Numbers, seat_m: float | None = None) -> Solid:
     return together([seat, *(legs(1.5 * half, 1.5 * half, height, 0.018, 0.3) if n.whole(0, 2) else star(height))])
 
 
-def armchair(n: Numbers, seat_m: float | None = None, width: tuple[float, float] = (0.5, 0.7)) -> Solid:
-    """An armchair or a sofa, with cushions; it is as wide as between the two numbers."""
-    height, width = seat_m or n.between(0.38, 0.48), n.between(*width)
+def armchair(n: Numbers, seat_m: float | None = None, narrowest: float = 0.5, widest: float = 0.7) -> Solid:
+    """An armchair or a sofa, with cushions."""
+    height, width = seat_m or n.between(0.38, 0.48), n.between(narrowest, widest)
     depth, rise, arm = n.between(0.55, 0.75), n.between(0.35, 0.55), n.between(0.1, 0.22)
     tall, outer, count = height + n.between(0.12, 0.25), width + 2 * arm, max(1, round(width / 0.65))
     pieces = [bent(n, slab((width, height - 0.1, depth), (0, height / 2, 0)), 0.02)]
@@ -222,27 +222,25 @@ def wheelchair(n: Numbers, seat_m: float | None = None) -> Solid:
 
 
 def clutter(n: Numbers, width: float, depth: float, height: float, most: int = 5, large: float = 1.0) -> list[Solid]:
-    """Boxes, bottles, bags and plants on a board of that size and height."""
+    """Boxes, bottles and bags on a board of that size and height."""
     pieces = []
     for _ in range(n.whole(1, most)):
         x, z = n.between(-0.45, 0.45) * width, n.between(-0.4, 0.4) * depth
-        kind, size = n.whole(0, 3), n.between(0.06, 0.18) * large
+        kind, size = n.whole(0, 3), n.between(0.06, 0.2) * large
         if kind == 0:
             thing = cuboid((size * n.between(1, 2), size * n.between(0.3, 2), size), (0, 0, 0))
         elif kind == 1:
             thing = turned_solid([(size / 3, 0), (size / 3, size), (size / 9, 1.4 * size), (size / 9, 1.7 * size)])
-        elif kind == 2:
-            thing = bent(n, ball((2 * size, size, 1.5 * size), (0, 0, 0)), 0.2 * size, 1.5 * size)
         else:
-            crown = bent(n, ball((size * 1.5,) * 3, (0, size, 0)), 0.4 * size, size)
-            thing = together([turned_solid([(size / 3, 0), (size / 2, size / 2)]), crown])
+            thing = bent(n, ball((2 * size, size * n.between(1, 2), 1.5 * size), (0, 0, 0)), 0.3 * size, 1.5 * size)
         thing = thing.turned(n.between(-3, 3))
         pieces.append(thing.moved((x, height - float(thing.vertices[:, 1].min()), z)))
     return pieces
 
 
-def _topped(n: Numbers, thing: Solid) -> Solid:
+def _topped(made: Callable[[Numbers], Solid], n: Numbers) -> Solid:
     """A thing, with others on it half of the time."""
+    thing = made(n)
     width, height, depth = np.ptp(thing.vertices, axis=0)
     return together([thing, *(clutter(n, width, depth, height) if n.whole(0, 1) else [])])
 
@@ -255,10 +253,10 @@ def desk(n: Numbers) -> Solid:
     if n.whole(0, 1):
         pieces.append(cuboid((0.4, height - 0.1, depth * 0.9), (width / 2 - 0.25, height / 2 + 0.03, 0)))
     for x in (-0.25, 0.35)[: n.whole(1, 2)]:
-        wide, foot = n.between(0.4, 0.65), cuboid((0.22, 0.015, 0.18), (0, height + 0.02, 0))
-        screen = [cuboid((wide, wide * 0.6, 0.03), (0, height + 0.12 + wide * 0.3, 0)), foot]
-        screen.append(tube([(0, height, 0.03), (0, height + 0.3, 0.02)], 0.02))
-        pieces.append(together(screen).turned(n.between(-0.5, 0.5)).moved((x, 0, depth * 0.2)))
+        wide = n.between(0.4, 0.65)
+        screen = cuboid((wide, wide * 0.6, 0.03), (0, height + 0.12 + wide * 0.3, 0)).turned(n.between(-0.5, 0.5))
+        screen = together([screen, tube([(0, height, 0.03), (0, height + 0.3, 0.02)], 0.03)])
+        pieces.append(screen.moved((x, 0, depth / 5)))
     return together([*pieces, *clutter(n, width, depth, height + 0.015, 3)])
 
 
@@ -357,7 +355,7 @@ def bicycle(n: Numbers) -> Solid:
     """A bicycle that stands along x."""
     r, base, top = n.between(0.3, 0.36), n.between(0.95, 1.1), n.between(0.78, 0.95)
     hub, seat, head, pedals = (0, r, base / 2), (0, top, base * 0.2), (0, top, -base * 0.32), (0, 0.28, 0.05)
-    lines = [[hub, seat, head, pedals, seat], [hub, pedals], [head, (0, r, -base / 2)]]
+    lines: list[list[Point]] = [[hub, seat, head, pedals, seat], [hub, pedals], [head, (0, r, -base / 2)]]
     lines.append([(-0.25, top + 0.12, -base * 0.3), (0, top + 0.1, -base * 0.33), (0.25, top + 0.12, -base * 0.3)])
     wheels = [wheel(r, 0.02, (0, r, z), 8) for z in (-base / 2, base / 2)]
     saddle = ball((0.15, 0.07, 0.26), (0, top + 0.05, base * 0.2))
@@ -398,8 +396,7 @@ def ladder(n: Numbers) -> Solid:
     height = n.between(0.8, 1.9)
     if n.whole(0, 1):
         feet = [(0.35 * math.cos(2.1 * foot), 0.0, 0.35 * math.sin(2.1 * foot)) for foot in range(3)]
-        head = cuboid((0.15, 0.12, 0.12), (0, height + 0.05, 0))
-        return together([head, *(tube([foot, (0, height, 0)], 0.015) for foot in feet)])
+        return together([ball((0.15,) * 3, (0, height, 0)), *(tube([foot, (0, height, 0)], 0.015) for foot in feet)])
     rails = both(*(tube([(0.22, 0, sign * height * 0.25), (0.16, height, 0)], 0.02) for sign in (-1, 1)))
     steps = [cuboid((0.36, 0.03, 0.08), (0, height * up / 6, height * (up - 6) / 24)) for up in range(1, 6)]
     return together([*rails, *steps])
@@ -418,25 +415,25 @@ def appliance(n: Numbers) -> Solid:
     body = (ball, slab)[n.whole(0, 1)]((n.between(0.15, 0.4), height, n.between(0.2, 0.45)), (0, height / 2, 0))
     hose: list[Point] = [(0, height * 0.8, 0), (n.between(-0.3, 0.3), height + 0.3, 0.1)]
     hose += [(n.between(-0.5, 0.5), height + 0.2, -0.3), (0.3, 0.02, -0.5)]
-    fan = [ball((size, size, 0.15), (0, height + 0.2, 0))] if n.whole(0, 1) else []
-    return together([bent(n, body, 0.02), tube(hose, 0.025), *fan])
+    fan = ball((size, size, 0.15), (0, height * n.between(0.5, 1.4), 0))
+    return together([bent(n, body, 0.02), tube(hose, 0.025), fan])
 
 
-SEATS: Final[dict[str, Callable[[Numbers, float | None], Solid]]] = {
+SEATS: Final[dict[str, Callable[..., Solid]]] = {
     **{made.__name__: made for made in (chair, office_chair, folding_chair, stool, armchair, wheelchair)},
-    "sofa": lambda n, seat_m: armchair(n, seat_m, (1.2, 2.0)),
+    "sofa": partial(armchair, narrowest=1.2, widest=2.0),
 }
-"""Name -> what one sits on, with a seat of that height."""
+"""Name -> what one sits on, drawn anew, with a seat of the height that is given, too, or drawn."""
 
 _OTHERS: Final[tuple[Callable[[Numbers], Solid], ...]] = (
     *(desk, shelf, bed, tall_plant, bag, cushions, coat_stand, dressed_chair, mannequin, bicycle, robot_arm),
     *(conveyor, animal, ladder, pillar, appliance),
 )
 FURNISHINGS: Final[dict[str, Callable[[Numbers], Solid]]] = {
-    **{name: (lambda n, made=made: made(n, None)) for name, made in SEATS.items()},
+    **SEATS,
     **{made.__name__: made for made in _OTHERS},
     **{name: FURNITURE[name] for name in ("bin", "machine", "lamp", "plant")},
-    **{name: (lambda n, made=FURNITURE[name]: _topped(n, made(n))) for name in ("table", "box")},
+    **{name: partial(_topped, FURNITURE[name]) for name in ("table", "box")},
     "hanging": lambda n: sheet(n, n.between(0.3, 1.8), n.between(0.6, 2.2), n.between(0.01, 0.09), n.between(1, 12)),
     "heap": lambda n: cushions(n, 0.0),
     "pile": lambda n: together(clutter(n, n.between(0.5, 1.4), n.between(0.5, 1.2), 0.0, 12, n.between(1.0, 3.0))),

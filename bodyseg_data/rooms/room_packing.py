@@ -9,6 +9,7 @@ from __future__ import annotations
 import fcntl
 import pickle
 import zlib
+from contextlib import suppress
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Final
@@ -16,13 +17,13 @@ from typing import Any, Final
 import numpy as np
 
 from bodyseg_data.bodies import open_source
-from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh, ProgressCallback, silent
+from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh, ProgressCallback, check_int, silent
 from bodyseg_data.files import write_atomically
 from bodyseg_data.labels import PART_CLASSES
 from bodyseg_data.packing import STATE_NAME, ShardWriter, processes, reduced_body
 from bodyseg_data.rigs import Rig, load_rig
 from bodyseg_data.rooms.furnishings import FURNISHINGS
-from bodyseg_data.rooms.scenes import Person, Room
+from bodyseg_data.rooms.scenes import Room, RoomPerson
 from bodyseg_data.samples import Split
 from bodyseg_data.shards import CodecName, Manifest, read_manifest
 
@@ -61,9 +62,10 @@ def pack_rooms(
     "person" numbers people from 1. workers: processes, one a processor if None; the bytes are the same for any number.
     Raises BadConfig without a sample, and as `ShardWriter`.
     """
-    if samples < 1:
-        raise BadConfig(f"a set needs at least one room, found {samples}")
-    order = sorted(range(samples), key=lambda room: (room // (_AT_ONCE * _BLOCK), room % _BLOCK, room // _BLOCK))
+    order = sorted(
+        range(check_int("samples", samples, 1)),
+        key=lambda room: (room // (_AT_ONCE * _BLOCK), room % _BLOCK, room // _BLOCK),
+    )
     keys = {f"room-{split}-{room:06d}": room for room in order}
     lacking = ", ".join(kind for kind in FURNISHINGS if kind not in kinds)
     with (
@@ -95,27 +97,25 @@ def _made(rig: Rig, split: Split, kinds: tuple[str, ...], state: Path, room: int
 
 
 @lru_cache(_AT_ONCE)
-def _shared_people(state: Path, split: Split, block: int) -> list[Person]:
+def _shared_people(state: Path, split: Split, block: int) -> list[RoomPerson]:
     path = state / f"people-{split}-{block:04d}"
     with path.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not path.exists():
             write_atomically(path, zlib.compress(pickle.dumps(draw_people(split, block)), 1))
-    found: list[Person] = pickle.loads(zlib.decompress(path.read_bytes()))
-    return found
+    return list(pickle.loads(zlib.decompress(path.read_bytes())))
 
 
-def draw_people(split: Split, block: int) -> list[Person]:
+def draw_people(split: Split, block: int) -> list[RoomPerson]:
     """The people of a block of samples, with meshes that are reduced as for a distance of 1.5 m."""
-    rng, found, rig = np.random.default_rng((7, block, split == "train")), [], load_rig()
+    rng, rig = np.random.default_rng((7, block, split == "train")), load_rig()
+    found: list[RoomPerson] = []
     sources = [open_source(name) for name in _SOURCES[split]]
     listed = [[body for body in source.bodies() if body.split == split] for source in sources]
     while len(found) < _PEOPLE:
         which = int(rng.random() < _SECOND)
         body = listed[which][int(rng.integers(len(listed[which])))]
-        try:
+        with suppress(BadMesh, BadLandmarks):  # another one is drawn
             built = reduced_body(sources[which].build(body), 1.0, rig, 150, (0,), False)
-            found.append(Person(built.mesh, built.partition(), body.pose))
-        except (BadMesh, BadLandmarks):
-            continue  # another one is drawn
+            found.append(RoomPerson(built.mesh, built.partition(), body.pose))
     return found

@@ -24,26 +24,13 @@ from bodyseg_data.packing import Numbers
 from bodyseg_data.rendering import RasterRenderer
 from bodyseg_data.renders import Render
 from bodyseg_data.rigs import PlacedCamera, Rig, axes_at
-from bodyseg_data.rooms.furnishings import (
-    FURNISHINGS,
-    SEATS,
-    about,
-    bag,
-    ball,
-    bed,
-    bent,
-    both,
-    clutter,
-    coat,
-    sheet,
-    slab,
-)
+from bodyseg_data.rooms.furnishings import FURNISHINGS, SEATS, about, ball, bent, both, clutter, coat, sheet, slab
 from bodyseg_data.samples import Split
 
 Floats = NDArray[np.float64]
 
 _PARTS: Final = len(PART_CLASSES.names)
-_EMPTY: Final = 0.08  # share of rooms without anybody
+_EMPTY: Final = 0.09  # share of rooms with walls that have nobody in them
 _BARE: Final = 0.12  # share of rooms without walls and floor
 _COUNTS: Final = (1,) * 11 + (2,) * 6 + (3,) * 4  # of people in the others, each as often
 _NEAREST_M: Final = 0.7
@@ -74,7 +61,7 @@ _WEIGHTS: Final = (5.2, 3.1, 2.1)  # with which the sum has a standard deviation
 
 
 @dataclass(frozen=True)
-class Person:
+class RoomPerson:
     """Somebody who may stand in a room: a body with its labels. pose: in words."""
 
     mesh: Mesh = field(repr=False)
@@ -85,6 +72,9 @@ class Person:
         """Middle of the parts of these names, [3], NaN without them; vertices: where the mesh's are, [V, 3]."""
         own = np.isin(self.parts.labels, [PART_CLASSES.names.index(name) for name in names])
         return vertices[own].mean(axis=0) if own.any() else np.full(3, np.nan)
+
+
+Person = RoomPerson  # the name in pickles of people
 
 
 @dataclass(frozen=True)
@@ -125,12 +115,12 @@ class _Wall:
 
 
 class Room:
-    """One room: walls, things and people. kinds: of things, names of `FURNISHINGS`."""
+    """One room: walls, things and people. kinds: names of `FURNISHINGS`; coats hang where there are coat stands."""
 
-    def __init__(self, key: str, rig: Rig, people: Sequence[Person], kinds: Sequence[str], seed: int = 0) -> None:
+    def __init__(self, key: str, rig: Rig, people: Sequence[RoomPerson], kinds: Sequence[str], seed: int = 0) -> None:
         self._draws, self._key, self._kinds, self.rig = Draws(seed, 0, key), key, kinds, rig
         self.solids: list[tuple[Solid, Loss]] = []
-        self.persons: list[tuple[Person, _Pose, list[Loss]]] = []
+        self.persons: list[tuple[RoomPerson, _Pose, list[Loss]]] = []
         self.walls: list[_Wall] = []
         self._taken: list[tuple[float, float, float]] = []  # x, distance and radius: of people, then of things
         self._half = rig.camera.columns / 2 / rig.camera.focal_px
@@ -142,7 +132,7 @@ class Room:
         bare, empty = n.between(0, 1) < _BARE, n.between(0, 1) < _EMPTY
         if not bare:
             self._build_walls(n)
-        for number in range(0 if empty else _COUNTS[n.whole(0, len(_COUNTS) - 1)]):
+        for number in range(0 if empty and not bare else _COUNTS[n.whole(0, len(_COUNTS) - 1)]):
             own = Numbers(self._draws, f"person {number}")
             person = people[own.whole(0, len(people) - 1)]
             any(self._place_person(person, own) for _ in range(6))
@@ -192,8 +182,8 @@ class Room:
             window += [cuboid((0.06, high - low, 0.06), (bar, (high + low) / 2, 0.02)) for bar in (-half, 0, half)]
             pieces = [together(window).moved((middle, 0, 0))]
         elif kind == 1:
-            pieces.append(cuboid((0.9, 2.0, 0.05), (middle, 1.0, n.between(-0.02, 0.02))))
-            pieces.append(cuboid((0.12, 0.03, 0.08), (middle + 0.35, 1.02, -0.05)))
+            pieces.append(cuboid((0.9, 2.0, 0.1), (middle, 1.0, n.between(0.02, 0.06))))
+            pieces.append(cuboid((0.12, 0.03, 0.1), (middle + 0.35, 1.02, -0.05)))
         if not n.whole(0, 2):  # curtains
             low = max(0.02, n.between(-0.6, ceiling - 1.2))
             for side in (-1, 1)[: n.whole(1, 2)]:
@@ -209,7 +199,7 @@ class Room:
             size = n.between(0.2, 1.2), n.between(0.2, 0.9), n.between(0.02, 0.3)
             x, y = n.between(-2.5, 2.5), n.between(1.0, max(1.1, ceiling - 0.3))
             pieces = [cuboid(size, (0, y, 0))]
-            if size[2] > 0.25:
+            if size[2] > 0.25 and "coat_stand" in self._kinds:
                 pieces = [coat(n, min(y + 0.6, ceiling - 0.2))]
             elif size[2] > 0.15:
                 pieces += clutter(n, size[0], size[2] / 2, y + size[1] / 2, 3)
@@ -239,10 +229,7 @@ class Room:
     def _stand(
         self, solid: Solid, turn: Floats, spot: tuple[float, float], low: float, gap: float, against: _Wall | None
     ) -> tuple[_Pose, Floats, Floats]:
-        """Pose of a solid that stands with its middle at a spot; its least and greatest corner there.
-
-        It is moved out of all walls, or up to one of them, as far as a gap.
-        """
+        """Pose of a solid at a spot, a gap off all walls at least, off one at most; its least and greatest corner."""
         turned = solid.vertices @ turn.T
         least, most = turned.min(axis=0), turned.max(axis=0)
         by = np.array([spot[0], low, -spot[1]]) - ((least[0] + most[0]) / 2, least[1], (least[2] + most[2]) / 2)
@@ -252,12 +239,12 @@ class Room:
                 by = by - out * wall.normal
         return _Pose(turn, by), least + by, most + by
 
-    def _place_person(self, person: Person, n: Numbers) -> bool:
+    def _place_person(self, person: RoomPerson, n: Numbers) -> bool:
         """Somebody stands free, at a wall, beside another, on a seat or a bed, or behind something; False: no place."""
         surface = Solid(person.mesh.vertices, person.mesh.faces)
         how, far = n.between(0, 1), n.between(0, 1)
         sits, lies = person.pose.startswith(_SIT), person.pose.startswith(_LIE)
-        low = n.between(0.3, 0.6) if lies and how < 0.6 else 0.0
+        low = n.between(0.3, 0.6) if lies and how < 0.6 and "bed" in self._kinds else 0.0
         nearest, farthest = (0.5, 1.2) if far < 0.15 else (3.0, _FARTHEST_M) if far > 0.5 else (1.0, 3.5)
         spot = self._spot(n, 0.4, n.between(nearest, farthest))
         if self.persons and how > 0.6:
@@ -297,7 +284,7 @@ class Room:
                 found[label] = loss if dark and name in names else found[label]
         return found
 
-    def _hold(self, person: Person, vertices: Floats, n: Numbers) -> None:
+    def _hold(self, person: RoomPerson, vertices: Floats, n: Numbers) -> None:
         """Somebody holds or wears a thing: a box, a bag, a cloth, a rucksack, a load on a shoulder."""
         right, left = (person.middle(vertices, name) for name in ("Rt. Dactylion", "Lt. Dactylion"))
         chest, back = (person.middle(vertices, name) for name in ("Substernale", "10th Rib Midspine"))
@@ -311,39 +298,39 @@ class Room:
                 thing = Solid(thing.vertices * (wide / size[0], 1, 1), thing.faces)
                 at = at + front * n.between(0.0, 0.1)
             else:
-                tall = n.between(0.3, 1.0)
-                cloth = sheet(n, wide + n.between(0, 0.2), tall, 0.03, n.between(1, 4))
-                thing = bent(n, cloth.moved((0, -tall, 0)), 0.04)
+                thing = bent(n, sheet(n, wide + n.between(0, 0.2), -n.between(0.3, 1.0), 0.03, n.between(1, 4)), 0.04)
         elif kind < 3:  # in one hand
             at = (left, right)[n.whole(0, 1)]
-            thing = bag(n) if kind else coat(n, 0.0)
+            if kind < 2 and ("coat_stand", "bag")[kind] in self._kinds:
+                thing = FURNISHINGS["bag"](n) if kind else coat(n, 0.0)
             thing = thing.moved((0, -float(thing.vertices[:, 1].max()), 0)).turned(n.between(-1, 1))
         elif kind == 3:  # a rucksack
-            at = np.add(back - front * (size[2] / 2), (0, n.between(0.02, 0.2), 0))
+            at = back - front * (size[2] / 2)
         elif kind == 4:  # on a shoulder
-            at = person.middle(vertices, ("Rt. Acromion", "Lt. Acromion")[n.whole(0, 1)]) + (0, 0.02 + size[1] / 2, 0)
+            shoulder = person.middle(vertices, ("Rt. Acromion", "Lt. Acromion")[n.whole(0, 1)])
+            at = np.add(shoulder, (0, 0.02 + size[1] / 2, 0))
             thing = Solid(thing.vertices * (1, 1, n.between(1, 3)), thing.faces)
         else:  # before the chest
             at = chest + front * (size[2] / 2 + n.between(-0.05, 0.05))
-        if np.isfinite(at).all():
+        if np.isfinite([*at, turn[0, 0]]).all():
             self._add(_Pose(turn, at).of(thing), n)
 
-    def _support(self, person: Person, vertices: Floats, low: float, n: Numbers) -> None:
+    def _support(self, person: RoomPerson, vertices: Floats, low: float, n: Numbers) -> None:
         """A seat under somebody, or if he lies at that height, a bed along him."""
         hips, knees, head = (person.middle(vertices, *names) for names in (_HIPS, _KNEES, ("Nuchale",)))
         if low and np.isfinite(head).all():
-            made, (way, _, along) = bed(n), hips - head
+            made, (way, _, along) = FURNISHINGS["bed"](n), hips - head
             made = Solid(made.vertices * (1.0, low / float(np.quantile(made.vertices[:, 1], 0.6)), 1.0), made.faces)
             self._add(_Pose(about(math.atan2(-along, way)), hips * (1, 0, 1)).of(made), n)
         elif not low and hips[1] > 0.27 and np.isfinite(knees).all():
-            names = [name for name in SEATS if name in self._kinds] or ["chair"]
-            seat = SEATS[names[n.whole(0, len(names) - 1)]](n, float(hips[1]) - 0.12)
-            self._add(_Pose(_facing(knees - hips), hips * (1, 0, 1)).of(seat), n)
+            names = [name for name in SEATS if name in self._kinds]
+            if names:
+                seat = SEATS[names[n.whole(0, len(names) - 1)]](n, float(hips[1]) - 0.12)
+                self._add(_Pose(_facing(knees - hips), hips * (1, 0, 1)).of(seat), n)
 
     def _thing(self, n: Numbers) -> Solid:
-        seats = [kind for kind in self._kinds if kind in SEATS]
-        kinds = seats if seats and not n.whole(0, 3) else self._kinds
-        return FURNISHINGS[kinds[n.whole(0, len(kinds) - 1)]](n)
+        seats = [kind for kind in self._kinds if kind in SEATS] * (not n.whole(0, 3))
+        return FURNISHINGS[(seats or self._kinds)[n.whole(0, len(seats or self._kinds) - 1)]](n)
 
     def _place_thing(self, n: Numbers) -> None:
         """A thing stands against a wall, free, or touches somebody; few lie on their side."""
@@ -402,8 +389,8 @@ class Room:
             lit.append(np.where(ranges < farthest, ranges, np.float32(0)))
         range_m[face < 0] = 0
         told = {"height_cm": round(100 * self.height_m), "pitch_deg": round(self.pitch_deg), "people": len(bodies)}
-        images = range_m, labels, np.concatenate(lit), np.stack(facing)
-        return Render(self._key, *images, None, split, told, {"person": people})
+        images = range_m, labels, np.concatenate(lit), facing[0] if len(facing) == 1 else np.stack(facing), None
+        return Render(self._key, *images, split, told, {"person": people})
 
 
 def _lose_loop(range_m: Any, labels: Any, people: Any, surface: Any, view: Any, losses: Any, lattice: Any) -> Any:

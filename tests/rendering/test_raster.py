@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from plain_views import check_filled
 from shapes import figure
+from small_rig import SMALL
 
 from bodyseg_data.machine import kernels
-from bodyseg_data.meshes import Mesh
+from bodyseg_data.meshes import Mesh, Solid
 from bodyseg_data.rendering import RasterRenderer
 from bodyseg_data.rigs import PlacedCamera, load_rig
 from bodyseg_data.samples import View
@@ -88,3 +89,30 @@ def test_the_compiled_loops_give_the_bits_of_plain_python(monkeypatch: pytest.Mo
         assert (seen.face >= 0).sum() > 50
         np.testing.assert_array_equal(seen.face, expected.face)
         np.testing.assert_array_equal(seen.range, expected.range)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_spans_of_large_triangles_are_the_pixels_whose_products_have_one_sign(seed: int) -> None:
+    """Triangles large, small, narrow, flat and through the camera's plane: here each pixel is tested by itself."""
+    rng, camera = np.random.default_rng(seed), SMALL.camera
+    corners = rng.normal(0, 1, (9, 3, 3)) * rng.choice([0.05, 0.5, 2.0], (9, 1, 1))
+    corners = corners + rng.normal(0, 1, (9, 1, 3)) * (0.5, 0.9, 1.0) + (0, 0, 3)
+    corners[0, 2] = corners[0, 1]  # degenerate
+    corners[1, :, 1] = 0.3  # level
+    seen = RasterRenderer(Solid(corners.reshape(-1, 3), np.arange(27, dtype=np.int32).reshape(-1, 3))).render(
+        PlacedCamera(camera, np.eye(3), np.zeros(3))
+    )
+    x, y = camera.slopes[0], camera.slopes[1][:, None]
+    depth, face = np.full(seen.face.shape, np.inf), np.full(seen.face.shape, -1)
+    for number, (a, b, c) in enumerate(corners):
+        edges = np.array([np.cross(b, c), np.cross(c, a), np.cross(a, b)])
+        volume = a[0] * edges[0, 0] + a[1] * edges[0, 1] + a[2] * edges[0, 2]
+        edges, volume = (-edges, -volume) if volume < 0 else (edges, volume)
+        u, v, w = (edge[0] * x + (edge[1] * y + edge[2]) for edge in edges)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            z = volume / (u + v + w)
+            nearer = (np.minimum(u, np.minimum(v, w)) >= 0) & (z < depth) & (max(a[2], b[2], c[2]) > 0)
+        depth[nearer], face[nearer] = z[nearer], number
+    assert len(np.unique(face)) > 2
+    np.testing.assert_array_equal(seen.face, face)
+    np.testing.assert_array_equal(seen.range, np.where(face < 0, 0, depth).astype(np.float32))

@@ -24,9 +24,9 @@ import numpy as np
 
 from bodyseg_data.bodies import BodyRef
 from bodyseg_data.core import BodysegError
-from bodyseg_data.packing import Packing, pack
+from bodyseg_data.packing import STATE_NAME, Packing, pack
 from bodyseg_data.packing.packer import render_run
-from bodyseg_data.packing.writing import STATE_NAME, Rendered
+from bodyseg_data.packing.writing import Rendered
 from bodyseg_data.samples import View
 from bodyseg_data.shards import MANIFEST_NAME
 

@@ -1,0 +1,131 @@
+"""Sets of made rooms: the same bytes however they are packed, people built once a block, mistakes told."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from people_on_disk import PERSON, VERTICES, person
+from small_rig import SMALL
+
+from bodyseg_data import RangeImages
+from bodyseg_data.bodies import Body, BodyRef
+from bodyseg_data.commands.cli import main
+from bodyseg_data.core import BadConfig, BadMesh
+from bodyseg_data.meshes import partition
+from bodyseg_data.packing.jobs import Engine
+from bodyseg_data.rooms import chosen_kinds, pack_rooms, room_packing
+from bodyseg_data.rooms.furnishings import FURNISHINGS
+from bodyseg_data.rooms.scenes import RoomPerson
+from bodyseg_data.samples import Split
+
+
+@pytest.fixture
+def built(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
+    """Plain people in blocks of three samples, two in turns, threads for processes; the blocks that were built."""
+    found: list[tuple[str, int]] = []
+    somebody = RoomPerson(PERSON, partition(PERSON, np.array(VERTICES), "edges"), "standing")
+
+    def draw(split: Split, block: int) -> list[RoomPerson]:
+        found.append((split, block))
+        return [somebody]
+
+    @contextmanager
+    def threads(workers: int | None) -> Iterator[Engine]:
+        with ThreadPoolExecutor(workers) as executor:
+            yield Engine(executor, workers or 1)
+
+    for name, value in {"draw_people": draw, "processes": threads, "_BLOCK": 3, "_AT_ONCE": 2}.items():
+        monkeypatch.setattr(room_packing, name, value)
+    room_packing._shared_people.cache_clear()
+    return found
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_a_set_has_the_same_bytes_for_any_number_of_workers_and_after_a_stop(
+    tmp_path: Path, built: list[tuple[str, int]]
+) -> None:
+    for workers in (1, 3):
+        pack_rooms(tmp_path / str(workers), SMALL, 8, "test", shard_samples=3, workers=workers)
+        assert sorted(built) == [("test", block) for block in range(3)]  # once each
+        built.clear()
+
+    def stop(done: int, total: int) -> None:
+        if done >= 4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        pack_rooms(tmp_path / "cut", SMALL, 8, "test", shard_samples=3, workers=2, progress=stop)
+    pack_rooms(tmp_path / "cut", SMALL, 8, "test", shard_samples=3, workers=1)
+    assert len(built) == 3  # people of the first run serve the second
+    assert files(tmp_path / "1") == files(tmp_path / "3") == files(tmp_path / "cut")
+    images = RangeImages(str(tmp_path / "1"), variant="none", split="test", planes=("person",))
+    assert [images[number]["key"][-1] for number in range(8)] == list("03142567")  # two blocks in turns
+
+
+def test_kinds_are_chosen_by_name_and_a_set_says_what_it_lacks(tmp_path: Path, built: list[tuple[str, int]]) -> None:
+    assert chosen_kinds((), ("sofa",)) == tuple(kind for kind in FURNISHINGS if kind != "sofa")
+    assert chosen_kinds(("bed", "chair"), ("bed",)) == ("chair",)
+    for only, without, wrong in (((), ("soffa",), "'soffa'"), (("x",), (), "'x'"), (("bed",), ("bed",), "found none")):
+        with pytest.raises(BadConfig, match=wrong):
+            chosen_kinds(only, without)
+    manifest = pack_rooms(tmp_path / "set", SMALL, 1, "train", chosen_kinds((), ("sofa", "bed")), workers=1)
+    assert manifest.source == "rooms without sofa, bed"
+
+
+def test_the_command_plans_packs_and_refuses(
+    tmp_path: Path, built: list[tuple[str, int]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["shard", "--source", "rooms", "--rig", "kinect_v1", "--out", str(tmp_path / "set")]
+    assert main([*words, "--samples", "2", "--kinds", "stool", "--workers", "1"]) == 0
+    assert "2 samples" in capsys.readouterr().out
+    assert main([*words, "--samples", "3", "--split", "test", "--plan"]) == 0
+    assert json.loads(capsys.readouterr().out) == {
+        "source": "rooms",
+        "views": 3,
+        "test": 3,
+        "kinds": list(FURNISHINGS),
+    }
+    wrong = {
+        "needs --samples": [],
+        "at least 1": ["--samples", "0"],
+        "found 'sofas'": ["--samples", "1", "--without", "sofas"],
+        "--views does not go with --source rooms": ["--samples", "1", "--views", "2"],
+        "--path does not go with --source rooms": ["--samples", "1", "--path", "x"],
+    }
+    for said, options in wrong.items():
+        assert main([*words, *options]) == 2
+        assert said in capsys.readouterr().err
+    assert main(["shard", "--source", "open", "--samples", "1", "--plan"]) == 2
+    assert "--samples does not go with --source open: it is of rooms" in capsys.readouterr().err
+
+
+class Listed:
+    """Five plain people of the train split; the third cannot be built."""
+
+    def bodies(self) -> list[BodyRef]:
+        return [BodyRef("A", "one", f"mesh{number}", "standing", "train") for number in range(5)]
+
+    def build(self, body: BodyRef) -> Body:
+        if body.mesh == "mesh2":
+            raise BadMesh("it has a hole")
+        return Body(person(body.mesh), np.array(VERTICES))
+
+
+def test_people_are_drawn_by_their_block_and_split(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = []
+    monkeypatch.setattr(room_packing, "open_source", lambda name: names.append(name) or Listed())
+    monkeypatch.setattr(room_packing, "reduced_body", lambda body, *_: body)
+    monkeypatch.setattr(room_packing, "_PEOPLE", 4)
+    one, again, other = ([each.mesh.name for each in room_packing.draw_people("train", block)] for block in (2, 2, 3))
+    assert (len(one), names) == (4, ["wide", "everyday"] * 3)
+    assert one == again != other
+    assert "mesh2" not in {*one, *other}
