@@ -62,6 +62,7 @@ _FREE_M: Final = 0.05
 _APART_M2: Final = 0.06
 _OWN_M2: Final = 0.1  # least surface of each of several people in one piece
 _ACROSS_EDGES: Final = 60.0  # lengthens a way along the surface by this many times the jumps on it
+_BESIDE_M: Final = 0.1  # greatest distance of a loose piece from the box of a person's in the image
 _BELOW_M: Final = (0.35, 2.1)  # greatest distance in range, and height in all, of a person in two parts
 
 Pixels = NDArray[np.intp]
@@ -393,7 +394,7 @@ def _persons(samples: _Samples, pieces: tuple[Pixels, Mask]) -> Pixels:
     starts = np.searchsorted(piece[order], np.arange(len(cut)))
     placed = np.column_stack([samples.rows, samples.columns, samples.points])[order]
     lowest, highest = np.minimum.reduceat(placed, starts), np.maximum.reduceat(placed, starts)
-    area_m2 = np.bincount(piece, samples.area_m2)
+    area_m2, beside = np.bincount(piece, samples.area_m2), _BESIDE_M * samples.a_metre
     person, bodies = np.full(len(cut), -1), list[tuple[Floats, Floats]]()
     for number in np.argsort(-area_m2, kind="stable"):
         low, high = lowest[number], highest[number]
@@ -407,7 +408,7 @@ def _persons(samples: _Samples, pieces: tuple[Pixels, Mask]) -> Pixels:
             continue
         count = person[number] = len(bodies)
         bodies.append((low, high))
-        overlaps = ((highest[:, :2] >= low[:2]) & (lowest[:, :2] <= high[:2])).all(axis=1)
+        overlaps = ((highest[:, :2] >= low[:2] - beside) & (lowest[:, :2] <= high[:2] + beside)).all(axis=1)
         near = (lowest[:, 4] >= low[4] - REACH_M[0]) & (highest[:, 4] <= high[4] + REACH_M[1])
         person[(person < 0) & (area_m2 < LOOSE_AREA_M2) & ~cut & overlaps & near] = count
     return person[piece]

@@ -189,11 +189,11 @@ class Segmenter:
         self.turned, self._upright = turned % 4, camera.turned(turned)
         self.background = background or Background()
         self.rig = rig or load_rig()
+        self.video = video
+        self._network = on_backend(network)
         finds = self.background.mode == "people"
         self.doubted_below = doubted_below if finds else 0.0
         self.finder = on_backend(finder or shipped_finder().network) if finds else None
-        self.video = video
-        self._network = on_backend(network)
         self.label_map = label_map or (PARTS33 if network.classes == PART_COUNT else None)
         self.device = device_of(network)
         self._prepared = False

@@ -538,38 +538,6 @@ def test_another_finder_may_be_given(recording: Path, tmp_path: Path, capsys: py
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(
-    ("sequence", "names", "least_pixels"),
-    [
-        ("kinect_v1", ["0000000000_depth.png", "0000000019_depth.png"], 40000),
-        ("kinect_v2", ["01.png", "03.png"], 19000),
-    ],
-)
-def test_real_frames_have_one_person_each(
-    sequence: str, names: list[str], least_pixels: int, tmp_path: Path, shared_data: Callable[[str], Path]
-) -> None:
-    files = [shared_data(f"real/{sequence}") / name for name in names]
-    assert run(*files, "--out", tmp_path / "out") == 0
-    for frame in report(tmp_path / "out")["each"]:
-        assert frame["people"] == 1 and frame["pixels"] > least_pixels
-        assert frame["bodies"][0]["range_m"] < 2, "not the wall"
-
-
-def test_mirrored_frames_are_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], shared_data: Callable[[str], Path]
-) -> None:
-    file = shared_data("real/kinect_v1") / "0000000000_depth.png"
-    assert run(file, "--out", tmp_path / "out") == 0
-    warning = "the projector's shadows lie on the right side of bodies, so frames are probably mirrored"
-    assert f"{warning}: give --mirrored" in capsys.readouterr().err.splitlines()
-    assert run(file, "--mirrored", "--out", tmp_path / "out") == 0
-    assert "probably" not in capsys.readouterr().err
-    with Image.open(file) as picture:
-        save(tmp_path / "turned.png", np.asarray(picture)[:, ::-1].astype(np.uint16))
-    assert run(tmp_path / "turned.png", "--mirrored", "--out", tmp_path / "turned") == 0
-    assert "probably not mirrored: leave out --mirrored" in capsys.readouterr().err
-
-
 def test_a_network_of_classes_names_and_colours_them(recording: Path, tmp_path: Path) -> None:
     limbs = load_label_map("limbs14")
     network = build("compact", {"patch": 16, "widths": [8], "blocks": [0], "classes": 14}, seed=1)
