@@ -53,7 +53,7 @@ JUMP_SHARE: Final = 0.04
 
 _STEP_RAD: Final = 3 / 525  # between neighbours of the grid on which people are parted
 _EDGE_M: Final = 0.02  # jumps of more part people who touch, and as much again every 3.3 m
-_LEVEL_M: Final = 0.08
+_LEVEL_M: Final = 0.1
 _COARSE_M: Final = 0.018  # between samples among which heads are looked for
 _HEAD: Final = (0.08, 0.015, 0.11)  # least height, area and mean width of a head, metres
 _NEW_M2: Final = 0.002  # least surface at which a top begins
@@ -167,7 +167,11 @@ class FinderView:
         if self._same:
             found[range_m == 0] = 0
             return found
-        return _nearest_in_range(range_m, seen, found, *self._back, np.float32(0))
+        rows, columns = np.nonzero(range_m)
+        answer = np.zeros_like(range_m)
+        places = self._back[0][rows], self._back[1][columns]
+        answer[rows, columns] = _nearest_in_range(range_m[rows, columns], places, seen, found, np.float32(0))
+        return answer
 
 
 _view = lru_cache(maxsize=8)(FinderView)
@@ -182,29 +186,28 @@ def _resampled(side: int, centre: float, scale: float) -> tuple[Pixels, Pixels]:
 
 
 def _nearest_in_range(
-    range_m: NDArray[np.float32],
+    of_range: NDArray[np.float32],
+    places: tuple[Pixels, Pixels],
     seen: NDArray[np.float32],
     values: NDArray[Any],
-    rows: Pixels,
-    columns: Pixels,
     nothing: Any,
 ) -> NDArray[Any]:
-    """Values [h, w] of the samples at `rows`, `columns`; where one's range, `seen` [h, w], is not of the surface of the
-    pixel, `range_m` [H, W], that of the neighbour of nearest range; `nothing` where none of these is either.
+    """Values [h, w] of the samples at places, rows and columns [N] each; where one's range, `seen` [h, w], is not of
+    the surface of the pixel, `of_range` [N], that of the neighbour of nearest range; `nothing` where none is either.
     """
-    found, away = (image.take(rows, axis=0).take(columns, axis=1) for image in (values, seen))
-    away -= range_m
-    other = np.flatnonzero((np.abs(away, out=away) > jump_m(range_m)) & (range_m > 0))
-    of_range, (row, column) = range_m.ravel()[other], np.divmod(other, range_m.shape[1])
-    best, value = jump_m(of_range), np.full(len(other), nothing, values.dtype)
+    rows, columns = places
+    flat = rows * seen.shape[1] + columns
+    found = values.ravel()[flat]
+    other = np.flatnonzero(np.abs(seen.ravel()[flat] - of_range) > jump_m(of_range))
+    ranges, rows, columns = of_range[other], rows[other], columns[other]
+    best, value = jump_m(ranges), np.full(len(other), nothing, values.dtype)
     for down in (-1, 0, 1):
         for right in (-1, 0, 1):
-            place = np.clip(rows[row] + down, 0, len(seen) - 1), np.clip(columns[column] + right, 0, seen.shape[1] - 1)
-            away = np.abs(seen[place] - of_range)
+            place = np.clip(rows + down, 0, len(seen) - 1), np.clip(columns + right, 0, seen.shape[1] - 1)
+            away = np.abs(seen[place] - ranges)
             nearer = away < best
             best, value = np.where(nearer, away, best), np.where(nearer, values[place], value)
-    found.ravel()[other] = value
-    found[range_m == 0] = nothing
+    found[other] = value
     return found
 
 
@@ -253,8 +256,8 @@ def part_people(range_m: NDArray[np.float32], people: Mask, camera: Camera) -> l
         return []
     top, left, step = int(rows[0]), int(columns[0]), max(1, round(_STEP_RAD * camera.focal_px))
     box, every = np.s_[top : rows[-1] + 1, left : columns[-1] + 1], np.s_[step // 2 :: step, step // 2 :: step]
-    ranges = np.where(people[box], range_m[box], np.float32(0))
-    grid = ranges[every]
+    shown, ranges = people[box], range_m[box]
+    grid = np.where(shown[every], ranges[every], np.float32(0))
     if not grid.any():
         return []
     first = top + step // 2 + 0.5 - camera.centre_px[1], left + step // 2 + 0.5 - camera.centre_px[0]
@@ -262,15 +265,13 @@ def part_people(range_m: NDArray[np.float32], people: Mask, camera: Camera) -> l
     person = _persons(samples, _pieces(samples))
     whose = np.full(grid.shape, -1, np.int16)
     whose[samples.rows, samples.columns] = person
-    places = [
-        np.minimum(np.arange(size) // step, most - 1) for size, most in zip(ranges.shape, grid.shape, strict=True)
-    ]
-    of_pixels = _nearest_in_range(
-        ranges, np.where(whose < 0, np.float32(0), grid), whose, *places, np.int16(-1)
-    ).ravel()
-    shown = np.flatnonzero(of_pixels >= 0)
-    row, column = np.divmod(shown, ranges.shape[1])
-    pixels, of_pixels = (row + top) * people.shape[1] + column + left, of_pixels[shown]
+    pixels = np.flatnonzero(shown)
+    row = np.repeat(np.arange(len(shown)), np.count_nonzero(shown, axis=1))
+    column = pixels - row * shown.shape[1]
+    down, across = (np.minimum(np.arange(size) // step, most - 1) for size, most in zip(shown.shape, grid.shape, strict=True))
+    seen = np.where(whose < 0, np.float32(0), grid)
+    of_pixels = _nearest_in_range(ranges.ravel()[pixels], (down[row], across[column]), seen, whose, np.int16(-1))
+    pixels = (row + top) * people.shape[1] + column + left
     area_m2 = np.bincount(person[person >= 0], samples.area_m2[person >= 0])
     return [pixels[of_pixels == number] for number in np.argsort(-area_m2, kind="stable")]
 
