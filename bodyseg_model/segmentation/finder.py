@@ -268,7 +268,9 @@ def part_people(range_m: NDArray[np.float32], people: Mask, camera: Camera) -> l
     pixels = np.flatnonzero(shown)
     row = np.repeat(np.arange(len(shown)), np.count_nonzero(shown, axis=1))
     column = pixels - row * shown.shape[1]
-    down, across = (np.minimum(np.arange(size) // step, most - 1) for size, most in zip(shown.shape, grid.shape, strict=True))
+    down, across = (
+        np.minimum(np.arange(size) // step, most - 1) for size, most in zip(shown.shape, grid.shape, strict=True)
+    )
     seen = np.where(whose < 0, np.float32(0), grid)
     of_pixels = _nearest_in_range(ranges.ravel()[pixels], (down[row], across[column]), seen, whose, np.int16(-1))
     pixels = (row + top) * people.shape[1] + column + left

@@ -81,13 +81,13 @@ class FrameLabeller:
     trained: the network with its card, by default the one that ships. background: rule for removing the background, by
     default `Background()`, and for a network of other classes than body parts `Background("frame")`. mirrored: True if
     frames show left for right, as those of some drivers do. least_confidence: pixels of less get no label. keep_things:
-    label these things, too. finder: the network that finds people, by default the one that ships. video: frames follow each other in time, and
-    labels are steadied by those of the frames before. backend, precision: what computes the network (`on_backend`; by
-    default torch in float32). flip_average: label the mirror image, too, and average. device: "cpu", "cuda", "cuda:1"
-    ..., by default a GPU if there is one. turned: degrees by which the camera was mounted turned clockwise, as seen
-    from behind it: 0; 90, heads point left in its frames; 180, down; 270, right; "auto", the turn at which the network
-    is surest of a person in the first frames with people; by default the roll of the frames' camera. Frames are
-    turned upright before they are labelled, and labels back.
+    label these things, too. finder: the network that finds people, by default the one that ships. video: frames follow
+    each other in time, and labels are steadied by those of the frames before. backend, precision: what computes the
+    network (`on_backend`; by default torch in float32). flip_average: label the mirror image, too, and average. device:
+    "cpu", "cuda", "cuda:1" ..., by default a GPU if there is one. turned: degrees by which the camera was mounted
+    turned clockwise, as seen from behind it: 0; 90, heads point left in its frames; 180, down; 270, right; "auto", the
+    turn at which the network is surest of a person in the first frames with people; by default the roll of the frames'
+    camera. Frames are turned upright before they are labelled, and labels back.
 
     Raises BadConfig for a confidence outside 0 to 1 as soon as a camera is known, for another turn, or as `on_backend`
     and `to_device`; MissingLibrary.

@@ -70,7 +70,8 @@ class Thing:
 class Segmentation:
     """Labels of a frame, uint8 [H, W], the network's classes on bodies, 255 elsewhere; its bodies, the largest first;
     and the time of each of `STAGES`, milliseconds. range_m: the frame, float32 [H, W], metres, without lens distortion,
-    0 = nothing measured. camera: of `range_m`. things: what looked like people and is none, without labels. mirrored: the frame shows left for right. label_map: the classes, where they are known.
+    0 = nothing measured. camera: of `range_m`. things: what looked like people and is none, without labels. mirrored:
+    the frame shows left for right. label_map: the classes, where they are known.
     """
 
     labels: NDArray[np.uint8] = field(repr=False)
@@ -158,7 +159,8 @@ class Segmenter:
     default `Background()`. mirrored: True if frames show left for right, as those of some drivers do. least_confidence:
     pixels of less get no label. rig: that the network was trained for, by default the paper's. doubted_below: of the
     people that the finder finds, in the background mode "people", those whose labels have less mean confidence are
-    things (`least_confidence_of_people`). finder: the network that finds people in that mode, by default the one that ships. video: carries evidence from frame to frame of a recording, whose frames must then come in order
+    things (`least_confidence_of_people`). finder: the network that finds people in that mode, by default the one that
+    ships. video: carries evidence from frame to frame of a recording, whose frames must then come in order
     (`CarriedLabels`); None to label each alone. turned: right angles by which the camera was mounted turned clockwise,
     as seen from behind it: frames are turned clockwise by as many before they are labelled, and labels back. label_map:
     the network's classes; by default the 33 parts for a network of 33. Raises BadConfig for a confidence outside 0 to 1

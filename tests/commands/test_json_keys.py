@@ -80,10 +80,10 @@ def test_the_keys_of_a_summary_are_those_documented(tmp_path: Path, monkeypatch:
         (folder, "--skip-unreadable", "1", "--no-overlay"),
         (folder, "--skip-unreadable", "1", "--no-overlay"),
     )
-    trees = []
+    trees: list[Any] = []
+    unsure = Trained(Places(0, 5, sure_m=0.1), {"rig": SMALL.to_json(), "least_confidence_of_people": 0.9})
     for number, words in enumerate(runs):
         if number == 2:  # what was a person is a thing
-            unsure = Trained(Places(0, 5, sure_m=0.1), {"rig": SMALL.to_json(), "least_confidence_of_people": 0.9})
             monkeypatch.setattr(segment, "load_run", lambda run: unsure)
         out = tmp_path / str(number)
         assert cli.main(["segment", *map(str, words), "--out", str(out)]) == 0
