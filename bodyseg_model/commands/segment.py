@@ -224,8 +224,8 @@ def _remarks(
         lines.append(f"{len(recording.skipped)} frames could not be read: skipped in summary.json lists them")
     if summary.things:
         lines.append(
-            f"{summary.things / frames:.2g} things a frame that look like people got no label, as the network doubts them: "
-            "--keep-things labels them, too"
+            f"{summary.things / frames:.2g} things a frame that look like people got no label, as the network doubts "
+            "them: --keep-things labels them, too"
         )
     if options.turned == "auto":
         lines.append(f"--turned auto: {recording.turned_deg}")

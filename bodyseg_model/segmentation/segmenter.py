@@ -18,7 +18,7 @@ from bodyseg_data.rigs import Camera, Rig, load_rig
 from bodyseg_model.networks import Network, device_of, predict_each
 from bodyseg_model.runtimes import on_backend
 from bodyseg_model.segmentation.carried_labels import CarriedLabels
-from bodyseg_model.segmentation.finder import Background, Found, find_bodies, shipped_finder
+from bodyseg_model.segmentation.finder import Background, Found, find_bodies, part_people, shipped_finder
 from bodyseg_model.segmentation.joints import found_joints
 from bodyseg_model.segmentation.persons import Records, labelled_points, measured_parts, person_image
 from bodyseg_model.segmentation.views import BodyView, compile_views_ahead, usual_views, view_body, view_frame
@@ -284,6 +284,8 @@ class Segmenter:
         rows, columns = self._upright.rows, self._upright.columns
         room = np.full((rows, columns), self.background.far_m, np.float32)
         find_bodies(room, self._upright, self.background, self.finder)
+        if self.finder is not None:
+            part_people(room, room > 0, self._upright)
         view_body(np.full_like(room, self.rig.stand_off_m), np.arange(1), self._upright, self.rig, self.mirrored)
         for views in usual_views(self.rig, self._network.together):
             predict_each(self._network, views)

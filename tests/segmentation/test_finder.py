@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_data.rigs import Camera
+from bodyseg_model.networks import build
+from bodyseg_model.runtimes import on_backend
 from bodyseg_model.segmentation import Background, find_bodies
 from bodyseg_model.segmentation.finder import FinderView, _scipy, part_people
 
@@ -129,6 +131,15 @@ def test_silhouettes_stay_clean(focal_px: float) -> None:
 def test_what_is_no_finder() -> None:
     with pytest.raises(BadConfig, match="^a finder of people needs 2 classes and the setting focal_px, found 33 class"):
         find_bodies(frame(person(0.0, 2.5)), KINECT, Background(), Places(0, 5))
+
+
+def test_a_finder_stays_one_on_another_backend() -> None:
+    pytest.importorskip("onnxruntime")
+    settings = {"patch": 8, "widths": [8], "blocks": [0], "context": False, "focal_px": 262.5, "classes": 2}
+    network = build("compact", settings, seed=1).eval()
+    image = frame(person(0.1, 2.6), box(9, 9, 4.0))
+    one, other = (FinderView(on_backend(network, name), KINECT)(image) for name in ("torch", "onnxruntime"))
+    np.testing.assert_allclose(one, other, atol=1e-3)
 
 
 # Who is who.
