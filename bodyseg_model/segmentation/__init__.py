@@ -8,7 +8,7 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_model.segmentation.carried_labels import CarriedLabels
-    from bodyseg_model.segmentation.finder import Background, BackgroundMode, find_bodies, shipped_finder
+    from bodyseg_model.segmentation.finder import Background, BackgroundMode, find_bodies
     from bodyseg_model.segmentation.frame_labeller import (
         TURNED_HELP,
         FrameLabeller,

@@ -18,52 +18,34 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadConfig
 from bodyseg_data.machine import missing_library
 from bodyseg_data.rigs import Camera
-from bodyseg_model.networks import SHIPPED, Network, Trained, check_network, device_of, load_network, predict
+from bodyseg_model.networks import FINDER, Network, Trained, check_network, device_of, load_network, predict
 
 BackgroundMode = Literal["people", "limits", "keep", "frame"]
 
-PERSON: Final = 0
-"""The finder's class of people, of two."""
+_PERSON: Final = 0  # of the finder's two classes
+_JUMP_M: Final = 0.1  # greatest difference of range between neighbours on one surface
+_JUMP_SHARE: Final = 0.04  # the same beyond 2.5 m: sensors are coarser at a distance
+_GAP_M: Final = 0.2  # widest gap that parts no surface: an arm's shadow falls on the trunk
 
-BODY_AREA_M2: Final = 0.05
-"""Least visible surface of a person, square metres, as if it faced the camera."""
+_BODY_M2: Final = 0.05  # least visible surface of a person, as all areas as if it faced the camera
+_BODY_M: Final = (0.3, 3.0)  # least height of a person, and greatest width, height and depth
+_LOOSE_M2: Final = 0.12  # less, such as a forearm with its hand, joins a person beside whom it is
+_LOOSE_M: Final = 1.0  # greatest width, height and depth of such a piece
+_REACH_M: Final = (0.6, 0.3)  # before a person and behind: of a stretched arm only the hand may be seen
+_BESIDE_M: Final = 0.1  # from the person's box in the image
+_BELOW_M: Final = (0.35, 2.1)  # greatest distance in range, and height in all, of a person in two parts
 
-BODY_HEIGHT_M: Final = 0.3
-"""Least height of a person, metres; less of one cannot be recognised."""
-
-BODY_EXTENT_M: Final = 3.0
-"""Greatest width, height or depth of a person, metres."""
-
-LOOSE_AREA_M2: Final = 0.12
-"""Pieces smaller than this, such as a forearm with its hand, join a person whom they overlap in the image, if within
-reach; square metres."""
-
-REACH_M: Final = (0.6, 0.3)
-"""Greatest distance of a small piece in front of a person and behind, metres, that may still belong to it: of an arm
-stretched towards the camera or behind the trunk, only the hand may be seen."""
-
-GAP_M: Final = 0.2
-"""Widest gap or shadow, metres, that parts no surface: an arm's shadow falls on the trunk."""
-
-JUMP_M: Final = 0.1
-"""Greatest difference of range between neighbours on one surface, metres."""
-
-JUMP_SHARE: Final = 0.04
-"""The same beyond 2.5 m, as a share of the range: sensors are coarser at a distance."""
-
-_STEP_RAD: Final = 3 / 525  # between neighbours of the grid on which people are parted
-_EDGE_M: Final = 0.02  # jumps of more part people who touch, and as much again every 3.3 m
-_LEVEL_M: Final = 0.1
+_STEP_RAD: Final = 3 / 525  # between samples
+_OWN_M2: Final = 0.1  # least surface of each of several people in one piece
+_EDGE_M: Final = 0.02  # jumps of more, and of 0.3 as much again a metre of range, part people who touch
+_ACROSS_EDGES: Final = 60.0  # lengthens a way along the surface by this many times the jumps on it
 _COARSE_M: Final = 0.018  # between samples among which heads are looked for
+_LEVEL_M: Final = 0.1
 _HEAD: Final = (0.08, 0.015, 0.11)  # least height, area and mean width of a head, metres
 _NEW_M2: Final = 0.002  # least surface at which a top begins
+_APART_M2: Final = 0.06  # least surface of what meets no other
+_FREE_M: Final = 0.05  # half the width over a top in which there is nothing else
 _CROSS: Final = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.bool_)
-_FREE_M: Final = 0.05
-_APART_M2: Final = 0.06
-_OWN_M2: Final = 0.1  # least surface of each of several people in one piece
-_ACROSS_EDGES: Final = 60.0  # lengthens a way along the surface by this many times the jumps on it
-_BESIDE_M: Final = 0.1  # greatest distance of a loose piece from the box of a person's in the image
-_BELOW_M: Final = (0.35, 2.1)  # greatest distance in range, and height in all, of a person in two parts
 
 Pixels = NDArray[np.intp]
 Floats = NDArray[np.float64]
@@ -128,7 +110,7 @@ def find_bodies(
 @cache
 def shipped_finder() -> Trained:
     """The finder that ships with the package."""
-    return load_network(SHIPPED.with_name("finder.safetensors"))
+    return load_network(FINDER)
 
 
 # What the finder sees.
@@ -137,7 +119,7 @@ def shipped_finder() -> Trained:
 class FinderView:
     """Shows a finder the frames of a camera, and brings its answers back to their pixels.
 
-    network: of two classes, `PERSON` and none, with the setting `focal_px`: the focal length, pixels, of the camera
+    network: of two classes, person and none, with the setting `focal_px`: the focal length, pixels, of the camera
     whose images it was trained on, with the principal point in their middle. A frame is resampled to that camera by
     nearest pixels, but for one that would be shifted by no more than a pixel anywhere. Raises BadConfig for another.
     """
@@ -163,7 +145,7 @@ class FinderView:
         seen = range_m if self._same else np.pad(range_m, ((0, 1), (0, 1)))[np.ix_(*self._there)]
         image = torch.from_numpy(np.ascontiguousarray(seen))[None, None].to(device_of(self._network))
         labels, confidence = (answer[0].cpu().numpy() for answer in predict(self._network, image))
-        found: NDArray[np.float32] = np.where(labels == PERSON, confidence, 1 - confidence)
+        found: NDArray[np.float32] = np.where(labels == _PERSON, confidence, 1 - confidence)
         if self._same:
             found[range_m == 0] = 0
             return found
@@ -213,7 +195,7 @@ def _nearest_in_range(
 
 def jump_m(range_m: NDArray[Any]) -> NDArray[Any]:
     """Greatest difference between neighbours of one surface, metres, of the type of `range_m`."""
-    return np.maximum(range_m * range_m.dtype.type(JUMP_SHARE), range_m.dtype.type(JUMP_M))
+    return np.maximum(range_m * range_m.dtype.type(_JUMP_SHARE), range_m.dtype.type(_JUMP_M))
 
 
 # People apart.
@@ -294,11 +276,11 @@ def _sampled(grid: NDArray[np.float32], first: tuple[float, float], step: int, f
 
 
 def _neighbours(line: Pixels, place: Pixels, z: Floats, step: float) -> Pixels:
-    """Pairs of samples, [2, M], that follow each other in a line with one surface between: at most `GAP_M` apart, or
+    """Pairs of samples, [2, M], that follow each other in a line with one surface between: at most `_GAP_M` apart, or
     one sample missing. step: between samples, metres at 1 m.
     """
     apart, nearer = np.diff(place) - 1, np.minimum(z[1:], z[:-1])
-    close = (apart <= 1) | (apart * step * nearer <= GAP_M)
+    close = (apart <= 1) | (apart * step * nearer <= _GAP_M)
     before = np.flatnonzero((line[1:] == line[:-1]) & close & (np.abs(np.diff(z)) <= jump_m(nearer)))
     return np.stack([before, before + 1])
 
@@ -330,7 +312,7 @@ def _nearest_heads(samples: _Samples) -> Pixels:
     whose = np.zeros(len(z), np.intp)
     if np.ptp(samples.columns) < 0.3 * a_metre:
         return whose
-    edge_m = _EDGE_M + 0.3 * _EDGE_M * float(np.median(z))
+    edge_m = _EDGE_M * (1 + 0.3 * float(np.median(z)))
     heads = _heads(samples, edge_m)
     if len(heads) < 2:
         return whose
@@ -398,12 +380,13 @@ def _persons(samples: _Samples, pieces: tuple[Pixels, Mask]) -> Pixels:
     placed = np.column_stack([samples.rows, samples.columns, samples.points])[order]
     lowest, highest = np.minimum.reduceat(placed, starts), np.maximum.reduceat(placed, starts)
     area_m2, beside = np.bincount(piece, samples.area_m2), _BESIDE_M * samples.a_metre
+    extents = (highest - lowest)[:, 2:].max(axis=1)
+    loose = ~cut & (area_m2 < _LOOSE_M2) & (extents <= _LOOSE_M)
     person, bodies = np.full(len(cut), -1), list[tuple[Floats, Floats]]()
     for number in np.argsort(-area_m2, kind="stable"):
         low, high = lowest[number], highest[number]
-        height, extent = high[3] - low[3], (high - low)[2:].max()
-        too_small = area_m2[number] < BODY_AREA_M2 or height < BODY_HEIGHT_M
-        if person[number] >= 0 or too_small or extent > BODY_EXTENT_M:
+        too_small = area_m2[number] < _BODY_M2 or high[3] - low[3] < _BODY_M[0]
+        if person[number] >= 0 or too_small or extents[number] > _BODY_M[1]:
             continue
         below = [] if cut[number] else [whose for whose, box in enumerate(bodies) if _one_above_other((low, high), box)]
         if below:
@@ -412,8 +395,8 @@ def _persons(samples: _Samples, pieces: tuple[Pixels, Mask]) -> Pixels:
         count = person[number] = len(bodies)
         bodies.append((low, high))
         overlaps = ((highest[:, :2] >= low[:2] - beside) & (lowest[:, :2] <= high[:2] + beside)).all(axis=1)
-        near = (lowest[:, 4] >= low[4] - REACH_M[0]) & (highest[:, 4] <= high[4] + REACH_M[1])
-        person[(person < 0) & (area_m2 < LOOSE_AREA_M2) & ~cut & overlaps & near] = count
+        near = (lowest[:, 4] >= low[4] - _REACH_M[0]) & (highest[:, 4] <= high[4] + _REACH_M[1])
+        person[loose & (person < 0) & overlaps & near] = count
     return person[piece]
 
 
