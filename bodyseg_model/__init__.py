@@ -33,7 +33,6 @@ __all__ = [
     "predict",
     "realsense",
     "recipe_for",
-    "shipped_score",
     "to_metres",
     "train",
     "wrapped",
@@ -46,7 +45,7 @@ if TYPE_CHECKING:
     from bodyseg_model.networks import Network, Trained, load_network, predict, wrapped
     from bodyseg_model.recordings import LiveRecording, frame_camera, open_recording, orbbec, realsense, to_metres
     from bodyseg_model.runtimes import on_backend, write_onnx
-    from bodyseg_model.segmentation import JOINTS, Background, FrameLabeller, Segmenter, shipped_score
+    from bodyseg_model.segmentation import JOINTS, Background, FrameLabeller, Segmenter
     from bodyseg_model.training import Recipe, RunOptions, Validation, recipe_for, train
 else:
     __getattr__, __dir__, _ = lazy_door(__name__)

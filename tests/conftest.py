@@ -163,6 +163,18 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(before)
 
 
+@pytest.fixture
+def near_is_person(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is nearer than 3.5 m is a person, for whoever asks the finder that ships."""
+    from label_networks import Nearer
+
+    from bodyseg_model.networks import Trained
+    from bodyseg_model.segmentation import finder, frame_labeller, segmenter
+
+    for module in (finder, frame_labeller, segmenter):
+        monkeypatch.setattr(module, "shipped_finder", lambda: Trained(Nearer(), {"weights_sha256": "1"}))
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Callable[[str], Path]:
     """Give a folder of bodies or frames whose licences keep them out of the repository, as "real/kinect_v1".

@@ -72,20 +72,23 @@ class Options:
     mirrored: bool = option("frames show left for right, as some drivers give them", False)
     turned: Turned | None = option(f"{TURNED_HELP} (default: the rig's roll)", None)
     background: BackgroundMode | None = option(
-        "people: keep what is within the limits, on no large plane and of a body's size; limits: keep what is within "
-        "them, as one body; keep: keep all that was measured, as one body; frame: label whole frames as they stand "
-        "(default: people, or frame for a network of other classes than body parts)",
+        "people: find people within the limits; limits: keep what is within them, as one body; keep: keep all that was "
+        "measured, as one body; frame: label whole frames as they stand (default: people, or frame for a network of "
+        "other classes than body parts)",
         None,
     )
     video: bool = option("frames are a video: labels are steadied by those of the frames before", False)
-    keep_things: bool = option("label chairs, boxes and other things of a body's size like people", False)
+    finder: Path | None = option(
+        "network that finds people: a training's folder or a file (default: the shipped)", None
+    )
+    keep_things: bool = option("label whatever the finder takes for people, also where the network doubts it", False)
     near: float | None = option("the near limit, metres (default: 0.5)", None)
     far: float | None = option("the far limit, metres (default: 5)", None)
     confidence: float = option("give no label to pixels of less confidence, 0 to 1", 0.0)
     no_overlay: bool = option("write labels and summary alone: no overlay, preview.gif and legend.png", False)
     skip_unreadable: int = option("skip up to this many frames that cannot be read, and list them", 0)
     fps: float = option("frames per second of preview.gif", 10.0)
-    ahead: bool = option("find the next frame's surfaces while this one is labelled", False)
+    ahead: bool = option("find the people of the next frame while this one is labelled", False)
     threads: int | None = option("threads that compute the network on the processor (default: all)", None)
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
 
@@ -108,6 +111,7 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
         mirrored=options.mirrored,
         least_confidence=options.confidence,
         keep_things=options.keep_things,
+        finder=None if options.finder is None else load_run(options.finder),
         video=options.video,
         backend=options.backend,
         precision=options.precision or quick_precision(trained.network, options.backend, options.device),
@@ -220,8 +224,8 @@ def _remarks(
         lines.append(f"{len(recording.skipped)} frames could not be read: skipped in summary.json lists them")
     if summary.things:
         lines.append(
-            f"{summary.things / frames:.2g} things a frame got no label ({summary.doubted} of {summary.things} for low "
-            "confidence, the others for their shape): --keep-things labels them, too"
+            f"{summary.things / frames:.2g} things a frame that look like people got no label, as the network doubts "
+            "them: --keep-things labels them, too"
         )
     if options.turned == "auto":
         lines.append(f"--turned auto: {recording.turned_deg}")
@@ -245,7 +249,7 @@ def _remarks(
 
 def _confidence(summary: SequenceSummary) -> float:
     """Mean confidence of people; where nobody was found, 0 if the network doubted things, and 1 if it saw none."""
-    return summary.mean_confidence or float(not summary.doubted)
+    return summary.mean_confidence or float(not summary.things)
 
 
 def _too_near(summary: SequenceSummary, rig: Rig) -> list[str]:

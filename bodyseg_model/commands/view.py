@@ -54,7 +54,7 @@ class Options:
     mirrored: bool = option("frames: they show left for right, as some drivers give them", False)
     turned: Turned | None = option(f"frames: {TURNED_HELP} (default: the rig's roll)", None)
     background: BackgroundMode | None = option("frames: as for `segment`", None)
-    keep_things: bool = option("frames: label things of a body's size like people", False)
+    keep_things: bool = option("frames: as for `segment`", False)
     confidence: float = option("frames: give no label to pixels of less confidence, 0 to 1", 0.0)
 
 

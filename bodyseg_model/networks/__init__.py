@@ -17,7 +17,6 @@ if TYPE_CHECKING:
         Trained,
         confusion_file,
         load_network,
-        read_card,
         read_checkpoint,
         save_network,
         trained_network,

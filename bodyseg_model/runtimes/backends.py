@@ -83,7 +83,7 @@ def on_backend(network: Network, backend: BackendName | None = None, precision: 
     runtime = _runtime(name)
     check_precision(name, runtime.precisions, chosen)  # before the graph is made
     runtime.loaded()
-    return RuntimeNetwork(to_onnx(network), name, runtime, chosen)
+    return RuntimeNetwork(to_onnx(network, {"settings": network.settings}), name, runtime, chosen)
 
 
 def quick_precision(network: Network, backend: BackendName | None, device: str | None) -> Precision | None:

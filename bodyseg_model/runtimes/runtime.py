@@ -116,7 +116,9 @@ class RuntimeNetwork(Network):
     together = False  # a runtime prepares for every shape of its input that it has not met
 
     def __init__(self, model: OnnxModel, name: str, runtime: type[Runtime], precision: Precision) -> None:
-        super().__init__({}, model.facts.classes)
+        settings = model.card.get("settings")
+        focal_px = settings.get("focal_px") if isinstance(settings, dict) else None  # what a finder of people needs
+        super().__init__({"focal_px": focal_px} if focal_px else {}, model.facts.classes)
         check_precision(name, runtime.precisions, precision)
         self.output_stride = model.facts.output_stride
         self.model = model

@@ -8,6 +8,7 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_model.segmentation.carried_labels import CarriedLabels
+    from bodyseg_model.segmentation.finder import Background, BackgroundMode, find_bodies
     from bodyseg_model.segmentation.frame_labeller import (
         TURNED_HELP,
         FrameLabeller,
@@ -17,11 +18,9 @@ if TYPE_CHECKING:
     )
     from bodyseg_model.segmentation.joints import JOINTS
     from bodyseg_model.segmentation.output_folder import LABELS, OVERLAY, UNDISTORTED, FrameResults, OutputFolder
-    from bodyseg_model.segmentation.person_score import PersonScore, shipped_score
     from bodyseg_model.segmentation.pictures import Preview, draw_overlay
     from bodyseg_model.segmentation.segmenter import LabelledBody, Segmentation, Segmenter
     from bodyseg_model.segmentation.sequence_summary import STILL_M, Flicker, SequenceSummary, flicker
-    from bodyseg_model.segmentation.surfaces import Background, BackgroundMode, find_bodies
     from bodyseg_model.segmentation.views import view_body
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -16,13 +16,18 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadConfig, Stopwatch
 from bodyseg_data.labels import PART_CLASSES
 from bodyseg_data.rigs import Camera
-from bodyseg_model.networks import Trained, device_of, load_network
+from bodyseg_model.networks import CardWords, Trained, device_of, load_network
 from bodyseg_model.recordings import Frame, FrameCamera, FrameCameras, Pixels, Skipping, Stamp, find_frames, to_metres
 from bodyseg_model.runtimes import BackendName, Precision, backend_of, put_on_backend, to_device
 from bodyseg_model.segmentation.carried_labels import CarriedLabels
-from bodyseg_model.segmentation.person_score import shipped_score
-from bodyseg_model.segmentation.segmenter import FoundSurfaces, Segmentation, Segmenter
-from bodyseg_model.segmentation.surfaces import Background
+from bodyseg_model.segmentation.finder import Background, shipped_finder
+from bodyseg_model.segmentation.segmenter import (
+    LEAST_CONFIDENCE,
+    FoundBodies,
+    Segmentation,
+    Segmenter,
+    least_confidence_of_people,
+)
 from bodyseg_model.segmentation.views import Undistortion
 
 _READ: Final = "read"
@@ -63,25 +68,26 @@ class LabelledFrame(Segmentation):
 
 
 Found = Callable[[], LabelledFrame]
-"""Labels a frame whose surfaces are found: all is done that may be while the frame before it is labelled."""
+"""Labels a frame whose bodies are found: all is done that may be while the frame before it is labelled."""
 
 
 class FrameLabeller:
     """Labels frames of any range sensor: recordings (`recording`), streams of arrays (`stream`), or one array (a call).
 
-    A frame is undistorted, its surfaces are found, what may be people is resampled for the network and labelled, and
-    labels mapped back (`Segmenter`, one for each camera). Shape and confidence tell people from things.
+    A frame is undistorted, people in it are found, each is resampled for the network and labelled, and labels mapped
+    back (`Segmenter`, one for each camera). People whose labels the network doubts are things, which get none: those of
+    less mean confidence than its card says (`least_confidence_of_people`).
 
     trained: the network with its card, by default the one that ships. background: rule for removing the background, by
     default `Background()`, and for a network of other classes than body parts `Background("frame")`. mirrored: True if
     frames show left for right, as those of some drivers do. least_confidence: pixels of less get no label. keep_things:
-    label chairs, boxes and other things of a body's size like people. video: frames follow each other in time, and
-    labels are steadied by those of the frames before. backend, precision: what computes the network (`on_backend`; by
-    default torch in float32). flip_average: label the mirror image, too, and average. device: "cpu", "cuda", "cuda:1"
-    ..., by default a GPU if there is one. turned: degrees by which the camera was mounted turned clockwise, as seen
-    from behind it: 0; 90, heads point left in its frames; 180, down; 270, right; "auto", the turn at which the network
-    is surest of a person in the first frames with people; by default the roll of the frames' camera. Frames are
-    turned upright before they are labelled, and labels back.
+    label these things, too. finder: the network that finds people, by default the one that ships. video: frames follow
+    each other in time, and labels are steadied by those of the frames before. backend, precision: what computes the
+    network (`on_backend`; by default torch in float32). flip_average: label the mirror image, too, and average. device:
+    "cpu", "cuda", "cuda:1" ..., by default a GPU if there is one. turned: degrees by which the camera was mounted
+    turned clockwise, as seen from behind it: 0; 90, heads point left in its frames; 180, down; 270, right; "auto", the
+    turn at which the network is surest of a person in the first frames with people; by default the roll of the frames'
+    camera. Frames are turned upright before they are labelled, and labels back.
 
     Raises BadConfig for a confidence outside 0 to 1 as soon as a camera is known, for another turn, or as `on_backend`
     and `to_device`; MissingLibrary.
@@ -95,6 +101,7 @@ class FrameLabeller:
         mirrored: bool = False,
         least_confidence: float = 0.0,
         keep_things: bool = False,
+        finder: Trained | None = None,
         video: bool = False,
         backend: BackendName | None = None,
         precision: Precision | None = None,
@@ -111,7 +118,11 @@ class FrameLabeller:
         self.background = background or Background("people" if of_parts else "frame")
         self.mirrored, self.least_confidence = mirrored, least_confidence
         self.video = CarriedLabels() if video else None
-        self._people = None if keep_things else shipped_score(self.trained.card)
+        self._finder: Trained | None = None
+        if self.background.mode == "people":
+            self._finder = put_on_backend(finder or shipped_finder(), backend, precision)
+            to_device(self._finder.network, device)
+        self._doubted_below = 0.0 if keep_things else least_confidence_of_people(self.trained.card)
         self._turned, self._judged = turned, 0
         self._looked_at, self._confidence = 0, np.zeros(4)  # of each turn, the sum over judged frames
         self._segmenters = lru_cache(maxsize=_KEPT)(self._new_segmenter)
@@ -155,8 +166,9 @@ class FrameLabeller:
                 self.background,
                 self.mirrored,
                 rig=self.rig,
-                people=self._people,
+                doubted_below=self._doubted_below,
                 turned=quarters,
+                finder=self._finder and self._finder.network,
             )(range_m)
             surest[quarters] = max((float(body.confidence.mean()) for body in answer.bodies), default=0.0)
         self._looked_at += 1
@@ -173,10 +185,11 @@ class FrameLabeller:
             self.mirrored,
             self.least_confidence,
             self.rig,
-            self._people,
+            self._doubted_below,
             self.video,
             quarters,
             self.label_map,
+            self._finder and self._finder.network,
         )
 
     def __call__(self, range_m: NDArray[np.float32], camera: Camera) -> LabelledFrame:
@@ -216,7 +229,7 @@ class FrameLabeller:
 
         frames: float32 [H, W], metres, 0 = nothing measured; they may never end. camera: that takes them, with or
         without lens distortion. Before the first frame is asked for, compiled loops are loaded and usual views are
-        labelled. ahead: a thread asks for the next frame and finds its surfaces while this one is labelled; the same
+        labelled. ahead: a thread asks for the next frame and finds its people while this one is labelled; the same
         answers in the same order, more of them a second where a processor is free. Each frame then is an array of its
         own, which no driver writes into again. Raises BadConfig as a call, naming the frame by its number.
         """
@@ -266,10 +279,13 @@ class FrameLabeller:
 
     def to_json(self) -> dict[str, Any]:
         """Settings that labels depend on besides network and frames, as plain JSON."""
-        people = self._people if self.background.mode == "people" else None
         return {
             "background": self.background.to_json(),
-            "person_score": people and {"cutoff": people.cutoff, "by_confidence": people.by_confidence},
+            "finder": self._finder
+            and {
+                CardWords.WEIGHTS_SHA256: self._finder.card.get(CardWords.WEIGHTS_SHA256),
+                LEAST_CONFIDENCE: self._doubted_below,
+            },
             "rig": self.rig.to_json(),
             "least_confidence": self.least_confidence,
             "video": None if self.video is None else asdict(self.video.carrying),
@@ -362,7 +378,7 @@ class LabelledRecording:
     def _find(
         self, number: int, read: Callable[[Frame], Pixels | None], prepare: bool = False, stamps: bool = False
     ) -> Found | None:
-        """Read a frame and find its surfaces; None for one that cannot be read and is skipped."""
+        """Read a frame and find its people; None for one that cannot be read and is skipped."""
         watch, frame = Stopwatch((_READ,)), self.frames[number]
         with watch(_READ):
             pixels = read(frame)
@@ -412,9 +428,9 @@ def _naming_frame(where: str) -> Iterator[None]:
 
 
 def _label_found(
-    where: str, segmenter: Segmenter, found: FoundSurfaces, read_ms: float, **of_frame: Any
+    where: str, segmenter: Segmenter, found: FoundBodies, read_ms: float, **of_frame: Any
 ) -> LabelledFrame:
-    """Label the surfaces of a frame. of_frame: other fields of the answer. Raises BadConfig, naming it."""
+    """Label the bodies of a frame. of_frame: other fields of the answer. Raises BadConfig, naming it."""
     with _naming_frame(where):
         answer = segmenter.label(found)
     times = {_READ: read_ms, **answer.milliseconds}

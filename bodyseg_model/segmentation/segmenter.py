@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Final
@@ -18,13 +18,24 @@ from bodyseg_data.rigs import Camera, Rig, load_rig
 from bodyseg_model.networks import Network, device_of, predict_each
 from bodyseg_model.runtimes import on_backend
 from bodyseg_model.segmentation.carried_labels import CarriedLabels
+from bodyseg_model.segmentation.finder import Background, Found, find_bodies, part_people, shipped_finder
 from bodyseg_model.segmentation.joints import found_joints
-from bodyseg_model.segmentation.person_score import PersonScore, SeenShape
 from bodyseg_model.segmentation.persons import Records, labelled_points, measured_parts, person_image
-from bodyseg_model.segmentation.surfaces import Background, find_bodies
 from bodyseg_model.segmentation.views import BodyView, compile_views_ahead, usual_views, view_body, view_frame
 
-STAGES: Final = ("background", "shape", "resample", "network", "back", "video")
+STAGES: Final = ("find", "resample", "network", "back", "video")
+
+
+LEAST_CONFIDENCE: Final = "least_confidence_of_people"
+"""Entry of a network's card: of bodies whose labels have less mean confidence it doubts that they are people."""
+
+
+def least_confidence_of_people(card: Mapping[str, Any]) -> float:
+    """That entry, 0 for a card without one. Raises BadConfig for a value that is none from 0 to 1."""
+    least = card.get(LEAST_CONFIDENCE, 0.0)
+    if isinstance(least, bool) or not isinstance(least, (int, float)) or not 0 <= least <= 1:
+        raise BadConfig(f"a network's card: {LEAST_CONFIDENCE} must be a number from 0 to 1, found {least!r}")
+    return float(least)
 
 
 @dataclass(frozen=True)
@@ -32,7 +43,7 @@ class LabelledBody:
     """One body of a frame. pixels: int64 [N], row * columns + column, ascending. confidence: float32 [N].
 
     median_range_m, turn_rad, scale: its median range, and rotation and scale of its view for the network (`BodyView`).
-    person: its score as a person, 0 to 1 (`PersonScore`); None if nobody asked.
+    person: mean probability over its pixels that they show a person, 0 to 1, by the finder; None if none was asked.
     """
 
     pixels: NDArray[np.intp] = field(repr=False)
@@ -45,24 +56,22 @@ class LabelledBody:
 
 @dataclass(frozen=True)
 class Thing:
-    """A surface of a body's size that is no person. pixels: as of `LabelledBody`. median_range_m: of the pixels.
-
-    person: its score as a person, 0 to 1 (`PersonScore`). mean_confidence: of the network that labels people; None if
-    the shape alone left no doubt, and the network was not asked.
+    """What the finder takes for a person, and the network that labels people doubts: a thing. pixels, median_range_m,
+    person: as of `LabelledBody`. mean_confidence: of the network's labels.
     """
 
     pixels: NDArray[np.intp] = field(repr=False)
     median_range_m: float
     person: float
-    mean_confidence: float | None = None
+    mean_confidence: float
 
 
 @dataclass(frozen=True)
 class Segmentation:
     """Labels of a frame, uint8 [H, W], the network's classes on bodies, 255 elsewhere; its bodies, the largest first;
     and the time of each of `STAGES`, milliseconds. range_m: the frame, float32 [H, W], metres, without lens distortion,
-    0 = nothing measured. camera: of `range_m`. things: surfaces of a body's size that are no person, which have no
-    labels. mirrored: the frame shows left for right. label_map: the classes, where they are known.
+    0 = nothing measured. camera: of `range_m`. things: what looked like people and is none, without labels. mirrored:
+    the frame shows left for right. label_map: the classes, where they are known.
     """
 
     labels: NDArray[np.uint8] = field(repr=False)
@@ -112,20 +121,14 @@ class Segmentation:
         return found_joints(self, self.label_map)
 
 
-FoundBody = tuple[NDArray[np.intp], SeenShape | None, BodyView]
-"""A body before a network has labelled it: pixels as of `LabelledBody`, shape, and what the network sees."""
-
-
 @dataclass(frozen=True)
-class FoundSurfaces:
-    """The surfaces of a frame that have a body's size, the largest first: bodies may be people, things are none by
-    their shape alone. range_m: the frame, turned upright, float32 [H, W], metres; pixels are of it. milliseconds: of
-    each of `STAGES` so far.
+class FoundBodies:
+    """The bodies of a frame, the largest first, each with what the network sees of it. range_m: the frame, turned
+    upright, float32 [H, W], metres; pixels are of it. milliseconds: of each of `STAGES` so far.
     """
 
     range_m: NDArray[np.float32] = field(repr=False)
-    bodies: tuple[FoundBody, ...]
-    things: tuple[Thing, ...]
+    bodies: tuple[tuple[Found, BodyView], ...]
     milliseconds: dict[str, float]
 
 
@@ -154,9 +157,10 @@ class Segmenter:
     network: in evaluation mode, on any backend (`on_backend`); frames are moved to its device. camera: that took the
     frames, which must be without lens distortion (`Undistortion`). background: rule for removing the background, by
     default `Background()`. mirrored: True if frames show left for right, as those of some drivers do. least_confidence:
-    pixels of less get no label. rig: that the network was trained for, by default the paper's. people: the score by
-    which surfaces of a body's size are people or things, in the background mode "people" (`shipped_score`); None to
-    label all of them. video: carries evidence from frame to frame of a recording, whose frames must then come in order
+    pixels of less get no label. rig: that the network was trained for, by default the paper's. doubted_below: of the
+    people that the finder finds, in the background mode "people", those whose labels have less mean confidence are
+    things (`least_confidence_of_people`). finder: the network that finds people in that mode, by default the one that
+    ships. video: carries evidence from frame to frame of a recording, whose frames must then come in order
     (`CarriedLabels`); None to label each alone. turned: right angles by which the camera was mounted turned clockwise,
     as seen from behind it: frames are turned clockwise by as many before they are labelled, and labels back. label_map:
     the network's classes; by default the 33 parts for a network of 33. Raises BadConfig for a confidence outside 0 to 1
@@ -171,10 +175,11 @@ class Segmenter:
         mirrored: bool = False,
         least_confidence: float = 0.0,
         rig: Rig | None = None,
-        people: PersonScore | None = None,
+        doubted_below: float = 0.0,
         video: CarriedLabels | None = None,
         turned: int = 0,
         label_map: LabelMap | None = None,
+        finder: Network | None = None,
     ) -> None:
         if not 0 <= least_confidence <= 1:
             raise BadConfig(f"a confidence must be 0 to 1, found {least_confidence:g}")
@@ -186,9 +191,11 @@ class Segmenter:
         self.turned, self._upright = turned % 4, camera.turned(turned)
         self.background = background or Background()
         self.rig = rig or load_rig()
-        self.people = people if self.background.mode == "people" else None
         self.video = video
         self._network = on_backend(network)
+        finds = self.background.mode == "people"
+        self.doubted_below = doubted_below if finds else 0.0
+        self.finder = on_backend(finder or shipped_finder().network) if finds else None
         self.label_map = label_map or (PARTS33 if network.classes == PART_COUNT else None)
         self.device = device_of(network)
         self._prepared = False
@@ -204,11 +211,11 @@ class Segmenter:
         """
         return self.label(self.find(range_m))
 
-    def find(self, range_m: NDArray[np.float32]) -> FoundSurfaces:
-        """Find the surfaces of a frame that the network is to label: all that is done before the network.
+    def find(self, range_m: NDArray[np.float32]) -> FoundBodies:
+        """Find the bodies of a frame that the network is to label: all that is done before the network.
 
-        range_m: as of a call. Keeps nothing from frame to frame, so that another thread may find the surfaces of the
-        next frame while this one's are labelled. Raises BadConfig for a frame of another size than the camera's, or a
+        range_m: as of a call. Keeps nothing from frame to frame, so that another thread may find those of the next
+        frame while this one's are labelled. Raises BadConfig for a frame of another size than the camera's, or a
         body too large for a view.
         """
         if range_m.shape != (self.camera.rows, self.camera.columns):
@@ -216,30 +223,18 @@ class Segmenter:
                 f"a frame must have the camera's size, {self.camera.rows} x {self.camera.columns}, "
                 f"found {' x '.join(map(str, range_m.shape))}"
             )
-        watch, threads, camera = Stopwatch(STAGES), torch.get_num_threads(), self._upright
-        with watch("background"):
+        watch, camera = Stopwatch(STAGES), self._upright
+        with watch("find"):
             range_m = turned_image(range_m, self.turned)
-            surfaces = find_bodies(range_m, camera, self.background, threads)
-        people: list[tuple[NDArray[np.intp], SeenShape | None]] = [(pixels, None) for pixels in surfaces]
-        things: list[Thing] = []
-        if self.people is not None:
-            score, people = self.people, []
-            with watch("shape"):
-                shapes = of_each(lambda pixels: score.seen(pixels, range_m, camera), surfaces, threads)
-                for pixels, shape in zip(surfaces, shapes, strict=True):
-                    if score.rules_out(shape):
-                        things.append(Thing(pixels, float(np.median(range_m.ravel()[pixels])), score(shape)))
-                    else:
-                        people.append((pixels, shape))
+            bodies = find_bodies(range_m, camera, self.background, self.finder)
         with watch("resample"):
             resample = partial(view_body, range_m, camera=camera, rig=self.rig, mirrored=self.mirrored)
             if self.background.mode == "frame":
                 resample = partial(view_frame, range_m, mirrored=self.mirrored)
-            views = of_each(resample, [pixels for pixels, _ in people], threads)
-        bodies = tuple((pixels, shape, view) for (pixels, shape), view in zip(people, views, strict=True))
-        return FoundSurfaces(range_m, bodies, tuple(things), watch.milliseconds)
+            views = of_each(resample, [body.pixels for body in bodies], torch.get_num_threads())
+        return FoundBodies(range_m, tuple(zip(bodies, views, strict=True)), watch.milliseconds)
 
-    def label(self, found: FoundSurfaces) -> Segmentation:
+    def label(self, found: FoundBodies) -> Segmentation:
         """Label the bodies of a frame; those whose labels the network doubts too much for people are things, too.
 
         With `video`, frames must come in order.
@@ -248,18 +243,16 @@ class Segmenter:
         watch.milliseconds.update(found.milliseconds)
         labels = np.full(range_m.shape, BACKGROUND, np.uint8)
         bodies: list[LabelledBody] = []
-        things = list(found.things)
+        things: list[Thing] = []
         with watch("network"):
-            answers = predict_each(self._network, [view.range_m for _, _, view in found.bodies])
+            answers = predict_each(self._network, [view.range_m for _, view in found.bodies])
         with watch("back"):
-            for (pixels, shape, view), (view_labels, view_confidence) in zip(found.bodies, answers, strict=True):
-                confidence, person = view.back(view_confidence), None
-                if self.people is not None and shape is not None:
-                    mean = float(confidence.mean(dtype=np.float64))
-                    person = self.people(shape, mean)
-                    if person < self.people.cutoff:
-                        things.append(Thing(pixels, view.median_range_m, person, mean))
-                        continue
+            for ((pixels, person), view), (view_labels, view_confidence) in zip(found.bodies, answers, strict=True):
+                confidence = view.back(view_confidence)
+                mean = float(confidence.mean(dtype=np.float64))
+                if person is not None and mean < self.doubted_below:
+                    things.append(Thing(pixels, view.median_range_m, person, mean))
+                    continue
                 labels.ravel()[pixels] = view.back(view_labels)
                 bodies.append(LabelledBody(pixels, view.median_range_m, view.turn_rad, view.scale, confidence, person))
         if self.video is not None:
@@ -290,10 +283,9 @@ class Segmenter:
         self._prepared = True
         rows, columns = self._upright.rows, self._upright.columns
         room = np.full((rows, columns), self.background.far_m, np.float32)
-        room[rows // 4 : 3 * rows // 4, 3 * columns // 8 : 5 * columns // 8] /= 2  # of a body's size for most cameras
-        for pixels in find_bodies(room, self._upright, self.background, torch.get_num_threads()):
-            if self.people is not None:
-                self.people.seen(pixels, room, self._upright)
+        find_bodies(room, self._upright, self.background, self.finder)
+        if self.finder is not None:
+            part_people(room, room > 0, self._upright)
         view_body(np.full_like(room, self.rig.stand_off_m), np.arange(1), self._upright, self.rig, self.mirrored)
         for views in usual_views(self.rig, self._network.together):
             predict_each(self._network, views)

@@ -129,13 +129,8 @@ class SequenceSummary:
 
     @property
     def things(self) -> int:
-        """Surfaces of a body's size in all frames together that are no person."""
+        """What looked like people in all frames together and is none."""
         return sum(len(frame["things"]) for frame in self._frames)
-
-    @property
-    def doubted(self) -> int:
-        """Of `things`, those that were labelled, and whose labels the network doubted."""
-        return sum(thing["mean_confidence"] is not None for frame in self._frames for thing in frame["things"])
 
     @property
     def mean_confidence(self) -> float | None:
@@ -162,7 +157,6 @@ class SequenceSummary:
             "frames_with_people": sum(frame["people"] > 0 for frame in self._frames),
             "people": self.people,
             "things": self.things,
-            "things_doubted": self.doubted,
             "pixels": sum(frame["pixels"] for frame in self._frames),
             "labelled": sum(frame["labelled"] for frame in self._frames),
             "mean_confidence": _rounded(self.mean_confidence),

@@ -25,7 +25,6 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.machine import compile_ahead
 from bodyseg_data.rigs import Camera, Rig, load_rig
 from bodyseg_data.samples import FARTHEST_STEPS
-from bodyseg_model.segmentation.surfaces import on_largest_plane
 
 LARGEST_SIDE: Final = 2048
 """Greatest side that a body's view may need, pixels: 6.7 m at the stand-off of the paper's rig."""
@@ -172,7 +171,7 @@ def _loops() -> Any:
 
 @cache
 def compile_views_ahead() -> None:
-    """Have another process compile the loops of planes, views and labels, while this one compiles other loops; once."""
+    """Have another process compile the loops of views and labels, while this one compiles other loops; once."""
     compile_ahead(_loops().fill_lost, _label_once)
 
 
@@ -180,7 +179,6 @@ def _label_once() -> None:
     from bodyseg_model.networks import label_pixels  # needs numba
 
     rig, image = load_rig(), np.ones((2, 2), np.float32)
-    on_largest_plane(image, np.arange(4), rig.camera)
     view_body(image, np.arange(1), rig.camera, rig)
     label_pixels(np.zeros((1, 1, 1, 2), np.float32), image[None], 2, np.zeros((1, 2, 2), np.uint8), image[None].copy())
 

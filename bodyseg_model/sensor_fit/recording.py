@@ -339,8 +339,8 @@ def _frame(
     else:
         upright = np.ascontiguousarray(np.rot90(range_m, -quarters))
         marked = np.zeros(upright.shape, np.bool_)
-        for pixels in find_bodies(upright, camera.turned(quarters), background):
-            marked.ravel()[pixels] = True
+        for found in find_bodies(upright, camera.turned(quarters), background):
+            marked.ravel()[found.pixels] = True
         body = np.ascontiguousarray(np.rot90(marked, quarters))
     return MarkedFrame(name, stored, range_m, body)
 

@@ -1,53 +1,15 @@
-"""Plain forms of the loops that label frames, in NumPy: of planes, and of the resampling of a body; and surfaces as an
-image.
-"""
+"""Plain forms of the loops that resample a body, in NumPy."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.rigs import Camera
-from bodyseg_model.segmentation.surfaces import TOLERANCE_PER_M, Surfaces
 from bodyseg_model.segmentation.views import Turn
 
 Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
-
-
-def connected_surfaces(range_m: Floats, focal_px: float) -> NDArray[np.int32]:
-    """The number of every pixel's surface by `Surfaces`, int32 [H, W], -1 where range is 0."""
-    rows, columns = range_m.shape
-    camera = Camera(rows, columns, focal_px, (columns / 2, rows / 2), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-    table = Surfaces(np.ascontiguousarray(range_m), camera)
-    numbers = np.full(range_m.shape, -1, np.int32)
-    for number in range(len(table.area_m2)):
-        numbers.ravel()[table.pixels_of(number)] = number
-    return numbers
-
-
-def plain_near_plane(range_m: Floats, pixels: Indices, camera: Camera, plane: Doubles) -> tuple[Mask, float]:
-    """As `room_planes._near_plane`."""
-    rows, columns = np.divmod(pixels, range_m.shape[1])
-    z, (across, down) = range_m.ravel()[pixels].astype(np.float64), camera.centre_px
-    a, b, c = plane[0] / camera.focal_px, plane[1] / camera.focal_px, plane[2]
-    inverse = (columns + 0.5 - across) * a + ((rows + 0.5 - down) * b + c)
-    near = np.abs(inverse * z - 1) <= TOLERANCE_PER_M * z
-    return near, float(np.cumsum(z[near] * z[near] * z[near])[-1])
-
-
-def plain_best_candidate(judges: Doubles, corners: Doubles) -> Doubles:
-    """As `room_planes._best_candidate`, where a candidate explains a judge."""
-    surface = np.zeros(len(corners))
-    a, b, c = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).T
-    offsets = a * corners[:, 0, 0] + b * corners[:, 0, 1] + c * corners[:, 0, 2]
-    for x, y, inverse in judges:
-        away = x * a + y * b + inverse * c - offsets
-        surface += np.where(np.abs(away) < TOLERANCE_PER_M * np.abs(c), np.square(1 / inverse), 0.0)
-    best = int(np.argmax(surface))
-    return np.array([-a[best], -b[best], offsets[best]]) / c[best]
 
 
 class PlainViewLoops:

@@ -62,12 +62,13 @@ def test_a_wrapped_module_is_asked_as_it_was_trained(unet: UNet) -> None:
     assert (found.labels[:, :3] == 255).all()
 
 
+@pytest.mark.usefixtures("near_is_person")
 def test_frames_are_labelled_and_scores_counted(unet: UNet, figures_set: Path) -> None:
     mine = wrapped(unet, rig=SMALL, multiple=4)
     frame = np.full((60, 80), 4, np.float32)
     frame[10:50, 20:32] = 2
     one = Segmenter(mine.network, CAMERA, rig=mine.rig)(frame)
-    other = FrameLabeller(mine, keep_things=True, device="cpu")(frame, CAMERA)
+    other = FrameLabeller(mine, device="cpu")(frame, CAMERA)
     assert (one.labels[10:50, 20:32] < 33).all() and len(one.bodies) == len(other.bodies) == 1
     np.testing.assert_array_equal(one.labels, other.labels)
     assert evaluate(mine.network, open_images(str(figures_set)), 2).total().images == 2

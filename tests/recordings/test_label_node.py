@@ -23,6 +23,9 @@ from bodyseg_model.networks import Trained
 
 NODE = Path(__file__).parents[2] / "docs" / "examples" / "label_node.py"
 
+pytestmark = pytest.mark.usefixtures("near_is_person")
+
+
 
 class StubNode:
     """What rclpy's Node does for this node: it keeps publishers, subscriptions and lines of its log."""
@@ -96,7 +99,7 @@ def node(monkeypatch: pytest.MonkeyPatch) -> Any:
     spec.loader.exec_module(module)
     made = module.LabelNode()
     network = Trained(Places(axis=0, step=20), {"network": "places", "seed": 3})
-    made.labeller = module.FrameLabeller(network, keep_things=True)  # a block is no person: all bodies get labels
+    made.labeller = module.FrameLabeller(network)
     return made
 
 

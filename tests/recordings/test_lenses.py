@@ -143,11 +143,11 @@ def test_focal_lengths_in_other_units_are_named(focal: float, hint: str, tmp_pat
     )
     (tmp_path / "a.png").write_bytes(png(np.full((480, 640), 2000, np.uint16)))
     with pytest.raises(BadConfig) as caught:
-        FrameLabeller(keep_things=True).recording(tmp_path / "a.png", focal_px=focal)
+        FrameLabeller().recording(tmp_path / "a.png", focal_px=focal)
     assert str(caught.value) == f"--focal and --centre, {tmp_path / 'a.png'}: {message}"
     (tmp_path / "a.json").write_text(json.dumps({"fx": focal, "fy": focal, "cx": 319.5, "cy": 239.5}))
     frames = find_frames([tmp_path / "a.png"])
-    trained = FrameLabeller(keep_things=True).rig
+    trained = FrameLabeller().rig
     with pytest.raises(BadConfig) as caught:
         FrameCameras(frames, None, None, (), trained, Skipping())
     assert str(caught.value) == f"{tmp_path / 'a.json'}: {message}"

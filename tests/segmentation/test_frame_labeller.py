@@ -27,12 +27,11 @@ CAMERA = Camera(60, 80, 100.0, (40.0, 30.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 BENT = replace(CAMERA, distortion=Distortion(k1=0.1))
 
 
-pytestmark = pytest.mark.usefixtures("one_thread")
+pytestmark = pytest.mark.usefixtures("one_thread", "near_is_person")
 
 
 def labeller(video: bool = False) -> FrameLabeller:
-    """Blocks are no people, and are labelled all the same."""
-    return FrameLabeller(Trained(Places(0, 5), {"rig": SMALL.to_json()}), keep_things=True, video=video)
+    return FrameLabeller(Trained(Places(0, 5), {"rig": SMALL.to_json()}), video=video)
 
 
 def standing(x: int, z: float = 2.0) -> NDArray[np.float32]:

@@ -8,7 +8,7 @@ import shutil
 import sys
 import tarfile
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +29,9 @@ from bodyseg_model.networks import Trained, build, save_network
 from bodyseg_model.recordings import Skipping, find_frames
 from bodyseg_model.recordings.camera_files import cameras_beside
 from bodyseg_model.runtimes import backends, load_run
-from bodyseg_model.segmentation import PersonScore, shipped_score
 from bodyseg_model.segmentation.views import Undistortion, usual_views
+
+pytestmark = pytest.mark.usefixtures("near_is_person")
 
 Frame = NDArray[np.uint16]
 
@@ -70,9 +71,8 @@ def network(monkeypatch: pytest.MonkeyPatch) -> Iterator[Places]:
     torch.set_num_threads(before)
 
 
-def run(*words: str | Path, keep_things: bool = True) -> int:
-    """Blocks are no people: most tests have them labelled all the same."""
-    return cli.main(["segment", *map(str, words), *(["--keep-things"] if keep_things else [])])
+def run(*words: str | Path) -> int:
+    return cli.main(["segment", *map(str, words)])
 
 
 def refused(capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:
@@ -129,7 +129,7 @@ def test_a_recording_is_labelled(recording: Path, tmp_path: Path, capsys: pytest
     assert facts["rig"] == json.loads(json.dumps(SMALL.to_json()))
     assert (facts["frames"], facts["people"], facts["pixels"]) == (5, 5, 5 * 480)
     assert [frame["name"] for frame in facts["each"]] == names
-    assert {"read", "background", "resample", "network", "back", "write", "frame"} < set(facts["ms"])
+    assert {"read", "find", "resample", "network", "back", "write", "frame"} < set(facts["ms"])
     assert facts["flicker"]["shared_pixels"] == 4 * 10 * 40 and facts["flicker"]["changed"] < 0.03
     said = capsys.readouterr().err
     assert "wrote 5 frames to" in said and "1 people a frame, mean confidence 100%" in said and "assumed" not in said
@@ -335,7 +335,7 @@ def test_a_later_frame_of_another_size_is_refused_by_name_before_it_is_undistort
 
 @pytest.mark.parametrize(
     "frame",
-    [np.zeros((480, 640)), np.full((480, 640), 65535), np.full((480, 640), 2000), np.full((480, 640), 1)],
+    [np.zeros((480, 640)), np.full((480, 640), 65535), np.full((480, 640), 4000), np.full((480, 640), 1)],
     ids=["empty", "saturated", "constant", "nearly nothing"],
 )
 def test_where_nobody_is_results_are_empty(frame: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -499,85 +499,43 @@ def test_frames_read_ahead_have_the_same_labels(
     np.testing.assert_array_equal(found[0], found[1])
 
 
-def test_a_block_is_no_person(
-    recording: Path, tmp_path: Path, network: Places, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(recording, "--focal", "100", "--out", tmp_path / "all") == 0
-    assert report(tmp_path / "all")["person_score"] is None and report(tmp_path / "all")["things"] == 0
-    assert "person" not in report(tmp_path / "all")["each"][0]["bodies"][0]
-    capsys.readouterr()
-    out = tmp_path / "out"
-    assert run(recording, "--focal", "100", "--out", out, keep_things=False) == 0
-    facts = report(out)
-    assert facts["person_score"] == {"cutoff": shipped_score({}).cutoff, "by_confidence": False}
-    assert (facts["people"], facts["things"], facts["labelled"], facts["mean_confidence"]) == (0, 5, 0, None)
-    (thing,) = facts["each"][0]["things"]
-    assert thing["pixels"] == 480 and thing["box"] == [10, 14, 50, 26] and 0 <= thing["person"] < 0.1
-    assert thing["mean_confidence"] is None and facts["things_doubted"] == 0
-    assert (pixels(out / "labels" / "7.png") == BACKGROUND).all()
-    said = capsys.readouterr().err
-    assert (
-        "1 things a frame got no label (0 of 5 for low confidence, the others for their shape): --keep-things" in said
-    )
-
-
-def test_what_the_network_doubts_is_said(
+def test_what_the_network_doubts_is_a_thing(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    card = {"rig": SMALL.to_json(), "least_confidence_of_people": 0.9}
-    unsure = Trained(Places(0, 5, sure_m=0.1), card)
+    unsure = Trained(Places(0, 5, sure_m=0.1), {"rig": SMALL.to_json(), "least_confidence_of_people": 0.9})
     monkeypatch.setattr(segment, "load_run", lambda run: unsure)
-    monkeypatch.setattr(PersonScore, "rules_out", lambda score, shape: False)
-    out = tmp_path / "out"
-    assert run(recording, "--focal", "100", "--out", out, keep_things=False) == 0
-    facts = report(out)
-    assert facts["person_score"] == {"cutoff": 0.9, "by_confidence": True}
-    assert (facts["people"], facts["things"], facts["things_doubted"]) == (0, 5, 5)
-    assert 0 < facts["each"][0]["things"][0]["mean_confidence"] < 0.6
-    assert "no label (5 of 5 for low confidence, the others for their shape)" in capsys.readouterr().err
+    assert run(recording, "--focal", "100", "--out", tmp_path / "out") == 0
+    facts = report(tmp_path / "out")
+    assert facts["finder"] == {"weights_sha256": "1", "least_confidence_of_people": 0.9}
+    assert (facts["people"], facts["things"], facts["labelled"], facts["mean_confidence"]) == (0, 5, 0, None)
+    (thing,) = facts["each"][0]["things"]
+    assert thing["pixels"] == 480 and thing["box"] == [10, 14, 50, 26]
+    assert thing["person"] == pytest.approx(0.999, abs=1e-3) and 0 < thing["mean_confidence"] < 0.6
+    assert (pixels(tmp_path / "out" / "labels" / "7.png") == BACKGROUND).all()
+    assert "1 things a frame that look like people got no label" in capsys.readouterr().err
+    assert run(recording, "--focal", "100", "--keep-things", "--out", tmp_path / "all") == 0
+    facts = report(tmp_path / "all")
+    assert (facts["people"], facts["things"], facts["labelled"]) == (5, 0, 5 * 480)
+    assert facts["finder"]["least_confidence_of_people"] == 0
 
 
-def test_things_are_told_whatever_classes_a_network_has(
+def test_people_are_found_whatever_classes_a_network_has(
     recording: Path, tmp_path: Path, network: Places, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rest = tuple(name for name in LANDMARKS if name != "Sellion")
     halves = LabelMap("halves", (("nose", ("Sellion",)), ("rest", rest)))
     card = {"labels": halves.to_json(), "rig": SMALL.to_json()}
     monkeypatch.setattr(segment, "load_run", lambda run: load_run(run) if run else Trained(network, card))
-    assert run(recording, "--focal", "100", "--out", tmp_path / "out", keep_things=False) == 0
-    assert report(tmp_path / "out")["things"] == 5
+    assert run(recording, "--focal", "100", "--out", tmp_path / "out") == 0
+    assert report(tmp_path / "out")["people"] == 5
 
 
-@pytest.mark.parametrize(
-    ("sequence", "names", "least_pixels"),
-    [
-        ("kinect_v1", ["0000000000_depth.png", "0000000019_depth.png"], 40000),
-        ("kinect_v2", ["01.png", "03.png"], 19000),
-    ],
-)
-def test_real_frames_have_one_person_each(
-    sequence: str, names: list[str], least_pixels: int, tmp_path: Path, shared_data: Callable[[str], Path]
-) -> None:
-    files = [shared_data(f"real/{sequence}") / name for name in names]
-    assert run(*files, "--out", tmp_path / "out") == 0
-    for frame in report(tmp_path / "out")["each"]:
-        assert frame["people"] == 1 and frame["pixels"] > least_pixels
-        assert frame["bodies"][0]["range_m"] < 2, "not the wall"
-
-
-def test_mirrored_frames_are_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], shared_data: Callable[[str], Path]
-) -> None:
-    file = shared_data("real/kinect_v1") / "0000000000_depth.png"
-    assert run(file, "--out", tmp_path / "out") == 0
-    warning = "the projector's shadows lie on the right side of bodies, so frames are probably mirrored"
-    assert f"{warning}: give --mirrored" in capsys.readouterr().err.splitlines()
-    assert run(file, "--mirrored", "--out", tmp_path / "out") == 0
-    assert "probably" not in capsys.readouterr().err
-    with Image.open(file) as picture:
-        save(tmp_path / "turned.png", np.asarray(picture)[:, ::-1].astype(np.uint16))
-    assert run(tmp_path / "turned.png", "--mirrored", "--out", tmp_path / "turned") == 0
-    assert "probably not mirrored: leave out --mirrored" in capsys.readouterr().err
+def test_another_finder_may_be_given(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    body = build("compact", {"patch": 8, "widths": [8], "blocks": [0], "classes": 2}, seed=1)
+    save_network(tmp_path / "body.safetensors", body, "compact", {"labels": load_label_map("people").to_json()})
+    said = refused(capsys, recording, "--finder", tmp_path / "body.safetensors", "--out", tmp_path / "out")
+    assert said.startswith("a finder of people needs 2 classes and the setting focal_px, found 2 classes and")
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_network_of_classes_names_and_colours_them(recording: Path, tmp_path: Path) -> None:

@@ -40,7 +40,7 @@ LENS = Camera(60, 80, 100.0, (40.0, 30.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 KEEP = Background("keep")
 
 
-pytestmark = pytest.mark.usefixtures("one_thread")
+pytestmark = pytest.mark.usefixtures("one_thread", "near_is_person")
 
 
 def standing(x: int, z: float, height: int = 40, width: int = 12) -> NDArray[np.float32]:
@@ -149,7 +149,7 @@ def test_a_body_that_touches_all_borders() -> None:
 def test_every_stage_is_timed() -> None:
     result = Segmenter(Places(0, 10), LENS)(standing(20, 2.0))
     assert tuple(result.milliseconds) == STAGES
-    assert all(spent > 0 for stage, spent in result.milliseconds.items() if stage not in ("shape", "video"))
+    assert all(spent > 0 for stage, spent in result.milliseconds.items() if stage != "video")
     assert result.milliseconds["video"] == 0, "frames are labelled one by one"
 
 
@@ -184,8 +184,9 @@ def test_what_a_segmenter_refuses() -> None:
 def test_what_is_found_is_what_is_labelled() -> None:
     frame = standing(5, 2.0) + standing(40, 3.0, height=30)
     found = find_bodies(frame, LENS, Background())
-    for body, pixels in zip(Segmenter(Places(0, 10), LENS)(frame).bodies, found, strict=True):
+    for body, (pixels, person) in zip(Segmenter(Places(0, 10), LENS)(frame).bodies, found, strict=True):
         np.testing.assert_array_equal(body.pixels, pixels)
+        assert body.person == person == pytest.approx(0.999, abs=1e-3)
 
 
 # Flicker.
@@ -236,6 +237,7 @@ def test_a_summary_is_of_all_frames() -> None:
             "turn_deg": 0.0,
             "scale": 6.0606,
             "mean_confidence": 1.0,
+            "person": 0.999,
         }
     ]
     assert report["each"][1]["flicker"]["changed"] == report["flicker"]["changed"] == 0.0

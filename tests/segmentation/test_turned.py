@@ -26,7 +26,7 @@ UPRIGHT = Camera(60, 80, 100.0, (37.0, 31.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 TURNS = (1, 2, 3)
 
 
-pytestmark = pytest.mark.usefixtures("one_thread")
+pytestmark = pytest.mark.usefixtures("one_thread", "near_is_person")
 
 
 def as_mounted(quarters: int, camera: Camera = UPRIGHT) -> Camera:
@@ -48,7 +48,7 @@ def standing() -> NDArray[np.float32]:
 
 def labeller(turned: int | str | None = None, video: bool = False, mirrored: bool = False) -> FrameLabeller:
     trained = Trained(Places(0, 5), {"rig": SMALL.to_json()})
-    return FrameLabeller(trained, keep_things=True, video=video, mirrored=mirrored, turned=turned)  # type: ignore[arg-type]
+    return FrameLabeller(trained, video=video, mirrored=mirrored, turned=turned)  # type: ignore[arg-type]
 
 
 def check_same(found: Segmentation, upright: Segmentation, quarters: int) -> None:

@@ -32,15 +32,16 @@ def test_long_recordings_are_thinned_to_pairs() -> None:
     assert all(chosen[b] == chosen[a] + 1 for a, b in pairs)
 
 
+@pytest.mark.usefixtures("near_is_person")
 def test_bodies_are_found_by_a_limit_or_as_people(tmp_path: Path) -> None:
-    frame = np.full((60, 80), 3000)
+    frame = np.full((60, 80), 4000)
     frame[10:50, 30:42] = 1500
     save(tmp_path, "1", frame)
     files = find_frames([tmp_path])
     recording = read_recording(files, CAMERA, Background(), 2.0)
     (found,) = recording.frames
     np.testing.assert_array_equal(found.body, frame == 1500)
-    np.testing.assert_array_equal(found.room, frame == 3000)
+    np.testing.assert_array_equal(found.room, frame == 4000)
     (people,) = read_recording(files, CAMERA, Background(), None).frames
     np.testing.assert_array_equal(people.body, found.body)
     assert not recording.still and not recording.still_room

@@ -103,7 +103,7 @@ def read_recording(folder: Path, count: int) -> list[Frame]:
         placed = _camera(folder / f"{name}_camera.xml", (range_m.shape[0], range_m.shape[1]))
         bodies = find_bodies(range_m, placed.camera, BACKGROUND)
         if bodies:
-            frames.append(Frame(name, range_m, bodies[0], placed))
+            frames.append(Frame(name, range_m, bodies[0].pixels, placed))
     if not frames:
         raise BadConfig(f"a recording needs a person, found none in the frames in {folder}")
     return frames

@@ -1,0 +1,421 @@
+"""People in a frame: the pixels that a small network, the finder, takes for people's, divided into people.
+
+The finder sees the whole frame as a camera of its own focal length would take it. Its answer is divided on a grid of
+every third pixel, about, by what is known of bodies: connected surfaces are pieces; a piece with several heads is of
+several people, each of whom gets what is nearest along the surface; small pieces belong to a person in reach.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from functools import cache, lru_cache
+from typing import Any, Final, Literal, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from bodyseg_data.core import BadConfig
+from bodyseg_data.machine import missing_library
+from bodyseg_data.rigs import Camera
+from bodyseg_model.networks import FINDER, Network, Trained, check_network, device_of, load_network, predict
+
+BackgroundMode = Literal["people", "limits", "keep", "frame"]
+
+_PERSON: Final = 0  # of the finder's two classes
+_JUMP_M: Final = 0.1  # greatest difference of range between neighbours on one surface
+_JUMP_SHARE: Final = 0.04  # the same beyond 2.5 m: sensors are coarser at a distance
+_GAP_M: Final = 0.2  # widest gap that parts no surface: an arm's shadow falls on the trunk
+
+_BODY_M2: Final = 0.05  # least visible surface of a person, as all areas as if it faced the camera
+_BODY_M: Final = (0.3, 3.0)  # least height of a person, and greatest width, height and depth
+_LOOSE_M2: Final = 0.12  # less, such as a forearm with its hand, joins a person beside whom it is
+_LOOSE_M: Final = 1.0  # greatest width, height and depth of such a piece
+_REACH_M: Final = (0.6, 0.3)  # before a person and behind: of a stretched arm only the hand may be seen
+_BESIDE_M: Final = 0.1  # from the person's box in the image
+_BELOW_M: Final = (0.35, 2.1)  # greatest distance in range, and height in all, of a person in two parts
+
+_STEP_RAD: Final = 3 / 525  # between samples
+_OWN_M2: Final = 0.1  # least surface of each of several people in one piece
+_EDGE_M: Final = 0.02  # jumps of more, and of 0.3 as much again a metre of range, part people who touch
+_ACROSS_EDGES: Final = 60.0  # lengthens a way along the surface by this many times the jumps on it
+_COARSE_M: Final = 0.018  # between samples among which heads are looked for
+_LEVEL_M: Final = 0.1
+_HEAD: Final = (0.08, 0.015, 0.11)  # least height, area and mean width of a head, metres
+_NEW_M2: Final = 0.002  # least surface at which a top begins
+_APART_M2: Final = 0.06  # least surface of what meets no other
+_FREE_M: Final = 0.05  # half the width over a top in which there is nothing else
+_CROSS: Final = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.bool_)
+
+Pixels = NDArray[np.intp]
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Background:
+    """Rule for removing the background before a network labels the rest.
+
+    mode: "people" keeps the people that the finder finds, within the limits; "limits" keeps every pixel within the
+    limits, as one body; "keep" keeps every measured pixel, as one body, for frames whose background was removed before;
+    "frame" has whole frames labelled as they stand, for networks that were trained on whole images of such a camera.
+    near_m, far_m: the limits of range, metres. Raises BadConfig for limits in the wrong order.
+    """
+
+    mode: BackgroundMode = "people"
+    near_m: float = 0.5
+    far_m: float = 5.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.near_m < self.far_m < float("inf"):
+            raise BadConfig(
+                "the near limit must be at least 0 m and less than the far one, found "
+                f"{self.near_m:g} and {self.far_m:g} m"
+            )
+
+    def to_json(self) -> dict[str, Any]:
+        """Mode, and limits where they count, for summary.json."""
+        return {"mode": self.mode} if self.mode in ("keep", "frame") else asdict(self)
+
+
+class Found(NamedTuple):
+    """A body of a frame. pixels: row * columns + column, int64 [N], ascending. person: mean probability over them that
+    they show a person, 0 to 1, by the finder; None where none was asked.
+    """
+
+    pixels: Pixels
+    person: float | None = None
+
+
+def find_bodies(
+    range_m: NDArray[np.float32], camera: Camera, background: Background, finder: Network | None = None
+) -> tuple[Found, ...]:
+    """Find the bodies in a frame, the largest first; a pixel belongs to at most one.
+
+    range_m: [H, W], metres along the optical axis, 0 = nothing measured, as are NaN and infinity. camera: the one that
+    took it, upright. finder: network of the mode "people", by default the one that ships. Raises BadConfig for a
+    network that is no finder; MissingLibrary without SciPy, in that mode.
+    """
+    kept = np.where((range_m > 0) & (range_m < np.inf), range_m, np.float32(0))
+    near, far = np.float32(background.near_m), np.float32(background.far_m)
+    within = kept > 0 if background.mode in ("keep", "frame") else (kept > 0) & (kept >= near) & (kept <= far)
+    if background.mode != "people":
+        pixels = np.flatnonzero(within)
+        return (Found(pixels),) if len(pixels) else ()
+    probability = _view(shipped_finder().network if finder is None else finder, camera)(kept)
+    people = part_people(kept, within & (probability > 0.5), camera)
+    return tuple(Found(pixels, float(probability.ravel()[pixels].mean(dtype=np.float64))) for pixels in people)
+
+
+@cache
+def shipped_finder() -> Trained:
+    """The finder that ships with the package."""
+    return load_network(FINDER)
+
+
+# What the finder sees.
+
+
+class FinderView:
+    """Shows a finder the frames of a camera, and brings its answers back to their pixels.
+
+    network: of two classes, person and none, with the setting `focal_px`: the focal length, pixels, of the camera
+    whose images it was trained on, with the principal point in their middle. A frame is resampled to that camera by
+    nearest pixels, but for one that would be shifted by no more than a pixel anywhere. Raises BadConfig for another.
+    """
+
+    def __init__(self, network: Network, camera: Camera) -> None:
+        check_network(network)
+        focal_px = network.settings.get("focal_px")
+        if not focal_px or network.classes != 2:
+            raise BadConfig(
+                f"a finder of people needs 2 classes and the setting focal_px, found {network.classes} classes and "
+                f"the settings {network.settings}"
+            )
+        self._network, scale = network, focal_px / camera.focal_px
+        sides = (camera.rows, camera.centre_px[1]), (camera.columns, camera.centre_px[0])
+        axes = [_resampled(side, centre, scale) for side, centre in sides]
+        self._there, self._back = zip(*axes, strict=True)
+        shifts = [np.abs(np.arange(len(there)) - there).max() for there in self._there]
+        same = [len(there) for there in self._there] == [camera.rows, camera.columns]
+        self._same = same and max(shifts) <= 1
+
+    def __call__(self, range_m: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Probability of a person at every pixel of a frame, float32 [H, W]; 0 where nothing is measured (0)."""
+        seen = range_m if self._same else np.pad(range_m, ((0, 1), (0, 1)))[np.ix_(*self._there)]
+        image = torch.from_numpy(np.ascontiguousarray(seen))[None, None].to(device_of(self._network))
+        labels, confidence = (answer[0].cpu().numpy() for answer in predict(self._network, image))
+        found: NDArray[np.float32] = np.where(labels == _PERSON, confidence, 1 - confidence)
+        if self._same:
+            found[range_m == 0] = 0
+            return found
+        rows, columns = np.nonzero(range_m)
+        answer = np.zeros_like(range_m)
+        places = self._back[0][rows], self._back[1][columns]
+        answer[rows, columns] = _nearest_in_range(range_m[rows, columns], places, seen, found, np.float32(0))
+        return answer
+
+
+_view = lru_cache(maxsize=8)(FinderView)
+
+
+def _resampled(side: int, centre: float, scale: float) -> tuple[Pixels, Pixels]:
+    """Pixel of a frame's axis, `side` for none, at each pixel of the resampled one; and that one's at each of its."""
+    half = max(1, round(max(centre, side - centre) * scale))
+    there = np.floor(centre + (np.arange(2 * half) + 0.5 - half) / scale).astype(np.intp)
+    back = np.floor(half + (np.arange(side) + 0.5 - centre) * scale).astype(np.intp)
+    return np.where((there < 0) | (there >= side), side, there), np.clip(back, 0, 2 * half - 1)
+
+
+def _nearest_in_range(
+    of_range: NDArray[np.float32],
+    places: tuple[Pixels, Pixels],
+    seen: NDArray[np.float32],
+    values: NDArray[Any],
+    nothing: Any,
+) -> NDArray[Any]:
+    """Values [h, w] of the samples at places, rows and columns [N] each; where one's range, `seen` [h, w], is not of
+    the surface of the pixel, `of_range` [N], that of the neighbour of nearest range; `nothing` where none is either.
+    """
+    rows, columns = places
+    flat = rows * seen.shape[1] + columns
+    found = values.ravel()[flat]
+    other = np.flatnonzero(np.abs(seen.ravel()[flat] - of_range) > jump_m(of_range))
+    ranges, rows, columns = of_range[other], rows[other], columns[other]
+    best, value = jump_m(ranges), np.full(len(other), nothing, values.dtype)
+    for down in (-1, 0, 1):
+        for right in (-1, 0, 1):
+            place = np.clip(rows + down, 0, len(seen) - 1), np.clip(columns + right, 0, seen.shape[1] - 1)
+            away = np.abs(seen[place] - ranges)
+            nearer = away < best
+            best, value = np.where(nearer, away, best), np.where(nearer, values[place], value)
+    found[other] = value
+    return found
+
+
+def jump_m(range_m: NDArray[Any]) -> NDArray[Any]:
+    """Greatest difference between neighbours of one surface, metres, of the type of `range_m`."""
+    return np.maximum(range_m * range_m.dtype.type(_JUMP_SHARE), range_m.dtype.type(_JUMP_M))
+
+
+# People apart.
+
+
+class _Samples(NamedTuple):
+    """Every so many pixels of people, in reading order. rows, columns: on the grid of samples, int [N]. points: x, y, z
+    along the camera's axes, metres, float64 [N, 3]. area_m2: as if each faced the camera, float64 [N]. edges: pairs of
+    neighbours on one surface, int [2, M]. a_metre: samples, at the median range of some of them.
+    """
+
+    rows: Pixels
+    columns: Pixels
+    points: Floats
+    area_m2: Floats
+    edges: Pixels
+
+    @property
+    def a_metre(self) -> float:
+        """Samples a metre, at their median range."""
+        return float(1 / np.sqrt(np.median(self.area_m2)))
+
+    def some(self, chosen: Pixels) -> _Samples:
+        """Those of ascending numbers."""
+        number = np.full(len(self.rows), -1)
+        number[chosen] = np.arange(len(chosen))
+        edges = number[self.edges]
+        edges = edges[:, (edges >= 0).all(axis=0)]
+        return _Samples(self.rows[chosen], self.columns[chosen], self.points[chosen], self.area_m2[chosen], edges)
+
+
+def part_people(range_m: NDArray[np.float32], people: Mask, camera: Camera) -> list[Pixels]:
+    """Divide the pixels that show people, bool [H, W], all measured, into people: the pixels of each, ascending flat
+    indices, the largest surface first. Pieces too small for a person that belong to nobody are left out.
+
+    range_m: [H, W], metres. camera: the frame's, upright. Raises MissingLibrary without SciPy.
+    """
+    rows, columns = (np.flatnonzero(people.any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        return []
+    top, left, step = int(rows[0]), int(columns[0]), max(1, round(_STEP_RAD * camera.focal_px))
+    box, every = np.s_[top : rows[-1] + 1, left : columns[-1] + 1], np.s_[step // 2 :: step, step // 2 :: step]
+    shown, ranges = people[box], range_m[box]
+    grid = np.where(shown[every], ranges[every], np.float32(0))
+    if not grid.any():
+        return []
+    first = top + step // 2 + 0.5 - camera.centre_px[1], left + step // 2 + 0.5 - camera.centre_px[0]
+    samples = _sampled(grid, first, step, camera.focal_px)
+    person = _persons(samples, _pieces(samples))
+    whose = np.full(grid.shape, -1, np.int16)
+    whose[samples.rows, samples.columns] = person
+    pixels = np.flatnonzero(shown)
+    row = np.repeat(np.arange(len(shown)), np.count_nonzero(shown, axis=1))
+    column = pixels - row * shown.shape[1]
+    down, across = (
+        np.minimum(np.arange(size) // step, most - 1) for size, most in zip(shown.shape, grid.shape, strict=True)
+    )
+    seen = np.where(whose < 0, np.float32(0), grid)
+    of_pixels = _nearest_in_range(ranges.ravel()[pixels], (down[row], across[column]), seen, whose, np.int16(-1))
+    pixels = (row + top) * people.shape[1] + column + left
+    area_m2 = np.bincount(person[person >= 0], samples.area_m2[person >= 0])
+    return [pixels[of_pixels == number] for number in np.argsort(-area_m2, kind="stable")]
+
+
+def _sampled(grid: NDArray[np.float32], first: tuple[float, float], step: int, focal_px: float) -> _Samples:
+    """Samples where a grid of ranges is not 0. first: of its first sample, rows and columns from the optical axis."""
+    shown, number = grid > 0, np.full(grid.shape, -1)
+    rows, columns = np.nonzero(shown)
+    number[rows, columns] = np.arange(len(rows))
+    z = grid[rows, columns].astype(np.float64)
+    down = number.T[shown.T]  # column by column
+    edges = [
+        _neighbours(rows, columns, z, step / focal_px),
+        down[_neighbours(columns[down], rows[down], z[down], step / focal_px)],
+    ]
+    x, y = ((first[axis] + step * places) / focal_px * z for axis, places in ((1, columns), (0, rows)))
+    return _Samples(rows, columns, np.stack([x, y, z], axis=1), np.square(step * z / focal_px), np.hstack(edges))
+
+
+def _neighbours(line: Pixels, place: Pixels, z: Floats, step: float) -> Pixels:
+    """Pairs of samples, [2, M], that follow each other in a line with one surface between: at most `_GAP_M` apart, or
+    one sample missing. step: between samples, metres at 1 m.
+    """
+    apart, nearer = np.diff(place) - 1, np.minimum(z[1:], z[:-1])
+    close = (apart <= 1) | (apart * step * nearer <= _GAP_M)
+    before = np.flatnonzero((line[1:] == line[:-1]) & close & (np.abs(np.diff(z)) <= jump_m(nearer)))
+    return np.stack([before, before + 1])
+
+
+def _pieces(samples: _Samples) -> tuple[Pixels, Mask]:
+    """The piece of every sample, from 0, int [N], where each is of one person; and which were parted from others."""
+    graph = _graph(np.ones(samples.edges.shape[1]), samples)
+    count, piece = _scipy().sparse.csgraph.connected_components(graph, directed=False)
+    piece, cut = piece.astype(np.intp), [False] * count
+    for number in np.flatnonzero(np.bincount(piece, samples.area_m2) >= 2 * _OWN_M2):
+        own = np.flatnonzero(piece == number)
+        head = _nearest_heads(samples.some(own))
+        for other in range(1, head.max() + 1):
+            piece[own[head == other]] = len(cut)
+            cut.append(True)
+    return piece, np.array(cut)
+
+
+def _graph(lengths: Floats, samples: _Samples) -> Any:
+    size = len(samples.rows)
+    return _scipy().sparse.coo_array((lengths, tuple(samples.edges)), shape=(size, size)).tocsr()
+
+
+def _nearest_heads(samples: _Samples) -> Pixels:
+    """Of every sample of a piece the number of the head that is nearest along the surface, int [N]: all 0 for a piece
+    of one person.
+    """
+    a_metre, z = samples.a_metre, samples.points[:, 2]
+    whose = np.zeros(len(z), np.intp)
+    if np.ptp(samples.columns) < 0.3 * a_metre:
+        return whose
+    edge_m = _EDGE_M * (1 + 0.3 * float(np.median(z)))
+    heads = _heads(samples, edge_m)
+    if len(heads) < 2:
+        return whose
+    steps = np.diff(samples.points[samples.edges], axis=0)[0]
+    lengths = np.linalg.norm(steps, axis=1) + _ACROSS_EDGES * np.maximum(np.abs(steps[:, 2]) - edge_m, 0)
+    graph, dijkstra = _graph(lengths, samples), _scipy().sparse.csgraph.dijkstra
+    while len(heads) > 1:
+        _, _, source = dijkstra(graph, directed=False, indices=heads, min_only=True, return_predecessors=True)
+        for number, head in enumerate(heads):
+            whose[source == head] = number
+        area_m2 = np.bincount(whose, samples.area_m2, minlength=len(heads))
+        if area_m2.min() >= _OWN_M2:
+            return whose
+        del heads[int(area_m2.argmin())]
+    return np.zeros(len(z), np.intp)
+
+
+def _heads(samples: _Samples, edge_m: float) -> list[int]:
+    """Samples that are tops of heads of a piece, whose surface jumps by more than `edge_m` where one body ends.
+
+    From the top downwards, surfaces begin, grow and meet; a head is one that is wide enough where it meets another that
+    began higher, or that never meets another and has nothing of the piece above it.
+    """
+    label, thin = _scipy().ndimage.label, max(1, int(samples.a_metre * _COARSE_M))
+    kept = (samples.rows % thin == 0) & (samples.columns % thin == 0)
+    a_metre, numbers = samples.a_metre / thin, np.flatnonzero(kept)
+    rows, columns = ((each[kept] - each.min()) // thin for each in (samples.rows, samples.columns))
+    number = np.full((rows.max() + 1, columns.max() + 1), -1)
+    number[rows, columns] = numbers
+    z = np.full((number.shape[0] + 2, number.shape[1] + 2), 100.0)
+    z[rows + 1, columns + 1] = samples.points[kept, 2]
+    around = np.minimum(np.minimum(z[:-2, 1:-1], z[2:, 1:-1]), np.minimum(z[1:-1, :-2], z[1:-1, 2:]))
+    whole, shown = (number >= 0) & (z[1:-1, 1:-1] - around < edge_m), number >= 0
+    least_height, least_area, least_width = _HEAD
+    tops: list[tuple[int, int]] = []
+    heads, surfaces, areas = [], np.zeros((0, 0), np.int32), np.zeros(0)
+    level = max(1, round(_LEVEL_M * a_metre))
+    for last in range(level, len(whole) + level, level):
+        before, areas_before, together = surfaces, areas, {}
+        surfaces, count = label(whole[:last], _CROSS)
+        areas = np.bincount(surfaces.ravel(), minlength=count + 1) / a_metre**2
+        for top in sorted(tops):
+            together.setdefault(int(surfaces[top]), []).append(top)
+        for met in together.values():
+            for top in met[1:]:
+                height, area = (last - level - top[0]) / a_metre, areas_before[before[top]]
+                if height >= least_height and area >= least_area and area >= least_width * height:
+                    heads.append(top)
+        began = [place for place in np.flatnonzero(areas >= _NEW_M2) if place and place not in together]
+        firsts = [divmod(int(np.argmax(surfaces == place)), surfaces.shape[1]) for place in began]
+        tops = [met[0] for met in together.values()] + firsts
+    side = max(1, int(_FREE_M * a_metre))
+    for top in tops:
+        beside = shown[: top[0], max(0, top[1] - side) : top[1] + side + 1]
+        if areas[surfaces[top]] >= _APART_M2 and not beside.any():
+            heads.append(top)
+    return [int(number[top]) for top in heads]
+
+
+def _persons(samples: _Samples, pieces: tuple[Pixels, Mask]) -> Pixels:
+    """The person of every sample, from 0, int [N]; -1 for nobody's."""
+    piece, cut = pieces
+    order = np.argsort(piece, kind="stable")
+    starts = np.searchsorted(piece[order], np.arange(len(cut)))
+    placed = np.column_stack([samples.rows, samples.columns, samples.points])[order]
+    lowest, highest = np.minimum.reduceat(placed, starts), np.maximum.reduceat(placed, starts)
+    area_m2, beside = np.bincount(piece, samples.area_m2), _BESIDE_M * samples.a_metre
+    extents = (highest - lowest)[:, 2:].max(axis=1)
+    loose = ~cut & (area_m2 < _LOOSE_M2) & (extents <= _LOOSE_M)
+    person, bodies = np.full(len(cut), -1), list[tuple[Floats, Floats]]()
+    for number in np.argsort(-area_m2, kind="stable"):
+        low, high = lowest[number], highest[number]
+        too_small = area_m2[number] < _BODY_M2 or high[3] - low[3] < _BODY_M[0]
+        if person[number] >= 0 or too_small or extents[number] > _BODY_M[1]:
+            continue
+        below = [] if cut[number] else [whose for whose, box in enumerate(bodies) if _one_above_other((low, high), box)]
+        if below:
+            person[number] = below[0]
+            continue
+        count = person[number] = len(bodies)
+        bodies.append((low, high))
+        overlaps = ((highest[:, :2] >= low[:2] - beside) & (lowest[:, :2] <= high[:2] + beside)).all(axis=1)
+        near = (lowest[:, 4] >= low[4] - _REACH_M[0]) & (highest[:, 4] <= high[4] + _REACH_M[1])
+        person[loose & (person < 0) & overlaps & near] = count
+    return person[piece]
+
+
+def _one_above_other(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -> bool:
+    """True for boxes of two parts of a person whose middle is hidden: low and high rows, columns, x, y, z."""
+    low, high = np.maximum(one[0], other[0]), np.minimum(one[1], other[1])
+    narrower = min(one[1][2] - one[0][2], other[1][2] - other[0][2])
+    apart = abs((one[0] + one[1] - other[0] - other[1])[4]) / 2
+    height = max(one[1][3], other[1][3]) - min(one[0][3], other[0][3])
+    return bool(
+        high[0] <= low[0] and high[2] - low[2] >= narrower / 2 and apart <= _BELOW_M[0] and height <= _BELOW_M[1]
+    )
+
+
+@cache
+def _scipy() -> Any:
+    try:
+        import scipy.ndimage
+        import scipy.sparse.csgraph
+    except ModuleNotFoundError as error:
+        raise missing_library("finding people", error, extra="segment") from error
+    return scipy

@@ -1,0 +1,306 @@
+"""People in frames: what the finder sees of them, and who is who; and the other ways to remove a background."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from label_networks import Nearer, Places
+from numpy.typing import NDArray
+
+from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_data.rigs import Camera
+from bodyseg_model.networks import build
+from bodyseg_model.runtimes import on_backend
+from bodyseg_model.segmentation import Background, find_bodies
+from bodyseg_model.segmentation.finder import FinderView, _scipy, part_people
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+Image = NDArray[np.float32]
+
+KINECT = Camera(240, 320, 262.5, (160.0, 120.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+"""A Kinect's view with half its pixels a side."""
+
+
+def rays() -> NDArray[np.float64]:
+    return KINECT.pixel_rays()
+
+
+def plane(normal: tuple[float, float, float], distance: float) -> Image:
+    """What the camera sees of the plane normal · point = distance (camera axes, metres); inf where it sees nothing."""
+    with np.errstate(divide="ignore"):
+        seen = distance / (rays() @ np.asarray(normal, np.float64))
+    return np.where((seen > 0) & (seen < 20), seen, np.inf).astype(np.float32)
+
+
+def ellipsoid(centre: tuple[float, float, float], axes: tuple[float, float, float]) -> Image:
+    """The same of an ellipsoid."""
+    way, start = rays() / axes, -np.asarray(centre) / axes
+    a, b, c = (way**2).sum(-1), (way * start).sum(-1), (start**2).sum() - 1
+    inside = b**2 - a * c
+    return np.where(inside > 0, (-b - np.sqrt(np.maximum(inside, 0))) / a, np.inf).astype(np.float32)
+
+
+def person(x: float, z: float, floor: float = 0.9) -> Image:
+    """A plain figure, 1.7 m tall, that stands on a floor `floor` below the camera (y points down)."""
+    parts = [
+        ((0.0, -1.15, 0.0), (0.18, 0.34, 0.12)),
+        ((0.0, -1.56, 0.0), (0.09, 0.14, 0.1)),
+        ((-0.1, -0.42, 0.0), (0.08, 0.44, 0.09)),
+        ((0.1, -0.42, 0.0), (0.08, 0.44, 0.09)),
+    ]
+    return together(*(ellipsoid((x + dx, floor + dy, z + dz), axes) for (dx, dy, dz), axes in parts))
+
+
+def together(*images: Image) -> Image:
+    """The nearest of all, inf where there is none."""
+    return np.minimum.reduce(images)
+
+
+def frame(*images: Image) -> Image:
+    """What is nearest as a frame: 0 where nothing was measured."""
+    nearest = together(*images)
+    return np.where(np.isfinite(nearest), nearest, 0).astype(np.float32)
+
+
+def box(height: float, width: float, z: float, x: float = 0.0, y: float = 0.0) -> Image:
+    """A flat thing that faces the camera."""
+    seen = rays() * z
+    inside = (abs(seen[..., 0] - x) < width / 2) & (abs(seen[..., 1] - y) < height / 2)
+    return np.where(inside, np.float32(z), np.float32(np.inf))
+
+
+def mask(bodies: tuple[NDArray[np.intp], ...]) -> NDArray[np.bool_]:
+    found = np.zeros(KINECT.rows * KINECT.columns, np.bool_)
+    found[np.concatenate([*bodies, np.empty(0, np.intp)])] = True
+    return found.reshape(KINECT.rows, KINECT.columns)
+
+
+# What the finder sees.
+
+
+def lens(rows: int, columns: int, focal_px: float, centre: tuple[float, float]) -> Camera:
+    return Camera(rows, columns, focal_px, centre, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+
+
+def test_a_frame_of_the_finders_own_camera_is_shown_as_it_is() -> None:
+    for camera in (lens(60, 80, 100.0, (40.0, 30.0)), lens(60, 80, 100.4, (40.3, 29.8))):
+        network = Nearer()
+        frame = np.random.default_rng(0).uniform(0.5, 6, (60, 80)).astype(np.float32)
+        frame[:5] = 0
+        found = FinderView(network, camera)(frame)
+        np.testing.assert_array_equal(network.seen[0][0, 0].numpy(), frame)
+        np.testing.assert_array_equal(found > 0.5, (frame > 0) & (frame < 3.5))
+        assert (found[:5] == 0).all()
+
+
+@pytest.mark.parametrize("focal_px", [57.0, 141.0, 260.0])
+def test_other_cameras_are_resampled_by_nearest_pixels(focal_px: float) -> None:
+    camera, network = lens(50, 70, focal_px, (30.0, 28.0)), Nearer(limit_m=100.0)
+    frame = (1 + np.arange(50)[:, None] / 50 + np.arange(70) / 7000).astype(np.float32)
+    found = FinderView(network, camera)(frame)
+    seen = network.seen[0][0, 0].numpy()
+    assert all(side % 2 == 0 for side in seen.shape), "the principal point is the middle"
+    down, across = (np.arange(side) + 0.5 - side / 2 for side in seen.shape)
+    rows, columns = np.floor(28 + down * focal_px / 100), np.floor(30 + across * focal_px / 100)
+    inside = ((rows >= 0) & (rows < 50))[:, None] & ((columns >= 0) & (columns < 70))
+    np.testing.assert_array_equal(seen > 0, inside)
+    expected = frame[rows.clip(0, 49).astype(int)][:, columns.clip(0, 69).astype(int)]
+    np.testing.assert_array_equal(seen[inside], expected[inside])
+    assert (found > 0.99).all(), "all that is measured has an answer"
+
+
+@pytest.mark.parametrize("focal_px", [60.0, 262.5, 700.0])
+def test_silhouettes_stay_clean(focal_px: float) -> None:
+    draws, figure = np.random.default_rng(1), person(0.1, 2.6)
+    image = frame(figure, box(9, 9, 4.5))
+    image[draws.random(image.shape) < 0.1] = 0
+    found = FinderView(Nearer(focal_px=focal_px), KINECT)(image)
+    expected = np.isfinite(figure) & (image > 0)
+    if focal_px > 200:
+        np.testing.assert_array_equal(found > 0.5, expected)
+    else:  # samples are four pixels apart
+        assert not (found[~expected] > 0.5).any() and (found[expected] > 0.5).mean() > 0.97
+
+
+def test_what_is_no_finder() -> None:
+    with pytest.raises(BadConfig, match="^a finder of people needs 2 classes and the setting focal_px, found 33 class"):
+        find_bodies(frame(person(0.0, 2.5)), KINECT, Background(), Places(0, 5))
+
+
+def test_a_finder_stays_one_on_another_backend() -> None:
+    pytest.importorskip("onnxruntime")
+    settings = {"patch": 8, "widths": [8], "blocks": [0], "context": False, "focal_px": 262.5, "classes": 2}
+    network = build("compact", settings, seed=1).eval()
+    image = frame(person(0.1, 2.6), box(9, 9, 4.0))
+    one, other = (FinderView(on_backend(network, name), KINECT)(image) for name in ("torch", "onnxruntime"))
+    np.testing.assert_allclose(one, other, atol=1e-3)
+
+
+# Who is who.
+
+
+def parted(*images: Image, room: Image | None = None) -> list[NDArray[np.bool_]]:
+    """The people that are found among what `images` show, before a room, as masks."""
+    people = together(*images)
+    shown = np.isfinite(people) if room is None else np.isfinite(people) & (people <= room)
+    image = frame(people) if room is None else frame(people, room)
+    found = part_people(image, shown, KINECT)
+    assert all((np.diff(pixels) > 0).all() for pixels in found)
+    assert len(np.unique(np.concatenate([*found, np.empty(0, np.intp)]))) == sum(map(len, found))
+    assert [len(each) for each in found] == sorted(map(len, found), reverse=True) or len(found) > 1
+    return [mask((pixels,)) for pixels in found]
+
+
+def test_a_person_is_one_whatever_gaps_noise_and_shadows_part() -> None:
+    draws, figure = np.random.default_rng(1), person(0.0, 2.4)
+    noisy = figure * (1 + draws.normal(0, 0.004, figure.shape)).astype(np.float32)
+    noisy[draws.random(figure.shape) < 0.15] = np.inf
+    noisy[:, 150:154] = np.inf  # 4 cm
+    (found,) = parted(noisy)
+    assert found[np.isfinite(noisy)].mean() > 0.995
+
+
+@pytest.mark.parametrize("apart", [0.46, 0.55, 0.9])
+def test_people_side_by_side_are_two(apart: float) -> None:
+    one, other = person(-apart / 2, 2.6), person(apart / 2, 2.63)
+    arms = ellipsoid((0.0, -0.3, 2.6), (0.55, 0.06, 0.05))  # on each other's shoulders
+    found = parted(one, other, arms)
+    assert len(found) == 2
+    for figure in (one, other):
+        own = np.isfinite(figure) & (figure <= together(one, other)) & ~np.isfinite(arms)
+        assert max(mine[own].mean() for mine in found) > 0.95
+
+
+def test_a_person_before_another_is_another() -> None:
+    near, far = person(0.0, 2.0), person(0.15, 2.8)
+    found = parted(near, far)
+    assert len(found) == 2
+    np.testing.assert_array_equal(found[0], np.isfinite(near))
+    assert np.count_nonzero(found[1] != (np.isfinite(far) & ~np.isfinite(near))) <= 2
+
+
+def test_raised_arms_are_no_people() -> None:
+    arms = [ellipsoid((x, -0.75, 2.6), (0.05, 0.35, 0.05)) for x in (-0.22, 0.22)]
+    (found,) = parted(person(0.0, 2.6), *arms)
+    assert (found == np.isfinite(together(person(0.0, 2.6), *arms))).all()
+
+
+@pytest.mark.parametrize(
+    ("piece", "belongs"),
+    [
+        (ellipsoid((0.05, -0.2, 2.1), (0.05, 0.08, 0.03)), True),
+        (ellipsoid((0.05, -0.2, 1.7), (0.05, 0.08, 0.03)), False),
+        (ellipsoid((-0.24, 0.2, 2.8), (0.08, 0.08, 0.03)), True),
+        (ellipsoid((-0.3, 0.2, 3.3), (0.1, 0.08, 0.03)), False),
+        (ellipsoid((0.9, 0.0, 2.6), (0.1, 0.1, 0.1)), False),
+    ],
+    ids=["hand before", "far before", "hand behind", "far behind", "beside"],
+)
+def test_small_pieces_in_reach_belong_to_a_person(piece: Image, belongs: bool) -> None:
+    figure = person(0.0, 2.6)
+    (found,) = parted(figure, piece)
+    seen = (figure < piece) | (np.isfinite(piece) if belongs else np.zeros_like(piece, np.bool_))
+    np.testing.assert_array_equal(found, seen & np.isfinite(together(figure, piece)))
+
+
+def test_a_person_behind_a_table_is_one() -> None:
+    figure = person(0.0, 2.6)
+    table = box(0.25, 1.5, 2.0, 0.0, 0.1)
+    (found,) = parted(figure, room=table)
+    np.testing.assert_array_equal(found, np.isfinite(figure) & ~np.isfinite(table))
+
+
+@pytest.mark.parametrize(
+    "image",
+    [
+        np.full((240, 320), np.inf, np.float32),
+        box(0.2, 1.2, 2.0),
+        box(0.3, 0.1, 2.0),
+        box(2.0, 3.5, 3.4),
+        ellipsoid((0.0, 0.0, 2.0), (0.004, 0.004, 0.004)),
+    ],
+    ids=["nothing", "low", "small", "wide", "a pixel"],
+)
+def test_what_has_no_persons_size_is_nobody(image: Image) -> None:
+    assert parted(image) == []
+
+
+@given(st.tuples(st.integers(1, 40), st.integers(1, 40)), st.integers(0, 2**32 - 1), st.sampled_from([0.1, 0.6, 0.98]))
+def test_any_pixels_are_parted_each_once(shape: tuple[int, int], seed: int, share: float) -> None:
+    draws = np.random.default_rng(seed)
+    image = draws.uniform(0.5, 4, shape).astype(np.float32)
+    shown = draws.random(shape) < share
+    camera = lens(*shape, 30.0, (shape[1] / 2, shape[0] / 2))
+    pixels = [np.empty(0, np.intp), *part_people(image, shown, camera)]
+    every = np.concatenate(pixels)
+    assert len(np.unique(every)) == len(every) and shown.ravel()[every].all()
+
+
+def test_finding_needs_scipy(monkeypatch: pytest.MonkeyPatch) -> None:
+    _scipy.cache_clear()
+    monkeypatch.setitem(sys.modules, "scipy", None)
+    with pytest.raises(MissingLibrary, match=r"^finding people needs the package 'scipy': pip install 'bodyseg\[seg"):
+        parted(person(0.0, 2.5))
+    _scipy.cache_clear()
+
+
+# Frames.
+
+
+def test_finding_does_not_change_the_frame() -> None:
+    image = frame(person(0.1, 2.6), box(9, 9, 4.0))
+    before = image.copy()
+    (found,) = find_bodies(image, KINECT, Background(), Nearer())
+    np.testing.assert_array_equal(image, before)
+    np.testing.assert_array_equal(mask((found.pixels,)), np.isfinite(person(0.1, 2.6)))
+    assert found.person == pytest.approx(0.999, abs=1e-4)
+    assert find_bodies(image, KINECT, Background("people", 0.5, 2.0), Nearer()) == ()
+
+
+def test_limits_and_keep_take_all_as_one_body() -> None:
+    image = frame(person(-0.6, 2.2), person(0.6, 3.0), box(9, 9, 3.6))
+    ((kept, _),) = find_bodies(image, KINECT, Background("keep"))
+    np.testing.assert_array_equal(mask((kept,)), image > 0)
+    ((limited, nobody),) = find_bodies(image, KINECT, Background("limits", 2.5, 3.2))
+    np.testing.assert_array_equal(mask((limited,)), (image >= 2.5) & (image <= np.float32(3.2)))
+    assert nobody is None
+    for mode in ("keep", "limits"):
+        assert find_bodies(np.zeros_like(image), KINECT, Background(mode)) == ()
+    assert find_bodies(image, KINECT, Background("limits", 0.1, 0.2)) == ()
+
+
+@pytest.mark.parametrize("limits", [(-1, 2), (2, 2), (3, 2), (0, float("inf")), (float("nan"), 2), (1, float("nan"))])
+def test_limits_are_in_order(limits: tuple[float, float]) -> None:
+    with pytest.raises(BadConfig, match=f"^the near limit .* {limits[0]:g} and {limits[1]:g} m"):
+        Background("limits", *limits)
+
+
+@pytest.mark.parametrize(
+    ("background", "keys"),
+    [
+        (Background("keep"), {"mode"}),
+        (Background("limits"), {"mode", "near_m", "far_m"}),
+        (Background(), {"mode", "near_m", "far_m"}),
+    ],
+)
+def test_all_that_the_removal_depends_on_is_stated(background: Background, keys: set[str]) -> None:
+    stated: dict[str, Any] = background.to_json()
+    assert set(stated) == keys
+    assert stated["mode"] == background.mode
+
+
+@pytest.mark.parametrize("mode", ["people", "limits", "keep"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -1.0])
+def test_what_is_no_range_is_not_measured(mode: Any, value: float) -> None:
+    image = frame(person(0.0, 2.5))
+    broken, holes = image.copy(), np.random.default_rng(0).random(image.shape) < 0.2
+    broken[holes], image[holes] = value, 0
+    found, expected = (find_bodies(each, KINECT, Background(mode), Nearer()) for each in (broken, image))
+    assert len(found) == len(expected) == 1
+    np.testing.assert_array_equal(found[0].pixels, expected[0].pixels)
