@@ -44,7 +44,6 @@ EXAMPLE = "bodyseg shard --source open --meshes 40 --out shards"
 
 RENDERS: Final = "renders"
 """The source of scenes that another program has rendered."""
-
 ROOMS: Final = "rooms"
 """The source of made rooms with people."""
 

@@ -1,7 +1,7 @@
 """Made rooms as a set of shards: who is in them, and the writing.
 
-Samples of a block share 20 people, drawn by the block's number: building them costs more than a room. The process that
-needs them first builds them, and leaves them to the others in the state folder of the packing.
+Samples of a block share 20 people, drawn by its number: building them takes longer than a room. The process that needs
+them first builds them and leaves them to the others in the state folder. The bytes are the same for any number.
 """
 
 from __future__ import annotations
@@ -30,7 +30,6 @@ from bodyseg_data.shards import CodecName, Manifest, read_manifest
 _BLOCK: Final = 400
 _PEOPLE: Final = 20
 _SOURCES: Final[dict[Split, tuple[str, str]]] = {"train": ("wide", "everyday"), "test": ("open", "hard")}
-_SECOND: Final = 0.4  # share of people of the second source
 _AT_ONCE: Final = 8  # blocks that are written in turns, so that as many processes build people
 
 
@@ -58,9 +57,8 @@ def pack_rooms(
 ) -> Manifest:
     """Pack made rooms into the folder `out` and return its manifest; carries on where an interrupted packing stopped.
 
-    split: of all samples, with people of the sources "wide" and "everyday", or for test of "open" and "hard". The plane
-    "person" numbers people from 1. workers: processes, one a processor if None; the bytes are the same for any number.
-    Raises BadConfig without a sample, and as `ShardWriter`.
+    split: of all samples, with people of "wide" and "everyday", or for test of "open" and "hard"; the plane "person"
+    numbers them from 1. workers: processes, one a processor if None. Raises BadConfig, and as `ShardWriter`.
     """
     order = sorted(
         range(check_int("samples", samples, 1)),
@@ -69,7 +67,7 @@ def pack_rooms(
     keys = {f"room-{split}-{room:06d}": room for room in order}
     lacking = ", ".join(kind for kind in FURNISHINGS if kind not in kinds)
     with (
-        processes(workers) as engine,
+        processes(workers if workers is None else check_int("workers", workers, 1)) as engine,
         ShardWriter(
             out,
             rig=rig,
@@ -91,9 +89,8 @@ def pack_rooms(
 
 def _made(rig: Rig, split: Split, kinds: tuple[str, ...], state: Path, room: int) -> dict[str, Any]:
     people = _shared_people(state, split, room // _BLOCK)
-    made = dict(vars(Room(f"room-{split}-{room:06d}", rig, people, kinds).render(split)))
-    del made["key"]
-    return made
+    made = vars(Room(f"room-{split}-{room:06d}", rig, people, kinds).render(split))
+    return {name: made[name] for name in made if name != "key"}
 
 
 @lru_cache(_AT_ONCE)
@@ -113,7 +110,7 @@ def draw_people(split: Split, block: int) -> list[RoomPerson]:
     sources = [open_source(name) for name in _SOURCES[split]]
     listed = [[body for body in source.bodies() if body.split == split] for source in sources]
     while len(found) < _PEOPLE:
-        which = int(rng.random() < _SECOND)
+        which = int(rng.random() < 0.4)  # of five, two are of the second source
         body = listed[which][int(rng.integers(len(listed[which])))]
         with suppress(BadMesh, BadLandmarks):  # another one is drawn
             built = reduced_body(sources[which].build(body), 1.0, rig, 150, (0,), False)
