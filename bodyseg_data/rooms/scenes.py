@@ -316,11 +316,13 @@ class Room:
             self._add(_Pose(turn, at).of(thing), n)
 
     def _support(self, person: RoomPerson, vertices: Floats, low: float, n: Numbers) -> None:
-        """A seat under somebody, or if he lies at that height, a bed along him."""
+        """A seat under somebody, or if he lies at that height, a bed along him, and at times a cover over him."""
         hips, knees, head = (person.middle(vertices, *names) for names in (_HIPS, _KNEES, ("Nuchale",)))
         if low and np.isfinite(head).all():
             made, (way, _, along) = FURNISHINGS["bed"](n), hips - head
             made = Solid(made.vertices * (1.0, low / float(np.quantile(made.vertices[:, 1], 0.6)), 1.0), made.faces)
+            cover = bent(n, slab((n.between(0.5, 1.4), 0.15, 0.9), (n.between(0.0, 0.5), low + 0.2, 0), 16), 0.08)
+            made = together([made, cover]) if not n.whole(0, 2) else made
             self._add(_Pose(about(math.atan2(-along, way)), hips * (1, 0, 1)).of(made), n)
         elif not low and hips[1] > 0.27 and np.isfinite(knees).all():
             names = [name for name in SEATS if name in self._kinds]
