@@ -113,6 +113,7 @@ def _fill_loop(
                 if slope == 0:
                     if level < 0:
                         last = first - 1
+                        break
                     continue
                 guess = -level / slope * focal + centre_x - 0.5
                 end = first if not guess > first else last if guess > last else int(guess)
