@@ -105,6 +105,7 @@ BENCHES: Final = {
     "real": Bench("model.real.bench", "figure", "frames, 50", required=("data",), optional=("runs", "flip_average")),
     "motion": Bench("model.motion", required=("data", "runs")),
     "steady": Bench("model.real.steady", None, "frames, 100", required=("data",), optional=("runs", "flip_average")),
+    "shuffles": Bench("model.shuffles", required=("data",), optional=("seeds", "steps", "images")),
     "training": Bench("model.training_speed", required=("data",), optional=("steps",)),
     "gpu": Bench("model.gpu", None, "samples of a pass, 2000", required=("data",), optional=("num_workers", "steps")),
     "failures": Bench("model.failures.bench", "figure", required=("data",), optional=("runs", "images", "hard")),
@@ -149,15 +150,15 @@ class Options:
         "limits, windows, people, joints, real, steady and failures: runs",
         None,
     )
-    seeds: int | None = option("for variants: trainings of each variant (default 3)", None)
+    seeds: int | None = option("for variants and shuffles: trainings of each variant or order (default 3)", None)
     steps: int | None = option(
-        "steps of each training, for variants (default: that of the runs that exist, else the recipe's), training (60) "
-        "and gpu (80)",
+        "steps of each training, for variants (default: that of the runs that exist, else the recipe's), shuffles "
+        "(300), training (60) and gpu (80)",
         None,
     )
     images: int | None = option(
         "number of test images (default: variants 500, architectures, runtimes and ablation 200, windows 300, "
-        "failures 1000)",
+        "shuffles 500, failures 1000)",
         None,
     )
     hard: str | None = option(
