@@ -17,9 +17,9 @@ from bodyseg_model.training import GeometricAugmentation, Recipe, RunOptions, re
 ORDERS: Final = ("global", "blocks", "stored")
 """The last one is no choice of a training: it shows whether these trainings tell orders apart at all."""
 
-STEPS: Final = 300
+STEPS: Final = 240
 SETTINGS: Final[dict[str, Any]] = {"patch": 4, "widths": [48, 64, 96], "blocks": [1, 1, 1]}
-WINDOW: Final = BodyCrop(160, 96)
+WINDOW: Final = BodyCrop(96, 64)
 """Images of bodies are small, and so is the network, so that many trainings take minutes of one processor."""
 
 
