@@ -52,6 +52,7 @@ BENCHES: Final = {
     "scaling": Bench("data.render.scaling", None, "views of each body, 54"),
     "cluster": Bench("data.render.cluster", None, "bodies of 54 views, 40", optional=("num_workers",)),
     "reading": Bench("data.reading.bench", required=("data",)),
+    "cold": Bench("data.reading.cold_ranks", required=("data",)),
     "far": Bench("data.reading.far", None, "samples in all, 2016", optional=("data", "num_workers")),
     "interpenetration": Bench("data.surface.interpenetration", None, "one frame in how many, 5"),
     "everyday": Bench("model.failures.everyday", None, "bodies drawn, 130"),
