@@ -116,6 +116,7 @@ class _BatchMaker:
                 if self.metres:
                     metres(steps, self.images.step_m, ranges[row, 0])
                 TALLY.lap(Stage.DELIVER)
+            TALLY.end_sample()
         TALLY.count(Stage.SAMPLES, len(requests) - len(faults))
         TALLY.count(Stage.BATCHES)
         return faults

@@ -24,7 +24,7 @@ from bodyseg_data.shards.index import IndexedShards
 from bodyseg_data.shards.manifest import Manifest
 from bodyseg_data.shards.records import CheckedFile, check_bytes
 from bodyseg_data.shards.remote import Pause, RemoteFolder
-from bodyseg_data.shards.store import READ_ATTEMPTS, TALLY, Stage, Store
+from bodyseg_data.shards.store import READ_ATTEMPTS, TALLY, Store
 
 DEFAULT_CACHE_BYTES: Final = 20 * 10**9
 """Default size limit, bytes: room for about 300 000 samples."""
@@ -229,7 +229,7 @@ class CachedStore:
         record = self._records[name]
         data = self._from_cache(record, offset, length)
         if data is None and name in self.to_cache:
-            TALLY.count(Stage.STALLS)
+            TALLY.came(False)
             while (kept := self.keep(record)) is None:
                 if (
                     name not in self._spoiled
@@ -239,7 +239,7 @@ class CachedStore:
                 time.sleep(_POLL_S)
             data = self._from_cache(record, offset, length) if kept else None
         elif data is not None:
-            TALLY.count(Stage.HITS)
+            TALLY.came(True)
         return self.remote.read(name, offset, length) if data is None else data
 
     def is_here(self) -> bool:

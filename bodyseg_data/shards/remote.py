@@ -101,7 +101,7 @@ class RemoteFolder:
         read_ahead = self.pieces.take(name, offset, length)
         if read_ahead is not None:
             return read_ahead
-        TALLY.count(Stage.STALLS)
+        TALLY.came(False)
         data = bytearray()
         self.fetch(name, offset, offset + length, data.extend, ranges=True)
         return bytes(data)

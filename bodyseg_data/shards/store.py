@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 import threading
 import time
 from collections.abc import MutableSequence
-from concurrent.futures import Future, wait
+from concurrent.futures import CancelledError, Future
 from enum import IntEnum
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -36,6 +37,7 @@ class Tally(threading.local):
     def start(self, row: MutableSequence[float]) -> None:
         """Tally in `row`, float [len(Stage)], from now on."""
         self.row, self._since = row, time.perf_counter()
+        self._at_hand: bool | None = None
 
     def lap(self, stage: Stage) -> None:
         """The time since the last lap, or the start, was of `stage`."""
@@ -46,6 +48,16 @@ class Tally(threading.local):
     def count(self, what: Stage, number: float = 1) -> None:
         """Add to a count."""
         self.row[what] += number
+
+    def came(self, at_hand: bool) -> None:
+        """Bytes of the current sample of a remote set were at hand, or else were waited for."""
+        self._at_hand = at_hand and self._at_hand is not False
+
+    def end_sample(self) -> None:
+        """Count the current sample as a hit or a stall, however often its bytes were asked for."""
+        if self._at_hand is not None:
+            self.row[Stage.HITS if self._at_hand else Stage.STALLS] += 1
+        self._at_hand = None
 
 
 TALLY: Final = Tally()
@@ -78,8 +90,9 @@ class Pieces:
         piece = self._pieces.get((name, offset)) if self._owner == os.getpid() else None
         if piece is None:
             return None
-        TALLY.count(Stage.HITS if piece.done() else Stage.STALLS)
-        wait([piece])
+        TALLY.came(piece.done())
+        with contextlib.suppress(CancelledError):  # of a piece that is given up, `wait` would not return
+            piece.result()
         with self._changing:  # not before, or `clear` would not find it
             if self._pieces.pop((name, offset), None) is not None:
                 self.size -= length

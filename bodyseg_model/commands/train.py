@@ -86,6 +86,7 @@ class Options:
     learning_rate: float | None = option("learning rate of the last layer (default: the recipe's)", None, flag="lr")
     no_geometric_augmentation: bool = option("leave bodies where they are: turn, zoom and cut none", False)
     ema: float | None = option("decay of averaged weights, like 0.999, which are validated and saved", None)
+    shuffle: Literal["global", "blocks"] = option("order of samples; blocks read a far store in few pieces", "global")
     val_share: float | None = option(
         "share of the train split to hold out, by subject and motion, to validate on", None
     )
@@ -119,6 +120,7 @@ def run(options: Options) -> int:
         accumulate=options.accumulate,
         learning_rate=options.learning_rate,
         ema=options.ema,
+        shuffle=options.shuffle,
         mirror=False if options.no_mirror else None,
         geometric_augmentation=GeometricAugmentation() if options.no_geometric_augmentation else None,
         bf16={"recipe": None, "float32": False, "bfloat16": True}[options.precision],

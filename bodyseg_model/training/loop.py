@@ -197,7 +197,8 @@ class Training:
         batch = self.recipe.batch_size // self.processes.world_size
         pin = self.processes.device.type == "cuda"
         workers, method = self.run_options.num_workers, self.run_options.worker_method
-        data_loader = loader(self.images, batch, workers, drop_last=True, pin_memory=pin, worker_method=method)
+        order = "blocks" if self.recipe.shuffle == "blocks" else None
+        data_loader = loader(self.images, batch, workers, order, drop_last=True, pin_memory=pin, worker_method=method)
         if loader_state is not None:
             data_loader.load_state_dict(loader_state)
         objective = self._objective()

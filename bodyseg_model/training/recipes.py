@@ -53,7 +53,8 @@ class Recipe:
     where that is larger. bf16: whether layers compute in bfloat16.
 
     ema: decay of the exponential moving average of the weights, which is then validated and saved in their place
-    (`ema.AveragedNetwork`); 0 for none.
+    (`ema.AveragedNetwork`); 0 for none. shuffle: order of the samples, "global" for a permutation of all or "blocks",
+    which suits far stores (`loader`).
 
     Raises BadConfig for a value out of range or of another type.
     """
@@ -75,6 +76,7 @@ class Recipe:
     loss_stride: int
     geometric_augmentation: GeometricAugmentation = field(default_factory=GeometricAugmentation)
     ema: float = 0.0
+    shuffle: Literal["global", "blocks"] = "global"
 
     def __post_init__(self) -> None:
         if self.optimiser not in ("sgd", "adamw"):
@@ -88,8 +90,9 @@ class Recipe:
                 raise BadConfig(f"{name} must be from {least} to {most}, found {getattr(self, name)!r}")
 
     def to_json(self) -> dict[str, Any]:
-        """The recipe as a JSON object; `ema` only where there is one."""
-        return {name: value for name, value in dataclasses.asdict(self).items() if name != "ema" or value}
+        """The recipe as a JSON object; `ema` and `shuffle` only where they are not the default."""
+        plain = ("ema", 0), ("shuffle", "global")
+        return {name: value for name, value in dataclasses.asdict(self).items() if (name, value) not in plain}
 
     def learning_rate_at(self, step: int) -> float:
         """The last layer's learning rate in step `step`, counted from 0."""

@@ -52,7 +52,7 @@ class Metrics:
 
 WAITING_ADVICE: Final = {
     **dict.fromkeys(("decode", "artifacts", "transform", "deliver"), "more num_workers, up to the processors"),
-    "store": "shuffle='blocks', a cache with room for the set, or a nearer store",
+    "store": "--shuffle blocks, a cache with room for the set, or a nearer store",
 }
 """Stage of loading -> what helps a training that waits for it."""
 

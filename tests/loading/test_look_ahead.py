@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -206,6 +207,7 @@ def test_a_shard_whose_bytes_are_wrong_costs_its_bad_sample_alone(
     with pytest.warns(RuntimeWarning, match=f"{shard.keys[1]}.*not kept"):
         keys = [key for key, _ in bits(batches)]
     assert shard.keys[1] in [each.key for each in batches.skipped]
+    assert batches.stats()["hits"] + batches.stats()["stalls"] == 24, "what is read by range in the end counts once"
     assert set(images.keys) - set(keys) == {each.key for each in batches.skipped}
     with pytest.raises(BadShard, match=f"{shard.keys[1]}: offset {shard.offsets[1]}: altered: CRC-32"):
         images.clean(images.keys.index(shard.keys[1]))
@@ -263,6 +265,29 @@ def test_an_unforeseen_error_leaves_nobody_waiting(web: WebServer, figures_set: 
     finally:
         ahead.close()
     assert images.reader.store.pieces.size == 0  # type: ignore[union-attr]
+
+
+def test_a_sample_whose_look_ahead_is_given_up_counts_once(
+    web: WebServer, figures_set: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waiting = threading.Event()
+
+    def give_up(self: LookAhead, one: Any) -> None:
+        assert waiting.wait(10)
+        raise BadShard("a range that does not come")
+
+    plain = Future.result
+
+    def told(piece: Any, timeout: float | None = None) -> Any:
+        waiting.set()
+        return plain(piece, timeout)
+
+    monkeypatch.setattr(LookAhead, "_read", give_up)
+    monkeypatch.setattr(Future, "result", told)
+    batches = loader(RangeImages(web.url("good"), "noise", cache_bytes=0), 4, 2)
+    assert len(bits(batches)) == 24
+    stats = batches.stats()
+    assert (stats["hits"], stats["stalls"], stats["requests"]) == (0, 24, 24)
 
 
 def test_a_loader_says_where_its_time_goes(figures_set: Path) -> None:

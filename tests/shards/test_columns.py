@@ -257,8 +257,12 @@ def test_columns_travel_with_their_set(copy: Path, tmp_path: Path, capsys: pytes
     pytest.importorskip("aiohttp")
     with web_server(copy) as server:
         assert main(["pull", server.url("good"), str(tmp_path / "back")]) == 0
-        remote = RangeImages(server.url("good"), "none", columns=("instances", "age"), cache=tmp_path / "cache")
+        cache = tmp_path / "cache"
+        remote = RangeImages(server.url("good"), "none", columns=BOTH, planes="instances", cache=cache)
         assert remote.clean(20).planes["instances"][0, 0] == instances(remote.keys[20], (1, 1))[0, 0]
+        batches = loader(remote, 6)
+        assert sum(len(batch["key"]) for batch in batches) == len(remote)
+        assert batches.stats()["hits"] + batches.stats()["stalls"] == len(remote), "of two files, a sample counts once"
     assert hashes(tmp_path / "there") == hashes(tmp_path / "back") == hashes(copy)
     assert main(["verify", str(tmp_path / "back")]) == 0
     assert "columns: age, instances: no fault" in capsys.readouterr().out

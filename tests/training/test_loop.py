@@ -140,9 +140,11 @@ def test_steps_are_those_of_plain_sgd_on_mean_gradients(small_set: Path, tmp_pat
         torch.testing.assert_close(found[name], weight, atol=2e-5, rtol=1e-3, msg=lambda text, name=name: name + text)
 
 
-@pytest.mark.parametrize("optimiser", ["sgd", "adamw"])
-def test_a_training_carries_on_with_the_same_bits(small_set: Path, tmp_path: Path, optimiser: Any) -> None:
-    recipe = dataclasses.replace(SGD, optimiser=optimiser, bf16=optimiser == "adamw")
+@pytest.mark.parametrize(("optimiser", "shuffle"), [("sgd", "global"), ("adamw", "blocks")])
+def test_a_training_carries_on_with_the_same_bits(
+    small_set: Path, tmp_path: Path, optimiser: Any, shuffle: Any
+) -> None:
+    recipe = dataclasses.replace(SGD, optimiser=optimiser, bf16=optimiser == "adamw", shuffle=shuffle)
     train(small_set, tmp_path / "whole", recipe)
     cut = tmp_path / "cut"
 
@@ -247,6 +249,24 @@ def test_another_training_is_not_overwritten(small_set: Path, tmp_path: Path) ->
     with pytest.raises(BadConfig, match="holds files but no training"):
         train(small_set, tmp_path / "full")
     assert files(tmp_path / "run") == before
+
+
+def test_the_order_of_samples_belongs_to_the_plan(small_set: Path, tmp_path: Path) -> None:
+    words = ["train", "--data", str(small_set), "--settings", json.dumps(TINY), "--num-workers", "0", "--threads", "1"]
+    words += ["--batch-size", "2", "--steps", "1", "--precision", "float32"]
+    plans, orders = {}, []
+    for shuffle in ("blocks", "global"):
+        folder = RunFolder(tmp_path / shuffle)
+        assert main([*words, "--out", str(folder.path), "--shuffle", shuffle]) == 0
+        plans[shuffle] = folder.plan()
+        orders.append(folder.last().loader_state["shuffle"])  # type: ignore[union-attr]
+    assert orders == ["blocks", True]
+    with pytest.raises(BadConfig, match='holds another training: recipe.shuffle was not given, now "blocks"$'):
+        RunFolder(tmp_path / "global").begin(plans["blocks"], True)
+    assert plans["blocks"]["recipe"].pop("shuffle") == "blocks"
+    assert plans["blocks"] == plans["global"], "a plan from before there was a choice stays one of today's"
+    with pytest.raises(BadConfig, match="shuffle must be 'global' or 'blocks', found 'block'"):
+        recipe_for("compact", shuffle="block")
 
 
 def test_a_damaged_checkpoint_is_refused(small_set: Path, tmp_path: Path) -> None:

@@ -52,6 +52,7 @@ BENCHES: Final = {
     "scaling": Bench("data.render.scaling", None, "views of each body, 54"),
     "cluster": Bench("data.render.cluster", None, "bodies of 54 views, 40", optional=("num_workers",)),
     "reading": Bench("data.reading.bench", required=("data",)),
+    "cold": Bench("data.reading.cold_ranks", required=("data",)),
     "far": Bench("data.reading.far", None, "samples in all, 2016", optional=("data", "num_workers")),
     "interpenetration": Bench("data.surface.interpenetration", None, "one frame in how many, 5"),
     "everyday": Bench("model.failures.everyday", None, "bodies drawn, 130"),
@@ -105,6 +106,7 @@ BENCHES: Final = {
     "real": Bench("model.real.bench", "figure", "frames, 50", required=("data",), optional=("runs", "flip_average")),
     "motion": Bench("model.motion", required=("data", "runs")),
     "steady": Bench("model.real.steady", None, "frames, 100", required=("data",), optional=("runs", "flip_average")),
+    "shuffles": Bench("model.shuffles", required=("data",), optional=("seeds", "steps", "images")),
     "training": Bench("model.training_speed", required=("data",), optional=("steps",)),
     "gpu": Bench("model.gpu", None, "samples of a pass, 2000", required=("data",), optional=("num_workers", "steps")),
     "failures": Bench("model.failures.bench", "figure", required=("data",), optional=("runs", "images", "hard")),
@@ -149,15 +151,15 @@ class Options:
         "limits, windows, people, joints, real, steady and failures: runs",
         None,
     )
-    seeds: int | None = option("for variants: trainings of each variant (default 3)", None)
+    seeds: int | None = option("for variants and shuffles: trainings of each variant or order (default 3)", None)
     steps: int | None = option(
-        "steps of each training, for variants (default: that of the runs that exist, else the recipe's), training (60) "
-        "and gpu (80)",
+        "steps of each training, for variants (default: that of the runs that exist, else the recipe's), shuffles "
+        "(240), training (60) and gpu (80)",
         None,
     )
     images: int | None = option(
         "number of test images (default: variants 500, architectures, runtimes and ablation 200, windows 300, "
-        "failures 1000)",
+        "shuffles 500, failures 1000)",
         None,
     )
     hard: str | None = option(

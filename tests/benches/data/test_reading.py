@@ -4,7 +4,7 @@ import hashlib
 from pathlib import Path
 
 import pytest
-from benches.data.reading import bench, far
+from benches.data.reading import bench, cold_ranks, far
 from benches.data.reading.manifests import SHARD_SAMPLES, fit, write_large_manifest
 
 from bodyseg_data.core import BadConfig
@@ -40,6 +40,28 @@ def test_ranks_share_caches_and_manifests_are_opened(small_set: Path, monkeypatc
     assert 10 < indexed["index_bytes"] / SHARD_SAMPLES < 30
     assert largest["bytes"] - indexed["bytes"] < 2 * 500, "a short line a shard"
     assert set(found["fits"]) == {"bytes", "cpu_s", "memory_bytes"}
+
+
+def test_ranks_begin_to_read_a_cold_store(small_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cold_ranks, "RANKS", 4)
+    monkeypatch.setattr(cold_ranks, "RANKS_A_MACHINE", (2, 4))
+    monkeypatch.setattr(cold_ranks, "BATCH", 2)
+    monkeypatch.setattr(cold_ranks, "LARGEST", 5 * SHARD_SAMPLES)
+    monkeypatch.setattr(cold_ranks, "LARGE_SAMPLES", 3)
+    monkeypatch.setattr(cold_ranks, "RATE", 1e12)
+    found = cold_ranks.bench_cold(str(small_set))
+    train = [shard for shard in read_manifest(small_set).shards if shard.split == "train"]
+    size, held = sum(shard.size for shard in train), sum(sum(shard.lengths) for shard in train)
+    rows = {(row["order"], row["ranks_a_machine"]): row for row in found["rows"]}
+    assert len(rows) == 9 and len(found["large"]) == 6
+    for order in ("blocks", "global", "stored"):
+        assert (rows[order, 4]["requests"], rows[order, 4]["bytes"]) == (2, size), "each shard once a machine"
+        assert rows[order, 4]["of_one_file"] == 1 and rows[order, 2]["of_one_file"] <= 2
+        assert held <= rows[order, None]["bytes"] < 16 * held
+    for row in rows.values():
+        assert row["samples"] == 16 and far.LATENCY_S <= row["first_s"] <= row["all_s"]
+    assert rows["global", None]["all_s"] == far.LATENCY_S, "eight connections a rank for four samples"
+    assert {row["samples"] for row in found["large"]} == {12}
 
 
 def test_a_far_store_is_read_in_every_order(small_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from benches.data.reading.throttled import ThrottledServer, throttled_server
+from benches.data.reading.throttled import ThrottledServer
 from bodyseg_data.core import ProgressCallback, counter, silent
 from bodyseg_data.loading import RangeImages, loader
 from bodyseg_data.packing import PROCESSES, Packing, open_engine, pack
@@ -40,8 +40,10 @@ def bench_far(
     views: samples in all, rounded up to whole bodies; data: a set to take in place of a new one. rows: for each cache
     (for the whole set, for a part of it, none) each order, and one also without look-ahead: seconds to the first batch
     and of the epoch, bytes sent over the set's, requests, most connections at once. link_s: the set's bytes by the rate
-    of all connections. shard_s: one shard's fetch. warm: processor time of a sample in an epoch from a full cache over
-    that from a local folder; local_s: seconds of the latter. mixing: see `_mixing`.
+    of all connections. shard_s: one shard's fetch. Processor seconds: processor_s of the loader's process, which opens
+    the set, too, and server_s of the server, another process; local_processor_s of an epoch from a local folder, and
+    local_s by the clock. warm_over_local: processor time from a full cache over that from the folder. mixing: see
+    `_mixing`.
     """
     with TemporaryDirectory(prefix="bodyseg-far-") as folder:
         packed = Path(data) if data else _packed(views, Path(folder) / "set")
@@ -50,12 +52,12 @@ def bench_far(
         sizes = [shard.size for shard in images.manifest.shards]
         tick = counter(progress, (len(ORDERS) + 1) * len(CACHES) + 1)
         rows = []
-        with throttled_server(packed, LATENCY_S, RATE) as server:
+        with ThrottledServer(packed, LATENCY_S, RATE) as server:
             for cache in CACHES:
                 for order, looks in (*((name, True) for name in ORDERS), ("global", False)):
                     rows.append(_epoch(server, Path(folder), cache, order, looks, num_workers, sum(sizes)))
                     tick()
-        warm, local_s = _warm(packed, Path(folder) / "kept", num_workers)
+        local = _warm(packed, Path(folder) / "kept", num_workers)
         tick()
     return {
         "samples": len(images),
@@ -68,8 +70,7 @@ def bench_far(
         "link_s": round(sum(sizes) / (CONNECTIONS * RATE), 3),
         "shard_s": round(LATENCY_S + max(sizes) / RATE, 3),
         "rows": rows,
-        "warm_over_local": warm,
-        "local_s": local_s,
+        **local,
         "load": round(os.getloadavg()[0], 1),
         "processors": os.cpu_count(),
         "mixing": {order: _mixing(images, shuffle) for order, shuffle in ORDERS.items()},
@@ -117,17 +118,16 @@ def _epoch(
         "epoch_s": round(seconds, 3),
         "samples_per_second": round(samples / seconds, 1),
         "processor_s": round(time.process_time() - processor, 2),
+        "server_s": round(server.processor_s, 2),
         "times_the_set": round(server.sent / size, 3),
         "requests": server.requests,
         "most_at_once": server.most_at_once,
     }
 
 
-def _warm(packed: Path, cache: Path, workers: int, turns: int = 3) -> tuple[float, float]:
-    """Processor time of an epoch from a full cache over that from a local folder, the least of each, in turns; and
-    seconds of the latter.
-    """
-    with throttled_server(packed, 0.0, 1e9) as server:
+def _warm(packed: Path, cache: Path, workers: int, turns: int = 3) -> dict[str, float]:
+    """Epochs from a full cache and from a local folder in turns, the least of each."""
+    with ThrottledServer(packed, 0.0, 1e9) as server:
         kept = loader(RangeImages(server.url, "all", cache=cache), BATCH, workers)
         both = [kept, loader(RangeImages(packed, "all"), BATCH, workers)]
         found: list[list[float]] = [[], []]
@@ -141,7 +141,11 @@ def _warm(packed: Path, cache: Path, workers: int, turns: int = 3) -> tuple[floa
                     seconds.append(time.perf_counter() - begun)
                 if turn:  # the first fills the cache
                     found[which].append(time.process_time() - start)
-    return round(min(found[0]) / min(found[1]), 3), round(min(seconds), 3)
+    return {
+        "warm_over_local": round(min(found[0]) / min(found[1]), 3),
+        "local_s": round(min(seconds), 3),
+        "local_processor_s": round(min(found[1]), 2),
+    }
 
 
 def _mixing(images: RangeImages, shuffle: Any, epochs: int = 3) -> dict[str, float]:

@@ -1,77 +1,110 @@
-"""A server of files on loopback that is far away: a pause before each answer, and a rate for each connection."""
+"""A server of files on loopback that is far away: a pause before each answer, and a rate for each connection.
+
+It is a process of its own, so that its work is neither the loader's processor time nor done under its lock.
+"""
 
 from __future__ import annotations
 
 import contextlib
-import threading
+import os
 import time
 from collections.abc import Iterator
-from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from multiprocessing import get_context
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-_STEP_S: Final = 0.01
+_STEP_S: Final = 0.02
 
 
-class ThrottledServer(ThreadingHTTPServer):
-    """Serves `folder`. latency_s: before each answer. rate: bytes a second of each connection.
+class ThrottledServer:
+    """Serves `folder` from `__enter__` to `__exit__`. latency_s: before each answer. rate: bytes a second of each
+    connection.
 
-    requests, sent: of shards, since `forget`; most_at_once: answers at the same time.
+    Counted since `forget`: requests and sent bytes of shards, most answers at once, and the server's processor seconds.
     """
+
+    def __init__(self, folder: Path, latency_s: float, rate: float) -> None:
+        context = get_context("fork")  # the address is bound before, so that nothing is sent back
+        server = _Server(folder, latency_s, rate, context.Array("d", 5))
+        self._counts, self.url = server.counts, f"http://127.0.0.1:{server.server_port}/"
+        self._process = context.Process(target=server.serve_forever, args=(0.02,), daemon=True)
+        self._process.start()
+        server.socket.close()
+
+    def __enter__(self) -> ThrottledServer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.terminate()
+        self._process.join()
+
+    def forget(self) -> None:
+        """Count from 0 again."""
+        with self._counts:
+            self._counts[:4] = [0.0] * 4
+            self._counts[4] = 0.0
+
+    @property
+    def requests(self) -> int:
+        return int(self._counts[0])
+
+    @property
+    def sent(self) -> int:
+        return int(self._counts[1])
+
+    @property
+    def most_at_once(self) -> int:
+        return int(self._counts[2])
+
+    @property
+    def processor_s(self) -> float:
+        return float(self._counts[4])
+
+
+class _Server(ThreadingHTTPServer):
+    """counts: shared, as `ThrottledServer` names them; the fourth is that of answers being sent."""
 
     daemon_threads = True
     request_queue_size = 64
 
-    def __init__(self, folder: Path, latency_s: float, rate: float) -> None:
-        self.latency_s, self.rate = latency_s, rate
-        self._changing = threading.Lock()
-        self.forget()
-        super().__init__(("127.0.0.1", 0), partial(_Handler, folder))
-
-    @property
-    def url(self) -> str:
-        return f"http://127.0.0.1:{self.server_port}/"
-
-    def forget(self) -> None:
-        """Count from 0 again."""
-        self.requests = self.sent = self.most_at_once = self._answering = 0
+    def __init__(self, folder: Path, latency_s: float, rate: float, counts: Any) -> None:
+        self.folder, self.latency_s, self.rate, self.counts = folder, latency_s, rate, counts
+        super().__init__(("127.0.0.1", 0), _Handler)
 
     @contextlib.contextmanager
     def answering(self) -> Iterator[None]:
-        with self._changing:
-            self.requests += 1
-            self._answering += 1
-            self.most_at_once = max(self.most_at_once, self._answering)
+        with self.counts:
+            self.counts[0] += 1
+            self.counts[3] += 1
+            self.counts[2] = max(self.counts[2], self.counts[3])
         try:
             yield
         finally:
-            with self._changing:
-                self._answering -= 1
+            with self.counts:
+                self.counts[3] -= 1
 
-    def count(self, size: int) -> None:
-        with self._changing:
-            self.sent += size
+    def count(self, size: int, thread_s: float) -> None:
+        with self.counts:
+            self.counts[1] += size
+            self.counts[4] += thread_s
 
     def handle_error(self, request: object, client_address: object) -> None:
         """Clients may go away."""
 
 
 class _Handler(BaseHTTPRequestHandler):
-    server: ThrottledServer
+    server: _Server
     protocol_version = "HTTP/1.1"
     disable_nagle_algorithm = True
 
-    def __init__(self, folder: Path, *arguments: object) -> None:
-        self._folder = folder
-        super().__init__(*arguments)  # type: ignore[arg-type]  # what socketserver gives
-
     def do_GET(self) -> None:
-        path = self._folder / Path(self.path).name
+        path = self.server.folder / Path(self.path).name
         if not path.is_file():
             self.send_error(404)
             return
-        with self.server.answering() if path.suffix == ".tar" else contextlib.nullcontext():
+        is_shard = path.suffix == ".tar"
+        with self.server.answering() if is_shard else contextlib.nullcontext():
             size = path.stat().st_size
             first, last = 0, size - 1
             if asked := self.headers.get("Range", ""):
@@ -83,34 +116,22 @@ class _Handler(BaseHTTPRequestHandler):
                 self.send_header("Content-Range", f"bytes {first}-{last}/{size}")
             self.end_headers()
             with path.open("rb") as file:
-                file.seek(first)
-                self._send(file.read(last + 1 - first), path.suffix == ".tar")
+                self._send(file.fileno(), first, last + 1, is_shard)
 
-    def _send(self, data: bytes, is_counted: bool) -> None:
-        start, sent = time.monotonic(), 0
-        while sent < len(data):
+    def _send(self, file: int, first: int, stop: int, is_counted: bool) -> None:
+        start, at, used = time.monotonic(), first, time.thread_time()
+        while at < stop:
             # What is due by now, so that a thread that wakes up late keeps the rate.
-            due = min(len(data), int((time.monotonic() - start + _STEP_S) * self.server.rate))
-            self.wfile.write(data[sent:due])
-            if is_counted:
-                self.server.count(due - sent)
-            sent = due
-            if sent < len(data):
+            due = min(stop, first + int((time.monotonic() - start + _STEP_S) * self.server.rate))
+            while at < due:
+                sent = os.sendfile(self.connection.fileno(), file, at, due - at)
+                at += sent
+                if is_counted:
+                    now = time.thread_time()
+                    self.server.count(sent, now - used)
+                    used = now
+            if at < stop:
                 time.sleep(_STEP_S)
 
     def log_message(self, *_: object) -> None:
         """Print nothing."""
-
-
-@contextlib.contextmanager
-def throttled_server(folder: Path, latency_s: float, rate: float) -> Iterator[ThrottledServer]:
-    """A running server; it ends with the context."""
-    server = ThrottledServer(folder, latency_s, rate)
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
-    thread.start()
-    try:
-        yield server
-    finally:
-        server.shutdown()
-        server.server_close()
-        thread.join()
