@@ -23,11 +23,8 @@ from bodyseg_data.labels import UNLABELLED
 from bodyseg_data.samples import Occupancy, Sample, SampleInfo, info_from_json
 from bodyseg_data.shards.codecs import CODECS
 from bodyseg_data.shards.codecs.codec import FACING, SECOND_FACING, DecodedImages, ImageCodec, OutputArrays
-from bodyseg_data.shards.codecs.png import EarlierPngImages
-from bodyseg_data.shards.earlier import completed
 
-_READ: Final[tuple[ImageCodec, ...]] = (*CODECS.values(), EarlierPngImages())
-_BY_MEMBERS: Final = {frozenset((*codec.members, "json")): codec for codec in _READ}
+_BY_MEMBERS: Final = {frozenset((*codec.members, "json")): codec for codec in CODECS.values()}
 _PLANE: Final = "plane."
 
 
@@ -119,7 +116,7 @@ def _planes(
 def parse_info(description: bytes, key: str) -> SampleInfo:
     """Parse a sample's member `json`. Raises BadSample, naming the key."""
     try:
-        return completed(info_from_json(json.loads(description), key))
+        return info_from_json(json.loads(description), key)
     except (ValueError, RecursionError) as error:
         raise BadSample(f"{key}: json: {error}") from error
 
