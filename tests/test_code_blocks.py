@@ -145,7 +145,6 @@ SIZES: Final = {
     "shard --distances": "255",
     "shard --workers": "1",
     "shard --geodesics": "edges",
-    "gallery --views": "2",
 }
 """Options that make the commands short."""
 

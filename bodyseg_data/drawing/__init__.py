@@ -1,4 +1,4 @@
-"""Pictures for people: contact sheets, galleries, views of a body."""
+"""Pictures for people: contact sheets, views of a body."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from bodyseg_data.core import lazy_door
 if TYPE_CHECKING:
     from bodyseg_data.drawing.body_views import HEIGHTS_PX, LabelledBody, draw_body_views
     from bodyseg_data.drawing.contact_sheet import Row, Window, colour_range, draw_sheet, span_of, window_of
-    from bodyseg_data.drawing.gallery import choose_views, draw_gallery
     from bodyseg_data.drawing.style import (
         EMPTY,
         FAINT,

@@ -257,18 +257,6 @@ def test_other_shells_complete(shell: str, capsys: pytest.CaptureFixture[str]) -
             ["inspect", "nowhere", "--out", "no/folder/x.png"],
             "bodyseg inspect: --out needs a file in a folder that is there, found no/folder/x.png",
         ),
-        (
-            ["gallery", "nowhere", "--out", "no/folder/x.png"],
-            "bodyseg gallery: --out needs a file in a folder that is there, found no/folder/x.png",
-        ),
-        (
-            ["gallery", "nowhere", "--out", "x.png", "--views", "0"],
-            "bodyseg gallery: --views must be 1 to 1200, found 0",
-        ),
-        (
-            ["gallery", "nowhere", "--out", "x.png", "--views", "1201"],
-            "bodyseg gallery: --views must be 1 to 1200, found 1201",
-        ),
     ],
 )
 def test_bad_input_is_one_line_and_exit_status_2(

@@ -95,16 +95,6 @@ def test_cards_tell_of_the_sets_own_classes(folder: Path) -> None:
     assert [row["classes/name"] for row in tree["recordSet"][-1]["data"]] == [*NAMES]
 
 
-def test_a_gallery_is_drawn_in_the_sets_own_colours(folder: Path, tmp_path: Path, refused: Callable[..., str]) -> None:
-    out = tmp_path / "gallery.png"
-    assert main(["gallery", str(folder / "cells"), "--views", "4", "--out", str(out)]) == 0
-    pixels = pixels_of(out).reshape(-1, 3)
-    assert (pixels == (0x80, 0xC0, 0xFF)).all(axis=1).any()  # the floor's, in the legend
-    write_open_set(tmp_path / "other", 2, 0, classes=classes_of(["a", "b"]))
-    line = refused("gallery", folder / "cells", tmp_path / "other", "--out", tmp_path / "no.png")
-    assert line.endswith("same classes, found the labels 'classes' and 'robot cell': 0 is 'a' and 'floor'")
-
-
 def test_a_network_is_trained_scored_and_exported_with_its_classes(folder: Path) -> None:
     card = json.loads((folder / "run" / "network.json").read_text())
     assert card["settings"]["classes"] == 12 and card["labels"]["of"] == CELL_CLASSES.to_json()

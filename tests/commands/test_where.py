@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 from fakes import FiguresEntry
-from PIL import Image
 from small_rig import SMALL
 
 from bodyseg_data import RangeImages
@@ -39,17 +38,6 @@ def test_inspect_counts_a_part_of_a_set(figures_set: Path, capsys: pytest.Captur
         found.append(json.loads(capsys.readouterr().out)["samples"])
     assert sum(found) == 16
     assert found[0] == len(RangeImages(figures_set, split="val", val_share=0.3))
-
-
-def test_a_gallery_shows_a_part_of_a_set(figures_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    heights = []
-    for more in ([], ["--where", "mesh=A-1", "azimuth_deg=180"]):
-        assert main(["gallery", str(figures_set), "--out", str(tmp_path / "gallery.png"), *more]) == 0
-        with Image.open(tmp_path / "gallery.png") as picture:
-            heights.append(picture.height)
-    assert heights[1] < heights[0]
-    assert main(["gallery", str(figures_set), "--out", str(tmp_path / "none.png"), "--where", "pose=x"]) == 2
-    assert "no sample of split None that matches '* pose=x'" in capsys.readouterr().err
 
 
 def test_evaluation_on_val(

@@ -199,10 +199,7 @@ def test_a_folder_without_permission_is_one_line(interrupted: Interrupted, memor
 
 @pytest.mark.parametrize(
     ("words", "name"),
-    [
-        ("inspect {set} --out {target}", "sheet.png"),
-        ("gallery {set} --out {target}", "gallery.png"),
-    ],
+    [("inspect {set} --out {target}", "sheet.png")],
 )
 def test_a_result_that_does_not_fit_on_the_disk_is_one_line_and_leaves_nothing(
     words: str,

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from PIL import Image
 from shapes import evenly_drawn, figure
 from small_rig import SMALL
 
@@ -17,7 +16,6 @@ from bodyseg_data import RangeImages
 from bodyseg_data.artifacts import VARIANTS
 from bodyseg_data.artifacts.occlusion import shadow_test
 from bodyseg_data.bodies import BodyRef
-from bodyseg_data.commands import cli
 from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import Row, draw_sheet
 from bodyseg_data.labels import BACKGROUND, PART_COUNT, UNLABELLED
@@ -194,13 +192,6 @@ def test_a_contact_sheet_shows_things_in_grey(among_things: Path) -> None:
     row = Row(sample, images.step_m, {name: RangeImages(among_things, name).image(0) for name in VARIANTS})
     sheet = np.asarray(draw_sheet([row], "none", "title", images.augmentation.sensor))
     assert (sheet == (112, 116, 124)).all(axis=-1).sum() > 100
-
-
-def test_a_gallery_shows_things_in_grey(among_things: Path, tmp_path: Path) -> None:
-    assert cli.main(["gallery", str(among_things), "--views", "6", "--out", str(tmp_path / "gallery.png")]) == 0
-    with Image.open(tmp_path / "gallery.png") as picture:
-        red, green, blue = np.moveaxis(np.asarray(picture.convert("RGB")).astype(int), -1, 0)
-    assert ((abs(red - green) <= 6) & (abs(blue - green) <= 12) & (green > 50) & (green < 125)).sum() > 500
 
 
 def test_a_plan_with_things_is_another_one(

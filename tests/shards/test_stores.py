@@ -510,8 +510,8 @@ def test_commands_take_addresses(
     assert main(["inspect", web.url("good/test-*.tar"), "--json"]) == 0
     assert '"samples": 8' in capsys.readouterr().out
     assert len(list((tmp_path / "bodyseg").glob("*.tar"))) == 2
-    out = tmp_path / "gallery.png"
-    assert main(["gallery", web.url("good/test-*.tar"), "--views", "2", "--out", str(out)]) == 0
+    out = tmp_path / "sheet.png"
+    assert main(["inspect", web.url("good/test-*.tar"), "--rows", "2", "--out", str(out)]) == 0
     assert out.exists()
     web.faults.act = lambda reply, before: replace(reply, body=b"x" + reply.body[1:])
     assert main(["verify", web.url("faulty")]) == 1
