@@ -54,7 +54,7 @@ def artifact_class(name: str) -> type[Artifact]:
     """
     if name in ARTIFACTS:
         return ARTIFACTS[name]
-    added = _entry_points()
+    added = {entry.name: entry for entry in metadata.entry_points(group=ENTRY_POINT)}
     if name not in added:
         raise BadConfig(f"an artifact must be one of {', '.join((*ARTIFACTS, *added))}, found {name!r}")
     return _loaded(added[name])
@@ -74,10 +74,6 @@ def check_artifact_class(kind: Any, where: str) -> type[Artifact]:
         )
     checked: type[Artifact] = found
     return checked
-
-
-def _entry_points() -> dict[str, metadata.EntryPoint]:
-    return {entry.name: entry for entry in metadata.entry_points(group=ENTRY_POINT)}
 
 
 @cache

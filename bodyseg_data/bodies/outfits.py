@@ -145,7 +145,7 @@ def cut(rest: Floats, faces: NDArray[np.int32], outfit: Outfit) -> Cut:
     """Cut `outfit` to a person at rest, vertices [V, 3] in metres, in the numbering of the open body."""
     at = {name: rest[vertex] for name, vertex in _MEASURED_AT.items()}
     arms = [_Arm(rest, faces, side, at) for side in ("Lt.", "Rt.")]
-    armless = ~(arms[0].vertices | arms[1].vertices) & _same_piece(rest, faces, _MEASURED_AT["face"])
+    armless = ~(arms[0].vertices | arms[1].vertices) & np.isfinite(_distances(rest, faces, _MEASURED_AT["face"]))
     hip = (at["Lt. hip"][1] + at["Rt. hip"][1]) / 2
     chest = (at["Lt. armpit"][1] + at["Rt. armpit"][1]) / 2
     crotch = rest[armless & (np.abs(rest[:, 0]) < 0.012) & (rest[:, 1] > 0.3 * hip), 1].min()
@@ -296,7 +296,3 @@ def _ring_centre(rest: Floats, distance: Floats, value: float) -> Floats:
 
 def _distances(rest: Floats, faces: NDArray[np.int32], source: int) -> Floats:
     return nearest_sources("edges", rest, faces.astype(np.int64), np.array([source])).distance
-
-
-def _same_piece(rest: Floats, faces: NDArray[np.int32], vertex: int) -> NDArray[np.bool_]:
-    return np.isfinite(_distances(rest, faces, vertex))

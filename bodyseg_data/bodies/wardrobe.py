@@ -219,13 +219,8 @@ def fold_patterns(points: Floats, normals: Floats, axes: Floats, areas: Floats, 
             fade *= np.maximum(normals[near] @ normals[centre], 0)  # the far side of a limb folds by itself
             value[near] += fade * np.cos(2 * np.pi * across + phase)
             energy[near] += fade**2
-        patterns[:, column] = _ridged(value / np.sqrt(energy))
+        patterns[:, column] = (np.exp(1.43 * (value / np.sqrt(energy))) - 1.9) / 2.2
     return patterns
-
-
-def _ridged(waves: Floats) -> Floats:
-    """Turn waves into the narrow ridges and wide valleys of folded cloth, with a mean near 0."""
-    return (np.exp(1.43 * waves) - 1.9) / 2.2
 
 
 class Wardrobe:

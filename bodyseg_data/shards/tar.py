@@ -62,7 +62,7 @@ class TarWriter:
         check_key(key)
         described = "json" in members or self._fields.kinds
         self._infos.append(parse_info(members.get("json", b""), key) if described else SampleInfo(self._split))
-        data = _sample_bytes(key, members)
+        data = b"".join(_member(f"{key}.{extension}", members[extension]) for extension in sorted(members))
         self._keys.append(key)
         self._offsets.append(self._size)
         self._lengths.append(len(data))
@@ -110,10 +110,6 @@ class TarWriter:
                 with contextlib.suppress(OSError):
                     self._file.close()
                 self._aside.unlink(missing_ok=True)
-
-
-def _sample_bytes(key: str, members: Mapping[str, bytes]) -> bytes:
-    return b"".join(_member(f"{key}.{extension}", members[extension]) for extension in sorted(members))
 
 
 def _member(name: str, data: bytes) -> bytes:

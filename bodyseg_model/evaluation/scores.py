@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig
-from bodyseg_data.labels import BACKGROUND, PART_CLASSES, PART_COUNT, PARTS, PARTS33, LabelMap, Part
+from bodyseg_data.labels import BACKGROUND, PART_CLASSES, PART_COUNT, PARTS, PARTS33, LabelMap
 
 
 def pairs_of(truth: NDArray[np.uint8], predicted: NDArray[np.uint8], classes: int = PART_COUNT) -> NDArray[np.int64]:
@@ -314,10 +314,6 @@ KINDS: Final = ("right", "left/right", "front/back", "both", "other")
 SWAPS: Final = KINDS[1:4]
 
 
-def _without_side(part: Part) -> str:
-    return part.landmark.removeprefix("Rt. ").removeprefix("Lt. ")
-
-
 @lru_cache(maxsize=16)
 def kinds_of(label_map: LabelMap) -> NDArray[np.uint8]:
     """Kind's number of every pair of classes, uint8 [C, C], row truth, column prediction; not to be written to."""
@@ -336,7 +332,7 @@ def _kind(label_map: LabelMap, truth: int, predicted: int) -> str:
     if label_map.of != PART_CLASSES:
         return "other"
     true_parts, predicted_parts = ([PARTS[part] for part in label_map.members[label]] for label in (truth, predicted))
-    names = {_without_side(part) for part in (*true_parts, *predicted_parts)}
+    names = {part.landmark.removeprefix("Rt. ").removeprefix("Lt. ") for part in (*true_parts, *predicted_parts)}
     faces = [{part.face for part in parts} for parts in (true_parts, predicted_parts)]
     if any(names <= {*region} for region in REGIONS.values()) and faces in _OPPOSITE:
         sides = [{part.side for part in parts} for parts in (true_parts, predicted_parts)]

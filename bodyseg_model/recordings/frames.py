@@ -185,7 +185,7 @@ def result_names(frames: Sequence[Frame]) -> list[str]:
     above it as tell all of them apart ("left/1", "monday/left/1"). Raises BadConfig for a name unfit for a file, or
     two frames that no folder tells apart, such as one frame given twice.
     """
-    stems = [_stem(frame) for frame in frames]
+    stems = [(frame.path.stem if frame.member is None else PurePosixPath(frame.member).stem) for frame in frames]
     names = stems
     if len(set(stems)) < len(stems):
         homes = [_home(frame) for frame in frames]
@@ -204,10 +204,6 @@ def result_names(frames: Sequence[Frame]) -> list[str]:
             raise BadConfig(f"two frames must not have one name, as their results would: {first[name]}, {frame.where}")
         first[name] = frame.where
     return names
-
-
-def _stem(frame: Frame) -> str:
-    return frame.path.stem if frame.member is None else PurePosixPath(frame.member).stem
 
 
 def _home(frame: Frame) -> tuple[str, ...]:

@@ -166,17 +166,11 @@ def _comb(x: Floats, counts: NDArray[np.int64], finest: float, coarsest: float, 
     # The first that is high lies on the flank of its peak.
     at += int(np.argmax(corrected[at : at + 12]))
     fine = frequencies[at] + np.linspace(-0.5, 0.5, 201) / extent
-    sharp = _coherence(x, weights, fine)
+    sharp = np.abs(np.exp(2j * np.pi * np.outer(fine, x)) @ weights)
     best = float(fine[int(np.argmax(sharp))])
     residual = float(np.sqrt(max(1 - sharp.max() ** 2, 1e-6)) / (2 * np.pi))
     error = residual / best / (extent * best * np.sqrt(len(x) / 12))
     return Comb(1 / best, float(corrected[at]), float(error))
-
-
-def _coherence(x: Floats, weights: Floats, frequencies: Floats) -> Floats:
-    """Length of the mean phase of the values at each frequency, [F], 0 to 1."""
-    lengths: Floats = np.abs(np.exp(2j * np.pi * np.outer(frequencies, x)) @ weights)
-    return lengths
 
 
 MARGIN_PX: Final = 3

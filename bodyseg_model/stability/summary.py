@@ -92,7 +92,13 @@ def draw_stability(figures: Tree, path: Path) -> None:
     figure.legend(
         handles=handles, loc="outside lower center", ncols=in_a_row, fontsize=10.5, handlelength=4.5, frameon=False,
     )  # fmt: skip
-    figure.suptitle(_title(figures), x=0.005, ha="left", fontsize=11)
+    figure.suptitle(
+        f"{figures['images']} test images at every strength; one thing changes in each panel, all else is clean. "
+        f"Lines: mean over seeds, bands: ± 1 standard deviation; dashed grey: {100 * figures['bound']:.0f} %",
+        x=0.005,
+        ha="left",
+        fontsize=11,
+    )
     save_chart(figure, path, dpi=100)
 
 
@@ -154,13 +160,6 @@ def _fitting(handles: list[Any]) -> int:
     """Number of legend entries that fit side by side, in columns as wide as the longest entry."""
     inches = 1.0 + 0.085 * max(len(handle.get_label()) for handle in handles)
     return max(1, min(_MOST_IN_A_ROW, len(handles), int(_WIDTH / inches)))
-
-
-def _title(figures: Tree) -> str:
-    return (
-        f"{figures['images']} test images at every strength; one thing changes in each panel, all else is clean. "
-        f"Lines: mean over seeds, bands: ± 1 standard deviation; dashed grey: {100 * figures['bound']:.0f} %"
-    )
 
 
 FEWEST_SEEDS: Final = 3

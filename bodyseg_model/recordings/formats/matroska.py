@@ -96,7 +96,10 @@ def _opened(path: Path) -> Iterator[InputContainer]:
 
 
 def _track(container: InputContainer, topic: str | None, path: Path) -> VideoStream:
-    tracks = {_title(track, number): track for number, track in enumerate(container.streams.video)}
+    tracks = {
+        (track.metadata.get("title") or f"track {number}"): track
+        for number, track in enumerate(container.streams.video)
+    }
     grey = {name: track for name, track in tracks.items() if track.codec_context.pix_fmt in _GREY}
     if topic is not None:
         chosen = [track for name, track in grey.items() if name == topic]
@@ -109,10 +112,6 @@ def _track(container: InputContainer, topic: str | None, path: Path) -> VideoStr
     if not all(1 <= side <= LARGEST_SIDE for side in size):
         raise BadConfig(f"a frame's side must be 1 to {LARGEST_SIDE} pixels, found {size[0]} x {size[1]}: {path}")
     return chosen[0]
-
-
-def _title(track: VideoStream, number: int) -> str:
-    return track.metadata.get("title") or f"track {number}"
 
 
 def _times(container: InputContainer, track: VideoStream) -> list[tuple[int, float]]:
