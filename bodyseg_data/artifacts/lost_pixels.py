@@ -204,7 +204,6 @@ class PatchLoss(Artifact):
         return {"patch_share": _share(self.low, self.high, draws.chance("patch share"))}
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
-        """As `Artifact.apply`."""
         clean = scene.sample.range
         if self.parts:
             clean = np.where(np.isin(scene.sample.labels, [_LABELS[part] for part in self.parts]), clean, np.uint16(0))
@@ -239,7 +238,6 @@ class StripeLoss(Artifact):
         return {"stripe_share": _share(self.low, self.high, draws.chance("stripe share"))}
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
-        """As `Artifact.apply`."""
         clean, generator = scene.sample.range, draws.generator("stripe loss")
         share = image.drawn["stripe_share"]
         if (self.along or code_lines(scene.rig)) == "rows":
@@ -272,7 +270,6 @@ class GrazingLoss(Artifact):
         check_fields(self)
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
-        """As `Artifact.apply`."""
         bits = drawn_bits(draws, "grazing loss", len(scene.pixels), np.uint16)
         ranges, limit, steepest = image.range.reshape(-1), self.share * 65536, np.float32(math.radians(self.from_deg))
         with if_ready:
@@ -304,7 +301,6 @@ class EdgeLoss(Artifact):
         check_fields(self)
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
-        """As `Artifact.apply`."""
         clean = scene.sample.range
         edge = widened(silhouettes(clean, self.jump_mm / 1000 / scene.step_m), self.width_px - 1)
         bits = drawn_bits(draws, "edge loss", len(scene.pixels), np.uint16)

@@ -48,7 +48,6 @@ class MissingData(Artifact):
         return {"missing_rate": self.rate(draws.chance("missing rate"))}
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
-        """As `Artifact.apply`."""
         pixels = scene.pixels
         kept = kept_pixels(image.drawn["missing_rate"], draws.pixels("missing data", len(pixels), np.uint16))
         image.range.reshape(-1)[pixels[~kept]] = 0

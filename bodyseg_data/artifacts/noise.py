@@ -47,7 +47,6 @@ class Noise(Artifact):
         return {"sigma_mm": self.sigma_mm(draws.chance("sigma"))}
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
-        """As `Artifact.apply`."""
         ranges, pixels = image.range.reshape(-1), scene.pixels
         before = ranges[pixels]
         sigma = steps_of(image.drawn["sigma_mm"], scene.step_m)

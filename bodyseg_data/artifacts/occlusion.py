@@ -45,7 +45,6 @@ class Occlusion(Artifact):
     needs_projector = True
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
-        """As `Artifact.apply`."""
         image.range[...] *= lit_pixels(scene.rig, scene.sample)
 
 

@@ -70,7 +70,6 @@ class AxialNoise(Artifact):
         return found
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
-        """As `Artifact.apply`."""
         add_gaussian(image, scene, draws, "axial noise", self.sigma_m(clean_metres(scene), scene.incidence))
 
 
@@ -97,7 +96,6 @@ class LateralNoise(Artifact):
         check_fields(self)
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
-        """As `Artifact.apply`."""
         clean = scene.sample.range
         if not len(scene.pixels):
             return
@@ -148,7 +146,6 @@ class MixedPixels(Artifact):
         check_fields(self)
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
-        """As `Artifact.apply`."""
         behind = 0 if self.background_m is None else round(self.background_m / scene.step_m)
         # The higher half of a draw chooses, the lower one is the position in the gap.
         bits = drawn_bits(draws, "mixed pixels", len(scene.pixels), np.uint32)
@@ -184,7 +181,6 @@ class RangeRounding(Artifact):
         check_fields(self)
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
-        """As `Artifact.apply`."""
         steps = self.step_mm / 1000 / scene.step_m
         ranges = image.range.reshape(-1)
         with if_ready:

@@ -152,7 +152,6 @@ def incidence(image: NDArray[np.uint16], camera: Camera, pixels: NDArray[np.intp
 
 
 def silhouettes(image: NDArray[np.uint16], jump: float) -> NDArray[np.bool_]:
-    """As `surface.silhouettes`."""
     flat, marked = np.ascontiguousarray(image).reshape(-1), np.empty(image.shape, np.bool_)
     # Ranges are whole numbers: they differ by more than a jump if they do by more than its whole part.
     _silhouettes(flat, *image.shape, np.int32(min(math.floor(jump), 65535)), marked.reshape(-1))
@@ -160,7 +159,6 @@ def silhouettes(image: NDArray[np.uint16], jump: float) -> NDArray[np.bool_]:
 
 
 def widened(marked: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
-    """As `surface.widened`."""
     found = np.empty(marked.shape, np.bool_)
     marks = np.ascontiguousarray(marked).view(np.uint8)
     _widened(marks, pixels, np.empty(marked.shape[1], np.uint8), found.view(np.uint8))

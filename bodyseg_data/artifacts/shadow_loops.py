@@ -398,7 +398,6 @@ def lit(
     projector_range: NDArray[np.uint16],
     faces_projector: NDArray[np.bool_],
 ) -> NDArray[np.bool_]:
-    """As `ShadowTest.lit`."""
     shadow = shadow_of(test, camera_range, projector_range, faces_projector)
     answer = np.empty(camera_range.shape, np.bool_)
     lit_image(shadow, scratch_for(camera_range.size, *projector_range.shape), answer.ravel())

@@ -32,8 +32,6 @@ EXAMPLE = "bodyseg demo --out demo"
 
 @dataclass(frozen=True)
 class Options:
-    """Options of the command."""
-
     out: Path = option("folder for shards, picture and figures", Path("demo"))
     meshes: int = option("number of bodies", 16)
     views: int = option("number of views of each, all around the body", 9)

@@ -34,8 +34,6 @@ MOST_ROWS: Final = 500
 
 @dataclass(frozen=True)
 class Options:
-    """Options of the command."""
-
     folder: str = option("folder or address of a set of shards", positional=True, address=True)
     variant: VariantName = option("the variant that --json counts and whose labels the sheet shows last", "all")
     sensor: str = option("the artifacts: a sensor that ships with the package, or a TOML file", PAPER_SENSOR)

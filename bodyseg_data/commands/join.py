@@ -15,8 +15,6 @@ EXAMPLE = "bodyseg join parts --out shards"
 
 @dataclass(frozen=True)
 class Options:
-    """Options of the command."""
-
     parts: tuple[Path, ...] = option("folders of parts, or one that holds all parts of a set", positional=True)
     out: Path = option("folder for the set")
     shard_samples: int = option("samples a shard", 1080)

@@ -29,8 +29,6 @@ _UP: Final = {sign + "xyz"[axis]: (1 if not sign else -1) * np.eye(3)[axis] for 
 
 @dataclass(frozen=True)
 class Options:
-    """Options of the command."""
-
     out: Path = option("write the picture to this PNG file")
     source: str | None = option(f"source of the bodies: {', '.join(SOURCES)}, or one that a package adds", None)
     path: Path | None = option("folder of the source's meshes, for sources that read one", None)

@@ -57,8 +57,6 @@ _WHY: Final = {
 
 @dataclass(frozen=True)
 class Options:
-    """Options of the command."""
-
     source: str = option(
         f"source of the bodies: {', '.join(SOURCES)}, or one that an installed package adds; or {RENDERS}: scenes "
         f"rendered elsewhere; or {ROOMS}: made rooms with people and furniture"

@@ -26,8 +26,6 @@ EXAMPLE = "bodyseg verify shards"
 
 @dataclass(frozen=True)
 class Options:
-    """Options of the command."""
-
     folder: str = option("folder or address of a set of shards", positional=True, address=True)
 
 

@@ -48,8 +48,7 @@ Request = tuple[int, int]
 
 STATE_FORMAT: Final = "bodyseg loader 1"
 
-_PROGRESS: Final = frozenset({"format", "epoch", "position", "skipped"})
-"""Fields of a state besides its identity."""
+_PROGRESS: Final = frozenset({"format", "epoch", "position", "skipped"})  # fields of a state besides its identity
 
 
 @dataclass(frozen=True)

@@ -192,7 +192,6 @@ class Mixture(SampleDataset):
         return f"{images.path}/{shard}", key, offset
 
     def places(self, index: int) -> list[Place]:
-        """See `RangeImages.places`."""
         images, within = self._where(index)
         return images.places(within)
 

@@ -29,8 +29,7 @@ _BITS: Final = 53
 _HALF: Final = 1 << (_BITS - 1)
 _LAST_KNOT: Final = 100_000
 
-_UNIT_BITS: Final = 61
-"""Bits of the sum of all sample weights as integers."""
+_UNIT_BITS: Final = 61  # bits of the sum of all sample weights as integers
 
 
 @dataclass(frozen=True)

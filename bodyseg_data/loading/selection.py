@@ -35,8 +35,7 @@ _BLOCK_WORDS: Final = 1 << 18
 BLOCK_SAMPLES: Final = 32
 """Samples of a block of `BlockOrder`, neighbours in the manifest's order."""
 
-_FIRST_PARTS: Final = (0, 4, 12, 28)
-"""First blocks of its first parts; each further part has 32."""
+_FIRST_PARTS: Final = (0, 4, 12, 28)  # first blocks of its first parts; each further part has 32
 
 
 def permutation(count: int, seed: int, epoch: int, purpose: str = "order") -> NDArray[np.int64]:

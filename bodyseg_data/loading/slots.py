@@ -33,8 +33,7 @@ from torch.utils.data._utils.collate import default_collate_fn_map  # where the 
 from bodyseg_data.core import BadConfig
 from bodyseg_data.shards import Stage
 
-_KEPT_BYTES: Final = 2**26
-"""The most memory that is kept: for 60 items of 640 x 329 pixels."""
+_KEPT_BYTES: Final = 2**26  # the most memory that is kept: for 60 items of 640 x 329 pixels
 
 
 class ReusedMemory:
@@ -84,13 +83,10 @@ SCRATCH: Final = ReusedMemory()
 SPARE: Final = 3
 """Batches that a user may hold at once without a copy: the current one, the one before it, and one more."""
 
-_MOST: Final = 8
-"""Batches of one kind that a worker keeps memory for; any beyond them are left to PyTorch."""
-
+_MOST: Final = 8  # batches of one kind that a worker keeps memory for; any beyond them are left to PyTorch
 _Reduced = tuple[Callable[..., torch.Tensor], tuple[Any, ...]]
 
-_memories: dict[int, list[_SharedMemory]] = {}
-"""Bytes of an item -> the memory of this worker's batches of such items."""
+_memories: dict[int, list[_SharedMemory]] = {}  # bytes of an item -> the memory of this worker's batches of such items
 
 
 class Slots:

@@ -28,11 +28,8 @@ def unit(random: np.random.Generator) -> float:
     return (word >> 11) * 2.0**-53
 
 
-_BITS: Final = 20
-"""Bits of a pixel's fraction to which `take_turned` rounds positions, so that sums of them are exact."""
-
-_BAND_ROWS: Final = 128
-"""Rows that `take_turned` makes at once, so that what it computes for them stays in the cache."""
+_BITS: Final = 20  # bits of a pixel's fraction to which `take_turned` rounds positions, so that sums of them are exact
+_BAND_ROWS: Final = 128  # rows that `take_turned` makes at once, so that what it computes for them stays in the cache
 
 Place = Literal["axis", "body", "anywhere"]
 _PLACES: Final = ("axis", "body", "anywhere")

@@ -49,9 +49,7 @@ _Answers = SimpleQueue[tuple[int, Any]]
 _Requests = SimpleQueue[tuple[Any, _Answers] | None]
 """Requests, each with the queue that its (number of the worker, result) goes to; None ends the thread that takes it."""
 
-_END: Final = "end"
-"""Last request: ends the worker."""
-
+_END: Final = "end"  # last request: ends the worker
 _POLL_S: Final = 1.0
 """Interval at which each side checks that the other is alive, seconds, in case the pipe does not show it."""
 
@@ -91,7 +89,6 @@ class InlineWorkers(Workers):
         self._requests: deque[Any] = deque()
 
     def submit(self, request: Any) -> None:
-        """See `Workers.submit`."""
         self._requests.append(request)
 
     def result(self) -> Any:
@@ -99,11 +96,9 @@ class InlineWorkers(Workers):
         return self._work(self._requests.popleft())
 
     def discard(self) -> None:
-        """See `Workers.discard`."""
         self._requests.popleft()
 
     def close(self) -> None:
-        """See `Workers.close`."""
         self._requests.clear()
 
 
@@ -170,7 +165,6 @@ class ThreadWorkers(Workers):
         self._requests.put((request, answer))
 
     def result(self) -> Any:
-        """See `Workers.result`."""
         number, found = self._answers.popleft().get()
         return checked_result(found, f"worker {number} of {len(self._threads)} (thread)")
 
@@ -254,7 +248,6 @@ class ProcessWorkers(Workers):
         self._submitted += 1
 
     def result(self) -> Any:
-        """See `Workers.result`."""
         worker = self._received % len(self._pipes)
         pipe, process = self._pipes[worker], self._processes[worker]
         try:
@@ -268,7 +261,6 @@ class ProcessWorkers(Workers):
         return checked_result(found, self._name(worker))
 
     def peaks_mb(self) -> list[float | None]:
-        """See `Workers.peaks_mb`."""
         return [peak_mb(process.pid) for process in self._processes]
 
     def _name(self, worker: int) -> str:

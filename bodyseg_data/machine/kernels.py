@@ -37,9 +37,7 @@ from bodyseg_data.machine.host import processors
 
 VARIABLE: Final = "BODYSEG_KERNELS"
 _CHOICES: Final = ("auto", "numpy", "compiled")
-_ROOM: Final = 1 << 20
-"""Bytes that a disk must have free for one function's machine code, which takes a 20th of it."""
-
+_ROOM: Final = 1 << 20  # bytes that a disk must have free for one function's machine code, which takes a 20th of it
 _one_at_a_time = threading.Lock()
 
 
@@ -188,8 +186,7 @@ def compile_ahead(first: Any, work: Callable[[], None]) -> None:
 
 _COMPILING: Final = "compiling"
 _processes: list[subprocess.Popen[bytes]] = []
-_failed: list[Any] = []
-"""What other processes were to compile and did not; this one compiles from then on."""
+_failed: list[Any] = []  # what other processes were to compile and did not; this one compiles from then on
 
 
 def _send(folder: Path, function: Callable[..., Any], signature: Any) -> subprocess.Popen[bytes]:
@@ -253,8 +250,7 @@ def require_numba(feature: str, extra: str = "fast") -> Any:
         ) from error
 
 
-_given: list[Path] = []
-"""The one folder to keep code in, if another process has chosen it."""
+_given: list[Path] = []  # the one folder to keep code in, if another process has chosen it
 
 
 def _folder(named: str, digest: str) -> Path | None:

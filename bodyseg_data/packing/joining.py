@@ -33,8 +33,7 @@ from bodyseg_data.shards import (
 _SAME: Final = ("plan", "rigs", "classes", "projector", "planes", "codec", "source", "renderer")
 """Fields of manifests that parts of one set have in common; the first differs where a writer's options do."""
 
-_Place = tuple[str, int, int, int]
-"""A sample: its key, the numbers of its part and shard, and its own there."""
+_Place = tuple[str, int, int, int]  # a sample: its key, the numbers of its part and shard, and its own there
 
 
 def join(

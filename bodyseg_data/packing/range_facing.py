@@ -15,20 +15,13 @@ from numpy.typing import NDArray
 
 from bodyseg_data.rigs import Rig
 
-_ONE_SURFACE: Final = 1.5
-"""Slopes on both sides of a pixel that differ by more than this factor are not of one surface."""
-
+_ONE_SURFACE: Final = 1.5  # slopes on both sides of a pixel that differ by more than this factor are not of one surface
 _LEVEL: Final = 1e-6
 """Slopes below this, 1 / m a pixel, are 0 as far as facing goes: the last bits of a surface square to the axis."""
 
-_REACH: Final = 2
-"""Pixels to each side that a slope depends on."""
-
-_ROWS: Final = 48
-"""Rows that are computed at once, so that arrays stay in the cache."""
-
-_BENT: Final = 4.0
-"""The same for slopes of one side, at the pixel and beyond."""
+_REACH: Final = 2  # pixels to each side that a slope depends on
+_ROWS: Final = 48  # rows that are computed at once, so that arrays stay in the cache
+_BENT: Final = 4.0  # the same for slopes of one side, at the pixel and beyond
 
 
 def projector_places(rig: Rig) -> list[NDArray[np.float64]]:

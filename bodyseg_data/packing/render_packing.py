@@ -20,13 +20,10 @@ from bodyseg_data.renders import Render, RenderSource
 from bodyseg_data.rigs import Camera, Rig
 from bodyseg_data.shards import CodecName, Manifest, ProjectorKind, read_manifest
 
-_CHECKED: Final = 4
-"""Number of renders whose two views are compared: a mistake in a set is in all of it."""
-
+_CHECKED: Final = 4  # number of renders whose two views are compared: a mistake in a set is in all of it
 _POINTS: Final = 4000
 _FEWEST: Final = 100
-_SLACK: Final = 0.02
-"""Metres, and share of the range, that two renderers may differ by."""
+_SLACK: Final = 0.02  # metres, and share of the range, that two renderers may differ by
 _REFUSED: Final = 0.2
 _FITTING: Final = 0.1
 

@@ -30,9 +30,7 @@ NOTHING: Final = 1e9
 _SENTINELS: Final = (65504.0, 65535.0)  # the largest number of 16-bit floats, and of 16-bit integers stored as floats
 _MOST_STEPS: Final = 65535
 _LEAST_M: Final = 0.01
-_NEAR_M: Final = 0.3
-"""A farthest surface nearer than this speaks against a unit that is guessed."""
-
+_NEAR_M: Final = 0.3  # a farthest surface nearer than this speaks against a unit that is guessed
 _TILE_SIDES: Final = (322, 323)  # tags of TIFF 6.0
 _DEPTH: Final = ("Z", "V", "Y", "R")  # names that programs give to the one channel of a depth image
 _UNITS: Final = (("millimetres", 1e-3), ("centimetres", 1e-2))

@@ -39,8 +39,7 @@ Along = Literal["axis", "ray"]
 _FILES: Final = TomlFiles("set", Path(), SET_FORMAT)
 _COLOUR: Final = re.compile(r"#[0-9a-fA-F]{6}")
 _SMALL: Final = 1 << 16
-_BORDER: Final = 0.05
-"""Share of pixels in unknown colours below which they are taken for blended borders."""
+_BORDER: Final = 0.05  # share of pixels in unknown colours below which they are taken for blended borders
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,7 @@ _NUMBERS: Final = re.compile(r"(\d+)")
 _NAMED: Final = 3
 _FEW: Final = 0.02
 """Share of labelled pixels that may have no range: borders that two renderers draw half a pixel apart."""
-_MUCH: Final = 0.05
-"""Share of an image that is more than chance, of pixels with one and the same largest range."""
+_MUCH: Final = 0.05  # share of an image that is more than chance, of pixels with one and the same largest range
 
 
 ProjectorRanges = Callable[[NDArray[np.intp], NDArray[np.intp]], Any]

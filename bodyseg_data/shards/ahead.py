@@ -29,8 +29,7 @@ Place = tuple[Store, CheckedFile, int]
 CONNECTIONS: Final = 8
 """Threads that fetch. Processes that share a cache wait for each other's shards, so that they have as many in all."""
 
-_HELD_BYTES: Final = 1 << 26
-"""Bytes of ranges that are planned, or held in memory, at most."""
+_HELD_BYTES: Final = 1 << 26  # bytes of ranges that are planned, or held in memory, at most
 
 # A joined range that is as long takes no further piece; widest gap in one; samples that are planned at once.
 _RANGE_BYTES: Final = 1 << 20

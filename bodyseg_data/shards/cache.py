@@ -225,7 +225,6 @@ class CachedStore:
         return self.remote.name
 
     def read(self, name: str, offset: int, length: int) -> bytes:
-        """See `Store.read`."""
         record = self._records[name]
         data = self._from_cache(record, offset, length)
         if data is None and name in self.to_cache:
@@ -249,11 +248,9 @@ class CachedStore:
         )
 
     def read_file(self, name: str, limit: int) -> bytes | None:
-        """See `Store.read_file`."""
         return self.remote.read_file(name, limit)
 
     def size(self, name: str) -> int:
-        """See `Store.size`."""
         return self.remote.size(name)
 
     def prepare_reread(self, name: str) -> bool:

@@ -148,7 +148,6 @@ class LocalFolder:
         return str(self.path)
 
     def read(self, name: str, offset: int, length: int) -> bytes:
-        """See `Store.read`."""
         # Without O_NONBLOCK, opening a pipe waits for a writer; files ignore the flag.
         file = os.open(self._prefix + name, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         try:
@@ -169,7 +168,6 @@ class LocalFolder:
         return data
 
     def size(self, name: str) -> int:
-        """See `Store.size`."""
         return (self._root / name).stat().st_size
 
     def prepare_reread(self, name: str) -> bool:

@@ -157,7 +157,6 @@ class LocalTarget:
         self.store: Store = LocalFolder(folder)
 
     def holds(self, file: SharedFile, sizes_only: bool) -> bool:
-        """See `Target.holds`."""
         path = self._folder / file.name
         if not path.is_file() or path.stat().st_size != file.size:
             return False
@@ -214,11 +213,9 @@ class LocalTarget:
         sync(self._folder)
 
     def write(self, name: str, data: bytes) -> None:
-        """See `Target.write`."""
         write_atomically(self._folder / name, data)
 
     def remove(self, name: str) -> None:
-        """See `Target.remove`."""
         (self._folder / name).unlink(missing_ok=True)
 
 
@@ -247,11 +244,9 @@ class RemoteTarget:
         report(file.size)
 
     def write(self, name: str, data: bytes) -> None:
-        """See `Target.write`."""
         self._remote.write_bytes(name, data)
 
     def remove(self, name: str) -> None:
-        """See `Target.remove`."""
         self._remote.remove(name)
 
 

@@ -57,8 +57,6 @@ _FORMAT: Final = "bodyseg evaluation 1"
 
 @dataclass(frozen=True)
 class Options:
-    """Options of `bodyseg evaluate`."""
-
     data: tuple[str, ...] = option("folders or addresses of sets of shards", address=True)
     json: Path = option("write the scores to this file")
     run: Path | None = option("a training's folder, a .safetensors or .onnx file (default: the one that ships)", None)

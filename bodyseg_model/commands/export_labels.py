@@ -52,8 +52,6 @@ Images = Iterator["LabelImage"]
 
 @dataclass(frozen=True)
 class Options:
-    """Options of `bodyseg export-labels`."""
-
     folder: str = option("folder that `bodyseg segment` wrote, or folder or address of a set", address=True, flag="in")
     out: Path = option("folder for the export: a new one, or of an earlier export")
     format: FormatName = option("COCO's run lengths or panoptic PNGs, DensePose's parts, indexed PNGs, LeRobot v3.0")

@@ -32,8 +32,6 @@ EXAMPLE = "bodyseg sensor fit recording/ --focal 525 --nearer-than 1.2 --out sen
 
 @dataclass(frozen=True)
 class Options:
-    """Options of `bodyseg sensor fit`."""
-
     frames: tuple[Path, ...] = option(RECORDINGS_HELP, positional=True)
     out: Path | None = option("write the sensor model to this TOML file", None)
     picture: Path | None = option("draw a frame beside its simulation in this PNG file", None)
@@ -165,8 +163,6 @@ class ShowSensor:
 
     @dataclass(frozen=True)
     class Options:
-        """Options of the command."""
-
         sensor: str = option(f"one of {', '.join(sensor_model_names())}, or a TOML file", positional=True, address=True)
 
     @staticmethod

@@ -44,8 +44,6 @@ class Card:
 
     @dataclass(frozen=True)
     class Options:
-        """Options of the command."""
-
         what: Path = option("folder of a set, folder of a training, or a .safetensors file", positional=True)
         title: str | None = option("title of the set or network (default: the folder's or file's name)", None)
         licence: str = option("its licence: an SPDX identifier like CC0-1.0, an address or a sentence", UNKNOWN_LICENCE)
@@ -77,8 +75,6 @@ class Push:
 
     @dataclass(frozen=True)
     class Options:
-        """Options of the command."""
-
         what: Path = option("folder of a set, folder of a training, or a .safetensors file", positional=True)
         address: str = option("folder or address that gets the copy", positional=True, address=True)
         replace: bool = option("replace another set or network at the address", False)
@@ -115,8 +111,6 @@ class Pull:
 
     @dataclass(frozen=True)
     class Options:
-        """Options of the command."""
-
         address: str = option(
             "address of a set, of a training's folder or of a .safetensors file", positional=True, address=True
         )

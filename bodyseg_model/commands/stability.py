@@ -41,8 +41,6 @@ _FORMAT: Final = "bodyseg stability 1"
 
 @dataclass(frozen=True)
 class Options:
-    """Options of `bodyseg stability`."""
-
     run: tuple[Path, ...] = option("folders of training runs, or .safetensors files; seeds of one make a group")
     data: str = option("folder or address of a set of shards, whose test split is used", address=True)
     out: Path = option("folder for stability.json and stability.png")

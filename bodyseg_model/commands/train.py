@@ -48,16 +48,13 @@ from bodyseg_model.training import (
     use_threads,
 )
 
-_WAIT_ADVISED: Final = 0.2
-"""Share of a training's waiting from which on there is advice."""
+_WAIT_ADVISED: Final = 0.2  # share of a training's waiting from which on there is advice
 
 EXAMPLE = "bodyseg train --data shards --variant all --network compact --out runs/all-0"
 
 
 @dataclass(frozen=True)
 class Options:
-    """Options of `bodyseg train`."""
-
     data: tuple[str, ...] = option("folders or addresses of sets of shards; their train splits are used", address=True)
     out: Path = option("folder of the run: log, checkpoints, network")
     variant: VariantName = option("which artifacts the images have", "all")

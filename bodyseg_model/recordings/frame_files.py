@@ -56,7 +56,6 @@ class PngSource(FrameSource):
     size: int
 
     def read(self, index: int) -> NDArray[np.uint16]:
-        """See `FrameSource.read`."""
         return parse_frame(read_part(self.path, self.offset, self.size))
 
 

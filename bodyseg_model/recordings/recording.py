@@ -61,7 +61,6 @@ class ArrayFrames(FrameSource):
         self._frames = frames
 
     def read(self, index: int) -> NDArray[Any]:
-        """See `FrameSource.read`."""
         return np.array(self._frames[index])
 
 

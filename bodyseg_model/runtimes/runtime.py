@@ -68,7 +68,6 @@ class OnnxRuntime(Runtime):
         self._session = library.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
 
     def scores(self, range_m: NDArray[np.float32]) -> NDArray[np.float32]:
-        """See `Runtime.scores`."""
         found: NDArray[np.float32] = self._session.run([SCORES], {RANGE: range_m})[0]
         return found
 
@@ -100,7 +99,6 @@ class OpenVino(Runtime):
         self._request = core.compile_model(core.read_model(io.BytesIO(graph)), "CPU", settings).create_infer_request()
 
     def scores(self, range_m: NDArray[np.float32]) -> NDArray[np.float32]:
-        """See `Runtime.scores`."""
         found: NDArray[np.float32] = self._request.infer([range_m], share_inputs=True)[0]
         return found
 

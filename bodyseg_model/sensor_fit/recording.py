@@ -79,8 +79,7 @@ def connected(mask: Mask, pixel: int) -> Mask:
 Floats = NDArray[np.float64]
 
 _POWERS: Final = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
-_FULL: Final = 0.5
-"""Least share of a window's pixels that must be measured for a fit."""
+_FULL: Final = 0.5  # least share of a window's pixels that must be measured for a fit
 
 
 @dataclass(frozen=True)

@@ -58,8 +58,7 @@ class Diverged(BodysegError):
 
 _Address = TypeVar("_Address")
 
-_OPTIMISER: Final = "optimiser."
-"""Prefix of the optimiser's tensors in a checkpoint."""
+_OPTIMISER: Final = "optimiser."  # prefix of the optimiser's tensors in a checkpoint
 
 
 def train(
@@ -114,8 +113,7 @@ def train(
     return load_network(folder.path)
 
 
-_WAIT_NAMED: Final = 0.01
-"""Share of waiting from which on the log says what for."""
+_WAIT_NAMED: Final = 0.01  # share of waiting from which on the log says what for
 
 
 @dataclass(frozen=True)

@@ -140,15 +140,11 @@ class Redrawing:
 
 
 _FOV_RAD: Final = 0.7
-_ASPECT: Final = 0.6
-"""Width over height of the space between the panels of a usual window."""
-
+_ASPECT: Final = 0.6  # width over height of the space between the panels of a usual window
 _PICTURE_PX: Final = 440
 _CONTROLS_PX: Final = 300
 _PHONE_PX: Final = 640
-_FREE: Final = 0.4
-"""Share of the height, from the top, that the controls leave free of windows that are narrower."""
-
+_FREE: Final = 0.4  # share of the height, from the top, that the controls leave free of windows that are narrower
 _SAME: Final = 0.02
 _DEVICE_M: Final = 0.22
 _DEVICE_COLOURS: Final = ((32, 34, 40), (196, 110, 20), (150, 60, 140))

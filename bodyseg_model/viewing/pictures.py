@@ -52,20 +52,13 @@ VIEWPOINTS: Final[tuple[Viewpoint, ...]] = get_args(Viewpoint)
 """What a window can look at: the points, the sensor with them, and both as the sensor's camera sees them."""
 
 _DIRECTIONS: Final = {"points": (0.2, 0.1, 1.0), "sensor": (1.0, 0.35, 0.5), "camera": (0.0, 0.0, 1.0)}
-_AROUND: Final = 1.12
-"""A window takes in so many times what it looks at."""
-
-_LEAST_CONTRAST: Final = 1.6
-"""Of a class's colour with white, the page, and with `EMPTY`, as WCAG 2 measures it."""
-
+_AROUND: Final = 1.12  # A window takes in so many times what it looks at
+_LEAST_CONTRAST: Final = 1.6  # of a class's colour with white, the page, and with `EMPTY`, as WCAG 2 measures it
 _GAP_M: Final = 0.01
 _FEW: Final = 100
 _SMALLEST_M: Final = 0.15
-_NAME_M: Final = 0.13
-"""Distance of a device and its name."""
-
-_OPENCV: Final = np.diag([1.0, -1.0, -1.0])
-"""Axes of a camera that looks along -z, rows: to its right, down, forward."""
+_NAME_M: Final = 0.13  # distance of a device and its name
+_OPENCV: Final = np.diag([1.0, -1.0, -1.0])  # axes of a camera that looks along -z, rows: to its right, down, forward
 
 
 # Pictures.

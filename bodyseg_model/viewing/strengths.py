@@ -16,9 +16,7 @@ from typing import Any, Final, Literal, TypeVar
 from bodyseg_data.artifacts import Artifact, Bounds
 from bodyseg_data.core import BadConfig
 
-_REACH: Final = 3
-"""A slider without a nearer limit ends at a round number of at least so many times the strength."""
-
+_REACH: Final = 3  # A slider without a nearer limit ends at a round number of at least so many times the strength
 _STEPS: Final = 200
 _LARGEST: Final = 4
 _SMALLEST: Final = -4

@@ -41,9 +41,7 @@ ARM_C: Final[tuple[tuple[str, Triple], ...]] = (
 _HAND: Final = np.array([0.0425, -0.0539, 0.0736])
 """From her left wrist to her middle knuckle in the wrist's frame, metres."""
 
-_WRIST_M: Final = 0.068
-"""Height of the wrists above the floor when the hands are on it, metres."""
-
+_WRIST_M: Final = 0.068  # height of the wrists above the floor when the hands are on it, metres
 _SOLES: Final = (Sole(0.18, 0, 28), Sole(-0.18, 0, -28))
 _END: Final = 7.2
 
@@ -93,13 +91,9 @@ _HANDS: Final = _track(_HANDS_KEYS, _HANDS_KEYS)
 """Support of the pelvis: 0 by the feet on the floor, 1 by the hands on the floor."""
 
 _PALMS_KEYS: Final = ((1.0, 0.0), (1.5, 1.0))
-_PALMS: Final = _track(_PALMS_KEYS, _PALMS_KEYS)
-"""Share to which the palms are level, 0 to 1."""
-
+_PALMS: Final = _track(_PALMS_KEYS, _PALMS_KEYS)  # share to which the palms are level, 0 to 1
 _PITCH_KEYS: Final = ((1.0, 0.0), (1.6, 8.0), (1.75, 8.0), (2.3, 52.0))
-_PITCH: Final = _track(_PITCH_KEYS, _PITCH_KEYS)
-"""Pitch of the soles that are on the floor, degrees."""
-
+_PITCH: Final = _track(_PITCH_KEYS, _PITCH_KEYS)  # pitch of the soles that are on the floor, degrees
 _FIRST: Final = ((1.8, 0.0), (2.06, 1.0))
 _SECOND: Final = ((2.12, 0.0), (2.42, 1.0))
 _LEFT_FREE: Final = _track(_FIRST, _SECOND)

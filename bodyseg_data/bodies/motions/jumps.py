@@ -15,8 +15,7 @@ from bodyseg_data.bodies.motions.curves import Build, PoseTrack, Sole, Track, ab
 from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, symmetric
 
 _GRAVITY: Final = 9.81
-_STEPS: Final = 200
-"""Steps of the simulation of flight in a second."""
+_STEPS: Final = 200  # steps of the simulation of flight in a second
 
 
 class Flight:
@@ -105,8 +104,7 @@ _JUMPS: Final = PoseTrack(
 _TURNING: Final = Track((0.9, 1.25, 2.85, 3.2, 4.75, 5.2), (0, 20, 20, 75, 75, 30), blur=0.03)
 """Direction that the jumper faces, degrees; it changes in the air."""
 
-_SPREADING: Final = Track((2.85, 3.04, 3.22), (0.22, 0.62, 0.26), blur=0.03)
-"""Distance between the feet, metres."""
+_SPREADING: Final = Track((2.85, 3.04, 3.22), (0.22, 0.62, 0.26), blur=0.03)  # distance between the feet, metres
 
 
 class Jumps:

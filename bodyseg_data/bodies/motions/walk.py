@@ -22,9 +22,7 @@ Vector = NDArray[np.float64]
 STANCE: Final = 0.62
 """Share of a stride for which a foot is on the floor; a stride is two steps."""
 
-_MIDDLE: Final = 0.235
-"""Phase of the stride at which the pelvis passes over the ankle of the standing foot."""
-
+_MIDDLE: Final = 0.235  # phase of the stride at which the pelvis passes over the ankle of the standing foot
 _ROLLING: Final = Track((0.0, 0.09, 0.35, 0.50, 0.62), (-15, 0, 0, 19, 48), blur=0.05)
 """A sole's pitch over a stride from its heel's strike, degrees."""
 

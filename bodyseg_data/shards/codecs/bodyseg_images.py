@@ -89,7 +89,6 @@ class BodysegImages:
     members: ClassVar[tuple[str, ...]] = ("bsi",)
 
     def encode(self, camera: Range, labels: Bytes, facing: Bytes, projector: Range | None) -> dict[str, bytes]:
-        """See `ImageCodec.encode`."""
         if not np.array_equal(camera == 0, labels == BACKGROUND):
             raise ValueError(f"labels must be {BACKGROUND} exactly where range is 0")
         return {"bsi": encode_images(camera, labels, facing, projector)}
@@ -112,7 +111,6 @@ class BodysegImages:
         return {"bsp": _START.pack(_PLANE_MAGIC, zlib.crc32(checked)) + checked}
 
     def decode_plane(self, data: bytes) -> Bytes | Range:
-        """See `ImageCodec.decode_plane`."""
         view = _checked(data, _PLANE_MAGIC, _PLANE.size)
         width, rows, columns, count, long = _PLANE.unpack_from(view)
         box = Box(0, 0, rows, columns)

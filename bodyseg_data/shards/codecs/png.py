@@ -196,10 +196,8 @@ class PngImages:
         return DecodedImages(images["range.png"], labels, facing, occluder, None, None)
 
     def encode_plane(self, plane: NDArray[np.uint8] | NDArray[np.uint16]) -> dict[str, bytes]:
-        """See `ImageCodec.encode_plane`."""
         return {"png": encode_png(plane)}
 
     def decode_plane(self, data: bytes) -> NDArray[np.uint8] | NDArray[np.uint16]:
-        """See `ImageCodec.decode_plane`."""
         found: NDArray[np.uint8] | NDArray[np.uint16] = decode_png(data)
         return found
