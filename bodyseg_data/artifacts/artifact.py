@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.surface import incidence
-from bodyseg_data.core import Draws
+from bodyseg_data.core import Draws, check_fields
 from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import Sample, shape_of
 
@@ -137,6 +137,10 @@ class Artifact(Protocol):
     drawn: ClassVar[Mapping[str, str]] = {}
     needs_projector: ClassVar[bool] = False
     alters_labels: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        """Raise BadConfig for a strength of another type than its field's, or out of bounds (`bounded`)."""
+        check_fields(self)
 
     def draw(self, draws: Draws) -> dict[str, float]:
         """The quantities of one image, by their names in `drawn`."""

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene, bounded
 from bodyseg_data.artifacts.noise import drawn_bits
 from bodyseg_data.artifacts.surface import Box, box_of, compiled_forms, silhouettes, slants, widened
-from bodyseg_data.core import BadConfig, Draws, check_fields
+from bodyseg_data.core import BadConfig, Draws
 from bodyseg_data.labels import PARTS
 from bodyseg_data.machine import if_ready
 from bodyseg_data.rigs import Camera, Rig
@@ -55,9 +55,6 @@ class Losses(Artifact):
     purposes = ("losses",)
 
     most: float = bounded(0.0, 0, 1)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     def lost(
         self, range_image: NDArray[np.uint16], camera: Camera, generator: np.random.Generator
@@ -193,7 +190,7 @@ class PatchLoss(Artifact):
     parts: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        super().__post_init__()
         _check_order(self.low, self.high)
         for part in self.parts:
             if part not in _LABELS:
@@ -230,7 +227,7 @@ class StripeLoss(Artifact):
     along: Literal["rows", "columns"] | None = None
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        super().__post_init__()
         _check_order(self.low, self.high)
 
     def draw(self, draws: Draws) -> dict[str, float]:
@@ -266,9 +263,6 @@ class GrazingLoss(Artifact):
     from_deg: float = bounded(75.0, 0, 85, below=True)
     share: float = bounded(1.0, 0, 1)
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         bits = drawn_bits(draws, "grazing loss", len(scene.pixels), np.uint16)
         ranges, limit, steepest = image.range.reshape(-1), self.share * 65536, np.float32(math.radians(self.from_deg))
@@ -296,9 +290,6 @@ class EdgeLoss(Artifact):
     width_px: int = bounded(1, 1, 50)
     share: float = bounded(0.5, 0, 1)
     jump_mm: float = bounded(30.0, 0, 10_000, above=True)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         clean = scene.sample.range

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene, bounded
-from bodyseg_data.core import BadConfig, Draws, check_fields
+from bodyseg_data.core import BadConfig, Draws
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class MissingData(Artifact):
     between: tuple[float, float] | None = bounded(None, 0, 1)
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        super().__post_init__()
         if not self.rates:
             raise BadConfig("missing data must have one rate at least, found none")
         if self.between is not None and self.between[0] > self.between[1]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene, bounded
 from bodyseg_data.artifacts.constants import FIRST_SEGMENT, OFFSET_MASK, SEGMENT_SHIFT, SEGMENTS
-from bodyseg_data.core import BadConfig, Draws, check_fields
+from bodyseg_data.core import BadConfig, Draws
 from bodyseg_data.machine import if_ready, loops
 
 _LOOPS: Final = "bodyseg_data.artifacts.random_loops"
@@ -34,7 +34,7 @@ class Noise(Artifact):
     high_mm: float = bounded(100.0, 0, 1000)
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        super().__post_init__()
         if self.low_mm > self.high_mm:
             raise BadConfig(f"noise must satisfy low <= high, found low {self.low_mm} and high {self.high_mm}")
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene, bounded, one_of
 from bodyseg_data.artifacts.noise import as_range, drawn_bits, drawn_normals
 from bodyseg_data.artifacts.surface import compiled_forms, grazing, widened
-from bodyseg_data.core import BadConfig, Draws, check_fields
+from bodyseg_data.core import BadConfig, Draws
 from bodyseg_data.machine import if_ready
 from bodyseg_data.rigs import Rig
 
@@ -48,9 +48,6 @@ class AxialNoise(Artifact):
     from_m: float = bounded(0.4, -100, 100)
     grazing_mm: float = bounded(0.1, 0, 1000)
     grazing_power: float = one_of(-0.5, POWERS)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     def sigma_m(self, range_m: NDArray[np.float32], angle: NDArray[np.float32]) -> NDArray[np.float32]:
         """The standard deviation, metres, [N]; range_m: metres, [N]; angle: of incidence, radians, [N]."""
@@ -91,9 +88,6 @@ class LateralNoise(Artifact):
 
     constant_px: float = bounded(0.8, 0, 20)
     grazing_px: float = bounded(0.035, 0, 20)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         clean = scene.sample.range
@@ -142,9 +136,6 @@ class MixedPixels(Artifact):
     background_m: float | None = bounded(None, 0, 100, above=True)
     jump_mm: float = bounded(30.0, 0, 10_000, above=True)
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         behind = 0 if self.background_m is None else round(self.background_m / scene.step_m)
         # The higher half of a draw chooses, the lower one is the position in the gap.
@@ -177,9 +168,6 @@ class RangeRounding(Artifact):
 
     step_mm: float = bounded(1.0, 0, 1000, above=True)
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         steps = self.step_mm / 1000 / scene.step_m
         ranges = image.range.reshape(-1)
@@ -209,9 +197,6 @@ class StereoNoise(Artifact):
     focal_px: float | None = bounded(None, 0, 1e6, above=True)
     baseline_m: float | None = bounded(None, 0, 100, above=True)
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         """As `Artifact.apply`. Raises BadConfig for a rig whose camera and projector are at one point."""
         scale = focal_baseline(scene.rig, self.focal_px, self.baseline_m)
@@ -234,9 +219,6 @@ class DisparityRounding(Artifact):
     step_px: float = bounded(0.125, 0, 100, above=True)
     focal_px: float | None = bounded(None, 0, 1e6, above=True)
     baseline_m: float | None = bounded(None, 0, 100, above=True)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         """As `Artifact.apply`. Raises BadConfig for a rig whose camera and projector are at one point."""
