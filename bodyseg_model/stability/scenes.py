@@ -254,39 +254,6 @@ class Scenes:
         return posed
 
 
-@dataclass(frozen=True, repr=False)
-class RenderedBody:
-    """A body in front of a camera, and its rendered surface."""
-
-    mesh: Mesh
-    camera: PlacedCamera
-    surface: Surface
-
-    def __repr__(self) -> str:
-        return f"RenderedBody({self.mesh.name!r}, {len(self.pixels)} pixels)"
-
-    @cached_property
-    def pixels(self) -> NDArray[np.intp]:
-        """The pixels that see the body, int [N], row * columns + column, ascending."""
-        return np.flatnonzero(self.surface.face >= 0)
-
-    @cached_property
-    def faces(self) -> NDArray[np.int32]:
-        """The triangle that each of `pixels` sees, int32 [N]."""
-        return self.surface.face.take(self.pixels)
-
-    @cached_property
-    def points(self) -> NDArray[np.float64]:
-        """The surface points at the centres of `pixels`, [N, 3], metres, body frame."""
-        return surface_points(self.surface, self.camera, *np.divmod(self.pixels, self.surface.face.shape[1]))
-
-    def labels(self, parts: Partition) -> NDArray[np.uint8]:
-        """Label image of the body, uint8 [H, W], BACKGROUND where the camera does not see it."""
-        labels = np.full(self.surface.face.shape, BACKGROUND, np.uint8)
-        labels.ravel()[self.pixels] = parts.labels_at(self.mesh, self.faces, self.points)
-        return labels
-
-
 @dataclass(frozen=True)
 class _PosedBody:
     """A labelled body and the azimuth that it is seen from, degrees."""
@@ -316,29 +283,36 @@ class _PosedBody:
     def _behind_things(self, rig: Rig, share: float, shown: bool) -> LabelledImage:
         """Image of a body of which things hide a share, 5 % more or less. shown: leave their ranges in the image."""
         placed = looking_down(rig.camera, self.mesh.centre, self.azimuth_deg, rig.stand_off_m, 0.0)
-        rendered = RenderedBody(self.mesh, placed, self.renderer.render(placed))
+        seen = self.renderer.render(placed)
         things = draw_things(
             "before",
             f"{self.ref.mesh} {self.azimuth_deg} {share:g}",
             self.mesh,
             View(round(100 * rig.stand_off_m), self.azimuth_deg),
             placed,
-            rendered.surface,
+            seen,
             rig.range_step_m,
             (share - _HIDDEN_WITHIN, share + _HIDDEN_WITHIN),
             _HIDDEN_ATTEMPTS,
         ).render(placed)
-        before, labels = in_front(things, rendered.surface), rendered.labels(self.parts)
+        before, labels = in_front(things, seen), self._labels(seen, placed)
         labels[before] = BACKGROUND
-        ranges = np.where(before, things.range if shown else np.float32(0), rendered.surface.range)
+        ranges = np.where(before, things.range if shown else np.float32(0), seen.range)
         return labelled_image(steps(ranges, rig.range_step_m, self.ref.mesh), rig.range_step_m, labels)
 
     def _rendered(self, rig: Rig, camera: Camera, distance_m: float, tilt_deg: float = 0.0) -> LabelledImage:
         """Image of a camera in the rig's steps, without shadows of a projector."""
         placed = looking_down(camera, self.mesh.centre, self.azimuth_deg, distance_m, tilt_deg)
-        rendered = RenderedBody(self.mesh, placed, self.renderer.render(placed))
-        image = steps(rendered.surface.range, rig.range_step_m, self.ref.mesh)
-        return labelled_image(image, rig.range_step_m, rendered.labels(self.parts))
+        seen = self.renderer.render(placed)
+        image = steps(seen.range, rig.range_step_m, self.ref.mesh)
+        return labelled_image(image, rig.range_step_m, self._labels(seen, placed))
+
+    def _labels(self, seen: Surface, camera: PlacedCamera) -> NDArray[np.uint8]:
+        """Label image of what a camera sees of the body, uint8 [H, W], BACKGROUND beside it."""
+        labels, (rows, columns) = np.full(seen.face.shape, BACKGROUND, np.uint8), np.nonzero(seen.face >= 0)
+        points = surface_points(seen, camera, rows, columns)
+        labels[rows, columns] = self.parts.labels_at(self.mesh, seen.face[rows, columns], points)
+        return labels
 
     def _lit(self, rig: Rig) -> LabelledImage:
         """Image of a rig, with the shadows of its projector."""

@@ -46,20 +46,12 @@ _STYLES: Final = {
 }
 """Training variant -> line of its first group, as in the figure of `tools/bench variants`."""
 
-_SPARE: Final = (
-    _Style("#8a5aa3", (0, (4, 1.5)), "v"),
-    _Style("#6b6b6b", (0, (2, 2)), "P"),
-    _Style("#9a6a3a", (0, (8, 2)), "X"),
-    _Style("#c9619a", (0, (3, 1.2, 1, 1.2)), "<"),
-    _Style("#2f4b9a", (0, (1, 1)), ">"),
-    _Style("#4aa3da", "-", "p"),
-    _Style("#00785a", (0, (1.2, 1.6)), "h"),
-    _Style("#d98e00", (0, (3, 1.2, 1, 1.2)), "d"),
-    _Style("#000000", (0, (8, 2)), "^"),
-    _Style("#8a5aa3", (0, (1, 1)), "s"),
-    _Style("#6b6b6b", "-", "o"),
-    _Style("#9a6a3a", (0, (1.2, 1.6)), "D"),
-)
+_SPARE: Final = tuple(map(
+    _Style,
+    ("#8a5aa3", "#6b6b6b", "#9a6a3a", "#c9619a", "#2f4b9a") * 3,
+    ((0, (4, 1.5)), (0, (2, 2)), (0, (8, 2)), (0, (3, 1.2, 1, 1.2)), (0, (1, 1))) * 3,
+    "vPX<>phdDs1234x",
+))  # fmt: skip
 """Lines of further groups; where a colour is repeated, the marker differs."""
 
 _COLUMNS: Final = 4

@@ -17,6 +17,7 @@ from benches.model.motion import (
     AZIMUTHS_DEG,
     NEAR_M,
     NOT_SEEN,
+    RenderedBody,
     TemporalConsistency,
     Tracks,
     bench_motion,
@@ -44,7 +45,6 @@ from bodyseg_data.rigs import Camera, load_rig
 from bodyseg_data.samples import View
 from bodyseg_model.networks import Network, Trained, build, predict, save_network
 from bodyseg_model.stability import Group, Run
-from bodyseg_model.stability.scenes import RenderedBody
 
 RIG = load_rig()
 COLUMNS = RIG.camera.columns

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,22 +26,55 @@ from bodyseg_data.core import BadConfig, ProgressCallback, check_int, counter, s
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.machine import torch_threads
-from bodyseg_data.meshes import Mesh
+from bodyseg_data.meshes import Mesh, Partition
+from bodyseg_data.packing import surface_points
 from bodyseg_data.packing.sampler import faces_towards, sample_key
-from bodyseg_data.rendering import open_renderer
+from bodyseg_data.rendering import Surface, open_renderer
 from bodyseg_data.rigs import PlacedCamera, Rig, load_rig
 from bodyseg_data.samples import Sample, SampleInfo, View, metres, steps
 from bodyseg_model.evaluation import ConfusionMatrix, over_seeds
 from bodyseg_model.networks import Network, device_of, predict
 from bodyseg_model.segmentation import CarriedLabels
 from bodyseg_model.stability import Group, group, load_runs
-from bodyseg_model.stability.scenes import RenderedBody
 
 NEAR_M: Final = 0.005
 """A point counts as seen by the pixel it projects into if the surface at the pixel's centre is at most this far from
 it, metres. A pixel is about 3.4 mm wide at 2.55 m."""
 
 NOT_SEEN: Final = -1
+
+
+@dataclass(frozen=True, repr=False)
+class RenderedBody:
+    """A body in front of a camera, and its rendered surface."""
+
+    mesh: Mesh
+    camera: PlacedCamera
+    surface: Surface
+
+    def __repr__(self) -> str:
+        return f"RenderedBody({self.mesh.name!r}, {len(self.pixels)} pixels)"
+
+    @cached_property
+    def pixels(self) -> NDArray[np.intp]:
+        """The pixels that see the body, int [N], row * columns + column, ascending."""
+        return np.flatnonzero(self.surface.face >= 0)
+
+    @cached_property
+    def faces(self) -> NDArray[np.int32]:
+        """The triangle that each of `pixels` sees, int32 [N]."""
+        return self.surface.face.take(self.pixels)
+
+    @cached_property
+    def points(self) -> NDArray[np.float64]:
+        """The surface points at the centres of `pixels`, [N, 3], metres, body frame."""
+        return surface_points(self.surface, self.camera, *np.divmod(self.pixels, self.surface.face.shape[1]))
+
+    def labels(self, parts: Partition) -> NDArray[np.uint8]:
+        """Label image of the body, uint8 [H, W], BACKGROUND where the camera does not see it."""
+        labels = np.full(self.surface.face.shape, BACKGROUND, np.uint8)
+        labels.ravel()[self.pixels] = parts.labels_at(self.mesh, self.faces, self.points)
+        return labels
 
 
 def follow(first: RenderedBody, later: RenderedBody) -> NDArray[np.intp]:
