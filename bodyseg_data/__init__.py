@@ -6,8 +6,6 @@ Importing this package is fast: each name below is imported on first use, and no
 `__all__` are the public interface; all else may move.
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Any
 
 from bodyseg_data.core import lazy_door

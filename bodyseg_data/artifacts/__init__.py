@@ -1,7 +1,5 @@
 """Artifacts of structured-light sensors, and the five variants."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

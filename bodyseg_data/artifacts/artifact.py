@@ -11,8 +11,6 @@ class in a package of yours with an entry point `bodyseg.artifacts`, or an objec
         def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None: ...
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import Field, dataclass, field
 from functools import cached_property

@@ -5,8 +5,6 @@ bridge an edge, and the mesh is drawn as the projector sees it. So a surface tha
 shadow: the far side of a thing, and what stands outside of the camera's image.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Numbers that the NumPy form of an artifact and its compiled loop share."""
 
-from __future__ import annotations
-
 from statistics import NormalDist
 from typing import Final
 

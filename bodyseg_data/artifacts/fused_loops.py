@@ -1,7 +1,5 @@
 """Occlusion, noise and missing data in one compiled call, with the bits of their NumPy forms one after the other."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from typing import Any, Final, NamedTuple

@@ -6,8 +6,6 @@ camera's ray. `lost` and the functions it calls lose exactly the given share, to
 of the same image and draws loses the same pixels and more.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Missing data: foreground pixels lost at random, one rate an image (paper, section 3.2)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar

@@ -3,8 +3,6 @@
 Normals are made of 32 random bits each, by the inverse of their distribution function (docs/explanation/noise.md).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final

@@ -11,8 +11,6 @@ neither lights. Both thresholds belong to the format of shards (`core.sample.Sha
 docs/results/occlusion.md has the test beside its rivals.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, Final, NamedTuple

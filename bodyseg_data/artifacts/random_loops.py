@@ -4,8 +4,6 @@ The words are those that `np.random.Philox(key=...).random_raw` gives, in half t
 "Parallel random numbers: as easy as 1, 2, 3" (2011), with their constants.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from importlib import import_module
 from typing import Any, Final

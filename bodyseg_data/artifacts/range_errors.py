@@ -6,8 +6,6 @@ between two surfaces, and sensors round what they write. Stereo and structured l
     disparity = focal length * baseline / range
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 

@@ -3,8 +3,6 @@
 Packages of users add theirs by the entry point `bodyseg.artifacts`: name -> class.
 """
 
-from __future__ import annotations
-
 from dataclasses import is_dataclass
 from functools import cache
 from importlib import metadata

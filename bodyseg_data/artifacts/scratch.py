@@ -1,7 +1,5 @@
 """Memory of the compiled loops, kept from sample to sample: fresh memory costs as much as the work."""
 
-from __future__ import annotations
-
 import threading
 from typing import Any, Final, NamedTuple
 

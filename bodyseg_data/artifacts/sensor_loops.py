@@ -5,8 +5,6 @@ Those behind them pass over the foreground once: images are flat, uint16, in ste
 foreground in reading order; numbers are those of pixels.
 """
 
-from __future__ import annotations
-
 import math
 from functools import partial
 from typing import Any, Final

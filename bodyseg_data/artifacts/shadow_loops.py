@@ -8,8 +8,6 @@ The loops take the foreground in chunks that stay in the first cache. Indices ar
 those that count from the end.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any, Final, NamedTuple
 

@@ -1,7 +1,5 @@
 """Surfaces in a clean range image: where they are, how they lie to the camera, and where one ends before another."""
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 import numpy as np

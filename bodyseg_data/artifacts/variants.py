@@ -8,8 +8,6 @@ variants of a sample share their draws: where `all` keeps a pixel it has the val
 silhouette is that of `occ` and `md` together.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property

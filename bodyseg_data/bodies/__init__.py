@@ -1,7 +1,5 @@
 """Sources of bodies to render, behind one Protocol."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

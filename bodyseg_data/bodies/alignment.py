@@ -4,8 +4,6 @@ The posture is kept: a body is scaled, and rotated by one of the 24 rotations th
 not given, are found from the body's size and its landmarks: the trunk points up, the shoulders lie left and right.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final, Literal
 

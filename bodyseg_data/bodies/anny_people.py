@@ -4,8 +4,6 @@ Postures are key postures, their mirror images, and blends of pairs. The last 14
 postures that no training posture uses.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import Final

@@ -1,7 +1,5 @@
 """Attire of everyday people beyond top and trousers, drawn and put on."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Final
 

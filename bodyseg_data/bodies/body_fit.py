@@ -6,8 +6,6 @@ matched with a back, nor a hand with a hip.
 Arms and legs to try are a grid over the ranges of shoulder, elbow, hip, knee and ankle.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final

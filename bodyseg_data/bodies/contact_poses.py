@@ -3,8 +3,6 @@
 An arm goes to a place on the body, the other hand, the floor, the seat, the air before the body, or none.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Final
 

@@ -4,8 +4,6 @@ Every triangle gets a name at each of its three corners, before vertices are joi
 between them has. A name is a class by classes.json.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping, Sequence

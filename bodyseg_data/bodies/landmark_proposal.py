@@ -5,8 +5,6 @@ direction are refined, then tried with other arms and legs; the best fit is refi
 returned. No random numbers.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator, Sequence

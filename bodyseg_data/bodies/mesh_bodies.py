@@ -5,8 +5,6 @@ group share one alignment, found from its first upright body, so that a motion k
 A mesh in no group is aligned by itself.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 from collections.abc import Mapping, Sequence

@@ -3,8 +3,6 @@
 A cut says which vertices each garment covers and how far the cloth is from them.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 

@@ -4,8 +4,6 @@ Surfaces are made of grids of points: with two sides, or solids of rings. Hair i
 falls over neck, shoulders and back; a shoe is a closed solid around each foot, with a sole.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, Literal

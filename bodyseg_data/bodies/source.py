@@ -4,8 +4,6 @@ A source lists its bodies cheaply and in a fixed order, and builds each one on d
 process opens its own. Importing this file is quick.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

@@ -1,7 +1,5 @@
 """Stances: ranges of the trunk, what each leg does, and the places on a person's skin that contacts name."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final

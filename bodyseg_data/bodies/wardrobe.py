@@ -8,8 +8,6 @@ Cloth is computed by sparse linear operators on the mesh, whose long edges are d
 Folds are waves on the surface of the person at rest, one pattern for each direction of compression.
 """
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 import numpy as np

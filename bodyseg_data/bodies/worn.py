@@ -5,8 +5,6 @@ person at rest, the convex hull of the trunk or of both legs as they are posed, 
 as the cloth hangs. Things have a range and no label.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 

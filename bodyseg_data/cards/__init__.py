@@ -1,7 +1,5 @@
 """Cards of sets: a Croissant file and a dataset card, written from the manifest."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

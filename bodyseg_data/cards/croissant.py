@@ -5,8 +5,6 @@ record set holds one member of the samples of one split, since the members are f
 files, `train-json` the descriptions. Records of a sample share their `key`.
 """
 
-from __future__ import annotations
-
 import json
 from typing import Any, Final
 

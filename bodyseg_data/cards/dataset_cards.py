@@ -3,8 +3,6 @@
 `stale_cards` finds cards that lie beside a set and describe another one.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterable, Sequence

@@ -3,8 +3,6 @@
 An origin says who the bodies of a source are, and under which terms their data stand.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Commands of `bodyseg`: one module a command, each with its options, an example and `run`."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

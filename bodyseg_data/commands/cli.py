@@ -3,8 +3,6 @@
 `bodyseg_model.commands.cli` adds the commands on networks to those listed here.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import os

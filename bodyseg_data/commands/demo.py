@@ -1,7 +1,5 @@
 """`bodyseg demo`: from bodies to batches in a minute or two, with a picture and figures."""
 
-from __future__ import annotations
-
 import json
 import sys
 import time

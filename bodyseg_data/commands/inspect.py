@@ -1,7 +1,5 @@
 """`bodyseg inspect`: draw a contact sheet of a set, or count what it holds."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections import Counter

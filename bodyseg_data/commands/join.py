@@ -1,7 +1,5 @@
 """`bodyseg join`: one set of the parts that several writers have written."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Provenance of figures: the command, commit and hardware stored with every result."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 from pathlib import Path

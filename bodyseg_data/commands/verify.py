@@ -1,7 +1,5 @@
 """`bodyseg verify`: check every byte of a set of shards."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Ideas that every room shares: errors, checks, random numbers, progress."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core.doors import lazy_door

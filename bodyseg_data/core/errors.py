@@ -4,8 +4,6 @@ Every message is one line: the rule that was broken, the value found, and where.
 status 2; code that uses the library can catch `BodysegError` or one of its subclasses.
 """
 
-from __future__ import annotations
-
 import types
 import typing
 from dataclasses import fields

@@ -1,7 +1,5 @@
 """Progress of long work, as the functions that do it report it, and the time of its stages."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager

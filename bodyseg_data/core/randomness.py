@@ -4,8 +4,6 @@ A draw belongs to (seed, epoch, sample key, purpose) and to nothing else: not to
 rank or a shard. So a sample gets the same bits however it is read, and an artifact draws the same in every variant.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass
 from typing import Any, Final

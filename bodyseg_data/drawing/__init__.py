@@ -1,7 +1,5 @@
 """Pictures for people: contact sheets, views of a body."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

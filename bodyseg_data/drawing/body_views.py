@@ -1,7 +1,5 @@
 """Pictures of labelled bodies from four sides, to check landmarks and parts by eye."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Final

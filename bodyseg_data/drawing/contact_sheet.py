@@ -3,8 +3,6 @@
 Where bodies are small in the images, it shows the window of rows and columns that holds them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

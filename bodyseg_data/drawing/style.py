@@ -1,7 +1,5 @@
 """Shared style of all pictures: colours, font, the legend of the parts, and writing PNG and SVG files."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Any, Final, Literal

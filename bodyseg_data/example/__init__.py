@@ -1,7 +1,5 @@
 """The example set: 48 samples of 16 open bodies, made by the commands in docs/reference/open_bodies.md."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 __all__ = ["example_set"]

@@ -1,7 +1,5 @@
 """Files: atomic writes, reads of untrusted files, JSON, and TOML tables read key by key."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

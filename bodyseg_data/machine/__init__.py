@@ -1,7 +1,5 @@
 """The machine under this program: compiled loops, libraries, threads, memory, hardware."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

@@ -3,8 +3,6 @@
 Fresh memory costs a page fault for every 4 kB written.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import os

@@ -9,8 +9,6 @@ numba for them.
 Machine code is kept on disk, in NUMBA_CACHE_DIR or the user's cache folder, under a digest of all that shapes it.
 """
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import errno

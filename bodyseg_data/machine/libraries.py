@@ -5,8 +5,6 @@ without them differ from package to package and rarely name the system's package
 them, are made by isal where it is installed (`bodyseg[fast]`), else by zlib.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import ctypes.util

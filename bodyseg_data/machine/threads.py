@@ -3,8 +3,6 @@
 Compiled loops run side by side, as they leave Python's lock. The bits of torch's sums depend on its number of threads.
 """
 
-from __future__ import annotations
-
 import itertools
 import os
 import signal

@@ -1,7 +1,5 @@
 """Triangle meshes of bodies: reading, repair, landmarks, and their partition into 33 parts."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

@@ -4,8 +4,6 @@ Programs with left-handed axes write meshes that are mirrored, with landmarks th
 but its front and back, or right and left, are exchanged. Scans often hold the floor or plate under the feet.
 """
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 import numpy as np

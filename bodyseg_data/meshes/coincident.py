@@ -1,7 +1,5 @@
 """Landmarks in one place, as where hands touch: one of the two moves to a free vertex of its own limb."""
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

@@ -4,8 +4,6 @@ Surfaces on which the exact method's library would crash, hang or give wrong res
 `docs/explanation/partition.md` compares the methods.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Literal

@@ -11,8 +11,6 @@ of only one of them, or differs from one by a letter or two and from all others 
 numbers, like the "V" of a finger, must be exact.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator

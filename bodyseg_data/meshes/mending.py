@@ -4,8 +4,6 @@
 vertex stay valid, and only the faces along which distances are measured are mended.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -3,8 +3,6 @@
 Body frame: x to the subject's left, y up, z to the front; metres.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Final

@@ -8,8 +8,6 @@ rows follow in that order. Properties may be lists, so rows may differ in length
 files (triangles only), are read in one call.
 """
 
-from __future__ import annotations
-
 import gzip
 import re
 import struct

@@ -11,8 +11,6 @@ and never ends, has neither.
 Its licence is GPL-3.0, so it is imported only where a user chose it: by `--pymeshlab`, or `--tolerance-mm` above 0.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import importlib.util

@@ -3,8 +3,6 @@
 The parts of a glTF file are placed by their nodes, joined, and named by nodes and materials.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, Final
 

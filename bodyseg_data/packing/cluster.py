@@ -5,8 +5,6 @@ samples. Dask runs a job again when its worker dies, and jobs give the same byte
 same whichever workers there were. Before its jobs, a worker is checked: it must give the same bytes as this machine.
 """
 
-from __future__ import annotations
-
 import asyncio
 import hashlib
 import importlib.metadata

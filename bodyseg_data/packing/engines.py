@@ -1,7 +1,5 @@
 """Engines of a packing: processes of this machine, or a running Dask cluster. The bytes are the same."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager

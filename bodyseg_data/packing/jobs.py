@@ -1,7 +1,5 @@
 """Jobs of a packing: the executor that runs them, and their results in order."""
 
-from __future__ import annotations
-
 import itertools
 import multiprocessing
 import os

@@ -4,8 +4,6 @@ The samples of each split are put in the order of their keys, so the files are t
 divided among writers, and the same as of one writer that wrote them in that order.
 """
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Sequence
 from dataclasses import replace

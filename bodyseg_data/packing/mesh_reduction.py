@@ -5,8 +5,6 @@ error metrics, SIGGRAPH 1997; pymeshlab), some of them at a time. Every stage is
 tolerance limits: ranges that the rig's camera sees, by casting rays at the coarse mesh and at the whole one.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -12,8 +12,6 @@ becomes the multiple of the largest power of two that its bounds hold, which is 
 the test itself is run on both images, and where answers differ, the exact ranges come back.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Final
 

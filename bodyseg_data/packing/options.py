@@ -1,7 +1,5 @@
 """The options of a packing, and the source that they open."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache

@@ -7,8 +7,6 @@ is written last; then the folder goes. Meshes that are left out (`skipping`) are
 samples are those of a source without them.
 """
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future

@@ -6,8 +6,6 @@ at p is on the camera's side of the surface seen exactly where m . p < 1. The sl
 neighbouring pixels: over both sides where they agree, over the flatter one where the other crosses an edge.
 """
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 import numpy as np

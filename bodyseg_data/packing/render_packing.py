@@ -4,8 +4,6 @@ Of the first renders, what camera and projector see is compared: whether the two
 them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final

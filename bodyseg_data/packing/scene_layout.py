@@ -4,8 +4,6 @@ Checks and copies of the arrays (`SceneLayout.taken`) are quick and run where th
 mistake is reported there and buffers may be used again; the rest (`SceneLayout.sample`) may run anywhere.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final

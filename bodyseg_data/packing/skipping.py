@@ -3,8 +3,6 @@
 `find_faults` checks all files of a source before the first view is rendered.
 """
 
-from __future__ import annotations
-
 import uuid
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor

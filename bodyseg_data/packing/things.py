@@ -6,8 +6,6 @@ guarantees as it does not those of its distributions. Things are cuboids and tur
 the right, y up, z away from the viewer; it stands on y = 0, around x = z = 0.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

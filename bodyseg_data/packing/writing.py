@@ -9,8 +9,6 @@ NAME.tar.json       the record of a finished shard
 skipped.json        meshes left out after the check: name -> reason
 """
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import hashlib

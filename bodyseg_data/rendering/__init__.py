@@ -1,7 +1,5 @@
 """Renderers: range and triangle at every pixel of a camera."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

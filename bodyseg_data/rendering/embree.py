@@ -1,7 +1,5 @@
 """Ray casting with Intel's Embree; needs no system libraries."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

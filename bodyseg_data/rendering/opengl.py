@@ -4,8 +4,6 @@ Needs the system libraries libEGL and libGL; without them, importing this module
 the platform by PYOPENGL_PLATFORM; on Linux with neither that nor DISPLAY set, it is EGL.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import threading

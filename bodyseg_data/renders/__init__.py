@@ -1,7 +1,5 @@
 """Renders that exist: readers of folders that other programs wrote, each a layout of its own."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

@@ -5,8 +5,6 @@ with the categories of instance_attribute_maps; instance_segmaps also as the pla
 intrinsics nor names of classes: set.toml gives both. The projector is a second camera, with a folder of its own.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Images in files as arrays: PNG, TIFF, NPY, NPZ and OpenEXR; and stored numbers as metres along the optical axis."""
 
-from __future__ import annotations
-
 import io
 import math
 import warnings

@@ -9,8 +9,6 @@ a second camera, with a folder of its own. Classes come from the labels' files a
 set.toml names them.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping

@@ -5,8 +5,6 @@ Plain is a folder a kind of image, in it one file a sample, named by its key:
     set.toml  [samples.jsonl | samples.csv]  range/  labels/  [projector/  facing/  normals/  planes/NAME/]
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final, Literal

@@ -10,8 +10,6 @@
 Further keys are those of `SetFile`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import io

@@ -1,7 +1,5 @@
 """Sources of finished renders: what the readers of all layouts share, which is partners, sizes, units and checks."""
 
-from __future__ import annotations
-
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Cameras and structured-light rigs; the rigs that ship, a TOML file each."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

@@ -1,7 +1,5 @@
 """One clean sample: its images, key, view and split."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

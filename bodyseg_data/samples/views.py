@@ -1,7 +1,5 @@
 """Views of a body: the distances, azimuths, pitches, rolls and heights from which each mesh is rendered."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Shards (plain tars of samples), their manifest, codecs, stores and cache."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

@@ -4,8 +4,6 @@ Shards that a cache keeps are fetched whole. Of others, and without a cache, the
 those that lie side by side are read by one request.
 """
 
-from __future__ import annotations
-
 import itertools
 import os
 import threading

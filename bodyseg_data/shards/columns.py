@@ -5,8 +5,6 @@ have the same keys in the same order and hold one plane or one field; and a mani
 the digest of the set's. columns.json lists the names. docs/reference/shard_format.md describes the bytes.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Faults of stored shards: all that differs from what was written, found by reading whole files."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass

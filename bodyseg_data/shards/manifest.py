@@ -1,7 +1,5 @@
 """The manifest: the index of a set of shards. It is written last, so a set that has one is complete."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

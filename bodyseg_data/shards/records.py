@@ -3,8 +3,6 @@
 Descriptions stand in the manifest as tables of rows that samples share, and one number of a row a sample and table.
 """
 
-from __future__ import annotations
-
 import re
 import zlib
 from collections.abc import Sequence

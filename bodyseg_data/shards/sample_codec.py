@@ -8,8 +8,6 @@ A sample is stored as tar members: `json`, and the images in one of two codecs, 
 Further planes are members of their own: plane.NAME.bsp, or plane.NAME.png.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from functools import cached_property

@@ -4,8 +4,6 @@ No event loop, session or socket is shared across a fork: every process, and whe
 filesystem on first use.
 """
 
-from __future__ import annotations
-
 import errno
 import inspect
 import os

@@ -1,7 +1,5 @@
 """Copies of sets and networks between folders and addresses: resumed, verified, complete only at their end."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

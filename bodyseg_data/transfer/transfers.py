@@ -4,8 +4,6 @@ A bundle is the files that are copied together, with their checksums. A target i
 resume, or an address, to which files are uploaded.
 """
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import hashlib

@@ -1,7 +1,5 @@
 """Commands that use networks, one module each."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

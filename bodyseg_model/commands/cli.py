@@ -1,7 +1,5 @@
 """`bodyseg <command>`, and `tools/<command>` in a checkout: the commands of both packages."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Final
 

@@ -1,7 +1,5 @@
 """`bodyseg evaluate`: score a network on the test split of one set or several."""
 
-from __future__ import annotations
-
 import dataclasses
 import sys
 from dataclasses import dataclass

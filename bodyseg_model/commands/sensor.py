@@ -1,7 +1,5 @@
 """`bodyseg sensor`: measure the artifacts of a sensor from its own frames of people; list and show sensor models."""
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """`bodyseg card`, `push` and `pull`: write the cards of a set or a network, copy it to an address, or from one."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from datetime import UTC, date, datetime

@@ -1,7 +1,5 @@
 """`bodyseg stability`: robustness of networks to sensor artifacts."""
 
-from __future__ import annotations
-
 import sys
 import time
 from dataclasses import dataclass

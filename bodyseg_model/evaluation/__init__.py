@@ -1,7 +1,5 @@
 """Evaluation of a network on a set of range images: accuracy, calibration, kinds of mistakes, figures, caching."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

@@ -1,7 +1,5 @@
 """Charts of an evaluation, drawn from its JSON, and a picture of single test images."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final

@@ -8,8 +8,6 @@ accuracy where images have 0.8 to 1.25 times as many pixels a metre, 8 to 29 at 
 to 65 at half; the network in the box 0 to 1, 2 to 7, 6 and 38.
 """
 
-from __future__ import annotations
-
 import math
 import statistics
 from collections.abc import Sequence

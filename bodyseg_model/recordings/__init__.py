@@ -1,7 +1,5 @@
 """Recordings of range sensors: frames in files, folders, tars and bags, their cameras and their names in results."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

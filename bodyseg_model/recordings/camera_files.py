@@ -6,8 +6,6 @@
     {"default": {"fx": ...}, "frames": {"NAME": {"fx": ...}}}
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath

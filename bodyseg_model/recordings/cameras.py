@@ -1,7 +1,5 @@
 """The camera of a sequence of frames: named, given by numbers in OpenCV's terms, or assumed from the frames' size."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal

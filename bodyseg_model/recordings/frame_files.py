@@ -3,8 +3,6 @@
 A tar's entries and their offsets are listed from its headers alone; nothing is extracted.
 """
 
-from __future__ import annotations
-
 import tarfile
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ Their result files have names that are unique among all frames of a call. Frames
 a budget.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace

@@ -4,8 +4,6 @@ Names and formulas are those of OpenCV and ROS (plumb_bob, rational_polynomial, 
 librealsense (https://github.com/IntelRealSense/librealsense, src/rs.cpp). A direction is (x, y, 1), r^2 = x^2 + y^2.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from typing import Final

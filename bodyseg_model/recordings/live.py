@@ -1,7 +1,5 @@
 """Frames as they come: from any Python iterable, or from a camera by its maker's Python package."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """One interface to recordings: frames of a range sensor, read one at a time, with times, camera and unit."""
 
-from __future__ import annotations
-
 import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Sequence

@@ -7,8 +7,6 @@ fourth bit that says whether another follows; eight such pieces are a word of 32
 and words are little-endian. ROS puts the numbers of columns and rows before, int32 each.
 """
 
-from __future__ import annotations
-
 import struct
 from typing import Final
 

@@ -1,7 +1,5 @@
 """Networks in other runtimes: ONNX files with the answer in the graph, ONNX Runtime and OpenVINO."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

@@ -4,8 +4,6 @@ torch's exporter by tracing writes graphs. The one by torch.export takes 15 s of
 0.3, and rounds divisions of negative sizes towards zero, as ONNX's own division does.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import warnings

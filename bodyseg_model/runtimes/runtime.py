@@ -1,7 +1,5 @@
 """Runtimes that compute ONNX graphs on the processor, ONNX Runtime and OpenVINO, and the network that asks them."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 from abc import ABC, abstractmethod

@@ -1,7 +1,5 @@
 """Measurement of a sensor's artifacts from its own frames: a verdict for each artifact, and a sensor file."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

@@ -1,7 +1,5 @@
 """Edges before a farther surface: mixed (flying) pixels, and the projector's shadow, by its side and width."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

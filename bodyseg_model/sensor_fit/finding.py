@@ -1,7 +1,5 @@
 """Results of the measurements: a verdict for each artifact, with the figures behind it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

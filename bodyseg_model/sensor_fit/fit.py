@@ -1,7 +1,5 @@
 """The whole measurement: a verdict for every artifact that ships, the sensor model, a picture beside a real frame."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

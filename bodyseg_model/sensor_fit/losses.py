@@ -1,7 +1,5 @@
 """Pixels lost on bodies, divided into random ones, patches, stripes, grazing surfaces and edges."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final

@@ -1,7 +1,5 @@
 """Noise of range against range and incidence: variances in bins, and the simplest formula that explains them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final

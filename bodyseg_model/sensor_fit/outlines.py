@@ -1,7 +1,5 @@
 """The pixels that a body covers, the lost ones included, and their distance from its outline."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 

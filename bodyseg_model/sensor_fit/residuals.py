@@ -4,8 +4,6 @@ Through time, where a scene stands still, a residual is the difference of two fr
 third difference along rows and columns, which cancels any smooth surface.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, Literal

@@ -1,7 +1,5 @@
 """Robustness of trained networks to sensor artifacts of rising strength."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

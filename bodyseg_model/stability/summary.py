@@ -8,8 +8,6 @@ error 1 - accuracy summed over strengths is divided by that of the reference; mC
 mean over sweeps of the mean accuracy over strengths divided by the clean accuracy. Neither counts the clean strength.
 """
 
-from __future__ import annotations
-
 import json
 import statistics
 from collections import Counter

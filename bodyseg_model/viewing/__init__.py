@@ -1,7 +1,5 @@
 """Sets and recordings in a browser: what is drawn, and the page that shows it."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door

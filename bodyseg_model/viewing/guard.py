@@ -4,8 +4,6 @@ Every web page that a user has open may connect to a server on this machine, so 
 token, under its own host's names, and to no script of another page. What a browser sends is checked before it is kept.
 """
 
-from __future__ import annotations
-
 import asyncio
 import dataclasses
 import hmac

@@ -1,7 +1,5 @@
 """The page of a recording: a frame with the labels that the network gives its people, and its controls."""
 
-from __future__ import annotations
-
 import threading
 import time
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ A slider ends where the field's bounds do (`bounded`), or nearer, at a few times
 sliders like those that ship.
 """
 
-from __future__ import annotations
-
 import math
 import types
 import typing

@@ -200,11 +200,16 @@ class _Read:
     door: Mapping[str, str]
 
 
+_TEXTUAL: Final = ast.parse("from __future__ import annotations").body[0]
+
+
 @cache
 def _read(text: bytes, package: str) -> _Read:
     """Read a module of `package`, once in a process whichever tree it is in. Raises SyntaxError or ValueError."""
     tree = ast.parse(text)
     _drop_docstrings(tree)
+    if tree.body and not any(isinstance(node, ast.ImportFrom) and node.module == "__future__" for node in tree.body):
+        tree.body.insert(0, _TEXTUAL)  # how annotations are kept changes no result
     door = _door(tree)
     if door:  # which names it has changes no result
         return _Read("", frozenset(), frozenset(), frozenset(), door)

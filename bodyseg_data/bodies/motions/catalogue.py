@@ -3,8 +3,6 @@
 Each subject's four motions and their numbers of frames are those of the paper's two MIT subjects.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final, Literal

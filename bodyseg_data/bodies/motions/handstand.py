@@ -1,7 +1,5 @@
 """A handstand: hands to the floor, one leg kicked up and then the other, a few seconds upside down, and back."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

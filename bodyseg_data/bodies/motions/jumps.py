@@ -1,7 +1,5 @@
 """Jumping and bouncing: the body is in flight while the legs shorten faster than it falls."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Motions on the spot: squats, and the crane of martial arts on one leg and then the other."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -4,8 +4,6 @@ A foot strikes with its heel, lies flat, turns over its ball, and swings to its 
 angles are those of normal gait (Perry and Burnfield 2010, Gait Analysis, chapters 2 to 7).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields
 from itertools import pairwise

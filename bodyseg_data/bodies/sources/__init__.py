@@ -3,8 +3,6 @@
 Packages of users add theirs by the entry point `bodyseg.sources`: name -> class.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module, metadata

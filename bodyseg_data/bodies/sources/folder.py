@@ -6,8 +6,6 @@ one above. The subject is the first sub-folder, without one the mesh's name. Mes
 training and for testing, all others for training.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType

@@ -4,8 +4,6 @@ Crossed and folded arms, hands at face, hips and back, sitting, kneeling, bent d
 and one person turned through a full circle.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from typing import Final

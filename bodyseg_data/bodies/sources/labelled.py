@@ -5,8 +5,6 @@ file. Its labels come from a file beside it, from the mesh file itself, or are o
 classes are those of classes.json in the folder, else all names found (docs/how-to/labelled_meshes.md).
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 from collections.abc import Sequence

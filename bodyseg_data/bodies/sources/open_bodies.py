@@ -16,8 +16,6 @@ a place. Everything is drawn from the body's name. The angles come from a search
 takes a while to draw and is drawn when its body is built, not when bodies are listed.
 """
 
-from __future__ import annotations
-
 import hashlib
 import importlib.metadata
 from collections.abc import Callable, Iterator, Mapping, Sequence

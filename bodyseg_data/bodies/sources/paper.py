@@ -17,8 +17,6 @@ and c sitting), the standing one is read.
 paper: PATH with the sub-folders scape, mit and caesar, each as its own source reads it.
 """
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections.abc import Callable, Sequence

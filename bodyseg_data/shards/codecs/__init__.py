@@ -1,7 +1,5 @@
 """Codecs of a sample's images. A new one is a file in this folder and an entry of `CODECS`."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Final, Literal
 
 from bodyseg_data.shards.codecs.bodyseg_images import BodysegImages

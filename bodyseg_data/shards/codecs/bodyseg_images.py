@@ -6,8 +6,6 @@ block with its own Huffman table, in two frames, so that the projector's range n
 detects altered bytes, and every size is checked before memory is allocated.
 """
 
-from __future__ import annotations
-
 import struct
 import threading
 import zlib

@@ -5,8 +5,6 @@ by returning -1, and test every index that depends on stored bytes before they u
 code is made for those that count from the end.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any, Final
 

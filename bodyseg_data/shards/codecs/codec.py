@@ -1,7 +1,5 @@
 """The protocol of a codec: the images of a sample as members of a tar and back."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Final, NamedTuple, Protocol
 

@@ -3,8 +3,6 @@
 Pillow writes. It also reads where loops are not compiled, and interlaced images.
 """
 
-from __future__ import annotations
-
 import io
 import struct
 import zlib

@@ -1,7 +1,5 @@
 """Filters of PNG, undone in a compiled loop (W3C, "Portable Network Graphics", 9.2)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from bodyseg_data.machine import compiled

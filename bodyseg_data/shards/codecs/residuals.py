@@ -12,8 +12,6 @@ is modulo 65536. For foreground pixels inside the box, in reading order across t
     column, 0 without one.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 

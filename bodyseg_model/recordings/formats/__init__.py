@@ -1,7 +1,5 @@
 """Registry of the formats of recordings that hold many frames: a new one is a file and an entry of `FORMATS`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module

@@ -5,8 +5,6 @@ Its values are of the whole sensor, as shares of 1024 pixels; a mode shows a par
 (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6), to which `driver_camera` fits five coefficients.
 """
 
-from __future__ import annotations
-
 import json
 from typing import Final
 

@@ -1,7 +1,5 @@
 """Recordings in TIFF files: a page a frame, whole numbers or floating point."""
 
-from __future__ import annotations
-
 import io
 import warnings
 from pathlib import Path

@@ -3,8 +3,6 @@
 The form: https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path, PurePosixPath
 from typing import Final
