@@ -61,13 +61,8 @@ _ACROSS: Final = {
 }  # fmt: skip
 
 _BY: Final = {
-    "palm": 0.36,
-    "fingertips": 0.22,
-    "back of the hand": 0.09,
-    "knuckles": 0.07,
-    "inner forearm": 0.2,
-    "elbow": 0.06,
-}
+    "palm": 0.36, "fingertips": 0.22, "back of the hand": 0.09, "knuckles": 0.07, "inner forearm": 0.2, "elbow": 0.06,
+}  # fmt: skip
 _FISTS: Final = {"palm": (0.0, 0.45), "fingertips": (0.0, 0.4), "back of the hand": (0.0, 1.0), "knuckles": (0.9, 1.0)}
 
 _PRESETS: Final[dict[str, Arm]] = {

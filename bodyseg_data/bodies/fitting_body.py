@@ -30,16 +30,10 @@ _SOURCES: Final = 24
 Tensor = torch.Tensor
 
 _SEGMENTS: Final = (
-    ("spine05", "neck01", 0.05),
-    ("neck01", "head", 0.15),
-    ("clavicle", "upperarm01", 0.08),
-    ("upperarm01", "lowerarm01", 0.06),
-    ("lowerarm01", "wrist", 0.06),
-    ("wrist", "finger3-3", 0.08),
-    ("upperleg01", "lowerleg01", 0.05),
-    ("lowerleg01", "foot", 0.05),
-    ("foot", "toe3-1", 0.08),
-)
+    ("spine05", "neck01", 0.05), ("neck01", "head", 0.15), ("clavicle", "upperarm01", 0.08),
+    ("upperarm01", "lowerarm01", 0.06), ("lowerarm01", "wrist", 0.06), ("wrist", "finger3-3", 0.08),
+    ("upperleg01", "lowerleg01", 0.05), ("lowerleg01", "foot", 0.05), ("foot", "toe3-1", 0.08),
+)  # fmt: skip
 """First bone, bone at the end, both without the side, and the standard deviation as a share of the length."""
 
 _PEOPLE: Final = 96

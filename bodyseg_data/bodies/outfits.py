@@ -38,22 +38,10 @@ _MOST_TUCKED: Final = 0.75
 _SEAT_M: Final = 0.15  # below a top's hem, over which trousers widen from lying under it
 
 _MEASURED_AT: Final = {
-    "face": 132,
-    "throat": 1522,
-    "nape": 858,
-    "Rt. hip": 4302,
-    "Lt. hip": 10915,
-    "Rt. armpit": 3770,
-    "Lt. armpit": 10420,
-    "Rt. shoulder": 1557,
-    "Lt. shoulder": 8219,
-    "Rt. wrist": 3535,
-    "Lt. wrist": 10187,
-    "Rt. fingertip": 2103,
-    "Lt. fingertip": 8755,
-    "Rt. ankle": 4810,
-    "Lt. ankle": 11412,
-}
+    "face": 132, "throat": 1522, "nape": 858, "Rt. hip": 4302, "Lt. hip": 10915, "Rt. armpit": 3770,
+    "Lt. armpit": 10420, "Rt. shoulder": 1557, "Lt. shoulder": 8219, "Rt. wrist": 3535, "Lt. wrist": 10187,
+    "Rt. fingertip": 2103, "Lt. fingertip": 8755, "Rt. ankle": 4810, "Lt. ankle": 11412,
+}  # fmt: skip
 """Vertices of the open body from which clothes are cut. They are no landmarks: where these are placed changes labels,
 and must not change what people wear."""
 

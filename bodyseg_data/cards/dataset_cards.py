@@ -34,13 +34,9 @@ DIGEST_FIELD: Final = "bodyseg_manifest"
 """Entry of the header: the digest of the manifest that the card describes."""
 
 _SIZE_CLASSES: Final = (
-    (10**3, "n<1K"),
-    (10**4, "1K<n<10K"),
-    (10**5, "10K<n<100K"),
-    (10**6, "100K<n<1M"),
-    (10**7, "1M<n<10M"),
+    (10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**7, "1M<n<10M"),
     (10**8, "10M<n<100M"),
-)
+)  # fmt: skip
 
 CARD_NAMES: Final = (CROISSANT_NAME, CARD_NAME)
 

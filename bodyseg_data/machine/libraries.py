@@ -19,19 +19,10 @@ from typing import Any, Final
 from bodyseg_data.core import MissingLibrary
 
 DEBIAN_PACKAGES: Final = {
-    "EGL": "libegl1",
-    "GL": "libgl1",
-    "GLU": "libglu1-mesa",
-    "GLX": "libglx0",
-    "GLdispatch": "libglvnd0",
-    "OSMesa": "libosmesa6",
-    "OpenGL": "libopengl0",
-    "X11": "libx11-6",
-    "gomp": "libgomp1",
-    "stdc++": "libstdc++6",
-    "xcb": "libxcb1",
-    "z": "zlib1g",
-}
+    "EGL": "libegl1", "GL": "libgl1", "GLU": "libglu1-mesa", "GLX": "libglx0", "GLdispatch": "libglvnd0",
+    "OSMesa": "libosmesa6", "OpenGL": "libopengl0", "X11": "libx11-6", "gomp": "libgomp1", "stdc++": "libstdc++6",
+    "xcb": "libxcb1", "z": "zlib1g",
+}  # fmt: skip
 """Name of a shared library, without "lib" and ".so", -> its package in Debian and Ubuntu."""
 
 SOFTWARE_DRIVER: Final = "libgl1-mesa-dri"

@@ -34,26 +34,11 @@ from bodyseg_data.meshes.landmarks import (
 from bodyseg_data.meshes.mesh_files import file_bytes
 
 _OTHERS: Final = (
-    "Infraorbitale",
-    "Tragion",
-    "Gonion",
-    "Clavicale",
-    "10th Rib",
-    "Iliocristale",
-    "Axilla, Ant.",
-    "Ulnar Styloid",
-    "Radiale",
-    "Humeral Lateral Epicn",
-    "Humeral Medial Epicn",
-    "Metacarpal Phal. II",
-    "Metacarpal Phal. V",
-    "Femoral Medial Epicn",
-    "Metatarsal Phal. I",
-    "Metatarsal Phal. V",
-    "Medial Malleolus",
-    "Sphyrion",
+    "Infraorbitale", "Tragion", "Gonion", "Clavicale", "10th Rib", "Iliocristale", "Axilla, Ant.", "Ulnar Styloid",
+    "Radiale", "Humeral Lateral Epicn", "Humeral Medial Epicn", "Metacarpal Phal. II", "Metacarpal Phal. V",
+    "Femoral Medial Epicn", "Metatarsal Phal. I", "Metatarsal Phal. V", "Medial Malleolus", "Sphyrion",
     "Calcaneous, Post.",
-)
+)  # fmt: skip
 CAESAR_LANDMARKS: Final = (
     *LANDMARKS,
     "Waist, Preferred, Post.",

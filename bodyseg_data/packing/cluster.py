@@ -30,22 +30,9 @@ from bodyseg_data.packing.skipping import SKIPPABLE
 from bodyseg_data.samples import SHADOW_THRESHOLDS
 
 _SHAPE_BYTES: Final = (
-    "bodyseg",
-    "anny",
-    "embreex",
-    "llvmlite",
-    "numba",
-    "numpy",
-    "pillow",
-    "pygeodesic",
-    "pymeshlab",
-    "pyrender",
-    "rtree",
-    "scipy",
-    "torch",
-    "trimesh",
-    "zstandard",
-)
+    "bodyseg", "anny", "embreex", "llvmlite", "numba", "numpy", "pillow", "pygeodesic", "pymeshlab", "pyrender",
+    "rtree", "scipy", "torch", "trimesh", "zstandard",
+)  # fmt: skip
 """The packages that a sample's bytes can depend on."""
 
 _SEEN_BODIES: Final = 8

@@ -40,14 +40,9 @@ _TRIES: Final = 2  # between a mesh that is fine enough and one that is not
 _COARSER_PIXELS: Final = 4  # a side: every sixteenth ray measures the same error
 _AZIMUTHS_DEG: Final = (0, 90, 180, 270)
 _REST: Final = {
-    "targetperc": 0.0,
-    "qualitythr": 0.3,
-    "boundaryweight": 1.0,
-    "planarquadric": False,
-    "planarweight": 0.001,
-    "qualityweight": False,
-    "autoclean": True,
-}
+    "targetperc": 0.0, "qualitythr": 0.3, "boundaryweight": 1.0, "planarquadric": False, "planarweight": 0.001,
+    "qualityweight": False, "autoclean": True,
+}  # fmt: skip
 """The filter's defaults. A call takes every option that it leaves out from the call before, so none may be left out."""
 
 

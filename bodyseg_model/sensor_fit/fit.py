@@ -31,20 +31,9 @@ from bodyseg_model.sensor_fit.recording import MarkedRecording
 from bodyseg_model.sensor_fit.residuals import body_surface, measure_steps, residuals_of
 
 ORDER: Final = (
-    "occlusion",
-    "lateral_noise",
-    "axial_noise",
-    "stereo_noise",
-    "noise",
-    "mixed_pixels",
-    "disparity_rounding",
-    "range_rounding",
-    "patch_loss",
-    "stripe_loss",
-    "grazing_loss",
-    "edge_loss",
-    "missing_data",
-)
+    "occlusion", "lateral_noise", "axial_noise", "stereo_noise", "noise", "mixed_pixels", "disparity_rounding",
+    "range_rounding", "patch_loss", "stripe_loss", "grazing_loss", "edge_loss", "missing_data",
+)  # fmt: skip
 """The artifacts in the order in which a sensor makes them: light, disparity, its rounding, and what is rejected."""
 
 _COMMENT_WIDTH: Final = 110
