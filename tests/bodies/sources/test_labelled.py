@@ -305,6 +305,7 @@ def pack(folder: Path, out: Path, *more: str) -> int:
     return main(["shard", *given, *words, *more])
 
 
+@pytest.mark.usefixtures("packing_here")
 @pytest.mark.parametrize("soup", [False, True])
 def test_every_pixel_has_the_class_of_what_it_shows(tmp_path: Path, soup: bool) -> None:
     """A box on a floor whose only side turns downwards, which light reaches from above."""
