@@ -25,6 +25,6 @@ if TYPE_CHECKING:
         load_label_map,
         whole_map,
     )
-    from bodyseg_data.labels.parts import LANDMARKS, PART_CLASSES, PART_COUNT, PARTS, Part
+    from bodyseg_data.labels.parts import LANDMARKS, PART_CLASSES, PART_COUNT, PARTS
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)
