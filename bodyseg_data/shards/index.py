@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadSample, BadShard
 from bodyseg_data.files import write_atomically
 from bodyseg_data.samples import MOST_FIELDS, Split, check_key
+from bodyseg_data.shards.earlier import EARLIER_FIELDS, piece_as_current
 from bodyseg_data.shards.records import (
     BLOCK,
     LARGEST_SAMPLE,
@@ -190,6 +191,8 @@ class IndexedShards(Sequence[ShardRecord]):
         store = self._store if self._fetched < FETCHED_PIECES else self._kept
         self._fetched += 1
         data = read_checked(store, self.table, number)
+        if self.fields == EARLIER_FIELDS:
+            data = piece_as_current(data, self.where(number))
         return Piece(data, int(self.table.samples[number]), self.where(number))
 
 

@@ -14,6 +14,7 @@ from bodyseg_data.labels import PART_CLASSES, Classes, classes_from_json
 from bodyseg_data.rigs import Rig, rig_from_json
 from bodyseg_data.samples import Sample, Split
 from bodyseg_data.shards.codecs import CODECS
+from bodyseg_data.shards.earlier import EARLIER_FORMATS, manifest_as_current
 from bodyseg_data.shards.index import INDEX_NAME, IndexedShards, ShardTable, table_from_json, write_index
 from bodyseg_data.shards.records import (
     BODY_FIELDS,
@@ -72,7 +73,8 @@ class Manifest:
 
     rigs: of the set; a sample of one that has several says by its field `RIG_FIELD` which is its own. plan: digest of
     all options of the packing. skipped: meshes that it left out. classes: what labels mean. fields: of descriptions.
-    projector: what is stored of the projector's range. planes: name -> type of further images of each sample.
+    projector: what is stored of the projector's range. planes: name -> type of further images of each sample. read_as:
+    format of the file that was read, another than today's for a set packed before.
     """
 
     rigs: tuple[Rig, ...]
@@ -86,6 +88,7 @@ class Manifest:
     fields: Fields = BODY_FIELDS
     projector: ProjectorKind = "shadow"
     planes: Mapping[str, str] = field(default_factory=dict)
+    read_as: str = MANIFEST_FORMAT
     read_digest: str = field(default="", compare=False)
 
     @property
@@ -126,7 +129,7 @@ class Manifest:
         return self.read_digest or str(self.to_json()["digest"])
 
     def to_json(self) -> dict[str, Any]:
-        """Convert to a JSON object with a digest of its other fields."""
+        """Convert to a JSON object of today's format, with a digest of its other fields."""
         tree: dict[str, Any] = {
             "format": MANIFEST_FORMAT,
             "rigs": [rig.to_json() for rig in self.rigs],
@@ -162,7 +165,7 @@ def write_manifest(manifest: Manifest, folder: Path) -> Manifest:
 
     Raises BadShard for a shard of too many samples.
     """
-    manifest = replace(manifest, read_digest="")
+    manifest = replace(manifest, read_as=MANIFEST_FORMAT, read_digest="")
     if manifest.samples() >= INDEXED_FROM:
         table = write_index(manifest.shards, folder)
         manifest = replace(manifest, shards=IndexedShards(table, manifest.fields, LocalFolder(folder)))
@@ -215,9 +218,10 @@ def _tree(data: bytes, path: str) -> dict[str, Any]:
         tree = json.loads(data)
     except (ValueError, RecursionError) as error:
         raise BadShard(f"{path} cannot be read: {not_json(data, error)}") from error
-    if not isinstance(tree, dict) or tree.get("format") != MANIFEST_FORMAT:
+    if not isinstance(tree, dict) or tree.get("format") not in (MANIFEST_FORMAT, *EARLIER_FORMATS):
         found = tree.get("format") if isinstance(tree, dict) else type(tree).__name__
-        raise BadShard(f"{path}: 'format' must be {MANIFEST_FORMAT!r}, found {found!r}")
+        known = ", ".join(map(repr, (*EARLIER_FORMATS, MANIFEST_FORMAT)))
+        raise BadShard(f"{path}: 'format' must be one of {known}, found {found!r}")
     stored = tree.pop("digest", None)
     if _is_as_written(data, stored):
         return {**tree, "digest": stored}
@@ -248,7 +252,9 @@ def _is_as_written(data: bytes, stored: Any) -> bool:
 
 
 def _manifest(tree: dict[str, Any], path: str, store: Store) -> Manifest:
-    digest = str(tree.pop("digest"))
+    digest, read_as = str(tree.pop("digest")), str(tree["format"])
+    if read_as in EARLIER_FORMATS:
+        tree = manifest_as_current(tree, path)
     skipped = _skipped(tree.pop("skipped", []), path)
     if set(tree) != _FIELDS:
         raise BadShard(f"{path}: format {MANIFEST_FORMAT!r} has the fields {sorted(_FIELDS)}, found {sorted(tree)}")
@@ -283,6 +289,7 @@ def _manifest(tree: dict[str, Any], path: str, store: Store) -> Manifest:
         planes=_planes(tree["planes"], path),
         shards=shards,
         skipped=skipped,
+        read_as=read_as,
         read_digest=digest,
         **texts,
     )

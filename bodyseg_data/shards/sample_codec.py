@@ -21,8 +21,11 @@ from bodyseg_data.labels import UNLABELLED
 from bodyseg_data.samples import Occupancy, Sample, SampleInfo, info_from_json
 from bodyseg_data.shards.codecs import CODECS
 from bodyseg_data.shards.codecs.codec import FACING, SECOND_FACING, DecodedImages, ImageCodec, OutputArrays
+from bodyseg_data.shards.codecs.png import EarlierPngImages
+from bodyseg_data.shards.earlier import completed
 
-_BY_MEMBERS: Final = {frozenset((*codec.members, "json")): codec for codec in CODECS.values()}
+_READ: Final[tuple[ImageCodec, ...]] = (*CODECS.values(), EarlierPngImages())
+_BY_MEMBERS: Final = {frozenset((*codec.members, "json")): codec for codec in _READ}
 _PLANE: Final = "plane."
 
 
@@ -114,7 +117,7 @@ def _planes(
 def parse_info(description: bytes, key: str) -> SampleInfo:
     """Parse a sample's member `json`. Raises BadSample, naming the key."""
     try:
-        return info_from_json(json.loads(description), key)
+        return completed(info_from_json(json.loads(description), key))
     except (ValueError, RecursionError) as error:
         raise BadSample(f"{key}: json: {error}") from error
 

@@ -72,7 +72,7 @@ def test_a_pipeline_makes_the_bits_of_range_images_in_workers_and_shuffled(figur
     assert sorted(keys) == sorted(images.keys)
 
 
-@pytest.mark.parametrize("name", ["format_7", "format_7_png"])
+@pytest.mark.parametrize("name", ["format_5", "format_5_png", "format_7", "format_7_png"])
 def test_a_maker_knows_every_format_and_each_samples_rig(name: str) -> None:
     variant = "noise" if name == "format_7_png" else "all"
     planes = ["instances"] if name == "format_7" else []

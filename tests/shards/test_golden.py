@@ -13,6 +13,9 @@ from bodyseg_data import RangeImages
 from bodyseg_data.commands import main
 
 KEPT = {
+    "format_5": "b1a62dbb9fda887e",
+    "format_5_png": "1968809f67cf05b8",
+    "format_6": "c76419b7d779a7df",
     "format_7": "374e35476b9d4348",
     "format_7_png": "9da47a9956030ce5",
 }
@@ -35,7 +38,7 @@ def test_a_kept_set_of_format_7_gives_what_was_written(name: str, capsys: pytest
     images = RangeImages(GOLDEN / name, "none", columns=("template", "weight"))
     manifest = images.manifest
     assert manifest.classes == MADE["CLASSES"] and manifest.rigs == MADE["RIGS"]
-    assert manifest.projector == ("exact" if whole else "none")
+    assert (manifest.projector, manifest.read_as) == ("exact" if whole else "none", "bodyseg shards 7")
     for index, key in enumerate(images.keys):
         stored, made = images.clean(index), MADE["sample"](int(key[-3:]), "train", whole, whole)
         assert stored.info.fields == {**made.info.fields, "weight": index / 8}

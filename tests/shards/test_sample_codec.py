@@ -30,6 +30,7 @@ from bodyseg_data.shards import CODECS, CodecName, check_codec, encode_sample, r
 from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
 from bodyseg_data.shards.codecs.png import decode_png, encode_png
 from bodyseg_data.shards.codecs.residuals import unzigzag, zigzag
+from bodyseg_data.shards.earlier import split_label_bytes
 from bodyseg_data.shards.sample_codec import decode_sample
 
 INFO = body_info(azimuth_deg=40)
@@ -179,6 +180,23 @@ def test_the_stored_bytes_are_pinned(choice: str) -> None:
     assert stored[:4] == b"BSI3" and struct.unpack_from("<I", stored, 4) == (zlib.crc32(stored[8:]),)
     encoded = encode_images(*images)
     assert encoded[8:40] == stored[8:40] and encoded[44:78] == stored[44:78]  # zstd's own bytes may change
+
+
+@pytest.mark.parametrize("choice", FORMS)
+def test_images_of_earlier_formats_are_read_for_good(choice: str) -> None:
+    stored = (GOLDEN / "figure_2.bsi").read_bytes()
+    assert stored[:4] == b"BSI2"
+    with computed_by(choice):
+        decoded = decode_images(stored, projector=True)
+    for image, expected in zip(decoded[:4], figure_images(), strict=True):
+        assert image is not None and image.dtype == expected.dtype and np.array_equal(image, expected)
+
+
+def test_label_bytes_of_earlier_formats() -> None:
+    stored = np.array([0, 32, 32 | 0x40, 0x40, 0x80 | 5, 62, 62 | 0xC0, 255], np.uint8)
+    labels, facing = split_label_bytes(stored)
+    assert labels.tolist() == [0, 32, 32, 0, 5, 254, 254, 255]
+    assert facing.tolist() == [0, 0, 1, 1, 2, 0, 3, 0]
 
 
 def test_a_reader_written_from_the_format_alone_agrees() -> None:

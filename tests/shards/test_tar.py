@@ -179,14 +179,20 @@ def _edit(key: str, value: object) -> Callable[[bytes], bytes]:
     ("spoil", "message"),
     [
         (lambda data: data[:-20], "cannot be read"),
-        (lambda data: b"[]", "'format' must be 'bodyseg shards 7', found 'list'"),
+        (
+            lambda data: b"[]",
+            "'format' must be one of 'bodyseg shards 5', .*, 'bodyseg shards 7', found 'list'",
+        ),
         (lambda data: b"\xff\xfe", "cannot be read"),
         (lambda data: b"[" * 100_000, "cannot be read"),
         (
             lambda data: b"\n<!DOCTYPE html><html>sign in</html>",
             "cannot be read: found a web page .HTML.: is the address",
         ),
-        (_edit("format", "bodyseg shards 6"), "'bodyseg shards 7', found 'bodyseg shards 6'"),
+        (
+            _edit("format", "bodyseg shards 3"),
+            "'bodyseg shards 6', 'bodyseg shards 7', found 'bodyseg shards 3'",
+        ),
         (_edit("codec", "png"), "altered after it was written: stored digest [0-9a-f]{64}, computed [0-9a-f]{64}"),
         (lambda data: data.replace(b'"samples":5', b'"samples":6', 1), "altered after it was written"),
     ],

@@ -36,14 +36,17 @@ from bodyseg_data.shards.codecs.residuals import (
     from_byte_planes,
     to_byte_planes,
 )
+from bodyseg_data.shards.earlier import split_label_bytes
 
 _LOOPS: Final = "bodyseg_data.shards.codecs.bodyseg_loops"
 
 _MAGIC: Final = b"BSI3"
+_EARLIER_MAGIC: Final = b"BSI2"
 _PLANE_MAGIC: Final = b"BSP1"
 _START: Final = struct.Struct("<4sI")  # the magic, a CRC-32 of all that follows
 _CAMERA: Final = struct.Struct("<6H6I")
 _PROJECTOR: Final = struct.Struct("<H6H5I")
+_EARLIER_PROJECTOR: Final = struct.Struct("<6H2I")
 _PLANE: Final = struct.Struct("<H2H2I")  # bytes a pixel, rows, columns, runs, long runs
 _NONE, _RUNS, _SLOPES = 0, 1, 2  # how the projector's range is stored
 
@@ -109,7 +112,7 @@ class BodysegImages:
         return {"bsp": _START.pack(_PLANE_MAGIC, zlib.crc32(checked)) + checked}
 
     def decode_plane(self, data: bytes) -> Bytes | Range:
-        view = _checked(data, _PLANE_MAGIC, _PLANE.size)
+        view = _checked(data, (_PLANE_MAGIC,), _PLANE.size)
         width, rows, columns, count, long = _PLANE.unpack_from(view)
         box = Box(0, 0, rows, columns)
         _check_header((rows, columns), box, CameraCounts(count, long, 0, 0, 0))
@@ -185,17 +188,21 @@ def decode_images(
     out: arrays for range and labels, used and returned if shape and dtype match; with `out`, the other images belong
     to this thread and are valid until its next decoding.
 
-    Raises ValueError, naming the problem, for bytes that `encode_images` did not produce.
+    Raises ValueError, naming the problem, for bytes that `encode_images` did not produce, now or in an earlier format.
     """
-    start = _CAMERA.size + _PROJECTOR.size
-    view = _checked(data, _MAGIC, start)
+    earlier = data[:4] == _EARLIER_MAGIC
+    second = _EARLIER_PROJECTOR if earlier else _PROJECTOR
+    view = _checked(data, (_MAGIC, _EARLIER_MAGIC), _CAMERA.size + second.size)
     rows, columns, top, left, height, width, *numbers, frame_bytes = _CAMERA.unpack_from(view)
+    start = _CAMERA.size + second.size
     end = start + frame_bytes
     size, box, counts = (rows, columns), Box(top, left, height, width), CameraCounts(*numbers)
-    image, labels, facing, edges = _decode_camera(view[start:end], size, box, counts, out, unlabelled)
+    image, labels, facing, edges = _decode_camera(view[start:end], size, box, counts, out, unlabelled, earlier)
     occluder, texels = None, None
     if projector:
-        kind, rows, columns, top, left, height, width, *numbers = _PROJECTOR.unpack_from(view, _CAMERA.size)
+        kind, rows, columns, top, left, height, width, *numbers = (
+            (_RUNS, *second.unpack_from(view, _CAMERA.size)) if earlier else second.unpack_from(view, _CAMERA.size)
+        )
         size, box = (rows, columns), Box(top, left, height, width)
         if kind == _RUNS:
             occluder, texels = _decode_projector(view[end:], size, box, ProjectorCounts(*numbers[:2]), out is not None)
@@ -207,13 +214,13 @@ def decode_images(
     return DecodedImages(image, labels, facing, occluder, edges, texels)
 
 
-def _checked(data: bytes, magic: bytes, header_size: int) -> memoryview:
+def _checked(data: bytes, magics: Sequence[bytes], header_size: int) -> memoryview:
     """All that follows the start of a file, after a test of its checksum. Raises ValueError."""
     if len(data) < _START.size + header_size:
         raise ValueError(f"images have a header of {_START.size + header_size} bytes, found {len(data)} bytes in all")
-    found, stored = _START.unpack_from(data)
-    if found != magic:
-        raise ValueError(f"images start with {magic!r}, found {found!r}")
+    magic, stored = _START.unpack_from(data)
+    if magic not in magics:
+        raise ValueError(f"images start with {magics[0]!r}, found {magic!r}")
     view = memoryview(data)[_START.size :]
     computed = zlib.crc32(view)
     if stored != computed:
@@ -228,10 +235,14 @@ def _decode_camera(
     counts: CameraCounts,
     out: tuple[Range, Bytes] | None,
     unlabelled: int,
+    earlier: bool = False,
 ) -> tuple[Range, Bytes, Bytes, PixelIndices | None]:
     """Range, labels and facing, and the edges of foreground, None without the compiled loops."""
     _check_header(size, box, counts)
-    numbers = _numbers(frame, sum(counts.sizes))
+    numbers = _numbers(frame, sum(counts.sizes) - counts.runs * earlier)
+    if earlier:
+        labels, facing = split_label_bytes(numbers[: counts.runs])
+        numbers = np.concatenate([labels, facing, numbers[counts.runs :]])
     images = _camera_images(size, out)
     with if_ready:
         edges = np.empty(2 * (counts.starts + box.height), np.int32)  # a row's end divides at most one stretch

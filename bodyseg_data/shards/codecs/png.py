@@ -16,6 +16,7 @@ from bodyseg_data.labels import UNLABELLED
 from bodyseg_data.machine import decompress, if_ready, loops
 from bodyseg_data.rigs import MAX_SIDE
 from bodyseg_data.shards.codecs.codec import FACING, SECOND_FACING, DecodedImages, OutputArrays
+from bodyseg_data.shards.earlier import split_label_bytes
 
 SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 
@@ -184,14 +185,18 @@ class PngImages:
                 raise ValueError(f"{member}: {error}") from error
             if images[member].dtype != dtype:
                 raise ValueError(f"{member}: must be {dtype.__name__}, found {images[member].dtype}")
-        labels, facing = images["labels.png"], images["facing.png"]
-        if facing.max() > FACING + SECOND_FACING:
-            raise ValueError("facing.png: must hold bits 0 and 1 alone")
+        labels, facing = self._labels(images)
         labels[labels == UNLABELLED] = unlabelled
         occluder = images.get("projector.png")
         if occluder is not None and occluder.size == 1:
             occluder = None
         return DecodedImages(images["range.png"], labels, facing, occluder, None, None)
+
+    def _labels(self, images: Mapping[str, NDArray[Any]]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        labels, facing = images["labels.png"], images["facing.png"]
+        if facing.max() > FACING + SECOND_FACING:
+            raise ValueError("facing.png: must hold bits 0 and 1 alone")
+        return labels, facing
 
     def encode_plane(self, plane: NDArray[np.uint8] | NDArray[np.uint16]) -> dict[str, bytes]:
         return {"png": encode_png(plane)}
@@ -199,3 +204,12 @@ class PngImages:
     def decode_plane(self, data: bytes) -> NDArray[np.uint8] | NDArray[np.uint16]:
         found: NDArray[np.uint8] | NDArray[np.uint16] = decode_png(data)
         return found
+
+
+class EarlierPngImages(PngImages):
+    """The codec `png` of formats before 7, whose label bytes hold facing; it reads alone."""
+
+    members: ClassVar[tuple[str, ...]] = ("range.png", "projector.png", "labels.png")
+
+    def _labels(self, images: Mapping[str, NDArray[Any]]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        return split_label_bytes(images["labels.png"])

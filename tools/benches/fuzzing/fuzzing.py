@@ -38,6 +38,7 @@ from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import Sample
 from bodyseg_data.shards import BODY_FIELDS, CODECS, MANIFEST_NAME, decode_sample, read_manifest, record_from_json
 from bodyseg_data.shards.columns import column_file, read_column
+from bodyseg_data.shards.earlier import EARLIER_FIELDS, piece_as_current
 from bodyseg_data.shards.index import Piece
 from bodyseg_data.shards.tar import parse_members
 from bodyseg_model.recordings import open_recording
@@ -70,11 +71,13 @@ def _sample(members: Mapping[str, bytes], folder: Path) -> object:
     return whole
 
 
-def _piece(data: bytes, folder: Path) -> object:
+def _piece(given: tuple[bool, bytes], folder: Path) -> object:
     """Every sample of a piece of an index, and the whole record."""
-    piece = Piece(data, 3, "here")
+    earlier, data = given
+    fields = EARLIER_FIELDS if earlier else BODY_FIELDS
+    piece = Piece(piece_as_current(data, "here") if earlier else data, 3, "here")
     found = [piece.entry(index) for index in range(len(piece))]
-    record = record_from_json({**_HEAD, **piece.to_json()}, BODY_FIELDS, "here")
+    record = record_from_json({**_HEAD, **piece.to_json()}, fields, "here")
     if [record.entry(index) for index in range(len(record))] != found:
         raise AssertionError("a sample is at another place by itself than in the record")
     return record

@@ -215,7 +215,7 @@ def declared_bytes(member: str, data: bytes) -> int:
     if member.endswith("png"):
         sizes = [struct.unpack_from(">II", data, 16)] if len(data) >= 24 else []
     else:  # camera and projector, or a plane (docs/reference/shard_format.md)
-        places = (10,) if data[:4] == b"BSP1" else (8, 46)
+        places = {b"BSP1": (10,), b"BSI2": (8, 44)}.get(data[:4], (8, 46))
         sizes = [struct.unpack_from("<HH", data, at) for at in places] if len(data) >= places[-1] + 4 else []
     return sum(4 * rows * columns for rows, columns in sizes if max(rows, columns) <= MAX_SIDE)
 

@@ -1,4 +1,7 @@
-"""Whole files made to break readers: samples of a tar, manifests, indices, rigs, renders, landmarks, meshes."""
+"""Whole files made to break readers: samples of a tar, manifests, indices, rigs, renders, landmarks, meshes.
+
+Samples, manifests and indices are of today's format and of each earlier one that is read.
+"""
 
 from __future__ import annotations
 
@@ -20,6 +23,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from PIL import Image
 
+from benches.data.codec.earlier import earlier_images, earlier_pngs
 from benches.fuzzing.hostile import hostile_image, hostile_json, hostile_png, hostile_tree, spoiled
 from bodyseg_data.labels import LANDMARKS, UNLABELLED, LabelClass, classes_of
 from bodyseg_data.rigs import load_rig
@@ -27,6 +31,7 @@ from bodyseg_data.samples import SPLITS, Sample, SampleInfo, Value
 from bodyseg_data.shards import BODY_FIELDS, CODECS, CodecName, Fields, Manifest, ShardRecord, encode_sample
 from bodyseg_data.shards.codecs.png import encode_png
 from bodyseg_data.shards.columns import column_tar
+from bodyseg_data.shards.earlier import EARLIER_FORMATS
 from bodyseg_data.shards.index import encode_piece, write_index
 from bodyseg_data.shards.records import describe
 
@@ -56,8 +61,8 @@ def _info(mesh: str) -> SampleInfo:
 
 @lru_cache(maxsize=4)
 def _samples(codec: CodecName) -> list[dict[str, bytes]]:
-    """Small valid samples: a slope that faces now and then, nothing at all, all body, one pixel, noise; and with
-    further planes, a smooth projector's range, and none.
+    """Small valid samples: a slope that faces now and then, nothing at all, all body, one pixel, noise, each as today
+    and as formats before 7 had it; and with what they had not: further planes, a smooth projector's range, and none.
     """
     generator = np.random.default_rng(1)
     slope = (20_000 + np.add.outer(np.arange(48) * 7, np.arange(33) * 3)).astype(np.uint16)
@@ -72,6 +77,8 @@ def _samples(codec: CodecName) -> list[dict[str, bytes]]:
         facing = ((ranges // 9) % 2 > 0) & (ranges > 0)
         sample = Sample(KEY, ranges, ranges[::-1] // 2, labels, facing, _info("posture-00"))
         found.append(encode_sample(sample, codec))
+        images = {"bsi": earlier_images(sample)} if codec == "bsi" else earlier_pngs(sample)
+        found.append({"json": found[-1]["json"], **images})
     planes: dict[str, NDArray[Any]] = {"instances": framed // 300, "template": (framed // 500).astype(np.uint8)}
     labels = np.where(framed > 0, np.uint8(253), np.uint8(255))
     for projector in (slope, None):
@@ -197,7 +204,9 @@ def _records() -> tuple[ShardRecord, ...]:
 
 @lru_cache(maxsize=1)
 def _manifest_trees() -> list[dict[str, Any]]:
-    """Manifests without their digests: of bodies, of other classes, fields and planes, and with an index."""
+    """Manifests without their digests: of bodies, of other classes, fields and planes, of format 5, with an index of
+    today and of format 6.
+    """
     records = _records()
     bodies = Manifest((load_rig(),), "bsi", "open", "raster", "0" * 64, records)
     pair = (LabelClass("left", "right", "#1e90ff", "hand"), LabelClass("right", "left"), LabelClass("table"))
@@ -217,6 +226,18 @@ def _manifest_trees() -> list[dict[str, Any]]:
     trees = [bodies.to_json(), other.to_json(), {**bodies.to_json(), "shards": table.to_json()}]
     for tree in trees:
         del tree["digest"]
+    kept = {name: trees[0][name] for name in ("codec", "source", "renderer", "plan")}
+    earlier = {**kept, "parts": list(LANDMARKS), "rig": trees[0]["rigs"][0]}
+    described = ("bodies", "views", "body", "view")
+    for tree in (trees[0], trees[2]):
+        shards = tree["shards"]
+        if isinstance(shards, list):
+            shards = [
+                {name: value for name, value in shard.items() if name not in ("tables", "rows")}
+                | dict(zip(described, (*shard["tables"][:2], *shard["rows"][:2]), strict=True))
+                for shard in shards
+            ]
+        trees.append({**earlier, "format": EARLIER_FORMATS[tree is trees[2]], "shards": shards})
     return trees
 
 
@@ -238,22 +259,38 @@ def hostile_manifest(generator: Generator) -> bytes:
     return json.dumps(signed, sort_keys=True).encode() + b"\n"
 
 
-def hostile_piece(generator: Generator) -> bytes:
-    """A shard's piece of an index, spoiled or with other numbers or text."""
-    piece = encode_piece(_records()[0])
+def hostile_piece(generator: Generator) -> tuple[bool, bytes]:
+    """A shard's piece of an index, spoiled or with other numbers or text; and whether it is one of format 6."""
+    earlier = bool(generator.integers(3) == 0)
+    record = _records()[0]
+    piece = _earlier_piece(record) if earlier else encode_piece(record)
     head, brace, text = piece.partition(b"{")
     match int(generator.integers(5)):
         case 0:
-            return piece
+            return earlier, piece
         case 1:
-            return spoiled(piece, generator)
+            return earlier, spoiled(piece, generator)
         case 2:  # other numbers, of any kind, before the text
-            return spoiled(head, generator) + brace + text
+            return earlier, spoiled(head, generator) + brace + text
         case 3:
             other = hostile_json((brace + text).decode(), generator)
         case _:
             other = json.dumps(hostile_tree(json.loads(brace + text), generator), sort_keys=True).encode()
-    return head[:8] + struct.pack("<I", len(other)) + head[12:] + other  # whose length stands in the header
+    if not earlier:  # whose length stands in the header
+        head = head[:8] + struct.pack("<I", len(other)) + head[12:]
+    return earlier, head + other
+
+
+def _earlier_piece(record: ShardRecord) -> bytes:
+    """A piece of an index as format 6 had it (docs/reference/shard_format.md)."""
+    piece = json.loads(b"{" + encode_piece(record).partition(b"{")[2])
+    (bodies, views, *_), rows = piece["tables"], record.descriptions.rows
+    text = {"bodies": bodies, **{name: piece[name] for name in ("stems", "tails", "notes")}}
+    blocks = np.array([*record.offsets, record.offsets[-1] + record.lengths[-1]]) // 512
+    text_bytes = json.dumps(text, sort_keys=True, separators=(",", ":")).encode()
+    columns = [np.array(blocks, "<u4"), np.array(record.crc32, "<u4"), *(np.array(each, "u1") for each in rows[:2])]
+    head = struct.pack("<4I", len(record), len(bodies[0]), len(views[0]), len(text_bytes))
+    return head + b"".join(each.tobytes() for each in (*columns, np.array(views, "<i2").T)) + text_bytes
 
 
 def _signed(tree: dict[str, Any]) -> dict[str, Any]:

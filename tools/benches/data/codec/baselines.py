@@ -25,8 +25,6 @@ Image = NDArray[Any]
 Encode = Callable[[Image, int], bytes]
 Decode = Callable[[bytes], Image]
 
-_THING: Final = 62  # the label byte of a surface without a part
-
 
 @dataclass(frozen=True)
 class Baseline:
@@ -100,20 +98,10 @@ def predicted(predictor: str, level: int) -> Cropped:
 def label_bytes(labels: Image, facing: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Labels and facing in one image, uint8 [H, W]: 255 for background, else the part, 62 for none, and 64 for facing.
 
-    labels: of the 33 parts, 254 or 255. So formats before 7 stored both.
+    labels: of the 33 parts, 254 or 255. So formats before 7 stored both, which `split_label_bytes` reads.
     """
-    joined = np.where(labels == UNLABELLED, np.uint8(_THING), labels) | (facing.view(np.uint8) << np.uint8(6))
+    joined = np.where(labels == UNLABELLED, np.uint8(62), labels) | (facing.view(np.uint8) << np.uint8(6))
     return np.where(labels == BACKGROUND, np.uint8(BACKGROUND), joined)
-
-
-def split_label_bytes(stored: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Labels and facing bits of what `label_bytes` gives, uint8 [...] each."""
-    labels = (stored & np.uint8(0x3F)).astype(np.uint8)
-    labels[labels == _THING] = UNLABELLED
-    facing = (stored >> np.uint8(6)).astype(np.uint8)
-    background = stored == BACKGROUND
-    labels[background], facing[background] = BACKGROUND, 0
-    return labels, facing
 
 
 def baselines() -> list[Baseline]:

@@ -10,7 +10,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from benches.data.codec.baselines import label_bytes, split_label_bytes
+from benches.data.codec.baselines import label_bytes
 from benches.data.occlusion.baselines import DEFAULT, STEP_M, Method, nearest_texel
 from benches.data.occlusion.views import ExactView
 from benches.measuring import median_time
@@ -23,6 +23,7 @@ from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.packing.occluders import coarsened
 from bodyseg_data.samples import FARTHEST_STEPS
 from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
+from bodyseg_data.shards.earlier import split_label_bytes
 
 MASK_IMAGE: Final = "image by the codec"
 _ROUNDS: Final = 4

@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.data.codec.baselines import label_bytes, predicted, split_label_bytes
+from benches.data.codec.baselines import label_bytes, predicted
 from bodyseg_data.artifacts.occlusion import shadow_test
 from bodyseg_data.bodies import BodyRef, BodySource
 from bodyseg_data.labels import BACKGROUND
@@ -31,6 +31,7 @@ from bodyseg_data.rigs import PlacedCamera, Rig
 from bodyseg_data.samples import View, steps
 from bodyseg_data.shards import TarWriter, encode_sample
 from bodyseg_data.shards.codecs.bodyseg_images import encode_images
+from bodyseg_data.shards.earlier import split_label_bytes
 
 _FORMER_LEVEL: Final = 9
 _QUICK_LEVEL: Final = 1
