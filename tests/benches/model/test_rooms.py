@@ -16,7 +16,7 @@ import pytest
 from benches.model.rooms import bench, limits
 from benches.model.rooms.bench import WAYS, Results, bench_rooms
 from benches.model.rooms.figure import draw_rooms
-from benches.model.rooms.finders import Found, network_finder
+from benches.model.rooms.finders import Finder, Found, network_finder
 from benches.model.rooms.limits import fitted, quality
 from benches.model.rooms.made import SEED, SETS, Made, Who, _touch, make
 from benches.model.rooms.real import CUTS, ROOM, cut_frames, real, room_frames, score_cut
@@ -113,7 +113,7 @@ def test_people_things_and_pixels_are_counted() -> None:
     assert properties["camera's pitch, degrees"]["-20 to -10"]["lost"] == 1
     assert properties["holds a thing"] == {"yes": properties["sensor"]["kinect_v1"]}
     assert counted(made, Found(half, half_labels), 0.7)["things"][0]["labelled"] == 0
-    small = replace(made, range_m=made.range_m / 8)
+    small = replace(made, range_m=(made.range_m / 8).astype(np.float32))
     assert counted(small, truth)["people"] == [], "so little of somebody does not count"
 
 
@@ -201,10 +201,14 @@ def test_the_bench_measures_every_way_and_draws(
         shutil.rmtree(frames / name)
     finder = Trained(Nearer(limit_m=3.0), {"weights_sha256": "1"})
     monkeypatch.setattr(bench, "shipped_finder", lambda: finder)
-    monkeypatch.setattr(bench, "network_finder", lambda network, step=1: network_finder(network))
+
+    def at_full_size(network: Nearer, step: int = 1) -> Finder:
+        return network_finder(network)
+
+    monkeypatch.setattr(bench, "network_finder", at_full_size)
     monkeypatch.setattr(bench, "ProcessPoolExecutor", Here)
     monkeypatch.setattr(bench, "draw_people", lambda split, block: people() if split == "test" else [])
-    monkeypatch.setattr(bench, "make", lambda *given: make(*given, "kinect_v1", SMALL))
+    monkeypatch.setattr(bench, "make", lambda of, number, who, kinds: make(of, number, who, kinds, "kinect_v1", SMALL))
     steps: list[int] = []
     figures = bench_rooms(4, str(frames), progress=lambda done, total, note="": steps.append(done))
     assert steps == [*range(1, 2 + len(WAYS))] and json.loads(json.dumps(figures))["default"] == WAYS[-1]
