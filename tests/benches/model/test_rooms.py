@@ -7,7 +7,7 @@ import pickle
 import shutil
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -208,7 +208,7 @@ def test_the_bench_measures_every_way_and_draws(
     monkeypatch.setattr(bench, "network_finder", at_full_size)
     monkeypatch.setattr(bench, "ProcessPoolExecutor", Here)
     monkeypatch.setattr(bench, "draw_people", lambda split, block: people() if split == "test" else [])
-    monkeypatch.setattr(bench, "make", lambda of, number, who, kinds: make(of, number, who, kinds, "kinect_v1", SMALL))
+    monkeypatch.setattr(bench, "make", partial(make, sensor="kinect_v1", camera=SMALL))
     steps: list[int] = []
     figures = bench_rooms(4, str(frames), progress=lambda done, total, note="": steps.append(done))
     assert steps == [*range(1, 2 + len(WAYS))] and json.loads(json.dumps(figures))["default"] == WAYS[-1]
