@@ -25,7 +25,7 @@ from bodyseg_data.rendering import RasterRenderer
 from bodyseg_data.renders import Render
 from bodyseg_data.rigs import PlacedCamera, Rig, axes_at
 from bodyseg_data.rooms.furnishings import FURNISHINGS, SEATS, about, ball, bent, both, clutter, coat, sheet, slab
-from bodyseg_data.samples import Split
+from bodyseg_data.samples import HELD, Split
 
 Floats = NDArray[np.float64]
 
@@ -120,6 +120,8 @@ class Room:
     def __init__(self, key: str, rig: Rig, people: Sequence[RoomPerson], kinds: Sequence[str], seed: int = 0) -> None:
         self._draws, self._key, self._kinds, self.rig = Draws(seed, 0, key), key, kinds, rig
         self.solids: list[tuple[Solid, Loss]] = []
+        self.things: dict[int, str] = {}
+        """Place among `solids` -> kind of the thing; the room itself is not among them."""
         self.persons: list[tuple[RoomPerson, _Pose, list[Loss]]] = []
         self.walls: list[_Wall] = []
         self._taken: list[tuple[float, float, float]] = []  # x, distance and radius: of people, then of things
@@ -132,7 +134,7 @@ class Room:
         bare, empty = n.between(0, 1) < _BARE, n.between(0, 1) < _EMPTY
         if not bare:
             self._build_walls(n)
-        for number in range(0 if empty and not bare else _COUNTS[n.whole(0, len(_COUNTS) - 1)]):
+        for number in range(0 if not people or (empty and not bare) else _COUNTS[n.whole(0, len(_COUNTS) - 1)]):
             own = Numbers(self._draws, f"person {number}")
             person = people[own.whole(0, len(people) - 1)]
             any(self._place_person(person, own) for _ in range(6))
@@ -144,8 +146,10 @@ class Room:
             piece = bent(n, slab((size, size * n.between(0.3, 2), 0.01), (0, 0, 0), 2), 0.03, 0.1)
             self._add(_Pose(about(n.between(-1, 1)), at).of(piece), n)
 
-    def _add(self, solid: Solid, n: Numbers) -> None:
+    def _add(self, solid: Solid, n: Numbers, kind_of_thing: str = "") -> None:
         """Add a thing: three of ten are dark or shiny, and as many lose a little."""
+        if kind_of_thing:
+            self.things[len(self.solids)] = kind_of_thing
         kind = n.whole(0, 9)
         level = n.between(-0.5, 2.2) if kind < 3 else n.between(-2.6, -1.2) if kind < 6 else -9.0
         self.solids.append((solid, (level, n.between(0.0, 3.0), n.between(0.08, 0.6))))
@@ -267,10 +271,10 @@ class Room:
             self._support(person, vertices, low, n)
         elif how > 0.8 and n.whole(0, 2):  # behind something
             share = n.between(0.45, 0.95)
-            turn, thing = about(n.between(-math.pi, math.pi)), self._thing(n)
+            turn, (name, thing) = about(n.between(-math.pi, math.pi)), self._thing(n)
             before, _, most = self._stand(thing, turn, (middle[0] * share, -middle[2] * share), 0.0, 0.0, None)
             if -middle[2] * (1 - share) > 0.15 and most[2] < -0.4:
-                self._add(before.of(thing), n)
+                self._add(before.of(thing), n, name)
         if not lies and n.between(0, 1) < 0.35:
             self._hold(person, vertices, n)
         return True
@@ -313,7 +317,7 @@ class Room:
         else:  # before the chest
             at = chest + front * (size[2] / 2 + n.between(-0.05, 0.05))
         if np.isfinite([*at, turn[0, 0]]).all():
-            self._add(_Pose(turn, at).of(thing), n)
+            self._add(_Pose(turn, at).of(thing), n, HELD)
 
     def _support(self, person: RoomPerson, vertices: Floats, low: float, n: Numbers) -> None:
         """A seat under somebody, or if he lies at that height, a bed along him, and at times a cover over him."""
@@ -323,20 +327,22 @@ class Room:
             made = Solid(made.vertices * (1.0, low / float(np.quantile(made.vertices[:, 1], 0.6)), 1.0), made.faces)
             cover = bent(n, slab((n.between(0.5, 1.4), 0.15, 0.9), (n.between(0.0, 0.5), low + 0.2, 0), 16), 0.08)
             made = together([made, cover]) if not n.whole(0, 2) else made
-            self._add(_Pose(about(math.atan2(-along, way)), hips * (1, 0, 1)).of(made), n)
+            self._add(_Pose(about(math.atan2(-along, way)), hips * (1, 0, 1)).of(made), n, "bed")
         elif not low and hips[1] > 0.27 and np.isfinite(knees).all():
             names = [name for name in SEATS if name in self._kinds]
             if names:
-                seat = SEATS[names[n.whole(0, len(names) - 1)]](n, float(hips[1]) - 0.12)
-                self._add(_Pose(_facing(knees - hips), hips * (1, 0, 1)).of(seat), n)
+                name = names[n.whole(0, len(names) - 1)]
+                seat = SEATS[name](n, float(hips[1]) - 0.12)
+                self._add(_Pose(_facing(knees - hips), hips * (1, 0, 1)).of(seat), n, name)
 
-    def _thing(self, n: Numbers) -> Solid:
+    def _thing(self, n: Numbers) -> tuple[str, Solid]:
         seats = [kind for kind in self._kinds if kind in SEATS] * (not n.whole(0, 3))
-        return FURNISHINGS[(seats or self._kinds)[n.whole(0, len(seats or self._kinds) - 1)]](n)
+        name = (seats or self._kinds)[n.whole(0, len(seats or self._kinds) - 1)]
+        return name, FURNISHINGS[name](n)
 
     def _place_thing(self, n: Numbers) -> None:
         """A thing stands against a wall, free, or touches somebody; few lie on their side."""
-        thing, how = self._thing(n), n.between(0, 1)
+        (name, thing), how = self._thing(n), n.between(0, 1)
         radius = 0.45 * math.hypot(*np.ptp(thing.vertices, axis=0)[::2])
         spot = self._spot(n, radius, n.between(1.0, _FARTHEST_M))
         if how > 0.85 and self.persons:
@@ -351,10 +357,12 @@ class Room:
         if most[2] > -0.45 or most[0] - least[0] > -1.6 * self._half * most[2]:
             return  # it would fill the image
         self._taken.append((spot[0], spot[1], radius))
-        self._add(pose.of(thing), n)
+        self._add(pose.of(thing), n, name)
 
-    def render(self, split: Split = "train") -> Render:
+    def render(self, split: Split = "train", with_things: bool = False) -> Render:
         """What the rig's devices see; the plane "person" counts people from 1, 0 elsewhere.
+
+        with_things: also a plane "thing", which counts `things`.
 
         Where a surface is lost, no range is stored and the label is 255.
         """
@@ -380,6 +388,12 @@ class Room:
         view = camera.axes, camera.position, across, down
         lost = _lose(range_m, labels, people, surface, view, losses.reshape(-1, 3), _LATTICE)
         face[lost], labels[lost], people[lost] = -1, BACKGROUND, 0
+        planes = {"person": people}
+        if with_things:
+            counts = np.zeros(len(pieces), np.uint8)
+            counts[np.array([*self.things], np.intp) + len(bodies)] = np.arange(1, len(self.things) + 1)
+            of_faces = np.repeat(counts, [len(piece.faces) for piece in pieces])
+            planes["thing"] = np.append(of_faces, np.uint8(0))[face]
         corners, facing, lit = whole.vertices[whole.faces[:, 0]], [], []
         sight = np.einsum("ij,ij->i", surface[2], corners - camera.position)
         for one in self.rig.by_projector():
@@ -392,7 +406,7 @@ class Room:
         range_m[face < 0] = 0
         told = {"height_cm": round(100 * self.height_m), "pitch_deg": round(self.pitch_deg), "people": len(bodies)}
         images = range_m, labels, np.concatenate(lit), facing[0] if len(facing) == 1 else np.stack(facing), None
-        return Render(self._key, *images, split, told, {"person": people})
+        return Render(self._key, *images, split, told, planes)
 
 
 def _lose_loop(range_m: Any, labels: Any, people: Any, surface: Any, view: Any, losses: Any, lattice: Any) -> Any:

@@ -49,6 +49,17 @@ def test_a_triangle_that_passes_the_cameras_plane_is_seen_up_to_the_frame() -> N
     assert (middle > 0).sum() > 100
 
 
+def test_a_triangle_with_a_level_edge_marks_no_row_beyond_it() -> None:
+    """It passes the camera's plane, so its rows begin at the frame's side; its far edge is level."""
+    corners = np.array([[-1, 0.4, -1], [3, 0.4, -1], [-1, 0.5, 0.5]], np.float64)
+    camera = PlacedCamera(RIG.camera, np.diag([1.0, -1.0, -1.0]), np.zeros(3))
+    for face in ([2, 1, 0], [2, 0, 1], [0, 1, 2]):
+        seen = RasterRenderer(Solid(corners, np.array([face], np.int32))).render(camera)
+        rows = np.arange(RIG.camera.rows) + 0.5 - RIG.camera.centre_px[1]
+        beyond = rows > -0.4 * RIG.camera.focal_px
+        assert not (seen.face[beyond] >= 0).any() and (seen.face[~beyond] >= 0).any()
+
+
 def test_triangles_without_area_are_not_seen() -> None:
     plain = figure()
     point = plain.vertices[[0, 0, 0]]

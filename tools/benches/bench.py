@@ -76,9 +76,8 @@ BENCHES: Final = {
     ),
     "numerical": Bench("model.networks.numerical", None, "test images, 25", required=("data",), optional=("runs",)),
     "sensors": Bench("model.networks.sensors", "sensors_figure", "bodies, 12", optional=("runs",)),
-    "shapes": Bench("model.things.shapes", None, "made rooms to fit to, 20000"),
-    "things": Bench("model.things.bench", None, "made rooms, 240", optional=("runs",)),
-    "limits": Bench("model.things.limits", "limits_figure", "made rooms to fit to, 200", optional=("runs", "data")),
+    "rooms": Bench("model.rooms.bench", "figure", "made rooms, 480", optional=("runs", "data")),
+    "limits": Bench("model.rooms.limits", None, "made rooms to fit to, 200", optional=("runs",)),
     "segment": Bench("model.segment.bench", "figure", "made rooms of each size, 24"),
     "windows": Bench(
         "model.segment.windows", "windows_figure", "made rooms, 120", required=("data",), optional=("runs", "images")
@@ -147,8 +146,8 @@ class Options:
     data: str | None = option(f"for {_takers('data')}: folder or address of the set", None, address=True)
     runs: tuple[Path, ...] | None = option(
         "for variants: folder of runs VARIANT-SEED, where missing ones are trained; for architectures and ablation: "
-        "folders of runs NAME-SEED; for motion: runs, all of them; for network, runtimes, numerical, sensors, things, "
-        "limits, windows, people, joints, real, steady and failures: runs",
+        "folders of runs NAME-SEED; for motion: runs, all of them; for rooms: runs of a finder; for network, runtimes, "
+        "numerical, sensors, limits, windows, people, joints, real, steady and failures: runs",
         None,
     )
     seeds: int | None = option("for variants and shuffles: trainings of each variant or order (default 3)", None)
@@ -206,11 +205,11 @@ def run(options: Options) -> int:
     measuring = importlib.import_module(f"benches.{bench.module}")
     with Progress("measuring", "steps") as progress:
         figures: dict[str, Any] = getattr(measuring, f"bench_{options.what}")(progress=progress.update, **given)
-    figures = {**conditions.to_json(), **figures}
+    record = {**origin, **conditions.to_json(), **figures}
     if json_file is None:
-        sys.stdout.write(json.dumps(origin | figures, indent=1) + "\n")
+        sys.stdout.write(json.dumps(record, indent=1) + "\n")
     else:
-        write_json(json_file, origin | figures)
+        write_json(json_file, record)
         sys.stderr.write(f"wrote {json_file}\n")
     if picture is not None:
         drawing = importlib.import_module(f"benches.{bench.module.rpartition('.')[0]}.{bench.figure}")

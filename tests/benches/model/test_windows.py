@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from benches.model.rooms.made import Made, Who
 from benches.model.segment import windows as bench
 from benches.model.segment.windows import MARGINS, Windowed, bench_windows
 from benches.model.segment.windows_figure import draw_windows
-from benches.model.things.rooms import Room
 from pictures import decoded, marks, part
 
 from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.rigs import load_sensor
 from bodyseg_model.networks.compact import Compact, CompactSettings
 
 
@@ -35,19 +36,14 @@ def test_a_window_is_cut_out_and_put_back() -> None:
 
 
 def test_margins_are_compared_on_the_set_and_in_rooms(
-    small_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    small_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, near_is_person: None
 ) -> None:
-    person = np.full((480, 640), -1, np.int32)
-    person[100:400, 260:380] = 0
-    seen = person == 0
-    room = Room(
-        np.where(seen, 2.5, 0).astype(np.float32),
-        person,
-        np.full(person.shape, -1, np.int32),
-        np.where(seen, 3, BACKGROUND).astype(np.uint8),
-        1,
-        0,
-    )
+    person = np.zeros((480, 640), np.uint8)
+    person[100:400, 260:380] = 1
+    range_m, labels = (np.where(person, each, none) for each, none in ((np.float32(2.5), 0), (np.uint8(3), BACKGROUND)))
+    camera, who = load_sensor("kinect_v1").camera, Who("standing", None, "nothing", False)
+    seen = range_m.astype(np.float32), person, 0 * person, labels.astype(np.uint8)
+    room = Made("all kinds", 0, "kinect_v1", camera, *seen, (who,), (), 1.0, 0.0)
     monkeypatch.setattr(bench, "made_rooms", lambda camera, count: [room] * count)
     found = bench_windows(str(small_set), views=2, images=3)
     assert [len(found["sets"][name]["margins"]) for name in ("set", "rooms")] == [len(MARGINS)] * 2

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from benches.results.step import RESULTS, SHIPPED, Graph, Step
+from benches.results.step import FINDER, RESULTS, SHIPPED, Graph, Step
 from benches.results.trainings import (
     ABLATION_LINKS,
     ALEXNET_RUNS,
@@ -32,7 +32,7 @@ from benches.results.trainings import (
 FAUST: Final = "data/faust"
 KINECT: Final = "data/real/kinect_v1"
 MIT: Final = "data/mit"
-ROOM: Final = "data/real/kinect_v1_room"
+REAL: Final = "data/real"
 
 PROCESSORS: Final = ("amd-epyc-2-cores", "intel-xeon-processor-with-amx-2-cores")
 """Those whose results are published, as `benches.charts.processors.folder_name` names them."""
@@ -98,10 +98,9 @@ def _shipped() -> Iterator[Step]:
     yield _bench("steady", "--data", KINECT, reads=shipped)
     yield _bench("steady", "--data", KINECT, flip, to="steady_flip_average", reads=shipped)
     yield _bench("sensors", "--views", "2", drawn=True, reads=shipped)
-    yield _bench("shapes", "--views", "20000")
-    yield _bench("things", "--views", "240", reads=shipped)
     yield _bench("joints", "--data", FAUST, reads=shipped)
-    yield _bench("limits", "--views", "200", "--data", ROOM, drawn=True, reads=shipped)
+    yield _bench("limits", "--views", "200", reads=(*shipped, FINDER))
+    yield _bench("rooms", "--views", "480", "--data", REAL, drawn=True, reads=(*shipped, FINDER))
     yield _bench("windows", "--data", HARD, drawn=True, reads=shipped)
     yield _bench("gpu", "--data", OPEN, reads=shipped, alone=True, gpu=True)
     failures = ("--data", OPEN, "--images", "1000", "--hard", HARD)

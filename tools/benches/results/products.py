@@ -8,10 +8,11 @@ from functools import partial
 from pathlib import Path
 
 from benches.result_cache import json_digest
-from benches.results.step import RESULTS, SHIPPED, Places, Step
+from benches.results.step import FINDER, RESULTS, SHIPPED, Places, Step
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import read_json
 from bodyseg_data.shards import MANIFEST_NAME
+from bodyseg_model.networks import FINDER as FINDER_FILE
 from bodyseg_model.networks import SHIPPED as SHIPPED_FILE
 from bodyseg_model.networks import RunFiles
 
@@ -44,6 +45,8 @@ class Products:
         """Digest of a product that no step makes; None if it is missing."""
         if name == SHIPPED:
             return self._network(SHIPPED_FILE)
+        if name == FINDER:
+            return self._network(FINDER_FILE)
         found = self._contents([self._places.path(name)])
         return None if not found else json_digest(found)
 

@@ -17,6 +17,7 @@ Kind = Literal["set", "training", "results", "page"]
 RESULTS: Final = "docs/results"
 DATA: Final = "data"
 SHIPPED: Final = "shipped"
+FINDER: Final = "finder"
 """Name of the network that ships, where a step reads it."""
 
 
@@ -101,7 +102,7 @@ class Graph:
             self._inputs[step.name] = tuple(read)
             unmade = dict.fromkeys(word for word in _read_by(step) if word not in makers)
             self._external[step.name] = tuple(
-                word for word in unmade if word.startswith((f"{DATA}/", f"{RESULTS}/")) or word == SHIPPED
+                word for word in unmade if word.startswith((f"{DATA}/", f"{RESULTS}/")) or word in (SHIPPED, FINDER)
             )
             for product in _products(step):
                 if product in makers:
@@ -120,7 +121,7 @@ class Graph:
         return self._inputs[step.name]
 
     def external(self, step: Step) -> tuple[str, ...]:
-        """Files that it reads and no step makes: `SHIPPED`, DATA/... or docs/results/..."""
+        """Files that it reads and no step makes: `SHIPPED`, `FINDER`, DATA/... or docs/results/..."""
         return self._external[step.name]
 
     def with_inputs(self, names: Iterable[str]) -> set[str]:

@@ -25,26 +25,25 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benches.measuring import medians
+from benches.model.rooms.made import SEED, SETS, Made, make
+from benches.model.rooms.tallies import LEAST_SEEN_M2
 from benches.model.segment.live import live
-from benches.model.things.rooms import LEAST_SEEN_M2, TEST_SEED, TEST_SOURCES, Counts, Room, Rooms, people_of
-from bodyseg_data.bodies import open_source
 from bodyseg_data.core import ProgressCallback, silent
-from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.labels import BACKGROUND, UNLABELLED
 from bodyseg_data.machine import computes_bfloat16, hardware
 from bodyseg_data.rigs import Camera, load_sensor
+from bodyseg_data.rooms.room_packing import draw_people
 from bodyseg_model.commands import segment
 from bodyseg_model.networks import load_network
 from bodyseg_model.runtimes import BackendName, Precision
-from bodyseg_model.segmentation import FrameLabeller, Segmenter, shipped_score
+from bodyseg_model.segmentation import FrameLabeller
 from bodyseg_model.segmentation.pictures import encode_picture
 
 _SQUARE: Final = 1024
 _SQUARE_FOCAL_PX: Final = 840.0
 """Of the larger camera: it sees 63 degrees, up and across, and so about as much of a person as a Kinect v1."""
 
-_BODIES: Final = 6  # of each source: to label one takes a second
-
-STAGES: Final = ("read", "background", "shape", "resample", "network", "back", "write")
+STAGES: Final = ("read", "find", "resample", "network", "back", "write")
 
 
 @dataclass(frozen=True)
@@ -87,9 +86,6 @@ LIVE: Final[dict[str, tuple[BackendName | None, Precision | None]]] = {
 }
 """Ways to label a live sensor's frames: backend and precision of each."""
 
-DROPPING: Final = ("background", "shape", "network")
-"""Stages after which fewer surfaces are left, in their order."""
-
 
 def bench_segment(views: int = 24, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Run the command in every one of `WAYS` on recordings of `views` made rooms, of 640 x 480 and of 1024 x 1024.
@@ -127,15 +123,13 @@ def bench_segment(views: int = 24, progress: ProgressCallback = silent) -> dict[
         }
         sizes[name] = {
             "focal_px": camera.focal_px,
-            "after": left_after(rooms, camera),
             "live": live_ages,
             "ways": ways,
         }
     return {
         "default": "bfloat16" if computes_bfloat16() else "float32",
         "rooms": views,
-        "sources": list(TEST_SOURCES),
-        "seed": TEST_SEED,
+        "seed": SEED,
         "threads": torch.get_num_threads(),
         "hardware": hardware(),
         "sizes": sizes,
@@ -149,15 +143,11 @@ def cameras() -> dict[str, Camera]:
     return {"640 x 480": known, "1024 x 1024": square}
 
 
-def made_rooms(camera: Camera, count: int) -> Iterator[Room]:
-    """Make rooms with bodies that no network was fitted to, in turn by source."""
-    makers = []
-    for source in TEST_SOURCES:
-        opened = open_source(source)
-        bodies = [body for body in opened.bodies() if body.split == "test"]
-        makers.append(Rooms(opened, bodies[:: max(1, len(bodies) // _BODIES)][:_BODIES], camera, TEST_SEED))
+def made_rooms(camera: Camera, count: int) -> Iterator[Made]:
+    """Make rooms as a Kinect v1 with such a camera sees them, with people that no network was trained on."""
+    people = draw_people("test", 0)
     for number in range(count):
-        yield makers[number % len(makers)](number)
+        yield make("all kinds", number, people, SETS["all kinds"], "kinect_v1", camera)
 
 
 def _of_all(rounds: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -165,7 +155,7 @@ def _of_all(rounds: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return {**medians(rounds), "rounds": [one["frames_per_second"] for one in rounds]}
 
 
-def _measured(way: Way, frames: Path, out: Path, camera: Camera, rooms: Sequence[Room]) -> dict[str, Any]:
+def _measured(way: Way, frames: Path, out: Path, camera: Camera, rooms: Sequence[Made]) -> dict[str, Any]:
     """Times of every stage, frames a second, and accuracy of one call of the command."""
     options = segment.Options((frames,), out, focal=camera.focal_px, centre=camera.centre_px, **way.options)
     threads = torch.get_num_threads()
@@ -202,22 +192,6 @@ def by_people(each: Sequence[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def left_after(rooms: Sequence[Room], camera: Camera) -> dict[str, Any]:
-    """`Counts.to_json` of people and things on the surfaces that are left after each of `DROPPING`."""
-    trained, score = load_network(), shipped_score()
-    segmenter = Segmenter(trained.network, camera, rig=trained.rig)
-    counts = {stage: Counts() for stage in DROPPING}
-    for room in rooms:
-        result = segmenter(room.range_m)
-        shapes = [score.seen(body.pixels, room.range_m, camera) for body in result.bodies]
-        judged = zip(result.bodies, shapes, strict=True)
-        shown = [body for body, shape in judged if not score.rules_out(shape)]
-        people = people_of(score, result.bodies, shapes)
-        for count, bodies in zip(counts.values(), (result.bodies, shown, people), strict=True):
-            count.add(room, bodies, result.labels, 1 / camera.focal_px)
-    return {stage: count.to_json() for stage, count in counts.items()}
-
-
 @contextlib.contextmanager
 def _busy_program() -> Iterator[None]:
     with subprocess.Popen([sys.executable, "-S", "-c", "while True: pass"]) as other:
@@ -227,7 +201,7 @@ def _busy_program() -> Iterator[None]:
             other.kill()
 
 
-def accuracy(rooms: Sequence[Room], labels: Sequence[NDArray[np.uint8]], pixel_m: float) -> dict[str, Any]:
+def accuracy(rooms: Sequence[Made], labels: Sequence[NDArray[np.uint8]], pixel_m: float) -> dict[str, Any]:
     """Compare label images uint8 [H, W] with rooms.
 
     pixel_m: side of a pixel at 1 m, metres. people: that show at least `LEAST_SEEN_M2`; found: of them, half of the
@@ -236,9 +210,9 @@ def accuracy(rooms: Sequence[Room], labels: Sequence[NDArray[np.uint8]], pixel_m
     """
     people = found = pixels = right = thing_pixels = 0
     for room, image in zip(rooms, labels, strict=True):
-        named, person = image != BACKGROUND, room.person >= 0
-        for number in range(room.people):
-            seen = room.person == number
+        named, person = image != BACKGROUND, (room.person > 0) & (room.labels < UNLABELLED)
+        for number in range(1, len(room.people) + 1):
+            seen = person & (room.person == number)
             if ((pixel_m * room.range_m[seen]) ** 2).sum() >= LEAST_SEEN_M2:
                 people += 1
                 found += bool(named[seen].mean() >= 0.5)

@@ -5,28 +5,26 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from benches.model.segment.bench import DROPPING, STAGES
+from benches.model.segment.bench import STAGES
 from bodyseg_data.drawing import new_chart, save_chart
 
 Tree = dict[str, Any]
 
-_COLOURS: Final = ("#8a8a8a", "#1f4fa8", "#7a4fa8", "#5b8ad6", "#c25a00", "#3b7d4f", "#d8d8de")
+_COLOURS: Final = ("#8a8a8a", "#1f4fa8", "#5b8ad6", "#c25a00", "#3b7d4f", "#d8d8de")
 """Of the stages, in their order."""
 
 
 def draw_segment(figures: Tree, path: Path) -> None:
-    """Write a PNG of `bench_segment`'s results: for every size, time by stage beside people found, labels right, and
-    who and what is left after each stage.
+    """Write a PNG of `bench_segment`'s results: for every size, time by stage beside people found and labels right.
 
     Raises MissingLibrary without matplotlib, BadConfig if the file cannot be written.
     """
     sizes = figures["sizes"]
-    figure = new_chart(15.5, 1.2 + 2.8 * len(sizes))
-    rows = figure.subplots(len(sizes), 3, gridspec_kw={"width_ratios": (2.2, 1, 1.5)}, squeeze=False)
-    for (times, shares, left), (name, size) in zip(rows, sizes.items(), strict=True):
+    figure = new_chart(11, 1.2 + 2.8 * len(sizes))
+    rows = figure.subplots(len(sizes), 2, gridspec_kw={"width_ratios": (2.2, 1)}, squeeze=False)
+    for (times, shares), (name, size) in zip(rows, sizes.items(), strict=True):
         _stages(times, name, size["ways"])
         _accuracy(shares, size["ways"])
-        _left(left, size["after"], size["ways"][figures["default"]]["ms"])
     handles, names = rows[0][0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=len(STAGES), frameon=False)
     save_chart(figure, path, dpi=110)
@@ -66,30 +64,4 @@ def _accuracy(axis: Any, ways: Tree) -> None:
     axis.set_xlim(0, 100)
     axis.set_title("% of people's pixels labelled right", loc="left", fontsize=10)
     axis.grid(axis="x", color="#e4e4e8", linewidth=0.8)
-    axis.spines[["top", "right"]].set_visible(False)
-
-
-def _left(axis: Any, after: Tree, ms: Tree) -> None:
-    """People found and things left after the stages that drop surfaces, and the default's time until then."""
-    ends = [STAGES.index(stage) + 1 for stage in DROPPING]
-    until = [sum(ms[stage]["mean"] for stage in STAGES[:end]) for end in ends]
-    things = [count["things"] for count in after.values()]
-    lines = {
-        "#1f4fa8": [
-            (count["people_found"] / max(count["people"], 1), f"{count['people_found']} of {count['people']} people")
-            for count in after.values()
-        ],
-        "#c25a00": [(left / max(things[0], 1), f"{left} thing{'' if left == 1 else 's'}") for left in things],
-    }
-    for (colour, points), shift, side in zip(lines.items(), ((0, 7), (-8, -12)), ("center", "right"), strict=True):
-        axis.plot(range(len(points)), [100 * share for share, _ in points], "o-", color=colour)
-        for place, (share, text) in enumerate(points):
-            at = place, 100 * share
-            axis.annotate(text, at, shift, textcoords="offset points", ha=side, fontsize=8, color=colour)
-    names = [f"{stage}\n{time:.0f} ms" for stage, time in zip(DROPPING, until, strict=True)]
-    axis.set_xticks(range(len(names)), names)
-    axis.set_xlim(-0.6, len(DROPPING) - 0.6)
-    axis.set_ylim(-8, 112)
-    axis.set_title("% of people and of things left after a stage", loc="left", fontsize=10)
-    axis.grid(axis="y", color="#e4e4e8", linewidth=0.8)
     axis.spines[["top", "right"]].set_visible(False)

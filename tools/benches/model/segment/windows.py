@@ -17,7 +17,7 @@ import torch
 from benches.model.chosen import chosen_network
 from benches.model.segment.bench import cameras, made_rooms
 from bodyseg_data.core import ProgressCallback, check_int, counter, silent
-from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.labels import UNLABELLED
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.machine import torch_threads
 from bodyseg_model.networks import Network, predict
@@ -103,8 +103,8 @@ def bench_windows(
     def from_rooms() -> Iterator[tuple[torch.Tensor, Score]]:
         segmenter = Segmenter(trained.network, camera, rig=trained.rig)
         for room in made_rooms(camera, views):
-            for pixels, _, view in segmenter.find(room.range_m).bodies:
-                if (room.person.ravel()[pixels] < 0).mean() > 0.5:
+            for (pixels, _), view in segmenter.find(room.range_m).bodies:
+                if (room.person.ravel()[pixels] == 0).mean() > 0.5:
                     continue
                 truth = torch.from_numpy(room.labels.ravel()[pixels])
                 backwards = torch.from_numpy(view.view_pixels)
@@ -120,7 +120,7 @@ def bench_windows(
 
 def _scored(truth: torch.Tensor, pixels: torch.Tensor | None = None) -> Score:
     """Score labels at `pixels`, int64 [N], of the image, by default all, against the true ones of the same shape."""
-    body = truth != BACKGROUND
+    body = truth < UNLABELLED
 
     def score(labels: torch.Tensor) -> float:
         found = labels[0] if pixels is None else labels.ravel()[pixels]
