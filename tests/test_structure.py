@@ -221,11 +221,12 @@ LARGEST_DOORS = {
     "bodyseg_data.shards": 56,  # a format, its columns and stores, which packing writes, loading reads, transfer copies
     "bodyseg_model.networks": 33,  # networks and their files, which training writes and everything else reads
     "bodyseg_data.meshes": 36,  # files, repair, checks, landmarks and parts of a mesh, whose one user is bodies
-    "bodyseg_model.segmentation": 27,
+    "bodyseg_model.segmentation": 24,
     "bodyseg_data.machine": 23,
     "bodyseg_data.samples": 28,
     "bodyseg_data.loading": 22,
-    "bodyseg_data.drawing": 24,
+    "bodyseg_data.drawing": 22,
+    "bodyseg_data.packing": 23,
 }
 """Rooms that offer more names than 21: how many at most."""
 
@@ -281,7 +282,7 @@ def test_rooms_have_no_cellars() -> None:
     lines = {name: len(path.read_text().splitlines()) for name, path in wheel.items()}
     assert not {name: count for name, count in lines.items() if count > 520}
     assert len(wheel) <= 272
-    assert sum(lines.values()) <= 53_000
+    assert sum(lines.values()) <= 52_700
     loose = {entry.name for package in PACKAGES[:2] for entry in (ROOT / package).glob("*.*")}
     assert loose <= {"__init__.py", "__main__.py", "py.typed"}
 

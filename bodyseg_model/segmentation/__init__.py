@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from bodyseg_model.segmentation.joints import JOINTS
     from bodyseg_model.segmentation.output_folder import LABELS, OVERLAY, UNDISTORTED, FrameResults, OutputFolder
     from bodyseg_model.segmentation.pictures import Preview, draw_overlay
-    from bodyseg_model.segmentation.segmenter import LabelledBody, Segmentation, Segmenter
+    from bodyseg_model.segmentation.segmenter import Segmentation, Segmenter
     from bodyseg_model.segmentation.sequence_summary import STILL_M, Flicker, SequenceSummary, flicker
     from bodyseg_model.segmentation.views import view_body
 else:

@@ -26,7 +26,6 @@ NODE = Path(__file__).parents[2] / "docs" / "examples" / "label_node.py"
 pytestmark = pytest.mark.usefixtures("near_is_person")
 
 
-
 class StubNode:
     """What rclpy's Node does for this node: it keeps publishers, subscriptions and lines of its log."""
 
