@@ -27,8 +27,8 @@ _JUMP_M: Final = 0.1  # greatest difference of range between neighbours on one s
 _JUMP_SHARE: Final = 0.04  # the same beyond 2.5 m: sensors are coarser at a distance
 _GAP_M: Final = 0.2  # widest gap that parts no surface: an arm's shadow falls on the trunk
 
-_BODY_M2: Final = 0.05  # least visible surface of a person, as all areas as if it faced the camera
-_BODY_M: Final = (0.3, 3.0)  # least height of a person, and greatest width, height and depth
+_BODY_M2: Final = 0.04  # least visible surface of a person, as all areas as if it faced the camera
+_BODY_M: Final = (0.25, 3.0)  # least and greatest of a person's width, height and depth, whichever is largest
 _LOOSE_M2: Final = 0.12  # less, such as a forearm with its hand, joins a person beside whom it is
 _LOOSE_M: Final = 1.0  # greatest width, height and depth of such a piece
 _REACH_M: Final = (0.6, 0.3)  # before a person and behind: of a stretched arm only the hand may be seen
@@ -102,7 +102,7 @@ def find_bodies(
     if background.mode != "people":
         pixels = np.flatnonzero(within)
         return (Found(pixels),) if len(pixels) else ()
-    probability = _view(shipped_finder().network if finder is None else finder, camera)(kept)
+    probability = view_of(shipped_finder().network if finder is None else finder, camera)(kept)
     people = part_people(kept, within & (probability > 0.5), camera)
     return tuple(Found(pixels, float(probability.ravel()[pixels].mean(dtype=np.float64))) for pixels in people)
 
@@ -156,7 +156,7 @@ class FinderView:
         return answer
 
 
-_view = lru_cache(maxsize=8)(FinderView)
+view_of = lru_cache(maxsize=8)(FinderView)
 
 
 def _resampled(side: int, centre: float, scale: float) -> tuple[Pixels, Pixels]:
@@ -381,12 +381,12 @@ def _persons(samples: _Samples, pieces: tuple[Pixels, Mask]) -> Pixels:
     lowest, highest = np.minimum.reduceat(placed, starts), np.maximum.reduceat(placed, starts)
     area_m2, beside = np.bincount(piece, samples.area_m2), _BESIDE_M * samples.a_metre
     extents = (highest - lowest)[:, 2:].max(axis=1)
+    sized = (area_m2 >= _BODY_M2) & (extents >= _BODY_M[0]) & (extents <= _BODY_M[1])
     loose = ~cut & (area_m2 < _LOOSE_M2) & (extents <= _LOOSE_M)
     person, bodies = np.full(len(cut), -1), list[tuple[Floats, Floats]]()
     for number in np.argsort(-area_m2, kind="stable"):
         low, high = lowest[number], highest[number]
-        too_small = area_m2[number] < _BODY_M2 or high[3] - low[3] < _BODY_M[0]
-        if person[number] >= 0 or too_small or extents[number] > _BODY_M[1]:
+        if person[number] >= 0 or not sized[number]:
             continue
         below = [] if cut[number] else [whose for whose, box in enumerate(bodies) if _one_above_other((low, high), box)]
         if below:

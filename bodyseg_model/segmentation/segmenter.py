@@ -18,7 +18,7 @@ from bodyseg_data.rigs import Camera, Rig, load_rig
 from bodyseg_model.networks import Network, device_of, predict_each
 from bodyseg_model.runtimes import on_backend
 from bodyseg_model.segmentation.carried_labels import CarriedLabels
-from bodyseg_model.segmentation.finder import Background, Found, find_bodies, part_people, shipped_finder
+from bodyseg_model.segmentation.finder import Background, Found, find_bodies, part_people, shipped_finder, view_of
 from bodyseg_model.segmentation.joints import found_joints
 from bodyseg_model.segmentation.persons import Records, labelled_points, measured_parts, person_image
 from bodyseg_model.segmentation.views import BodyView, compile_views_ahead, usual_views, view_body, view_frame
@@ -163,8 +163,8 @@ class Segmenter:
     ships. video: carries evidence from frame to frame of a recording, whose frames must then come in order
     (`CarriedLabels`); None to label each alone. turned: right angles by which the camera was mounted turned clockwise,
     as seen from behind it: frames are turned clockwise by as many before they are labelled, and labels back. label_map:
-    the network's classes; by default the 33 parts for a network of 33. Raises BadConfig for a confidence outside 0 to 1
-    or a camera with distortion; MissingLibrary without numba.
+    the network's classes; by default the 33 parts for a network of 33. Raises BadConfig for a confidence outside 0 to
+    1, a camera with distortion or a network that is no finder; MissingLibrary without numba.
     """
 
     def __init__(
@@ -196,6 +196,8 @@ class Segmenter:
         finds = self.background.mode == "people"
         self.doubted_below = doubted_below if finds else 0.0
         self.finder = on_backend(finder or shipped_finder().network) if finds else None
+        if self.finder is not None:
+            view_of(self.finder, self._upright)  # now, so that what is no finder is refused
         self.label_map = label_map or (PARTS33 if network.classes == PART_COUNT else None)
         self.device = device_of(network)
         self._prepared = False

@@ -220,12 +220,12 @@ def test_a_person_behind_a_table_is_one() -> None:
     "image",
     [
         np.full((240, 320), np.inf, np.float32),
-        box(0.2, 1.2, 2.0),
+        box(0.03, 1.2, 2.0),
         box(0.3, 0.1, 2.0),
         box(2.0, 3.5, 3.4),
         ellipsoid((0.0, 0.0, 2.0), (0.004, 0.004, 0.004)),
     ],
-    ids=["nothing", "low", "small", "wide", "a pixel"],
+    ids=["nothing", "thin", "small", "wide", "a pixel"],
 )
 def test_what_has_no_persons_size_is_nobody(image: Image) -> None:
     assert parted(image) == []

@@ -533,7 +533,9 @@ def test_people_are_found_whatever_classes_a_network_has(
 def test_another_finder_may_be_given(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     body = build("compact", {"patch": 8, "widths": [8], "blocks": [0], "classes": 2}, seed=1)
     save_network(tmp_path / "body.safetensors", body, "compact", {"labels": load_label_map("people").to_json()})
-    said = refused(capsys, recording, "--finder", tmp_path / "body.safetensors", "--out", tmp_path / "out")
+    said = refused(
+        capsys, recording, "--focal", "100", "--finder", tmp_path / "body.safetensors", "--out", tmp_path / "out"
+    )
     assert said.startswith("a finder of people needs 2 classes and the setting focal_px, found 2 classes and")
     assert not (tmp_path / "out").exists()
 
