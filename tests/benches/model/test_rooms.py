@@ -210,7 +210,7 @@ def test_the_bench_measures_every_way_and_draws(
     monkeypatch.setattr(bench, "draw_people", lambda split, block: people() if split == "test" else [])
     monkeypatch.setattr(bench, "make", partial(make, sensor="kinect_v1", camera=SMALL))
     steps: list[int] = []
-    figures = bench_rooms(4, str(frames), progress=lambda done, total, note="": steps.append(done))
+    figures = bench_rooms(4, str(frames), progress=lambda done, total: steps.append(done))
     assert steps == [*range(1, 2 + len(WAYS))] and json.loads(json.dumps(figures))["default"] == WAYS[-1]
     for way in figures["ways"].values():
         assert way["ms"] > 0 and set(way["made"]) == {"unseen kinds", "all kinds"}
