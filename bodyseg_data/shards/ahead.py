@@ -25,7 +25,7 @@ Place = tuple[Store, CheckedFile, int]
 """Store, file and number of the piece that a sample is."""
 
 CONNECTIONS: Final = 8
-"""Threads that fetch. Processes that share a cache wait for each other's shards, so that they have as many in all."""
+"""Threads of a process that fetch. Those of processes that share a cache wait where another fetches their shard."""
 
 _HELD_BYTES: Final = 1 << 26  # bytes of ranges that are planned, or held in memory, at most
 

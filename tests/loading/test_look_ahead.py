@@ -177,9 +177,11 @@ def test_a_server_that_fails_now_and_then_does_not_show(
     assert {line.status for line in web.log(".tar")} == {206, 500}
 
 
-def test_an_error_shows_where_the_sample_is_due(web: WebServer, figures_set: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("kept", [True, False])
+def test_an_error_shows_where_the_sample_is_due(kept: bool, web: WebServer, figures_set: Path, tmp_path: Path) -> None:
     shards = read_manifest(figures_set).shards
-    images = RangeImages(web.url("faulty"), "noise", cache=tmp_path, retry_policy=QUICK)
+    options: dict[str, Any] = {"cache": tmp_path} if kept else {"cache_bytes": 0}
+    images = RangeImages(web.url("faulty"), "noise", retry_policy=QUICK, **options)
     first = shards[-1].keys[0].encode()
     web.faults.act = lambda reply, before: replace(reply, status=404) if reply.body.startswith(first) else reply
     found = []

@@ -53,7 +53,7 @@ def test_ranks_begin_to_read_a_cold_store(small_set: Path, monkeypatch: pytest.M
     train = [shard for shard in read_manifest(small_set).shards if shard.split == "train"]
     size, held = sum(shard.size for shard in train), sum(sum(shard.lengths) for shard in train)
     rows = {(row["order"], row["ranks_a_machine"]): row for row in found["rows"]}
-    assert len(rows) == 9 and len(found["large"]) == 6
+    assert len(rows) == 9
     for order in ("blocks", "global", "stored"):
         assert (rows[order, 4]["requests"], rows[order, 4]["bytes"]) == (2, size), "each shard once a machine"
         assert rows[order, 4]["of_one_file"] == 1 and rows[order, 2]["of_one_file"] <= 2
@@ -61,7 +61,7 @@ def test_ranks_begin_to_read_a_cold_store(small_set: Path, monkeypatch: pytest.M
     for row in rows.values():
         assert row["samples"] == 16 and far.LATENCY_S <= row["first_s"] <= row["all_s"]
     assert rows["global", None]["all_s"] == far.LATENCY_S, "eight connections a rank for four samples"
-    assert {row["samples"] for row in found["large"]} == {12}
+    assert found["large"]["samples"] == 12
 
 
 def test_a_far_store_is_read_in_every_order(small_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:

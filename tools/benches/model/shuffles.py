@@ -1,4 +1,4 @@
-"""`bench shuffles`: what a network loses where its training reads samples by blocks, or in stored order."""
+"""`bench shuffles`: what a network loses where its training reads samples by blocks."""
 
 from __future__ import annotations
 
@@ -9,25 +9,15 @@ from typing import Any, Final
 from bodyseg_data.commands import last_name, provenance
 from bodyseg_data.core import ProgressCallback, check_int, counter, silent
 from bodyseg_data.loading import BodyCrop, RangeImages
-from bodyseg_data.loading.image_set import Requests, Shuffle
 from bodyseg_model.evaluation import evaluate, over_seeds
 from bodyseg_model.networks import build
 from bodyseg_model.training import GeometricAugmentation, Recipe, RunOptions, recipe_for, train
 
-ORDERS: Final = ("global", "blocks", "stored")
-"""The last one is no choice of a training: it shows whether these trainings tell orders apart at all."""
-
+ORDERS: Final = ("global", "blocks")
 STEPS: Final = 240
 SETTINGS: Final[dict[str, Any]] = {"patch": 4, "widths": [48, 64, 96], "blocks": [1, 1, 1]}
 WINDOW: Final = BodyCrop(96, 64)
 """Images of bodies are small, and so is the network, so that many trainings take minutes of one processor."""
-
-
-class _InStoredOrder(RangeImages):
-    """Images that a training reads as they are stored."""
-
-    def requests(self, epoch: int, shuffle: Shuffle = True) -> Requests:
-        return super().requests(epoch, False)
 
 
 def bench_shuffles(
@@ -71,8 +61,7 @@ def bench_shuffles(
     }
 
 
-def _recipe(steps: int, order: str) -> Recipe:
-    shuffle = "blocks" if order == "blocks" else "global"
+def _recipe(steps: int, shuffle: str) -> Recipe:
     plain = {"bf16": False, "mirror": False, "geometric_augmentation": GeometricAugmentation()}
     return recipe_for("compact", steps=steps, learning_rate=4e-3, shuffle=shuffle, **plain)
 
@@ -80,10 +69,9 @@ def _recipe(steps: int, order: str) -> Recipe:
 def _trained(
     data: str, order: str, seed: int, steps: int, folder: Path, test_images: RangeImages, count: int
 ) -> tuple[float, float]:
-    kind = _InStoredOrder if order == "stored" else RangeImages
     options = RunOptions(log_every=100, checkpoint_every=steps, num_workers=1)
     facts = provenance("tools/bench shuffles")
-    images = kind(data, "all", "train", seed, transform=WINDOW)
+    images = RangeImages(data, "all", "train", seed, transform=WINDOW)
     network = build("compact", SETTINGS, seed)
     recipe = _recipe(steps, order)
     trained = train(images, folder / "run", network, recipe, seed=seed, run_options=options, facts=facts)

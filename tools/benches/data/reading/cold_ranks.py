@@ -28,7 +28,7 @@ _POLL_S: Final = 0.02
 Spans = list[tuple[float, float]]
 """Start and end of requests."""
 
-LARGE_SAMPLES: Final = 64
+LARGE_SAMPLES: Final = 320
 """Samples of each rank that are read of the large set."""
 
 
@@ -36,38 +36,33 @@ def bench_cold(data: str, progress: ProgressCallback = silent) -> dict[str, Any]
     """Cold starts of `RANKS` ranks with each order: see `cold_start`.
 
     rows: the first epoch of the train split of `data`, a local folder, for each number of ranks that share a machine.
-    large: the first `LARGE_SAMPLES` of each rank of a set of `LARGEST` samples, without a cache and with that of
-    machines, which has room for a small part of it. Raises BadConfig for a set with fewer samples than ranks.
+    large: the first `LARGE_SAMPLES` of each rank of a set of `LARGEST` samples, by blocks and without a cache. Raises
+    BadConfig for a set with fewer samples than ranks.
     """
     folder = Path(data)
     images = RangeImages(folder, "none", "train")
-    groups, large = (None, *RANKS_A_MACHINE), (None, RANKS_A_MACHINE[0])
-    tick = counter(progress, len(ORDERS) * (len(groups) + len(large)))
-
-    def rows(images: RangeImages, folder: Path, groups: Iterable[int | None], most: int | None) -> list[dict[str, Any]]:
-        found = []
-        for order, group in itertools.product(ORDERS, groups):
-            found.append(cold_start(images, folder, order, group, RANKS, BATCH, most))
-            tick()
-        return found
-
-    small = rows(images, folder, groups, None)
+    cases = [*itertools.product(ORDERS, (None, *RANKS_A_MACHINE))]
+    tick = counter(progress, len(cases) + 1)
+    small = []
+    for order, group in cases:
+        small.append(cold_start(images, folder, order, group, RANKS, BATCH))
+        tick()
     with TemporaryDirectory() as name:
         write_large_index(images.manifest, LARGEST, Path(name))
         whole = RangeImages(name, "none", "train")
-        return {
-            "rank_count": RANKS,
-            "batch": BATCH,
-            "latency_s": LATENCY_S,
-            "rate": RATE,
-            "connections": CONNECTIONS,
-            "samples": len(images),
-            "shards": len(images.manifest.shards),
-            "set_bytes": images.stored_bytes(),
-            "rows": small,
-            "large_samples": LARGEST,
-            "large": rows(whole, Path(name), large, LARGE_SAMPLES),
-        }
+        large = cold_start(whole, Path(name), "blocks", None, RANKS, BATCH, LARGE_SAMPLES)
+        tick()
+    return {
+        "rank_count": RANKS,
+        "batch": BATCH,
+        "latency_s": LATENCY_S,
+        "rate": RATE,
+        "connections": CONNECTIONS,
+        "set_bytes": images.stored_bytes(),
+        "rows": small,
+        "large_samples": LARGEST,
+        "large": large,
+    }
 
 
 def cold_start(
