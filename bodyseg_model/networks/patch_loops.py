@@ -91,7 +91,7 @@ def cut_metric_patches(range_m: Any, side: Any, focal: Any, values: Any, share: 
                         metres = range_m[image, row, column] if row < rows and column < columns else _ZERO
                         to[k * side + n] = metres
                         total += metres
-                        count += metres > _ZERO
+                        count += 1 if metres > _ZERO else 0
                 mean = total / np.float32(max(count, 1))
                 for k in range(area):
                     known = _ONE if to[k] > _ZERO else _ZERO

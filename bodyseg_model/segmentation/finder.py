@@ -179,7 +179,7 @@ def _nearest_in_range(
     """
     rows, columns = places
     flat = rows * seen.shape[1] + columns
-    found = values.ravel()[flat]
+    found: NDArray[Any] = values.ravel()[flat]
     other = np.flatnonzero(np.abs(seen.ravel()[flat] - of_range) > jump_m(of_range))
     ranges, rows, columns = of_range[other], rows[other], columns[other]
     best, value = jump_m(ranges), np.full(len(other), nothing, values.dtype)
@@ -195,7 +195,9 @@ def _nearest_in_range(
 
 def jump_m(range_m: NDArray[Any]) -> NDArray[Any]:
     """Greatest difference between neighbours of one surface, metres, of the type of `range_m`."""
-    return np.maximum(range_m * range_m.dtype.type(_JUMP_SHARE), range_m.dtype.type(_JUMP_M))
+    kind = range_m.dtype.type
+    most: NDArray[Any] = np.maximum(range_m * kind(_JUMP_SHARE), kind(_JUMP_M))
+    return most
 
 
 # People apart.
@@ -351,7 +353,7 @@ def _heads(samples: _Samples, edge_m: float) -> list[int]:
     heads, surfaces, areas = [], np.zeros((0, 0), np.int32), np.zeros(0)
     level = max(1, round(_LEVEL_M * a_metre))
     for last in range(level, len(whole) + level, level):
-        before, areas_before, together = surfaces, areas, {}
+        before, areas_before, together = surfaces, areas, dict[int, list[tuple[int, int]]]()
         surfaces, count = label(whole[:last], _CROSS)
         areas = np.bincount(surfaces.ravel(), minlength=count + 1) / a_metre**2
         for top in sorted(tops):

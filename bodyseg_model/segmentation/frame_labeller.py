@@ -168,7 +168,7 @@ class FrameLabeller:
                 rig=self.rig,
                 doubted_below=self._doubted_below,
                 turned=quarters,
-                finder=self._finder and self._finder.network,
+                finder=None if self._finder is None else self._finder.network,
             )(range_m)
             surest[quarters] = max((float(body.confidence.mean()) for body in answer.bodies), default=0.0)
         self._looked_at += 1
@@ -189,7 +189,7 @@ class FrameLabeller:
             self.video,
             quarters,
             self.label_map,
-            self._finder and self._finder.network,
+            None if self._finder is None else self._finder.network,
         )
 
     def __call__(self, range_m: NDArray[np.float32], camera: Camera) -> LabelledFrame:

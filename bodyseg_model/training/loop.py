@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Literal, TypeVar
 
 import numpy as np
 import torch
@@ -195,7 +195,7 @@ class Training:
         batch = self.recipe.batch_size // self.processes.world_size
         pin = self.processes.device.type == "cuda"
         workers, method = self.run_options.num_workers, self.run_options.worker_method
-        order = "blocks" if self.recipe.shuffle == "blocks" else None
+        order: Literal["blocks"] | None = "blocks" if self.recipe.shuffle == "blocks" else None
         data_loader = loader(self.images, batch, workers, order, drop_last=True, pin_memory=pin, worker_method=method)
         if loader_state is not None:
             data_loader.load_state_dict(loader_state)
