@@ -8,7 +8,7 @@ from __future__ import annotations
 import heapq
 import itertools
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -81,7 +81,8 @@ def cold_start(
     with TemporaryDirectory() as caches:
         everyone = images.requests(0, ORDERS[order])
         bounds = batch_bounds(len(images), 0, batch, ranks, False)
-        jobs, first = [], []
+        jobs: list[Iterator[Any]] = []  # partial calls of the look-ahead's own methods
+        first: list[list[tuple[str, int]]] = []
         for rank in range(ranks):
             if rank % (group or 1) == 0:
                 remote = RemoteFolder(f"file://{folder.absolute()}", {}, RetryPolicy())
@@ -95,9 +96,11 @@ def cold_start(
             ahead = LookAhead(places)
             while not ahead._planned:
                 ahead._plan()  # all at once: nothing waits for memory
-            jobs.append(iter(ahead._jobs))
+            jobs.append(iter([*ahead._jobs]))
             first.append([(file.name, file.entry(index).offset) for _, file, index in places[:batch]])
-        waiting = [(0.0, thread, rank, None) for thread in range(CONNECTIONS) for rank in range(ranks)]
+        waiting: list[tuple[float, int, int, Any]] = [
+            (0.0, thread, rank, None) for thread in range(CONNECTIONS) for rank in range(ranks)
+        ]
         while waiting:
             now, thread, rank, again = heapq.heappop(waiting)
             job = again or next(jobs[rank], None)
