@@ -81,7 +81,7 @@ def cold_start(
     with TemporaryDirectory() as caches:
         everyone = images.requests(0, ORDERS[order])
         bounds = batch_bounds(len(images), 0, batch, ranks, False)
-        jobs: list[Iterator[Any]] = []
+        jobs: list[Iterator[Any]] = []  # partial calls of the look-ahead's own methods
         first: list[list[tuple[str, int]]] = []
         for rank in range(ranks):
             if rank % (group or 1) == 0:
@@ -96,7 +96,7 @@ def cold_start(
             ahead = LookAhead(places)
             while not ahead._planned:
                 ahead._plan()  # all at once: nothing waits for memory
-            jobs.append(iter(ahead._jobs))
+            jobs.append(iter([*ahead._jobs]))
             first.append([(file.name, file.entry(index).offset) for _, file, index in places[:batch]])
         waiting: list[tuple[float, int, int, Any]] = [
             (0.0, thread, rank, None) for thread in range(CONNECTIONS) for rank in range(ranks)
