@@ -68,4 +68,4 @@ def _chart(axis: Any, title: str, points: list[tuple[str, float, dict[str, float
     axis.grid(color="#e4e4e8", linewidth=0.8)
     axis.spines[["top", "right"]].set_visible(False)
     if points:
-        axis.legend(frameon=False, loc="lower right")
+        axis.legend(frameon=False, loc="center")
