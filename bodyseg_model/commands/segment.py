@@ -82,8 +82,8 @@ class Options:
         "network that finds people: a training's folder or a file (default: the shipped)", None
     )
     keep_things: bool = option("label whatever the finder takes for people, also where the network doubts it", False)
-    near: float | None = option("the near limit, metres (default: 0.5)", None)
-    far: float | None = option("the far limit, metres (default: 5)", None)
+    near: float | None = option("the near limit, metres (default: 0.4)", None)
+    far: float | None = option("the far limit, metres (default: 6)", None)
     confidence: float = option("give no label to pixels of less confidence, 0 to 1", 0.0)
     no_overlay: bool = option("write labels and summary alone: no overlay, preview.gif and legend.png", False)
     skip_unreadable: int = option("skip up to this many frames that cannot be read, and list them", 0)

@@ -46,8 +46,8 @@ class Options:
         "people",
     )
     skip_unreadable: int = option("skip up to this many frames that cannot be read", 0)
-    near: float | None = option("the near limit of people and limits, metres (default: 0.5)", None)
-    far: float | None = option("their far limit, metres (default: 5)", None)
+    near: float | None = option("the near limit of people and limits, metres (default: 0.4)", None)
+    far: float | None = option("their far limit, metres (default: 6)", None)
     nearer_than: float | None = option("all that is nearer than this, metres, is a body, whatever its size", None)
 
 

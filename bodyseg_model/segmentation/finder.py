@@ -63,8 +63,8 @@ class Background:
     """
 
     mode: BackgroundMode = "people"
-    near_m: float = 0.5
-    far_m: float = 5.0
+    near_m: float = 0.4
+    far_m: float = 6.0
 
     def __post_init__(self) -> None:
         if not 0 <= self.near_m < self.far_m < float("inf"):

@@ -70,7 +70,7 @@ def test_labels_come_back_to_the_pixels_that_they_are_of() -> None:
 def test_a_segmenter_and_its_results_print_in_one_line() -> None:
     segmenter = Segmenter(Places(axis=0, step=11), LENS, KEEP)
     assert repr(segmenter) == (
-        "Segmenter(Places on cpu, 60 x 80 pixels, focal length 100 px, Background(mode='keep', near_m=0.5, far_m=5.0))"
+        "Segmenter(Places on cpu, 60 x 80 pixels, focal length 100 px, Background(mode='keep', near_m=0.4, far_m=6.0))"
     )
     result = repr(segmenter(standing(34, 2.0)))
     assert result.startswith("Segmentation(bodies=(LabelledBody(median_range_m=2.0, turn_rad=") and "\n" not in result
