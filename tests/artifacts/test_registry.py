@@ -114,7 +114,7 @@ def test_a_new_artifact_is_found_by_name_everywhere(figures_set: Path, dots: Sen
     assert images.augmentation.alters_labels and not RangeImages(figures_set, "noise").augmentation.alters_labels
     given = '{"dots": {"most": 0.3}, "noise": {"high_mm": 7}}'
     options = train.Options(("data",), Path("run"), artifacts=given, losses=0.2)
-    assert train._sensor(options) == PAPER.with_artifacts(Dots(0.3), Noise(high_mm=7), Losses(0.2))
+    assert train._sensor(options, "paper") == PAPER.with_artifacts(Dots(0.3), Noise(high_mm=7), Losses(0.2))
     evaluated = open_images(str(figures_set), "noise", noise_mm=4, artifacts=(Dots(0.1),))
     assert evaluated.augmentation.sensor == PAPER.with_artifacts(Noise(4, 4), Dots(0.1))
 
