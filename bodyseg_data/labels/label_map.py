@@ -101,9 +101,9 @@ class LabelMap:
 
     @cached_property
     def members(self) -> tuple[tuple[int, ...], ...]:
-        """Labels, in the set, of what each class joins."""
+        """Labels, in the set, of what each class joins; of a class for the rest, those of classes that stand nowhere."""
         named = {each for _, members in self.classes for each in members}
-        rest = (*(label for label, each in enumerate(self.of.names) if each not in named), UNLABELLED)
+        rest = tuple(label for label, each in enumerate(self.of.names) if each not in named)
         return tuple(
             rest if members == (REST,) else tuple(map(self.of.names.index, members)) for _, members in self.classes
         )
@@ -111,14 +111,14 @@ class LabelMap:
     @property
     def has_rest(self) -> bool:
         """True if surfaces of no class have a class of this map."""
-        return bool(self.table[UNLABELLED] != BACKGROUND)
+        return any(members == (REST,) for _, members in self.classes)
 
     @cached_property
     def table(self) -> NDArray[np.uint8]:
         """Label of the set -> label of a class, uint8 [256]; `BACKGROUND` for all else."""
         found = np.full(256, BACKGROUND, np.uint8)
-        for label, members in enumerate(self.members):
-            found[list(members)] = label
+        for label, (members, (_, names)) in enumerate(zip(self.members, self.classes, strict=True)):
+            found[[*members, *([UNLABELLED] if names == (REST,) else [])]] = label
         return found
 
     @cached_property
@@ -174,7 +174,7 @@ class LabelMap:
         """The first class whose mirror image is not one class, None without any."""
         for name, members in zip(self.names, self.members, strict=True):
             opposite = {int(self.table[self.of.mirrored[member]]) for member in members}
-            if len(opposite) != 1 or BACKGROUND in opposite:
+            if members and (len(opposite) != 1 or BACKGROUND in opposite):
                 return name
         return None
 
@@ -184,7 +184,7 @@ class LabelMap:
         found = np.arange(256, dtype=np.uint8)
         if self._lopsided is None:
             for label, members in enumerate(self.members):
-                found[label] = self.table[self.of.mirrored[members[0]]]
+                found[label] = self.table[self.of.mirrored[members[0]]] if members else label
         return found
 
     @cached_property
@@ -196,7 +196,7 @@ class LabelMap:
         found: list[Side] = []
         for label, members in enumerate(self.members):
             opposite = int(self._opposites[label])
-            own = {self.of.sides[member] for member in members if member < UNLABELLED} - {"middle"}
+            own = {self.of.sides[member] for member in members} - {"middle"}
             if opposite == label:
                 found.append("middle")
             elif len(own) == 1:
