@@ -101,7 +101,7 @@ class LabelMap:
 
     @cached_property
     def members(self) -> tuple[tuple[int, ...], ...]:
-        """Labels, in the set, of what each class joins; of a class for the rest, those of classes that stand nowhere."""
+        """Labels, in the set, of what each class joins; for the rest, those of classes that stand nowhere."""
         named = {each for _, members in self.classes for each in members}
         rest = tuple(label for label, each in enumerate(self.of.names) if each not in named)
         return tuple(

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from bodyseg_data.meshes.mending import welded
     from bodyseg_data.meshes.mesh import HEIGHT_RANGE_M, Mesh, SceneMesh, face_normals, find_edges
     from bodyseg_data.meshes.mesh_files import MeshContent, mesh_stem, preferred, read_mesh
-    from bodyseg_data.meshes.partitioning import Partition, partition
+    from bodyseg_data.meshes.partitioning import Borders, Partition, partition
     from bodyseg_data.meshes.repairing import repair, with_pymeshlab
     from bodyseg_data.meshes.scene_files import mesh_content, scene_stem
     from bodyseg_data.meshes.solids import Solid, SurfacePiece, cuboid, together, turned_solid

@@ -7,10 +7,9 @@ them first builds them and leaves them to the others in the state folder. The by
 from __future__ import annotations
 
 import fcntl
-import pickle
-import zlib
 from contextlib import suppress
 from functools import lru_cache, partial
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,6 +19,7 @@ from bodyseg_data.bodies import open_source
 from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh, ProgressCallback, check_int, silent
 from bodyseg_data.files import write_atomically
 from bodyseg_data.labels import PART_CLASSES
+from bodyseg_data.meshes import Borders, Mesh, Partition
 from bodyseg_data.packing import STATE_NAME, ShardWriter, processes, reduced_body
 from bodyseg_data.rigs import Rig, load_rig
 from bodyseg_data.rooms.furnishings import FURNISHINGS
@@ -30,6 +30,7 @@ from bodyseg_data.shards import CodecName, Manifest, read_manifest
 _BLOCK: Final = 400
 _PEOPLE: Final = 20
 _SOURCES: Final[dict[Split, tuple[str, str]]] = {"train": ("wide", "everyday"), "test": ("open", "hard")}
+_NAMES: Final = "words", "vertices", "faces", "labels", "distance", "shared faces", "distance there"
 _AT_ONCE: Final = 8  # blocks that are written in turns, so that as many processes build people
 
 
@@ -99,8 +100,25 @@ def _shared_people(state: Path, split: Split, block: int) -> list[RoomPerson]:
     with path.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not path.exists():
-            write_atomically(path, zlib.compress(pickle.dumps(draw_people(split, block)), 1))
-    return list(pickle.loads(zlib.decompress(path.read_bytes())))
+            write_atomically(path, _arrays(draw_people(split, block)))
+    with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as held:
+        return [_person(*(held[f"{number} {name}"] for name in _NAMES)) for number in range(_PEOPLE)]
+
+
+def _arrays(people: list[RoomPerson]) -> bytes:
+    held: dict[str, Any] = {}
+    for number, person in enumerate(people):
+        mesh, parts = person.mesh, person.parts
+        words = np.array([mesh.name, person.pose])
+        arrays = words, mesh.vertices, mesh.faces, parts.labels, parts.distance, *vars(parts.borders).values()
+        held |= {f"{number} {name}": array for name, array in zip(_NAMES, arrays, strict=True)}
+    np.savez_compressed(file := BytesIO(), **held)
+    return file.getvalue()
+
+
+def _person(words: Any, vertices: Any, faces: Any, labels: Any, distance: Any, shared: Any, to: Any) -> RoomPerson:
+    parts = Partition(labels, distance, Borders(shared, to))
+    return RoomPerson(Mesh(str(words[0]), vertices, faces), parts, str(words[1]))
 
 
 def draw_people(split: Split, block: int) -> list[RoomPerson]:

@@ -74,9 +74,6 @@ class RoomPerson:
         return vertices[own].mean(axis=0) if own.any() else np.full(3, np.nan)
 
 
-Person = RoomPerson  # the name in pickles of people
-
-
 @dataclass(frozen=True)
 class _Pose:
     """A rotation [3, 3], then a move [3], metres."""

@@ -27,7 +27,8 @@ STAGES: Final = ("find", "resample", "network", "back", "video")
 
 
 LEAST_CONFIDENCE: Final = "least_confidence_of_people"
-"""Entry of a network's card: of bodies whose labels have less mean confidence it doubts that they are people."""
+"""Entry of a network's card: bodies are things whose mean probability of a person, times the mean confidence of their
+labels, is less."""
 
 
 def least_confidence_of_people(card: Mapping[str, Any]) -> float:
@@ -158,8 +159,8 @@ class Segmenter:
     frames, which must be without lens distortion (`Undistortion`). background: rule for removing the background, by
     default `Background()`. mirrored: True if frames show left for right, as those of some drivers do. least_confidence:
     pixels of less get no label. rig: that the network was trained for, by default the paper's. doubted_below: of the
-    people that the finder finds, in the background mode "people", those whose labels have less mean confidence are
-    things (`least_confidence_of_people`). finder: the network that finds people in that mode, by default the one that
+    people that the finder finds, in the background mode "people", those whose mean probability times the mean
+    confidence of their labels is less are things (`least_confidence_of_people`). finder: the network that finds people in that mode, by default the one that
     ships. video: carries evidence from frame to frame of a recording, whose frames must then come in order
     (`CarriedLabels`); None to label each alone. turned: right angles by which the camera was mounted turned clockwise,
     as seen from behind it: frames are turned clockwise by as many before they are labelled, and labels back. label_map:
@@ -252,7 +253,7 @@ class Segmenter:
             for ((pixels, person), view), (view_labels, view_confidence) in zip(found.bodies, answers, strict=True):
                 confidence = view.back(view_confidence)
                 mean = float(confidence.mean(dtype=np.float64))
-                if person is not None and mean < self.doubted_below:
+                if person is not None and person * mean < self.doubted_below:
                     things.append(Thing(pixels, view.median_range_m, person, mean))
                     continue
                 labels.ravel()[pixels] = view.back(view_labels)

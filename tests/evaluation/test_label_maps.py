@@ -185,3 +185,9 @@ def test_the_command_joins_the_parts_of_a_network(
         .startswith("bodyseg evaluate: labels 'limbs14' cannot be joined to 'itop15', which splits the class 'trunk'")
     )
     assert not (tmp_path / "y.json").exists()
+
+
+def test_a_class_for_the_rest_is_mistaken_in_no_kind_of_its_own() -> None:
+    assert (
+        kind(load_label_map("people"), "person", "none") == kind(load_label_map("people"), "none", "person") == "other"
+    )

@@ -20,8 +20,8 @@ from bodyseg_data.rigs import Camera, PlacedCamera
 from bodyseg_model.recordings import find_frames, to_metres
 from bodyseg_model.segmentation import Background, find_bodies
 
-BACKGROUND: Final = Background()
-"""The rule by which people are found: that of `bodyseg segment` by default."""
+BACKGROUND: Final = Background("limits", 0.4, 1.2)
+"""The person is what is nearer than 1.2 m, whatever finds people: the recordings are of one who turns so near."""
 
 _DEPTH: Final = "_depth"
 _STEP_M: Final = 0.001
