@@ -102,7 +102,7 @@ def _shared_people(state: Path, split: Split, block: int) -> list[RoomPerson]:
         if not path.exists():
             write_atomically(path, _arrays(draw_people(split, block)))
     with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as held:
-        return [_person(*(held[f"{number} {name}"] for name in _NAMES)) for number in range(_PEOPLE)]
+        return [_person(*(held[f"{number} {name}"] for name in _NAMES)) for number in range(len(held) // len(_NAMES))]
 
 
 def _arrays(people: list[RoomPerson]) -> bytes:

@@ -75,8 +75,8 @@ class FrameLabeller:
     """Labels frames of any range sensor: recordings (`recording`), streams of arrays (`stream`), or one array (a call).
 
     A frame is undistorted, people in it are found, each is resampled for the network and labelled, and labels mapped
-    back (`Segmenter`, one for each camera). People whom the networks doubt more than the labelling one's card allows are
-    things, which get no labels (`least_confidence_of_people`).
+    back (`Segmenter`, one for each camera). People whom the networks doubt more than the labelling one's card allows
+    are things, which get no labels (`least_confidence_of_people`).
 
     trained: the network with its card, by default the one that ships. background: rule for removing the background, by
     default `Background()`, and for a network of other classes than body parts `Background("frame")`. mirrored: True if
