@@ -161,11 +161,12 @@ class Segmenter:
     pixels of less get no label. rig: that the network was trained for, by default the paper's. doubted_below: of the
     people that the finder finds, in the background mode "people", those whose mean probability times the mean
     confidence of their labels is less are things (`least_confidence_of_people`). finder: the network that finds people
-    in that mode, by default the one that ships. video: carries evidence from frame to frame of a recording, whose frames must then come in order
-    (`CarriedLabels`); None to label each alone. turned: right angles by which the camera was mounted turned clockwise,
-    as seen from behind it: frames are turned clockwise by as many before they are labelled, and labels back. label_map:
-    the network's classes; by default the 33 parts for a network of 33. Raises BadConfig for a confidence outside 0 to
-    1, a camera with distortion or a network that is no finder; MissingLibrary without numba.
+    in that mode, by default the one that ships. video: carries evidence from frame to frame of a recording, whose
+    frames must then come in order (`CarriedLabels`); None to label each alone. turned: right angles by which the camera
+    was mounted turned clockwise, as seen from behind it: frames are turned clockwise by as many before they are
+    labelled, and labels back. label_map: the network's classes; by default the 33 parts for a network of 33. Raises
+    BadConfig for a confidence outside 0 to 1, a camera with distortion or a network that is no finder; MissingLibrary
+    without numba.
     """
 
     def __init__(
