@@ -208,7 +208,7 @@ def standing(*at: tuple[int, int, int, int]) -> NDArray[np.uint16]:
 
 
 @pytest.fixture
-def labelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Path, Path]]:
+def labelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, near_is_person: None) -> Iterator[tuple[Path, Path]]:
     """Frames, and the folder that `bodyseg segment` wrote of them: two people, and nobody."""
     monkeypatch.setattr(backends, "computes_bfloat16", lambda: False)
     trained = Trained(Places(axis=0, step=5), {"network": "places", "rig": SMALL.to_json()})

@@ -32,6 +32,7 @@ from bodyseg_data.rigs import load_sensor
 from bodyseg_data.rooms.scenes import RoomPerson
 from bodyseg_data.samples import HELD
 from bodyseg_model.networks import SHIPPED, Trained, build
+from bodyseg_model.segmentation import frame_labeller
 
 KINECT = load_sensor("kinect_v1").camera
 SMALL = replace(KINECT, rows=120, columns=160, focal_px=KINECT.focal_px / 4, centre_px=(80.0, 60.0))
@@ -206,6 +207,7 @@ def test_the_bench_measures_every_way_and_draws(
         return network_finder(network)
 
     monkeypatch.setattr(bench, "network_finder", at_full_size)
+    monkeypatch.setattr(frame_labeller, "least_confidence_of_people", lambda card: 0.9)
     monkeypatch.setattr(bench, "ProcessPoolExecutor", Here)
     monkeypatch.setattr(bench, "draw_people", lambda split, block: people() if split == "test" else [])
     monkeypatch.setattr(bench, "make", partial(make, sensor="kinect_v1", camera=SMALL))

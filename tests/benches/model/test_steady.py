@@ -22,7 +22,7 @@ from bodyseg_data.rigs import Camera, PlacedCamera, load_rig
 from bodyseg_model.networks import Trained
 
 LENS = Camera(60, 80, 90.0, (40.0, 30.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-AWAY_M = 1.5
+AWAY_M = 1.1
 
 
 def board_frame(name: str = "0") -> Frame:
