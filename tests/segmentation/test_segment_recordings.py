@@ -78,6 +78,7 @@ def labels(out: Path, name: str) -> NDArray[Any]:
         return np.asarray(picture).copy()
 
 
+@pytest.mark.usefixtures("near_is_person")
 def test_a_bag_is_labelled_by_its_own_camera_and_times(tmp_path: Path) -> None:
     bag, out = write_ros1(tmp_path / "walk.bag", sent()), tmp_path / "out"
     assert run(bag, "--out", out) == 0
@@ -158,6 +159,7 @@ def test_labels_go_out_as_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert not list(tmp_path.glob(".*"))
 
 
+@pytest.mark.usefixtures("near_is_person")
 def test_frames_that_cannot_be_read_are_skipped_within_a_budget(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
