@@ -13,12 +13,13 @@ from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 import torch
+import torch.nn.functional as F  # noqa: N812
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig
 from bodyseg_data.machine import missing_library
 from bodyseg_data.rigs import Camera
-from bodyseg_model.networks import FINDER, Network, Trained, check_network, device_of, load_network, predict
+from bodyseg_model.networks import FINDER, Network, Trained, check_network, device_of, load_network
 
 BackgroundMode = Literal["people", "limits", "keep", "frame"]
 
@@ -144,8 +145,12 @@ class FinderView:
         """Probability of a person at every pixel of a frame, float32 [H, W]; 0 where nothing is measured (0)."""
         seen = range_m if self._same else np.pad(range_m, ((0, 1), (0, 1)))[np.ix_(*self._there)]
         image = torch.from_numpy(np.ascontiguousarray(seen))[None, None].to(device_of(self._network))
-        labels, confidence = (answer[0].cpu().numpy() for answer in predict(self._network, image))
-        found: NDArray[np.float32] = np.where(labels == _PERSON, confidence, 1 - confidence)
+        with torch.inference_mode():  # softmax of two classes: half the time of labels and confidences
+            scores = self._network.scores(image).float()
+            odds = scores[:, _PERSON, None] - scores[:, 1 - _PERSON, None]
+            if self._network.output_stride > 1:
+                odds = F.interpolate(odds, scale_factor=self._network.output_stride, mode="bilinear")
+            found: NDArray[np.float32] = odds.sigmoid_()[0, 0, : len(seen), : seen.shape[1]].cpu().numpy()
         if self._same:
             found[range_m == 0] = 0
             return found
