@@ -10,34 +10,109 @@ from typing import TYPE_CHECKING, Any
 
 from bodyseg_data.core import lazy_door
 
+__all__ = [
+    "BACKGROUND",
+    "PARTS",
+    "VARIANTS",
+    "Artifact",
+    "Augmentation",
+    "BadConfig",
+    "BadSample",
+    "BadShard",
+    "BadTransform",
+    "Batch",
+    "Body",
+    "BodyCrop",
+    "BodyRef",
+    "BodySource",
+    "BodysegError",
+    "Camera",
+    "CameraImage",
+    "ColumnWriter",
+    "Crop",
+    "Draws",
+    "Flip",
+    "LabelMap",
+    "Loader",
+    "Mesh",
+    "MissingData",
+    "Mixture",
+    "Noise",
+    "Occlusion",
+    "Packing",
+    "RangeImage",
+    "RangeImages",
+    "RetryPolicy",
+    "Rig",
+    "Roll",
+    "Sample",
+    "Scene",
+    "SensorModel",
+    "ShardWriter",
+    "Transform",
+    "Unreachable",
+    "ViewGrid",
+    "WorkerLost",
+    "Zoom",
+    "colour_labels",
+    "colour_range",
+    "decode_sample",
+    "decoder",
+    "example_set",
+    "load_label_map",
+    "load_rig",
+    "load_sensor_model",
+    "loader",
+    "open_source",
+    "pack",
+    "plan",
+]
+
 if TYPE_CHECKING:
-    from bodyseg_data.artifacts import VARIANTS as VARIANTS, Artifact as Artifact, Augmentation as Augmentation
-    from bodyseg_data.artifacts import MissingData as MissingData, Noise as Noise, Occlusion as Occlusion
-    from bodyseg_data.artifacts import RangeImage as RangeImage, Scene as Scene, SensorModel as SensorModel
-    from bodyseg_data.artifacts import load_sensor_model as load_sensor_model
-    from bodyseg_data.bodies import Body as Body, BodyRef as BodyRef, BodySource as BodySource
-    from bodyseg_data.bodies import open_source as open_source
-    from bodyseg_data.core import BadConfig as BadConfig, BadSample as BadSample, BadShard as BadShard
-    from bodyseg_data.core import BodysegError as BodysegError, Draws as Draws
-    from bodyseg_data.drawing import colour_range as colour_range
-    from bodyseg_data.example import example_set as example_set
-    from bodyseg_data.labels import BACKGROUND as BACKGROUND, PARTS as PARTS, LabelMap as LabelMap
-    from bodyseg_data.labels import colour_labels as colour_labels, load_label_map as load_label_map
-    from bodyseg_data.loading import BadTransform as BadTransform, Batch as Batch, BodyCrop as BodyCrop
-    from bodyseg_data.loading import CameraImage as CameraImage, Crop as Crop, Flip as Flip, Loader as Loader
-    from bodyseg_data.loading import Mixture as Mixture, RangeImages as RangeImages, Roll as Roll
-    from bodyseg_data.loading import Transform as Transform, WorkerLost as WorkerLost, Zoom as Zoom, decoder as decoder
-    from bodyseg_data.loading import loader as loader
-    from bodyseg_data.meshes import Mesh as Mesh
-    from bodyseg_data.packing import Packing as Packing, ShardWriter as ShardWriter, pack as pack, plan as plan
-    from bodyseg_data.rigs import Camera as Camera, Rig as Rig, load_rig as load_rig
-    from bodyseg_data.samples import Sample as Sample, ViewGrid as ViewGrid
-    from bodyseg_data.shards import ColumnWriter as ColumnWriter, RetryPolicy as RetryPolicy, Unreachable as Unreachable
-    from bodyseg_data.shards import decode_sample as decode_sample
+    from bodyseg_data.artifacts import (
+        VARIANTS,
+        Artifact,
+        Augmentation,
+        MissingData,
+        Noise,
+        Occlusion,
+        RangeImage,
+        Scene,
+        SensorModel,
+        load_sensor_model,
+    )
+    from bodyseg_data.bodies import Body, BodyRef, BodySource, open_source
+    from bodyseg_data.core import BadConfig, BadSample, BadShard, BodysegError, Draws
+    from bodyseg_data.shards import Unreachable
+    from bodyseg_data.loading import BadTransform
+    from bodyseg_data.loading import WorkerLost
+    from bodyseg_data.drawing import colour_range
+    from bodyseg_data.example import example_set
+    from bodyseg_data.labels import BACKGROUND, PARTS, LabelMap, colour_labels, load_label_map
+    from bodyseg_data.loading import (
+        Batch,
+        BodyCrop,
+        CameraImage,
+        Crop,
+        Flip,
+        Loader,
+        Mixture,
+        RangeImages,
+        Roll,
+        Transform,
+        Zoom,
+        decoder,
+        loader,
+    )
+    from bodyseg_data.meshes import Mesh
+    from bodyseg_data.packing import Packing, ShardWriter, pack, plan
+    from bodyseg_data.rigs import Camera, Rig, load_rig
+    from bodyseg_data.samples import Sample, ViewGrid
+    from bodyseg_data.shards import ColumnWriter, RetryPolicy, decode_sample
 
     __version__: str
 else:
-    _found, __dir__, __all__ = lazy_door(__name__)
+    _found, __dir__, _ = lazy_door(__name__)
 
     def __getattr__(name: str) -> Any:
         return _installed_version() if name == "__version__" else _found(name)

@@ -11,18 +11,41 @@ from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door
 
+__all__ = [
+    "JOINTS",
+    "Background",
+    "Evaluation",
+    "FrameLabeller",
+    "LiveRecording",
+    "Network",
+    "Recipe",
+    "RunOptions",
+    "Segmenter",
+    "Trained",
+    "Validation",
+    "evaluate",
+    "frame_camera",
+    "load_network",
+    "on_backend",
+    "open_images",
+    "open_recording",
+    "orbbec",
+    "predict",
+    "realsense",
+    "recipe_for",
+    "to_metres",
+    "train",
+    "wrapped",
+    "write_onnx",
+]
+
 if TYPE_CHECKING:
     from bodyseg_data import __version__ as __version__
-    from bodyseg_model.evaluation import Evaluation as Evaluation, evaluate as evaluate, open_images as open_images
-    from bodyseg_model.networks import Network as Network, Trained as Trained, load_network as load_network
-    from bodyseg_model.networks import predict as predict, wrapped as wrapped
-    from bodyseg_model.recordings import LiveRecording as LiveRecording, frame_camera as frame_camera
-    from bodyseg_model.recordings import open_recording as open_recording, orbbec as orbbec, realsense as realsense
-    from bodyseg_model.recordings import to_metres as to_metres
-    from bodyseg_model.runtimes import on_backend as on_backend, write_onnx as write_onnx
-    from bodyseg_model.segmentation import JOINTS as JOINTS, Background as Background, FrameLabeller as FrameLabeller
-    from bodyseg_model.segmentation import Segmenter as Segmenter
-    from bodyseg_model.training import Recipe as Recipe, RunOptions as RunOptions, Validation as Validation
-    from bodyseg_model.training import recipe_for as recipe_for, train as train
+    from bodyseg_model.evaluation import Evaluation, evaluate, open_images
+    from bodyseg_model.networks import Network, Trained, load_network, predict, wrapped
+    from bodyseg_model.recordings import LiveRecording, frame_camera, open_recording, orbbec, realsense, to_metres
+    from bodyseg_model.runtimes import on_backend, write_onnx
+    from bodyseg_model.segmentation import JOINTS, Background, FrameLabeller, Segmenter
+    from bodyseg_model.training import Recipe, RunOptions, Validation, recipe_for, train
 else:
-    __getattr__, __dir__, __all__ = lazy_door(__name__)
+    __getattr__, __dir__, _ = lazy_door(__name__)
