@@ -104,6 +104,25 @@ class Recipe:
         return self.learning_rate * (1 + math.cos(math.pi * (step - rising) / max(1, self.steps - rising))) / 2
 
 
+_COMPACT: Final = Recipe(
+    steps=10_000,
+    batch_size=16,
+    accumulate=1,
+    optimiser="adamw",
+    learning_rate=2e-3,
+    layer_decay=1.0,
+    momentum=0.9,
+    weight_decay=0.02,
+    warmup=0.05,
+    cosine=True,
+    clip=5.0,
+    mirror=True,
+    balance=0.5,
+    bf16=True,
+    loss_stride=4,
+    geometric_augmentation=GeometricAugmentation(roll_deg=10, zoom=0.15, stretch=0.1, cut=0.3),
+)
+
 PRESETS: Final[dict[str, Recipe]] = {
     # Section 3.5 of the paper; one image a pass and twenty passes a step is how it accumulates gradients.
     "fcn_alexnet": Recipe(
@@ -123,43 +142,10 @@ PRESETS: Final[dict[str, Recipe]] = {
         bf16=False,
         loss_stride=1,
     ),
-    "compact": Recipe(
-        steps=10_000,
-        batch_size=16,
-        accumulate=1,
-        optimiser="adamw",
-        learning_rate=2e-3,
-        layer_decay=1.0,
-        momentum=0.9,
-        weight_decay=0.02,
-        warmup=0.05,
-        cosine=True,
-        clip=5.0,
-        mirror=True,
-        balance=0.5,
-        bf16=True,
-        loss_stride=4,
-        geometric_augmentation=GeometricAugmentation(roll_deg=10, zoom=0.15, stretch=0.1, cut=0.3),
-    ),
+    "compact": _COMPACT,
     # Of `compact` that finds people in rooms, where a body's size tells: images are neither zoomed nor stretched.
-    "finder": Recipe(
-        steps=12_000,
-        batch_size=16,
-        accumulate=1,
-        optimiser="adamw",
-        learning_rate=2e-3,
-        layer_decay=1.0,
-        momentum=0.9,
-        weight_decay=0.02,
-        warmup=0.05,
-        cosine=True,
-        clip=5.0,
-        mirror=True,
-        balance=0.5,
-        bf16=True,
-        loss_stride=4,
-        geometric_augmentation=GeometricAugmentation(roll_deg=10, cut=0.3),
-        ema=0.999,
+    "finder": dataclasses.replace(
+        _COMPACT, steps=12_000, geometric_augmentation=GeometricAugmentation(roll_deg=10, cut=0.3), ema=0.999
     ),
 }
 """Name -> recipe. Each network names its own (`networks.network.Network.default_recipe`)."""
