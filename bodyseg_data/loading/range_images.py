@@ -279,8 +279,7 @@ class RangeImages(SampleDataset):
             made = transform_image(seen, self.transforms, draws, self.unlabelled)
         if self._joins:
             known = sample.occupancy if self.augmentation.keeps_outline and not self.transforms else None
-            edges = None if known is None or self.label_map.has_rest else known.edges
-            self.label_map.write(made.labels, edges, self.unlabelled)
+            self.label_map.write(made.labels, None if known is None else known.edges, self.unlabelled)
         TALLY.lap(Stage.TRANSFORM)
         return made
 

@@ -326,3 +326,9 @@ def test_the_rest_is_one_class_alone() -> None:
         LabelMap("bad", (("else", ("*", "Sellion")),))
     with pytest.raises(BadConfig, match="a landmark is named once, found '\\*' twice"):
         LabelMap("bad", (("else", ("*",)), ("more", ("*",))))
+
+
+def test_runs_of_foreground_hold_surfaces_of_no_class_too() -> None:
+    labels = np.array([[BACKGROUND, 4, UNLABELLED, UNLABELLED, BACKGROUND, 9]], np.uint8)
+    load_label_map("people").write(labels, np.array([1, 4, 5, 6], np.int32), UNLABELLED)
+    assert labels.tolist() == [[BACKGROUND, 0, 1, 1, BACKGROUND, 0]]
