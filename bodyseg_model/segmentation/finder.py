@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from functools import cache, lru_cache
+from importlib import import_module
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 import torch
-import torch.nn.functional as F  # noqa: N812
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig
@@ -24,6 +24,9 @@ from bodyseg_model.networks import FINDER, Network, Trained, check_network, devi
 BackgroundMode = Literal["people", "limits", "keep", "frame"]
 
 _PERSON: Final = 0  # of the finder's two classes
+_SURE: Final = 3.0  # logarithm of odds: 95 %
+_RAISED: Final = 1.1  # beside such a cell 25 % becomes 50 %: the most that costs no F1 in made rooms
+_RAISED_CELLS: Final = 7  # square around it
 _JUMP_M: Final = 0.1  # greatest difference of range between neighbours on one surface
 _JUMP_SHARE: Final = 0.04  # the same beyond 2.5 m: sensors are coarser at a distance
 _GAP_M: Final = 0.2  # widest gap that parts no surface: an arm's shadow falls on the trunk
@@ -144,15 +147,15 @@ class FinderView:
     def __call__(self, range_m: NDArray[np.float32]) -> NDArray[np.float32]:
         """Probability of a person at every pixel of a frame, float32 [H, W]; 0 where nothing is measured (0)."""
         seen = range_m if self._same else np.pad(range_m, ((0, 1), (0, 1)))[np.ix_(*self._there)]
-        image = torch.from_numpy(np.ascontiguousarray(seen))[None, None].to(device_of(self._network))
-        with torch.inference_mode():  # softmax of two classes: half the time of labels and confidences
-            scores = self._network.scores(image).float()
-            odds = scores[:, _PERSON, None] - scores[:, 1 - _PERSON, None]
-            if self._network.output_stride > 1:
-                odds = F.interpolate(odds, scale_factor=self._network.output_stride, mode="bilinear")
-            found: NDArray[np.float32] = odds.sigmoid_()[0, 0, : len(seen), : seen.shape[1]].cpu().numpy()
+        image = torch.from_numpy(np.ascontiguousarray(seen))
+        with torch.inference_mode():
+            scores = self._network.scores(image[None, None].to(device_of(self._network)))[0].float().cpu().numpy()
+        found, odds = np.zeros(seen.shape, np.float32), scores[_PERSON] - scores[1 - _PERSON]
+        loops, images = import_module("bodyseg_model.segmentation.pixel_loops"), _scipy().ndimage
+        odds[images.maximum_filter(odds, _RAISED_CELLS) >= _SURE] += _RAISED
+        likelier = images.uniform_filter((odds > 0).astype(np.float32), 2 * loops.AROUND + 1)
+        loops.spread_odds(odds, np.abs(likelier - 0.5) > 0.49, image.numpy(), self._network.output_stride, found)
         if self._same:
-            found[range_m == 0] = 0
             return found
         rows, columns = np.nonzero(range_m)
         answer = np.zeros_like(range_m)

@@ -125,7 +125,7 @@ class FrameLabeller:
         self._doubted_below = 0.0 if keep_things else least_confidence_of_people(self.trained.card)
         self._turned, self._judged = turned, 0
         self._looked_at, self._confidence = 0, np.zeros(4)  # of each turn, the sum over judged frames
-        self._segmenters = lru_cache(maxsize=_KEPT)(self._new_segmenter)
+        self._segmenters = lru_cache(maxsize=_KEPT)(partial(self._new_segmenter, video=self.video))
 
     def __repr__(self) -> str:
         return f"FrameLabeller({self.trained!r}, {self.background}, for rig {self.rig.name})"
@@ -160,23 +160,16 @@ class FrameLabeller:
         """
         surest = np.zeros(4)
         for quarters in range(4):
-            answer = Segmenter(
-                self.trained.network,
-                camera,
-                self.background,
-                self.mirrored,
-                rig=self.rig,
-                doubted_below=self._doubted_below,
-                turned=quarters,
-                finder=None if self._finder is None else self._finder.network,
-            )(range_m)
+            answer = self._new_segmenter(camera, quarters, None)[1](range_m)
             surest[quarters] = max((float(body.confidence.mean()) for body in answer.bodies), default=0.0)
         self._looked_at += 1
         if surest.max() >= _PERSON:
             self._judged += 1
             self._confidence += surest
 
-    def _new_segmenter(self, camera: Camera, quarters: int) -> tuple[Undistortion | None, Segmenter]:
+    def _new_segmenter(
+        self, camera: Camera, quarters: int, video: CarriedLabels | None
+    ) -> tuple[Undistortion | None, Segmenter]:
         lens = None if camera.distortion is None else Undistortion(camera)
         return lens, Segmenter(
             self.trained.network,
@@ -186,7 +179,7 @@ class FrameLabeller:
             self.least_confidence,
             self.rig,
             self._doubted_below,
-            self.video,
+            video,
             quarters,
             self.label_map,
             None if self._finder is None else self._finder.network,

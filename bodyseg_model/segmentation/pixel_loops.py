@@ -1,4 +1,4 @@
-"""Resampling of a body and painting of overlays, compiled, for `views.py` and `pictures.py`.
+"""Odds of people, resampling of a body and painting of overlays, compiled, for `finder.py`, `views.py`, `pictures.py`.
 
 For views: pixels: ascending flat indices of the frame; rows, columns: int [N], of these; mapping: a `Turn`. All ranges
 are finite and in front of the view, so that no point is outside the box that is computed.
@@ -10,7 +10,7 @@ For overlays: flat: ranges of a frame, float32 [N], metres; shading: `pictures.S
 from __future__ import annotations
 
 from functools import partial
-from math import floor
+from math import exp, floor
 from typing import Any, Final
 
 import numpy as np
@@ -21,8 +21,56 @@ _LEAST_AHEAD: Final = 1e-9
 """Least range before the rotation, for a range of 1 after it: directions beside or behind the frame's camera are mapped
 far outside the frame."""
 
+AROUND: Final = 2
+"""Cells each way that a pixel's odds are a mean of."""
+
+_WIDTH: Final = 1.5  # standard deviation of their weights, cells
+_OTHER: Final = np.float32(0.05)  # share of a range by which another surface's differs
+
 _kernel = partial(compiled, feature="labelling frames", extra="segment")
 _overlay_kernel = partial(compiled, feature="overlays", extra="segment")
+
+
+# Odds.
+
+
+@_kernel
+def spread_odds(odds: Any, agreed: Any, range_m: Any, stride: Any, found: Any) -> None:
+    """Write the probability of a person at every measured pixel, float32 [H, W], from the odds of cells of `stride`
+    pixels, float32 [h, w]: its cell's; or, where cells up to `AROUND` away do not agree, bool [h, w], their mean by
+    distance in image and range (joint bilateral upsampling, Kopf et al. 2007).
+    """
+    (rows, columns), (height, width) = odds.shape, range_m.shape
+    metres, zero, one = np.empty_like(odds), np.float32(0), np.float32(1)
+    for i in range(rows):
+        for j in range(columns):
+            metres[i, j] = range_m[min(i * stride + stride // 2, height - 1), min(j * stride + stride // 2, width - 1)]
+    weights = np.empty((stride, 2 * AROUND + 1), np.float32)
+    for place in range(stride):
+        for k in range(2 * AROUND + 1):
+            weights[place, k] = exp(-((((place + 0.5) / stride - 0.5 + AROUND - k) / _WIDTH) ** 2) / 2)
+    for i in range(rows):
+        for j in range(columns):
+            own = one / (one + np.float32(exp(-odds[i, j])))
+            for row in range(i * stride, min((i + 1) * stride, height)):
+                for column in range(j * stride, min((j + 1) * stride, width)):
+                    z = range_m[row, column]
+                    if not 0 < z < np.inf:
+                        continue
+                    found[row, column] = own
+                    if agreed[i, j]:
+                        continue
+                    total, weighed, scale = zero, zero, one / (_OTHER * max(z, one))
+                    for k in range(max(i - AROUND, 0), min(i + AROUND + 1, rows)):
+                        in_row = weights[row - i * stride, k - i + AROUND]
+                        for m in range(max(j - AROUND, 0), min(j + AROUND + 1, columns)):
+                            away = (metres[k, m] - z) * scale
+                            near = max(one - away * away, zero)
+                            weight = near * near * in_row * weights[column - j * stride, m - j + AROUND]
+                            total += weight
+                            weighed += weight * odds[k, m]
+                    if total > 0:
+                        found[row, column] = one / (one + np.float32(exp(-weighed / total)))
 
 
 # Views.
@@ -117,15 +165,6 @@ def fill_lost(down: Any, across: Any, start: Any, ranges: Any, box: Any, corner:
     for i in range(cells.size):
         if chosen[cells[i]] == i:
             flat[cells[i]] = ranges[i]
-
-
-@_kernel
-def move_ranges(box: Any, shift: Any, nearest: Any, farthest: Any, view: Any) -> None:
-    """Write the ranges of `box` that are not 0, moved by `shift` and limited, into `view`, float32 of the same size."""
-    for row in range(box.shape[0]):
-        for i in range(box.shape[1]):
-            if box[row, i] > 0:
-                view[row, i] = np.float32(min(max(box[row, i] + shift, nearest), farthest))
 
 
 # Overlays.

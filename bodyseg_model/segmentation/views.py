@@ -29,7 +29,7 @@ from bodyseg_data.samples import FARTHEST_STEPS
 LARGEST_SIDE: Final = 2048
 """Greatest side that a body's view may need, pixels: 6.7 m at the stand-off of the paper's rig."""
 
-MARGIN: Final = 64
+MARGIN: Final = 32
 """Least number of empty pixels around the body in a view, so that a network sees the body's outline."""
 
 STEP: Final = 64
@@ -134,7 +134,7 @@ def view_body(
     nearest, farthest = rig.range_step_m, float(FARTHEST_STEPS) * rig.range_step_m  # as training images have them
     view = np.zeros((height, width), np.float32)
     inside = view[top - corner[0] : bottom - corner[0], left - corner[1] : right - corner[1]]
-    loops.move_ranges(box, rig.stand_off_m - median_m, nearest, farthest, inside)
+    inside[:] = np.where(box > 0, np.clip(box + (rig.stand_off_m - median_m), nearest, farthest), 0)
     return BodyView(view, corner, view_pixels, turn, median_m, scale)
 
 

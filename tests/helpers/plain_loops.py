@@ -72,7 +72,3 @@ class PlainViewLoops:
         right, below = across[lost] - column[lost] - 0.5, down[lost] - row[lost] - 0.5
         nearest_last = lost[np.argsort(-(right * right + below * below), kind="stable")]
         flat[cells[nearest_last]] = ranges[nearest_last]
-
-    @staticmethod
-    def move_ranges(box: Doubles, shift: float, nearest: float, farthest: float, view: Floats) -> None:
-        np.copyto(view, np.clip(box + shift, nearest, farthest), where=box > 0, casting="same_kind")

@@ -242,7 +242,8 @@ def test_loops_cut_the_metric_patches_of_torch(rows: int, columns: int) -> None:
     expected = metric_patches(image.requires_grad_(), 8, 100.0)  # gradients are asked for: PyTorch's operations
     cut, share = torch.empty_like(expected.values).permute(0, 2, 3, 1), torch.empty_like(expected.measured[:, 0])
     found = cut.contiguous()
-    patch_loops.cut_metric_patches(image.detach()[:, 0].numpy(), 8, np.float32(100), found.numpy(), share.numpy())
+    metres, settings = image.detach()[:, 0].numpy(), (np.zeros(1, np.float32), np.float32(0), 8, np.float32(100))
+    patch_loops.cut_patches(metres, *settings, found.numpy(), share.numpy())
     assert torch.allclose(found.permute(0, 3, 1, 2), expected.values.detach(), atol=2e-5)
     assert torch.equal(share, expected.measured[:, 0].detach())
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from label_networks import Nearer, Places
@@ -18,6 +19,7 @@ from bodyseg_model.networks import build
 from bodyseg_model.runtimes import on_backend
 from bodyseg_model.segmentation import Background, find_bodies
 from bodyseg_model.segmentation.finder import FinderView, _scipy, part_people
+from bodyseg_model.segmentation.pixel_loops import spread_odds
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -259,7 +261,7 @@ def test_finding_does_not_change_the_frame() -> None:
     (found,) = find_bodies(image, KINECT, Background(), Nearer())
     np.testing.assert_array_equal(image, before)
     np.testing.assert_array_equal(mask((found.pixels,)), np.isfinite(person(0.1, 2.6)))
-    assert found.person == pytest.approx(0.999, abs=1e-4)
+    assert found.person == pytest.approx(0.9997, abs=1e-4)
     assert find_bodies(image, KINECT, Background("people", 0.5, 2.0), Nearer()) == ()
 
 
@@ -304,3 +306,27 @@ def test_what_is_no_range_is_not_measured(mode: Any, value: float) -> None:
     found, expected = (find_bodies(each, KINECT, Background(mode), Nearer()) for each in (broken, image))
     assert len(found) == len(expected) == 1
     np.testing.assert_array_equal(found[0].pixels, expected[0].pixels)
+
+
+def test_odds_of_cells_follow_the_surfaces_that_pixels_are_of() -> None:
+    odds = np.where(np.arange(10) < 5, 4.0, -4.0).astype(np.float32)[None].repeat(6, axis=0)
+    range_m = np.where(np.arange(40) < 22, 2.0, 3.0).astype(np.float32)[None].repeat(24, axis=0)  # half a cell beyond
+    range_m[:, 3] = 0
+    agreed, found = np.zeros(odds.shape, np.bool_), np.zeros_like(range_m)
+    spread_odds(odds, agreed, range_m, 4, found)
+    np.testing.assert_array_equal(found > 0.5, range_m == 2)
+    spread_odds(odds, ~agreed, range_m, 4, found)
+    np.testing.assert_array_equal(found > 0.5, (range_m > 0) & (np.arange(40) < 20))
+
+
+class Doubtful(Nearer):
+    """Sure of what is on the left, and of everything else that it is rather nobody."""
+
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+        odds = torch.where(torch.arange(range_m.shape[3]) < 20, 4.0, -1.0).expand(range_m.shape[2:])
+        return torch.stack([odds, torch.zeros_like(odds)])[None]
+
+
+def test_what_is_doubtful_is_somebody_beside_those_who_are_sure() -> None:
+    probability = FinderView(Doubtful(focal_px=262.5), KINECT)(np.full((KINECT.rows, KINECT.columns), 2.0, np.float32))
+    assert (probability[:, :21] > 0.5).all() and (probability[:, 25:] < 0.5).all()
