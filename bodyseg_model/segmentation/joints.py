@@ -160,11 +160,8 @@ def joint_map_from_json(tree: Mapping[str, Any]) -> JointMap:
 
 @cache
 def shipped_joint_map() -> JointMap:
-    """The map that ships with the package. Raises BadConfig for a file of another format."""
-    tree = json.loads((resources.files("bodyseg_model") / "weights" / FILE).read_text())
-    if tree["format"] != FORMAT:
-        raise BadConfig(f"{FILE}: 'format' must be {FORMAT!r}, found {tree['format']!r}")
-    return joint_map_from_json(tree)
+    """The map that ships with the package."""
+    return joint_map_from_json(json.loads((resources.files("bodyseg_model") / "weights" / FILE).read_text()))
 
 
 def found_joints(answer: FrameLabels, label_map: LabelMap | None) -> Records:

@@ -186,7 +186,7 @@ def test_every_pixel_of_a_body_has_its_place_in_the_view(case: tuple[int, int, f
     found = np.argwhere(view.range_m)
     (top, left), (bottom, right) = found.min(0), found.max(0)
     around = [top, view.range_m.shape[0] - 1 - bottom, left, view.range_m.shape[1] - 1 - right]
-    assert min(around) >= 64 and view.range_m.shape >= (640, 329)
+    assert min(around) >= 32 and view.range_m.shape >= (640, 329)
     assert abs(around[0] - around[1]) <= 2 * view.scale + 3 and abs(around[2] - around[3]) <= 2 * view.scale + 3
 
 

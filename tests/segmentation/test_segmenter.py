@@ -237,7 +237,7 @@ def test_a_summary_is_of_all_frames() -> None:
             "turn_deg": 0.0,
             "scale": 6.0606,
             "mean_confidence": 1.0,
-            "person": 0.999,
+            "person": 0.9997,
         }
     ]
     assert report["each"][1]["flicker"]["changed"] == report["flicker"]["changed"] == 0.0
