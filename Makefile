@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # Bytecode is kept, also where the shell says otherwise: pip compiles none, and hundreds of processes are started.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: install demo test test-bounds test-rivals test-browser check page docs lock dist audit clean
+.PHONY: install demo test test-bounds test-rivals test-browser check check-types check-rules page docs lock dist audit clean
 
 install: $(VENV)/.installed
 
@@ -44,10 +44,16 @@ test-rivals: install
 	tools/install_rivals
 	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder tests/benches tests/networks
 
+# Types take longest, by one processor: all else is checked beside them.
 check: install
+	@$(MAKE) --no-print-directory --jobs 2 check-types check-rules
+
+check-types:
+	$(BIN)/mypy
+
+check-rules:
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
 	$(BIN)/pytest -q tests/test_structure.py
 
 # Pages in a headless Chromium (apt-get install chromium): what they show, and what a slider changes.

@@ -88,7 +88,6 @@ _LONG_FILES: Final = (
     "networks/test_registry.py",
     "benches/model/test_sensor_fit.py",
     "benches/model/test_network.py",
-    "benches/model/test_shapes.py",
     "rendering/test_views.py",
     "benches/model/test_ablation.py",
     "benches/model/test_rooms.py",
@@ -131,7 +130,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, Any, Any]:
-    """Without garbage collections: modules and tests, and later what is there by now, stay to the end.
+    """Without garbage collections: modules and tests, and later what is there by now, garbage too, stay to the end.
 
     Later, too, garbage is looked for less often than usual: tests that depend on that collect it themselves.
     """
@@ -140,7 +139,6 @@ def pytest_collection() -> Generator[None, Any, Any]:
     try:
         return (yield)
     finally:
-        gc.collect()
         gc.freeze()
         gc.enable()
 

@@ -36,10 +36,10 @@ RIG: Final = "my_rig.toml"
 
 
 def coarser(rig: str) -> str:
-    """The tutorial's rig with half the pixels a side."""
-    for whole, half in (("rows = 480", "rows = 240"), ("columns = 848", "columns = 424"), ("425.0", "212.5")):
+    """The tutorial's rig with a quarter of the pixels a side."""
+    for whole, quarter in (("rows = 480", "rows = 120"), ("columns = 848", "columns = 212"), ("425.0", "106.25")):
         assert rig.count(whole) == 2, "of the camera and of the projector"
-        rig = rig.replace(whole, half)
+        rig = rig.replace(whole, quarter)
     return rig
 
 
@@ -60,7 +60,7 @@ def test_the_tutorial_runs_from_a_recording_to_labels(
     named = run != BACKGROUND
     np.testing.assert_array_equal(exported != BACKGROUND, named)
     # Weights are exported in 16 bits; of a network that has hardly learned anything many pixels are near ties.
-    assert named.sum() > 1000 and (run != exported).sum() < 0.01 * named.sum()
+    assert named.sum() > 500 and (run != exported).sum() < 0.01 * named.sum()
 
 
 def test_the_tutorial_has_every_step_of_the_way() -> None:

@@ -119,7 +119,7 @@ def random_images(rig: Rig, draws: np.random.Generator) -> tuple[NDArray[np.uint
     return images[0], images[1], draws.random(images[0].shape) < 0.8
 
 
-STEPS_MM = 0.1, 1.0, 2.0
+STEPS_MM = 0.1, 2.0
 
 
 def paper_rig(step_mm: float) -> Rig:
@@ -134,7 +134,7 @@ def test_a_plane_that_faces_both_is_lit_wherever_the_projector_reaches(step_mm: 
     np.testing.assert_array_equal(lit, exact)
 
 
-@pytest.mark.parametrize("step_mm", STEPS_MM[:2])
+@pytest.mark.parametrize("step_mm", [0.1, 1.0])
 @pytest.mark.parametrize("degrees", [75.0, 80.0, 84.0])
 def test_a_plate_under_grazing_light_has_no_false_shadow_but_at_its_rim(degrees: float, step_mm: float) -> None:
     # Turned away from the projector, towards the camera: the angle is that between normal and light.
@@ -364,7 +364,7 @@ def test_projectors_of_any_shape_give_the_same_bits(rows: int, columns: int) -> 
     assert 0 < lit.mean() < 0.999
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(5))
 def test_boxes_hold_every_texel_that_their_points_read(seed: int) -> None:
     """Of rough surfaces, by the projection of the NumPy form; a box that is given up has a last row of -1."""
     draws = np.random.default_rng(seed)
@@ -447,8 +447,7 @@ def test_the_default_is_within_one_percent_of_exact_shadow_rays() -> None:
     assert wrong / pixels < 0.005  # required: 0.01
 
 
-@pytest.mark.parametrize("view", [View(255, 40, -35, 25, 10), View(255, 200, 20, -70)])
-@pytest.mark.parametrize("roll", [0.0, 40.0])
+@pytest.mark.parametrize(("view", "roll"), [(View(255, 40, -35, 25, 10), 0.0), (View(255, 200, 20, -70), 40.0)])
 def test_views_from_above_and_turned_are_within_one_percent_of_exact_shadow_rays(view: View, roll: float) -> None:
     plain, mesh = load_rig(), figure()
     rig = replace(plain, projector=replace(plain.projector, roll_deg=roll))

@@ -42,7 +42,7 @@ def test_a_pixel_is_in_shadow_where_neither_projector_lights_it() -> None:
     mesh = figure()
     renderer, body = EmbreeRenderer(mesh), Body(mesh, np.zeros(0, np.int64))
     wrong = pixels = dark = rescued = 0
-    for azimuth in (0, 40, 130, 200, 290):
+    for azimuth in (40, 130, 290):
         sample = sample_of(mesh, renderer, View(255, azimuth))
         lit = lit_pixels(RIG, sample)
         exact = [exact_view(each, renderer, body, REF, View(255, azimuth), scales=(1,)) for each in RIG.by_projector()]
@@ -54,13 +54,13 @@ def test_a_pixel_is_in_shadow_where_neither_projector_lights_it() -> None:
         pixels += int(inside.sum())
         dark += int((~truth & inside).sum())
         rescued += int((truth & ~exact[0].lit & inside).sum())
-    assert pixels > 100_000 and dark > 200 and rescued > 1000
+    assert pixels > 60_000 and dark > 150 and rescued > 600
     assert wrong / pixels < 0.005
 
 
-def test_five_real_postures_are_within_half_a_percent_of_exact_shadow_rays() -> None:
+def test_three_real_postures_are_within_half_a_percent_of_exact_shadow_rays() -> None:
     source, wrong, pixels, dark = open_source("open"), 0, 0, 0
-    for number, ref in enumerate(postures()[::2]):
+    for number, ref in enumerate(postures()[::4]):
         body, view = source.build(ref), View((215, 255, 295)[number % 3], 72 * number)
         renderer = EmbreeRenderer(body.mesh)
         exact = [exact_view(each, renderer, body, ref, view, scales=(1,)) for each in RIG.by_projector()]
@@ -69,7 +69,7 @@ def test_five_real_postures_are_within_half_a_percent_of_exact_shadow_rays() -> 
         wrong += int(((lit != truth) & inside).sum())
         pixels += int(inside.sum())
         dark += int((~truth & inside).sum())
-    assert pixels > 150_000 and dark > 0.01 * pixels
+    assert pixels > 90_000 and dark > 0.01 * pixels
     assert wrong / pixels < 0.005
 
 

@@ -30,6 +30,7 @@ from servers import free_port
 
 _PRELOADED = (
     "torch",
+    "torch._dynamo",  # which optimisers and Anny load: two and a half seconds
     "bodyseg_data.loading.range_images",
     "bodyseg_data.loading.workers",
     "bodyseg_model.training.loop",

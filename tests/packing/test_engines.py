@@ -11,7 +11,6 @@ import os
 import re
 import signal
 import socket
-import subprocess
 import sys
 import threading
 import time
@@ -28,9 +27,9 @@ import pytest
 from fakes import Figures, FiguresEntry
 from folders import HELPERS, ROOT
 from people_on_disk import PERSON, VERTICES, turn, write_lnd, write_mesh
-from processes import start_interruptible
 from servers import free_port
 from small_rig import SMALL, SMALL_FILE
+from warm import Program
 
 from bodyseg_data.bodies import SOURCES, Body, BodyRef
 from bodyseg_data.commands import main
@@ -51,8 +50,12 @@ def contents(folder: Path) -> dict[str, str]:
     return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir() if path.is_file()}
 
 
+WITHIN_S: Final = 100
+"""How long what takes a moment may take on a busy machine."""
+
+
 def until(true: Callable[[], Any], what: str) -> None:
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + WITHIN_S
     while not true():
         assert time.monotonic() < deadline, what
         time.sleep(0.02)
@@ -72,20 +75,32 @@ _QUIET: Final = {
 """Settings of Dask with which nodes that wait take next to no processor time."""
 
 
+NODE: Final = """
+import os, sys
+log = os.open(sys.argv.pop(1), os.O_WRONLY | os.O_CREAT)
+for stream in (1, 2):
+    os.dup2(log, stream)
+from distributed.cli.dask_{kind} import main
+main()
+"""
+"""What a node runs: `dask scheduler` or `dask worker`, its settings those of its own environment."""
+
+
 @dataclass
 class Nodes:
     """A scheduler and its workers, each in a process group of its own."""
 
     folder: Path
     port: int = 0
-    scheduler: subprocess.Popen[bytes] | None = None
-    workers: list[subprocess.Popen[bytes]] = field(default_factory=list)
+    scheduler: Program | None = None
+    workers: list[Program] = field(default_factory=list)
+    started: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
 
     @property
     def engine(self) -> str:
         return f"dask://127.0.0.1:{self.port}"
 
-    def start(self, *module: str, **environment: str) -> subprocess.Popen[bytes]:
+    def start(self, *module: str, **environment: str) -> Program:
         log = self.folder / f"{module[0]}-{len(self.workers)}.log"
         paths = os.pathsep.join([str(HELPERS), str(ROOT)])
         settings = {
@@ -95,11 +110,9 @@ class Nodes:
             **_QUIET,
             **environment,
         }
-        command = [sys.executable, "-m", f"distributed.cli.dask_{module[0]}", *module[1:]]
-        with log.open("wb") as file:
-            return subprocess.Popen(
-                command, stdout=file, stderr=file, start_new_session=True, cwd=self.folder, env=os.environ | settings
-            )
+        words = ["-c", NODE.format(kind=module[0]), str(log), *module[1:]]
+        program = Program(words, start_new_session=True, cwd=self.folder, env=os.environ | settings)
+        return self.started.enter_context(program)
 
     def start_scheduler(self, **environment: str) -> None:
         self.port = free_port()
@@ -107,7 +120,7 @@ class Nodes:
         self.scheduler = self.start("scheduler", *words, **environment)
         until(lambda: answers(self.port), "the scheduler does not start")
 
-    def start_worker(self, *words: str) -> subprocess.Popen[bytes]:
+    def start_worker(self, *words: str) -> Program:
         address = f"tcp://127.0.0.1:{self.port}"
         more = ("--no-dashboard", "--preload", str(HELPERS / "figure_worker.py"), "--local-directory", str(self.folder))
         self.workers.append(self.start("worker", address, "--host", "127.0.0.1", *more, *words))
@@ -117,7 +130,7 @@ class Nodes:
         import distributed
 
         with distributed.Client(f"tcp://127.0.0.1:{self.port}", timeout=10, set_as_default=False) as client:
-            client.wait_for_workers(count, timeout=30)
+            client.wait_for_workers(count, timeout=WITHIN_S)
 
     def tasks(self) -> int:
         """Number of tasks that the scheduler holds."""
@@ -145,7 +158,7 @@ class Nodes:
             if process is not None:
                 with contextlib.suppress(ProcessLookupError):
                     os.killpg(process.pid, signal.SIGKILL)
-                process.wait(10)
+        self.started.close()
 
 
 @contextlib.contextmanager
@@ -164,8 +177,8 @@ def running(folder: Path, *workers: tuple[str, ...], **environment: str) -> Iter
 
 @pytest.fixture(scope="module")
 def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nodes]:
-    """One worker that Dask's nanny starts again when it dies, and one plain process with two threads."""
-    kinds = [("--nanny", "--nthreads", "1"), ("--no-nanny", "--nthreads", "2")]
+    """Two plain processes, one of them with two threads. A worker that Dask's nanny starts is in `frail_nodes`."""
+    kinds = [("--no-nanny", "--nthreads", "1"), ("--no-nanny", "--nthreads", "2")]
     with running(tmp_path_factory.mktemp("nodes"), *kinds) as started:
         yield started
 
@@ -214,14 +227,14 @@ def test_a_worker_killed_at_work_changes_nothing(nodes: Nodes, tmp_path: Path, f
 
     def kill() -> None:
         until(lambda: spare.pid in nodes.begun(), "the spare worker gets nothing to do")
-        spare.kill()
+        spare.send_signal(signal.SIGKILL)
 
     with nodes.trouble("slow"):
         killer = threading.Thread(target=kill)
         killer.start()
         pack_on(nodes, tmp_path / "shards")
         killer.join()
-    assert spare.wait(5) == -signal.SIGKILL
+    assert spare.wait() == -signal.SIGKILL
     assert contents(tmp_path / "shards") == contents(figures_set)
 
 
@@ -413,7 +426,7 @@ def test_a_lost_scheduler_loses_nothing(
 
     def kill(done: int, total: int) -> None:
         if done > 8 and frail_nodes.scheduler is not None:
-            frail_nodes.scheduler.kill()
+            frail_nodes.scheduler.send_signal(signal.SIGKILL)
 
     start = time.monotonic()
     with (
@@ -421,7 +434,7 @@ def test_a_lost_scheduler_loses_nothing(
         pytest.raises(BadConfig, match="^the scheduler at 127.0.0.1:[0-9]+ was lost: the"),
     ):
         pack_on(frail_nodes, out, kill)
-    assert time.monotonic() - start < 30
+    assert time.monotonic() - start < WITHIN_S
     assert (out / STATE_NAME / "train-00000.tar.json").exists()
     pack_figures(out, shard_samples=5)  # without a cluster
     assert contents(out) == contents(figures_set)
@@ -435,14 +448,9 @@ def command_words(nodes: Nodes, out: Path) -> list[str]:
     return [*words, "--rig", str(SMALL_FILE), "--engine", nodes.engine, "--out", str(out)]
 
 
-def command(nodes: Nodes, out: Path) -> subprocess.Popen[str]:
-    return start_interruptible(
-        [sys.executable, "-c", COMMAND, *command_words(nodes, out)],
-        env=os.environ | {"PYTHONPATH": str(HELPERS), "BODYSEG_TROUBLE": str(nodes.folder)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+def command(nodes: Nodes, out: Path) -> Program:
+    environment = os.environ | {"PYTHONPATH": str(HELPERS), "BODYSEG_TROUBLE": str(nodes.folder)}
+    return Program(["-c", COMMAND, *command_words(nodes, out)], env=environment)
 
 
 def test_the_command_packs_on_a_cluster(
@@ -462,7 +470,7 @@ def test_a_packing_that_is_stopped_leaves_the_cluster_clean(
     with nodes.trouble("slow"), command(nodes, tmp_path / "shards") as process:
         until(lambda: len(nodes.begun()) == 2, "packing does not begin")
         process.send_signal(number)
-        _, printed = process.communicate(timeout=30)
+        _, printed = process.communicate(timeout=WITHIN_S)
     assert process.returncode == status
     assert [line for line in printed.splitlines() if not line.startswith("packing: ")] == [f"bodyseg shard: {said}"]
     until(lambda: nodes.tasks() == 0, "jobs stay on the cluster")

@@ -6,8 +6,6 @@ import json
 import math
 import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
@@ -16,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import warm
 from fakes import Figures
 from folders import HELPERS
-from processes import start_interruptible
 from small_rig import SMALL_FILE
 
 from bodyseg_data.bodies import Body, BodyRef, open_source
@@ -363,18 +361,19 @@ FIGURES = [str(HELPERS / "figure_command.py"), "shard", "--source", "open", "--v
 FIGURES += ["--rig", str(SMALL_FILE), "--shard-samples", "5"]  # as the fixture figures_set
 
 
-def _shard(out: Path, workers: int) -> list[str]:
-    return [sys.executable, *FIGURES, "--workers", str(workers), "--out", str(out)]
+def _shard(out: Path, workers: int, **options: Any) -> warm.Program:
+    """The command, started; how it fares is told by files in the folder of `out`. options: those of `Program`."""
+    words = [*FIGURES, "--workers", str(workers), "--out", str(out)]
+    return warm.Program(words, env=os.environ | {"BODYSEG_TROUBLE": str(out.parent)}, **options)
 
 
 def test_any_number_of_workers_gives_the_same_bytes(figures_set: Path, tmp_path: Path) -> None:
     """By the command with two processes, and in this one."""
-    environment = os.environ | {"BODYSEG_TROUBLE": str(tmp_path)}
-    command = _shard(tmp_path / "two", 2)
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=200, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "24 samples in 6 shards" in done.stdout
-    assert "packing: 24 of 24 views" in done.stderr
+    with _shard(tmp_path / "two", 2) as process:
+        said, errors = process.communicate(timeout=200)
+    assert process.returncode == 0, errors
+    assert "24 samples in 6 shards" in said
+    assert "packing: 24 of 24 views" in errors
     assert contents(tmp_path / "two") == contents(figures_set)
 
 
@@ -382,18 +381,16 @@ def test_a_packing_killed_and_started_again_ends_in_the_same_bytes(
     figures_set: Path, tmp_path: Path, pack_figures: Pack
 ) -> None:
     out = tmp_path / "shards"
-    command, environment = _shard(out, 2), os.environ | {"BODYSEG_TROUBLE": str(tmp_path)}
     (tmp_path / "slow").touch()
-    process = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
-    deadline = time.monotonic() + 120
-    while not (out / STATE_NAME / "train-00000.tar.json").exists():
-        assert time.monotonic() < deadline
-        assert process.poll() is None
-        time.sleep(0.02)
-    children = _children(process.pid)
-    assert children
-    process.send_signal(signal.SIGKILL)
-    process.wait()
+    deadline = time.monotonic() + 200
+    with _shard(out, 2) as process:
+        while not (out / STATE_NAME / "train-00000.tar.json").exists():
+            assert time.monotonic() < deadline
+            assert _alive(process.pid)
+            time.sleep(0.02)
+        children = _children(process.pid)
+        assert children
+        process.send_signal(signal.SIGKILL)
     assert not (out / "manifest.json").exists()
     while any(_alive(child) for child in children):
         assert time.monotonic() < deadline, "workers outlive the process that started them"
@@ -412,22 +409,21 @@ def test_a_packing_killed_and_started_again_ends_in_the_same_bytes(
 def test_a_packing_that_is_stopped_ends_at_once_in_one_line(
     signals: list[signal.Signals], said: str, status: int, tmp_path: Path
 ) -> None:
-    command, environment = _shard(tmp_path / "shards", 2), os.environ | {"BODYSEG_TROUBLE": str(tmp_path)}
     (tmp_path / "slow").touch()
-    process = start_interruptible(command, env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True)
-    deadline = time.monotonic() + 60
-    while len(_children(process.pid)) < 3:  # two workers and the tracker that multiprocessing starts
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-    workers = _children(process.pid)
-    for number in signals:
-        with contextlib.suppress(ProcessLookupError):
-            if number == signal.SIGINT:
-                os.killpg(process.pid, number)  # a terminal's Ctrl-C goes to all
-            else:
-                os.kill(process.pid, number)
-        time.sleep(0.03)
-    _, printed = process.communicate(timeout=20)
+    deadline = time.monotonic() + 200
+    with _shard(tmp_path / "shards", 2, start_new_session=True) as process:
+        while len(_children(process.pid)) < 3:  # two workers and the tracker that multiprocessing starts
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        workers = _children(process.pid)
+        for number in signals:
+            with contextlib.suppress(ProcessLookupError):
+                if number == signal.SIGINT:
+                    os.killpg(process.pid, number)  # a terminal's Ctrl-C goes to all
+                else:
+                    os.kill(process.pid, number)
+            time.sleep(0.03)
+        _, printed = process.communicate(timeout=100)
     assert process.returncode == status
     lines = [line for line in printed.splitlines() if not line.startswith("packing: ")]
     assert lines == [f"bodyseg shard: {said}"]

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from small_rig import SMALL
 from torch.utils.data import ConcatDataset
 
 from bodyseg_data.artifacts import VARIANTS
 from bodyseg_data.core import BadConfig
 from bodyseg_data.loading import RangeImages, loader
 from bodyseg_data.packing import Packing
-from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import ViewGrid, metres
 from bodyseg_data.shards import CODECS
 from bodyseg_model.commands import cli
@@ -28,7 +28,7 @@ VIEWS = ViewGrid(span_deg=360, count=3)
 def sets(tmp_path_factory: pytest.TempPathFactory, pack_figures: Callable[..., Path]) -> dict[float, Path]:
     """The same views of two figures in each step."""
     folder = tmp_path_factory.mktemp("steps")
-    rigs = {step_mm: replace(load_rig(), range_step_mm=step_mm) for step_mm in STEPS_MM}
+    rigs = {step_mm: replace(SMALL, range_step_mm=step_mm) for step_mm in STEPS_MM}
     return {
         step_mm: pack_figures(folder / f"{step_mm:g}", meshes=2, views=VIEWS, rig=rig) for step_mm, rig in rigs.items()
     }
@@ -46,7 +46,7 @@ def test_a_set_keeps_its_step_and_is_whole(step_mm: float, sets: dict[float, Pat
 def test_every_codec_keeps_the_step(
     codec: str, tmp_path: Path, sets: dict[float, Path], pack_figures: Callable[..., Path]
 ) -> None:
-    rig = replace(load_rig(), range_step_mm=3.0)
+    rig = replace(SMALL, range_step_mm=3.0)
     packed = RangeImages(pack_figures(tmp_path, meshes=2, views=VIEWS, rig=rig, codec=codec), "none")
     for index in range(len(packed)):
         assert np.array_equal(packed.clean(index).range, RangeImages(sets[3.0], "none").clean(index).range)
@@ -72,7 +72,8 @@ def test_every_variant_is_the_same_sensor_in_any_step(variant: str, step_mm: flo
     for index in range(len(fine)):
         a, b = fine.image(index), coarse.image(index)
         assert a.drawn == b.drawn
-        assert ((a.range > 0) != (b.range > 0)).sum() <= 0.002 * (a.range > 0).sum() * (
+        # Edges are a larger share of few pixels.
+        assert ((a.range > 0) != (b.range > 0)).sum() <= 0.008 * (a.range > 0).sum() * (
             "occlusion" in VARIANTS[variant]
         )
         both = (a.range > 0) & (b.range > 0)
@@ -108,13 +109,13 @@ def test_what_was_packed_in_another_step_is_another_set(
     digests = {RangeImages(path).identity()["set"] for path in sets.values()}
     assert len(digests) == len(sets)
     with pytest.raises(BadConfig, match="already holds a set of shards packed with other options"):
-        pack_figures(sets[1.0], meshes=2, views=VIEWS, rig=replace(load_rig(), range_step_mm=0.5))
+        pack_figures(sets[1.0], meshes=2, views=VIEWS, rig=replace(SMALL, range_step_mm=0.5))
 
 
 def test_views_beyond_16_bits_are_refused_before_packing() -> None:
-    rig = replace(load_rig(), range_step_mm=0.05)
+    rig = replace(SMALL, range_step_mm=0.05)
     message = (
-        r"^rig paper: 65535 steps of 'range_step_mm' must reach 0.5 m behind a body 2.95 m away, 3.541 m: found "
+        r"^rig small: 65535 steps of 'range_step_mm' must reach 0.5 m behind a body 2.95 m away, 3.541 m: found "
         r"0.05 mm, which reach 3.277 m$"
     )
     with pytest.raises(BadConfig, match=message):

@@ -50,8 +50,7 @@ def sphere_range(camera: PlacedCamera, centre: NDArray[np.float64], radius: floa
         return (-b - np.sqrt(b**2 - a * c)) / a
 
 
-@pytest.mark.parametrize("azimuth", [0, 50, 130])
-@pytest.mark.parametrize("device", [0, 1], ids=["camera", "projector"])
+@pytest.mark.parametrize(("azimuth", "device"), [(0, 0), (130, 1)], ids=["camera", "projector"])
 def test_a_ball_lies_between_the_spheres_outside_and_inside_its_triangles(renderer, azimuth: int, device: int) -> None:
     mesh = ball(subdivisions=5)
     camera = RIG.placed(mesh.centre, View(215, azimuth))[device]
@@ -195,7 +194,7 @@ class TestAgreement:
         for renderer in (rays, raster):
             renderer.render(RIG.placed(mesh.centre, FRONT)[0])  # what is done once only is not part of the speed
         figures, seconds = [], {"embree": 0.0, "opengl": 0.0}
-        for distance, some in ((215, (40, 200)), (255, (80, 240)), (295, (120, 280))):
+        for distance, some in ((215, (40,)), (255, (240,)), (295, (280,))):
             for azimuth in range(0, 360, 40) if os.environ.get("BODYSEG_FULL") else some:
                 stance = (-35, 25, 10) if azimuth % 120 == 40 else (0, 0, 0)
                 for camera in RIG.placed(mesh.centre, View(distance, azimuth, *stance)):
@@ -224,7 +223,7 @@ class TestAgreement:
     def test_shapes_agree(self, shape) -> None:
         self.check(shape())
 
-    @pytest.mark.parametrize("frame", [0, 45, 90])
+    @pytest.mark.parametrize("frame", [0, 45, 90] if os.environ.get("BODYSEG_FULL") else [45])
     def test_real_frames_agree(self, mit_folder: Path, frame: int) -> None:
         shape = trimesh.load(mit_folder / "I_crane" / "meshes" / f"mesh_{frame:04d}.obj", process=False)
         self.check(Mesh(f"crane {frame}", np.asarray(shape.vertices), np.asarray(shape.faces)))

@@ -128,12 +128,13 @@ def test_a_persons_labels_come_back_and_auto_finds_the_turn(tmp_path: Path) -> N
     for quarters in (0, *TURNS):
         folder, out = tmp_path / f"frames{quarters}", tmp_path / f"out{quarters}"
         folder.mkdir()
-        for name, frame in frames.items():
+        seen = frames if quarters in (0, 3) else {"hard": frames["hard"]}
+        for name, frame in seen.items():
             (folder / f"{name}.png").write_bytes(png(np.ascontiguousarray(np.rot90(frame, quarters))))
         words = ["--focal", "757.5757", "--turned", "auto", "--no-overlay", "--threads", "1", "--device", "cpu"]
         assert main(["segment", str(folder), *words, "--out", str(out)]) == 0
         assert json.loads((out / "summary.json").read_text())["camera"].get("turned_deg", 0) == 90 * quarters
-        for name in frames:
+        for name in seen:
             labels = np.rot90(pixels(out / "labels" / f"{name}.png"), -quarters)
             first = expected.setdefault(name, labels)
             body = first < 255

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 import torch
+import warm
 from replies import Reply, refusal
 from servers import TOKEN, WebServer, free_port, s3_server, web_server
 from torch.utils.data import DataLoader
@@ -434,25 +435,24 @@ for shard in manifest.shards[: int(sys.argv[3])]:
 """
 
 
-def start(url: str, cache: Path, shards: int) -> subprocess.Popen[bytes]:
-    return subprocess.Popen([sys.executable, "-c", READER, url, str(cache), str(shards)])
+def start(url: str, cache: Path, shards: int) -> warm.Program:
+    return warm.Program(["-c", READER, url, str(cache), str(shards)])
 
 
 def test_two_processes_fetch_each_shard_once(web: WebServer, manifest: Manifest, tmp_path: Path) -> None:
-    readers = [start(web.url("slow"), tmp_path / "cache", 2) for _ in range(2)]
-    assert [reader.wait(30) for reader in readers] == [0, 0]
+    with start(web.url("slow"), tmp_path / "cache", 2) as one, start(web.url("slow"), tmp_path / "cache", 2) as other:
+        assert [reader.wait() for reader in (one, other)] == [0, 0]
     assert sorted(line.sent for line in web.log(".tar")) == sorted(shard.size for shard in manifest.shards[:2])
 
 
 def test_a_killed_download_is_carried_on(web: WebServer, manifest: Manifest, tmp_path: Path) -> None:
     shard = manifest.shards[0]
     part = tmp_path / f"{shard.sha256}.{shard.size}.part"
-    reader = start(web.url("crawling"), tmp_path, 1)
-    while not part.exists() or part.stat().st_size < shard.size // 4:
-        assert reader.poll() is None
-        time.sleep(0.01)
-    reader.send_signal(signal.SIGKILL)
-    reader.wait(10)
+    with start(web.url("crawling"), tmp_path, 1) as reader:
+        while not part.exists() or part.stat().st_size < shard.size // 4:
+            assert Path(f"/proc/{reader.pid}").exists(), reader.stderr.read()
+            time.sleep(0.01)
+        reader.send_signal(signal.SIGKILL)
     have = part.stat().st_size
     assert shard.size // 4 <= have < shard.size
     assert len(web.log(".tar")) == 1, "the server has seen it"

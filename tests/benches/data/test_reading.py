@@ -1,10 +1,12 @@
 from __future__ import annotations
 
 import hashlib
+import multiprocessing
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
-from benches.data.reading import bench, cold_ranks, far
+from benches.data.reading import bench, cold_ranks, far, manifests
 from benches.data.reading.manifests import SHARD_SAMPLES, fit, write_large_manifest
 
 from bodyseg_data.core import BadConfig
@@ -17,6 +19,9 @@ def test_ranks_share_caches_and_manifests_are_opened(small_set: Path, monkeypatc
     monkeypatch.setattr(bench, "BATCH", 2)
     monkeypatch.setattr(bench, "SIZES", (SHARD_SAMPLES,))
     monkeypatch.setattr(bench, "LARGEST", 3 * SHARD_SAMPLES)
+    # In place of spawned processes, whose start takes seconds, those that have PyTorch imported.
+    forks = SimpleNamespace(get_context=lambda method: multiprocessing.get_context("forkserver"))
+    monkeypatch.setattr(manifests, "multiprocessing", forks)
     steps: list[tuple[int, int]] = []
     found = bench.bench_reading(str(small_set), lambda done, total: steps.append((done, total)))
     assert steps == [(done, 6) for done in range(1, 7)]
