@@ -322,7 +322,6 @@ LOADER: dict[str, tuple[dict[str, Any], str]] = {
         {"on_error": "skip", "skip_budget": 1.5},
         "skip_budget must be a number of samples, or a share from 0 to 1, found 1.5",
     ),
-    "a log of nothing skipped": ({"skip_log": "x"}, "skip_log is for on_error='skip', found it with 'stop'"),
 }
 
 

@@ -8,7 +8,6 @@ import weakref
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -22,7 +21,6 @@ from bodyseg_data.loading.skipping import (
     SkipLedger,
     Skipped,
     checked_budget,
-    checked_log,
     with_text,
 )
 from bodyseg_data.loading.slots import Slots
@@ -303,7 +301,6 @@ def loader(
     world_size: int | None = None,
     on_error: OnError = "stop",
     skip_budget: float | None = None,
-    skip_log: str | Path | None = None,
     metres: bool = True,
     pin_memory: bool = False,
     prefetch_factor: int = 2,
@@ -321,7 +318,7 @@ def loader(
 
     on_error: "stop" raises for a bad sample. "skip" leaves it out: its batch gets shorter, possibly empty; the number
     of batches stays. skip_budget: the most samples that a pass of this rank may skip, as a number or as a share of the
-    set (a float below 1). skip_log: a file to which each skipped sample is appended as a line of JSON.
+    set (a float below 1); `Loader.skipped` lists them.
 
     metres: False leaves ranges as uint16 in steps of `images.step_m`, half the bytes, for a GPU to convert. pin_memory:
     deliver in page-locked memory, if CUDA is available. prefetch_factor: batches that each worker makes in advance, as
@@ -335,6 +332,6 @@ def loader(
         raise BadConfig(f"images must be RangeImages or a Mixture, found {type(images).__name__}")
     order = BatchOrder(images, batch_size, shuffle, drop_last, rank, world_size)
     budget = checked_budget(on_error, skip_budget, len(images))
-    ledger = SkipLedger(budget, checked_log(on_error, skip_log))
+    ledger = SkipLedger(budget)
     options = LoaderOptions(num_workers, prefetch_factor, metres, pin_memory, worker_method, start_method)
     return Loader(images, order, ledger, options)

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 from bodyseg_data.core import BadConfig, BadSample, BadShard
-from bodyseg_data.files import refuse_special
 
-_FIRST = b'{"epoch": '  # bytes of a log: a record as JSON
 _Error = TypeVar("_Error", bound=Exception)
 
 
@@ -40,13 +36,10 @@ class Skipped:
 
 
 class SkipLedger:
-    """Counts and records skipped samples. budget: None skips nothing; else the most samples that one epoch may lose.
+    """Counts and records skipped samples. budget: None skips nothing; else the most samples that one epoch may lose."""
 
-    path: a file to which each record is appended as a line of JSON.
-    """
-
-    def __init__(self, budget: int | None, path: Path | None) -> None:
-        self._budget, self._path = budget, path
+    def __init__(self, budget: int | None) -> None:
+        self._budget = budget
         self.skipped: list[Skipped] = []
 
     @property
@@ -67,12 +60,6 @@ class SkipLedger:
                 "allows)"
             )
         self.skipped.append(record)
-        if self._path is not None:
-            try:
-                with self._path.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(asdict(record)) + "\n")
-            except OSError as problem:
-                raise BadConfig(f"{self._path} cannot be written: {problem.strerror or problem}") from problem
 
     def state(self) -> list[dict[str, Any]]:
         """Return all records as plain JSON."""
@@ -89,29 +76,6 @@ class SkipLedger:
             if any(type(getattr(record, field)) is not kind for field, kind in kinds.items()):
                 raise BadConfig(f"a state's record of a skipped sample must be like a loader's, found {record}")
         self.skipped = records
-
-
-def checked_log(on_error: str, path: str | Path | None) -> Path | None:
-    """Return the absolute path of the log after opening it once, so that no run fails at its first bad sample.
-
-    Raises BadConfig for a path that cannot be appended to, and for a file that is no such log.
-    """
-    if path is None:
-        return None
-    if on_error != "skip":
-        raise BadConfig(f"skip_log is for on_error='skip', found it with {on_error!r}")
-    if not isinstance(path, str | Path) or not str(path).strip() or "\0" in str(path):
-        raise BadConfig(f"skip_log must be a file's path, found {path!r}")
-    try:
-        refuse_special(Path(path))
-        with Path(path).open("ab+") as file:
-            file.seek(0)
-            first = file.read(len(_FIRST))
-    except OSError as error:
-        raise BadConfig(f"skip_log {path} cannot be written: {error.strerror or error}") from error
-    if first not in (b"", _FIRST):
-        raise BadConfig(f"skip_log {path} must be a new file or a log of skipped samples, found another's")
-    return Path(path).absolute()
 
 
 def checked_budget(on_error: str, budget: float | None, samples: int) -> int | None:

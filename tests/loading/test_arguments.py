@@ -199,23 +199,3 @@ def test_memory_that_cannot_be_had(images: RangeImages, monkeypatch: pytest.Monk
     monkeypatch.setattr(os, "ftruncate", full)
     with pytest.raises(BadConfig, match=r"^4 batches of 3 samples take 0\.0 GB, which cannot be allocated: Cannot"):
         list(loader(images, 3))
-
-
-def test_a_log_that_cannot_be_written_is_found_at_once(images: RangeImages, tmp_path: Path) -> None:
-    for path in (tmp_path, tmp_path / "none" / "log.jsonl"):
-        with pytest.raises(
-            BadConfig, match=r"^skip_log .* cannot be written: (Is a directory|No such file or directory)$"
-        ):
-            loader(images, 4, on_error="skip", skip_budget=1, skip_log=path)
-    wrong: tuple[Any, ...] = ("", "lo\0g", 3, b"log")
-    for path in wrong:
-        with pytest.raises(BadConfig, match="^skip_log must be a file's path, found "):
-            loader(images, 4, on_error="skip", skip_budget=1, skip_log=path)
-    with pytest.raises(BadConfig, match="^skip_log is for on_error='skip', found it with 'stop'$"):
-        loader(images, 4, skip_log=tmp_path / "log.jsonl")
-    (tmp_path / "notes.txt").write_text("mine\n")
-    with pytest.raises(BadConfig, match=r"^skip_log .*notes.txt must be a new file or a log of skipped samples"):
-        loader(images, 4, on_error="skip", skip_budget=1, skip_log=tmp_path / "notes.txt")
-    assert (tmp_path / "notes.txt").read_text() == "mine\n"
-    (tmp_path / "log.jsonl").write_text('{"epoch": 0, "key": "a"}\n')
-    loader(images, 4, on_error="skip", skip_budget=1, skip_log=tmp_path / "log.jsonl")
