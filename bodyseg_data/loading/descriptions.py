@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib import import_module
 from itertools import accumulate
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import MissingLibrary
 from bodyseg_data.loading.conditions import SampleTable
 from bodyseg_data.samples import Value
 from bodyseg_data.shards import Fields, ShardRecord
@@ -55,12 +53,3 @@ def _array(values: Sequence[Value | None], kind: str) -> NDArray[Any]:
     lacking = np.array([value is None for value in values])
     found: NDArray[Any] = array.astype(dtype)
     return np.ma.array(found, mask=lacking) if lacking.any() else found
-
-
-def arrow_table(columns: dict[str, NDArray[Any]]) -> Any:
-    """A `pyarrow.Table` of what `table_of` gives. Raises MissingLibrary if pyarrow is not installed."""
-    try:
-        pyarrow = import_module("pyarrow")
-    except ImportError as error:
-        raise MissingLibrary("a table of Arrow needs the package 'pyarrow': pip install pyarrow") from error
-    return pyarrow.table({name: pyarrow.array(column.tolist()) for name, column in columns.items()})

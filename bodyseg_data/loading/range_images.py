@@ -30,7 +30,7 @@ from bodyseg_data.artifacts import (
 from bodyseg_data.core import BadConfig, BadSample, BadShard, Draws, check_epoch, check_seed
 from bodyseg_data.labels import BACKGROUND, UNLABELLED, LabelMap, load_label_map, whole_map
 from bodyseg_data.loading.conditions import named_fields, texts_of
-from bodyseg_data.loading.descriptions import arrow_table, table_of
+from bodyseg_data.loading.descriptions import table_of
 from bodyseg_data.loading.image_set import Request, Requests, SampleDataset, Shuffle, check_bool, check_index
 from bodyseg_data.loading.pipelines import sample_of
 from bodyseg_data.loading.selection import BlockOrder, Permutation, Selection, permutation
@@ -318,15 +318,13 @@ class RangeImages(SampleDataset):
         info = shard.descriptions.info(within, shard.split)
         return {"key": shard.entry(within).key, "split": info.split, **info.fields}
 
-    def table(self, arrow: bool = False) -> Any:
+    def table(self) -> dict[str, NDArray[Any]]:
         """Return what `describe` gives of all samples: name -> array [N]; no shard is read.
 
         Text is of NumPy's `str` type, whole numbers int64, other numbers float64, flags bool, tuples of numbers
-        objects. Where samples lack a field, its array is masked. arrow: return a `pyarrow.Table`, with nulls there.
-        Raises MissingLibrary if pyarrow is not installed.
+        objects. Where samples lack a field, its array is masked.
         """
-        columns = table_of(self.manifest.fields, list(self._chosen_records()))
-        return arrow_table(columns) if arrow else columns
+        return table_of(self.manifest.fields, list(self._chosen_records()))
 
     def _where(self, index: int) -> tuple[int, int]:
         """Return (shard number, index within the shard) of a sample. Raises as `check_index`."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +11,6 @@ import pytest
 from samples import GOOD
 
 from bodyseg_data import RangeImages
-from bodyseg_data.core import MissingLibrary
 from bodyseg_data.samples import SampleInfo, Value
 from bodyseg_data.shards import Fields, Manifest, TarWriter, encode_sample, read_manifest, write_manifest
 
@@ -42,9 +40,6 @@ def test_a_table_is_of_the_chosen_samples(without_shards: Path) -> None:
     table = images.table()
     assert table["key"].tolist() == images.keys and set(table["azimuth_deg"].tolist()) == {first}
     assert 0 < len(table["key"]) < 16 and set(table["split"].tolist()) == {"train"}
-    arrow = pytest.importorskip("pyarrow")
-    assert isinstance(images.table(arrow=True), arrow.Table)
-    assert images.table(arrow=True).column("key").to_pylist() == images.keys
 
 
 def test_fields_that_some_samples_lack_are_masked(tmp_path: Path) -> None:
@@ -67,13 +62,3 @@ def test_fields_that_some_samples_lack_are_masked(tmp_path: Path) -> None:
     assert RangeImages(tmp_path, "none").describe(1) == {"key": "s1", "split": "train"}
     there = RangeImages(tmp_path, "none", where="n=3").table()
     assert not any(isinstance(column, np.ma.MaskedArray) for column in there.values())
-    pytest.importorskip("pyarrow")
-    arrow = RangeImages(tmp_path, "none").table(arrow=True).to_pylist()
-    assert arrow[1] == {"key": "s1", "split": "train", **dict.fromkeys(kinds)}
-    assert arrow[0]["pose"] == [1.0, 2.0]
-
-
-def test_arrow_is_asked_for_by_name(without_shards: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(MissingLibrary, match="needs the package 'pyarrow': pip install pyarrow"):
-        RangeImages(without_shards, "none").table(arrow=True)
