@@ -1,7 +1,7 @@
-"""Guard of a page: who may open it, and which messages of a browser it takes.
+"""Guard of a page: who may open it.
 
 Every web page that a user has open may connect to a server on this machine, so a page is served to those who know its
-token, under its own host's names, and to no script of another page. What a browser sends is checked before it is kept.
+token, under its own host's names, and to no script of another page. Who knows the token is trusted.
 """
 
 import asyncio
@@ -17,8 +17,6 @@ from contextlib import contextmanager
 from typing import Any, Final
 from urllib.parse import urlsplit
 
-_LONGEST_TEXT: Final = 10_000
-_LARGEST: Final = 1e6  # metres or pixels, of a browser's camera
 _PORTS: Final = {"http": ":80", "https": ":443"}
 _NUMBER: Final = re.compile(r"[0-9]+(\.[0-9]+){3}|[0-9a-f]*:[0-9a-f:.]*")
 
@@ -64,9 +62,9 @@ def _name(host: str) -> str:
 
 
 @contextmanager
-def guarded(guard: Guard, accepts: Callable[[bytes], bool]) -> Iterator[None]:
-    """While the context lasts, servers of WebSockets that are begun serve whom `guard` lets in, drop messages that
-    `accepts` does not take, and print nothing of what goes wrong on a connection. viser has no place for these rules.
+def guarded(guard: Guard) -> Iterator[None]:
+    """While the context lasts, servers of WebSockets that are begun serve whom `guard` lets in, and print nothing of
+    what goes wrong on a connection. viser has no place for these rules.
     """
     from websockets.asyncio import server
     from websockets.datastructures import Headers
@@ -75,16 +73,6 @@ def guarded(guard: Guard, accepts: Callable[[bytes], bool]) -> Iterator[None]:
     log = logging.getLogger("bodyseg.view")
     log.disabled = True
     plain = server.serve
-
-    class Connection(server.ServerConnection):
-        """A connection that gives only those messages that are taken."""
-
-        async def recv(self, decode: bool | None = None) -> Any:
-            """The next message that is taken."""
-            while True:
-                message = await super().recv(decode)
-                if isinstance(message, bytes) and accepts(message):
-                    return message
 
     def serve(*given: Any, process_request: Callable[..., Response | None], **options: Any) -> Any:
         def answer(connection: server.ServerConnection, request: Request) -> Response | None:
@@ -98,44 +86,10 @@ def guarded(guard: Guard, accepts: Callable[[bytes], bool]) -> Iterator[None]:
             return Response(http.HTTPStatus.FORBIDDEN.value, "Forbidden", head, body)
 
         asyncio.get_running_loop().set_exception_handler(lambda loop, context: None)
-        return plain(*given, process_request=answer, create_connection=Connection, logger=log, **options)
+        return plain(*given, process_request=answer, logger=log, **options)
 
     vars(server)["serve"] = serve
     try:
         yield
     finally:
         vars(server)["serve"] = plain
-
-
-def accepted(raw: bytes, control: Callable[[str], Any]) -> bool:
-    """True for a browser's message that may be handled: a control's new value that the control can have, its camera,
-    or a picture that was asked for. control: the handle of a control by its identifier, or None.
-    """
-    from viser import _messages as messages
-
-    try:
-        message = messages.Message.deserialize(raw)
-        if isinstance(message, messages.GuiUpdateMessage):
-            return set(message.updates) == {"value"} and _can_have(control(message.uuid), message.updates["value"])
-        if isinstance(message, messages.ViewerCameraMessage):
-            vectors = (message.wxyz, message.position, message.look_at, message.up_direction)
-            sizes = (message.fov, message.image_height, message.image_width)
-            numbers = [*sizes, message.near, message.far, *(number for vector in vectors for number in vector)]
-            small = all(isinstance(each, int | float) and abs(each) <= _LARGEST for each in numbers)
-            return small and min(sizes) > 0 and [*map(len, vectors)] == [4, 3, 3, 3]
-        return isinstance(message, messages.GetRenderResponseMessage)
-    except Exception:  # bytes of any kind, of anybody
-        return False
-
-
-def _can_have(handle: Any, value: Any) -> bool:
-    """True for a value that a browser may give a control: one within its bounds, or of its choices."""
-    import viser
-
-    if isinstance(handle, viser.GuiSliderHandle):
-        return type(value) in (int, float) and handle.min <= value <= handle.max
-    if isinstance(handle, viser.GuiDropdownHandle | viser.GuiButtonGroupHandle):
-        return isinstance(value, str) and value in handle.options
-    if isinstance(handle, viser.GuiCheckboxHandle | viser.GuiButtonHandle):
-        return isinstance(value, bool)
-    return isinstance(handle, viser.GuiTextHandle) and isinstance(value, str) and len(value) <= _LONGEST_TEXT

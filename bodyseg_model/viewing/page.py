@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadConfig, BodysegError
 from bodyseg_data.files import write_result
 from bodyseg_data.machine import missing_library
-from bodyseg_model.viewing.guard import Guard, accepted, guarded
+from bodyseg_model.viewing.guard import Guard, guarded
 from bodyseg_model.viewing.pictures import (
     VIEWPOINTS,
     Drawing,
@@ -76,14 +76,8 @@ def open_server(host: str, port: int, title: str, guard: Guard) -> viser.ViserSe
             return None
 
     chosen = free_port(host, port)
-    opened: Server
-
-    def control(identifier: str) -> Any:
-        return opened.gui._gui_input_handle_from_uuid.get(identifier)
-
-    with contextlib.redirect_stdout(io.StringIO()), guarded(guard, lambda message: accepted(message, control)):
-        opened = Server(host=host, port=chosen, label=title, verbose=False)
-    return opened
+    with contextlib.redirect_stdout(io.StringIO()), guarded(guard):
+        return Server(host=host, port=chosen, label=title, verbose=False)
 
 
 class Redrawing:
