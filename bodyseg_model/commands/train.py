@@ -98,7 +98,6 @@ class Options:
     )
     settings: str = option("settings of the network that differ from its defaults, as JSON", "{}")
     precision: Literal["recipe", "float32", "bfloat16"] = option("what layers compute in", "recipe")
-    compile: bool = option("compile the network for this machine first", False)
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
     threads: int | None = option("threads that compute on the processor (default: all)", None)
     num_workers: int = option("workers that load images (0: none, the program itself does)", 2)
@@ -122,9 +121,7 @@ def run(options: Options) -> int:
         geometric_augmentation=GeometricAugmentation() if options.no_geometric_augmentation else None,
         bf16={"recipe": None, "float32": False, "bfloat16": True}[options.precision],
     )
-    run_options = RunOptions(
-        options.log_every, options.checkpoint_every, options.num_workers, options.worker_method, options.compile
-    )
+    run_options = RunOptions(options.log_every, options.checkpoint_every, options.num_workers, options.worker_method)
     validation = _validation(options)
     images = open_data(
         _pairs(options), options.weights, options.samples, options.seed, lambda pair: _open(options, *pair, "train")

@@ -121,7 +121,7 @@ class RunOptions:
     """Options that are not part of a training's plan: a resumed training may have others.
 
     log_every, checkpoint_every: steps between lines of the log, and between checkpoints. num_workers, worker_method:
-    number and kind of the workers that load images; see `loader`. compile: whether the network is compiled first.
+    number and kind of the workers that load images; see `loader`.
     Raises BadConfig for a value out of range.
     """
 
@@ -129,7 +129,6 @@ class RunOptions:
     checkpoint_every: int = 500
     num_workers: int = 2
     worker_method: WorkerMethod = DEFAULT_WORKER_METHOD
-    compile: bool = False
 
     def __post_init__(self) -> None:
         check_int("log_every", self.log_every, 1)
@@ -326,8 +325,8 @@ class Training:
         weights = torch.ones(self.network.classes)
         if self.recipe.balance:
             weights = part_weights(class_pixels(self.images), self.recipe.balance)
-        options = self.recipe.loss_stride, self.run_options.compile
-        objective: nn.Module = NetworkWithLoss(self.network, weights, *options).to(self.processes.device)
+        objective: nn.Module = NetworkWithLoss(self.network, weights, self.recipe.loss_stride)
+        objective = objective.to(self.processes.device)
         if self.processes.world_size > 1:
             if self.processes.device.type == "cuda":
                 objective = nn.SyncBatchNorm.convert_sync_batchnorm(objective)  # type: ignore[no-untyped-call]

@@ -130,22 +130,14 @@ class NetworkWithLoss(nn.Module):
     at the same offset in all cells, with scores interpolated there as in `predict`. Over all offsets every pixel is
     selected once; a stride of 4 makes a sixteenth of the cost.
 
-    weights: float32 [C], weight of a pixel of each class. compiled: whether the network is compiled first, anew for
-    every size of images.
+    weights: float32 [C], weight of a pixel of each class.
     """
 
     weights: torch.Tensor
 
-    def __init__(
-        self,
-        network: Network,
-        weights: torch.Tensor,
-        loss_stride: int = 1,
-        compiled: bool = False,
-    ) -> None:
+    def __init__(self, network: Network, weights: torch.Tensor, loss_stride: int = 1) -> None:
         super().__init__()
         self.network, self.loss_stride = network, loss_stride
-        self._scores = torch.compile(_scores, dynamic=False) if compiled else _scores
         self.register_buffer("weights", weights)
 
     def forward(self, range_m: torch.Tensor, labels: torch.Tensor, offset: torch.Tensor) -> LossAndCounts:
@@ -155,11 +147,12 @@ class NetworkWithLoss(nn.Module):
         [B, 1, H, W], metres; labels: uint8 [B, H, W]; offset: float [2], position of the selected pixels in their
         cells, down and across, as shares of a cell from 0 to below 1.
         """
-        pixels = (  # as tensors, not slices: compiled code would be made anew for each pixel at which a slice begins
+        rows, columns = (
             torch.arange(side, device=range_m.device)[int(share * self.loss_stride) :: self.loss_stride]
             for share, side in zip(offset.tolist(), labels.shape[1:], strict=True)
         )
-        scores, step = self._scores(self.network, range_m, *pixels), self.network.output_stride
+        step = self.network.output_stride  # all of scores that are coarser than the image, else those selected
+        scores = self.network.scores(range_m) if step > 1 else self.network.scores_at(range_m, rows, columns)
         stride, images, classes = max(step, self.loss_stride), len(labels), len(self.weights)
         row, column = (int(share * stride) for share in offset.tolist())
         chosen = SelectedPixels.of(labels, row, column, stride)
@@ -171,11 +164,6 @@ class NetworkWithLoss(nn.Module):
             pairs = chosen.truth * classes + at_pixels.argmax(1)
             counts = torch.bincount(pairs, minlength=classes**2).reshape(classes, classes)
         return LossAndCounts((sums / weights.clamp(min=1e-6)).mean(), counts)
-
-
-def _scores(network: Network, range_m: torch.Tensor, rows: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
-    """All scores of a network that are coarser than the image; else those at `rows` and `columns` only."""
-    return network.scores(range_m) if network.output_stride > 1 else network.scores_at(range_m, rows, columns)
 
 
 def part_weights(counts: NDArray[np.int64], balance: float) -> torch.Tensor:
