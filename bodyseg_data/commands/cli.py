@@ -11,9 +11,9 @@ import sys
 import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, Literal, Protocol, get_args
+from typing import Any, Final, Protocol
 
-from bodyseg_data.commands.options import command_parser, parse, version_line
+from bodyseg_data.commands.options import parse, version_line
 from bodyseg_data.core import BadConfig, BodysegError
 from bodyseg_data.machine import wait_briefly
 
@@ -32,10 +32,6 @@ its command runs, so that no command loads another's imports.
 
 Commands of a group have a name of two words, group and command, as "sensor fit".
 """
-
-Shell = Literal["bash", "zsh", "fish", "powershell"]
-SHELLS: Final[tuple[Shell, ...]] = get_args(Shell)
-"""The shells that `--completion` writes a script for."""
 
 INTERNAL_ERROR: Final = 70  # EX_SOFTWARE of sysexits.h
 
@@ -137,9 +133,6 @@ def _run(program: str, commands: Commands, name: str, words: list[str]) -> int:
     if name == "--version":
         sys.stdout.write(f"{version_line()}\n")
         return 0
-    if name == "--completion":
-        sys.stdout.write(_completion(program, commands, words))
-        return 0
     if name not in commands:
         raise BadConfig(f"no such command; there are {', '.join(commands)}")
     place, summary = commands[name]
@@ -156,26 +149,6 @@ def load_command(place: str) -> Command:
     return command
 
 
-def _completion(program: str, commands: Commands, words: list[str]) -> str:
-    """Return a script with which a shell completes commands, options, choices and files."""
-    shell = next((shell for shell in SHELLS if words == [shell]), None)
-    if shell is None:
-        raise BadConfig(f"--completion needs one of {', '.join(SHELLS)}, found {' '.join(words) or 'nothing'}")
-    from cyclopts import App
-
-    everything = App(program.strip(), version=version_line)
-    groups: dict[str, App] = {}
-    for name, (place, summary) in commands.items():
-        command = load_command(place)
-        group, _, inner = name.rpartition(" ")
-        if group and group not in groups:
-            groups[group] = App(group)
-            everything.command(groups[group])
-        home = groups[group] if group else everything
-        home.command(command_parser(command.Options, inner, summary, command.EXAMPLE))
-    return everything.generate_completion(shell=shell)
-
-
 def _say(command: str, message: str, status: int) -> int:
     with contextlib.suppress(OSError):  # standard error is closed
         sys.stderr.write(f"{command.strip()}: {' '.join(message.split())}\n")
@@ -187,6 +160,5 @@ def _overview(program: str, commands: Commands, group: str = "") -> str:
     lines = [f"  {name:{width}}  {summary}" for name, (_, summary) in commands.items()]
     if group:
         return "\n".join([f"Usage: {program}{group} COMMAND [--help] ...", "", *lines, ""])
-    usage = [f"{program}COMMAND [--help] ...", f"{program}--version", f"{program}--completion {'|'.join(SHELLS)}"]
-    indent = "\n" + " " * len("Usage: ")
-    return "\n".join([f"Usage: {indent.join(usage[: 3 if program.endswith(' ') else 1])}", "", *lines, ""])
+    version = f"\n       {program}--version" if program.endswith(" ") else ""
+    return "\n".join([f"Usage: {program}COMMAND [--help] ...{version}", "", *lines, ""])

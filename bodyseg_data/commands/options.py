@@ -153,14 +153,12 @@ def _parameter(field: dataclasses.Field[Any], hint: Any) -> inspect.Parameter:
     from cyclopts import Parameter, convert
 
     kind, many = _kind(hint)
-    positional, address, default = field.metadata["positional"], field.metadata["address"], field.default
-    if address:
-        kind = Path  # for completion in the shell; the value is read as text
+    positional, default = field.metadata["positional"], field.default
     shown = " ".join(map(str, default)) if isinstance(default, tuple) else str(default)
     settings = Parameter(
         name=None if positional else flag_of(field),
         help=field.metadata["help"],
-        converter=partial(convert, converter=_address if address else _value),
+        converter=partial(convert, converter=_value),
         consume_multiple=(1, None),
         allow_repeating=True,  # the last one counts
         negative=(),
@@ -179,10 +177,6 @@ def _value(kind: Any, text: str) -> Any:
     if kind is Path and not text:
         raise ValueError
     return kind(text)
-
-
-def _address(_: Any, text: str) -> str:
-    return text
 
 
 def _kind(hint: Any) -> tuple[Any, bool]:

@@ -1,12 +1,10 @@
 from __future__ import annotations
 
-import dataclasses
 import importlib
 import inspect
 import json
 import multiprocessing
 import os
-import shlex
 import signal
 import subprocess
 import sys
@@ -27,7 +25,7 @@ from PIL import Image
 import bodyseg_data
 import bodyseg_model
 from bodyseg_data.commands import cli, option, shard, verify
-from bodyseg_data.commands.options import flag_of, parse
+from bodyseg_data.commands.options import parse
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import load_label_map
 from bodyseg_model.commands import main
@@ -175,42 +173,9 @@ def test_a_checkout_that_was_never_installed_has_a_version(monkeypatch: pytest.M
             package.versions  # noqa: B018
 
 
-def completed(script: Path, *words: str) -> list[str]:
-    """What bash offers for the last of `words` behind `bodyseg`."""
-    lines = [f"source {script}", f"COMP_WORDS=(bodyseg {shlex.join(words)})", "COMP_CWORD=$((${#COMP_WORDS[@]} - 1))"]
-    lines += ["_bodyseg", 'printf "%s\n" "${COMPREPLY[@]}"']
-    done = subprocess.run(
-        ["bash", "-c", "\n".join(lines)], capture_output=True, text=True, check=True, cwd=script.parent
-    )
-    return done.stdout.split()
-
-
-def test_bash_completes_commands_options_choices_and_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--completion", "bash"]) == 0
-    script = tmp_path / "script.bash"
-    script.write_text(capsys.readouterr().out)
-    (tmp_path / "shards").mkdir()
-    assert completed(script, "") == list(dict.fromkeys(name.split()[0] for name in COMMANDS))
-    assert completed(script, "sensor", "") == ["fit", "list", "show"]
-    assert completed(script, "verify", "sh") == completed(script, "train", "--data", "s")[1:] == ["shards"]
-    assert completed(script, "train", "--network", "") == ["fcn_alexnet", "compact"]
-    for name, (place, _) in COMMANDS.items():
-        fields = dataclasses.fields(cli.load_command(place).Options)
-        options = {flag_of(field) for field in fields if not field.metadata["positional"]}
-        assert set(completed(script, *name.split(), "--")) == options | {"--help", "--version"}
-
-
-@pytest.mark.parametrize("shell", cli.SHELLS[1:])
-def test_other_shells_complete(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--completion", shell]) == 0
-    assert "tolerance-mm" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--completion"], "--completion needs one of bash, zsh, fish, powershell, found nothing"),
-        (["--completion", "bash", "zsh"], "--completion needs one of bash, zsh, fish, powershell, found bash zsh"),
         (["pack"], "bodyseg pack: no such command; there are shard, join, verify, inspect"),
         (["shard"], "bodyseg shard: Parameter --source is missing (see bodyseg shard --help)"),
         (["shard", "--source", "open"], "bodyseg shard: --out is missing"),
