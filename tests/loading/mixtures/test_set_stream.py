@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from bodyseg_data import RangeImages
 from bodyseg_data.core import BadConfig
 from bodyseg_data.loading.image_set import Request
-from bodyseg_data.loading.mixture_order import SetStream
+from bodyseg_data.loading.mixture import SetStream
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bodyseg_data.core import BadConfig
-from bodyseg_data.loading.mixture_order import Shares, read_schedule
+from bodyseg_data.loading.mixture import Shares, read_schedule
 
 
 def counts(shares: Shares, epoch: int) -> list[int]:
