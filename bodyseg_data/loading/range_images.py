@@ -29,8 +29,7 @@ from bodyseg_data.artifacts import (
 )
 from bodyseg_data.core import BadConfig, BadSample, BadShard, Draws, check_epoch, check_seed
 from bodyseg_data.labels import BACKGROUND, UNLABELLED, LabelMap, load_label_map, whole_map
-from bodyseg_data.loading.conditions import named_fields, texts_of
-from bodyseg_data.loading.descriptions import table_of
+from bodyseg_data.loading.conditions import named_fields, table_of, texts_of
 from bodyseg_data.loading.image_set import Request, Requests, SampleDataset, Shuffle, check_bool, check_index
 from bodyseg_data.loading.pipelines import sample_of
 from bodyseg_data.loading.selection import BlockOrder, Permutation, Selection, permutation

@@ -9,8 +9,7 @@ if TYPE_CHECKING:
     from bodyseg_data.shards.cache import with_cache, with_kept_index
     from bodyseg_data.shards.codecs import CODECS, CodecName
     from bodyseg_data.shards.codecs.png import SIGNATURE, check_checksums, decode_chunks, read_chunks, read_header
-    from bodyseg_data.shards.column_writer import ColumnWriter
-    from bodyseg_data.shards.columns import column_files, column_names, open_columns, with_columns
+    from bodyseg_data.shards.columns import ColumnWriter, column_files, column_names, open_columns, with_columns
     from bodyseg_data.shards.faults import find_column_faults, find_faults, find_index_faults
     from bodyseg_data.shards.manifest import (
         EXTERNAL,

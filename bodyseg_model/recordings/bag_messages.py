@@ -26,9 +26,8 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_data.machine import missing_library
-from bodyseg_model.recordings.cameras import Intrinsics
-from bodyseg_model.recordings.frame_files import parse_frame
-from bodyseg_model.recordings.lenses import driver_camera
+from bodyseg_model.recordings.cameras import Intrinsics, driver_camera
+from bodyseg_model.recordings.frames import parse_frame
 from bodyseg_model.recordings.recording import Frame, FrameSource, Stamp, check_pixels, stored_recording
 from bodyseg_model.recordings.rvl import decode_rvl
 

@@ -15,8 +15,7 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.files import Table, parse_json, read_bytes
 from bodyseg_data.rigs import Distortion, Rig
 from bodyseg_model.recordings.cameras import FrameCamera, Intrinsics, frame_camera
-from bodyseg_model.recordings.frame_files import PngSource, list_tar, read_part
-from bodyseg_model.recordings.frames import Skipping, first_readable
+from bodyseg_model.recordings.frames import PngSource, Skipping, first_readable, list_tar, read_part
 from bodyseg_model.recordings.recording import Frame
 
 CAMERAS: Final = "cameras.json"

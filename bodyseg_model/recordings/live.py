@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, MissingLibrary
-from bodyseg_model.recordings.cameras import Intrinsics
-from bodyseg_model.recordings.lenses import driver_camera
+from bodyseg_model.recordings.cameras import Intrinsics, driver_camera
 from bodyseg_model.recordings.recording import FLOAT_STEP_M, MILLIMETRE, ArrayFrames, Frame
 
 Timed = NDArray[Any] | tuple[float | None, NDArray[Any]]

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
         PRECISION_HELP,
         QUICK_PRECISION_HELP,
         BackendName,
+        Precision,
         backend_of,
         load_run,
         on_backend,
@@ -19,6 +20,5 @@ if TYPE_CHECKING:
         to_device,
     )
     from bodyseg_model.runtimes.onnx_files import OPSET, SUFFIX, write_onnx
-    from bodyseg_model.runtimes.runtime import Precision
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

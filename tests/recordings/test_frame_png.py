@@ -10,7 +10,7 @@ import pytest
 from pngs import RAMP, chunk, png
 
 from bodyseg_data.core import BadConfig
-from bodyseg_model.recordings.frame_files import parse_frame
+from bodyseg_model.recordings.frames import parse_frame
 
 
 @pytest.mark.parametrize(

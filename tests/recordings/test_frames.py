@@ -14,7 +14,7 @@ from pngs import RAMP, png
 
 from bodyseg_data.core import BadConfig
 from bodyseg_model.recordings import Frame, evenly_apart, find_frames, metres_a_step, to_metres
-from bodyseg_model.recordings.frame_files import list_tar
+from bodyseg_model.recordings.frames import list_tar
 
 
 def tar_of(path: Path, *entries: tuple[tarfile.TarInfo | str, bytes], end: bool = True) -> Path:

@@ -13,8 +13,7 @@ from pngs import png
 from bodyseg_data.core import BadConfig
 from bodyseg_data.rigs import Distortion
 from bodyseg_model.recordings import FrameCameras, Skipping, find_frames, frame_camera
-from bodyseg_model.recordings.cameras import Intrinsics
-from bodyseg_model.recordings.lenses import driver_camera
+from bodyseg_model.recordings.cameras import Intrinsics, driver_camera
 from bodyseg_model.segmentation import FrameLabeller
 from bodyseg_model.segmentation.views import Undistortion
 

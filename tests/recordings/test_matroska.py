@@ -13,7 +13,7 @@ from kinect_mkv import calibration, write_mkv
 from pngs import RAMP
 
 from bodyseg_data.core import BadConfig, MissingLibrary
-from bodyseg_model.recordings.formats.kinect_calibration import depth_camera
+from bodyseg_model.recordings.formats.matroska import depth_camera
 from bodyseg_model.recordings.frames import open_recording
 
 STACK = np.stack([RAMP + number for number in range(20)])

@@ -10,7 +10,7 @@ from kinect_mkv import calibration
 from PIL import Image
 
 from bodyseg_data.core import BadConfig
-from bodyseg_model.recordings.formats.kinect_calibration import depth_camera
+from bodyseg_model.recordings.formats.matroska import depth_camera
 from bodyseg_model.recordings.formats.tiff import open_tiff
 
 

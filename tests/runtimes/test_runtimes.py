@@ -25,7 +25,7 @@ from bodyseg_model.runtimes import (
     to_device,
     write_onnx,
 )
-from bodyseg_model.runtimes.backends import folded
+from bodyseg_model.runtimes.backends import OnnxRuntime, RuntimeNetwork, folded
 from bodyseg_model.runtimes.onnx_files import (
     GraphFacts,
     OnnxModel,
@@ -36,7 +36,6 @@ from bodyseg_model.runtimes.onnx_files import (
     scores_part,
     to_onnx,
 )
-from bodyseg_model.runtimes.runtime import OnnxRuntime, RuntimeNetwork
 from bodyseg_model.segmentation import Background, Segmenter
 
 onnx = pytest.importorskip("onnx")

@@ -17,7 +17,7 @@ from websockets.sync.client import connect
 from websockets.sync.connection import Connection
 
 from bodyseg_model.viewing import LOOPBACK, Page
-from bodyseg_model.viewing.guard import Guard
+from bodyseg_model.viewing.page import Guard
 from bodyseg_model.viewing.pictures import Drawing, Points, viewpoint
 
 WAIT_S = 20.0

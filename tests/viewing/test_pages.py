@@ -18,8 +18,7 @@ from bodyseg_data.artifacts import Noise, load_sensor_model
 from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_model.networks import Trained
 from bodyseg_model.viewing import LOOPBACK, Page, SetPage, SetView, Shown
-from bodyseg_model.viewing.guard import Guard
-from bodyseg_model.viewing.page import aimed_at, free_port, open_server, unused
+from bodyseg_model.viewing.page import Guard, aimed_at, free_port, open_server, unused
 from bodyseg_model.viewing.pictures import Drawing, Points
 from bodyseg_model.viewing.set_page import SensorState
 from bodyseg_model.viewing.strengths import controls_of
