@@ -443,7 +443,7 @@ def _checked_position(state: Any, identity: dict[str, Any]) -> tuple[int, int]:
     there = {field: value for field, value in state.items() if field not in _PROGRESS}
     for field in identity | there:
         if there.get(field) != identity.get(field):
-            name, before, now = _first_difference(field, there.get(field), identity.get(field))
+            name, before, now = first_difference(field, there.get(field), identity.get(field))
             raise BadConfig(f"the state belongs to another run: {name} {before!r}, here {now!r}")
     epoch, position = (state.get(field) for field in ("epoch", "position"))
     if type(epoch) is not int or epoch < 0 or type(position) is not int or not 0 <= position <= identity["samples"]:
@@ -451,12 +451,12 @@ def _checked_position(state: Any, identity: dict[str, Any]) -> tuple[int, int]:
     return epoch, position
 
 
-def _first_difference(name: str, there: Any, here: Any) -> tuple[str, Any, Any]:
-    """Name and values of the innermost part in which two JSON values differ, as `mixture[1].variant`."""
+def first_difference(name: str, there: Any, here: Any) -> tuple[str, Any, Any]:
+    """Name and values of the innermost part in which two JSON values differ, as `mixture[1].variant`; None: absent."""
     if isinstance(there, dict) and isinstance(here, dict):
         pairs = [(f"{name}.{field}", there.get(field), here.get(field)) for field in [*here, *there]]
     elif isinstance(there, list) and isinstance(here, list) and len(there) == len(here):
         pairs = [(f"{name}[{at}]", *both) for at, both in enumerate(zip(there, here, strict=True))]
     else:
         return name, there, here
-    return next(_first_difference(*pair) for pair in pairs if pair[1] != pair[2])
+    return next((first_difference(*pair) for pair in pairs if pair[1] != pair[2]), (name, there, here))

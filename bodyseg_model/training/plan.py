@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -21,18 +21,12 @@ from typing import Any, Final, NamedTuple
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import is_leftover, make_folder, read_json, write_json
 from bodyseg_data.labels import PARTS33
-from bodyseg_data.loading import ImageSet
+from bodyseg_data.loading import ImageSet, first_difference
 from bodyseg_model.networks import CardWords, Checkpoint, Network, RunFiles, read_checkpoint
 from bodyseg_model.training.recipes import Recipe
 from bodyseg_model.training.validation import Validation
 
-Keys = tuple[str, ...]
-"""Keys that lead to a field of a plan."""
-
-_ABSENT: Final = object()
-_SHOWN: Final = 3  # fields of a plan that differ
 _LONGEST: Final = 60  # characters of a value
-_STEPS: Final = ("recipe", "steps")
 
 FORMAT: Final = "bodyseg run 1"
 
@@ -75,48 +69,26 @@ def training_plan(
 
 
 def check_plan(folder: Path, found: dict[str, Any], wanted: dict[str, Any], reached: int) -> None:
-    """Raise BadConfig, naming the fields that differ, unless the training `found` in a folder may go on as `wanted`.
+    """Raise BadConfig, naming the first field that differs, unless the training `found` may go on as `wanted`.
 
     reached: number of steps that it has done. The number of steps may differ, but be no smaller than that.
     """
     steps = wanted["recipe"]["steps"]
-    differing = {path: (was, now) for path, was, now in differences(found, wanted)}
-    if differing.pop(_STEPS, None) is not None and steps < reached:
+    if steps < reached:
         raise BadConfig(f"{folder} has reached step {reached}: --steps must be at least that, found {steps}")
-    lines = [f"{'.'.join(path)} was {_shown(was)}, now {_shown(now)}" for path, (was, now) in differing.items()]
-    if lines:
-        more = f" and {len(lines) - _SHOWN} more" if len(lines) > _SHOWN else ""
-        raise BadConfig(f"{folder} holds another training: {'; '.join(lines[:_SHOWN])}{more}")
+    before, after = _but_steps(found), _but_steps(wanted)
+    if before != after:
+        name, was, now = first_difference("", before, after)
+        raise BadConfig(f"{folder} holds another training: {name[1:]} was {_shown(was)}, now {_shown(now)}")
 
 
-def differences(was: Any, now: Any, path: Keys = ()) -> Iterator[tuple[Keys, Any, Any]]:
-    """Innermost fields in which two trees of JSON differ: their keys, and both values.
-
-    Entries of lists of objects are compared by their name, or else by their number; if only their order differs, the
-    values are the names in both orders.
-    """
-    named_was, named_now = _by_name(was), _by_name(now)
-    if not isinstance(named_was, dict) or not isinstance(named_now, dict):
-        if was != now:
-            yield path, was, now
-    elif isinstance(was, list) and named_was == named_now and [*named_was] != [*named_now]:
-        yield path, [*named_was], [*named_now]
-    else:
-        for key in [*named_now, *sorted(named_was.keys() - named_now.keys())]:
-            yield from differences(named_was.get(key, _ABSENT), named_now.get(key, _ABSENT), (*path, key))
-
-
-def _by_name(tree: Any) -> Any:
-    if not isinstance(tree, list) or not all(isinstance(each, dict) for each in tree):
-        return tree
-    named = {str(each.get("artifact", each.get("name", number))): each for number, each in enumerate(tree)}
-    return named if len(named) == len(tree) else {str(number): each for number, each in enumerate(tree)}
+def _but_steps(plan: dict[str, Any]) -> dict[str, Any]:
+    recipe = plan.get("recipe")
+    return plan if not isinstance(recipe, dict) else {**plan, "recipe": {**recipe, "steps": None}}
 
 
 def _shown(value: Any) -> str:
-    if value is _ABSENT:
-        return "not given"
-    text = json.dumps(value.get("name", value) if isinstance(value, dict) else value)
+    text = "not given" if value is None else json.dumps(value)
     return text if len(text) <= _LONGEST else "given"
 
 

@@ -17,7 +17,7 @@ from bodyseg_data.artifacts import Noise, load_sensor_model
 from bodyseg_data.core import BadConfig
 from bodyseg_model.networks import load_network
 from bodyseg_model.training import RunOptions
-from bodyseg_model.training.plan import check_plan, differences
+from bodyseg_model.training.plan import check_plan
 
 SELDOM = RunOptions(1, 100, 0)
 
@@ -109,22 +109,21 @@ def with_noise(data: Path, most: float) -> RangeImages:
         ),
         (
             lambda data: {"batch_size": 4, "accumulate": 2},
-            "recipe.batch_size was 2, now 4; recipe.accumulate was 1, now 2",
+            "recipe.batch_size was 2, now 4",
         ),
         (
             lambda data: {"batch_size": 4, "accumulate": 2, "learning_rate": 0.02, "balance": 0, "clip": 0},
-            "recipe.batch_size was 2, now 4; recipe.accumulate was 1, now 2; recipe.learning_rate was 0.01, now 0.02 "
-            "and 2 more",
+            "recipe.batch_size was 2, now 4",
         ),
-        (lambda data: {"images": RangeImages(data, "noise", "train")}, 'variant was "all", now "noise"; '),
-        (lambda data: {"images": with_noise(data, 50.0)}, "sensor.artifacts.noise.high_mm was 100.0, now 50.0; "),
+        (lambda data: {"images": RangeImages(data, "noise", "train")}, 'variant was "all", now "noise"'),
+        (lambda data: {"images": with_noise(data, 50.0)}, "sensor.artifacts[1].high_mm was 100.0, now 50.0"),
         (lambda data: {"images": RangeImages(data, "all", "train", only=("*",))}, 'data.only was not given, now ["*"]'),
         (
             lambda data: {
                 "images": RangeImages(data, "all", "train", labels="limbs14"),
                 "settings": {**TINY, "classes": 14},
             },
-            "settings.classes was not given, now 14; ",
+            "settings.classes was not given, now 14",
         ),
         (lambda data: {"images": RangeImages(data, "all", "train", sensor="kinect_v1")}, "sensor.name was "),
         (lambda data: {"images": RangeImages(data / "train-*0.tar", "all", "train")}, 'data.set was "'),
@@ -162,18 +161,6 @@ def test_another_rig_is_named_by_its_fields(small_set: Path, tmp_path: Path, pac
     assert str(caught.value).endswith("holds another training: rig.stand_off_m was 2.5, now 3.0")
 
 
-def test_differences_are_found_in_lists_of_objects_by_name() -> None:
-    was = {"artifacts": [{"artifact": "occlusion"}, {"artifact": "noise", "high_mm": 5}], "sets": [{"set": "a"}]}
-    now = {"artifacts": [{"artifact": "noise", "high_mm": 6}], "sets": [{"set": "a"}, {"set": "b"}], "new": [1, 2]}
-    found = [(path, was is not None, now) for path, was, now in differences(was, now)]
-    assert [path for path, _, _ in found] == [
-        ("artifacts", "noise", "high_mm"),
-        ("artifacts", "occlusion"),
-        ("sets", "1"),
-        ("new",),
-    ]
-
-
 def test_differences_of_mixtures_are_named_like_those_of_sets(tmp_path: Path) -> None:
     def plan(*sets: dict[str, Any]) -> dict[str, Any]:
         return {"recipe": {"steps": 1}, "data": {"mixture": list(sets), "seed": 0} if len(sets) > 1 else sets[0]}
@@ -181,13 +168,12 @@ def test_differences_of_mixtures_are_named_like_those_of_sets(tmp_path: Path) ->
     one, other = {"set": "a", "weight": 1.0}, {"set": "b", "weight": 2.0}
     check_plan(tmp_path, plan(one, other), plan(one, other), 0)
     for found, wanted, message in (
-        (plan(one, other), plan(one, {**other, "weight": 3.0}), "data.mixture.1.weight was 2.0, now 3.0"),
-        (plan(one, other), plan({**one, "set": "c"}, other), 'data.mixture.0.set was "a", now "c"'),
+        (plan(one, other), plan(one, {**other, "weight": 3.0}), "data.mixture[1].weight was 2.0, now 3.0"),
+        (plan(one, other), plan({**one, "set": "c"}, other), 'data.mixture[0].set was "a", now "c"'),
         (
             plan(one),
             plan(one, other),
-            'data.mixture was not given, now [{"set": "a", "weight": 1.0}, {"set": "b", "weight": 2.0}]; '
-            'data.seed was not given, now 0; data.set was "a", now not given and 1 more',
+            'data.mixture was not given, now [{"set": "a", "weight": 1.0}, {"set": "b", "weight": 2.0}]',
         ),
     ):
         with pytest.raises(BadConfig) as caught:
