@@ -19,10 +19,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from bodyseg_data.core import BadConfig, BadShard
+from bodyseg_data.core import BadConfig
 from bodyseg_data.shards.index import IndexedShards
 from bodyseg_data.shards.manifest import Manifest
-from bodyseg_data.shards.records import CheckedFile, check_bytes
+from bodyseg_data.shards.records import CheckedFile
 from bodyseg_data.shards.remote import Pause, RemoteFolder
 from bodyseg_data.shards.store import READ_ATTEMPTS, TALLY, Store
 
@@ -291,35 +291,32 @@ class CachedStore:
 
     def _fill(self, record: CheckedFile, handle: int, pause: Pause) -> None:
         try:
-            problem = self._fetch(record, handle, pause)
-            if problem is None:
+            if self._fetch(record, handle, pause):
                 self._cache.finish(record)
             else:
-                # Its other samples may be intact: each is checked when it is read.
+                # Its samples may be intact: each is checked when it is read.
                 self.to_cache.discard(record.name)
-                _warn(
-                    f"{self.name}: {problem} (fetched {READ_ATTEMPTS} times): this shard is not kept, but read by range"
-                )
+                altered = f"{self.name}: {record.name}: altered (fetched {READ_ATTEMPTS} times)"
+                _warn(f"{altered}: this shard is not kept, but read by range")
         except OSError:
             with contextlib.suppress(OSError):
                 os.ftruncate(handle, 0)  # leave a full disk as it was
             raise
 
-    def _fetch(self, record: CheckedFile, handle: int, pause: Pause) -> str | None:
-        """Continue the download of the part file until its hash is right; otherwise return the problem."""
-        problem = None
+    def _fetch(self, record: CheckedFile, handle: int, pause: Pause) -> bool:
+        """Continue the download of the part file, or begin it anew until its hash is right; False if it never is."""
         os.ftruncate(handle, min(os.fstat(handle).st_size, record.size))
         for _ in range(READ_ATTEMPTS):
             fetched = os.lseek(handle, 0, os.SEEK_END)
             with os.fdopen(handle, "wb", closefd=False) as file:
                 self.remote.fetch(record.name, fetched, record.size, file.write, pause)
-            found = _find_altered(record, handle)
-            if found is None:
-                os.fsync(handle)
-                return None
-            sound, problem = found
-            os.ftruncate(handle, sound)
-        return problem
+            with os.fdopen(handle, "rb", closefd=False) as file:
+                file.seek(0)
+                if hashlib.file_digest(file, "sha256").hexdigest() == record.sha256:
+                    os.fsync(handle)
+                    return True
+            os.ftruncate(handle, 0)
+        return False
 
     def _disable_cache(self, error: OSError) -> None:
         """Stop caching, with a warning: a full disk must not end a run, so shards are read by byte range."""
@@ -361,20 +358,3 @@ def with_kept_index(manifest: Manifest, store: Store, folder: str | Path | None,
 
 def _warn(text: str) -> None:
     warnings.warn(text, RuntimeWarning, stacklevel=3)
-
-
-def _find_altered(record: CheckedFile, handle: int) -> tuple[int, str] | None:
-    """Find the offset of the first altered bytes of a file and the problem; None if the hash is right."""
-    with os.fdopen(handle, "rb", closefd=False) as file:
-        file.seek(0)
-        found = hashlib.file_digest(file, "sha256").hexdigest()
-        if found == record.sha256:
-            return None
-        file.seek(0)
-        for index in range(len(record)):
-            _, offset, length, _ = record.entry(index)
-            try:
-                check_bytes(file.read(length), record, index)
-            except BadShard as error:
-                return offset, str(error)
-        return file.tell(), f"{record.name}: altered: SHA-256 {record.sha256} expected, found {found}"

@@ -152,24 +152,17 @@ class RemoteFolder:
         except FileMissing:
             return None
 
-    def write_file(self, name: str, path: Path) -> None:
-        """Upload a local file. Raises Unreachable, also for an address that cannot be written."""
-        self._write(name, lambda address: self._transport.put(address, path))
-
-    def write_bytes(self, name: str, data: bytes) -> None:
-        """Upload a small file. Raises Unreachable, also for an address that cannot be written."""
-        self._write(name, lambda address: self._transport.put(address, data))
+    def write(self, name: str, content: Path | bytes) -> None:
+        """Upload a local file, or some bytes. Raises Unreachable, also for an address that cannot be written."""
+        try:
+            self._with_retries(name, lambda address: self._transport.put(address, content))
+        except FileMissing as error:  # such as a bucket that does not exist
+            raise self._unreachable(name, error) from None
 
     def remove(self, name: str) -> None:
         """Remove a file, which may be missing. Raises Unreachable."""
         with contextlib.suppress(FileMissing):
             self._with_retries(name, self._transport.remove)
-
-    def _write(self, name: str, attempt: Callable[[str], None]) -> None:
-        try:
-            self._with_retries(name, attempt)
-        except FileMissing as error:  # such as a bucket that does not exist
-            raise self._unreachable(name, error) from None
 
     def prepare_reread(self, name: str) -> bool:
         """See `Store.prepare_reread`: a network may have altered the bytes."""

@@ -236,13 +236,13 @@ class RemoteTarget:
         found = sha256_of(LocalFolder(self._folder), file.name)
         if found != file.sha256:
             raise BadShard(_altered(str(path), file, found))
-        self._remote.write_file(file.name, path)
+        self._remote.write(file.name, path)
         if not self.holds(file, sizes_only):
             raise BadShard(f"{self._remote.name}/{file.name}: the bytes that arrived are not those that were sent")
         report(file.size)
 
     def write(self, name: str, data: bytes) -> None:
-        self._remote.write_bytes(name, data)
+        self._remote.write(name, data)
 
     def remove(self, name: str) -> None:
         self._remote.remove(name)
