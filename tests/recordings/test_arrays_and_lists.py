@@ -428,12 +428,12 @@ def test_a_zip_is_listed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         return opener(*words, **options)
 
     monkeypatch.setattr(zipfile, "ZipFile", count)
-    for name, times in (("stored", 2), ("packed", 2), ("stack", 1)):
+    for name in ("stored", "packed", "stack"):
         opened.clear()
         frames = open_recording(tmp_path / f"{name}.npz")
         for number in (0, 11, 3, 3, 4):
             assert np.array_equal(frames[number].read(), images[f"f{number}"])
-        assert len(opened) == times
+        assert len(opened) == 2
 
 
 @pytest.mark.parametrize("shape", [(10**9, 10, 10), (10**9, 8, 8, 1), (-1, 9, 9), (10**5, 10**5)])

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import re
-import struct
 import zipfile
 from dataclasses import dataclass
 from itertools import islice
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig
-from bodyseg_model.recordings.frames import natural_key, read_part
+from bodyseg_model.recordings.frames import natural_key
 from bodyseg_model.recordings.recording import ArrayFrames, Frame, FrameSource, check_pixels, stored_recording
 
 _LONGEST_HEADER: Final = 10_000
@@ -26,7 +25,6 @@ _TIMES: Final = ("times", "time", "timestamps")
 _MOST_TIMES: Final = 1 << 24
 _LARGEST_STACK: Final = 1 << 30
 _MOST_PACKED: Final = 1100  # bytes that deflate makes of one
-_LENGTHS_AT: Final = 26  # of name and extra field, in a member's header (APPNOTE.TXT 4.3.7)
 _RANGES: Final = re.compile(r"depth|(?<![a-z])(z|range|ranges|distance)(?![a-z])")
 _BESIDE: Final = re.compile(
     r"conf|mask|valid|std|sigma|noise|var|err|rgb|col|time|amp|ir(?![a-z])|infra|intens|label|vis"
@@ -101,15 +99,12 @@ def _chosen(families: dict[str, list[_Array]], images: list[_Array], topic: str 
 
 @dataclass(frozen=True)
 class _Array:
-    """An array in a zip: its numbers begin at byte `start` of its file, and of several frames that are not compressed
-    at byte `stored_at` of the zip. columns_first: True for Fortran's order.
-    """
+    """An array in a zip: its numbers begin at byte `start` of its file. columns_first: True for Fortran's order."""
 
     member: zipfile.ZipInfo
     shape: tuple[int, ...]
     kind: np.dtype[Any]
     start: int
-    stored_at: int | None
     columns_first: bool = False
 
     @property
@@ -137,9 +132,7 @@ class _Array:
 
 
 class _Zipped(FrameSource):
-    """Frames of arrays in a zip; those that are not compressed are read where they lie. Of others, the array that was
-    read last stays open, so that neighbours are read in one pass.
-    """
+    """Frames of arrays in a zip. The array that was read last stays open, so that neighbours are read in one pass."""
 
     def __init__(self, path: Path, locations: list[tuple[_Array, int]]) -> None:
         self._path, self._locations = path, locations
@@ -165,10 +158,7 @@ class _Zipped(FrameSource):
             if array.columns_first:
                 found: NDArray[Any] = self._stack(array)[number]
                 return found
-            if array.stored_at is not None:
-                data = read_part(self._path, array.stored_at + number * size, size)
-            else:
-                data = self._opened(array, array.start + number * size).read(size)
+            data = self._opened(array, array.start + number * size).read(size)
         except Exception as error:  # as above
             self._close()
             raise BadConfig(f"the array {array.title!r} must be whole: {error}") from error
@@ -211,11 +201,7 @@ def _described(archive: zipfile.ZipFile, member: zipfile.ZipInfo, path: Path) ->
         raise BadConfig(f"an array must have the bytes that it declares, found {found}: {member.filename!r}")
     if columns_first and declared > _LARGEST_STACK:
         raise BadConfig(f"an array this large must have rows first (C order), found {member.filename!r}")
-    stored_at = None
-    if len(shape) > 2 and member.compress_type == zipfile.ZIP_STORED:  # of one frame, the zip checks the checksum
-        name, extra = struct.unpack("<HH", read_part(path, member.header_offset + _LENGTHS_AT, 4))
-        stored_at = member.header_offset + _LENGTHS_AT + 4 + name + extra + start
-    return _Array(member, shape, kind, start, stored_at, columns_first and len(shape) > 1)
+    return _Array(member, shape, kind, start, columns_first and len(shape) > 1)
 
 
 def _times(archive: zipfile.ZipFile, array: _Array) -> list[float]:
