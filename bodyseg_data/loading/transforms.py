@@ -28,9 +28,6 @@ def unit(random: np.random.Generator) -> float:
     return (word >> 11) * 2.0**-53
 
 
-_BITS: Final = 20  # bits of a pixel's fraction to which `take_turned` rounds positions, so that sums of them are exact
-_BAND_ROWS: Final = 128  # rows that `take_turned` makes at once, so that what it computes for them stays in the cache
-
 Place = Literal["axis", "body", "anywhere"]
 _PLACES: Final = ("axis", "body", "anywhere")
 _FARTHEST: Final = int(FARTHEST_STEPS)
@@ -163,6 +160,7 @@ class Roll(Transform):
     """
 
     name = "roll"
+    version = 2
     largest_deg: float = 15.0
 
     def __post_init__(self) -> None:
@@ -310,47 +308,14 @@ def take_turned(image: CameraImage, cos: float, sin: float) -> CameraImage:
 
     What leaves the image is lost; what comes into it is background.
     """
-    height, width = image.range.shape
-    found = background(image, height, width)
-    box = _held(image)
+    (height, width), (x, y) = image.range.shape, image.centre_px
+    found, box = background(image, height, width), _held(image)
     if box is not None:
-        x, y = image.centre_px
-        corners = [(column - x, row - y) for row in box[:2] for column in box[2:]]
-        down = _span([cos * below - sin * across + y for across, below in corners], height)
-        along = _span([cos * across + sin * below + x for across, below in corners], width)
-        across = np.arange(along.start, along.stop) + 0.5 - x  # of the pixels' centres, from the axis
-        for first in range(down.start, down.stop, _BAND_ROWS):
-            rows = slice(first, min(first + _BAND_ROWS, down.stop))
-            below = np.arange(rows.start, rows.stop) + 0.5 - y
-            from_rows, from_columns = _sums(cos * below + y, sin * across), _sums(x - sin * below, cos * across)
-            places, inside = _sources(from_rows, from_columns, box, width)
-            found.range[rows, along] = image.range.take(places, mode="clip") * inside
-            found.labels[rows, along] = image.labels.take(places, mode="clip") | (inside.view(np.uint8) - np.uint8(1))
-            for name, plane in image.planes.items():
-                found.planes[name][rows, along] = plane.take(places, mode="clip") * inside
-    return found
-
-
-def _span(places: list[float], size: int) -> slice:
-    """The pixels of a side that reach from the least to the greatest of `places`."""
-    low, high = (int(np.clip(end, 0, size)) for end in (np.floor(min(places)), np.ceil(max(places))))
-    return slice(low, high)
-
-
-def _sources(
-    rows: NDArray[np.intp], columns: NDArray[np.intp], box: Box, width: int
-) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Flat indices of pixels, and which of them lie in the box; those of others may be out of range."""
-    inside: NDArray[np.bool_] = (rows - box[0]).view(np.uintp) < np.uintp(box[1] - box[0])  # below 0 is large
-    inside &= (columns - box[2]).view(np.uintp) < np.uintp(box[3] - box[2])
-    rows *= width
-    rows += columns
-    return rows, inside
-
-
-def _sums(down: NDArray[np.floating[Any]], along: NDArray[np.floating[Any]]) -> NDArray[np.intp]:
-    """Whole pixels of down[i] + along[j], rounded down, [H, W]."""
-    fixed = (np.rint(2.0**_BITS * each).astype(np.intp) for each in (down, along))
-    found: NDArray[np.intp] = np.add.outer(*fixed)
-    found >>= _BITS
+        across, below = np.arange(width) + 0.5 - x, np.arange(height) + 0.5 - y  # of the pixels' centres, from the axis
+        rows = np.floor(np.add.outer(cos * below + y, sin * across)).astype(np.intp)
+        columns = np.floor(np.add.outer(x - sin * below, cos * across)).astype(np.intp)
+        inside = (rows >= box[0]) & (rows < box[1]) & (columns >= box[2]) & (columns < box[3])
+        sources = rows[inside], columns[inside]
+        for source, target in _pairs(image, found):
+            target[inside] = source[sources]
     return found
