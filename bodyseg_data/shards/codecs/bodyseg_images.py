@@ -265,57 +265,23 @@ def _decode_camera(
 def _decode_projector(
     frame: memoryview, size: tuple[int, int], box: Box, counts: ProjectorCounts, keep: bool
 ) -> tuple[Range, PixelIndices]:
-    """The occluder range, and the flat indices of what it holds. keep: in this thread's memory, read-only."""
+    """The occluder range, and the flat indices of what it holds. keep: in this thread's memory."""
     _check_header(size, box, CameraCounts(counts.runs, counts.long, 0, 0, 0))
     numbers = _numbers(frame, sum(counts.sizes))
-    memory = _of_thread.occluder
-    if not keep or memory.image.shape != size:
-        memory = OccluderMemory(size)
+    image = _of_thread.occluder
+    if not keep or image.shape != size:
+        image = np.empty(size, np.uint16)
     if keep:
-        _of_thread.occluder = memory
+        _of_thread.occluder = image
+    image.fill(0)
     with if_ready:
-        held = memory.held
-        found = loops(_LOOPS).fill_projector(numbers, counts, box, memory.image, memory.texels, held)
-        memory.held = max(found, 0)
+        texels = np.empty(image.size, np.int32)
+        found = loops(_LOOPS).fill_projector(numbers, counts, box, image, texels)
         if found >= 0:
-            return memory.seen(keep)
-    memory.clear()
+            return image, texels[:found]
     values, lengths, longs = _split(numbers, counts.sizes)
     stored = Runs(from_byte_planes(values, np.uint16), checked_lengths(lengths, longs, box))
-    memory.hold(stored.write_into(memory.image, box))
-    return memory.seen(keep)
-
-
-class OccluderMemory:
-    """An occluder range [Hp, Wp] and the flat indices of the `held` texels that are not 0.
-
-    A few texels in a hundred hold anything: to clear those takes less time than to clear the image.
-    """
-
-    def __init__(self, size: tuple[int, int]) -> None:
-        self.image: Range = np.zeros(size, np.uint16)
-        self.texels: PixelIndices = np.empty(size[0] * size[1], np.int32)
-        self.held = 0
-        self._read_only = self.image.view()
-        self._read_only.flags.writeable = False
-
-    def clear(self) -> None:
-        """Make the image empty."""
-        self.image.reshape(-1)[self.texels[: self.held]] = 0
-        self.held = 0
-
-    def hold(self, texels: PixelIndices) -> None:
-        """Note what the image holds."""
-        self.held = len(texels)
-        self.texels[: self.held] = texels
-
-    def seen(self, read_only: bool) -> tuple[Range, PixelIndices]:
-        """The image and its texels; read-only if the memory is used again: what is written there would stay."""
-        texels = self.texels[: self.held]
-        if not read_only:
-            return self.image, texels
-        texels.flags.writeable = False
-        return self._read_only, texels
+    return image, stored.write_into(image, box)
 
 
 class _ThreadMemory(threading.local):
@@ -324,7 +290,7 @@ class _ThreadMemory(threading.local):
     def __init__(self) -> None:
         self.decompressor = zstandard.ZstdDecompressor(max_window_size=2 * MAX_SIDE * MAX_SIDE)
         self.facing: Bytes = np.empty((0, 0), np.uint8)
-        self.occluder = OccluderMemory((0, 0))
+        self.occluder: Range = np.empty((0, 0), np.uint16)
 
 
 _of_thread = _ThreadMemory()

@@ -191,36 +191,30 @@ def fill_camera(
 
 
 @_kernel
-def fill_projector(numbers: Any, counts: Any, box: Any, image: Any, texels: Any, held: Any) -> Any:
-    """Decode the occluder range, [Hp, Wp].
+def fill_projector(numbers: Any, counts: Any, box: Any, image: Any, texels: Any) -> Any:
+    """Decode the occluder range into an image [Hp, Wp] of zeros.
 
     numbers: uint8, the rows of the second frame, as many as `counts` (`ProjectorCounts`) says. box: a `Box` in the
-    image. texels: int32, room for all of the image:
-    the flat indices of the `held` texels that the image holds; it is 0 elsewhere. Receives those that it holds then.
+    image. texels: int32, room for all of the image, receives the flat indices of the texels that are not 0.
 
-    Returns their number, or -1 if the numbers do not fit the counts or the box; the image is then empty.
+    Returns their number, or -1 if the numbers do not fit the counts or the box.
     """
     flat = image.ravel()
-    for i in range(np.uint64(held)):
-        flat[np.uint64(texels[i])] = 0
     runs, long, width = np.uint64(counts.runs), np.uint64(counts.long), np.uint64(box.width)
     lengths_at, longs_at = _2 * runs, (_2 + _1) * runs
     columns, area = np.uint64(image.shape[1]), np.uint64(box.height) * width
     corner = np.uint64(box.top) * columns + np.uint64(box.left)
     next_long, place, count = _0, _0, _0
     row, column = corner, _0
-    sound = True
     for run in range(runs):
         remaining = np.uint64(numbers[lengths_at + run])
         if remaining == _ESCAPE:
             if next_long == long:
-                sound = False
-                break
+                return -1
             remaining = read_long(numbers, longs_at, long, next_long)
             next_long += _1
         if remaining == _0 or remaining > area - place:
-            sound = False
-            break
+            return -1
         place += remaining
         value = np.uint16(numbers[run]) | np.uint16(np.uint16(numbers[runs + run]) << np.uint16(8))
         if value == 0:
@@ -235,8 +229,4 @@ def fill_projector(numbers: Any, counts: Any, box: Any, image: Any, texels: Any,
             column += _1
             if column == width:
                 row, column = row + columns, _0
-    if not sound or place != area or next_long != long:
-        for i in range(count):
-            flat[np.uint64(texels[i])] = 0
-        return -1
-    return np.int64(count)
+    return np.int64(count) if place == area and next_long == long else -1
