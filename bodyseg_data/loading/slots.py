@@ -108,8 +108,8 @@ class Slots:
     ) -> None:
         self._shape = (batch_size, rows, columns)
         self._dtypes = [np.dtype(np.float32 if metres else np.uint16), np.dtype(np.uint8), *planes]
-        sizes = [_whole_pages(batch_size * rows * columns * dtype.itemsize) for dtype in self._dtypes]
-        self._offsets = [0, *itertools.accumulate(sizes)]
+        pages = [-(-batch_size * rows * columns * dtype.itemsize // mmap.PAGESIZE) for dtype in self._dtypes]
+        self._offsets = [mmap.PAGESIZE * end for end in itertools.accumulate(pages, initial=0)]
         self._stride = self._offsets[-1]
         self._count = in_flight + SPARE
         self._size = self._count * (self._stride + 8 * len(Stage))
@@ -183,10 +183,6 @@ class Slots:
         ]:
             del self._lent[slot]
             self._free.append(slot)
-
-
-def _whole_pages(size: int) -> int:
-    return -(-size // mmap.PAGESIZE) * mmap.PAGESIZE
 
 
 def _anonymous_file(size: int) -> int:

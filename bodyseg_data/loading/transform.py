@@ -234,7 +234,7 @@ def _checked_image(found: Any, image: CameraImage, name: str, shape: tuple[int, 
         if not isinstance(array, np.ndarray) or array.dtype != kind or array.shape != shape:
             shown = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
             raise BadTransform(f"{where} must return {what} as {kind.__name__} {shape}, found {shown}")
-    ranges, labels, count = _contiguous(found.range), found.labels, len(found.classes)
+    ranges, labels, count = np.ascontiguousarray(found.range), found.labels, len(found.classes)
     above = np.subtract(
         labels, np.uint8(count), out=SCRATCH.empty(shape, np.uint8)
     )  # classes wrap around to what is larger than 254 and 255
@@ -255,12 +255,3 @@ def _checked_image(found: Any, image: CameraImage, name: str, shape: tuple[int, 
         return replace(found, range=ranges, labels=labels)
     planes = {what: np.ascontiguousarray(array) for what, array in found.planes.items()}
     return replace(found, range=ranges, labels=labels, planes=planes)
-
-
-def _contiguous(array: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """The array, or a copy of it if its pixels do not lie one after the other in reading order."""
-    if array.flags.c_contiguous:
-        return array
-    found: NDArray[np.uint16] = SCRATCH.empty(array.shape, np.uint16)
-    found[...] = array
-    return found

@@ -289,11 +289,6 @@ def take_window(image: CameraImage, top: int, left: int, rows: int, columns: int
     """A window of the image, in pixels as they are; what lies outside is background."""
     (height, width), (x, y) = image.range.shape, image.centre_px
     centre_px = (x - left, y - top)
-    if 0 <= top <= height - rows and 0 <= left <= width - columns:
-        window = slice(top, top + rows), slice(left, left + columns)
-        ranges, labels = image.range[window], image.labels[window]
-        planes = {name: plane[window] for name, plane in image.planes.items()}
-        return replace(image, range=ranges, labels=labels, planes=planes, centre_px=centre_px)
     found = background(image, rows, columns)
     first, end = max(top, 0), min(top + rows, height)
     start, stop = max(left, 0), min(left + columns, width)

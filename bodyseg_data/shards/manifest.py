@@ -223,8 +223,6 @@ def _tree(data: bytes, path: str) -> dict[str, Any]:
         known = ", ".join(map(repr, (*EARLIER_FORMATS, MANIFEST_FORMAT)))
         raise BadShard(f"{path}: 'format' must be one of {known}, found {found!r}")
     stored = tree.pop("digest", None)
-    if _is_as_written(data, stored):
-        return {**tree, "digest": stored}
     try:
         computed = _digest(tree)
     except RecursionError as error:  # brackets nested as deeply as can just be read
@@ -232,23 +230,6 @@ def _tree(data: bytes, path: str) -> dict[str, Any]:
     if stored != computed:
         raise BadShard(f"{path}: altered after it was written: stored digest {stored}, computed {computed}")
     return {**tree, "digest": stored}
-
-
-def _is_as_written(data: bytes, stored: Any) -> bool:
-    """Return whether `stored` is the digest of the file's own bytes without the digest: so of a file as it was written.
-
-    Quicker than to write the content again, which only a file that somebody has formatted needs.
-    """
-    if not isinstance(stored, str) or not stored.isascii():
-        return False
-    field = f'"digest":"{stored}",'.encode()
-    start = data.find(field)
-    if start < 0:
-        return False
-    view = memoryview(data)
-    rest = hashlib.sha256(view[:start])
-    rest.update(view[start + len(field) : len(data) - data.endswith(b"\n")])
-    return bool(rest.hexdigest() == stored)
 
 
 def _manifest(tree: dict[str, Any], path: str, store: Store) -> Manifest:

@@ -8,6 +8,7 @@ the loader's state, and no state of a random generator.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -202,7 +203,7 @@ class Training:
         self.network.train()
         window = MetricsWindow(self.processes, self.network.classes)
         self._loaded = data_loader.stats()
-        batches = _endless(data_loader)
+        batches = itertools.chain.from_iterable(itertools.repeat(data_loader))  # epoch after epoch
         whole = True
         try:
             while self.step < self.recipe.steps and not self._ended:
@@ -374,12 +375,6 @@ class Training:
             quiet: contextlib.AbstractContextManager[None] = objective.no_sync()  # type: ignore[operator]  # of DDP
             return quiet
         return contextlib.nullcontext()
-
-
-def _endless(data_loader: Loader) -> Iterator[Batch]:
-    """Batches, epoch after epoch."""
-    while True:
-        yield from data_loader
 
 
 def open_data(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -169,7 +169,9 @@ def make_optimiser(network: nn.Module, recipe: Recipe) -> torch.optim.Optimizer:
     A group's `share` is its learning rate as a share of the last layer's (`Recipe.layer_decay`). With adamw biases and
     the scales of normalisation have no weight decay, as is usual; with sgd all weights have it, as in Caffe.
     """
-    layers = list(_layers(network))
+    # Trainable weights in the order of construction, which is that of the data flow.
+    by_module = ([w for w in each.parameters(recurse=False) if w.requires_grad] for each in network.modules())
+    layers = [weights for weights in by_module if weights]
     groups: list[dict[str, Any]] = []
     for at, weights in enumerate(layers):
         share = recipe.layer_decay ** (1 - at / max(1, len(layers) - 1))
@@ -187,14 +189,6 @@ def set_learning_rate(optimiser: torch.optim.Optimizer, rate: float) -> None:
     """Set the last layer's learning rate, and the other layers' by their shares."""
     for group in optimiser.param_groups:
         group["lr"] = rate * group["share"]
-
-
-def _layers(network: nn.Module) -> Iterator[list[nn.Parameter]]:
-    """Trainable weights of each layer, in the order of construction, which is that of the data flow."""
-    for module in network.modules():
-        weights = [weight for weight in module.parameters(recurse=False) if weight.requires_grad]
-        if weights:
-            yield weights
 
 
 def optimiser_tensors(optimiser: torch.optim.Optimizer) -> dict[str, torch.Tensor]:

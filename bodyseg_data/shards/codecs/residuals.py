@@ -48,14 +48,6 @@ class Runs:
     values: NDArray[Any]
     lengths: NDArray[np.int64]
 
-    def write_into(self, image: Image, box: Box) -> NDArray[np.int32]:
-        """Write the pixels, as many as the box has, into the box of `image`, [H, W], zeros.
-
-        Returns the flat indices of the pixels other than 0, ascending.
-        """
-        box.crop(image)[:] = np.repeat(self.values, self.lengths).reshape(box.height, box.width)
-        return np.flatnonzero(image != 0).astype(np.int32)  # of booleans it is several times as fast
-
 
 def bounding_box(used: NDArray[np.bool_]) -> Box:
     """Bounding box of the True pixels of `used` [H, W]; an empty one at 0, 0 without any."""
@@ -81,20 +73,12 @@ def escape_large(numbers: NDArray[Any], kind: type[np.unsignedinteger[Any]]) -> 
 
 def unescape(low: Bytes, escapes: Bytes, kind: type[np.unsignedinteger[Any]]) -> NDArray[Any]:
     """Decode the numbers of `escape_large`, [N] of type `kind`. Raises ValueError for a wrong number of escapes."""
-    escaped_at, large = find_escapes(low, escapes, kind)
-    numbers = low.astype(kind)
-    numbers[escaped_at] = large
-    return numbers
-
-
-def find_escapes(
-    low: Bytes, escapes: Bytes, kind: type[np.unsignedinteger[Any]]
-) -> tuple[NDArray[np.intp], NDArray[Any]]:
-    """Indices and values of the escaped numbers. Raises ValueError for a wrong number of escapes."""
     escaped_at, large = np.flatnonzero(low == ESCAPE), from_byte_planes(escapes, kind)
     if len(escaped_at) != len(large):
         raise ValueError(f"{len(escaped_at)} numbers are escaped, found {len(large)}")
-    return escaped_at, large
+    numbers = low.astype(kind)
+    numbers[escaped_at] = large
+    return numbers
 
 
 def to_byte_planes(numbers: NDArray[Any]) -> Bytes:
