@@ -9,7 +9,7 @@ import sys
 import time
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -82,6 +82,7 @@ class Options:
     accumulate: int | None = option("such batches a step (default: the recipe's)", None)
     learning_rate: float | None = option("learning rate of the last layer (default: the recipe's)", None, flag="lr")
     no_geometric_augmentation: bool = option("leave bodies where they are: turn, zoom and cut none", False)
+    bust: float | None = option("share of the images that show only the upper part of the body", None)
     ema: float | None = option("decay of averaged weights, like 0.999, which are validated and saved", None)
     shuffle: Literal["global", "blocks"] = option("order of samples; blocks read a far store in few pieces", "global")
     val_share: float | None = option(
@@ -121,6 +122,9 @@ def run(options: Options) -> int:
         geometric_augmentation=GeometricAugmentation() if options.no_geometric_augmentation else None,
         bf16={"recipe": None, "float32": False, "bfloat16": True}[options.precision],
     )
+    if options.bust is not None:
+        placed = replace(recipe.geometric_augmentation, bust=options.bust)
+        recipe = replace(recipe, geometric_augmentation=placed)
     run_options = RunOptions(options.log_every, options.checkpoint_every, options.num_workers, options.worker_method)
     validation = _validation(options)
     images = open_data(

@@ -90,9 +90,12 @@ class Recipe:
                 raise BadConfig(f"{name} must be from {least} to {most}, found {getattr(self, name)!r}")
 
     def to_json(self) -> dict[str, Any]:
-        """The recipe as a JSON object; `ema` and `shuffle` only where they are not the default."""
+        """The recipe as a JSON object; `ema`, `shuffle` and `bust` only where they are not the default."""
         plain = ("ema", 0), ("shuffle", "global")
-        return {name: value for name, value in dataclasses.asdict(self).items() if (name, value) not in plain}
+        tree = {name: value for name, value in dataclasses.asdict(self).items() if (name, value) not in plain}
+        if not self.geometric_augmentation.bust:
+            del tree["geometric_augmentation"]["bust"]
+        return tree
 
     def learning_rate_at(self, step: int) -> float:
         """The last layer's learning rate in step `step`, counted from 0."""

@@ -67,6 +67,19 @@ def test_a_turn_keeps_lengths() -> None:
         assert torch.cdist(places, places).max() == pytest.approx(math.hypot(19, 15), abs=1.6)
 
 
+def test_a_bust_keeps_the_upper_part_of_the_body() -> None:
+    range_m, labels = bodies()
+    seen, named = GeometricAugmentation(bust=0.5)(range_m, labels, 5, EPOCHS, KEYS)
+    heights = (seen[:, 0] > 0).any(2).sum(1)
+    assert torch.equal(named == 255, seen[:, 0] == 0)
+    assert 0.3 < (heights < 20).float().mean() < 0.7
+    assert heights.min() >= 7
+    assert heights[heights < 20].max() <= 16
+    assert (seen[:, 0, 20] > 0).any(1).all()
+    empty = torch.zeros_like(range_m), torch.full_like(labels, 255)
+    assert torch.equal(GeometricAugmentation(bust=1.0)(*empty, 5, EPOCHS, KEYS)[1], empty[1])
+
+
 def test_a_cut_hides_one_side_at_most_half_way() -> None:
     range_m, labels = torch.full((60, 1, 20, 20), 2.0), torch.zeros(60, 20, 20, dtype=torch.uint8)
     seen, _ = GeometricAugmentation(cut=1.0)(range_m, labels, 4, EPOCHS, KEYS)
