@@ -3,7 +3,7 @@
 The sensor lights the scene with binary patterns (a Gray code, which counts fringes) and with N patterns of fringes that
 are shifted by an Nth of a period each. Pattern n at a pixel is A + B cos(phi + 2 pi n / N), and the phase phi with the
 count of its fringe gives the projector's column, so the range (Zhang, "High-speed 3D shape measurement with structured
-light methods: A review", Optics and Lasers in Engineering 106, 2018). docs/explanation/phase_shift.md derives the
+light methods: A review", Optics and Lasers in Engineering 106, 2018). docs/explanation/noise.md has the
 closed forms below; tests compare them with the simulated patterns.
 
 `decode` is written once: NumPy applies it to arrays, and `phase_loops` compiles it for one pixel. So it takes and
@@ -13,6 +13,7 @@ makes float32 alone, and every constant in it is one.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from statistics import NormalDist
 from typing import Any, ClassVar, Final, NamedTuple
 
@@ -212,6 +213,10 @@ _HANDS = (((20,), 5, 0.5, 3), ((21,), 6, 0.5, 2), ((22,), 7, 0.5, 3))
 _LEGS = (((23,), 0, 0.2, 4), ((24,), 0, 0.2, 5), ((25, 27), 10, 0.5, 4), ((26, 28), 11, 0.5, 5))
 _FEET = (((29,), 12, 0.5, 4), ((30,), 13, 0.5, 5), ((31,), 14, 0.5, 4), ((32,), 15, 0.5, 5))
 _CHAIN: Final = (_TRUNK, _HEAD, *_ARMS, *_HANDS, *_LEGS, *_FEET)
+_MEMBERS: Final = [list(each[0]) for each in _CHAIN]
+_PART_OF: Final = [
+    next((at for at, part in enumerate(_MEMBERS) if label in part), -1) for label in range(PART_COUNT + 1)
+]
 _LIMB_M: Final = 0.6
 """From the joint of an arm to its end: what turns with the speed of an image over this moves about so fast there."""
 
@@ -308,10 +313,10 @@ class PhaseShift(Artifact):
         times = np.float32((optics.finest + 1 - self.binary_patterns, (self.phase_patterns - 1) / 2))
         with if_ready:
             forms = loops("bodyseg_data.artifacts.phase_loops")
-            sums = forms.sums_of(clean, scene.sample.labels)
+            runs, sums = forms.runs_of(clean, scene.sample.labels)
             looks = self.looks(parts, sums, scene, image.drawn, draws)
             bits = drawn_bits(draws, "fringe noise", int(sums[0].sum()), np.uint32)
-            forms.alter(image.range, clean, scene.sample.labels, x, y, looks, optics, bits, edge, times)
+            forms.alter(image.range, clean, runs, x, y, looks, optics, bits, edge, times)
             return
         pixels = scene.pixels
         rows, columns = np.divmod(pixels, clean.shape[1])
@@ -338,6 +343,10 @@ class PhaseShift(Artifact):
 
     def optics(self, rig: Rig, ambient: float) -> Optics:
         """What is the same for all pixels of a rig's image; ambient: other light, a share of `signal_e`."""
+        return self._of_rig(rig)._replace(ambient=np.float32(self.signal_e * ambient))
+
+    @lru_cache(maxsize=8)  # noqa: B019 - of an artifact, whose strengths are its identity
+    def _of_rig(self, rig: Rig) -> Optics:
         rotation, shift = rig.camera_to_projector()
         if not shift.any():
             raise BadConfig(f"rig {rig.name} has no baseline, which phase_shift needs")
@@ -357,7 +366,7 @@ class PhaseShift(Artifact):
             *(rig.range_step_m, camera.focal_px * rig.range_step_m / (2 * REACH), 2 * BEND_M / rig.range_step_m),
             *(*(to_fringe @ rotation), to_fringe @ shift, *rotation[2], shift[2]),
             *(*light, stand_off @ stand_off, 2.0**self.binary_patterns, 1 / stand_off[2], blur),
-            *(self.signal_e, self.signal_e * ambient, self.read_noise_e**2, self.threshold_e),
+            *(self.signal_e, 0.0, self.read_noise_e**2, self.threshold_e),
             *(1 / patterns, math.cos(2 * math.pi / patterns), math.sin(2 * math.pi / patterns)),
             *(above + below, above - below, math.sqrt(2 / patterns)),
             *(1 / self.rate_hz, camera.focal_px / self.rate_hz, -(patterns + 1) / 2, self.edge_fringes),
@@ -431,10 +440,9 @@ def _harmonic(gamma: float, order: int) -> float:
 
 def _middles(parts: bool, sums: NDArray[np.int64], scene: Scene) -> list[list[float]]:
     """Where the rigid parts are, metres in the camera's frame, [[x, y, z]]; of one that is not seen, that before it."""
-    camera, members = scene.rig.camera, [each[0] for each in _CHAIN] if parts else [tuple(range(PART_COUNT + 1))]
-    found: list[list[float]] = []
-    for labels, (_, before, _, _) in zip(members, _CHAIN, strict=False):
-        count, column, row, steps = (int(sums[which, list(labels)].sum()) for which in range(4))
+    camera, found = scene.rig.camera, list[list[float]]()
+    totals = np.stack([sums[:, labels].sum(axis=1) for labels in (_MEMBERS if parts else [slice(None)])]).tolist()
+    for (count, column, row, steps), (_, before, _, _) in zip(totals, _CHAIN, strict=False):
         if not count:
             found.append(found[before] if before >= 0 else [0.0, 0.0, scene.rig.stand_off_m])
             continue
@@ -449,8 +457,7 @@ def _motions(parts: bool, middles: list[list[float]], speed: float, draws: Draws
     chances = (draws.pixels("motion", 6 * len(_CHAIN) + 6, np.uint32) * 2.0**-31 - 1.0).tolist()
     lively = [abs(chance) for chance in chances[-6:]]  # of each limb
     moving: list[tuple[float, ...]] = []
-    motions = np.zeros((PART_COUNT + 1, 6))
-    for index, (middle, (labels, before, share, limb)) in enumerate(zip(middles, _CHAIN, strict=False)):
+    for index, (middle, (_, before, share, limb)) in enumerate(zip(middles, _CHAIN, strict=False)):
         much = speed * lively[limb]
         turn = [much / _LIMB_M * chance for chance in chances[6 * index : 6 * index + 3]]
         joint, at_joint = middle, [0.4 * much * chance for chance in chances[6 * index + 3 : 6 * index + 6]]
@@ -460,8 +467,8 @@ def _motions(parts: bool, middles: list[list[float]], speed: float, draws: Draws
             at_joint = [v + w for v, w in zip((vx, vy, vz), _cross(turning, joint), strict=True)]
             turn = [old + new for old, new in zip(turning, turn, strict=True)]
         moving.append((*(v - w for v, w in zip(at_joint, _cross(turn, joint), strict=True)), *turn))
-        motions[list(labels) if parts else slice(None)] = moving[-1]
-    return motions
+    still = (0.0,) * 6
+    return np.array([*moving, still])[_PART_OF] if parts else np.repeat([moving[0]], PART_COUNT + 1, axis=0)
 
 
 def _cross(a: list[float], b: list[float]) -> tuple[float, float, float]:
