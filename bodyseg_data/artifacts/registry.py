@@ -13,6 +13,7 @@ from bodyseg_data.artifacts.lost_pixels import EdgeLoss, GrazingLoss, Losses, Pa
 from bodyseg_data.artifacts.missing_data import MissingData
 from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.occlusion import Occlusion
+from bodyseg_data.artifacts.phase_shift import PhaseShift
 from bodyseg_data.artifacts.range_errors import (
     AxialNoise,
     DisparityRounding,
@@ -38,6 +39,7 @@ ARTIFACTS: Final[dict[str, type[Artifact]]] = {
     "stripe_loss": StripeLoss,
     "grazing_loss": GrazingLoss,
     "edge_loss": EdgeLoss,
+    "phase_shift": PhaseShift,
 }
 """Name -> class of the artifacts that ship with this package; the first three are those of the paper's Table 1."""
 

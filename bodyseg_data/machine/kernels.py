@@ -296,12 +296,12 @@ def _digest(loops: Callable[..., Any], numba: Any) -> str:
 
 
 def _frozen(loops: Callable[..., Any], seen: set[Any]) -> Iterator[str]:
-    """The source of `loops`' file, the values of the globals it names, and the same for the loops among them."""
+    """The source of `loops`' file, the values of the globals it names, and the same for the functions among them."""
     seen.add(loops)
     yield Path(inspect.getfile(loops)).read_text()
     for name in sorted(loops.__code__.co_names):
         value = loops.__globals__.get(name)
-        inner = getattr(value, "py_func", None)
+        inner = getattr(value, "py_func", value if inspect.isfunction(value) else None)
         if inner is None and not callable(value) and not inspect.ismodule(value):
             yield f"{name} = {value!r}"
         elif inner is not None and inner not in seen:

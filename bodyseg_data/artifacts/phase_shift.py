@@ -1,0 +1,475 @@
+"""Errors and losses of a sensor that projects shifted fringes, from their causes: cloth, light, distance and motion.
+
+The sensor lights the scene with binary patterns (a Gray code, which counts fringes) and with N patterns of fringes that
+are shifted by an Nth of a period each. Pattern n at a pixel is A + B cos(phi + 2 pi n / N), and the phase phi with the
+count of its fringe gives the projector's column, so the range (Zhang, "High-speed 3D shape measurement with structured
+light methods: A review", Optics and Lasers in Engineering 106, 2018). docs/explanation/noise.md has the
+closed forms below; tests compare them with the simulated patterns.
+
+`decode` is written once: NumPy applies it to arrays, and `phase_loops` compiles it for one pixel. So it takes and
+makes float32 alone, and every constant in it is one.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from statistics import NormalDist
+from typing import Any, ClassVar, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene, bounded
+from bodyseg_data.artifacts.constants import FAR
+from bodyseg_data.artifacts.noise import as_range, drawn_bits, normals
+from bodyseg_data.core import BadConfig, Draws
+from bodyseg_data.labels import PART_COUNT
+from bodyseg_data.machine import if_ready, loops
+from bodyseg_data.rigs import Rig
+
+REACH: Final = 2
+"""Pixels to the neighbours that give slopes: over fewer of them, whole steps of a range make the slopes coarse."""
+BEND_M: Final = 0.008
+"""Slopes before and behind a pixel that differ by more, over `REACH` pixels, are those of two surfaces."""
+EDGE_M: Final = 0.1
+"""A pixel that was this much nearer or farther in another pattern saw another surface."""
+
+_ZERO, _SIXTH, _QUARTER, _HALF, _ONE, _TWO = map(np.float32, (0, 1 / 6, 0.25, 0.5, 1, 2))
+_LEAST: Final = np.float32(1e-6)
+_EXPONENT: Final = np.int32(23)  # of a float32, behind its mantissa
+_BIAS: Final = np.int32(127)
+_BYTE, _EIGHT = np.uint32(255), np.uint32(8)
+_MIDDLE, _SPREAD = np.float32(255), np.float32(math.sqrt(6 / (256**2 - 1)))
+# Chebyshev fits: of sin(2 pi u) / (u (1/4 - u^2)) in u^2, and of arctan(a) / (2 pi a) in a^2, a <= 1.
+_SINE: Final = tuple(map(np.float32, (25.132734, -64.83462, 67.03803, -38.06363, 12.073663)))
+_ARCTAN: Final = tuple(map(np.float32, (0.15915422, -0.05299679, 0.03112896, -0.01927517, 0.00912444, -0.00213621)))
+
+
+class Optics(NamedTuple):
+    """What is the same for all pixels of an image, float32.
+
+    A camera's ray (x, y, 1) times the range z meets the projector's fringe (z a + b) / (z c + d), of which a and c are
+    across * x + down * y + ahead. light: the projector in the camera's frame, metres. See `PhaseShift` for others.
+    """
+
+    step_m: Any
+    slope: Any  # metres of range a pixel times the focal length, of a step over 2 REACH pixels
+    bend: Any  # BEND_M in steps
+    across_a: Any
+    down_a: Any
+    ahead_a: Any
+    b: Any
+    across_c: Any
+    down_c: Any
+    ahead_c: Any
+    d: Any
+    light_x: Any
+    light_y: Any
+    light_z: Any
+    square_m2: Any  # squared distance from the projector to the stand-off
+    fringes: Any
+    focus: Any  # 1 / range of the stand-off before the projector
+    blur: Any
+    signal: Any
+    ambient: Any
+    read: Any  # squared
+    threshold: Any
+    share: Any  # 1 / N
+    cosine: Any  # of pi 2 / N
+    sine: Any
+    even: Any  # gamma's harmonics N + 1 and N - 1: sum and difference
+    odd: Any
+    random: Any  # sqrt(2 / N)
+    period_s: Any  # between patterns
+    drift_px: Any  # focal length times that
+    finest: Any  # when the finest binary pattern is taken, patterns
+    edge: Any
+    found: Any  # normals below are those of jumps that the sensor finds
+
+
+def pick(condition: Any, first: Any, second: Any) -> Any:
+    """`first` where a condition holds, else `second`."""
+    return np.where(condition, first, second)
+
+
+def sine(turns: Any) -> Any:
+    """The sine of an angle in turns, within 1e-6."""
+    u = turns - np.rint(turns)
+    v = u * u
+    return u * (_QUARTER - v) * (_SINE[0] + v * (_SINE[1] + v * (_SINE[2] + v * (_SINE[3] + v * _SINE[4]))))
+
+
+def angle(x: Any, y: Any) -> Any:
+    """The angle of (x, y) in turns, -1/2 to 1/2, within 1e-6; 0 for (0, 0)."""
+    wide, high = abs(x), abs(y)
+    steep = high > wide
+    a = pick(steep, wide, high) / (pick(steep, high, wide) + pick(wide + high > _ZERO, _ZERO, _ONE))
+    v = a * a
+    turns = _ARCTAN[0] + v * (_ARCTAN[1] + v * (_ARCTAN[2] + v * (_ARCTAN[3] + v * (_ARCTAN[4] + v * _ARCTAN[5]))))
+    turns = turns * a
+    turns = pick(steep, _QUARTER - turns, turns)
+    turns = pick(x < _ZERO, _HALF - turns, turns)
+    return pick(y < _ZERO, -turns, turns)
+
+
+def slope(before: Any, here: Any, after: Any, bend: Any) -> Any:
+    """Twice the difference to a neighbour: of both, or of the nearer one at an edge; 0 where neither is a surface."""
+    forward, backward = after - here, here - before
+    nearer = pick(abs(forward) <= abs(backward), forward, backward)
+    one = pick(abs(nearer) < FAR * _HALF, _TWO * nearer, _ZERO)
+    return pick(abs(forward - backward) <= bend, forward + backward, one)
+
+
+def wave(turns: Any) -> Any:
+    """A triangle wave, 1/4 at whole turns and -1/4 between them."""
+    return _QUARTER - abs(turns - np.rint(turns))
+
+
+def changes_at(boundary: Any, o: Any) -> Any:
+    """When the one pattern of a Gray code is taken that changes from fringe `boundary` - 1 to it, patterns."""
+    whole = np.int32(boundary)
+    lowest = np.float32(whole & -whole)
+    return o.finest - np.float32((lowest.view(np.int32) >> _EXPONENT) - _BIAS)
+
+
+def decode(
+    here: Any, left: Any, right: Any, above: Any, below: Any, x: Any, y: Any, look: Any, o: Any, first: Any, bits: Any
+) -> Any:
+    """What the sensor makes of a pixel: (error of its range in steps, 0 if lost else 1, columns and rows a pattern).
+
+    here, left, ...: ranges of the pixel and of those REACH beside it, steps, `FAR` for background; x, y: its ray; look:
+    the rows of `PhaseShift.looks` for its label; o: `Optics`; bits: uint32, drawn for it; first: their normal.
+    """
+    z = here * o.step_m
+    p, q = x * z, y * z
+    across, down = slope(left, here, right, o.bend) * o.slope, slope(above, here, below, o.bend) * o.slope
+    ahead = z + x * across + y * down  # the normal is (-across, -down, ahead), and z its product with the ray
+
+    # Light: cosine of the angle to the projector over its squared distance, 1 for a surface that faces it.
+    to_x, to_y, to_z = o.light_x - p, o.light_y - q, o.light_z - z
+    far = to_x * to_x + to_y * to_y + to_z * to_z
+    faces = z * z + across * o.light_x + down * o.light_y - ahead * o.light_z
+    light = faces * o.square_m2 / (np.sqrt((across * across + down * down + ahead * ahead) * far) * far)
+
+    # The lower bits hardly move the normal: their bytes are another draw, whose sum is of one standard deviation, too.
+    other = (np.float32(np.int32(bits & _BYTE) + np.int32((bits >> _EIGHT) & _BYTE)) - _MIDDLE) * _SPREAD
+
+    # Cloth.
+    one = wave(look[0] * p + look[1] * q + look[2] * z + look[3])
+    two = wave(look[4] * p + look[5] * q + look[6] * z + look[7])
+    albedo = pick(look[8] * one + look[9] * two + look[10] * one * two > _ZERO, look[11], look[12])
+
+    # Fringes.
+    c = o.across_c * x + o.down_c * y + o.ahead_c
+    a = o.across_a * x + o.down_a * y + o.ahead_a
+    w = z * c + o.d
+    turn = a * o.d - o.b * c
+    position = (z * a + o.b) / w
+    away = _ONE / w - o.focus
+    t = o.blur * away * away
+    mean = o.signal * albedo * pick(light > _ZERO, light, _ZERO)
+    amplitude = mean / (_ONE + t * (_ONE + t * (_HALF + t * _SIXTH)))  # exp(-t), to its third power
+    sigma = np.sqrt(o.read + mean + o.ambient * albedo)
+
+    # Motion.
+    u = look[13] + look[17] * z - look[18] * q
+    v = look[14] + look[18] * p - look[16] * z
+    s = look[15] + look[16] * q - look[17] * p
+    drift = turn / (w * w) * ((ahead * s - across * u - down * v) / z) * o.period_s  # fringes a pattern
+    drift = pick(drift > o.share, o.share, pick(drift < -o.share, -o.share, drift))
+    half = drift * _HALF
+    low, high = sine(half), sine(half + _QUARTER)
+    top = sine(half / o.share) * o.share
+    turned = low * o.cosine + high * o.sine
+    kept = pick(abs(low) > _LEAST, top / pick(abs(low) > _LEAST, low, _ONE), _ONE)
+    ripple = top / pick(abs(turned) > _LEAST, turned, _ONE)
+    double, many = o.share - _TWO * position, position / o.share
+    random = o.random * sigma
+    real = amplitude * (kept + ripple * sine(double + _QUARTER) + o.even * sine(many + _QUARTER)) + random * other
+    imaginary = amplitude * (ripple * sine(double) + o.odd * sine(many)) + random * first
+
+    # The count of fringes, by the two boundaries around; each is read when its pattern is taken.
+    error = angle(real, imaginary)
+    read = position + o.edge * sigma / pick(amplitude > _ONE, amplitude, _ONE) * other
+    fringe = np.floor(position)
+    after = fringe + _ONE
+    below_it = (read + drift * changes_at(fringe, o) < fringe) & (fringe > _ZERO)
+    above_it = (read + drift * changes_at(after, o) >= after) & (after < o.fringes)
+    count = fringe - pick(below_it, _ONE, _ZERO) + pick(above_it, _ONE, _ZERO)
+    jump = count - np.floor(position + error)
+    lost = (real * real + imaginary * imaginary < o.threshold * o.threshold) | (light <= _ZERO)
+    lost |= (position < _ZERO) | (position >= o.fringes) | ((jump != _ZERO) & (first < o.found))
+    moved = error + jump
+    metres = moved * w * w / (turn - moved * c * w)
+    sideways = o.drift_px / z
+    return metres / o.step_m, pick(lost, _ZERO, _ONE), sideways * (u - x * s), sideways * (v - y * s)
+
+
+# Rigid parts of a body, each (labels, the part before it or -1, where it turns from its middle to that one's, limb).
+_TRUNK, _HEAD = (tuple(range(3, 15)), -1, 0.0, 0), ((0, 1, 2), 0, 0.3, 1)
+_ARMS = (((15,), 0, 0.2, 2), ((16,), 0, 0.2, 3), ((17,), 2, 0.5, 2), ((18,), 3, 0.5, 3), ((19,), 4, 0.5, 2))
+_HANDS = (((20,), 5, 0.5, 3), ((21,), 6, 0.5, 2), ((22,), 7, 0.5, 3))
+_LEGS = (((23,), 0, 0.2, 4), ((24,), 0, 0.2, 5), ((25, 27), 10, 0.5, 4), ((26, 28), 11, 0.5, 5))
+_FEET = (((29,), 12, 0.5, 4), ((30,), 13, 0.5, 5), ((31,), 14, 0.5, 4), ((32,), 15, 0.5, 5))
+_CHAIN: Final = (_TRUNK, _HEAD, *_ARMS, *_HANDS, *_LEGS, *_FEET)
+_MEMBERS: Final = [list(each[0]) for each in _CHAIN]
+_PART_OF: Final = [
+    next((at for at, part in enumerate(_MEMBERS) if label in part), -1) for label in range(PART_COUNT + 1)
+]
+_LIMB_M: Final = 0.6
+"""From the joint of an arm to its end: what turns with the speed of an image over this moves about so fast there."""
+
+_SKIN, _HAIR, _COAT, _TROUSERS, _SHOES, _THINGS = range(6)
+_PELVIS: Final = [7, 8, 11, 12, 23, 24]
+
+
+def _garments() -> NDArray[np.intp]:
+    """Garment of each part, [34]; the last one is of what has no part."""
+    worn = np.full(PART_COUNT + 1, _COAT)
+    for garment, labels in (
+        (_SKIN, [0, 2, 21, 22]),
+        (_HAIR, [1]),
+        (_TROUSERS, [*_PELVIS, *range(25, 31)]),
+        (_SHOES, [31, 32]),
+        (_THINGS, [PART_COUNT]),
+    ):
+        worn[labels] = garment
+    return worn
+
+
+_WORN: Final = _garments()
+
+
+@dataclass(frozen=True)
+class PhaseShift(Artifact):
+    """Range and losses of phase shifting with a Gray code, for the rig's first projector.
+
+    Of an image are drawn: how fast limbs move and how bright other light is, between their bounds, and how light the
+    coat is, from `darkest` to `lightest`. What stays the same over a part of the body is drawn with them: reflectances
+    and patterns of skin, hair and clothes, and a motion that is rigid for each part and continuous where a part meets
+    the next. A sample without the 33 parts gets one garment and one rigid motion.
+
+    phase_patterns: N; binary_patterns: those of the Gray code, which count 2**binary_patterns fringes over the
+    projector's image, finest last and before the fringes; rate_hz: of all patterns. signal_e: half the brightest of a
+    fringe on a white surface that faces the projector at the rig's stand-off, electrons; read_noise_e: of a camera's
+    pixel, electrons; threshold_e: pixels whose fringes are weaker are lost, electrons. dimmest, brightest: other light,
+    a share of signal_e. gamma: of the projector, after its calibration. aperture_mm: diameter of its lens, which is
+    focused on the stand-off. edge_fringes: half the width of a binary edge in the camera's image. jumps_found: share of
+    jumps by one fringe that the sensor finds, and loses. slowest_m_s, fastest_m_s: of hands and feet. darkest,
+    lightest: reflectance of cloth; patterned: share of garments with stripes, checks or prints.
+    """
+
+    name = "phase_shift"
+    kind = "noise"
+    purposes = ("fringe speed", "ambient light", "coat", "clothes", "motion", "fringe noise")
+    drawn: ClassVar[Mapping[str, str]] = {
+        "speed_m_s": "limbs {:.1f} m/s",
+        "ambient": "other light {:.0%}",
+        "coat": "coat reflects {:.0%}",
+    }
+
+    phase_patterns: int = bounded(5, 3, 16)
+    binary_patterns: int = bounded(7, 1, 12)
+    rate_hz: float = bounded(360.0, 1, 100_000)
+    signal_e: float = bounded(5000.0, 0, 1e9, above=True)
+    read_noise_e: float = bounded(20.0, 0, 1e6)
+    threshold_e: float = bounded(160.0, 0, 1e9)
+    dimmest: float = bounded(0.0, 0, 1000)
+    brightest: float = bounded(0.5, 0, 1000)
+    gamma: float = bounded(1.05, 0.3, 4)
+    aperture_mm: float = bounded(4.3, 0, 1000)
+    edge_fringes: float = bounded(0.1, 0, 0.5)
+    jumps_found: float = bounded(0.8, 0, 1)
+    slowest_m_s: float = bounded(0.0, 0, 100)
+    fastest_m_s: float = bounded(2.0, 0, 100)
+    darkest: float = bounded(0.01, 0, 1)
+    lightest: float = bounded(0.8, 0, 1)
+    patterned: float = bounded(0.5, 0, 1)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for low, high in (("dimmest", "brightest"), ("slowest_m_s", "fastest_m_s"), ("darkest", "lightest")):
+            if getattr(self, low) > getattr(self, high):
+                found = f"{low} {getattr(self, low)} and {high} {getattr(self, high)}"
+                raise BadConfig(f"phase_shift must satisfy {low} <= {high}, found {found}")
+
+    def draw(self, draws: Draws) -> dict[str, float]:
+        """As `Artifact.draw`: "speed_m_s"; "ambient", a share of `signal_e`; "coat", its reflectance."""
+        speed, light, coat = (draws.chance(purpose) for purpose in self.purposes[:3])
+        return {
+            "speed_m_s": self.slowest_m_s + (self.fastest_m_s - self.slowest_m_s) * speed * speed,
+            "ambient": self.dimmest + (self.brightest - self.dimmest) * light,
+            "coat": self._cloth(coat),
+        }
+
+    def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
+        """As `Artifact.apply`. Raises BadConfig for a rig whose camera and projector are at one point."""
+        optics = self.optics(scene.rig, image.drawn["ambient"])
+        clean, camera = scene.sample.range, scene.rig.camera
+        parts = "subset" in scene.sample.info.fields
+        x, y = (slopes.astype(np.float32) for slopes in camera.slopes)
+        edge = np.float32(EDGE_M / scene.step_m)
+        times = np.float32((optics.finest + 1 - self.binary_patterns, (self.phase_patterns - 1) / 2))
+        with if_ready:
+            forms = loops("bodyseg_data.artifacts.phase_loops")
+            runs, sums = forms.runs_of(clean, scene.sample.labels)
+            looks = self.looks(parts, sums, scene, image.drawn, draws)
+            bits = drawn_bits(draws, "fringe noise", int(sums[0].sum()), np.uint32)
+            forms.alter(image.range, clean, runs, x, y, looks, optics, bits, edge, times)
+            return
+        pixels = scene.pixels
+        rows, columns = np.divmod(pixels, clean.shape[1])
+        labels = np.minimum(scene.sample.labels.reshape(-1)[pixels], PART_COUNT)
+        here = clean.reshape(-1)[pixels]
+        weights = (np.ones_like(here), columns, rows, here)
+        sums = np.stack([np.bincount(labels, weight, PART_COUNT + 1) for weight in weights]).astype(np.int64)
+        looks = self.looks(parts, sums, scene, image.drawn, draws)
+        bits = drawn_bits(draws, "fringe noise", len(pixels), np.uint32)
+        padded = np.pad(clean, REACH).astype(np.float32)
+        padded[padded == 0] = FAR
+        at = [padded[rows + REACH + down, columns + REACH + along] for down, along in _NEIGHBOURS]
+        steps, kept, along, down = decode(
+            *at, x[columns], y[rows], tuple(looks[:, labels]), optics, normals(bits), bits
+        )
+        for time in times:
+            row, column = rows - np.rint(down * time).astype(np.intp), columns - np.rint(along * time).astype(np.intp)
+            inside = (row >= 0) & (row < clean.shape[0]) & (column >= 0) & (column < clean.shape[1])
+            seen = np.where(inside, clean[np.where(inside, row, 0), np.where(inside, column, 0)], 0)
+            kept *= (seen > 0) & (np.abs(seen.astype(np.float32) - here.astype(np.float32)) <= edge)
+        ranges = image.range.reshape(-1)
+        before = ranges[pixels]
+        ranges[pixels] = np.where((before > 0) & (kept > 0), as_range(before.astype(np.float32) + steps), 0)
+
+    def optics(self, rig: Rig, ambient: float) -> Optics:
+        """What is the same for all pixels of a rig's image; ambient: other light, a share of `signal_e`."""
+        return self._of_rig(rig)._replace(ambient=np.float32(self.signal_e * ambient))
+
+    @lru_cache(maxsize=8)  # noqa: B019 - of an artifact, whose strengths are its identity
+    def _of_rig(self, rig: Rig) -> Optics:
+        rotation, shift = rig.camera_to_projector()
+        if not shift.any():
+            raise BadConfig(f"rig {rig.name} has no baseline, which phase_shift needs")
+        axis, patterns = int(abs(shift[1]) > abs(shift[0])), self.phase_patterns
+        projector = rig.projector
+        pitch = (projector.columns, projector.rows)[axis] / 2**self.binary_patterns  # of fringes, projector's pixels
+        to_fringe = np.array([0.0, 0.0, projector.centre_px[axis]])
+        to_fringe[axis] = projector.focal_px
+        to_fringe /= pitch
+        stand_off = rotation @ (0, 0, rig.stand_off_m) + shift
+        camera, light = rig.camera, -rotation.T @ shift
+        above, below = _harmonic(self.gamma, patterns + 1), _harmonic(self.gamma, patterns - 1)
+        # A disc of diameter d dims fringes of period p by 1 - (pi d / p)^2 / 8, as exp(-t) does.
+        blur = math.pi**2 / 8 * (self.aperture_mm / 1000 * projector.focal_px / pitch) ** 2
+        found = math.inf if self.jumps_found == 1 else -math.inf
+        values = (
+            *(rig.range_step_m, camera.focal_px * rig.range_step_m / (2 * REACH), 2 * BEND_M / rig.range_step_m),
+            *(*(to_fringe @ rotation), to_fringe @ shift, *rotation[2], shift[2]),
+            *(*light, stand_off @ stand_off, 2.0**self.binary_patterns, 1 / stand_off[2], blur),
+            *(self.signal_e, 0.0, self.read_noise_e**2, self.threshold_e),
+            *(1 / patterns, math.cos(2 * math.pi / patterns), math.sin(2 * math.pi / patterns)),
+            *(above + below, above - below, math.sqrt(2 / patterns)),
+            *(1 / self.rate_hz, camera.focal_px / self.rate_hz, -(patterns + 1) / 2, self.edge_fringes),
+            NormalDist().inv_cdf(self.jumps_found) if 0 < self.jumps_found < 1 else found,
+        )
+        return Optics(*map(np.float32, values))
+
+    def looks(
+        self, parts: bool, sums: NDArray[np.int64], scene: Scene, drawn: Mapping[str, float], draws: Draws
+    ) -> NDArray[np.float32]:
+        """Cloth and motion of each label, float32 [19, 34]; the last column is of labels that are no part.
+
+        Rows: two waves, each with its vector in turns a metre and its phase; weights of both and of their product;
+        reflectance where their sum is positive, and elsewhere; velocity at the camera, m/s, and rotation, rad/s, in the
+        camera's frame. sums: of pixels, their columns, rows and steps by label, [4, 34]. parts: labels are the 33 ones.
+        """
+        garments = self._wardrobe(drawn["coat"], draws)
+        motions = _motions(parts, _middles(parts, sums, scene), drawn["speed_m_s"], draws)
+        worn = _WORN if parts else np.full(PART_COUNT + 1, _COAT)
+        return np.concatenate([garments[worn], motions], axis=1).T.astype(np.float32, order="C")
+
+    def _wardrobe(self, coat: float, draws: Draws) -> NDArray[np.float64]:
+        """Waves, weights and reflectances of every garment, [6, 13]."""
+        chances = draws.pixels("clothes", 6 * 12, np.uint32).reshape(6, 12) * 2.0**-32
+        garments = []
+        for garment, (
+            kind,
+            turn_x,
+            turn_y,
+            tilt,
+            size,
+            other,
+            phase,
+            next_phase,
+            light,
+            next_light,
+            plain,
+            _,
+        ) in enumerate(chances.tolist()):
+            bare = garment in (_SKIN, _HAIR)
+            albedo = 0.15 + 0.3 * light if garment == _SKIN else 0.02 + 0.2 * light * light if bare else None
+            if albedo is None:
+                albedo = coat if garment == _COAT else self._cloth(light)
+            along, up = turn_x - 0.5, turn_y - 0.5
+            length = math.sqrt(along * along + up * up + 1e-9)
+            along, up, pattern = along / length, up / length, int(3 * kind)
+            period_m = 0.08 + 0.17 * size if pattern == 2 else 0.015 + 0.065 * size
+            second_m, weights = period_m * (0.7 + 0.6 * other), ((1, 0, 0), (0, 0, 1), (1, 1, 0))[pattern]
+            waves = along / period_m, up / period_m, (tilt - 0.5) / period_m, phase
+            across = -up / second_m, along / second_m, (0.5 - tilt) / second_m, next_phase
+            second = albedo if bare or plain >= self.patterned else self._cloth(next_light)
+            garments.append([*waves, *across, *weights, albedo, second])
+        if chances[_TROUSERS, 11] < 0.25:
+            garments[_TROUSERS] = garments[_COAT]  # a coat that reaches down
+        return np.array(garments)
+
+    def _cloth(self, chance: float) -> float:
+        """A reflectance of cloth: more of it is dark than light."""
+        return self.darkest + (self.lightest - self.darkest) * chance * chance
+
+
+_NEIGHBOURS: Final = ((0, 0), (0, -REACH), (0, REACH), (-REACH, 0), (REACH, 0))
+
+
+def _harmonic(gamma: float, order: int) -> float:
+    """A harmonic of (1/2 + cos(phi) / 2)**gamma over the first one (Liu et al., "Gamma model and its analysis for phase
+    measuring profilometry", JOSA A 27, 2010).
+    """
+    return math.prod((gamma - k) / (gamma + k + 1) for k in range(1, order))
+
+
+def _middles(parts: bool, sums: NDArray[np.int64], scene: Scene) -> list[list[float]]:
+    """Where the rigid parts are, metres in the camera's frame, [[x, y, z]]; of one that is not seen, that before it."""
+    camera, found = scene.rig.camera, list[list[float]]()
+    totals = np.stack([sums[:, labels].sum(axis=1) for labels in (_MEMBERS if parts else [slice(None)])]).tolist()
+    for (count, column, row, steps), (_, before, _, _) in zip(totals, _CHAIN, strict=False):
+        if not count:
+            found.append(found[before] if before >= 0 else [0.0, 0.0, scene.rig.stand_off_m])
+            continue
+        z = steps / count * scene.step_m
+        x = (column / count + 0.5 - camera.centre_px[0]) / camera.focal_px
+        found.append([x * z, ((row / count + 0.5) - camera.centre_px[1]) / camera.focal_px * z, z])
+    return found
+
+
+def _motions(parts: bool, middles: list[list[float]], speed: float, draws: Draws) -> NDArray[np.float64]:
+    """Velocity at the camera, m/s, and rotation, rad/s, of every label, [34, 6]; speed: of hands and feet, m/s."""
+    chances = (draws.pixels("motion", 6 * len(_CHAIN) + 6, np.uint32) * 2.0**-31 - 1.0).tolist()
+    lively = [abs(chance) for chance in chances[-6:]]  # of each limb
+    moving: list[tuple[float, ...]] = []
+    for index, (middle, (_, before, share, limb)) in enumerate(zip(middles, _CHAIN, strict=False)):
+        much = speed * lively[limb]
+        turn = [much / _LIMB_M * chance for chance in chances[6 * index : 6 * index + 3]]
+        joint, at_joint = middle, [0.4 * much * chance for chance in chances[6 * index + 3 : 6 * index + 6]]
+        if before >= 0:
+            joint = [here + share * (there - here) for here, there in zip(middle, middles[before], strict=True)]
+            vx, vy, vz, *turning = moving[before]
+            at_joint = [v + w for v, w in zip((vx, vy, vz), _cross(turning, joint), strict=True)]
+            turn = [old + new for old, new in zip(turning, turn, strict=True)]
+        moving.append((*(v - w for v, w in zip(at_joint, _cross(turn, joint), strict=True)), *turn))
+    still = (0.0,) * 6
+    return np.array([*moving, still])[_PART_OF] if parts else np.repeat([moving[0]], PART_COUNT + 1, axis=0)
+
+
+def _cross(a: list[float], b: list[float]) -> tuple[float, float, float]:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]

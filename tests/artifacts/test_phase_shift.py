@@ -1,0 +1,236 @@
+"""Phase shifting against its referee: all patterns simulated pixel by pixel and decoded by the published formulas."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pytest
+from kernel_forms import by_both
+from numpy.typing import NDArray
+
+from bodyseg_data.artifacts import Scene, load_sensor_model
+from bodyseg_data.artifacts.phase_shift import REACH, PhaseShift, decode
+from bodyseg_data.core import BadConfig, Draws
+from bodyseg_data.loading import RangeImages
+from bodyseg_data.rigs import load_rig
+
+RIG: Final = load_rig("paper")
+QUIET: Final = PhaseShift(
+    signal_e=1e9, read_noise_e=0.0, threshold_e=1e7, brightest=0.3, gamma=1.0, aperture_mm=15.0, jumps_found=0.0
+)
+"""So much light that its noise is nothing."""
+NO_NOISE: Final = np.uint32(127 | 128 << 8)
+
+Floats = NDArray[np.float64]
+
+
+class Wall:
+    """Pixels that see a tilted wall of two reflectances in a checked pattern, which moves."""
+
+    def __init__(self, artifact: PhaseShift, velocity_m_s: Any, tilt_deg: float, albedos: tuple[float, float]) -> None:
+        random = np.random.default_rng(0)
+        self.artifact, self.velocity = artifact, np.asarray(velocity_m_s, np.float64)
+        x, y = random.uniform(-0.2, 0.2, 6000), random.uniform(-0.3, 0.3, 6000)
+        self.rays = np.stack([x, y, np.ones_like(x)], axis=1)
+        tilt = math.radians(tilt_deg)
+        self.normal = np.array([-math.sin(tilt), 0.1, math.cos(tilt)]) / math.hypot(1, 0.1)
+        self.rays = self.rays[self.is_lit(self.rays * self.range_at(self.rays, 0.0)[:, None])]
+        self.range = self.range_at(self.rays, 0.0)
+        self.points = self.rays * self.range[:, None]
+        self.period_m, self.albedos = 0.05, albedos
+        waves = np.abs(self.points[:, :2] / self.period_m % 1 - 0.5) < 0.25
+        self.albedo = np.where(waves[:, 0] == waves[:, 1], *albedos)
+
+    def range_at(self, rays: Floats, time_s: float) -> Floats:
+        return self.normal @ (np.array([0, 0, 2.4]) + self.velocity * time_s) / (rays @ self.normal)
+
+    def fringe(self, points: Floats) -> tuple[Floats, Floats]:
+        """Place of points on the projector's image, in fringes, and their range from it."""
+        seen = (points - RIG.projector.position_m) @ RIG.projector.axes.T
+        column = RIG.projector.focal_px * seen[:, 0] / seen[:, 2] + RIG.projector.centre_px[0]
+        return column * 2**self.artifact.binary_patterns / RIG.projector.columns, seen[:, 2]
+
+    def is_lit(self, points: Floats) -> NDArray[np.bool_]:
+        """Which points lie in the projector's frame."""
+        place = self.fringe(points)[0] / 2**self.artifact.binary_patterns
+        return (place > 0) & (place < 1)
+
+    def fringe_after(self, patterns: float) -> Floats:
+        time = patterns / self.artifact.rate_hz
+        return self.fringe(self.rays * self.range_at(self.rays, time)[:, None])[0]
+
+    def brightness(self) -> tuple[Floats, Floats]:
+        """Half the height of fringes, electrons, as the projector lights them and as its lens blurs them."""
+        to_light = RIG.projector.position_m - self.points
+        away = np.linalg.norm(to_light, axis=1)
+        stand_off = np.array([0, 0, RIG.stand_off_m])
+        reference = np.linalg.norm(stand_off - RIG.projector.position_m)
+        light = np.maximum(-(to_light @ self.normal) / away, 0) * (reference / away) ** 2
+        mean = self.artifact.signal_e * self.albedo * light
+        focus = RIG.projector.axes[2] @ (stand_off - RIG.projector.position_m)
+        pitch_m = RIG.projector.columns / 2**self.artifact.binary_patterns / RIG.projector.focal_px
+        disc = self.artifact.aperture_mm / 1000 * np.abs(1 / self.fringe(self.points)[1] - 1 / focus) / pitch_m
+        return mean, mean * np.exp(-((math.pi * disc) ** 2) / 8)
+
+    def simulated(self, random: np.random.Generator | None = None) -> NDArray[np.complex128]:
+        """Height and phase of the fringes in the images of N patterns; random: of noise in them."""
+        artifact, count = self.artifact, self.artifact.phase_patterns
+        mean, amplitude = self.brightness()
+        total = np.zeros(len(mean), np.complex128)
+        wave = (1 + np.cos(np.linspace(0, 2 * np.pi, 4096, endpoint=False))) / 2
+        first = 2 * np.mean(wave**artifact.gamma * (2 * wave - 1))
+        for pattern in range(count):
+            phi = 2 * np.pi * (self.fringe_after(pattern - (count - 1) / 2) + pattern / count)
+            fringe = ((1 + np.cos(phi)) / 2) ** artifact.gamma / first
+            image = mean + amplitude * (fringe - 1) + artifact.brightest * artifact.signal_e * self.albedo
+            if random is not None:
+                image = random.poisson(np.maximum(image, 0)) + artifact.read_noise_e * random.standard_normal(
+                    len(image)
+                )
+            total += 2 / count * image * np.exp(-2j * np.pi * pattern / count)
+        return total
+
+    def decoded(self, random: np.random.Generator | None = None) -> tuple[Floats, NDArray[np.bool_]]:
+        """What the sensor decodes, in fringes, and which pixels it loses; random: of noise in the images."""
+        total = self.simulated(random)
+        count, bits = self.artifact.phase_patterns, self.artifact.binary_patterns
+        number = np.zeros(len(total), np.int64)
+        before = np.zeros(len(total), np.int64)
+        for bit in reversed(range(bits)):  # the coarsest pattern first
+            place = np.floor(self.fringe_after(-(count + 1) / 2 - bit)).astype(np.int64)
+            before ^= (place ^ place >> 1) >> bit & 1
+            number |= before << bit
+        return number + np.angle(total) / (2 * np.pi) % 1, np.abs(total) < self.artifact.threshold_e
+
+    def by_artifact(self, first: Any = None, bits: Any = None) -> tuple[Floats, NDArray[np.bool_], NDArray[np.float32]]:
+        """The same of `decode`, and its errors of range, mm."""
+        offset = REACH / RIG.camera.focal_px
+        steps = [
+            self.range_at(self.rays + np.array((along, down, 0.0)), 0.0) / RIG.range_step_m
+            for along, down in ((0, 0), (-offset, 0), (offset, 0), (0, -offset), (0, offset))
+        ]
+        per_m = 1 / self.period_m
+        look = (per_m, 0, 0, 0, 0, per_m, 0, 0, 0, 0, 1, *self.albedos, *self.velocity, 0, 0, 0)
+        given = (each.astype(np.float32) for each in (*steps, self.rays[:, 0], self.rays[:, 1]))
+        zero = np.zeros(len(self.rays), np.float32)
+        error, kept, _, _ = decode(
+            *given,
+            tuple(np.full_like(zero, each) for each in look),
+            self.artifact.optics(RIG, self.artifact.brightest),
+            zero if first is None else first,
+            np.full(len(zero), NO_NOISE) if bits is None else bits,
+        )
+        made = self.range + error * RIG.range_step_m
+        return self.fringe(self.rays * made[:, None])[0], kept == 0, error * RIG.range_step_mm
+
+
+@pytest.mark.parametrize(
+    ("velocity", "tilt", "gamma", "radians"),
+    [
+        ((0, 0, 0), 0, 1.0, 1e-3),
+        ((0, 0, 0), 30, 1.4, 1e-3),
+        ((0, 0, 0.5), 20, 1.0, 1e-3),
+        ((0, 0, -0.5), 20, 1.0, 1e-3),
+        ((0.3, 0.2, 0.3), -25, 1.0, 1e-3),
+        ((0, 0, 1.0), 0, 1.0, 5e-3),  # the wall comes nearer faster than its fringes are evenly spaced
+    ],
+)
+def test_phases_are_those_of_the_simulated_patterns(velocity: Any, tilt: float, gamma: float, radians: float) -> None:
+    wall = Wall(replace(QUIET, gamma=gamma), velocity, tilt, (0.3, 0.3))
+    theirs, gone = wall.decoded()
+    ours, lost, _ = wall.by_artifact()
+    assert not gone.any() and not lost.any()
+    off = ours - theirs
+    assert np.abs(off - np.rint(off)).max() * 2 * np.pi < radians
+    assert np.mean(np.rint(off) != 0) < 0.003  # counts of fringes, but for pixels where a binary edge lies
+    jumps = np.mean(np.rint(theirs - wall.fringe(wall.points)[0]) != 0)
+    assert jumps == 0 if not any(velocity) else 0.1 < jumps < 0.5
+
+
+def test_dark_far_grazing_and_fast_pixels_are_lost_as_in_the_simulation() -> None:
+    shares = []
+    for velocity, tilt, albedos in (
+        ((0, 0, 0), 10, (0.3, 0.008)),
+        ((0, 0, 0), -50, (0.03, 0.014)),
+        ((0, 0, 1.2), 0, (0.04, 0.02)),
+        ((0, 0, -1.2), 0, (0.04, 0.02)),
+    ):
+        wall = Wall(QUIET, velocity, tilt, albedos)
+        gone, lost = wall.decoded()[1], wall.by_artifact()[1]
+        assert np.mean(gone != lost) <= 0.01
+        shares.append(gone.mean())
+    assert all(0.05 < share < 0.9 for share in shares)
+
+
+def test_ripple_and_modulation_have_their_figures() -> None:
+    """Half the drift over sin(2 pi / 5) for slow motion; fast motion towards the shift is worse than away from it."""
+    for speed, rel in ((0.05, 0.03), (-0.05, 0.03)):
+        wall = Wall(QUIET, (0, 0, speed), 0, (0.3, 0.3))
+        place = wall.fringe(wall.points)[0]
+        error, drift = wall.by_artifact()[0] - place, np.abs(wall.fringe_after(1) - place)
+        share = np.abs(error - np.rint(error)) / (drift / 2 / math.sin(2 * np.pi / 5))
+        assert share.max() == pytest.approx(1, rel=rel)
+    strengths = []
+    for speed in (1.0, -1.0, 2.2, -2.2):
+        wall = Wall(replace(QUIET, threshold_e=0.0), (0, 0, speed), 0, (0.3, 0.3))
+        total = np.abs(wall.simulated()) / wall.brightness()[1]
+        strengths.append(total.min())
+    assert strengths == pytest.approx([0.36, 0.41, 0.0, 0.0], abs=0.01)
+
+
+def test_noise_is_that_of_simulated_images() -> None:
+    artifact = replace(PhaseShift(), brightest=0.3, gamma=1.0, jumps_found=0.0)
+    for albedo in (0.1, 0.6):
+        wall, random = Wall(artifact, (0, 0, 0), 15, (albedo, albedo)), np.random.default_rng(1)
+        exact = wall.fringe(wall.points)[0]
+        bits = random.integers(0, 2**32, len(exact), np.uint32)
+        ours = wall.by_artifact(random.standard_normal(len(exact)).astype(np.float32), bits)[0] - exact
+        theirs = wall.decoded(random)[0] - exact
+        spreads = [np.std(off - np.rint(off)) * 2 * np.pi for off in (ours, theirs)]
+        mean, amplitude = wall.brightness()
+        sigma = np.sqrt(artifact.read_noise_e**2 + mean + 0.3 * artifact.signal_e * albedo)
+        assert spreads == pytest.approx([np.sqrt(np.mean(0.4 * (sigma / amplitude) ** 2))] * 2, rel=0.05)
+
+
+@pytest.mark.parametrize("rig_seed", [0, 7])
+def test_both_forms_give_the_same_bits_for_any_strengths(figures_set: Path, rig_seed: int) -> None:
+    sensor = load_sensor_model("paper_phase_shift").with_artifacts(
+        PhaseShift(4, 6, fastest_m_s=9.0, jumps_found=0.0, dimmest=1.0, brightest=2.0, patterned=1.0)
+    )
+    images = RangeImages(figures_set, "all", sensor=sensor, seed=rig_seed)
+    for index in range(0, 12, 3):
+        ours, theirs = by_both(partial(images.image, index))
+        np.testing.assert_array_equal(ours.range, theirs.range)
+
+
+def test_motion_is_continuous_where_parts_meet_and_clothes_cover_their_parts(figures_set: Path) -> None:
+    images = RangeImages(figures_set)
+    sample, artifact = images.clean(0), PhaseShift(slowest_m_s=2.0)
+    scene, draws = Scene(sample, images.manifest.rig), Draws(0, 0, sample.key)
+    labels = np.minimum(sample.labels[sample.range > 0], 33)
+    rows, columns = np.nonzero(sample.range)
+    sums = np.stack(
+        [np.bincount(labels, each, 34) for each in (np.ones_like(rows), columns, rows, sample.range[rows, columns])]
+    )
+    drawn = artifact.draw(draws)
+    looks = artifact.looks(True, sums.astype(np.int64), scene, drawn, draws)
+    for garment in ([3, 9, 13, 20], [7, 25, 30], [0, 2, 21]):
+        assert (looks[:13, garment] == looks[:13, garment[:1]]).all()
+    assert looks[11, 3] == np.float32(drawn["coat"]) and (looks[13:, 33] == 0).all()
+    assert np.abs(looks[13:16, 3] - looks[13:16, 14]).max() == 0  # the trunk is rigid
+    one = artifact.looks(False, sums.astype(np.int64), scene, drawn, draws)
+    assert (one == one[:, :1]).all() and np.linalg.norm(one[13:16, 0]) > 0
+
+
+def test_bad_strengths_and_rigs_are_refused(figures_set: Path) -> None:
+    with pytest.raises(BadConfig, match="phase_shift must satisfy darkest <= lightest, found darkest 0.9 and lightest"):
+        PhaseShift(darkest=0.9)
+    with pytest.raises(BadConfig, match="phase_patterns must be from 3 to 16, found 2"):
+        PhaseShift(phase_patterns=2)
+    with pytest.raises(BadConfig, match="has no baseline, which phase_shift needs"):
+        PhaseShift().optics(replace(RIG, projector=RIG.camera), 0.0)
