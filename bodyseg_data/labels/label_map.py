@@ -122,14 +122,11 @@ class LabelMap:
         return found
 
     @cached_property
-    def _tables(self) -> dict[int, tuple[NDArray[np.uint8], NDArray[np.uint64]]]:
-        """The table of `write` for what surfaces of no class get, and the same as words."""
+    def _tables(self) -> dict[int, NDArray[np.uint8]]:
+        """The table of `write` by what surfaces of no class get."""
         kept = self.table.copy()
         kept[:BACKGROUND][kept[:BACKGROUND] == BACKGROUND] = UNLABELLED
-        return {
-            unlabelled: (table, table.astype(np.uint64))
-            for unlabelled, table in ((BACKGROUND, self.table), (UNLABELLED, kept))
-        }
+        return {BACKGROUND: self.table, UNLABELLED: kept}
 
     def write(
         self, labels: NDArray[np.uint8], edges: NDArray[np.int32] | None = None, unlabelled: int = BACKGROUND
@@ -141,15 +138,11 @@ class LabelMap:
         or 255.
         """
         flat = labels.reshape(-1)
-        table, wide = self._tables[unlabelled]
-        with if_ready:
-            if edges is not None:
+        table = self._tables[unlabelled]
+        if edges is not None:
+            with if_ready:
                 loops(_LOOPS).join_runs(flat, edges, table)
                 return
-            first = min(-flat.__array_interface__["data"][0] % 8, flat.size)  # words must be aligned
-            words = flat[first : first + (flat.size - first) // 8 * 8].view(np.uint64)
-            loops(_LOOPS).join(flat, words, first, wide)
-            return
         flat[:] = looked_up(flat, table)
 
     @cached_property
