@@ -116,35 +116,6 @@ def upright_rotation(up: UpAxis) -> NDArray[np.float64]:
     return np.stack([left, upward, np.cross(left, upward)])
 
 
-def check_standing(landmarks: NDArray[np.float64], where: str) -> None:
-    """Raise BadMesh unless landmarks [33, 3], metres, body frame, are of a body that stands and faces the front.
-
-    Its head must be well above its feet, and landmarks at the front of head, chest and pelvis in front of those at the
-    back, which fails if right and left, or front and back, are exchanged.
-    """
-    points = dict(zip(LANDMARKS, landmarks, strict=True))
-    above = (points["Sellion"] - (points["Rt. Lateral Malleolus"] + points["Lt. Lateral Malleolus"]) / 2)[1]
-    if above < 0.5 * np.ptp(landmarks, axis=0).max():
-        raise BadMesh(
-            f"{where}: a standing body has its head above its feet, found the head {above:.2f} m above them (which "
-            "axis points up? --up gives it)"
-        )
-    ahead = [
-        points[front][2] - points[back][2]
-        for front, back in (
-            ("Sellion", "Nuchale"),
-            ("Suprasternale", "Cervicale"),
-            ("Rt. ASIS", "Rt. PSIS"),
-            ("Lt. ASIS", "Lt. PSIS"),
-        )
-    ]
-    if min(ahead) < 0:
-        raise BadMesh(
-            f"{where}: Sellion, Suprasternale and the ASIS lie in front of Nuchale, Cervicale and the PSIS, found one "
-            f"{-100 * min(ahead):.0f} cm behind: are right and left, or two names, exchanged?"
-        )
-
-
 def _axis(name: str) -> NDArray[np.float64]:
     axis = np.zeros(3)
     axis["xyz".index(name[-1])] = -1.0 if name.startswith("-") else 1.0

@@ -15,18 +15,16 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.alignment import UPRIGHT_DEG, Alignment, check_standing, find_alignment, metres_a_unit
+from bodyseg_data.bodies.alignment import UPRIGHT_DEG, Alignment, find_alignment, metres_a_unit
 from bodyseg_data.bodies.source import DEFAULTS, Body, BodyRef, ListedBodies, MeshOptions
 from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh
 from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.meshes import (
-    FARTHEST_M,
     METRES,
     LandmarkSet,
     Mesh,
     PointLandmarks,
     check_body,
-    farthest_from,
     load_landmark_file,
     load_landmarks,
     mesh_stem,
@@ -120,7 +118,7 @@ class MeshFile:
 
     landmarks: a landmark file, or the name of a set that ships; None if there is none, and then `wanted` names the file
     needed. shared: other meshes of the same topology use the same landmarks. group: of meshes that share an alignment;
-    None for a mesh aligned by itself. standing: the head must be above the feet.
+    None for a mesh aligned by itself.
     """
 
     path: Path
@@ -128,7 +126,6 @@ class MeshFile:
     wanted: str = ""
     shared: bool = True
     group: str | None = None
-    standing: bool = False
 
 
 class MeshBodies(ListedBodies[MeshFile]):
@@ -176,35 +173,13 @@ class MeshBodies(ListedBodies[MeshFile]):
             found = landmarks.for_mesh(mesh)
             where = f"landmarks {landmarks.source} on mesh {mesh.name}"
             found, moved = separate(mesh, found, mesh.vertices[found], where)
-            built = Body(mesh, found, (*self._notes.get(file.landmarks or "", ()), *moved, *_ignored(landmarks)))
-        else:
-            landmarks = landmarks.transformed(1.0, alignment.rotation)
-            built = _snapped((vertices, faces), body.mesh, file.path, landmarks, self._options.pymeshlab)
-        if file.standing:
-            check_standing(built.mesh.vertices[built.landmarks], str(file.path))
-        return built
+            return Body(mesh, found, (*self._notes.get(file.landmarks or "", ()), *moved, *_ignored(landmarks)))
+        landmarks = landmarks.transformed(1.0, alignment.rotation)
+        return _snapped((vertices, faces), body.mesh, file.path, landmarks, self._options.pymeshlab)
 
     def check(self, body: BodyRef) -> None:
-        """Check one body's files: that both can be read, and that landmarks, counts and unit fit the mesh.
-
-        A body with landmarks by vertex is built whole, which takes little longer than reading it. One with landmarks by
-        coordinate is built only if one of them is not near a vertex; without `pymeshlab` its faces are checked, with it
-        those that cannot be repaired show when it is packed.
-        Raises the errors of `build`.
-        """
-        landmarks, file = self._landmarks(body), self.entry(body)
-        if isinstance(landmarks, LandmarkSet):
-            self.build(body)
-            return
-        vertices, faces, alignment = self._placed(body, landmarks)
-        if not self._options.pymeshlab:
-            _mesh(body.mesh, vertices, faces, file.path, _REMEDY)
-        surface = _used((vertices, faces))
-        points, _ = _in_millimetres(landmarks.transformed(1.0, alignment.rotation), surface)
-        if file.standing:
-            check_standing(points.points, str(file.path))
-        if farthest_from(surface, points.points) > FARTHEST_M:
-            self.build(body)
+        """Build one body, which takes far less than its partition and its views. Raises the errors of `build`."""
+        self.build(body)
 
     def _placed(
         self, body: BodyRef, landmarks: LandmarkSet | PointLandmarks

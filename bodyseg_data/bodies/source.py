@@ -131,7 +131,7 @@ class BodySource(Protocol):
         """
 
     def check(self, body: BodyRef) -> None:
-        """Raise BadMesh or BadLandmarks for a body that cannot be built, as far as that can be told at little cost.
+        """Raise BadMesh or BadLandmarks for a body that cannot be built.
 
         Packing calls it, for sources that read files, for all bodies before it builds the first.
         """

@@ -10,11 +10,9 @@ if TYPE_CHECKING:
     from bodyseg_data.meshes.geodesics import GeodesicMethod, nearest_sources
     from bodyseg_data.meshes.landmark_files import load_landmark_file
     from bodyseg_data.meshes.landmarks import (
-        FARTHEST_M,
         METRES,
         LandmarkSet,
         PointLandmarks,
-        farthest_from,
         load_landmarks,
     )
     from bodyseg_data.meshes.mending import welded

@@ -325,12 +325,3 @@ def nearest_corner(
     away = np.linalg.norm(vertices[candidates] - points[:, None], axis=2)
     nearest: NDArray[np.int32] = candidates[np.arange(len(points)), away.argmin(axis=1)]
     return nearest, np.asarray(distance, np.float64)
-
-
-def farthest_from(vertices: NDArray[np.float64], points: NDArray[np.float64]) -> float:
-    """The largest distance of `points` [P, 3] to their nearest vertices [V, 3], metres: that to a surface of these
-    vertices is no larger.
-    """
-    from scipy.spatial import KDTree
-
-    return float(KDTree(vertices).query(points)[0].max())

@@ -176,7 +176,7 @@ class CaesarBodies(MeshBodies):
             wanted = f"subject {stem}: no {stem}.lnd anywhere in {folder}"
             name = key_name(stem, _LONGEST_SUBJECT)
             ref = BodyRef("people", name, name, "standing", split_by_order("people", index))
-            files[ref] = MeshFile(mesh, own or given, wanted, shared=own is None, standing=True)
+            files[ref] = MeshFile(mesh, own or given, wanted, shared=own is None)
         super().__init__(files, (*missing, *CAESAR_MESHES[len(meshes) :]), options)
 
 
