@@ -178,7 +178,7 @@ CASES: dict[str, Case] = {
     "use unknown landmarks": (
         lambda: load_landmarks("none"),
         BadLandmarks,
-        "no landmark set is called 'none': give mit_I, open or the path of a .json file",
+        "no landmark set is called 'none': give mit_I or open",
     ),
     "read a mesh that is not there": (
         lambda: read_mesh(Path("none.ply")),

@@ -40,7 +40,6 @@ LANDMARK_SUFFIXES: Final = (".json", ".lnd", ".lnd.gz")
 Surface = tuple[NDArray[np.float64], NDArray[np.int32]]
 
 _MOST_TRIED: Final = 12  # bodies of a group, evenly spaced, of which an upright one is sought
-_FAULTS_NAMED: Final = 3
 _REMEDY: Final = "; --pymeshlab repairs most scans"
 _IN_METRES: Final = (700.0, 1700.0)  # bodies are a little larger than their landmarks' extent
 
@@ -143,9 +142,8 @@ class MeshBodies(ListedBodies[MeshFile]):
     def fingerprint(self, bodies: Sequence[BodyRef]) -> str:
         """Return a digest of every byte of the meshes' files, the landmarks, and the alignments.
 
-        Raises BadLandmarks for bodies that have no usable landmark file, naming the first few and saying how many.
+        Raises BadLandmarks for a body that has no usable landmark file.
         """
-        self._check_landmarks(bodies)
         digest = hashlib.sha256(repr((self._options.units, self._options.up)).encode())
         for group in dict.fromkeys(self._entries[body].group for body in bodies):
             if group is not None:
@@ -203,19 +201,6 @@ class MeshBodies(ListedBodies[MeshFile]):
             points = _in_millimetres(turned, _used((vertices, surface[1])))[0].points
         check_body(vertices, surface[1], points, str(file.path))
         return vertices, surface[1], alignment
-
-    def _check_landmarks(self, bodies: Sequence[BodyRef]) -> None:
-        faults: dict[str, list[BodyRef]] = {}
-        for body in bodies:
-            try:
-                self._landmarks(body)
-            except BadLandmarks as error:
-                faults.setdefault(str(error), []).append(body)
-        if faults:
-            named = "; ".join(list(faults)[:_FAULTS_NAMED])
-            count = sum(map(len, faults.values()))
-            more = f"; and {len(faults) - _FAULTS_NAMED} more" if len(faults) > _FAULTS_NAMED else ""
-            raise BadLandmarks(f"{count} of {len(bodies)} bodies cannot be labelled: {named}{more}")
 
     def _landmarks(self, body: BodyRef) -> LandmarkSet | PointLandmarks:
         """Return a body's landmarks; by vertex whenever other bodies share them."""

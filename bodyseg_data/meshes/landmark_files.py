@@ -29,7 +29,6 @@ from bodyseg_data.meshes.landmarks import (
     json_table,
     parse_landmarks,
     parse_points,
-    read_text,
 )
 from bodyseg_data.meshes.mesh_files import file_bytes
 
@@ -173,5 +172,5 @@ def load_landmark_file(path: Path) -> LandmarkSet | PointLandmarks:
         return read_lnd(path)
     if path.suffix.lower() != ".json":
         raise BadLandmarks(f"a landmark file must be .json, .lnd or .lnd.gz, found {path}")
-    text = read_text(path)
-    return (parse_points if json_table(text, str(path)).has("points") else parse_landmarks)(text, str(path))
+    data = file_bytes(path, "landmark", LARGEST_BYTES, BadLandmarks)
+    return (parse_points if json_table(data, str(path)).has("points") else parse_landmarks)(data, str(path))

@@ -20,14 +20,13 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import resources
-from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BadLandmarks
-from bodyseg_data.files import Table, refuse_special
+from bodyseg_data.files import Table
 from bodyseg_data.labels import LANDMARKS, PART_COUNT
 from bodyseg_data.machine import missing_library
 from bodyseg_data.meshes.coincident import separate
@@ -99,26 +98,16 @@ class LandmarkSet:
         return json.dumps(tree, indent=2, ensure_ascii=False) + "\n"
 
 
-def load_landmarks(name_or_path: str | Path) -> LandmarkSet:
-    """Read a landmark set by the name of one that ships with the package ("open", "mit_I"), or from a .json file.
-
-    Raises BadLandmarks, naming the file and, where there is one, the landmark at fault.
-    """
-    path = Path(name_or_path)
-    if path.suffix != ".json":
-        folder = resources.files(__package__) / "landmark_sets"
-        names = sorted(entry.name.removesuffix(".json") for entry in folder.iterdir() if entry.name.endswith(".json"))
-        if str(name_or_path) not in names:
-            raise BadLandmarks(
-                f"no landmark set is called {str(name_or_path)!r}: give {', '.join(names)} or the path of a .json file"
-            )
-        text = (folder / f"{name_or_path}.json").read_text(encoding="utf-8")
-    else:
-        text = read_text(path)
-    return parse_landmarks(text, str(name_or_path))
+def load_landmarks(name: str) -> LandmarkSet:
+    """Read a landmark set that ships with the package, "open" or "mit_I". Raises BadLandmarks for another name."""
+    folder = resources.files(__package__) / "landmark_sets"
+    names = sorted(entry.name.removesuffix(".json") for entry in folder.iterdir() if entry.name.endswith(".json"))
+    if name not in names:
+        raise BadLandmarks(f"no landmark set is called {name!r}: give {' or '.join(names)}")
+    return parse_landmarks((folder / f"{name}.json").read_bytes(), name)
 
 
-def parse_landmarks(text: str, source: str) -> LandmarkSet:
+def parse_landmarks(text: str | bytes, source: str) -> LandmarkSet:
     """Parse a landmark set from JSON text; `source` names it in messages. Raises BadLandmarks."""
     tree = json_table(text, source)
     with _bad_landmarks():
@@ -228,7 +217,7 @@ def snap(mesh: Mesh, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], ND
     return vertices.astype(np.int64), distance
 
 
-def parse_points(text: str, source: str) -> PointLandmarks:
+def parse_points(text: str | bytes, source: str) -> PointLandmarks:
     """Parse landmarks by coordinate from JSON text; `source` names it in messages. Raises BadLandmarks."""
     tree = json_table(text, source)
     with _bad_landmarks():
@@ -240,20 +229,11 @@ def parse_points(text: str, source: str) -> PointLandmarks:
     return PointLandmarks(source, np.array(points) * METRES[units], ignored)
 
 
-def read_text(path: Path) -> str:
-    """Read a landmark file in UTF-8. Raises BadLandmarks."""
-    try:
-        refuse_special(path)
-        return path.read_text(encoding="utf-8-sig")  # some editors write a byte-order mark
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadLandmarks(f"cannot read the landmark file {path}: {error}") from error
-
-
-def json_table(text: str, source: str) -> Table:
+def json_table(text: str | bytes, source: str) -> Table:
     """Parse the JSON object of a landmark file and check its format. Raises BadLandmarks."""
     where = f"landmarks {source}"
     try:
-        tree = json.loads(text, object_pairs_hook=lambda pairs: _without_doubles(pairs, where))
+        tree = json.loads(text)
     except (ValueError, RecursionError) as error:  # RecursionError: brackets nested beyond reason
         raise BadLandmarks(f"{where} is not JSON: {error}") from error
     if not isinstance(tree, dict) or tree.pop("format", None) != LANDMARKS_FORMAT:
@@ -286,16 +266,6 @@ def _by_name(tree: Table, key: str) -> tuple[Table, tuple[str, ...]]:
     if missing:
         raise BadLandmarks(f"{tree.where}: landmark {', '.join(missing)} is missing")
     return table, tuple(others)
-
-
-def _without_doubles(pairs: list[tuple[str, Any]], where: str) -> dict[str, Any]:
-    """Raise BadLandmarks for repeated keys, of which `json` would silently keep the last."""
-    tree: dict[str, Any] = {}
-    for key, value in pairs:
-        if key in tree:
-            raise BadLandmarks(f"{where}: {key!r} is given twice")
-        tree[key] = value
-    return tree
 
 
 def nearest_corner(
