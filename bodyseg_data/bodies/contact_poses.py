@@ -30,11 +30,11 @@ from bodyseg_data.bodies.limb_reaching import (
     one_of,
     other,
     uniform,
-    vertex_normals,
     within,
 )
 from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, bone_rotations
 from bodyseg_data.bodies.stances import STANCES, LegTask, Places, Stance
+from bodyseg_data.meshes import vertex_normals
 
 Floats = NDArray[np.float64]
 

@@ -216,7 +216,7 @@ def _starts(
     """List (distance, direction number, fit) of every pose, tilted and turned every way, by centre and size."""
     centre, size = _centre_and_size(target.positions)
     matcher = Matcher(target)
-    shape, angles = torch.zeros(len(body.head_shapes)).double(), torch.zeros(len(body.joints.deviation)).double()
+    shape, angles = torch.zeros(len(body.head_shapes)).double(), torch.zeros(len(body.deviation)).double()
     root = body.heads[0].numpy()
     found = []
     for pose in poses:
@@ -272,7 +272,7 @@ def _other_limbs(
     ends = tuple(f".{side}" for side in sides)
     own = [bone for bone in body.bones if bone.endswith(ends) and bone.startswith(_BONES[kind])]
     bones = torch.tensor([body.bones[bone] for bone in own])
-    still = 1 - body.joints.turns[:, bones].abs().amax(dim=(1, 2)).gt(0).double()
+    still = 1 - body.turns[:, bones].abs().amax(dim=(1, 2)).gt(0).double()
     farthest_out = body.surface.weights[:, bones].sum(dim=1).numpy() * body.mean_geodesic
     end = int(farthest_out[:_POINTS].argmax())
     matcher = Matcher(target)

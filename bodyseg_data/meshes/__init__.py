@@ -16,7 +16,7 @@ if TYPE_CHECKING:
         load_landmarks,
     )
     from bodyseg_data.meshes.mending import welded
-    from bodyseg_data.meshes.mesh import HEIGHT_RANGE_M, Mesh, SceneMesh, face_normals, find_edges
+    from bodyseg_data.meshes.mesh import HEIGHT_RANGE_M, Mesh, SceneMesh, face_normals, find_edges, vertex_normals
     from bodyseg_data.meshes.mesh_files import MeshContent, mesh_stem, preferred, read_mesh
     from bodyseg_data.meshes.partitioning import Borders, Partition, partition
     from bodyseg_data.meshes.repairing import repair, with_pymeshlab

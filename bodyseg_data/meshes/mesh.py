@@ -197,12 +197,7 @@ class Mesh:
     @cached_property
     def vertex_normals(self) -> NDArray[np.float64]:
         """Area-weighted mean normals of the faces at each vertex, float64 [V, 3], unit length; zero without faces."""
-        normals = np.zeros_like(self.vertices)
-        for corner in range(3):
-            np.add.at(normals, self.faces[:, corner], self.normals)
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-        np.divide(normals, length, out=normals, where=length > 0)
-        return normals
+        return vertex_normals(self.vertices, self.faces)
 
     def barycentric(self, faces: NDArray[np.int32], points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Barycentric weights [N, 3] of points [N, 3] in the planes of their triangles (Ericson 2005, section 3.4)."""
@@ -257,6 +252,14 @@ def face_normals(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]])
     """Normals of triangles, float64 [F, 3], by the right-hand rule; length twice the triangle's area."""
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     return np.cross(b - a, c - a)
+
+
+def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
+    """Unit normals of vertices, float64 [V, 3], of the faces at each weighted by area; zero without faces."""
+    across = face_normals(vertices, faces)
+    sums = [np.bincount(faces.ravel(), np.repeat(across[:, axis], 3), len(vertices)) for axis in range(3)]
+    normals = np.stack(sums, axis=1)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15)
 
 
 def signed_volumes(corners: NDArray[np.float64]) -> NDArray[np.float64]:
