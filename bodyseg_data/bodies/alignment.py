@@ -74,10 +74,7 @@ def find_alignment(
     left = _direction(points["Lt. Acromion"] - points["Rt. Acromion"])
     upward = _axis(up) if up != "auto" else _nearest_axis(trunk)
     if up == "auto" and _angle(trunk, upward) > _TOO_LEANING_DEG:
-        raise BadMesh(
-            f"{where}: cannot find which axis points up: the trunk points along {np.round(trunk, 2).tolist()}, between "
-            "the axes; give it with --up"
-        )
+        raise BadMesh(f"{where}: the trunk points along {np.round(trunk, 2).tolist()}, between the axes: give --up")
     leftward = _nearest_axis(left, not_along=upward)
     rotation = np.stack([leftward, upward, np.cross(leftward, upward)])
     return Alignment(scale, rotation, max(_angle(trunk, upward), _angle(legs, upward)))

@@ -145,14 +145,9 @@ def _cache_faults() -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise BadConfig(
-            f"anny needs a folder for its cache: cannot use {get_anny_cache_path()} ({error}); "
-            "set ANNY_CACHE_DIR to a folder that can be written to"
-        ) from error
+        raise BadConfig(f"anny cannot write to {get_anny_cache_path()} ({error}): set ANNY_CACHE_DIR") from error
     except SafetensorError as error:
-        raise BadConfig(
-            f"anny's cache in {get_anny_cache_path()} is damaged ({error}): delete that folder, the next run fills it"
-        ) from error
+        raise BadConfig(f"anny's cache {get_anny_cache_path()} is damaged ({error}): delete it") from error
 
 
 @dataclass(frozen=True)

@@ -123,10 +123,7 @@ def largest_piece(mesh: Mesh) -> NDArray[np.int64]:
     used = np.unique(mesh.faces).astype(np.int64)
     largest: NDArray[np.int64] = used[piece[used] == area.argmax()]
     if len(largest) < PART_COUNT:
-        raise BadMesh(
-            f"mesh {mesh.name}: a body needs {PART_COUNT} vertices for its landmarks, found {len(largest)} in its "
-            "largest piece"
-        )
+        raise BadMesh(f"mesh {mesh.name}: its largest piece must have {PART_COUNT} vertices, found {len(largest)}")
     return largest
 
 

@@ -49,10 +49,7 @@ def draw_body_views(bodies: Sequence[LabelledBody], heights_px: Sequence[int] | 
     """
     heights = [600] * len(bodies) if heights_px is None else list(heights_px)
     if not bodies or len(heights) != len(bodies) or not all(height in HEIGHTS_PX for height in heights):
-        raise BadConfig(
-            f"a picture needs one height of 100 to 4000 pixels for each of its bodies and at least one body, "
-            f"found heights {heights} for {len(bodies)} bodies"
-        )
+        raise BadConfig(f"a picture needs bodies, each with a height of 100 to 4000 pixels, found {heights}")
     rows = [_row(body, height) for body, height in zip(bodies, heights, strict=True)]
     legend = draw_legend(max(max(row.width for row in rows), 1000) - 2 * _MARGIN)
     width = legend.width + 2 * _MARGIN

@@ -222,16 +222,9 @@ class LabelMap:
         found = np.full(256, BACKGROUND, np.uint8)
         for label, members in enumerate(self.members):
             targets = {int(coarser.table[member]) for member in members}
-            if len(targets) != 1:
-                raise BadConfig(
-                    f"labels {self.name!r} cannot be joined to {coarser.name!r}, which splits the class "
-                    f"{self.names[label]!r}"
-                )
-            if BACKGROUND in targets:
-                raise BadConfig(
-                    f"labels {self.name!r} cannot be joined to {coarser.name!r}, in which the class "
-                    f"{self.names[label]!r} has no counterpart"
-                )
+            if len(targets) != 1 or BACKGROUND in targets:
+                fault = f"{'splits' if len(targets) > 1 else 'lacks'} the class {self.names[label]!r}"
+                raise BadConfig(f"labels {self.name!r} cannot be joined to {coarser.name!r}, which {fault}")
             found[label] = targets.pop()
         return found
 

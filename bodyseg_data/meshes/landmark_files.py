@@ -75,9 +75,7 @@ def read_lnd(path: Path) -> PointLandmarks:
         if name is None or name not in LANDMARKS or _is_placeholder(point):
             continue
         if name in found and found[name] != point:
-            raise BadLandmarks(
-                f"landmarks {path}, line {number}: {name!r} is given twice, found {list(found[name])} and {list(point)}"
-            )
+            raise BadLandmarks(f"landmarks {path}, line {number}: {name!r} is given twice, {found[name]} and {point}")
         found[name] = point
     missing = [name for name in LANDMARKS if name not in found]
     if missing:

@@ -145,16 +145,10 @@ class Mesh:
         proper = edges.ends[:, 0] != edges.ends[:, 1]  # not from a vertex to itself
         clashes = edges.ends[(edges.faces == 2) & (balance != 0) & proper]
         if len(clashes):
-            raise BadMesh(
-                f"mesh {self.name}: neighbouring faces must agree on their outside, found faces that clash at the edge "
-                f"of vertices {clashes[0, 0]} and {clashes[0, 1]}"
-            )
+            raise BadMesh(f"mesh {self.name}: neighbouring faces must agree, found a clash at {clashes[0].tolist()}")
         whole, lowest = self.signed_volume(), self._lowest_closed_volume(edges)
         if whole <= 0 or lowest < -_SLIGHT_VOLUME_M3:
-            raise BadMesh(
-                f"mesh {self.name}: faces must point outwards, found a signed volume of {min(whole, lowest):.3g} m3 "
-                "(inside out?)"
-            )
+            raise BadMesh(f"mesh {self.name}: faces must point outwards, found {min(whole, lowest):.3g} m3 inside")
 
     def signed_volume(self) -> float:
         """Enclosed volume, m3, measured about the mean vertex; negative if faces point inwards."""

@@ -191,10 +191,7 @@ def _check_plan(path: Path, description: dict[str, Any], out: Path) -> None:
     except (ValueError, RecursionError):
         stored = None
     if stored != description:
-        raise BadConfig(
-            f"{out} holds an unfinished packing with other options or of other files: "
-            "finish it with those, or delete the folder"
-        )
+        raise BadConfig(f"{out} holds an unfinished packing of other options or files: finish it, or delete the folder")
 
 
 def finished_shards(

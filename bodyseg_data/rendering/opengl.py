@@ -190,10 +190,7 @@ class _Context:
     def check_process(self) -> None:
         """Raise BadConfig in a fork of the process that opened the context, where drivers hang."""
         if self._process != os.getpid():
-            raise BadConfig(
-                f"{_FEATURE} cannot draw in a process forked from one that has drawn: start workers by 'spawn' or "
-                "'forkserver', or draw in the workers only"
-            )
+            raise BadConfig(f"{_FEATURE} cannot draw in a fork of a process that has drawn: start workers by 'spawn'")
 
     def draw(self, scene: Any, rows: int, columns: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         self.check_process()

@@ -80,7 +80,7 @@ def test_a_lying_body_needs_its_up_axis() -> None:
 
 def test_a_body_between_the_axes_is_refused() -> None:
     body = leaning(45)
-    with pytest.raises(BadMesh, match=r"a\.ply: cannot find which axis points up: .* --up"):
+    with pytest.raises(BadMesh, match=r"a\.ply: the trunk points along .* --up"):
         find_alignment(body, body[LIST], "auto", "auto", "a.ply")
     find_alignment(body, body[LIST], "auto", "y", "a.ply")
 

@@ -111,7 +111,7 @@ def test_what_cannot_be_drawn_is_refused() -> None:
     title, mesh, parts, landmarks = quartered()
     good = (title, mesh, parts, landmarks)
     for sitters, heights in (([], None), ([good], []), ([good], [200, 200]), ([good], [5])):
-        with pytest.raises(BadConfig, match="a picture needs one height of 100 to 4000 pixels"):
+        with pytest.raises(BadConfig, match="a picture needs bodies, each with a height of 100 to 4000 pixels"):
             draw_body_views(sitters, heights)
     for broken, message in (
         ((title, ball(subdivisions=3), parts, landmarks), "mesh ball: each vertex needs a label, found"),

@@ -16,9 +16,9 @@ from folders import HELPERS, ROOT
 from bodyseg_data.core import MissingLibrary
 from bodyseg_data.machine import libraries, missing_library, require_libraries
 
-OPEN_GL = "from bodyseg_data.rendering.registry import open_renderer\nopen_renderer('opengl', ball())"
-OPEN_RASTER = "from bodyseg_data.rendering.registry import open_renderer\nopen_renderer('raster', ball())"
-OPEN_EMBREE = "from bodyseg_data.rendering.registry import open_renderer\nopen_renderer('embree', ball())"
+OPEN_GL = "from bodyseg_data.rendering import open_renderer\nopen_renderer('opengl', ball())"
+OPEN_RASTER = "from bodyseg_data.rendering import open_renderer\nopen_renderer('raster', ball())"
+OPEN_EMBREE = "from bodyseg_data.rendering import open_renderer\nopen_renderer('embree', ball())"
 REPAIR = "from bodyseg_data.meshes.repairing import repair\nrepair('ball', ball().vertices, ball().faces)"
 
 STAGE = """

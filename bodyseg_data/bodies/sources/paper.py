@@ -134,15 +134,9 @@ class MitBodies(MeshBodies):
                     else:
                         missing.append(f"{sequence}/meshes/mesh_{number:04d}.obj")
         if not files:
-            raise BadConfig(
-                "the source 'mit' needs SEQUENCE/meshes/mesh_NNNN.obj in its folder, with SEQUENCE one of "
-                f"{', '.join(name for names in MIT_SEQUENCES.values() for name in names)}: found none in {path}"
-            )
+            raise BadConfig(f"the source 'mit' needs files like I_crane/meshes/mesh_0000.obj: found none in {path}")
         if given is not None and not any(ref.subject == "C" for ref in files):
-            raise BadConfig(
-                f"a landmark file is for subject C (D_*), found none of its frames in {path}: to replace the landmarks "
-                "of subject B give a folder that holds landmarks_B.json"
-            )
+            raise BadConfig(f"a landmark file is for subject C (D_*), found none of its frames in {path}")
         # The sequences stand on the plane y = 0; a handstand would mislead the search for what is up.
         super().__init__(files, missing, replace(options, up="y") if options.up == "auto" else options)
 
@@ -195,10 +189,7 @@ def _standing(path: Path) -> dict[str, Path]:
     if not chosen:
         raise BadConfig(f"the source 'caesar' needs one mesh (.ply, .obj, .off) a subject: found none in {path}")
     if len(chosen) > CAESAR_SUBJECTS:
-        raise BadConfig(
-            f"the source 'caesar' has the paper's {CAESAR_SUBJECTS} subjects, found {len(chosen)} in {path}: take out "
-            "those that are not wanted, or read them all with --source folder"
-        )
+        raise BadConfig(f"'caesar' has {CAESAR_SUBJECTS} subjects, found {len(chosen)} in {path}: use --source folder")
     return chosen
 
 
@@ -252,9 +243,7 @@ class PaperBodies(ListedBodies[BodySource]):
         if landmarks is not None and not landmarks.is_dir():
             raise BadConfig(f"the landmarks of the source 'paper' are a folder like its own, found {landmarks}")
         if landmarks is not None and not any(_sub_folder(landmarks, name) for name in _PARTS):
-            raise BadConfig(
-                f"--landmarks must hold one of the sub-folders {', '.join(_PARTS)}: found none in {landmarks}"
-            )
+            raise BadConfig(f"--landmarks must hold one of {', '.join(_PARTS)}: found none in {landmarks}")
         sources: dict[BodyRef, BodySource] = {}
         all_missing: list[str] = []
         for name, (opened, complete) in _PARTS.items():

@@ -72,7 +72,7 @@ def test_a_landmark_off_the_surface_is_named_with_its_distance() -> None:
     points = on_ball()
     points[9] += (0.0, 0.0, 0.2)
     off = snap(BALL, points)[1][9]
-    message = rf"here on mesh ball: .* within 3 cm .*, found 'Cervicale' {100 * off:.1f} cm off it at \["
+    message = rf"here on mesh ball: .* within 3 cm .*, found 'Cervicale' {100 * off:.1f} cm off it"
     with pytest.raises(BadLandmarks, match=message) as caught:
         PointLandmarks("here", points).for_mesh(BALL)
     assert "\n" not in str(caught.value)

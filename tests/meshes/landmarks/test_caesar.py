@@ -188,7 +188,7 @@ def test_a_landmark_given_twice_must_be_in_one_place(tmp_path: Path) -> None:
     placeholder = "1 -3 0 1 -999 -999 -999 Nuchale"
     np.testing.assert_allclose(read_lnd(write(tmp_path, text([*rows(), again, placeholder]))).points, expected())
     elsewhere = "1 -3 0 1 5 5 5 Nuchal"
-    with pytest.raises(BadLandmarks, match=r"line 77: 'Nuchale' is given twice, .* and \[5.0, 5.0, 5.0\]"):
+    with pytest.raises(BadLandmarks, match=r"line 77: 'Nuchale' is given twice, .* and \(5.0, 5.0, 5.0\)"):
         read_lnd(write(tmp_path, text([*rows(), elsewhere])))
 
 
