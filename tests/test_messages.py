@@ -79,7 +79,7 @@ CASES: dict[str, Case] = {
         "a shard holds at least one sample, found 0",
     ),
     "pack with an unknown renderer": (
-        lambda: open_renderer("povray", ball()),
+        lambda: open_renderer("povray", Mesh("m", POINTS, FACES)),
         BadConfig,
         "the renderer must be one of raster, embree, opengl, found 'povray'",
     ),
