@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from bodyseg_data.bodies.anny_people import Person
 from bodyseg_data.bodies.outfits import Outfit
 from bodyseg_data.bodies.skeleton import Pose, bone_rotations
-from bodyseg_data.core import BadConfig, MissingLibrary, ProgressCallback, silent
+from bodyseg_data.core import BadConfig, ProgressCallback, silent
 from bodyseg_data.machine import missing_library, torch_threads
 
 if TYPE_CHECKING:
@@ -39,17 +39,12 @@ _DECIMALS: Final = 6
 _CROWN_M: Final = 0.06  # generous: the highest and lowest vertices of people differ by far less in height
 
 
-def no_anny(error: ImportError) -> MissingLibrary:
-    """Return the error to raise where Anny cannot be imported."""
-    return missing_library("making bodies", error)
-
-
 def fill_cache(progress: ProgressCallback) -> None:
     """Fill Anny's cache if nothing is in it, calling `progress` as `load_anny` does. Raises the same errors."""
     try:
         from anny.paths import get_anny_cache_path
     except ImportError as error:
-        raise no_anny(error) from error
+        raise missing_library("making bodies", error) from error
     if not any(get_anny_cache_path().rglob("*.safetensors")):
         load_anny(progress)
 
@@ -63,7 +58,7 @@ def load_anny(progress: ProgressCallback = silent) -> Any:
     try:
         from anny import Anny
     except ImportError as error:
-        raise no_anny(error) from error
+        raise missing_library("making bodies", error) from error
     with torch_threads(1), _one_process(), _cache_faults(), _fast_parsing(progress):
         # The compact basis would halve the time a body takes, but comes from a decomposition whose bits depend on the
         # machine and on its threads. Plain "lbs" skinning needs nothing compiled.

@@ -100,15 +100,8 @@ def meshes_in(folder: Path) -> dict[str, Path]:
 
 def landmark_file(folders: Sequence[Path], stem: str) -> Path | None:
     """Return the first of STEM.json, STEM.lnd and STEM.lnd.gz in the first folder that holds one, or None."""
-    return next(
-        (
-            folder / f"{stem}{suffix}"
-            for folder in folders
-            for suffix in LANDMARK_SUFFIXES
-            if (folder / f"{stem}{suffix}").is_file()
-        ),
-        None,
-    )
+    files = (folder / f"{stem}{suffix}" for folder in folders for suffix in LANDMARK_SUFFIXES)
+    return next((file for file in files if file.is_file()), None)
 
 
 @dataclass(frozen=True)

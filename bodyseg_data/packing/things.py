@@ -145,15 +145,7 @@ def lamp(numbers: Numbers) -> Solid:
 
 
 FURNITURE: Final[dict[str, Callable[[Numbers], Solid]]] = {
-    "box": box,
-    "table": table,
-    "chair": chair,
-    "bed": bed,
-    "machine": machine,
-    "bin": bin_,
-    "plant": plant,
-    "lamp": lamp,
-    "plank": plank,
+    made.__name__.rstrip("_"): made for made in (box, table, chair, bed, machine, bin_, plant, lamp, plank)
 }
 """Name -> a thing of that kind, drawn anew."""
 

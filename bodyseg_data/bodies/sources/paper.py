@@ -21,6 +21,7 @@ import hashlib
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Final, Literal
 
@@ -159,7 +160,7 @@ class CaesarBodies(MeshBodies):
     def __init__(self, path: Path, landmarks: Path | None = None, options: MeshOptions = DEFAULTS) -> None:
         given, folder = given_landmarks(path, landmarks)
         meshes = _standing(path)
-        points = _by_name(folder, _landmark_stem)
+        points = _by_name(folder, partial(mesh_stem, suffixes=LANDMARK_SUFFIXES))
         files: dict[BodyRef, MeshFile] = {}
         missing: list[str] = []
         for index, (subject, mesh) in enumerate(meshes.items()):
@@ -198,19 +199,8 @@ def _own(candidates: list[Path], mesh: Path) -> Path | None:
     beside = [file for file in candidates if file.parent == mesh.parent]
     if not beside and len({file.parent for file in candidates}) > 1:
         raise BadConfig(f"a subject needs one landmark file, found {candidates[0]} and {candidates[1]} for {mesh}")
-    return min(
-        beside or candidates, key=lambda file: LANDMARK_SUFFIXES.index(_landmark_suffix(file.name)), default=None
-    )
-
-
-def _landmark_suffix(name: str) -> str:
-    """Return the landmark file's suffix that a name ends in, or ""."""
-    return next((suffix for suffix in LANDMARK_SUFFIXES if name.lower().endswith(suffix)), "")
-
-
-def _landmark_stem(name: str) -> str | None:
-    suffix = _landmark_suffix(name)
-    return name[: -len(suffix)] if suffix else None
+    files = {file.name: file for file in beside or candidates}
+    return files[preferred([*files], LANDMARK_SUFFIXES)] if files else None
 
 
 def _by_name(root: Path, stem_of: Callable[[str], str | None]) -> dict[str, list[Path]]:
