@@ -1,4 +1,4 @@
-"""Jobs of a packing, their results in order, and their engines: processes of this machine, or a running Dask cluster."""
+"""Jobs of a packing, their results in order, and their engines: processes of this machine, or a running cluster."""
 
 import itertools
 import multiprocessing
