@@ -9,7 +9,7 @@ from __future__ import annotations
 import fcntl
 import gzip
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -59,7 +59,7 @@ def load_anny(progress: ProgressCallback = silent) -> Any:
         from anny import Anny
     except ImportError as error:
         raise missing_library("making bodies", error) from error
-    with torch_threads(1), _one_process(), _cache_faults(), _fast_parsing(progress):
+    with torch_threads(1), _cache(), _fast_parsing(progress):
         # The compact basis would halve the time a body takes, but comes from a decomposition whose bits depend on the
         # machine and on its threads. Plain "lbs" skinning needs nothing compiled.
         return Anny(phenotypes="all", phenotype_blendshapes="original", skinning_method="lbs")
@@ -116,33 +116,22 @@ def parse_target(path: Path, vertices: int) -> NDArray[np.float64]:
 
 
 @contextmanager
-def _one_process() -> Iterator[None]:
-    """Lock Anny's cache, which it writes in place: one process fills it while the others wait."""
-    from anny.paths import get_anny_cache_path
-
-    try:
-        get_anny_cache_path().mkdir(parents=True, exist_ok=True)
-        lock = (get_anny_cache_path() / "bodyseg.lock").open("w")
-    except OSError:  # no lock for a cache that cannot be written: it is complete, or loading Anny will fail
-        yield
-        return
-    with lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
-
-
-@contextmanager
-def _cache_faults() -> Iterator[None]:
-    """Turn errors of Anny's cache into BadConfig that names its folder."""
+def _cache() -> Iterator[None]:
+    """Lock Anny's cache, which it writes in place: one process fills it while others wait. Its errors are BadConfig."""
     from anny.paths import get_anny_cache_path
     from safetensors import SafetensorError
 
+    folder = get_anny_cache_path()
     try:
-        yield
+        with ExitStack() as held:
+            with suppress(OSError):  # no lock for a cache that cannot be written: it is complete, or Anny will fail
+                folder.mkdir(parents=True, exist_ok=True)
+                fcntl.flock(held.enter_context((folder / "bodyseg.lock").open("w")), fcntl.LOCK_EX)
+            yield
     except OSError as error:
-        raise BadConfig(f"anny cannot write to {get_anny_cache_path()} ({error}): set ANNY_CACHE_DIR") from error
+        raise BadConfig(f"anny cannot write to {folder} ({error}): set ANNY_CACHE_DIR") from error
     except SafetensorError as error:
-        raise BadConfig(f"anny's cache {get_anny_cache_path()} is damaged ({error}): delete it") from error
+        raise BadConfig(f"anny's cache {folder} is damaged ({error}): delete it") from error
 
 
 @dataclass(frozen=True)

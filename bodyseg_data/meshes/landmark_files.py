@@ -6,9 +6,9 @@ last three of which are x, y, z in millimetres, and a name, which may hold blank
 
     3  0  0  1   12.3  -101.2  1544.0  Rt. Thelion/Bustpoin
 
-A name is recognised if it is one of the survey's 73 in full, regardless of case, blanks and punctuation, or a prefix
-of only one of them, or differs from one by a letter or two and from all others of its side by clearly more. Sides and
-numbers, like the "V" of a finger, must be exact.
+A name is recognised if it is one of the 33 in full, regardless of case, blanks and punctuation, or a prefix of only one
+of them, or differs from one by a letter or two and from all others of its side by clearly more. Sides and numbers, like
+the "II" of a toe, must be exact. So none of the survey's 40 other names, cut or misspelt by a letter, is taken for one.
 """
 
 import math
@@ -32,20 +32,6 @@ from bodyseg_data.meshes.landmarks import (
 )
 from bodyseg_data.meshes.mesh_files import file_bytes
 
-_OTHERS: Final = (
-    "Infraorbitale", "Tragion", "Gonion", "Clavicale", "10th Rib", "Iliocristale", "Axilla, Ant.", "Ulnar Styloid",
-    "Radiale", "Humeral Lateral Epicn", "Humeral Medial Epicn", "Metacarpal Phal. II", "Metacarpal Phal. V",
-    "Femoral Medial Epicn", "Metatarsal Phal. I", "Metatarsal Phal. V", "Medial Malleolus", "Sphyrion",
-    "Calcaneous, Post.",
-)  # fmt: skip
-CAESAR_LANDMARKS: Final = (
-    *LANDMARKS,
-    "Waist, Preferred, Post.",
-    "Crotch",
-    *(f"{side} {name}" for name in _OTHERS for side in ("Rt.", "Lt.")),
-)
-"""All 73 landmarks of the survey in its spelling; `parts.LANDMARKS` are 33 of these."""
-
 LARGEST_BYTES: Final = 1 << 20
 """Largest size of a landmark file, also after unpacking: those of the survey have a hundredth of it."""
 
@@ -66,27 +52,23 @@ def read_lnd(path: Path) -> PointLandmarks:
     different places, and for a file that cannot be read or lacks the lines "AUX =" and "END =".
     """
     found: dict[str, tuple[float, ...]] = {}
-    unknown: list[str] = []
     text = file_bytes(path, ".lnd", LARGEST_BYTES, BadLandmarks).decode("latin-1")
     for number, point, written in _rows(text, path):
         name = recognise(written)
-        if name is None:
-            unknown.append(written)
-        if name is None or name not in LANDMARKS or _is_placeholder(point):
+        if name is None or _is_placeholder(point):
             continue
         if name in found and found[name] != point:
             raise BadLandmarks(f"landmarks {path}, line {number}: {name!r} is given twice, {found[name]} and {point}")
         found[name] = point
     missing = [name for name in LANDMARKS if name not in found]
     if missing:
-        stray = f"; names not recognised: {', '.join(map(repr, unknown[:8]))}" if unknown else ""
-        raise BadLandmarks(f"landmarks {path}: {', '.join(map(repr, missing))} missing{stray}")
+        raise BadLandmarks(f"landmarks {path}: {', '.join(map(repr, missing))} missing")
     return PointLandmarks(str(path), np.array([found[name] for name in LANDMARKS]) * METRES["mm"])
 
 
 @lru_cache(maxsize=4096)
 def recognise(written: str) -> str | None:
-    """Find the one of `CAESAR_LANDMARKS` that a name in a file means; None if it is not certain."""
+    """Find the one of the 33 that a name in a file means; None if it is not certain."""
     if len(written) > _LONGEST_NAME:
         return None
     side, words = _normalised(written.partition("#")[0])
@@ -130,7 +112,7 @@ def _edits(a: str, b: str) -> int:
     return row[-1]
 
 
-_KNOWN: Final = {name: _normalised(name) for name in CAESAR_LANDMARKS}
+_KNOWN: Final = {name: _normalised(name) for name in LANDMARKS}
 
 
 def _rows(text: str, path: Path) -> Iterator[tuple[int, tuple[float, ...], str]]:

@@ -146,9 +146,7 @@ class Camera:
         return tree
 
     def scaled(self, factor: int) -> Camera:
-        """The same view with `factor` times as many pixels a side. Raises BadConfig for a factor below 1."""
-        if factor < 1:
-            raise BadConfig(f"an image is refined by a whole factor of at least 1, found {factor}")
+        """The same view with `factor` times as many pixels a side."""
         return replace(
             self,
             rows=self.rows * factor,
