@@ -145,12 +145,12 @@ class Camera:
             tree["distortion"] = self.distortion.to_json()
         return tree
 
-    def scaled(self, factor: int) -> Camera:
-        """The same view with `factor` times as many pixels a side."""
+    def scaled(self, factor: float) -> Camera:
+        """The same view with `factor` times as many pixels a side, rounded up."""
         return replace(
             self,
-            rows=self.rows * factor,
-            columns=self.columns * factor,
+            rows=math.ceil(self.rows * factor),
+            columns=math.ceil(self.columns * factor),
             focal_px=self.focal_px * factor,
             centre_px=(self.centre_px[0] * factor, self.centre_px[1] * factor),
         )
