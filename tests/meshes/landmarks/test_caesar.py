@@ -12,7 +12,7 @@ import pytest
 from bodyseg_data.core import BadLandmarks
 from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.meshes import load_landmark_file
-from bodyseg_data.meshes.landmark_files import read_lnd, recognise
+from bodyseg_data.meshes.landmarks import read_lnd, recognise
 
 OTHERS = (
     "Infraorbitale", "Tragion", "Gonion", "Clavicale", "10th Rib", "Iliocristale", "Axilla, Ant.", "Ulnar Styloid",
