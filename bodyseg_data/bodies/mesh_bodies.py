@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.alignment import UPRIGHT_DEG, Alignment, find_alignment, metres_a_unit
+from bodyseg_data.bodies.alignment import UPRIGHT_DEG, Alignment, UpAxis, find_alignment, metres_a_unit
 from bodyseg_data.bodies.source import DEFAULTS, Body, BodyRef, ListedBodies, MeshOptions
 from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh
 from bodyseg_data.labels import LANDMARKS
@@ -110,7 +110,7 @@ class MeshFile:
 
     landmarks: a landmark file, or the name of a set that ships; None if there is none, and then `wanted` names the file
     needed. shared: other meshes of the same topology use the same landmarks. group: of meshes that share an alignment;
-    None for a mesh aligned by itself.
+    None for a mesh aligned by itself. up: its axis that points up where the user gives none.
     """
 
     path: Path
@@ -118,6 +118,7 @@ class MeshFile:
     wanted: str = ""
     shared: bool = True
     group: str | None = None
+    up: UpAxis = "auto"
 
 
 class MeshBodies(ListedBodies[MeshFile]):
@@ -179,7 +180,7 @@ class MeshBodies(ListedBodies[MeshFile]):
         file = self.entry(body)
         surface = read_mesh(file.path)
         if file.group is None:
-            alignment = self._alignment_of(landmarks, surface, file.path)
+            alignment = self._alignment_of(landmarks, surface, file)
         else:
             alignment, decided_by = self._group_alignment(file.group)
             unit: Any = next(unit for unit, metres in METRES.items() if metres == alignment.scale)
@@ -234,9 +235,9 @@ class MeshBodies(ListedBodies[MeshFile]):
             problem: BadMesh | BadLandmarks | None = None
             for index in range(count):
                 body = members[index * len(members) // count]
-                path = self._entries[body].path
+                file = self._entries[body]
                 try:
-                    found.append((self._alignment_of(self._landmarks(body), read_mesh(path), path), path))
+                    found.append((self._alignment_of(self._landmarks(body), read_mesh(file.path), file), file.path))
                 except (BadMesh, BadLandmarks) as error:
                     problem = problem or error
                     continue
@@ -247,13 +248,14 @@ class MeshBodies(ListedBodies[MeshFile]):
             self._alignments[group] = min(found, key=lambda entry: entry[0].lean_deg)
         return self._alignments[group]
 
-    def _alignment_of(self, landmarks: LandmarkSet | PointLandmarks, surface: Surface, path: Path) -> Alignment:
+    def _alignment_of(self, landmarks: LandmarkSet | PointLandmarks, surface: Surface, file: MeshFile) -> Alignment:
         if isinstance(landmarks, PointLandmarks):
             points = landmarks.points
         else:
-            landmarks.check_counts(len(surface[0]), len(surface[1]), str(path))
+            landmarks.check_counts(len(surface[0]), len(surface[1]), str(file.path))
             points = surface[0][list(landmarks.vertices)]
-        return find_alignment(_used(surface), points, self._options.units, self._options.up, str(path))
+        up = file.up if self._options.up == "auto" else self._options.up
+        return find_alignment(_used(surface), points, self._options.units, up, str(file.path))
 
 
 def _used(surface: Surface) -> NDArray[np.float64]:

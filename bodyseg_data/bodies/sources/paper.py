@@ -17,10 +17,8 @@ and c sitting), the standing one is read.
 paper: PATH with the sub-folders scape, mit and caesar, each as its own source reads it.
 """
 
-import hashlib
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Final, Literal
@@ -34,7 +32,7 @@ from bodyseg_data.bodies.mesh_bodies import (
     landmark_file,
     meshes_in,
 )
-from bodyseg_data.bodies.source import DEFAULTS, Body, BodyRef, BodySource, ListedBodies, MeshOptions, key_name
+from bodyseg_data.bodies.source import DEFAULTS, BodyRef, MeshOptions, key_name
 from bodyseg_data.core import BadConfig
 from bodyseg_data.meshes import mesh_stem, preferred
 from bodyseg_data.samples import split_by_motion, split_by_order
@@ -71,8 +69,6 @@ CAESAR_MESHES: Final = tuple(f"subject {number:03d}" for number in range(1, CAES
 
 _SITTING: Final = re.compile(r"(.*\d)[bc]")
 _LONGEST_SUBJECT: Final = 28  # of a subject's name, which is twice in a sample key
-
-_Opened = Callable[[Path, Path | None, MeshOptions], BodySource]
 
 
 class ScapeBodies(MeshBodies):
@@ -131,15 +127,15 @@ class MitBodies(MeshBodies):
                         ref = BodyRef(
                             subject, subject, f"{sequence}_{number:04d}", motion, split_by_motion(subject, motion)
                         )
-                        files[ref] = MeshFile(found[number], labelled, wanted, group=sequence)
+                        # It stands on the plane y = 0; a handstand would mislead the search for what is up.
+                        files[ref] = MeshFile(found[number], labelled, wanted, group=sequence, up="y")
                     else:
                         missing.append(f"{sequence}/meshes/mesh_{number:04d}.obj")
         if not files:
             raise BadConfig(f"the source 'mit' needs files like I_crane/meshes/mesh_0000.obj: found none in {path}")
         if given is not None and not any(ref.subject == "C" for ref in files):
             raise BadConfig(f"a landmark file is for subject C (D_*), found none of its frames in {path}")
-        # The sequences stand on the plane y = 0; a handstand would mislead the search for what is up.
-        super().__init__(files, missing, replace(options, up="y") if options.up == "auto" else options)
+        super().__init__(files, missing, options)
 
 
 def _frames(folder: Path, count: int) -> dict[int, Path]:
@@ -213,14 +209,14 @@ def _by_name(root: Path, stem_of: Callable[[str], str | None]) -> dict[str, list
     return found
 
 
-_PARTS: Final[dict[str, tuple[_Opened, tuple[str, ...]]]] = {
+_PARTS: Final[dict[str, tuple[Callable[..., MeshBodies], tuple[str, ...]]]] = {
     "scape": (ScapeBodies, SCAPE_MESHES),
     "mit": (MitBodies, MIT_MESHES),
     "caesar": (CaesarBodies, CAESAR_MESHES),
 }
 
 
-class PaperBodies(ListedBodies[BodySource]):
+class PaperBodies(MeshBodies):
     """Subsets A, B, C and people, in this order: 2329 bodies if all are there.
 
     landmarks: a folder with sub-folders scape, mit and caesar, in which to look for landmark files instead of in
@@ -234,37 +230,21 @@ class PaperBodies(ListedBodies[BodySource]):
             raise BadConfig(f"the landmarks of the source 'paper' are a folder like its own, found {landmarks}")
         if landmarks is not None and not any(_sub_folder(landmarks, name) for name in _PARTS):
             raise BadConfig(f"--landmarks must hold one of {', '.join(_PARTS)}: found none in {landmarks}")
-        sources: dict[BodyRef, BodySource] = {}
-        all_missing: list[str] = []
+        files: dict[BodyRef, MeshFile] = {}
+        missing: list[str] = []
         for name, (opened, complete) in _PARTS.items():
             folder = _sub_folder(path, name)
-            missing: Sequence[str] = complete
+            lacking: Sequence[str] = complete
             if folder is not None:
                 source = opened(folder, _sub_folder(landmarks, name) if landmarks else None, options)
-                missing = source.missing()
-                for body in source.bodies():
-                    sources[body] = source
-            all_missing += [f"{name}/{each}" for each in missing]
-        if not sources:
+                files |= {body: source.entry(body) for body in source.bodies()}
+                lacking = source.missing()
+            missing += [f"{name}/{each}" for each in lacking]
+        if not files:
             raise BadConfig(f"the source 'paper' needs the sub-folders {', '.join(_PARTS)}: found none in {path}")
-        if len({body.mesh for body in sources}) < len(sources):
+        if len({body.mesh for body in files}) < len(files):
             raise BadConfig(f"meshes must have different names, found a subject of {path}/caesar called like another")
-        super().__init__(sources, all_missing)
-
-    def fingerprint(self, bodies: Sequence[BodyRef]) -> str:
-        """Return a digest of the three sources' fingerprints. Raises the errors that they raise."""
-        digest = hashlib.sha256()
-        for source in dict.fromkeys(map(self.entry, bodies)):
-            digest.update(source.fingerprint([body for body in bodies if self.entry(body) is source]).encode())
-        return digest.hexdigest()
-
-    def check(self, body: BodyRef) -> None:
-        """Check one body's files by its own source. Raises that source's errors."""
-        self.entry(body).check(body)
-
-    def build(self, body: BodyRef) -> Body:
-        """Build one body by its own source. Raises that source's errors, and BadConfig for a body of none of them."""
-        return self.entry(body).build(body)
+        super().__init__(files, missing, options)
 
 
 def _sub_folder(path: Path, name: str) -> Path | None:
