@@ -45,7 +45,7 @@ from bodyseg_data.labels import LANDMARKS, PART_COUNT
 from bodyseg_data.machine import missing_library
 from bodyseg_data.meshes.coincident import separate
 from bodyseg_data.meshes.mending import welded
-from bodyseg_data.meshes.mesh import Mesh, face_components
+from bodyseg_data.meshes.mesh import Mesh, face_components, face_normals
 from bodyseg_data.meshes.mesh_files import file_bytes
 
 LANDMARKS_FORMAT: Final = "bodyseg landmarks 1"
@@ -194,12 +194,12 @@ class PointLandmarks:
         place, and one on another piece of the surface than most; MissingLibrary without trimesh or rtree.
         """
         where = f"landmarks {self.source} on mesh {mesh.name}"
-        vertices, distance = snap(mesh, self.points)
+        nearest, distance = nearest_corner(mesh.vertices, mesh.faces, self.points)
         worst = int(distance.argmax())
         if distance[worst] > FARTHEST_M:
             off = f"{LANDMARKS[worst]!r} {100 * distance[worst]:.1f} cm off it"
             raise BadLandmarks(f"{where}: landmarks lie within {100 * FARTHEST_M:g} cm of the surface, found {off}")
-        vertices, notes = separate(mesh, vertices, self.points, where)
+        vertices, notes = separate(mesh, nearest.astype(np.int64), self.points, where)
         piece = mesh.pieces()[vertices]
         if (piece != piece[0]).any():  # pieces for want of common vertices are one surface
             kept, place = welded(mesh.vertices)
@@ -219,17 +219,6 @@ class PointLandmarks:
         counts = len(mesh.vertices), len(mesh.faces)
         vertices = tuple(snapped.vertices.tolist())
         return LandmarkSet(self.source, topology, *counts, vertices, self.ignored), snapped
-
-
-def snap(mesh: Mesh, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Find the triangle nearest to each of `points` [N, 3]: its corner nearest to the point, int64 [N], and the
-    distance from the point to the triangle, float64 [N], metres.
-
-    Raises MissingLibrary without trimesh, rtree or scipy.
-    """
-    faces = mesh.faces[(mesh.normals != 0).any(axis=1)]  # a triangle without area has no nearest point
-    vertices, distance = nearest_corner(mesh.vertices, faces, points)
-    return vertices.astype(np.int64), distance
 
 
 def parse_points(text: str | bytes, source: str) -> PointLandmarks:
@@ -401,7 +390,8 @@ def nearest_corner(
     """Find the triangle nearest to each of `points` [P, 3]: its corner nearest to the point, int32 [P], and the
     distance from the point to the triangle, float64 [P], metres.
 
-    vertices: [V, 3], metres. faces: [F, 3], none of zero area. Raises MissingLibrary without trimesh or rtree.
+    vertices: [V, 3], metres. faces: [F, 3]; those without area have no nearest point and are left out. Raises
+    MissingLibrary without trimesh or rtree.
     """
     from scipy.spatial import KDTree
 
@@ -410,6 +400,7 @@ def nearest_corner(
         import trimesh
     except ImportError as error:
         raise missing_library("measuring distances to a surface", error) from error
+    faces = faces[(face_normals(vertices, faces) != 0).any(axis=1)]
     # No point is farther from the surface than from its nearest vertex, so only triangles within that distance of the
     # points' bounding box can be nearest: for eyes in a head a few hundred instead of all.
     reach = KDTree(vertices[np.unique(faces)]).query(points)[0].max() + 1e-9  # rounding must not lose the nearest
