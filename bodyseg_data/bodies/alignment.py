@@ -74,10 +74,7 @@ def find_alignment(
     left = _direction(points["Lt. Acromion"] - points["Rt. Acromion"])
     upward = _axis(up) if up != "auto" else _nearest_axis(trunk)
     if up == "auto" and _angle(trunk, upward) > _TOO_LEANING_DEG:
-        raise BadMesh(
-            f"{where}: cannot find which axis points up: the trunk points along {np.round(trunk, 2).tolist()}, between "
-            "the axes; give it with --up"
-        )
+        raise BadMesh(f"{where}: the trunk points along {np.round(trunk, 2).tolist()}, between the axes: give --up")
     leftward = _nearest_axis(left, not_along=upward)
     rotation = np.stack([leftward, upward, np.cross(leftward, upward)])
     return Alignment(scale, rotation, max(_angle(trunk, upward), _angle(legs, upward)))
@@ -114,35 +111,6 @@ def upright_rotation(up: UpAxis) -> NDArray[np.float64]:
     upward = _axis(up)
     left = _axis("-y" if up.endswith("x") else "x")
     return np.stack([left, upward, np.cross(left, upward)])
-
-
-def check_standing(landmarks: NDArray[np.float64], where: str) -> None:
-    """Raise BadMesh unless landmarks [33, 3], metres, body frame, are of a body that stands and faces the front.
-
-    Its head must be well above its feet, and landmarks at the front of head, chest and pelvis in front of those at the
-    back, which fails if right and left, or front and back, are exchanged.
-    """
-    points = dict(zip(LANDMARKS, landmarks, strict=True))
-    above = (points["Sellion"] - (points["Rt. Lateral Malleolus"] + points["Lt. Lateral Malleolus"]) / 2)[1]
-    if above < 0.5 * np.ptp(landmarks, axis=0).max():
-        raise BadMesh(
-            f"{where}: a standing body has its head above its feet, found the head {above:.2f} m above them (which "
-            "axis points up? --up gives it)"
-        )
-    ahead = [
-        points[front][2] - points[back][2]
-        for front, back in (
-            ("Sellion", "Nuchale"),
-            ("Suprasternale", "Cervicale"),
-            ("Rt. ASIS", "Rt. PSIS"),
-            ("Lt. ASIS", "Lt. PSIS"),
-        )
-    ]
-    if min(ahead) < 0:
-        raise BadMesh(
-            f"{where}: Sellion, Suprasternale and the ASIS lie in front of Nuchale, Cervicale and the PSIS, found one "
-            f"{-100 * min(ahead):.0f} cm behind: are right and left, or two names, exchanged?"
-        )
 
 
 def _axis(name: str) -> NDArray[np.float64]:

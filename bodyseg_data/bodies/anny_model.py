@@ -9,7 +9,7 @@ from __future__ import annotations
 import fcntl
 import gzip
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from bodyseg_data.bodies.anny_people import Person
 from bodyseg_data.bodies.outfits import Outfit
 from bodyseg_data.bodies.skeleton import Pose, bone_rotations
-from bodyseg_data.core import BadConfig, MissingLibrary, ProgressCallback, silent
+from bodyseg_data.core import BadConfig, ProgressCallback, silent
 from bodyseg_data.machine import missing_library, torch_threads
 
 if TYPE_CHECKING:
@@ -39,17 +39,12 @@ _DECIMALS: Final = 6
 _CROWN_M: Final = 0.06  # generous: the highest and lowest vertices of people differ by far less in height
 
 
-def no_anny(error: ImportError) -> MissingLibrary:
-    """Return the error to raise where Anny cannot be imported."""
-    return missing_library("making bodies", error)
-
-
 def fill_cache(progress: ProgressCallback) -> None:
     """Fill Anny's cache if nothing is in it, calling `progress` as `load_anny` does. Raises the same errors."""
     try:
         from anny.paths import get_anny_cache_path
     except ImportError as error:
-        raise no_anny(error) from error
+        raise missing_library("making bodies", error) from error
     if not any(get_anny_cache_path().rglob("*.safetensors")):
         load_anny(progress)
 
@@ -63,8 +58,8 @@ def load_anny(progress: ProgressCallback = silent) -> Any:
     try:
         from anny import Anny
     except ImportError as error:
-        raise no_anny(error) from error
-    with torch_threads(1), _one_process(), _cache_faults(), _fast_parsing(progress):
+        raise missing_library("making bodies", error) from error
+    with torch_threads(1), _cache(), _fast_parsing(progress):
         # The compact basis would halve the time a body takes, but comes from a decomposition whose bits depend on the
         # machine and on its threads. Plain "lbs" skinning needs nothing compiled.
         return Anny(phenotypes="all", phenotype_blendshapes="original", skinning_method="lbs")
@@ -121,38 +116,22 @@ def parse_target(path: Path, vertices: int) -> NDArray[np.float64]:
 
 
 @contextmanager
-def _one_process() -> Iterator[None]:
-    """Lock Anny's cache, which it writes in place: one process fills it while the others wait."""
-    from anny.paths import get_anny_cache_path
-
-    try:
-        get_anny_cache_path().mkdir(parents=True, exist_ok=True)
-        lock = (get_anny_cache_path() / "bodyseg.lock").open("w")
-    except OSError:  # no lock for a cache that cannot be written: it is complete, or loading Anny will fail
-        yield
-        return
-    with lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
-
-
-@contextmanager
-def _cache_faults() -> Iterator[None]:
-    """Turn errors of Anny's cache into BadConfig that names its folder."""
+def _cache() -> Iterator[None]:
+    """Lock Anny's cache, which it writes in place: one process fills it while others wait. Its errors are BadConfig."""
     from anny.paths import get_anny_cache_path
     from safetensors import SafetensorError
 
+    folder = get_anny_cache_path()
     try:
-        yield
+        with ExitStack() as held:
+            with suppress(OSError):  # no lock for a cache that cannot be written: it is complete, or Anny will fail
+                folder.mkdir(parents=True, exist_ok=True)
+                fcntl.flock(held.enter_context((folder / "bodyseg.lock").open("w")), fcntl.LOCK_EX)
+            yield
     except OSError as error:
-        raise BadConfig(
-            f"anny needs a folder for its cache: cannot use {get_anny_cache_path()} ({error}); "
-            "set ANNY_CACHE_DIR to a folder that can be written to"
-        ) from error
+        raise BadConfig(f"anny cannot write to {folder} ({error}): set ANNY_CACHE_DIR") from error
     except SafetensorError as error:
-        raise BadConfig(
-            f"anny's cache in {get_anny_cache_path()} is damaged ({error}): delete that folder, the next run fills it"
-        ) from error
+        raise BadConfig(f"anny's cache {folder} is damaged ({error}): delete it") from error
 
 
 @dataclass(frozen=True)

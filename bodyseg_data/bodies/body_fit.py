@@ -154,7 +154,7 @@ def refine(
     importance = importance / importance.mean()
     start = torch.stack([fit.start for fit in fits])
     usual_scale = torch.log(torch.stack([fit.scale for fit in fits]))[:, None, None]
-    angles = (torch.stack([fit.angles for fit in fits]) / body.joints.deviation).requires_grad_()
+    angles = (torch.stack([fit.angles for fit in fits]) / body.deviation).requires_grad_()
     shape = torch.stack([fit.shape for fit in fits]).requires_grad_()
     move = torch.stack([fit.move for fit in fits])[:, None].requires_grad_()
     log_scale = usual_scale.clone().requires_grad_()
@@ -163,7 +163,7 @@ def refine(
         for group, factor in zip(adam.param_groups, (5.0, 10.0, 0.5), strict=True):
             group["lr"] = rate * factor
         for step in range(steps):
-            turns = _rotated(body, start, angles * body.joints.deviation)
+            turns = _rotated(body, start, angles * body.deviation)
             own, normals = body.posed(skin, body.bone_motions(turns, shape), shape)
             own = own * log_scale.exp() + move
             if step % _MATCH_EVERY == 0:
@@ -185,7 +185,7 @@ def refine(
             adam.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             adam.step()
-    found = (move[:, 0], log_scale[:, 0, 0].exp(), angles * body.joints.deviation, shape)
+    found = (move[:, 0], log_scale[:, 0, 0].exp(), angles * body.deviation, shape)
     return [Fit(*each) for each in zip(start, *(value.detach() for value in found), strict=True)]
 
 
@@ -195,7 +195,7 @@ def _squares(away: Tensor, normals: Tensor) -> Tensor:
 
 
 def _rotated(body: FittingBody, start: Tensor, angles: Tensor) -> Tensor:
-    return start @ _rotations(torch.einsum("...m,mbd->...bd", angles, body.joints.turns))
+    return start @ _rotations(torch.einsum("...m,mbd->...bd", angles, body.turns))
 
 
 def _rotations(vectors: Tensor) -> Tensor:

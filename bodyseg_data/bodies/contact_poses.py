@@ -3,7 +3,7 @@
 An arm goes to a place on the body, the other hand, the floor, the seat, the air before the body, or none.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -30,11 +30,11 @@ from bodyseg_data.bodies.limb_reaching import (
     one_of,
     other,
     uniform,
-    vertex_normals,
     within,
 )
 from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, bone_rotations
 from bodyseg_data.bodies.stances import STANCES, LegTask, Places, Stance
+from bodyseg_data.meshes import vertex_normals
 
 Floats = NDArray[np.float64]
 
@@ -128,8 +128,8 @@ class ArmTask:
     name: str
     goals: list[Goal]
     fist: float
-    presets: tuple[Arm, ...]
-    ranges: Ranges
+    presets: tuple[Arm, ...] = tuple(_PRESETS.values())
+    ranges: Ranges = field(default_factory=lambda: ARM)
 
     def begun(self, preset: Arm, draws: np.random.Generator) -> Arm:
         """Return a preset with drawn differences and this task's hand."""
@@ -158,7 +158,7 @@ def drawn_task(kind: str, body: ArmSurroundings, draws: np.random.Generator) -> 
         return _touching(body, by, on, other(body.side), draws)
     if kind == "free":
         relaxed = Arm(**within(_RELAXED, draws))
-        return ArmTask("free", [], uniform(draws, 0, 0.6), (relaxed,), ARM)
+        return ArmTask("free", [], uniform(draws, 0, 0.6), (relaxed,))
     return {"floor": _on_floor, "seat": _on_seat, "air": _in_the_air, "touch": _on_body}[kind](body, draws)
 
 
@@ -179,7 +179,7 @@ def _touching(body: ArmSurroundings, by: str, name: str, side: str, draws: np.ra
     vertex = one_of(own, draws)
     goal = Goal(vertex, body.vertices[at] + GAP_M * body.normals[at], ALL_AXES, -body.normals[at])
     fist = uniform(draws, *_FISTS.get(by, (0.0, 1.0)))
-    return ArmTask(f"{by} on {name}", [goal], fist, tuple(_PRESETS.values()), ARM)
+    return ArmTask(f"{by} on {name}", [goal], fist)
 
 
 def _on_floor(body: ArmSurroundings, draws: np.random.Generator) -> ArmTask:
@@ -192,7 +192,7 @@ def _on_floor(body: ArmSurroundings, draws: np.random.Generator) -> ArmTask:
         by, fist = "inner forearm", uniform(draws, 0, 0.8)
     own = body.places.on(by, body.side)
     goal = Goal(one_of(own, draws), place, _AROUND, -_UP)
-    return ArmTask(f"{by} on the floor", [goal], fist, tuple(_PRESETS.values()), ranges)
+    return ArmTask(f"{by} on the floor", [goal], fist, ranges=ranges)
 
 
 def _on_seat(body: ArmSurroundings, draws: np.random.Generator) -> ArmTask:
@@ -200,9 +200,7 @@ def _on_seat(body: ArmSurroundings, draws: np.random.Generator) -> ArmTask:
     place = body.pelvis + np.array([sign * uniform(draws, 0.2, 0.34), -0.1, uniform(draws, -0.25, 0.15)])
     own = body.places.on("palm", body.side)
     goal = Goal(one_of(own, draws), place, _AROUND, -_UP)
-    return ArmTask(
-        "palm on the seat", [goal], uniform(draws, 0, 0.4), tuple(_PRESETS.values()), ARM | {"wrist": LOADED_WRIST}
-    )
+    return ArmTask("palm on the seat", [goal], uniform(draws, 0, 0.4), ranges=ARM | {"wrist": LOADED_WRIST})
 
 
 def _in_the_air(body: ArmSurroundings, draws: np.random.Generator) -> ArmTask:
@@ -210,7 +208,7 @@ def _in_the_air(body: ArmSurroundings, draws: np.random.Generator) -> ArmTask:
     reach = [sign * uniform(draws, -0.25, 0.55), uniform(draws, -0.3, 0.6), uniform(draws, 0.08, 0.6)]
     own = body.places.on("palm", body.side)
     goal = Goal(int(own[len(own) // 2]), body.chest + body.chest_turn @ reach, ALL_AXES)
-    return ArmTask("in the air", [goal], uniform(draws, 0, 1), tuple(_PRESETS.values()), ARM)
+    return ArmTask("in the air", [goal], uniform(draws, 0, 1))
 
 
 @dataclass(frozen=True)

@@ -171,23 +171,14 @@ class Skin:
 
 
 @dataclass(frozen=True)
-class Joints:
-    """Movements of the joints. turns: [movements, bones, 3], rotation about each axis for one unit, radians.
-
-    deviation: [movements], standard deviation of each movement, in units.
-    """
-
-    turns: Tensor
-    deviation: Tensor
-
-
-@dataclass(frozen=True)
 class FittingBody:
     """Bones, joints, points spread over the surface, and the places of `parts.LANDMARKS`, in their order.
 
     bones: index of each by name, the root first and then by depth. levels: for each depth below the root, the slice of
     the bones one level above, and for each bone of that depth the index of its parent within the slice. heads:
-    [bones, 3], positions at which bones begin; head_shapes: [shapes, bones, 3]. surface: ordered so that its first
+    [bones, 3], positions at which bones begin; head_shapes: [shapes, bones, 3]. turns: [movements, bones, 3], rotation
+    about each axis for one unit of a movement of the joints, radians; deviation: [movements], its standard deviation,
+    in units. surface: ordered so that its first
     points, however many, cover the body too. mean_geodesic: [N], of the surface's points. mesh: the mean person at
     rest, with all its vertices as points in `whole`; skin: int64 [N], those on its largest piece. landmark_vertices:
     int64 [33], where the landmarks are.
@@ -197,7 +188,8 @@ class FittingBody:
     levels: Sequence[tuple[slice, Tensor]]
     heads: Tensor
     head_shapes: Tensor
-    joints: Joints
+    turns: Tensor
+    deviation: Tensor
     surface: Skin
     landmark_vertices: NDArray[np.int64]
     mean_geodesic: NDArray[np.float64]
@@ -276,7 +268,7 @@ def fitting_body() -> FittingBody:
         levels,
         mean_heads,
         torch.cat([shape_heads[:, order], head_lengths]),
-        _joints(bones, mean_heads),
+        *_joints(bones, mean_heads),
         everywhere.at(sampled),
         landmarks,
         mean_geodesic(mesh)[sampled],
@@ -322,8 +314,8 @@ def _main_shapes(vertices: Tensor, heads: Tensor) -> tuple[tuple[Tensor, Tensor]
     return mean, torch.einsum("sp,pnd->snd", mix, away), torch.einsum("sp,pbd->sbd", mix, away_heads)
 
 
-def _joints(bones: Mapping[str, int], heads: Tensor) -> Joints:
-    """List the movements: for each, bones that turn together about one axis, and its standard deviation."""
+def _joints(bones: Mapping[str, int], heads: Tensor) -> tuple[Tensor, Tensor]:
+    """Return turns and deviations of the movements, in each of which bones turn together about one axis."""
     turns: list[Tensor] = []
     deviation: list[float] = []
     eye = torch.eye(3, dtype=torch.float64)
@@ -363,7 +355,7 @@ def _joints(bones: Mapping[str, int], heads: Tensor) -> Joints:
         movement({f"lowerleg01.{side}": 1}, eye[0], 0.6)
         free({f"lowerleg01.{side}": 1}, 0.06, eye[1:])
         free({f"foot.{side}": 1}, 0.25)
-    return Joints(torch.stack(turns), torch.tensor(deviation, dtype=torch.float64))
+    return torch.stack(turns), torch.tensor(deviation, dtype=torch.float64)
 
 
 def _unit(vector: Tensor) -> Tensor:

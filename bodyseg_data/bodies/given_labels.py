@@ -88,10 +88,7 @@ class ClassTable:
         for pattern, found in self._also:
             if fnmatchcase(name, pattern):
                 return found
-        raise BadMesh(
-            f"{where}: {name!r} is no class of {self.path} (its 'also' names what else is of a class, 'unlabelled' "
-            "what is of none)"
-        )
+        raise BadMesh(f"{where}: {name!r} is no class of {self.path}, and neither in 'also' nor in 'unlabelled'")
 
 
 @dataclass(frozen=True)
@@ -119,10 +116,7 @@ def labels_of_parts(parts: Mapping[str, Any], content: MeshContent, where: str) 
             raise BadMesh(f"{where}: the part {name!r} must be a list of vertices, whole numbers, found {given!r:.40}")
         outside = [vertex for vertex in (min(given, default=0), max(given, default=0)) if not 0 <= vertex < count]
         if outside:
-            raise BadMesh(
-                f"{where}: the part {name!r} must hold vertices 0 to {count - 1}, found {outside[0]}: is it for a mesh "
-                "of another topology?"
-            )
+            raise BadMesh(f"{where}: the part {name!r} must hold vertices 0 to {count - 1}, found {outside[0]}")
         member = np.zeros(count, np.bool_)
         member[given] = True
         shared += int((member & (of_vertex >= 0)).sum())
@@ -176,10 +170,7 @@ def _at_corners(numbers: NDArray[np.int64], content: MeshContent, where: str, of
             "program that splits vertices along seams of textures changes their number and order)"
         )
     if len(fits) == 2:
-        raise BadMesh(
-            f"{where}: the mesh has as many faces as vertices, {len(numbers)}: call the file vertex_labels or "
-            "face_labels"
-        )
+        raise BadMesh(f"{where}: {len(numbers)} vertices and as many faces: call it vertex_labels or face_labels")
     if fits[0] == "vertices":
         return numbers[content.faces]
     of_triangle = numbers if len(numbers) != polygons else numbers[content.polygon]
@@ -202,10 +193,7 @@ def labels_of_colours(content: MeshContent, table: Mapping[str, str], where: str
     for number in np.unique(values).tolist():
         if number not in known:
             first = int(np.flatnonzero(values == number)[0])
-            raise BadMesh(
-                f"{where}: the colour #{number:06x} of number {first} of the {of} is no class's (a blend of two, where "
-                "a program has interpolated colours?)"
-            )
+            raise BadMesh(f"{where}: the colour #{number:06x}, of number {first} of the {of}, is no class's (blended?)")
     return labels_of_numbers(values, content, known, where, of)
 
 
@@ -251,10 +239,7 @@ def file_labels(
     """
     kind, _, name = (wanted or "").partition(" ")
     if wanted is not None and kind not in (*NAMING, "colours", "property"):
-        raise BadMesh(
-            f"{where}: 'labels' must be a .json or .npy file, {', '.join(NAMING)}, colours or property NAME, found "
-            f"{wanted!r}"
-        )
+        raise BadMesh(f"{where}: 'labels' are a file, {', '.join(NAMING)}, colours or property NAME, found {wanted!r}")
     for column in (name.lower(),) if name else LABEL_PROPERTIES if kind in ("", "property") else ():
         of, columns = _having(content, (column,))
         if of:

@@ -7,9 +7,9 @@ returned. No random numbers.
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -123,10 +123,7 @@ def largest_piece(mesh: Mesh) -> NDArray[np.int64]:
     used = np.unique(mesh.faces).astype(np.int64)
     largest: NDArray[np.int64] = used[piece[used] == area.argmax()]
     if len(largest) < PART_COUNT:
-        raise BadMesh(
-            f"mesh {mesh.name}: a body needs {PART_COUNT} vertices for its landmarks, found {len(largest)} in its "
-            "largest piece"
-        )
+        raise BadMesh(f"mesh {mesh.name}: its largest piece must have {PART_COUNT} vertices, found {len(largest)}")
     return largest
 
 
@@ -195,9 +192,11 @@ def _fit_to(body: FittingBody, target: SurfacePoints, tilts: Sequence[NDArray[np
     def distance(fit: Fit) -> float:
         return surface_distance(target, fitted_surface(body, fit))
 
-    begun = list(_best_starts(_starts(body, few, poses, tilts)))
+    begun = _best_starts(_starts(body, few, poses, tilts))
     closer = sorted(refine(body, few, begun, _CLOSE_IN, _ROUGH_POINTS), key=distance)
-    candidates = sorted(refine(body, some, _candidates(body, closer), _SETTLE, _POINTS), key=distance)
+    turned = ((fit.turns(body)[0], fit) for fit in closer)
+    different = _apart(turned, _CANDIDATES, lambda a, b: _angle_deg(a @ b.T) > _APART_DEG)
+    candidates = sorted(refine(body, some, different, _SETTLE, _POINTS), key=distance)
     candidates = [fit for fit in candidates if distance(fit) <= _CANDIDATE_SHARE * distance(candidates[0])]
     for limb in _LIMBS:
         others = [_other_limbs(body, few, fit, limb, limbs[limb[0]]) for fit in candidates]
@@ -216,7 +215,7 @@ def _starts(
     """List (distance, direction number, fit) of every pose, tilted and turned every way, by centre and size."""
     centre, size = _centre_and_size(target.positions)
     matcher = Matcher(target)
-    shape, angles = torch.zeros(len(body.head_shapes)).double(), torch.zeros(len(body.joints.deviation)).double()
+    shape, angles = torch.zeros(len(body.head_shapes)).double(), torch.zeros(len(body.deviation)).double()
     root = body.heads[0].numpy()
     found = []
     for pose in poses:
@@ -240,25 +239,21 @@ def _starts(
     return found
 
 
-def _best_starts(starts: Sequence[tuple[float, int, Fit]]) -> Iterator[Fit]:
-    """Yield the best starts, not too many of them facing one direction."""
-    count = 0
-    facing: dict[int, int] = {}
+def _best_starts(starts: Sequence[tuple[float, int, Fit]]) -> list[Fit]:
+    """Return the best starts, not too many of them facing one direction."""
+    best: list[tuple[int, Fit]] = []
     for _, way, fit in sorted(starts, key=lambda start: start[0]):
-        facing[way] = facing.get(way, 0) + 1
-        if facing[way] <= _STARTS_FACING and count < _STARTS:
-            count += 1
-            yield fit
+        if [before for before, _ in best].count(way) < _STARTS_FACING:
+            best.append((way, fit))
+    return [fit for _, fit in best[:_STARTS]]
 
 
-def _candidates(body: FittingBody, fits: Sequence[Fit]) -> list[Fit]:
-    """Return the first few of `fits` whose trunks are turned differently."""
-    chosen: list[tuple[Tensor, Fit]] = []
-    for fit in fits:
-        turn = fit.turns(body)[0]
-        angles = [_angle_deg(turn @ other.T) for other, _ in chosen]
-        if len(chosen) < _CANDIDATES and all(angle > _APART_DEG for angle in angles):
-            chosen.append((turn, fit))
+def _apart(ranked: Iterable[tuple[Any, Fit]], most: int, differ: Callable[[Any, Any], bool]) -> list[Fit]:
+    """Return the first few fits, at most `most`, of which what stands beside each differs from that of all before."""
+    chosen: list[tuple[Any, Fit]] = []
+    for place, fit in ranked:
+        if len(chosen) < most and all(differ(place, before) for before, _ in chosen):
+            chosen.append((place, fit))
     return [fit for _, fit in chosen]
 
 
@@ -272,7 +267,7 @@ def _other_limbs(
     ends = tuple(f".{side}" for side in sides)
     own = [bone for bone in body.bones if bone.endswith(ends) and bone.startswith(_BONES[kind])]
     bones = torch.tensor([body.bones[bone] for bone in own])
-    still = 1 - body.joints.turns[:, bones].abs().amax(dim=(1, 2)).gt(0).double()
+    still = 1 - body.turns[:, bones].abs().amax(dim=(1, 2)).gt(0).double()
     farthest_out = body.surface.weights[:, bones].sum(dim=1).numpy() * body.mean_geodesic
     end = int(farthest_out[:_POINTS].argmax())
     matcher = Matcher(target)
@@ -283,12 +278,8 @@ def _other_limbs(
         other = replace(fit, start=start, angles=fit.angles * still)
         points = fitted_surface(body, other, _POINTS)
         found.append((matcher.distance(points) + Matcher(points).distance(target), points.positions[end], other))
-    chosen: list[tuple[NDArray[np.float64], Fit]] = []
-    for _, position, other in sorted(found, key=lambda one: one[0]):
-        apart_m = [float(np.linalg.norm(position - before)) for before, _ in chosen]
-        if len(chosen) < _LIMB_TRIES and all(distance > _LIMB_APART_M for distance in apart_m):
-            chosen.append((position, other))
-    return [other for _, other in chosen]
+    ranked = (each[1:] for each in sorted(found, key=lambda one: one[0]))
+    return _apart(ranked, _LIMB_TRIES, lambda a, b: bool(np.linalg.norm(a - b) > _LIMB_APART_M))
 
 
 def _centre_and_size(positions: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies.anny_model import Posable
 from bodyseg_data.bodies.skeleton import Arm, Leg, arm_rotations, finger_rotations, leg_rotations
-from bodyseg_data.meshes import face_normals
 
 Name = TypeVar("Name", bound=str)
 
@@ -242,15 +241,6 @@ class PosedSkin:
         # Beside the rim of the part, the plane goes on where the skin does not.
         found[near] = np.where(side < 0, side, distance[near])
         return found
-
-
-def vertex_normals(vertices: Floats, faces: NDArray[np.int32]) -> Floats:
-    """Return unit normals [V, 3], of adjoining faces weighted by area."""
-    across = face_normals(vertices, faces)
-    count = len(vertices)
-    sums = [np.bincount(faces.ravel(), np.repeat(across[:, axis], 3), count) for axis in range(3)]
-    normals = np.stack(sums, axis=1)
-    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15), np.float64)
 
 
 def deepest_m(vertices: Floats, normals: Floats, limbs: list[Limb], solid: NDArray[np.bool_]) -> float:

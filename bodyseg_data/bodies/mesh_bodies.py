@@ -15,18 +15,16 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.alignment import UPRIGHT_DEG, Alignment, check_standing, find_alignment, metres_a_unit
+from bodyseg_data.bodies.alignment import UPRIGHT_DEG, Alignment, UpAxis, find_alignment, metres_a_unit
 from bodyseg_data.bodies.source import DEFAULTS, Body, BodyRef, ListedBodies, MeshOptions
 from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh
 from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.meshes import (
-    FARTHEST_M,
     METRES,
     LandmarkSet,
     Mesh,
     PointLandmarks,
     check_body,
-    farthest_from,
     load_landmark_file,
     load_landmarks,
     mesh_stem,
@@ -42,7 +40,6 @@ LANDMARK_SUFFIXES: Final = (".json", ".lnd", ".lnd.gz")
 Surface = tuple[NDArray[np.float64], NDArray[np.int32]]
 
 _MOST_TRIED: Final = 12  # bodies of a group, evenly spaced, of which an upright one is sought
-_FAULTS_NAMED: Final = 3
 _REMEDY: Final = "; --pymeshlab repairs most scans"
 _IN_METRES: Final = (700.0, 1700.0)  # bodies are a little larger than their landmarks' extent
 
@@ -103,15 +100,8 @@ def meshes_in(folder: Path) -> dict[str, Path]:
 
 def landmark_file(folders: Sequence[Path], stem: str) -> Path | None:
     """Return the first of STEM.json, STEM.lnd and STEM.lnd.gz in the first folder that holds one, or None."""
-    return next(
-        (
-            folder / f"{stem}{suffix}"
-            for folder in folders
-            for suffix in LANDMARK_SUFFIXES
-            if (folder / f"{stem}{suffix}").is_file()
-        ),
-        None,
-    )
+    files = (folder / f"{stem}{suffix}" for folder in folders for suffix in LANDMARK_SUFFIXES)
+    return next((file for file in files if file.is_file()), None)
 
 
 @dataclass(frozen=True)
@@ -120,7 +110,7 @@ class MeshFile:
 
     landmarks: a landmark file, or the name of a set that ships; None if there is none, and then `wanted` names the file
     needed. shared: other meshes of the same topology use the same landmarks. group: of meshes that share an alignment;
-    None for a mesh aligned by itself. standing: the head must be above the feet.
+    None for a mesh aligned by itself. up: its axis that points up where the user gives none.
     """
 
     path: Path
@@ -128,7 +118,7 @@ class MeshFile:
     wanted: str = ""
     shared: bool = True
     group: str | None = None
-    standing: bool = False
+    up: UpAxis = "auto"
 
 
 class MeshBodies(ListedBodies[MeshFile]):
@@ -146,9 +136,8 @@ class MeshBodies(ListedBodies[MeshFile]):
     def fingerprint(self, bodies: Sequence[BodyRef]) -> str:
         """Return a digest of every byte of the meshes' files, the landmarks, and the alignments.
 
-        Raises BadLandmarks for bodies that have no usable landmark file, naming the first few and saying how many.
+        Raises BadLandmarks for a body that has no usable landmark file.
         """
-        self._check_landmarks(bodies)
         digest = hashlib.sha256(repr((self._options.units, self._options.up)).encode())
         for group in dict.fromkeys(self._entries[body].group for body in bodies):
             if group is not None:
@@ -176,35 +165,13 @@ class MeshBodies(ListedBodies[MeshFile]):
             found = landmarks.for_mesh(mesh)
             where = f"landmarks {landmarks.source} on mesh {mesh.name}"
             found, moved = separate(mesh, found, mesh.vertices[found], where)
-            built = Body(mesh, found, (*self._notes.get(file.landmarks or "", ()), *moved, *_ignored(landmarks)))
-        else:
-            landmarks = landmarks.transformed(1.0, alignment.rotation)
-            built = _snapped((vertices, faces), body.mesh, file.path, landmarks, self._options.pymeshlab)
-        if file.standing:
-            check_standing(built.mesh.vertices[built.landmarks], str(file.path))
-        return built
+            return Body(mesh, found, (*self._notes.get(file.landmarks or "", ()), *moved, *_ignored(landmarks)))
+        landmarks = landmarks.transformed(1.0, alignment.rotation)
+        return _snapped((vertices, faces), body.mesh, file.path, landmarks, self._options.pymeshlab)
 
     def check(self, body: BodyRef) -> None:
-        """Check one body's files: that both can be read, and that landmarks, counts and unit fit the mesh.
-
-        A body with landmarks by vertex is built whole, which takes little longer than reading it. One with landmarks by
-        coordinate is built only if one of them is not near a vertex; without `pymeshlab` its faces are checked, with it
-        those that cannot be repaired show when it is packed.
-        Raises the errors of `build`.
-        """
-        landmarks, file = self._landmarks(body), self.entry(body)
-        if isinstance(landmarks, LandmarkSet):
-            self.build(body)
-            return
-        vertices, faces, alignment = self._placed(body, landmarks)
-        if not self._options.pymeshlab:
-            _mesh(body.mesh, vertices, faces, file.path, _REMEDY)
-        surface = _used((vertices, faces))
-        points, _ = _in_millimetres(landmarks.transformed(1.0, alignment.rotation), surface)
-        if file.standing:
-            check_standing(points.points, str(file.path))
-        if farthest_from(surface, points.points) > FARTHEST_M:
-            self.build(body)
+        """Build one body, which takes far less than its partition and its views. Raises the errors of `build`."""
+        self.build(body)
 
     def _placed(
         self, body: BodyRef, landmarks: LandmarkSet | PointLandmarks
@@ -213,7 +180,7 @@ class MeshBodies(ListedBodies[MeshFile]):
         file = self.entry(body)
         surface = read_mesh(file.path)
         if file.group is None:
-            alignment = self._alignment_of(landmarks, surface, file.path)
+            alignment = self._alignment_of(landmarks, surface, file)
         else:
             alignment, decided_by = self._group_alignment(file.group)
             unit: Any = next(unit for unit, metres in METRES.items() if metres == alignment.scale)
@@ -228,19 +195,6 @@ class MeshBodies(ListedBodies[MeshFile]):
             points = _in_millimetres(turned, _used((vertices, surface[1])))[0].points
         check_body(vertices, surface[1], points, str(file.path))
         return vertices, surface[1], alignment
-
-    def _check_landmarks(self, bodies: Sequence[BodyRef]) -> None:
-        faults: dict[str, list[BodyRef]] = {}
-        for body in bodies:
-            try:
-                self._landmarks(body)
-            except BadLandmarks as error:
-                faults.setdefault(str(error), []).append(body)
-        if faults:
-            named = "; ".join(list(faults)[:_FAULTS_NAMED])
-            count = sum(map(len, faults.values()))
-            more = f"; and {len(faults) - _FAULTS_NAMED} more" if len(faults) > _FAULTS_NAMED else ""
-            raise BadLandmarks(f"{count} of {len(bodies)} bodies cannot be labelled: {named}{more}")
 
     def _landmarks(self, body: BodyRef) -> LandmarkSet | PointLandmarks:
         """Return a body's landmarks; by vertex whenever other bodies share them."""
@@ -281,9 +235,9 @@ class MeshBodies(ListedBodies[MeshFile]):
             problem: BadMesh | BadLandmarks | None = None
             for index in range(count):
                 body = members[index * len(members) // count]
-                path = self._entries[body].path
+                file = self._entries[body]
                 try:
-                    found.append((self._alignment_of(self._landmarks(body), read_mesh(path), path), path))
+                    found.append((self._alignment_of(self._landmarks(body), read_mesh(file.path), file), file.path))
                 except (BadMesh, BadLandmarks) as error:
                     problem = problem or error
                     continue
@@ -294,13 +248,14 @@ class MeshBodies(ListedBodies[MeshFile]):
             self._alignments[group] = min(found, key=lambda entry: entry[0].lean_deg)
         return self._alignments[group]
 
-    def _alignment_of(self, landmarks: LandmarkSet | PointLandmarks, surface: Surface, path: Path) -> Alignment:
+    def _alignment_of(self, landmarks: LandmarkSet | PointLandmarks, surface: Surface, file: MeshFile) -> Alignment:
         if isinstance(landmarks, PointLandmarks):
             points = landmarks.points
         else:
-            landmarks.check_counts(len(surface[0]), len(surface[1]), str(path))
+            landmarks.check_counts(len(surface[0]), len(surface[1]), str(file.path))
             points = surface[0][list(landmarks.vertices)]
-        return find_alignment(_used(surface), points, self._options.units, self._options.up, str(path))
+        up = file.up if self._options.up == "auto" else self._options.up
+        return find_alignment(_used(surface), points, self._options.units, up, str(file.path))
 
 
 def _used(surface: Surface) -> NDArray[np.float64]:

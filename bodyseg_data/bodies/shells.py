@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.anny_model import Posable
-from bodyseg_data.bodies.limb_reaching import Side, vertex_normals
+from bodyseg_data.bodies.limb_reaching import Side
 from bodyseg_data.bodies.skeleton import Pose, bone_rotations
 from bodyseg_data.bodies.stances import Places
 from bodyseg_data.core import generator
 from bodyseg_data.labels import LANDMARKS
-from bodyseg_data.meshes import Solid, load_landmarks
+from bodyseg_data.meshes import Solid, load_landmarks, vertex_normals
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

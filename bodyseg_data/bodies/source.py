@@ -41,18 +41,17 @@ def key_name(path: str, longest: int) -> str:
 
 def collapsed(names: Sequence[str]) -> list[str]:
     """Join runs of names whose last number counts up by one: "meshes/mesh_0001.obj to mesh_0004.obj"."""
+
+    def raised(number: re.Match[str]) -> str:
+        return f"{int(number[1]) + 1:0{len(number[1])}d}{number[2]}"
+
     runs: list[list[str]] = []
     for name in names:
-        if runs and name == _LAST_NUMBER.sub(_raised, runs[-1][-1]):
+        if runs and name == _LAST_NUMBER.sub(raised, runs[-1][-1]):
             runs[-1].append(name)
         else:
             runs.append([name])
     return [run[0] if len(run) == 1 else f"{run[0]} to {run[-1].rpartition('/')[2]}" for run in runs]
-
-
-def _raised(number: re.Match[str]) -> str:
-    """The next number with as many digits, and what follows it."""
-    return f"{int(number[1]) + 1:0{len(number[1])}d}{number[2]}"
 
 
 @dataclass(frozen=True)
@@ -131,7 +130,7 @@ class BodySource(Protocol):
         """
 
     def check(self, body: BodyRef) -> None:
-        """Raise BadMesh or BadLandmarks for a body that cannot be built, as far as that can be told at little cost.
+        """Raise BadMesh or BadLandmarks for a body that cannot be built.
 
         Packing calls it, for sources that read files, for all bodies before it builds the first.
         """

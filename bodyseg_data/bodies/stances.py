@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.anny_model import Posable
-from bodyseg_data.bodies.limb_reaching import Ranges, vertex_normals
+from bodyseg_data.bodies.limb_reaching import Ranges
 from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, bone_rotations
+from bodyseg_data.meshes import vertex_normals
 
 Floats = NDArray[np.float64]
 Vertices = NDArray[np.int64]

@@ -54,7 +54,7 @@ def run(options: Options) -> int:
     if options.mesh is not None and options.propose is None:
         raise BadConfig("--mesh needs --propose; a mesh that has landmarks is drawn by --source folder")
     labelled = _listed(options) if options.propose is None else [_proposed(options, options.propose)]
-    save_picture(draw_body_views(labelled, [options.height] * len(labelled)), options.out)
+    save_picture(draw_body_views(labelled, options.height), options.out)
     sys.stderr.write(f"wrote {options.out}\n")
     return 0
 

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing.style import FAINT, INK, PAPER, THING, draw_legend, font
-from bodyseg_data.labels import PART_COUNT, colour_labels
+from bodyseg_data.labels import colour_labels
 from bodyseg_data.meshes import Mesh, Partition
 from bodyseg_data.packing import surface_points
 from bodyseg_data.rendering import open_renderer
@@ -38,22 +37,13 @@ _OCCLUSION_TOLERANCE_M: Final = 0.008
 Box = tuple[float, float, float, float]
 
 
-def draw_body_views(bodies: Sequence[LabelledBody], heights_px: Sequence[int] | None = None) -> Image.Image:
+def draw_body_views(bodies: Sequence[LabelledBody], height_px: int = 600) -> Image.Image:
     """Draw one RGB picture with a row for each body, from its front, left, back and right, and a legend of the parts.
 
-    heights_px: height of each body in the picture, pixels, 600 by default. A dot with the label as a number marks
-    every landmark on the sides that it faces.
-
-    Raises BadConfig if there are no bodies or if labels, landmarks or heights do not fit, MissingLibrary without
-    embreex.
+    height_px: of a body in the picture, one of `HEIGHTS_PX`. A dot with the label as a number marks every landmark on
+    the sides that it faces. Raises MissingLibrary without embreex.
     """
-    heights = [600] * len(bodies) if heights_px is None else list(heights_px)
-    if not bodies or len(heights) != len(bodies) or not all(height in HEIGHTS_PX for height in heights):
-        raise BadConfig(
-            f"a picture needs one height of 100 to 4000 pixels for each of its bodies and at least one body, "
-            f"found heights {heights} for {len(bodies)} bodies"
-        )
-    rows = [_row(body, height) for body, height in zip(bodies, heights, strict=True)]
+    rows = [_row(body, height_px) for body in bodies]
     legend = draw_legend(max(max(row.width for row in rows), 1000) - 2 * _MARGIN)
     width = legend.width + 2 * _MARGIN
     picture = Image.new("RGB", (width, sum(row.height for row in rows) + legend.height + 2 * _MARGIN), PAPER)
@@ -111,11 +101,7 @@ def draw_parts(
 
 
 def _row(body: LabelledBody, height_px: int) -> Image.Image:
-    title, mesh, parts, landmarks = body
-    if parts.labels.shape != (len(mesh.vertices),):
-        raise BadConfig(f"mesh {mesh.name}: each vertex needs a label, found {parts.labels.shape}")
-    if np.shape(landmarks) != (PART_COUNT,) or not 0 <= np.min(landmarks) <= np.max(landmarks) < len(mesh.vertices):
-        raise BadConfig(f"mesh {mesh.name}: {PART_COUNT} landmarks must be vertices of it, found {np.shape(landmarks)}")
+    title, mesh, _, _ = body
     pixels_per_m = height_px / float(np.ptp(mesh.surface_vertices[:, 1]))
     views = [draw_side(body, azimuth, pixels_per_m) for _, azimuth in SIDES]
     width = sum(view.width for view in views) + 2 * _MARGIN

@@ -86,19 +86,14 @@ class Classes:
             if entry.within is not None and not _is_name(entry.within):
                 raise BadConfig(f"{where}: 'within' of {entry.name!r} must be a name, found {entry.within!r}")
             if entry.side not in (None, *_ORDER):
-                raise BadConfig(
-                    f"{where}: 'side' of {entry.name!r} must be left, right or middle, found {entry.side!r}"
-                )
+                raise BadConfig(f"{where}: {entry.name!r} must be left, right or middle, found {entry.side!r}")
             if entry.mirror is None:
                 continue
             if entry.mirror not in self.names:
                 raise BadConfig(f"{where}: the mirror image of {entry.name!r}, {entry.mirror!r}, is no class")
             opposite = self.entries[self.names.index(entry.mirror)]
             if (opposite.mirror or opposite.name) != entry.name:
-                raise BadConfig(
-                    f"{where}: {entry.name!r} has the mirror image {entry.mirror!r}, which must have {entry.name!r}, "
-                    f"found {opposite.mirror!r}"
-                )
+                raise BadConfig(f"{where}: the mirror image of {entry.mirror!r} must be {entry.name!r}")
 
     def __len__(self) -> int:
         return len(self.entries)

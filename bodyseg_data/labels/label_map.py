@@ -122,14 +122,11 @@ class LabelMap:
         return found
 
     @cached_property
-    def _tables(self) -> dict[int, tuple[NDArray[np.uint8], NDArray[np.uint64]]]:
-        """The table of `write` for what surfaces of no class get, and the same as words."""
+    def _tables(self) -> dict[int, NDArray[np.uint8]]:
+        """The table of `write` by what surfaces of no class get."""
         kept = self.table.copy()
         kept[:BACKGROUND][kept[:BACKGROUND] == BACKGROUND] = UNLABELLED
-        return {
-            unlabelled: (table, table.astype(np.uint64))
-            for unlabelled, table in ((BACKGROUND, self.table), (UNLABELLED, kept))
-        }
+        return {BACKGROUND: self.table, UNLABELLED: kept}
 
     def write(
         self, labels: NDArray[np.uint8], edges: NDArray[np.int32] | None = None, unlabelled: int = BACKGROUND
@@ -141,15 +138,11 @@ class LabelMap:
         or 255.
         """
         flat = labels.reshape(-1)
-        table, wide = self._tables[unlabelled]
-        with if_ready:
-            if edges is not None:
+        table = self._tables[unlabelled]
+        if edges is not None:
+            with if_ready:
                 loops(_LOOPS).join_runs(flat, edges, table)
                 return
-            first = min(-flat.__array_interface__["data"][0] % 8, flat.size)  # words must be aligned
-            words = flat[first : first + (flat.size - first) // 8 * 8].view(np.uint64)
-            loops(_LOOPS).join(flat, words, first, wide)
-            return
         flat[:] = looked_up(flat, table)
 
     @cached_property
@@ -229,16 +222,9 @@ class LabelMap:
         found = np.full(256, BACKGROUND, np.uint8)
         for label, members in enumerate(self.members):
             targets = {int(coarser.table[member]) for member in members}
-            if len(targets) != 1:
-                raise BadConfig(
-                    f"labels {self.name!r} cannot be joined to {coarser.name!r}, which splits the class "
-                    f"{self.names[label]!r}"
-                )
-            if BACKGROUND in targets:
-                raise BadConfig(
-                    f"labels {self.name!r} cannot be joined to {coarser.name!r}, in which the class "
-                    f"{self.names[label]!r} has no counterpart"
-                )
+            if len(targets) != 1 or BACKGROUND in targets:
+                fault = f"{'splits' if len(targets) > 1 else 'lacks'} the class {self.names[label]!r}"
+                raise BadConfig(f"labels {self.name!r} cannot be joined to {coarser.name!r}, which {fault}")
             found[label] = targets.pop()
         return found
 

@@ -8,17 +8,9 @@ if TYPE_CHECKING:
     from bodyseg_data.meshes.body_checks import check_body
     from bodyseg_data.meshes.coincident import separate
     from bodyseg_data.meshes.geodesics import GeodesicMethod, nearest_sources
-    from bodyseg_data.meshes.landmark_files import load_landmark_file
-    from bodyseg_data.meshes.landmarks import (
-        FARTHEST_M,
-        METRES,
-        LandmarkSet,
-        PointLandmarks,
-        farthest_from,
-        load_landmarks,
-    )
+    from bodyseg_data.meshes.landmarks import METRES, LandmarkSet, PointLandmarks, load_landmark_file, load_landmarks
     from bodyseg_data.meshes.mending import welded
-    from bodyseg_data.meshes.mesh import HEIGHT_RANGE_M, Mesh, SceneMesh, face_normals, find_edges
+    from bodyseg_data.meshes.mesh import HEIGHT_RANGE_M, Mesh, SceneMesh, face_normals, find_edges, vertex_normals
     from bodyseg_data.meshes.mesh_files import MeshContent, mesh_stem, preferred, read_mesh
     from bodyseg_data.meshes.partitioning import Borders, Partition, partition
     from bodyseg_data.meshes.repairing import repair, with_pymeshlab

@@ -37,10 +37,7 @@ def check_body(
     up = points["Cervicale"] - pelvis
     size = float(np.linalg.norm(up)) / _TRUNK_M
     if size * _TRUNK_M < _LEAST_TRUNK_M:
-        raise BadMesh(
-            f"{where}: a body's trunk must be at least {100 * _LEAST_TRUNK_M:.0f} cm long, found "
-            f"{100 * size * _TRUNK_M:.1f}: does the mesh hold more than the body?"
-        )
+        raise BadMesh(f"{where}: a trunk is {_LEAST_TRUNK_M} m long at least, found {size * _TRUNK_M:.3f}")
     chest = _middle(points, "Suprasternale", "Substernale") - _middle(points, "Cervicale", "10th Rib Midspine")
     belly = _middle(points, "Rt. ASIS", "Lt. ASIS") - pelvis
     handed = _handed(points, ("Acromion", "Axilla, Post."), up, chest)

@@ -9,30 +9,44 @@ Both are read from JSON files:
 with each of the 33 names of `LANDMARKS` once, in any order, and vertex indices from 0; other names are ignored. Two
 landmarks may share a vertex, as where hands touch (`coincident`). Meshes with the same vertex order, whatever their
 pose and shape, share one set. Points lie near a surface, onto which they are projected.
+
+A .lnd file of the CAESAR survey holds rows of numbers and names, typed by hand, some names truncated.
+The rows stand between a line that begins with "AUX =" and one that begins with "END =". Each holds some numbers, the
+last three of which are x, y, z in millimetres, and a name, which may hold blanks or begin with a digit:
+
+    3  0  0  1   12.3  -101.2  1544.0  Rt. Thelion/Bustpoin
+
+A name is recognised if it is one of the 33 in full, regardless of case, blanks and punctuation, or a prefix of only one
+of them, or differs from one by a letter or two and from all others of its side by clearly more. Sides and numbers, like
+the "II" of a toe, must be exact. So none of the survey's 40 other names, cut or misspelt by a letter, is taken for one.
 """
 
 from __future__ import annotations
 
 import difflib
 import json
+import math
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BadLandmarks
-from bodyseg_data.files import Table, refuse_special
+from bodyseg_data.files import Table
 from bodyseg_data.labels import LANDMARKS, PART_COUNT
 from bodyseg_data.machine import missing_library
 from bodyseg_data.meshes.coincident import separate
 from bodyseg_data.meshes.mending import welded
-from bodyseg_data.meshes.mesh import Mesh, face_components
+from bodyseg_data.meshes.mesh import Mesh, face_components, face_normals
+from bodyseg_data.meshes.mesh_files import file_bytes
 
 LANDMARKS_FORMAT: Final = "bodyseg landmarks 1"
 
@@ -45,6 +59,17 @@ landmark farther away belongs to another body, unit or frame.
 
 METRES: Final[Mapping[str, float]] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 """Metres in a unit of length."""
+
+LARGEST_BYTES: Final = 1 << 20
+"""Largest size of a landmark file, also after unpacking: those of the survey have a hundredth of it."""
+
+_SIDES: Final = {"rt": "rt", "right": "rt", "lt": "lt", "left": "lt"}
+_PLACEHOLDER_MM: Final = -999.0
+_LEAST_SHARE: Final = 0.6  # of a name that a truncated one must have
+_LONGEST_NAME: Final = 60  # twice the survey's longest; the edit distance takes quadratic time
+_MARGIN: Final = 2  # letters by which a misspelt name must be nearer to one than to the next
+_AUX: Final = re.compile(r"\s*AUX\s*=", re.IGNORECASE)
+_END: Final = re.compile(r"\s*END\s*=", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -73,10 +98,7 @@ class LandmarkSet:
         vertices = np.array(self.vertices, np.int64)
         loose = np.flatnonzero(~np.isin(vertices, mesh.faces))
         if len(loose):
-            raise BadLandmarks(
-                f"landmarks {self.source}: {LANDMARKS[loose[0]]!r} must lie on the surface, found vertex "
-                f"{vertices[loose[0]]}, which no face of mesh {mesh.name} uses"
-            )
+            raise BadLandmarks(f"landmarks {self.source}: no face of {mesh.name} uses that of {LANDMARKS[loose[0]]!r}")
         return vertices
 
     def check_counts(self, vertices: int, faces: int, where: str) -> None:
@@ -99,26 +121,16 @@ class LandmarkSet:
         return json.dumps(tree, indent=2, ensure_ascii=False) + "\n"
 
 
-def load_landmarks(name_or_path: str | Path) -> LandmarkSet:
-    """Read a landmark set by the name of one that ships with the package ("open", "mit_I"), or from a .json file.
-
-    Raises BadLandmarks, naming the file and, where there is one, the landmark at fault.
-    """
-    path = Path(name_or_path)
-    if path.suffix != ".json":
-        folder = resources.files(__package__) / "landmark_sets"
-        names = sorted(entry.name.removesuffix(".json") for entry in folder.iterdir() if entry.name.endswith(".json"))
-        if str(name_or_path) not in names:
-            raise BadLandmarks(
-                f"no landmark set is called {str(name_or_path)!r}: give {', '.join(names)} or the path of a .json file"
-            )
-        text = (folder / f"{name_or_path}.json").read_text(encoding="utf-8")
-    else:
-        text = read_text(path)
-    return parse_landmarks(text, str(name_or_path))
+def load_landmarks(name: str) -> LandmarkSet:
+    """Read a landmark set that ships with the package, "open" or "mit_I". Raises BadLandmarks for another name."""
+    folder = resources.files(__package__) / "landmark_sets"
+    names = sorted(entry.name.removesuffix(".json") for entry in folder.iterdir() if entry.name.endswith(".json"))
+    if name not in names:
+        raise BadLandmarks(f"no landmark set is called {name!r}: give {' or '.join(names)}")
+    return parse_landmarks((folder / f"{name}.json").read_bytes(), name)
 
 
-def parse_landmarks(text: str, source: str) -> LandmarkSet:
+def parse_landmarks(text: str | bytes, source: str) -> LandmarkSet:
     """Parse a landmark set from JSON text; `source` names it in messages. Raises BadLandmarks."""
     tree = json_table(text, source)
     with _bad_landmarks():
@@ -182,17 +194,12 @@ class PointLandmarks:
         place, and one on another piece of the surface than most; MissingLibrary without trimesh or rtree.
         """
         where = f"landmarks {self.source} on mesh {mesh.name}"
-        vertices, distance = snap(mesh, self.points)
+        nearest, distance = nearest_corner(mesh.vertices, mesh.faces, self.points)
         worst = int(distance.argmax())
         if distance[worst] > FARTHEST_M:
-            others = int((distance > FARTHEST_M).sum()) - 1
-            raise BadLandmarks(
-                f"{where}: a landmark must lie within {100 * FARTHEST_M:g} cm of the surface, found "
-                f"{LANDMARKS[worst]!r} {100 * distance[worst]:.1f} cm off it at "
-                f"{np.round(self.points[worst], 4).tolist()}"
-                + (f", and {others} more beyond {100 * FARTHEST_M:g} cm" if others else "")
-            )
-        vertices, notes = separate(mesh, vertices, self.points, where)
+            off = f"{LANDMARKS[worst]!r} {100 * distance[worst]:.1f} cm off it"
+            raise BadLandmarks(f"{where}: landmarks lie within {100 * FARTHEST_M:g} cm of the surface, found {off}")
+        vertices, notes = separate(mesh, nearest.astype(np.int64), self.points, where)
         piece = mesh.pieces()[vertices]
         if (piece != piece[0]).any():  # pieces for want of common vertices are one surface
             kept, place = welded(mesh.vertices)
@@ -200,10 +207,7 @@ class PointLandmarks:
         body = np.bincount(piece).argmax()
         if (piece != body).any():
             stray = int(np.flatnonzero(piece != body)[0])
-            raise BadLandmarks(
-                f"{where}: landmarks must lie on one piece of the surface, found {LANDMARKS[stray]!r} at vertex "
-                f"{vertices[stray]} of another piece than the one that holds {(piece == body).sum()} of them"
-            )
+            raise BadLandmarks(f"{where}: landmarks must lie on one piece, found {LANDMARKS[stray]!r} on another")
         return SnappedLandmarks(vertices, distance, notes)
 
     def to_landmark_set(self, mesh: Mesh, topology: str) -> tuple[LandmarkSet, SnappedLandmarks]:
@@ -217,18 +221,7 @@ class PointLandmarks:
         return LandmarkSet(self.source, topology, *counts, vertices, self.ignored), snapped
 
 
-def snap(mesh: Mesh, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Find the triangle nearest to each of `points` [N, 3]: its corner nearest to the point, int64 [N], and the
-    distance from the point to the triangle, float64 [N], metres.
-
-    Raises MissingLibrary without trimesh, rtree or scipy.
-    """
-    faces = mesh.faces[(mesh.normals != 0).any(axis=1)]  # a triangle without area has no nearest point
-    vertices, distance = nearest_corner(mesh.vertices, faces, points)
-    return vertices.astype(np.int64), distance
-
-
-def parse_points(text: str, source: str) -> PointLandmarks:
+def parse_points(text: str | bytes, source: str) -> PointLandmarks:
     """Parse landmarks by coordinate from JSON text; `source` names it in messages. Raises BadLandmarks."""
     tree = json_table(text, source)
     with _bad_landmarks():
@@ -240,20 +233,11 @@ def parse_points(text: str, source: str) -> PointLandmarks:
     return PointLandmarks(source, np.array(points) * METRES[units], ignored)
 
 
-def read_text(path: Path) -> str:
-    """Read a landmark file in UTF-8. Raises BadLandmarks."""
-    try:
-        refuse_special(path)
-        return path.read_text(encoding="utf-8-sig")  # some editors write a byte-order mark
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadLandmarks(f"cannot read the landmark file {path}: {error}") from error
-
-
-def json_table(text: str, source: str) -> Table:
+def json_table(text: str | bytes, source: str) -> Table:
     """Parse the JSON object of a landmark file and check its format. Raises BadLandmarks."""
     where = f"landmarks {source}"
     try:
-        tree = json.loads(text, object_pairs_hook=lambda pairs: _without_doubles(pairs, where))
+        tree = json.loads(text)
     except (ValueError, RecursionError) as error:  # RecursionError: brackets nested beyond reason
         raise BadLandmarks(f"{where} is not JSON: {error}") from error
     if not isinstance(tree, dict) or tree.pop("format", None) != LANDMARKS_FORMAT:
@@ -288,14 +272,116 @@ def _by_name(tree: Table, key: str) -> tuple[Table, tuple[str, ...]]:
     return table, tuple(others)
 
 
-def _without_doubles(pairs: list[tuple[str, Any]], where: str) -> dict[str, Any]:
-    """Raise BadLandmarks for repeated keys, of which `json` would silently keep the last."""
-    tree: dict[str, Any] = {}
-    for key, value in pairs:
-        if key in tree:
-            raise BadLandmarks(f"{where}: {key!r} is given twice")
-        tree[key] = value
-    return tree
+def read_lnd(path: Path) -> PointLandmarks:
+    """Read a .lnd file (or .lnd.gz): the points in metres, in the frame of the survey's scan of the same subject.
+
+    Landmarks that are not among the 33 are left out, and so are rows without coordinates (-999, all 0, or not
+    numbers). Raises BadLandmarks, naming the file and the landmarks, for one that is missing or given twice in
+    different places, and for a file that cannot be read or lacks the lines "AUX =" and "END =".
+    """
+    found: dict[str, tuple[float, ...]] = {}
+    text = file_bytes(path, ".lnd", LARGEST_BYTES, BadLandmarks).decode("latin-1")
+    for number, point, written in _rows(text, path):
+        name = recognise(written)
+        if name is None or _is_placeholder(point):
+            continue
+        if name in found and found[name] != point:
+            raise BadLandmarks(f"landmarks {path}, line {number}: {name!r} is given twice, {found[name]} and {point}")
+        found[name] = point
+    missing = [name for name in LANDMARKS if name not in found]
+    if missing:
+        raise BadLandmarks(f"landmarks {path}: {', '.join(map(repr, missing))} missing")
+    return PointLandmarks(str(path), np.array([found[name] for name in LANDMARKS]) * METRES["mm"])
+
+
+@lru_cache(maxsize=4096)
+def recognise(written: str) -> str | None:
+    """Find the one of the 33 that a name in a file means; None if it is not certain."""
+    if len(written) > _LONGEST_NAME:
+        return None
+    side, words = _normalised(written.partition("#")[0])
+    names = {known: words for known, (its_side, words) in _KNOWN.items() if its_side == side}
+    exact = [known for known, other in names.items() if other == words]
+    if exact:
+        return exact[0]
+    whole = " ".join(words)
+    whole_names = {known: " ".join(other) for known, other in names.items()}
+    cut = [known for known, other in whole_names.items() if other.startswith(whole)]
+    if cut:
+        other = whole_names[cut[0]]
+        enough = len(cut) == 1 and len(whole) >= max(3, _LEAST_SHARE * len(other))
+        return cut[0] if enough and set(_numbers(words)) <= set(_numbers(other.split())) else None
+    distances = sorted((_edits(whole, other), known) for known, other in whole_names.items())
+    (edits, nearest), (next_edits, _) = distances[:2]
+    allowed = 0 if len(whole) < 6 else 1 if len(whole) < 10 else 2
+    same_numbers = _numbers(words) == _numbers(names[nearest])
+    return nearest if edits <= allowed and next_edits >= edits + _MARGIN and same_numbers else None
+
+
+def _normalised(name: str) -> tuple[str, tuple[str, ...]]:
+    """Split a name into side ("rt", "lt" or "") and other words, in lower case without punctuation."""
+    words = tuple(re.findall(r"[^\W_]+", name.lower()))
+    side = _SIDES.get(words[0], "") if words else ""
+    return side, words[1:] if side else words
+
+
+def _numbers(words: tuple[str, ...] | list[str]) -> list[str]:
+    """Words that are numbers, Roman or Arabic: a different number means another landmark, not a misspelling."""
+    return [word for word in words if re.fullmatch(r"[ivx]+|\d+\w*", word)]
+
+
+def _edits(a: str, b: str) -> int:
+    """Edit distance: the least number of letters to add, remove or change (Levenshtein 1966)."""
+    row = list(range(len(b) + 1))
+    for i, left in enumerate(a, 1):
+        diagonal, row[0] = row[0], i
+        for j, right in enumerate(b, 1):
+            diagonal, row[j] = row[j], min(row[j] + 1, row[j - 1] + 1, diagonal + (left != right))
+    return row[-1]
+
+
+_KNOWN: Final = {name: _normalised(name) for name in LANDMARKS}
+
+
+def _rows(text: str, path: Path) -> Iterator[tuple[int, tuple[float, ...], str]]:
+    """Line number, x y z in millimetres and name as written, of every row that has coordinates and a name."""
+    lines = list(enumerate(text.splitlines(), 1))
+    begin = next((number for number, line in lines if _AUX.match(line)), None)
+    end = next((number for number, line in lines if begin and number > begin and _END.match(line)), None)
+    if begin is None or end is None:
+        lacking = "AUX =" if begin is None else "END ="
+        raise BadLandmarks(f"landmarks {path}: rows must stand between 'AUX =' and 'END =', found no {lacking!r}")
+    for number, line in lines[begin : end - 1]:
+        words = line.split()
+        count = next((index for index, word in enumerate(words) if not _is_number(word)), len(words))
+        if 3 <= count < len(words):
+            yield number, tuple(float(word) for word in words[count - 3 : count]), " ".join(words[count:])
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _is_placeholder(point: tuple[float, ...]) -> bool:
+    return not any(point) or any(not math.isfinite(value) or value == _PLACEHOLDER_MM for value in point)
+
+
+def load_landmark_file(path: Path) -> LandmarkSet | PointLandmarks:
+    """Read a landmark file: .lnd (or .lnd.gz), or .json, by vertex or, if it has "points", by coordinate.
+
+    Raises BadLandmarks, naming the file and, where there is one, the landmark at fault.
+    """
+    name = path.name.lower().removesuffix(".gz")
+    if name.endswith(".lnd"):
+        return read_lnd(path)
+    if path.suffix.lower() != ".json":
+        raise BadLandmarks(f"a landmark file must be .json, .lnd or .lnd.gz, found {path}")
+    data = file_bytes(path, "landmark", LARGEST_BYTES, BadLandmarks)
+    return (parse_points if json_table(data, str(path)).has("points") else parse_landmarks)(data, str(path))
 
 
 def nearest_corner(
@@ -304,7 +390,8 @@ def nearest_corner(
     """Find the triangle nearest to each of `points` [P, 3]: its corner nearest to the point, int32 [P], and the
     distance from the point to the triangle, float64 [P], metres.
 
-    vertices: [V, 3], metres. faces: [F, 3], none of zero area. Raises MissingLibrary without trimesh or rtree.
+    vertices: [V, 3], metres. faces: [F, 3]; those without area have no nearest point and are left out. Raises
+    MissingLibrary without trimesh or rtree.
     """
     from scipy.spatial import KDTree
 
@@ -313,6 +400,7 @@ def nearest_corner(
         import trimesh
     except ImportError as error:
         raise missing_library("measuring distances to a surface", error) from error
+    faces = faces[(face_normals(vertices, faces) != 0).any(axis=1)]
     # No point is farther from the surface than from its nearest vertex, so only triangles within that distance of the
     # points' bounding box can be nearest: for eyes in a head a few hundred instead of all.
     reach = KDTree(vertices[np.unique(faces)]).query(points)[0].max() + 1e-9  # rounding must not lose the nearest
@@ -325,12 +413,3 @@ def nearest_corner(
     away = np.linalg.norm(vertices[candidates] - points[:, None], axis=2)
     nearest: NDArray[np.int32] = candidates[np.arange(len(points)), away.argmin(axis=1)]
     return nearest, np.asarray(distance, np.float64)
-
-
-def farthest_from(vertices: NDArray[np.float64], points: NDArray[np.float64]) -> float:
-    """The largest distance of `points` [P, 3] to their nearest vertices [V, 3], metres: that to a surface of these
-    vertices is no larger.
-    """
-    from scipy.spatial import KDTree
-
-    return float(KDTree(vertices).query(points)[0].max())

@@ -145,16 +145,10 @@ class Mesh:
         proper = edges.ends[:, 0] != edges.ends[:, 1]  # not from a vertex to itself
         clashes = edges.ends[(edges.faces == 2) & (balance != 0) & proper]
         if len(clashes):
-            raise BadMesh(
-                f"mesh {self.name}: neighbouring faces must agree on their outside, found faces that clash at the edge "
-                f"of vertices {clashes[0, 0]} and {clashes[0, 1]}"
-            )
+            raise BadMesh(f"mesh {self.name}: neighbouring faces must agree, found a clash at {clashes[0].tolist()}")
         whole, lowest = self.signed_volume(), self._lowest_closed_volume(edges)
         if whole <= 0 or lowest < -_SLIGHT_VOLUME_M3:
-            raise BadMesh(
-                f"mesh {self.name}: faces must point outwards, found a signed volume of {min(whole, lowest):.3g} m3 "
-                "(inside out?)"
-            )
+            raise BadMesh(f"mesh {self.name}: faces must point outwards, found {min(whole, lowest):.3g} m3 inside")
 
     def signed_volume(self) -> float:
         """Enclosed volume, m3, measured about the mean vertex; negative if faces point inwards."""
@@ -197,12 +191,7 @@ class Mesh:
     @cached_property
     def vertex_normals(self) -> NDArray[np.float64]:
         """Area-weighted mean normals of the faces at each vertex, float64 [V, 3], unit length; zero without faces."""
-        normals = np.zeros_like(self.vertices)
-        for corner in range(3):
-            np.add.at(normals, self.faces[:, corner], self.normals)
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-        np.divide(normals, length, out=normals, where=length > 0)
-        return normals
+        return vertex_normals(self.vertices, self.faces)
 
     def barycentric(self, faces: NDArray[np.int32], points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Barycentric weights [N, 3] of points [N, 3] in the planes of their triangles (Ericson 2005, section 3.4)."""
@@ -257,6 +246,14 @@ def face_normals(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]])
     """Normals of triangles, float64 [F, 3], by the right-hand rule; length twice the triangle's area."""
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     return np.cross(b - a, c - a)
+
+
+def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
+    """Unit normals of vertices, float64 [V, 3], of the faces at each weighted by area; zero without faces."""
+    across = face_normals(vertices, faces)
+    sums = [np.bincount(faces.ravel(), np.repeat(across[:, axis], 3), len(vertices)) for axis in range(3)]
+    normals = np.stack(sums, axis=1)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15)
 
 
 def signed_volumes(corners: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -342,20 +342,20 @@ def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32], _Parsed]:
     return vertices, faces.astype(np.int32), parsed
 
 
-def mesh_suffix(name: str) -> str | None:
-    """The one of `MESH_SUFFIXES` that a file name ends in, or None."""
-    return next((suffix for suffix in MESH_SUFFIXES if name.lower().endswith(suffix)), None)
+def mesh_suffix(name: str, suffixes: Sequence[str] = MESH_SUFFIXES) -> str | None:
+    """The one of `suffixes` that a file name ends in, or None."""
+    return next((suffix for suffix in suffixes if name.lower().endswith(suffix)), None)
 
 
-def mesh_stem(name: str) -> str | None:
+def mesh_stem(name: str, suffixes: Sequence[str] = MESH_SUFFIXES) -> str | None:
     """A mesh file's name without its suffix: "mesh000" for "mesh000.ply.gz"; None for a file that is no mesh's."""
-    suffix = mesh_suffix(name)
+    suffix = mesh_suffix(name, suffixes)
     return None if suffix is None else name[: -len(suffix)]
 
 
-def preferred(names: Sequence[str]) -> str:
-    """Choose the file to read among several of one mesh, by the order of `MESH_SUFFIXES`."""
-    return min(names, key=lambda name: (MESH_SUFFIXES.index(mesh_suffix(name) or ""), name))
+def preferred(names: Sequence[str], suffixes: Sequence[str] = MESH_SUFFIXES) -> str:
+    """Choose the file to read among several of one mesh, by the order of `suffixes`."""
+    return min(names, key=lambda name: (suffixes.index(mesh_suffix(name, suffixes) or ""), name))
 
 
 def file_bytes(path: Path, kind: str, limit: int, error: type[BodysegError]) -> bytes:
@@ -434,9 +434,7 @@ def _read_off(data: bytes) -> _Parsed:
         raise BadMesh(f"line {number}: the counts of vertices and faces must follow OFF, found {counts[:20]!r}")
     vertex_count, face_count = map(int, counts.split()[:2])
     if vertex_count + face_count > len(lines) - 1:
-        raise BadMesh(
-            f"the header announces {vertex_count} vertices and {face_count} faces, found {len(lines) - 1} lines"
-        )
+        raise BadMesh(f"the header announces {vertex_count + face_count} lines, found {len(lines) - 1}")
     vertices: Vertices = []
     polygons: Polygons = []
     for row, (number, line) in enumerate(lines[1 : 1 + vertex_count + face_count]):

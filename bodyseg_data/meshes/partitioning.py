@@ -142,40 +142,26 @@ def _with_borders(
 
 
 def _checked_landmarks(mesh: Mesh, landmarks: NDArray[Any]) -> NDArray[np.int64]:
-    where = f"mesh {mesh.name}"
     landmarks = np.asarray(landmarks)
     if landmarks.shape != (PART_COUNT,) or not np.issubdtype(landmarks.dtype, np.integer):
-        raise BadLandmarks(
-            f"{where}: landmarks must be {PART_COUNT} whole numbers, found {landmarks.dtype} {landmarks.shape}"
-        )
-    surface = np.zeros(len(mesh.vertices), np.bool_)
-    surface[mesh.faces] = True
-    for name, vertex in zip(LANDMARKS, landmarks.tolist(), strict=True):
-        if not 0 <= vertex < len(surface):
-            raise BadLandmarks(f"{where}: landmarks must be vertices 0 to {len(surface) - 1}, found {name} at {vertex}")
-        if not surface[vertex]:
-            raise BadLandmarks(f"{where}: landmarks must lie on the surface, found {name} at {vertex}, in no face")
+        found = f"{landmarks.dtype} {landmarks.shape}"
+        raise BadLandmarks(f"mesh {mesh.name}: landmarks must be {PART_COUNT} whole numbers, found {found}")
+    for name, vertex, seen in zip(LANDMARKS, landmarks.tolist(), np.isin(landmarks, mesh.faces), strict=True):
+        if not seen:
+            raise BadLandmarks(f"mesh {mesh.name}: landmarks must lie on the surface, found {name} at {vertex}")
     return landmarks.astype(np.int64)
 
 
 def _check_distinct_points(mesh: Mesh, landmarks: NDArray[np.int64], mended: MendedSurface) -> None:
     """Raise BadLandmarks unless the landmarks are distinct points of the mended surface."""
-    sources = mended.representative[landmarks]
-    kept = np.isin(sources, mended.faces)
-    if not kept.all():
-        lost = int(np.flatnonzero(~kept)[0])
-        raise BadLandmarks(
-            f"mesh {mesh.name}: landmarks must lie on the surface, found {LANDMARKS[lost]} at {landmarks[lost]}, where "
-            f"nothing is left of it: {', '.join(mended.notes)}"
-        )
     first: dict[int, str] = {}
-    for name, vertex in zip(LANDMARKS, sources.tolist(), strict=True):
+    for name, vertex in zip(LANDMARKS, mended.representative[landmarks].tolist(), strict=True):
         if vertex in first:
-            raise BadLandmarks(
-                f"mesh {mesh.name}: landmarks must lie in different places, found {first[vertex]} and {name} at "
-                f"{mesh.vertices[vertex].tolist()}"
-            )
+            both = f"{first[vertex]} and {name} at {mesh.vertices[vertex].tolist()}"
+            raise BadLandmarks(f"mesh {mesh.name}: landmarks must lie in different places, found {both}")
         first[vertex] = name
+    for vertex in np.setdiff1d([*first], mended.faces).tolist():
+        raise BadLandmarks(f"mesh {mesh.name}: landmarks must lie on the surface, mended away at {first[vertex]}")
 
 
 @dataclass(frozen=True)

@@ -116,10 +116,7 @@ def _all_fields(parts: Sequence[Manifest], folders: Sequence[Path]) -> Fields:
     for part, folder in zip(parts, folders, strict=True):
         for name, kind in part.fields.kinds.items():
             if kinds.setdefault(name, kind) != kind:
-                raise BadConfig(
-                    f"{folder}: field {name!r} is of the kind {kind}, in another part {kinds[name]}: give its kind to "
-                    "the writers, as fields={...}"
-                )
+                raise BadConfig(f"{folder}: field {name!r} is {kind}, elsewhere {kinds[name]}: say it in 'fields'")
     return fields_of(kinds, len(parts[0].rigs))
 
 

@@ -137,15 +137,7 @@ def probe_cameras(
     mesh: Mesh, rig: Rig, distance_cm: int, pitches_deg: Sequence[int] = (0,)
 ) -> tuple[PlacedCamera, ...]:
     """The rig's camera on four sides of a mesh at each pitch, with fewer, larger pixels."""
-    camera, pixel = rig.camera, _COARSER_PIXELS
-    small = replace(
-        camera,
-        rows=math.ceil(camera.rows / pixel),
-        columns=math.ceil(camera.columns / pixel),
-        focal_px=camera.focal_px / pixel,
-        centre_px=(camera.centre_px[0] / pixel, camera.centre_px[1] / pixel),
-    )
-    few = replace(rig, camera=small)
+    few = replace(rig, camera=rig.camera.scaled(1 / _COARSER_PIXELS))
     views = (View(distance_cm, azimuth, pitch) for pitch in pitches_deg for azimuth in _AZIMUTHS_DEG)
     return tuple(few.placed(mesh.centre, view)[0] for view in views)
 

@@ -32,6 +32,7 @@ from bodyseg_data.packing.writing import (
     record_skips,
     stored_skips,
     write_shards,
+    writing_into,
 )
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.samples import SHADOW_THRESHOLDS, SPLITS, View
@@ -160,7 +161,7 @@ def pack(
         def render(body: BodyRef, views: tuple[View, ...]) -> Future[Rendered]:
             return executor.submit(render_run, packing, body, views, digest)
 
-        with claimed(out, description, digest) as state:
+        with writing_into(out), claimed(out, description, digest) as state:
             late = stored_skips(out, state, faulty)
             skips.add(late)
             record_skips(state, late)
@@ -192,6 +193,4 @@ def pack(
     except BrokenExecutor as error:
         killed = f"a worker process was killed (out of memory?) while packing {out}"
         raise BadConfig(f"{killed}: the same command carries on") from error
-    except OSError as error:
-        raise BadConfig(f"cannot write shards in {out}: {error.strerror or error}") from error
     return manifest

@@ -82,10 +82,7 @@ def check_unchanged(source: RenderSource, packed: Mapping[str, Path]) -> None:
             raise BadConfig(f"{tar} holds the sample {key!r}, which is no longer there: pack into another folder")
         for file in source.files(key):
             if file.stat().st_mtime > written[tar]:
-                raise BadConfig(
-                    f"{file} was written after {tar}, which holds its sample: delete {tar.parent} and "
-                    "pack again (copies keep their time with cp -p)"
-                )
+                raise BadConfig(f"{file} is newer than {tar}, which holds it: delete {tar.parent} and pack again")
 
 
 def check_plausible(render: Render, rig: Rig, where: str) -> None:

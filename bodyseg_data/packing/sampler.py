@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Callable
+from dataclasses import asdict
 from typing import Final
 
 import numpy as np
@@ -20,6 +21,9 @@ from bodyseg_data.samples import HELD, Sample, SampleInfo, Value, View, steps
 
 _SHARED: Final = 254  # stands for a triangle that parts share; no part has this number
 _SURE_M: Final = 1e-4  # a light this far from a triangle's plane is on one side of it, however its points are rounded
+
+PointsAt = Callable[[NDArray[np.intp]], NDArray[np.float64]]
+"""Numbers [N] of pixels that see the body -> the points [N, 3] that they see."""
 
 
 def body_key(source: str, body: BodyRef) -> str:
@@ -76,7 +80,9 @@ class Sampler:
             of_thing = faces - np.int32(len(self._mesh.faces))  # negative on the body
             on_thing = of_thing >= 0
             pixels, faces = measured[~on_thing], faces[~on_thing]
-        points = _Points(seen, camera, pixels)
+
+        def points(chosen: NDArray[np.intp]) -> NDArray[np.float64]:
+            return surface_points(seen, camera, *np.divmod(pixels[chosen], camera.camera.columns))
 
         range_image = np.zeros(seen.face.shape, np.uint16)
         range_image.ravel()[measured] = steps(seen.range.take(measured), step_m, key)
@@ -124,15 +130,15 @@ class Sampler:
 
         return occluder_range(test, range_image, facing, ranges)
 
-    def _labels(self, faces: NDArray[np.int32], points: _Points) -> NDArray[np.uint8]:
+    def _labels(self, faces: NDArray[np.int32], points: PointsAt) -> NDArray[np.uint8]:
         labels: NDArray[np.uint8] = self._part_of_face.take(faces)
         shared = np.flatnonzero(labels == _SHARED)
-        labels[shared] = self._parts.labels_at(self._mesh, faces[shared], points.take(shared))
+        labels[shared] = self._parts.labels_at(self._mesh, faces[shared], points(shared))
         labels[labels == BACKGROUND] = UNLABELLED  # a thing that is held or worn
         return labels
 
     def _facing(
-        self, faces: NDArray[np.int32], points: _Points, source: NDArray[np.float64], eye: NDArray[np.float64]
+        self, faces: NDArray[np.int32], points: PointsAt, source: NDArray[np.float64], eye: NDArray[np.float64]
     ) -> NDArray[np.bool_]:
         """As `faces_towards`, computed once a triangle wherever rounding of its points cannot change the answer.
 
@@ -144,21 +150,8 @@ class Sampler:
             return same
         answer: NDArray[np.bool_] = (towards > 0).take(faces)
         unsure = np.flatnonzero((np.abs(towards) <= self._sure).take(faces))
-        answer[unsure] = faces_towards(self._mesh, faces[unsure], points.take(unsure), source)
+        answer[unsure] = faces_towards(self._mesh, faces[unsure], points(unsure), source)
         return answer
-
-
-@dataclass(frozen=True)
-class _Points:
-    """The points that pixels see, computed for the few that are taken."""
-
-    seen: Surface
-    camera: PlacedCamera
-    pixels: NDArray[np.intp]
-
-    def take(self, chosen: NDArray[np.intp]) -> NDArray[np.float64]:
-        rows, columns = np.divmod(self.pixels[chosen], self.camera.camera.columns)
-        return surface_points(self.seen, self.camera, rows, columns)
 
 
 def surface_points(

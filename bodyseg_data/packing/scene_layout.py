@@ -86,10 +86,8 @@ class SceneLayout:
         labels = _integers(scene.labels, "labels", size, scene.key)
         allowed = (labels >= 0) & ((labels < len(self.classes)) | (labels == UNLABELLED) | (labels == BACKGROUND))
         if not allowed.all():
-            raise BadSample(
-                f"{scene.key}: labels must be 0 to {len(self.classes) - 1}, {UNLABELLED} for a surface of no class or "
-                f"{BACKGROUND} where nothing was measured, found {_first(labels, ~allowed)}"
-            )
+            top, found = len(self.classes) - 1, _first(labels, ~allowed)
+            raise BadSample(f"{scene.key}: labels must be 0 to {top}, {UNLABELLED} or {BACKGROUND}, found {found}")
         return labels.astype(np.uint8)
 
     def _fields_of(self, scene: Render) -> Mapping[str, Value]:
@@ -130,9 +128,7 @@ class SceneLayout:
         origin = facing_of(scene)
         if origin != self.facing:
             words = {EXTERNAL: "facing or normals", FACING_FROM_RANGE: "neither facing nor normals"}
-            raise BadSample(
-                f"{scene.key}: the samples of the set come with {words[self.facing]}, found {words[origin]}"
-            )
+            raise BadSample(f"{scene.key}: samples of the set come with {words[self.facing]}, found {words[origin]}")
         size, count = range_m.shape, len(rig.projectors)
         if scene.normals is not None:
             normals = _array(scene.normals, "normals", scene.key)
@@ -250,9 +246,7 @@ def _ranges(given: Any, name: str, shape: tuple[int, ...], rig: Rig, key: str) -
     reach = 65535 * rig.range_step_m
     if image.size and not (image.min() >= 0 and image.max() <= reach):  # false for NaN too
         wrong = ~((image >= 0) & (image <= reach))
-        raise BadSample(
-            f"{key}: {name} must be metres up to {reach:.5g}, and 0 where nothing is, found {_first(image, wrong)}"
-        )
+        raise BadSample(f"{key}: {name} must be metres, 0 to {reach:.5g}, found {_first(image, wrong)}")
     return image.copy()
 
 

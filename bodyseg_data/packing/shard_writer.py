@@ -100,9 +100,7 @@ class ShardWriter:
     ) -> None:
         if projector not in (None, *get_args(ProjectorKind)):
             kinds = ", ".join(get_args(ProjectorKind))
-            raise BadConfig(
-                f"projector must be one of {kinds}, or None for what the first scene has, found {projector!r}"
-            )
+            raise BadConfig(f"projector must be one of {kinds}, or None, found {projector!r}")
         if not source or not source.isprintable():
             raise BadConfig(f"source must be a name that can be printed, found {source!r}")
         several = [rig] if isinstance(rig, RigLike) else list(rig)

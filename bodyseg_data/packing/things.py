@@ -8,7 +8,8 @@ the right, y up, z away from the viewer; it stands on y = 0, around x = z = 0.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Final, Literal
 
 import numpy as np
@@ -145,15 +146,7 @@ def lamp(numbers: Numbers) -> Solid:
 
 
 FURNITURE: Final[dict[str, Callable[[Numbers], Solid]]] = {
-    "box": box,
-    "table": table,
-    "chair": chair,
-    "bed": bed,
-    "machine": machine,
-    "bin": bin_,
-    "plant": plant,
-    "lamp": lamp,
-    "plank": plank,
+    made.__name__.rstrip("_"): made for made in (box, table, chair, bed, machine, bin_, plant, lamp, plank)
 }
 """Name -> a thing of that kind, drawn anew."""
 
@@ -178,12 +171,12 @@ class Things:
     solid: Solid
     step_m: float
     hidden: float = 0.0
-    _renderer: Renderer = field(init=False, repr=False)
 
-    def __post_init__(self) -> None:
+    @cached_property
+    def _renderer(self) -> Renderer:
         from bodyseg_data.rendering import RasterRenderer  # loads numba, which streaming and planning do not need
 
-        object.__setattr__(self, "_renderer", RasterRenderer(self.solid))
+        return RasterRenderer(self.solid)
 
     def render(self, camera: PlacedCamera) -> Surface:
         """Render the things alone. What is farther than 16 bits hold is not measured."""

@@ -3,18 +3,16 @@
 The state stands in `OUT/.packing/` while the packing runs, so that it can carry on where it was cut short.
 
 plan.json           everything that shapes the bytes; another plan may not carry on here
-lock                held while a packing is at work
+.lock               held while a packing is at work
 NAME.tar.part       the shard being written
 NAME.tar.json       the record of a finished shard
 skipped.json        meshes left out after the check: name -> reason
 """
 
 import contextlib
-import fcntl
 import hashlib
 import itertools
 import json
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -24,6 +22,7 @@ from typing import Any, Final
 
 from bodyseg_data.bodies import BodyRef
 from bodyseg_data.core import BadConfig, BadShard, ProgressCallback
+from bodyseg_data.files import claimed as held_alone
 from bodyseg_data.files import is_leftover, write_atomically
 from bodyseg_data.packing.jobs import ordered
 from bodyseg_data.packing.options import Packing
@@ -166,19 +165,11 @@ def claimed(out: Path, description: dict[str, Any], digest: str) -> Iterator[Pat
             f"{out} already holds a set of shards packed with other options or from other files: "
             "choose another folder, or delete it"
         )
-    state.mkdir(parents=True, exist_ok=True)
-    lock = os.open(state / "lock", os.O_CREAT | os.O_RDWR, 0o644)  # goes with the folder, when the set is complete
-    try:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise BadConfig(f"another packing is at work in {out}") from None
+    with held_alone(state, "packing"):
         for leftover in filter(lambda path: is_leftover(path.name), out.iterdir()):
             leftover.unlink()  # of a run that could not even clean up
         _check_plan(state / "plan.json", description, out)
         yield state
-    finally:
-        os.close(lock)
 
 
 def _check_plan(path: Path, description: dict[str, Any], out: Path) -> None:
@@ -191,10 +182,7 @@ def _check_plan(path: Path, description: dict[str, Any], out: Path) -> None:
     except (ValueError, RecursionError):
         stored = None
     if stored != description:
-        raise BadConfig(
-            f"{out} holds an unfinished packing with other options or of other files: "
-            "finish it with those, or delete the folder"
-        )
+        raise BadConfig(f"{out} holds an unfinished packing of other options or files: finish it, or delete the folder")
 
 
 def finished_shards(

@@ -52,8 +52,7 @@ class EmbreeRenderer(Renderer):
         range. A rotated ray is the sum of a term of its row and one of its column. The common origin is not copied.
         """
         device = camera.camera
-        y = (np.arange(device.rows) + 0.5 - device.centre_px[1]) / device.focal_px
-        x = (np.arange(device.columns) + 0.5 - device.centre_px[0]) / device.focal_px
+        x, y = device.slopes
         right, down, forward = camera.axes
         rows, columns = np.divmod(pixels, device.columns)
         directions = np.empty((3, len(pixels)), np.float32)

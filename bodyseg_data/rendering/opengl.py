@@ -190,10 +190,7 @@ class _Context:
     def check_process(self) -> None:
         """Raise BadConfig in a fork of the process that opened the context, where drivers hang."""
         if self._process != os.getpid():
-            raise BadConfig(
-                f"{_FEATURE} cannot draw in a process forked from one that has drawn: start workers by 'spawn' or "
-                "'forkserver', or draw in the workers only"
-            )
+            raise BadConfig(f"{_FEATURE} cannot draw in a fork of a process that has drawn: start workers by 'spawn'")
 
     def draw(self, scene: Any, rows: int, columns: int) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         self.check_process()
@@ -248,15 +245,9 @@ def _shared_context() -> _Context:
 
 def _no_driver(error: Exception) -> MissingLibrary:
     cause = " ".join(str(error).split()) or type(error).__name__
-    if _PLATFORM == "egl":
-        hint = (
-            f"no EGL device can be opened; a software driver is in {SOFTWARE_DRIVER}: apt-get install {SOFTWARE_DRIVER}"
-        )
-    elif _PLATFORM == "osmesa":
-        hint = "OSMesa needs a PyOpenGL newer than the 3.1.0 that pyrender asks for; PYOPENGL_PLATFORM=egl does not"
-    else:
-        hint = f"no window can be opened on PYOPENGL_PLATFORM={_PLATFORM!r}; PYOPENGL_PLATFORM=egl needs no display"
-    return MissingLibrary(f"{_FEATURE}: {hint} ({cause}); {_ALTERNATIVE}")
+    hint = f"egl needs no display, and drivers in software are in {SOFTWARE_DRIVER}: apt-get install {SOFTWARE_DRIVER}"
+    where = f"nothing can be opened on PYOPENGL_PLATFORM={_PLATFORM!r} ({cause})"
+    return MissingLibrary(f"{_FEATURE}: {where}; {hint}; {_ALTERNATIVE}")
 
 
 def _face_colours(count: int) -> NDArray[np.float32]:

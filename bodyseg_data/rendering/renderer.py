@@ -1,4 +1,5 @@
-"""The interface of renderers, range and triangle at every pixel of a camera, and the pixels that a mesh can cover.
+"""Renderers: their interface, range and triangle at every pixel of a camera, their registry, and the pixels that a mesh
+can cover. A new renderer is a file in this folder and an entry of `RENDERERS`.
 
 A renderer is constructed once for a mesh and renders it for many placed cameras. It gives geometry only; labels,
 facing and stored integers are computed from that by the same code for every renderer (`packing/sampler.py`).
@@ -8,12 +9,16 @@ corners' pixels. All boxes are filled at once, in blocks of pixels: each adds an
 two cumulative sums fill it (the inverse of a summed-area table, Crow 1984).
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
-from typing import Final, Protocol
+from importlib import import_module
+from typing import TYPE_CHECKING, Final, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.core import BadConfig
 from bodyseg_data.meshes import Mesh
 from bodyseg_data.rigs import PlacedCamera
 
@@ -21,6 +26,18 @@ BLOCK_PX: Final = 2
 """Side of a block. Smaller blocks fit the outline better, larger ones are faster (docs/explanation/renderers.md)."""
 
 _NEAR_PLANE_M: Final = 1e-3
+
+RENDERERS: Final[dict[str, str]] = {
+    "raster": "raster.RasterRenderer",
+    "embree": "embree.EmbreeRenderer",
+    "opengl": "opengl.OpenGLRenderer",
+}
+"""Name -> "module.Class" in this folder, imported when a renderer of that name is opened."""
+
+if TYPE_CHECKING:
+    RendererName = str
+else:
+    RendererName = Literal[tuple(RENDERERS)]
 
 
 @dataclass(frozen=True)
@@ -60,6 +77,15 @@ class Renderer(Protocol):
     def close(self) -> None:
         """Release what is not Python's memory: by default there is nothing. Safe to call twice."""
         return
+
+
+def open_renderer(name: str, mesh: Mesh) -> Renderer:
+    """Construct the renderer called `name` for `mesh`. Raises BadConfig, or MissingLibrary without its libraries."""
+    if name not in RENDERERS:
+        raise BadConfig(f"the renderer must be one of {', '.join(RENDERERS)}, found {name!r}")
+    module, kind = RENDERERS[name].split(".")
+    renderer: Renderer = getattr(import_module(f"{__package__}.{module}"), kind)(mesh)
+    return renderer
 
 
 class Outline:

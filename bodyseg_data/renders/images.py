@@ -148,9 +148,7 @@ def as_metres(
     numbers: NDArray[np.floating[Any]] = image.astype(np.float32 if floats else np.float64)
     numbers[nothing] = 0
     if numbers.min() < 0:
-        raise BadSample(
-            f"{where}: a range must not be negative, found {numbers.min():.6g}: OpenGL's z axis points backwards"
-        )
+        raise BadSample(f"{where}: a range must not be negative, as OpenGL's z is, found {numbers.min():.6g}")
     if floats and numbers.max() == 1 and np.count_nonzero(numbers == 1) > image.size / 20:
         raise BadSample(
             f"{where}: the largest number is 1, of {np.count_nonzero(numbers == 1)} pixels: a depth buffer, or depth "

@@ -24,7 +24,7 @@ from bodyseg_data.files import Table
 
 MODEL: Final = "brown_conrady"
 
-_LARGEST_COEFFICIENT: Final = 1e6
+_MOST: Final = 1e6
 
 Floats = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ MAX_SIDE: Final = 8192
 MAX_FOCAL_PX: Final = 1e6
 """Greatest focal length, pixels."""
 
-_MAX_DISTANCE_M: Final = 100.0
+_FAR_M: Final = 100.0
 _MAX_ROLL_DEG: Final = 180.0
 _LEAST_ACROSS: Final = 1e-6
 _CHECKED_NODES: Final = 65  # nodes a side at which distortion is checked
@@ -72,23 +72,17 @@ class Camera:
             raise BadConfig(f"an image side must be 1 to {MAX_SIDE} pixels, found {self.rows} x {self.columns}")
         if not 0 < self.focal_px <= MAX_FOCAL_PX:
             raise BadConfig(f"a focal length must be positive, at most {MAX_FOCAL_PX:g} px, found {self.focal_px:g} px")
-        if not all(abs(number) <= _MAX_DISTANCE_M for number in (*self.position_m, *self.aims_at_m)):
-            raise BadConfig(
-                f"a camera's position and aim must lie within {_MAX_DISTANCE_M:g} m, found {self.position_m}, "
-                f"{self.aims_at_m}"
-            )
+        if not all(abs(number) <= _FAR_M for number in (*self.position_m, *self.aims_at_m)):
+            raise BadConfig(f"camera and aim must lie within {_FAR_M:g} m, found {self.position_m}, {self.aims_at_m}")
         if not all(abs(number) <= MAX_FOCAL_PX for number in self.centre_px):
             raise BadConfig(f"a principal point must lie near the image, found {self.centre_px}")
-        if not all(abs(number) <= _MAX_DISTANCE_M for number in self.up):
-            raise BadConfig(f"a camera's 'up' must have components of at most {_MAX_DISTANCE_M:g}, found {self.up}")
+        if not all(abs(number) <= _FAR_M for number in self.up):
+            raise BadConfig(f"a camera's 'up' must have components of at most {_FAR_M:g}, found {self.up}")
         if not abs(self.roll_deg) <= _MAX_ROLL_DEG:
             raise BadConfig(f"a camera's roll must be -180 to 180 degrees, found {self.roll_deg:g}")
         axis = np.subtract(self.aims_at_m, self.position_m)
         if not np.linalg.norm(np.cross(self.up, axis)) >= _LEAST_ACROSS:
-            raise BadConfig(
-                f"a camera must not look straight up or down, along its 'up', found an axis of {axis.tolist()} "
-                f"and up {list(self.up)}"
-            )
+            raise BadConfig(f"a camera must not look straight up or down, along its 'up', found {axis.tolist()}")
         if self.distortion is not None and not self.distortion.is_one_to_one(*self._image_plane(_CHECKED_NODES)):
             raise BadConfig(f"lens distortion must not fold the image over, found {self.distortion}")
 
@@ -151,14 +145,12 @@ class Camera:
             tree["distortion"] = self.distortion.to_json()
         return tree
 
-    def scaled(self, factor: int) -> Camera:
-        """The same view with `factor` times as many pixels a side. Raises BadConfig for a factor below 1."""
-        if factor < 1:
-            raise BadConfig(f"an image is refined by a whole factor of at least 1, found {factor}")
+    def scaled(self, factor: float) -> Camera:
+        """The same view with `factor` times as many pixels a side, rounded up."""
         return replace(
             self,
-            rows=self.rows * factor,
-            columns=self.columns * factor,
+            rows=math.ceil(self.rows * factor),
+            columns=math.ceil(self.columns * factor),
             focal_px=self.focal_px * factor,
             centre_px=(self.centre_px[0] * factor, self.centre_px[1] * factor),
         )
@@ -228,10 +220,8 @@ class Distortion:
     def __post_init__(self) -> None:
         check_fields(self)
         for name, value in asdict(self).items():
-            if not abs(value) <= _LARGEST_COEFFICIENT:
-                raise BadConfig(
-                    f"a coefficient of distortion must be at most {_LARGEST_COEFFICIENT:g}, found {name} = {value:g}"
-                )
+            if not abs(value) <= _MOST:
+                raise BadConfig(f"a coefficient of distortion must be at most {_MOST:g}, found {name} = {value:g}")
         if not self.aspect > 0:
             raise BadConfig(f"the aspect of pixels must be above 0, found {self.aspect:g}")
 

@@ -97,11 +97,8 @@ class Rig:
         if len({projector.columns for projector in self.projectors}) > 1:
             found = " and ".join(str(projector.columns) for projector in self.projectors)
             raise BadConfig(f"the images of two projectors must have equally many columns, found {found}")
-        if self.projector_shape[0] > MAX_SIDE:
-            raise BadConfig(
-                f"the images of two projectors must have at most {MAX_SIDE} rows together, "
-                f"found {self.projector_shape[0]}"
-            )
+        if (rows := self.projector_shape[0]) > MAX_SIDE:
+            raise BadConfig(f"the images of two projectors must have at most {MAX_SIDE} rows together, found {rows}")
 
     def check_reach(self, distance_m: float) -> None:
         """Raise BadConfig unless 16 bits hold the ranges of a body that far away on the camera's axis, metres.

@@ -231,9 +231,7 @@ class Sample:
             if array is None and name in ("projector_range", "faces_second"):
                 continue
             if array.dtype != kind or array.ndim != 2 or not array.size:
-                raise BadSample(
-                    f"{self.key}: {name} must be a 2D image of {kind.__name__}, found {array.dtype} {array.shape}"
-                )
+                raise BadSample(f"{self.key}: {name} must be {kind.__name__} [H, W], found {array.dtype} {array.shape}")
         masks = [mask for mask in (self.faces_projector, self.faces_second) if mask is not None]
         shapes = [self.range.shape, self.labels.shape, *(mask.shape for mask in masks)]
         if len(set(shapes)) > 1:
@@ -251,10 +249,7 @@ class Sample:
             raise BadSample(f"{self.key}: background cannot face the projector")
         for name, plane in self.planes.items():
             if plane.dtype not in (np.uint8, np.uint16) or plane.shape != self.range.shape:
-                raise BadSample(
-                    f"{self.key}: the plane {name!r} must be uint8 or uint16 {self.range.shape}, "
-                    f"found {plane.dtype} {plane.shape}"
-                )
+                raise BadSample(f"{self.key}: the plane {name!r} must be uint8 or uint16, as large: {plane.dtype}")
 
 
 def shape_of(image: NDArray[Any]) -> str:

@@ -111,10 +111,7 @@ class ViewGrid:
         if len(set(self.distances_cm)) != len(self.distances_cm):
             raise BadConfig(f"view distances must differ, found {list(self.distances_cm)}")
         if not 1 <= self.azimuths <= 360 or not 1 <= self.span_deg <= 360 or self.span_deg % self.azimuths:
-            raise BadConfig(
-                "the azimuth span must be 1 to 360 whole degrees and divide evenly by the number of azimuths, "
-                f"found span {self.span_deg} and {self.azimuths} azimuths"
-            )
+            raise BadConfig(f"azimuths must divide 1 to 360 degrees evenly, found {self.azimuths} in {self.span_deg}")
         for name in _LIMITS:
             _check(name, getattr(self, name))
         if self.count is not None and not 1 <= self.count <= self.full:

@@ -19,14 +19,13 @@ from bodyseg_data.bodies.limb_reaching import (
     chosen,
     deepest_m,
     mostly_middle,
-    vertex_normals,
     within,
 )
 from bodyseg_data.bodies.outfits import drawn_outfit
 from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, bone_rotations
 from bodyseg_data.bodies.stances import Places
 from bodyseg_data.core import generator
-from bodyseg_data.meshes import Mesh
+from bodyseg_data.meshes import Mesh, vertex_normals
 
 
 @cache

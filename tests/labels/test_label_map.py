@@ -136,7 +136,7 @@ def test_classes_are_joined_to_coarser_ones() -> None:
     np.testing.assert_array_equal(limbs.joined_to(halves)[limbs.table], halves.table)
     with pytest.raises(BadConfig, match="labels 'limbs14' cannot be joined to 'itop15', which splits .*'trunk'"):
         limbs.joined_to(load_label_map("itop15"))
-    with pytest.raises(BadConfig, match="labels 'parts33' cannot be joined to 'arms', in which .*'Sellion' has no"):
+    with pytest.raises(BadConfig, match="labels 'parts33' cannot be joined to 'arms', which lacks the class 'Sellion'"):
         PARTS33.joined_to(ARMS)
 
 
@@ -222,7 +222,7 @@ def test_a_map_of_a_users_own_classes(tmp_path: Path) -> None:
         (["a\n"], "a class needs a name that can be printed"),
         ([LabelClass("a", colour="red")], "the colour of 'a' must be like '#1e90ff', found 'red'"),
         ([LabelClass("a", mirror="b")], "the mirror image of 'a', 'b', is no class"),
-        ([LabelClass("a", mirror="b"), "b"], "'a' has the mirror image 'b', which must have 'a', found None"),
+        ([LabelClass("a", mirror="b"), "b"], "the mirror image of 'b' must be 'a'"),
     ],
 )
 def test_classes_that_are_none(entries: Any, message: str) -> None:

@@ -282,7 +282,7 @@ sys.stdin.read()
         assert answer.result(100) == 1024
 
 
-@pytest.mark.parametrize("loop", ["apply", "fill_camera", "fill_projector", "join"])
+@pytest.mark.parametrize("loop", ["apply", "fill_camera", "fill_projector", "join_runs"])
 @pytest.mark.parametrize("variant", ["all", "occ"])
 def test_whichever_loops_are_not_ready_yet_bits_are_the_same(
     loop: str, variant: str, monkeypatch: pytest.MonkeyPatch

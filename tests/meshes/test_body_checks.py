@@ -96,7 +96,7 @@ def test_a_floor_that_has_grown_together_with_the_feet() -> None:
 
 
 def test_a_body_that_is_a_small_part_of_its_mesh() -> None:
-    with pytest.raises(BadMesh, match="a body's trunk must be at least 10 cm long, found"):
+    with pytest.raises(BadMesh, match="a trunk is 0.1 m long at least, found"):
         checked(PERSON.vertices / 10, PERSON.faces, POINTS / 10)
 
 

@@ -74,11 +74,11 @@ def _some_turned(f: NDArray[np.int64]) -> NDArray[np.int64]:
         (lambda v, f: (v / 100, f), "must be 0.5 to 2.5 m at its largest, found 0.01 m"),
         (
             lambda v, f: (v, f[:, ::-1]),
-            "found a signed volume of -0.522 m3",
+            "found -0.522 m3",
         ),
         (
             lambda v, f: (v, _some_turned(f)),
-            "found faces that clash at",
+            "found a clash at",
         ),
         (lambda v, f: (v[:, :2], f), "three columns"),
         (lambda v, f: (v, f.astype(float)), "faces must be whole numbers, found float64"),
@@ -107,7 +107,7 @@ def test_only_closed_pieces_must_enclose_a_volume() -> None:
     whole, inner = ball(), ball(radius_m=0.3, subdivisions=3)
     cavity = inner.faces[:, ::-1] + len(whole.vertices)
     vertices = np.concatenate([whole.vertices, inner.vertices])
-    with pytest.raises(BadMesh, match=r"mesh closed: .* found a signed volume of -0.1"):
+    with pytest.raises(BadMesh, match=r"mesh closed: .* found -0.1"):
         Mesh("closed", vertices, np.concatenate([whole.faces, cavity]))
     mesh = Mesh("open", vertices, np.concatenate([whole.faces, cavity[:-5]]))
     assert mesh.signed_volume() == pytest.approx(whole.signed_volume() - inner.signed_volume(), rel=5e-3)

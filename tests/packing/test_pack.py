@@ -210,7 +210,7 @@ def test_records_that_say_nothing_are_made_again(
     with pytest.raises(Interrupted):
         pack_figures(tmp_path / "other", Renders(known, 0), shard_samples=5)
     (tmp_path / "other" / STATE_NAME / "plan.json").write_text(text)
-    with pytest.raises(BadConfig, match="holds an unfinished packing with other options"):
+    with pytest.raises(BadConfig, match="holds an unfinished packing of other options"):
         pack_figures(tmp_path / "other", Renders(known), shard_samples=5)
 
 
@@ -253,7 +253,7 @@ def test_a_folder_with_something_else_is_refused(tmp_path: Path, pack_figures: P
         pack_figures(out, Renders(known), meshes=3)
     with pytest.raises(Interrupted):
         pack_figures(tmp_path / "unfinished", Renders(known, 1), meshes=2)
-    with pytest.raises(BadConfig, match="holds an unfinished packing with other options"):
+    with pytest.raises(BadConfig, match="holds an unfinished packing of other options"):
         pack_figures(tmp_path / "unfinished", Renders(known), meshes=3)
     (tmp_path / "tars").mkdir()
     (tmp_path / "tars" / "mine.tar").touch()
@@ -278,7 +278,7 @@ def test_two_packings_into_one_folder_do_not_meet(tmp_path: Path, pack_figures: 
 
 def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path, pack_figures: Pack, known: dict[Any, Any]) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(BadConfig, match="cannot write shards in .*: Not a directory"):
+    with pytest.raises(BadConfig, match="cannot make the folder .*: Not a directory"):
         pack_figures(tmp_path / "file" / "shards", Renders(known))
 
 

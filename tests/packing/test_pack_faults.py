@@ -19,7 +19,7 @@ from folders import ROOT
 from bodyseg_data.bodies import SOURCES
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import write_json
-from bodyseg_data.packing import Packing, pack
+from bodyseg_data.packing import STATE_NAME, Packing, pack
 from bodyseg_data.samples import ViewGrid
 from bodyseg_model.commands import main
 
@@ -150,7 +150,9 @@ def test_a_full_disk_is_one_line_and_the_same_call_carries_on_when_there_is_spac
 
     def work() -> None:
         _mount(disk, f"size={kilobytes}k")
-        with pytest.raises(BadConfig, match="cannot write shards in .*: No space left on device"):
+        with pytest.raises(
+            BadConfig, match="cannot (write shards in|make the folder|write) .*: No space left on device"
+        ):
             interrupted.pack(disk / "out")
         assert left_over(disk / "out", interrupted.whole) == []
         _mount(disk, "size=20m", _MS_REMOUNT)
@@ -167,7 +169,7 @@ def test_a_disk_that_may_not_be_written_is_one_line(interrupted: Interrupted, tm
     def work() -> None:
         _mount(disk, "size=1m")
         _mount(disk, "size=1m", _MS_REMOUNT | _MS_RDONLY)
-        with pytest.raises(BadConfig, match="cannot write shards in .*: Read-only file system"):
+        with pytest.raises(BadConfig, match="cannot make the folder .*: Read-only file system"):
             interrupted.pack(disk / "out")
         with pytest.raises(BadConfig, match=r"cannot write .*x\.json: Read-only file system"):
             write_json(disk / "x.json", {})
@@ -193,7 +195,7 @@ def test_a_folder_without_permission_is_one_line(interrupted: Interrupted, memor
         interrupted.pack(closed / "out")
 
     assert _forked(work, said) == 2
-    assert said.read_text() == f"cannot write shards in {closed / 'out'}: Permission denied\n"
+    assert said.read_text() == f"cannot make the folder {closed / 'out' / STATE_NAME}: Permission denied\n"
     assert list(closed.iterdir()) == []
 
 

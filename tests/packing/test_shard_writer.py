@@ -188,7 +188,7 @@ def test_parts_that_do_not_belong_together_are_refused(tmp_path: Path, capsys: p
     assert said(first, other) == "other and first are no parts of one set: their options of their writers differ"
     with ShardWriter(tmp_path / "kind", rig=RIG, classes=CLASSES) as writer:
         writer.write(**scene(1, fields={"robot": 7}))
-    assert said(first, tmp_path / "kind").startswith("kind: field 'robot' is of the kind int, in another part text: ")
+    assert said(first, tmp_path / "kind").startswith("kind: field 'robot' is int, elsewhere text: ")
     assert said(first, tmp_path / "nothing") == "no such folder: nothing"
 
 
@@ -263,17 +263,16 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "far": (
         {"range_m": np.full((16, 20), 2000.0)},
-        "range_m must be metres up to 6.5535, and 0 where nothing is, found 2000 at row 0, column 0",
+        "range_m must be metres, 0 to 6.5535, found 2000 at row 0, column 0",
     ),
     "infinite": (
         {"range_m": np.full((16, 20), np.inf)},
-        "range_m must be metres up to 6.5535, and 0 where nothing is, found inf at row 0, column 0",
+        "range_m must be metres, 0 to 6.5535, found inf at row 0, column 0",
     ),
     "no array": ({"range_m": [[1.0], [1.0, 2.0]]}, "range_m must be an array: "),
     "label": (
         {"labels": np.full((16, 20), 3)},
-        "labels must be 0 to 2, 254 for a surface of no class or 255 where nothing was measured, "
-        "found 3 at row 0, column 0",
+        "labels must be 0 to 2, 254 or 255, found 3 at row 0, column 0",
     ),
     "fractions": ({"labels": np.zeros((16, 20))}, "labels must be whole numbers, found float64"),
     "split": ({"split": "val"}, "'split' must be one of train, test, found 'val'"),
@@ -295,7 +294,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "facing": (
         {"facing": np.ones((16, 20), bool)},
-        "the samples of the set come with neither facing nor normals, found facing or normals",
+        "samples of the set come with neither facing nor normals, found facing or normals",
     ),
     "key": ({"key": "a.b"}, "a sample key must be 1 to 80 letters, digits, '_', '+' or '-', found 'a.b'"),
     "key of another kind": ({"key": 7}, "a sample key must be 1 to 80 letters, digits, '_', '+' or '-', found '<7>'"),
@@ -332,7 +331,7 @@ def test_options_out_of_range_are_one_line(tmp_path: Path) -> None:
         return ShardWriter(tmp_path / "set", **{"rig": RIG, "classes": CLASSES, **options})
 
     for options, message in (
-        ({"projector": "half"}, "projector must be one of shadow, exact, none, or None for what the first scene has"),
+        ({"projector": "half"}, "projector must be one of shadow, exact, none, or None, found 'half'"),
         ({"rig": []}, "a set needs at least one rig"),
         ({"classes": "floor"}, "classes must be a list of names"),
         ({"codec": "jpeg"}, "the codec must be one of"),

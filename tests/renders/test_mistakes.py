@@ -110,7 +110,7 @@ MISTAKES: dict[str, tuple[Callable[[Path], Any], str]] = {
         "a range image has one channel",
     ),
     "half": (replaced("range", lambda image: image.astype(np.float16), ending=".npy"), "16-bit floats"),
-    "negative": (replaced("range", lambda image: -image.astype(np.float32), ending=".npy"), "axis points backwards"),
+    "negative": (replaced("range", lambda image: -image.astype(np.float32), ending=".npy"), "as OpenGL's z is"),
     "buffer": (
         replaced("range", lambda image: np.where(image == 0, 1, image / 3000).astype(np.float32), ending=".npy"),
         "a depth buffer",

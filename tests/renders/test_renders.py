@@ -89,7 +89,7 @@ def test_packing_carries_on_without_reading_what_is_done(tmp_path: Path, monkeyp
     labels = folder / "labels" / "scene-001.png"
     later = (Path(whole.path) / "train-00000.tar").stat().st_mtime + 1
     os.utime(labels, (later, later))
-    with pytest.raises(BadConfig, match=f"{labels} was written after .*train-00000.tar, which holds its sample"):
+    with pytest.raises(BadConfig, match=f"{labels} is newer than .*train-00000.tar, which holds it"):
         pack_renders(open_renders(folder), Path(whole.path), "bsi", None, 2, 0)
     for kind in ("range", "projector", "labels"):
         (folder / kind / "scene-001.png").unlink()

@@ -24,8 +24,8 @@ def test_a_good_sample_passes() -> None:
     ("change", "message"),
     [
         (lambda s: replace(s, key="a.b"), "a sample key must be"),
-        (lambda s: replace(s, range=s.range.astype(np.int32)), "range must be a 2D image of uint16, found int32"),
-        (lambda s: replace(s, labels=s.labels[0]), r"labels must be a 2D image of uint8, found uint8 \(2,\)"),
+        (lambda s: replace(s, range=s.range.astype(np.int32)), r"range must be uint16 \[H, W\], found int32"),
+        (lambda s: replace(s, labels=s.labels[0]), r"labels must be uint8 \[H, W\], found uint8 \(2,\)"),
         (lambda s: replace(s, projector_range=s.projector_range[:0]), r"projector_range must be .*\(0, 2\)"),
         (lambda s: replace(s, labels=s.labels[:1]), "must have one shape"),
         (lambda s: replace(s, labels=np.full_like(s.labels, 3)), "labels must be 255 exactly where range is 0"),
@@ -34,7 +34,7 @@ def test_a_good_sample_passes() -> None:
         (lambda s: replace(s, faces_projector=s.range == 0), "background cannot face the projector"),
         (lambda s: replace(s, faces_second=s.range == 0), "background cannot face the projector"),
         (lambda s: replace(s, faces_second=s.range[:1] > 0), r"must have one shape, found .*\(1, 2\)$"),
-        (lambda s: replace(s, faces_second=s.labels), "faces_second must be a 2D image of bool, found uint8"),
+        (lambda s: replace(s, faces_second=s.labels), r"faces_second must be bool \[H, W\], found uint8"),
     ],
 )
 def test_broken_samples_are_refused(change: Callable[[Sample], Sample], message: str) -> None:
@@ -53,7 +53,7 @@ def test_a_surface_without_a_class_has_a_range_and_no_label() -> None:
 
 def test_planes_are_images_of_integers_as_large_as_the_range() -> None:
     replace(GOOD, planes={"instances": np.ones((2, 2), np.uint16)}).check()
-    with pytest.raises(BadSample, match=r"plane 'instances' must be uint8 or uint16 \(2, 2\), found int32 \(2, 2\)"):
+    with pytest.raises(BadSample, match=r"plane 'instances' must be uint8 or uint16, as large: int32"):
         replace(GOOD, planes={"instances": np.ones((2, 2), np.int32)}).check()
 
 

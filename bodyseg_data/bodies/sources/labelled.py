@@ -73,10 +73,7 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
         scenes = [file for file in files if file.name == SCENE_NAME or file.name.endswith(f".{SCENE_NAME}")]
         found = [self._scene(file) for file in scenes] if scenes else self._meshes(files)
         if not found:
-            raise BadConfig(
-                f"the source 'labelled' needs meshes (.ply, .obj, .off, .glb, .gltf) or {SCENE_NAME}: found none in "
-                f"{path}"
-            )
+            raise BadConfig(f"the source 'labelled' needs meshes or {SCENE_NAME}: found none in {path}")
         if len(dict(found)) < len(found):
             raise BadConfig(f"{path}: two scenes have one name: NAME.scene.json and NAME/scene.json")
         super().__init__(dict(found))
@@ -231,9 +228,6 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
             if pose[3].tolist() != [0, 0, 0, 1]:
                 raise BadConfig(f"{row.where}: the last row of 'pose' must be 0 0 0 1, found {pose[3].tolist()}")
             if np.linalg.det(pose[:3, :3]) <= 0:
-                raise BadConfig(
-                    f"{row.where}: 'pose' must not mirror or flatten the mesh, found the determinant "
-                    f"{np.linalg.det(pose[:3, :3]):.3g}"
-                )
+                raise BadConfig(f"{row.where}: 'pose' must not mirror or flatten the mesh")
         row.finish()
         return _Piece(mesh, labels, label, metres, pose)

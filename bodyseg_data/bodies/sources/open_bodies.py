@@ -26,7 +26,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.anny_model import AnnyModel, Figure, no_anny, standing
+from bodyseg_data.bodies.anny_model import AnnyModel, Figure, standing
 from bodyseg_data.bodies.anny_people import PEOPLE, POSTURES, SUBJECT_A, person, standing_pose
 from bodyseg_data.bodies.attire import Attire, drawn_attire, joined, put_on, under
 from bodyseg_data.bodies.contact_poses import ContactSampler, DrawnContact
@@ -39,6 +39,7 @@ from bodyseg_data.bodies.source import Body, BodyRef, ListedBodies
 from bodyseg_data.bodies.stances import STANCES, Places
 from bodyseg_data.bodies.worn import draped, gripping
 from bodyseg_data.core import generator
+from bodyseg_data.machine import missing_library
 from bodyseg_data.meshes import Mesh, load_landmarks
 from bodyseg_data.samples import split_by_motion, split_by_order
 
@@ -69,7 +70,7 @@ class MadeBodies(ListedBodies[Maker]):
         try:
             version = importlib.metadata.version("anny")
         except importlib.metadata.PackageNotFoundError as error:
-            raise no_anny(error) from error
+            raise missing_library("making bodies", error) from error
         return version, load_landmarks("open").vertices
 
     @property

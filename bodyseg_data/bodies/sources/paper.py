@@ -17,10 +17,9 @@ and c sitting), the standing one is read.
 paper: PATH with the sub-folders scape, mit and caesar, each as its own source reads it.
 """
 
-import hashlib
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Final, Literal
 
@@ -33,7 +32,7 @@ from bodyseg_data.bodies.mesh_bodies import (
     landmark_file,
     meshes_in,
 )
-from bodyseg_data.bodies.source import DEFAULTS, Body, BodyRef, BodySource, ListedBodies, MeshOptions, key_name
+from bodyseg_data.bodies.source import DEFAULTS, BodyRef, MeshOptions, key_name
 from bodyseg_data.core import BadConfig
 from bodyseg_data.meshes import mesh_stem, preferred
 from bodyseg_data.samples import split_by_motion, split_by_order
@@ -70,8 +69,6 @@ CAESAR_MESHES: Final = tuple(f"subject {number:03d}" for number in range(1, CAES
 
 _SITTING: Final = re.compile(r"(.*\d)[bc]")
 _LONGEST_SUBJECT: Final = 28  # of a subject's name, which is twice in a sample key
-
-_Opened = Callable[[Path, Path | None, MeshOptions], BodySource]
 
 
 class ScapeBodies(MeshBodies):
@@ -130,21 +127,15 @@ class MitBodies(MeshBodies):
                         ref = BodyRef(
                             subject, subject, f"{sequence}_{number:04d}", motion, split_by_motion(subject, motion)
                         )
-                        files[ref] = MeshFile(found[number], labelled, wanted, group=sequence)
+                        # It stands on the plane y = 0; a handstand would mislead the search for what is up.
+                        files[ref] = MeshFile(found[number], labelled, wanted, group=sequence, up="y")
                     else:
                         missing.append(f"{sequence}/meshes/mesh_{number:04d}.obj")
         if not files:
-            raise BadConfig(
-                "the source 'mit' needs SEQUENCE/meshes/mesh_NNNN.obj in its folder, with SEQUENCE one of "
-                f"{', '.join(name for names in MIT_SEQUENCES.values() for name in names)}: found none in {path}"
-            )
+            raise BadConfig(f"the source 'mit' needs files like I_crane/meshes/mesh_0000.obj: found none in {path}")
         if given is not None and not any(ref.subject == "C" for ref in files):
-            raise BadConfig(
-                f"a landmark file is for subject C (D_*), found none of its frames in {path}: to replace the landmarks "
-                "of subject B give a folder that holds landmarks_B.json"
-            )
-        # The sequences stand on the plane y = 0; a handstand would mislead the search for what is up.
-        super().__init__(files, missing, replace(options, up="y") if options.up == "auto" else options)
+            raise BadConfig(f"a landmark file is for subject C (D_*), found none of its frames in {path}")
+        super().__init__(files, missing, options)
 
 
 def _frames(folder: Path, count: int) -> dict[int, Path]:
@@ -165,7 +156,7 @@ class CaesarBodies(MeshBodies):
     def __init__(self, path: Path, landmarks: Path | None = None, options: MeshOptions = DEFAULTS) -> None:
         given, folder = given_landmarks(path, landmarks)
         meshes = _standing(path)
-        points = _by_name(folder, _landmark_stem)
+        points = _by_name(folder, partial(mesh_stem, suffixes=LANDMARK_SUFFIXES))
         files: dict[BodyRef, MeshFile] = {}
         missing: list[str] = []
         for index, (subject, mesh) in enumerate(meshes.items()):
@@ -176,7 +167,7 @@ class CaesarBodies(MeshBodies):
             wanted = f"subject {stem}: no {stem}.lnd anywhere in {folder}"
             name = key_name(stem, _LONGEST_SUBJECT)
             ref = BodyRef("people", name, name, "standing", split_by_order("people", index))
-            files[ref] = MeshFile(mesh, own or given, wanted, shared=own is None, standing=True)
+            files[ref] = MeshFile(mesh, own or given, wanted, shared=own is None)
         super().__init__(files, (*missing, *CAESAR_MESHES[len(meshes) :]), options)
 
 
@@ -195,10 +186,7 @@ def _standing(path: Path) -> dict[str, Path]:
     if not chosen:
         raise BadConfig(f"the source 'caesar' needs one mesh (.ply, .obj, .off) a subject: found none in {path}")
     if len(chosen) > CAESAR_SUBJECTS:
-        raise BadConfig(
-            f"the source 'caesar' has the paper's {CAESAR_SUBJECTS} subjects, found {len(chosen)} in {path}: take out "
-            "those that are not wanted, or read them all with --source folder"
-        )
+        raise BadConfig(f"'caesar' has {CAESAR_SUBJECTS} subjects, found {len(chosen)} in {path}: use --source folder")
     return chosen
 
 
@@ -207,19 +195,8 @@ def _own(candidates: list[Path], mesh: Path) -> Path | None:
     beside = [file for file in candidates if file.parent == mesh.parent]
     if not beside and len({file.parent for file in candidates}) > 1:
         raise BadConfig(f"a subject needs one landmark file, found {candidates[0]} and {candidates[1]} for {mesh}")
-    return min(
-        beside or candidates, key=lambda file: LANDMARK_SUFFIXES.index(_landmark_suffix(file.name)), default=None
-    )
-
-
-def _landmark_suffix(name: str) -> str:
-    """Return the landmark file's suffix that a name ends in, or ""."""
-    return next((suffix for suffix in LANDMARK_SUFFIXES if name.lower().endswith(suffix)), "")
-
-
-def _landmark_stem(name: str) -> str | None:
-    suffix = _landmark_suffix(name)
-    return name[: -len(suffix)] if suffix else None
+    files = {file.name: file for file in beside or candidates}
+    return files[preferred([*files], LANDMARK_SUFFIXES)] if files else None
 
 
 def _by_name(root: Path, stem_of: Callable[[str], str | None]) -> dict[str, list[Path]]:
@@ -232,14 +209,14 @@ def _by_name(root: Path, stem_of: Callable[[str], str | None]) -> dict[str, list
     return found
 
 
-_PARTS: Final[dict[str, tuple[_Opened, tuple[str, ...]]]] = {
+_PARTS: Final[dict[str, tuple[Callable[..., MeshBodies], tuple[str, ...]]]] = {
     "scape": (ScapeBodies, SCAPE_MESHES),
     "mit": (MitBodies, MIT_MESHES),
     "caesar": (CaesarBodies, CAESAR_MESHES),
 }
 
 
-class PaperBodies(ListedBodies[BodySource]):
+class PaperBodies(MeshBodies):
     """Subsets A, B, C and people, in this order: 2329 bodies if all are there.
 
     landmarks: a folder with sub-folders scape, mit and caesar, in which to look for landmark files instead of in
@@ -252,40 +229,22 @@ class PaperBodies(ListedBodies[BodySource]):
         if landmarks is not None and not landmarks.is_dir():
             raise BadConfig(f"the landmarks of the source 'paper' are a folder like its own, found {landmarks}")
         if landmarks is not None and not any(_sub_folder(landmarks, name) for name in _PARTS):
-            raise BadConfig(
-                f"--landmarks must hold one of the sub-folders {', '.join(_PARTS)}: found none in {landmarks}"
-            )
-        sources: dict[BodyRef, BodySource] = {}
-        all_missing: list[str] = []
+            raise BadConfig(f"--landmarks must hold one of {', '.join(_PARTS)}: found none in {landmarks}")
+        files: dict[BodyRef, MeshFile] = {}
+        missing: list[str] = []
         for name, (opened, complete) in _PARTS.items():
             folder = _sub_folder(path, name)
-            missing: Sequence[str] = complete
+            lacking: Sequence[str] = complete
             if folder is not None:
                 source = opened(folder, _sub_folder(landmarks, name) if landmarks else None, options)
-                missing = source.missing()
-                for body in source.bodies():
-                    sources[body] = source
-            all_missing += [f"{name}/{each}" for each in missing]
-        if not sources:
+                files |= {body: source.entry(body) for body in source.bodies()}
+                lacking = source.missing()
+            missing += [f"{name}/{each}" for each in lacking]
+        if not files:
             raise BadConfig(f"the source 'paper' needs the sub-folders {', '.join(_PARTS)}: found none in {path}")
-        if len({body.mesh for body in sources}) < len(sources):
+        if len({body.mesh for body in files}) < len(files):
             raise BadConfig(f"meshes must have different names, found a subject of {path}/caesar called like another")
-        super().__init__(sources, all_missing)
-
-    def fingerprint(self, bodies: Sequence[BodyRef]) -> str:
-        """Return a digest of the three sources' fingerprints. Raises the errors that they raise."""
-        digest = hashlib.sha256()
-        for source in dict.fromkeys(map(self.entry, bodies)):
-            digest.update(source.fingerprint([body for body in bodies if self.entry(body) is source]).encode())
-        return digest.hexdigest()
-
-    def check(self, body: BodyRef) -> None:
-        """Check one body's files by its own source. Raises that source's errors."""
-        self.entry(body).check(body)
-
-    def build(self, body: BodyRef) -> Body:
-        """Build one body by its own source. Raises that source's errors, and BadConfig for a body of none of them."""
-        return self.entry(body).build(body)
+        super().__init__(files, missing, options)
 
 
 def _sub_folder(path: Path, name: str) -> Path | None:

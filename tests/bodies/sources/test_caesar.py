@@ -171,19 +171,6 @@ def test_landmarks_in_metres_are_understood(tmp_path: Path) -> None:
     assert body.notes[1].startswith("landmarks snapped by up to 0.1 mm (")  # the file has four decimals
 
 
-@pytest.mark.parametrize("up", ["auto", "-z"])
-def test_a_body_must_stand(tmp_path: Path, up: str) -> None:
-    """Landmarks right side up for the search, and a head below the feet: given the wrong axis, or so marked."""
-    points = POINTS.copy()
-    if up == "auto":  # only the trunk points up
-        feet = [index for index, vertex in enumerate(VERTICES) if PERSON.vertices[vertex][1] < 0.2]
-        points[feet] = points[feet] * (1, 1, -1) + (0, 0, 1.7)
-    write_mesh(tmp_path / "csr0001a.ply", PERSON.vertices @ TURN * 1000)
-    write_lnd(tmp_path / "csr0001a.lnd", points)
-    with pytest.raises(BadMesh, match=r"csr0001a\.ply: a standing body has its head above its feet"):
-        first(CaesarBodies(tmp_path, options=MeshOptions(up=up)))  # type: ignore[arg-type]
-
-
 def test_subjects_that_cannot_be_labelled_are_named_before_anything_is_rendered(tmp_path: Path) -> None:
     for number in range(1, 9):
         write_subject(tmp_path, f"csr{number:04d}a")
@@ -192,11 +179,8 @@ def test_subjects_that_cannot_be_labelled_are_named_before_anything_is_rendered(
     write_lnd(tmp_path / "csr0006a.lnd", POINTS, {"Lt. PSIS": None})
     write_lnd(tmp_path / "csr0007a.lnd", POINTS, {"Rt. Acromion": "Rt. Acromio", "Cervicale": "Cervical"})
     source = CaesarBodies(tmp_path)
-    with pytest.raises(BadLandmarks) as error:
+    with pytest.raises(BadLandmarks, match=r"subject csr0002a: no csr0002a\.lnd anywhere in"):
         source.fingerprint(source.bodies())
-    message = str(error.value)
-    assert message.startswith("4 of 8 bodies cannot be labelled: ") and message.endswith("; and 1 more")
-    assert "subject csr0002a: no csr0002a.lnd anywhere in" in message and "\n" not in message
     with pytest.raises(BadLandmarks, match=r"subject csr0006a: .*csr0006a\.lnd: 'Lt. PSIS' missing"):
         source.fingerprint([source.bodies()[5]])
     with pytest.raises(BadLandmarks, match=r"subject csr0006a: .*'Lt. PSIS' missing"):
@@ -211,19 +195,13 @@ def test_an_empty_folder_is_refused(tmp_path: Path) -> None:
         CaesarBodies(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("exchanged", "message"),
-    [
-        ([("Rt.", "Lt."), ("Lt.", "Rt.")], r"with the trunk upright .* \(or right and left landmarks are exchanged\)"),
-        ([("Sellion", "Nuchale"), ("Nuchale", "Sellion")], r"Sellion, .* found one \d+ cm behind"),
-    ],
-)
-def test_exchanged_names_are_seen(tmp_path: Path, exchanged: list[tuple[str, str]], message: str) -> None:
+def test_exchanged_sides_are_seen(tmp_path: Path) -> None:
     """Right for left turns a body back to front, and every label with it."""
     write_subject(tmp_path)
     file = tmp_path / "csr0001a.lnd"
-    names = dict(exchanged)
+    names = {"Rt.": "Lt.", "Lt.": "Rt."}
     file.write_text(re.sub("|".join(names), lambda match: names[match[0]], file.read_text()))
+    message = r"with the trunk upright .* \(or right and left landmarks are exchanged\)"
     with pytest.raises(BadMesh, match=rf"csr0001a\.ply: {message}"):
         first(CaesarBodies(tmp_path))
 

@@ -12,12 +12,13 @@ from bodyseg_data.bodies import BodyRef, open_source
 from bodyseg_data.bodies.anny_model import Posable
 from bodyseg_data.bodies.anny_people import person
 from bodyseg_data.bodies.contact_poses import DEEPEST_M, DrawnContact
-from bodyseg_data.bodies.limb_reaching import ARM, CROSSED_TWIST, LEG, LOADED_WRIST, Limb, PosedSkin, vertex_normals
+from bodyseg_data.bodies.limb_reaching import ARM, CROSSED_TWIST, LEG, LOADED_WRIST, Limb, PosedSkin
 from bodyseg_data.bodies.skeleton import bone_rotations
 from bodyseg_data.bodies.sources.hard import HardBodies
 from bodyseg_data.bodies.sources.open_bodies import EVERYDAY, EverydayBodies, WideBodies
 from bodyseg_data.bodies.stances import STANCES, Places
 from bodyseg_data.core import BadConfig
+from bodyseg_data.meshes import vertex_normals
 
 DRAWN = (1, 2, 34)
 """Bodies whose poses are drawn here: stepping, on one leg, on all fours."""

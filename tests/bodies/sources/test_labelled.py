@@ -121,7 +121,7 @@ def test_colours_with_a_table(tmp_path: Path, of: str) -> None:
     expected = UPPER[BOX.faces] if of == "vertex" else np.repeat(QUARTERS[:, None] > 1, 3, axis=1)
     assert np.array_equal(scene(tmp_path)[1], expected)
     write(tmp_path / "classes.json", {"classes": table[:1]})
-    assert "the colour #ff0000 of number" in reason(tmp_path)
+    assert "the colour #ff0000, of number" in reason(tmp_path)
 
 
 @pytest.mark.parametrize("word", ["g", "o", "usemtl"])
@@ -242,7 +242,7 @@ def test_as_many_faces_as_vertices_are_told_apart_by_the_files_name(tmp_path: Pa
     write(tmp_path / "a.obj", obj(np.concatenate([np.zeros((1, 3)), np.eye(3)]), faces))
     write(tmp_path / "classes.json", {"classes": ["a", "b"]})
     write(tmp_path / "a.labels.npy", np.array([0, 0, 0, 1]))
-    assert "as many faces as vertices, 4" in reason(tmp_path)
+    assert "4 vertices and as many faces" in reason(tmp_path)
     (tmp_path / "a.labels.npy").rename(tmp_path / "a.face_labels.npy")
     assert scene(tmp_path)[1].tolist() == [[0] * 3] * 3 + [[1] * 3]
 

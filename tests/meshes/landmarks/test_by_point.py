@@ -13,8 +13,8 @@ from shapes import ball
 
 from bodyseg_data.core import BadLandmarks
 from bodyseg_data.labels import LANDMARKS
-from bodyseg_data.meshes import FARTHEST_M, LandmarkSet, Mesh, PointLandmarks, load_landmark_file
-from bodyseg_data.meshes.landmarks import parse_landmarks, parse_points, snap
+from bodyseg_data.meshes import LandmarkSet, Mesh, PointLandmarks, load_landmark_file
+from bodyseg_data.meshes.landmarks import FARTHEST_M, nearest_corner, parse_landmarks
 
 BALL = ball(subdivisions=3)
 SPREAD = np.arange(33) * 19
@@ -49,7 +49,7 @@ def test_the_distance_is_to_the_surface_and_the_vertex_a_corner_there() -> None:
     faces = rng.choice(len(BALL.faces), 40, replace=False)
     weights = rng.dirichlet((1, 1, 1), 40)
     points = np.einsum("nk,nkd->nd", weights, BALL.vertices[BALL.faces[faces]])
-    vertices, distance = snap(BALL, points)
+    vertices, distance = nearest_corner(BALL.vertices, BALL.faces, points)
     np.testing.assert_allclose(distance, 0, atol=1e-9)
     away = np.linalg.norm(BALL.vertices[BALL.faces[faces]] - points[:, None], axis=2)
     np.testing.assert_array_equal(vertices, BALL.faces[faces, away.argmin(axis=1)])
@@ -71,13 +71,11 @@ def test_landmarks_move_as_their_mesh_does() -> None:
 def test_a_landmark_off_the_surface_is_named_with_its_distance() -> None:
     points = on_ball()
     points[9] += (0.0, 0.0, 0.2)
-    off = snap(BALL, points)[1][9]
-    message = rf"here on mesh ball: .* within 3 cm .*, found 'Cervicale' {100 * off:.1f} cm off it at \["
+    off = nearest_corner(BALL.vertices, BALL.faces, points)[1][9]
+    message = rf"here on mesh ball: .* within 3 cm .*, found 'Cervicale' {100 * off:.1f} cm off it"
     with pytest.raises(BadLandmarks, match=message) as caught:
         PointLandmarks("here", points).for_mesh(BALL)
     assert "\n" not in str(caught.value)
-    with pytest.raises(BadLandmarks, match="and 32 more beyond 3 cm"):  # a wrong unit shows in all of them
-        PointLandmarks("here", on_ball() * 10).for_mesh(BALL)
 
 
 def test_the_limit_is_what_it_says() -> None:
@@ -185,16 +183,10 @@ def test_a_broken_file_of_points_is_refused(tmp_path: Path, broken: Any, message
     assert str(path) in str(caught.value)
 
 
-def test_a_point_given_twice_is_refused() -> None:
-    text = json.dumps(tree()).replace('"Nuchale"', '"Sellion"')
-    with pytest.raises(BadLandmarks, match="landmarks here: 'Sellion' is given twice"):
-        parse_points(text, "here")
-
-
 def test_another_kind_of_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadLandmarks, match=r"must be .json, .lnd or .lnd.gz, found .*landmarks\.txt"):
         load_landmark_file(tmp_path / "landmarks.txt")
-    with pytest.raises(BadLandmarks, match=r"cannot read the landmark file .*absent\.json"):
+    with pytest.raises(BadLandmarks, match=r"cannot read .*absent\.json"):
         load_landmark_file(tmp_path / "absent.json")
 
 

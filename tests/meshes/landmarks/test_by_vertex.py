@@ -14,7 +14,7 @@ from shapes import ball
 from bodyseg_data.bodies import open_source
 from bodyseg_data.core import BadLandmarks
 from bodyseg_data.labels import LANDMARKS, PARTS
-from bodyseg_data.meshes import LandmarkSet, Mesh, load_landmarks, partition
+from bodyseg_data.meshes import LandmarkSet, Mesh, load_landmark_file, load_landmarks, partition
 from bodyseg_data.meshes.landmarks import parse_landmarks
 
 PAIRS = [part.label for part in PARTS if part.side == "right"]
@@ -43,9 +43,9 @@ def test_vertices_come_in_the_order_of_parts_whatever_the_order_in_the_file() ->
 def test_a_file_is_read_by_path(tmp_path: Path) -> None:
     path = tmp_path / "mine.json"
     path.write_text(json.dumps(tree()), encoding="utf-8")
-    landmarks = load_landmarks(path)
+    landmarks = load_landmark_file(path)
+    assert isinstance(landmarks, LandmarkSet)
     assert (landmarks.source, landmarks.topology) == (str(path), "a ball")
-    assert load_landmarks(str(path)) == landmarks
 
 
 TABLE = tree()["landmarks"]
@@ -86,15 +86,9 @@ def test_a_broken_set_is_refused_with_its_file_and_landmark(tmp_path: Path, brok
     path = tmp_path / "broken.json"
     path.write_text(json.dumps(broken), encoding="utf-8")
     with pytest.raises(BadLandmarks, match=message) as caught:
-        load_landmarks(path)
+        load_landmark_file(path)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_a_landmark_given_twice_is_an_error_though_json_would_keep_the_last() -> None:
-    text = json.dumps(tree()).replace('"Nuchale": 5', '"Sellion": 5')
-    with pytest.raises(BadLandmarks, match="landmarks here: 'Sellion' is given twice"):
-        parse_landmarks(text, "here")
 
 
 @pytest.mark.parametrize("text", ["", "{", "not json", "[" * 100_000])
@@ -104,16 +98,16 @@ def test_text_that_is_not_json_is_refused(text: str) -> None:
 
 
 def test_a_file_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(BadLandmarks, match=r"cannot read the landmark file .*absent\.json"):
-        load_landmarks(tmp_path / "absent.json")
+    with pytest.raises(BadLandmarks, match=r"cannot read .*absent\.json"):
+        load_landmark_file(tmp_path / "absent.json")
     (tmp_path / "bytes.json").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(BadLandmarks, match=r"cannot read the landmark file .*bytes\.json"):
-        load_landmarks(tmp_path / "bytes.json")
+    with pytest.raises(BadLandmarks, match=r"bytes\.json is not JSON"):
+        load_landmark_file(tmp_path / "bytes.json")
 
 
 @pytest.mark.parametrize("name", ["opn", "", "../open", "open/"])
 def test_an_unknown_name_lists_the_sets_there_are(name: str) -> None:
-    with pytest.raises(BadLandmarks, match=f"called {name!r}: give mit_I, open or "):
+    with pytest.raises(BadLandmarks, match=f"called {name!r}: give mit_I or open$"):
         load_landmarks(name)
 
 
@@ -128,7 +122,7 @@ def test_a_landmark_beside_the_surface_is_refused() -> None:
     whole = ball(subdivisions=3)
     mesh = Mesh("b", np.concatenate([whole.vertices, [[0.0, 0.0, 0.0]]]), whole.faces)
     landmarks = LandmarkSet("here", "a ball", 643, 1280, (642, *range(32)))
-    with pytest.raises(BadLandmarks, match="'Sellion' must lie on the surface, found vertex 642"):
+    with pytest.raises(BadLandmarks, match="no face of .* uses that of 'Sellion'"):
         landmarks.for_mesh(mesh)
 
 
@@ -239,7 +233,8 @@ def _frame(path: Path) -> Mesh:
 def test_a_mark_at_the_beginning_of_a_file_does_not_matter(tmp_path: Path) -> None:
     marked = tmp_path / "marked.json"
     marked.write_bytes(b"\xef\xbb\xbf" + load_landmarks("open").to_json().encode())
-    assert load_landmarks(marked).vertices == load_landmarks("open").vertices
+    read = load_landmark_file(marked)
+    assert isinstance(read, LandmarkSet) and read.vertices == load_landmarks("open").vertices
 
 
 def test_other_names_are_ignored_and_two_landmarks_may_share_a_vertex() -> None:

@@ -20,7 +20,7 @@ from bodyseg_data.core import MissingLibrary
 from bodyseg_data.meshes import Mesh
 from bodyseg_data.packing import Packing
 from bodyseg_data.rendering import Renderer, open_renderer
-from bodyseg_data.rendering.registry import RENDERERS
+from bodyseg_data.rendering.renderer import RENDERERS
 from bodyseg_data.rigs import PlacedCamera, Rig
 from bodyseg_data.samples import View
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from bodyseg_data.bodies.mesh_bodies import files_below, landmark_file, meshes_in
 from bodyseg_data.core import BadConfig, check_int
 from bodyseg_data.meshes import LandmarkSet, Mesh, PointLandmarks, load_landmark_file, read_mesh
-from bodyseg_data.meshes.landmarks import LANDMARKS_FORMAT, parse_points, read_text
+from bodyseg_data.meshes.landmarks import LANDMARKS_FORMAT, parse_points
 
 TABLE_SUFFIX: Final = "_landmarks.json"
 """End of the name of a file that is one JSON table: landmark -> coordinates in metres, in the mesh's frame."""
@@ -68,7 +68,7 @@ def _points(file: Path, mesh: Mesh) -> NDArray[np.float64]:
 
 
 def _table(file: Path) -> PointLandmarks:
-    text = read_text(file)
+    text = file.read_text(encoding="utf-8-sig")
     try:
         table: Any = json.loads(text)
     except (ValueError, RecursionError):

@@ -24,7 +24,7 @@ from bodyseg_data.bodies.landmark_proposal import NORMAL_REACH_M, FittedBody, fi
 from bodyseg_data.core import BadLandmarks
 from bodyseg_data.labels import LANDMARKS, PARTS
 from bodyseg_data.meshes import Partition, partition
-from bodyseg_data.meshes.landmarks import snap
+from bodyseg_data.meshes.landmarks import nearest_corner
 
 _MIRROR: Final = [part.mirror for part in PARTS]
 _ACROSS: Final = np.array([-1.0, 1.0, 1.0])
@@ -46,7 +46,7 @@ def fitted_to(body: FittingBody, annotated: Annotated) -> Fitted:
     start = time.process_time()
     fitted = fit_body(body, annotated.mesh)
     seconds = time.process_time() - start
-    landmarks, _ = snap(annotated.mesh, annotated.points)
+    landmarks, _ = nearest_corner(annotated.mesh.vertices, annotated.mesh.faces, annotated.points)
     return Fitted(annotated, fitted, seconds, partition(annotated.mesh, landmarks))
 
 

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.model.real.recording import Floats, Frame
-from bodyseg_data.bodies.limb_reaching import vertex_normals
 from bodyseg_data.core import BadConfig
-from bodyseg_data.meshes import find_edges
+from bodyseg_data.meshes import find_edges, vertex_normals
 from bodyseg_data.meshes.mesh import components, face_components
 from bodyseg_data.rigs import PlacedCamera
 
