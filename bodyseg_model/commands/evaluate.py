@@ -260,13 +260,15 @@ def _count(images: RangeImages, count: int | None) -> int:
 
 
 def headline(scores: dict[str, Any]) -> str:
-    """Scores of an evaluation in one line: accuracy of all pixels, and of those with a confidence above 70 %."""
+    """Scores of an evaluation in one line: accuracy, gross errors, and accuracy where confidence is above 70 %."""
 
     def percent(share: float | None) -> str:
         return "-" if share is None else f"{100 * share:.1f} %"
 
-    kept = scores["confidence"]["above_70_percent"]
+    kept, gross = scores["confidence"]["above_70_percent"], scores["gross_errors"]
     line = f"{scores['images']} images: average per-class accuracy {percent(scores['average_per_class_accuracy'])}, "
+    if gross is not None:
+        line += f"{percent(gross['beyond_30_mm'])} of pixels farther than 30 mm from the part predicted for them, "
     if kept["average_per_class_accuracy"] is None:
         return line + "no pixel with a confidence above 70 %"
     return line + (

@@ -25,7 +25,8 @@ from bodyseg_data.artifacts import (
 from bodyseg_data.core import BadConfig, ProgressCallback, Stopwatch, check_int, silent
 from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, OccluderName, RangeImages, WorkerMethod, loader
-from bodyseg_data.samples import ReadSplit, split_key
+from bodyseg_data.samples import ReadSplit, metres, split_key
+from bodyseg_model.evaluation.gross_errors import MEASURABLE, GrossErrors, TrueSurface
 from bodyseg_model.evaluation.scores import Confidences, ConfusionMatrix, PerImageAccuracy, count_pairs, pairs_of
 from bodyseg_model.networks import Network, check_label_map, check_network, device_of, predict
 
@@ -38,7 +39,8 @@ class PredictedImage(NamedTuple):
     """One test image and its prediction. The arrays are valid until the next image.
 
     range_m: float32 [H, W], metres; labels: uint8 [H, W], the true ones; predicted: uint8 [H, W]; confidence: float32
-    [H, W], 0 to 1.
+    [H, W], 0 to 1. away: float32 [N], of its wrong pixels to the parts predicted for them, metres, see
+    `distances_to_parts`; None: not measured.
     """
 
     key: str
@@ -47,6 +49,7 @@ class PredictedImage(NamedTuple):
     labels: NDArray[np.uint8]
     predicted: NDArray[np.uint8]
     confidence: NDArray[np.float32]
+    away: NDArray[np.float32] | None = None
 
 
 class Scores:
@@ -62,6 +65,7 @@ class Scores:
         self.confusion = ConfusionMatrix(classes)
         self.per_image = PerImageAccuracy(classes)
         self.confidences = Confidences(classes) if confidences else None
+        self.gross_errors = GrossErrors()
 
     def __repr__(self) -> str:
         return f"Scores({self.images} images, {self.confusion})"
@@ -78,6 +82,8 @@ class Scores:
         self.confusion.counts += counts
         if self.confidences is not None:
             self.confidences.add(pairs, image.confidence[image.labels != BACKGROUND])
+        if image.away is not None:
+            self.gross_errors.add(image.away, int(counts.trace()))
         return self.per_image.add(counts)
 
     def merge(self, other: Scores) -> None:
@@ -92,6 +98,7 @@ class Scores:
         self.images += other.images
         self.confusion.counts += other.confusion.counts
         self.per_image.merge(other.per_image)
+        self.gross_errors.merge(other.gross_errors)
         if self.confidences is not None and other.confidences is not None:
             self.confidences.merge(other.confidences)
 
@@ -203,9 +210,10 @@ def evaluate(
 
     count: number of images, the first in the permutation of the images' seed and epoch; None, or more than there are,
     takes all. So networks, variants and strengths of artifacts are compared on the same bodies. confidences: whether
-    they are counted beside the confusion matrix. label_map: the classes that the network
-    predicts, by default those of the images' labels; where the images have coarser classes, each predicted label counts
-    as the class that it is part of, with its own confidence. progress: called with images done and images in all.
+    they and, with SciPy and images without transforms, gross errors are counted beside the confusion matrix.
+    label_map: the classes that the network predicts, by default those of the images' labels; where the images have
+    coarser classes, each predicted label counts as the class that it is part of, with its own confidence.
+    progress: called with images done and images in all.
     watch: called with every image and its average per-class accuracy.
 
     Raises BadConfig for an invalid count, another number of classes than the network's, classes that
@@ -220,6 +228,7 @@ def evaluate(
     grouped = "subset" in images.manifest.fields.kinds
     index_of, subset_of = {key: index for index, key in enumerate(images.keys)}, dict[str, str]()
     device = device_of(network)
+    measures = confidences and MEASURABLE and not images.transforms  # which may move pixels
     stage = Stopwatch(_STAGES)
     found.milliseconds = stage.milliseconds
     # One process evaluates, also under torchrun; and the order is that of the images' epoch, for every split.
@@ -243,13 +252,29 @@ def evaluate(
                 if body not in subset_of:  # read once for all views of a body
                     info = images.clean(index_of[key]).info if grouped else None
                     subset_of[body] = _WHOLE if info is None else str(info.get("subset", _WHOLE))
-                image = PredictedImage(key, subset_of[body], ranges[at], labels[at], predicted[at], confidence[at])
+                away = _away(images, index_of[key], labels[at], predicted[at]) if measures else None
+                image = PredictedImage(
+                    key, subset_of[body], ranges[at], labels[at], predicted[at], confidence[at], away
+                )
                 accuracy = found.add(image)
                 if watch is not None:
                     watch(image, accuracy)
         progress(done + len(keys), total)
     found.worker_peaks_mb = data_loader.worker_peaks_mb()
     return found
+
+
+def _away(
+    images: RangeImages, index: int, truth: NDArray[np.uint8], predicted: NDArray[np.uint8]
+) -> NDArray[np.float32]:
+    """Distances of the wrong pixels of an image to the parts predicted for them, by the stored sample, float32 [N]."""
+    sample = images.clean(index)
+    labels = np.array(sample.labels)
+    if not images.label_map.is_whole:
+        images.label_map.write(labels, None, images.unlabelled)
+    surface = TrueSurface(metres(sample.range, images.step_m), labels, images.manifest.rig_of(sample).camera)
+    wrong = np.flatnonzero((truth != BACKGROUND) & (truth != predicted) & (sample.range > 0))
+    return surface.distances(wrong, predicted.ravel()[wrong])
 
 
 _WARM_UP: Final = 3

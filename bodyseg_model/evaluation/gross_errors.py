@@ -6,6 +6,8 @@ nowhere near is not. Both count the same in every score of classes.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+from functools import cached_property
 from importlib.util import find_spec
 from typing import Any, Final
 
@@ -22,7 +24,7 @@ LIMITS_MM: Final = (30, 60)
 FARTHEST_M: Final = 0.5
 """How far the mean takes a part to be that is farther away, or that the surface does not show at all, metres."""
 
-_EVERY: Final = 4  # rows and columns of pixels inside a part that stand for it: at most 6 mm off at 2.5 m
+_EVERY: Final = 4
 
 MEASURABLE: Final = find_spec("scipy") is not None
 """Whether SciPy, which finds the nearest points, is installed."""
@@ -52,46 +54,51 @@ def distances_to_parts(
     return found
 
 
-def distances_in_image(
-    truth: NDArray[np.uint8],
-    predicted: NDArray[np.uint8],
-    range_m: NDArray[np.float32],
-    labels: NDArray[np.uint8],
-    camera: Camera,
-) -> NDArray[np.float32]:
-    """`distances_to_parts` of the wrong pixels of an image that show the true surface, float32 [N], in reading order.
+@dataclass(frozen=True, eq=False)
+class TrueSurface:
+    """The true surface as a camera sees it without any artifact. range_m: float32 [H, W], metres, 0 = none; labels:
+    uint8 [H, W]; camera: without its distortion.
 
-    truth, predicted: uint8 [H, W], of the image as the network got it; `BACKGROUND` in the truth does not count.
-    range_m: float32 [H, W], metres, 0 = none; labels: uint8 [H, W]: of the surface as `camera` sees it without any
-    artifact, where every pixel has its place. The surface is represented by the outlines of its parts and by every
-    fourth row and column within: distances are too long by less than 0.5 mm.
+    The outlines of its parts and every fourth row and column within represent them, so that distances are too long by
+    less than 0.5 mm.
     """
-    shown, border = range_m > 0, np.zeros(labels.shape, np.bool_)
-    across, down = labels[:, 1:] != labels[:, :-1], labels[1:] != labels[:-1]
-    for where, changes in ((np.s_[:, 1:], across), (np.s_[:, :-1], across), (np.s_[1:], down), (np.s_[:-1], down)):
-        border[where] |= changes
-    border[::_EVERY, ::_EVERY] = True
-    wrong = np.flatnonzero((truth != BACKGROUND) & (truth != predicted) & shown)
-    kept = np.flatnonzero(border & shown & (labels != BACKGROUND))
-    slopes = camera.slopes
 
-    def points(pixels: NDArray[np.intp]) -> NDArray[np.float64]:
-        row, column = np.divmod(pixels, camera.columns)
-        return np.stack([slopes[0][column], slopes[1][row], np.ones(len(row))], 1) * range_m.ravel()[pixels, None]
+    range_m: NDArray[np.float32] = field(repr=False)
+    labels: NDArray[np.uint8] = field(repr=False)
+    camera: Camera
 
-    return distances_to_parts(points(wrong), predicted.ravel()[wrong], points(kept), labels.ravel()[kept])
+    def points(self, pixels: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Points that `pixels` [N], row * W + column, see, in the camera's frame, float64 [N, 3], metres."""
+        (across, down), (row, column) = self.camera.slopes, np.divmod(pixels, self.camera.columns)
+        return np.stack([across[column], down[row], np.ones(len(row))], 1) * self.range_m.ravel()[pixels, None]
+
+    @cached_property
+    def _kept(self) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+        """Points that represent the parts, [M, 3], and their labels, [M]."""
+        kept = np.zeros(self.labels.shape, np.bool_)
+        for axis in (0, 1):
+            before, after = (np.moveaxis(self.labels, axis, 0)[part] for part in (np.s_[:-1], np.s_[1:]))
+            for part in (np.s_[:-1], np.s_[1:]):
+                np.moveaxis(kept, axis, 0)[part] |= before != after
+        kept[::_EVERY, ::_EVERY] = True
+        pixels = np.flatnonzero(kept & (self.range_m > 0) & (self.labels != BACKGROUND))
+        return self.points(pixels), self.labels.ravel()[pixels]
+
+    def distances(self, pixels: NDArray[np.intp], predicted: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """`distances_to_parts` of pixels [N] that see the surface, row * W + column, with predictions, uint8 [N]."""
+        return distances_to_parts(self.points(pixels), predicted, *self._kept)
 
 
 class GrossErrors:
     """Counts of pixels by the distance of their predicted part. pixels: in all; beyond: int64 [2], of them farther away
-    than each of `LIMITS_MM`, those whose part the surface does not show among them; metres: summed, `FARTHEST_M` each
-    at most.
+    than each of `LIMITS_MM`, those whose part the surface does not show among them; micrometres: summed, `FARTHEST_M`
+    each at most, whole, so that sums depend on no order.
     """
 
     def __init__(self) -> None:
         self.pixels = 0
         self.beyond: NDArray[np.int64] = np.zeros(len(LIMITS_MM), np.int64)
-        self.metres = 0.0
+        self.micrometres = 0
 
     def __repr__(self) -> str:
         return f"GrossErrors({self.pixels} pixels, {self.to_json()})"
@@ -100,13 +107,13 @@ class GrossErrors:
         """Count pixels by their distances, metres, [N], inf for none, and `right` more, whose part is right."""
         self.pixels += len(distances) + right
         self.beyond += np.count_nonzero(distances[:, None] > np.divide(LIMITS_MM, 1000), axis=0)
-        self.metres += float(np.minimum(distances, FARTHEST_M).sum(dtype=np.float64))
+        self.micrometres += int(np.rint(1e6 * np.minimum(distances, FARTHEST_M)).sum(dtype=np.int64))
 
     def merge(self, other: GrossErrors) -> None:
         """Add the counts of other pixels."""
         self.pixels += other.pixels
         self.beyond += other.beyond
-        self.metres += other.metres
+        self.micrometres += other.micrometres
 
     def shares(self) -> NDArray[np.float64]:
         """Share of pixels whose predicted part is farther away than each of `LIMITS_MM`; NaN if none was counted."""
@@ -114,7 +121,7 @@ class GrossErrors:
 
     def mean_mm(self) -> float:
         """Mean distance of pixels and their predicted parts, mm, right ones included; NaN if none was counted."""
-        return 1000 * self.metres / (self.pixels or float("nan"))
+        return self.micrometres / 1000 / (self.pixels or float("nan"))
 
     def to_json(self) -> dict[str, float] | None:
         """The scores as JSON: shares to five decimals, mm to two; None if nothing was counted."""

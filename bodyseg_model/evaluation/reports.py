@@ -78,6 +78,7 @@ def summary(scores: Scores) -> Tree:
         "swaps": {kind.replace("/", "_"): _share_of(kinds[kind], pixels) for kind in SWAPS if kind in kinds},
     }
     if scores.confidences is not None:
+        found["gross_errors"] = scores.gross_errors.to_json()
         found["confidence"] = {
             "mean": _share(scores.confidences.mean()),
             "ece": _share(scores.confidences.ece()),

@@ -25,6 +25,7 @@ from bodyseg_data.packing import Sampler, draw_things, in_front, surface_points
 from bodyseg_data.rendering import Renderer, Surface, open_renderer
 from bodyseg_data.rigs import Camera, PlacedCamera, Rig, axes_at, load_rig
 from bodyseg_data.samples import Sample, View, metres, steps
+from bodyseg_model.evaluation import TrueSurface
 from bodyseg_model.recordings import other_sensors
 from bodyseg_model.segmentation import view_body
 
@@ -174,18 +175,25 @@ class LabelledImage:
     """Input of a network and the true labels.
 
     range_m: float32 [H, W], metres, 0 where nothing was measured. pixels: int64 [N], where predictions are compared,
-    row * W + column. truth: uint8 [N], the part at each of `pixels`; 255 on things, which do not count.
+    row * W + column. truth: uint8 [N], the part at each of `pixels`; 255 on things, which do not count. surface: what
+    is truly there; places: int64 [N], the pixels of its image that see what `pixels` see.
     """
 
     range_m: NDArray[np.float32] = field(repr=False)
     pixels: NDArray[np.intp] = field(repr=False)
     truth: NDArray[np.uint8] = field(repr=False)
+    surface: TrueSurface = field(repr=False)
+    places: NDArray[np.intp] = field(repr=False)
 
 
-def labelled_image(image: NDArray[np.uint16], step_m: float, labels: NDArray[np.uint8]) -> LabelledImage:
-    """Pair a range image in steps of `step_m` metres with its labels, uint8 [H, W]; measured pixels are compared."""
-    pixels = np.flatnonzero(image)
-    return LabelledImage(metres(image, step_m), pixels, labels.ravel()[pixels])
+def labelled_image(
+    image: NDArray[np.uint16], step_m: float, surface: TrueSurface, labels: NDArray[np.uint8] | None = None
+) -> LabelledImage:
+    """Pair a range image in steps of `step_m` metres with its labels, uint8 [H, W], by default the surface's; measured
+    pixels are compared.
+    """
+    pixels, known = np.flatnonzero(image), surface.labels if labels is None else labels
+    return LabelledImage(metres(image, step_m), pixels, known.ravel()[pixels], surface, pixels)
 
 
 class Scenes:
@@ -225,17 +233,21 @@ class Scenes:
             return [body.image(self.rig, condition) for body in self._bodies]
         if condition.sweep == "hard" and self.hard is not None:
             return [
-                labelled_image(sample.range, self.hard.step_m, sample.labels)
+                labelled_image(sample.range, self.hard.step_m, _surface(sample, self.hard.manifest.rig))
                 for sample in _first(self.hard, self._count)
             ]
         return [
-            labelled_image(corrupted(sample, condition, self.rig, self.seed), self.rig.range_step_m, sample.labels)
-            for sample in self._samples
+            labelled_image(corrupted(sample, condition, self.rig, self.seed), self.rig.range_step_m, surface)
+            for sample, surface in zip(self._samples, self._surfaces, strict=True)
         ]
 
     @cached_property
     def _samples(self) -> list[Sample]:
         return _first(self.images, self._count)
+
+    @cached_property
+    def _surfaces(self) -> list[TrueSurface]:
+        return [_surface(sample, self.rig) for sample in self._samples]
 
     @cached_property
     def _bodies(self) -> list[_PosedBody]:
@@ -295,17 +307,18 @@ class _PosedBody:
             (share - _HIDDEN_WITHIN, share + _HIDDEN_WITHIN),
             _HIDDEN_ATTEMPTS,
         ).render(placed)
-        before, labels = in_front(things, seen), self._labels(seen, placed)
-        labels[before] = BACKGROUND
+        before, surface = in_front(things, seen), TrueSurface(seen.range, self._labels(seen, placed), placed.camera)
+        labels = np.where(before, np.uint8(BACKGROUND), surface.labels)
         ranges = np.where(before, things.range if shown else np.float32(0), seen.range)
-        return labelled_image(steps(ranges, rig.range_step_m, self.ref.mesh), rig.range_step_m, labels)
+        return labelled_image(steps(ranges, rig.range_step_m, self.ref.mesh), rig.range_step_m, surface, labels)
 
     def _rendered(self, rig: Rig, camera: Camera, distance_m: float, tilt_deg: float = 0.0) -> LabelledImage:
         """Image of a camera in the rig's steps, without shadows of a projector."""
         placed = looking_down(camera, self.mesh.centre, self.azimuth_deg, distance_m, tilt_deg)
         seen = self.renderer.render(placed)
         image = steps(seen.range, rig.range_step_m, self.ref.mesh)
-        return labelled_image(image, rig.range_step_m, self._labels(seen, placed))
+        surface = TrueSurface(seen.range, self._labels(seen, placed), camera)
+        return labelled_image(image, rig.range_step_m, surface)
 
     def _labels(self, seen: Surface, camera: PlacedCamera) -> NDArray[np.uint8]:
         """Label image of what a camera sees of the body, uint8 [H, W], BACKGROUND beside it."""
@@ -318,7 +331,7 @@ class _PosedBody:
         """Image of a rig, with the shadows of its projector."""
         sampler = Sampler(self.renderer, rig, self.mesh, self.parts, "open", self.ref)
         sample = sampler.take(View(round(100 * rig.stand_off_m), self.azimuth_deg))
-        return labelled_image(sample.range * lit_pixels(rig, sample), rig.range_step_m, sample.labels)
+        return labelled_image(sample.range * lit_pixels(rig, sample), rig.range_step_m, _surface(sample, rig))
 
 
 def with_baseline(rig: Rig, baseline_m: float) -> Rig:
@@ -348,11 +361,15 @@ def sensor(focal_px: float) -> Camera:
 def resampled(image: LabelledImage, camera: Camera, rig: Rig) -> LabelledImage:
     """The image of `camera` as the rig's camera would see the body, resampled as `Segmenter` does."""
     view = view_body(image.range_m, image.pixels, camera, rig)
-    return LabelledImage(view.range_m, view.view_pixels, image.truth)
+    return replace(image, range_m=view.range_m, pixels=view.view_pixels)
 
 
 def _first(images: RangeImages, count: int) -> list[Sample]:
     return [images.clean(int(index)) for index in images.order(0)[:count]]
+
+
+def _surface(sample: Sample, rig: Rig) -> TrueSurface:
+    return TrueSurface(metres(sample.range, rig.range_step_m), sample.labels, rig.camera)
 
 
 def _is_rendered(condition: SweepPoint) -> bool:

@@ -21,8 +21,8 @@ import torch
 
 from bodyseg_data.core import BadConfig, NotedProgress, silent
 from bodyseg_data.drawing import new_chart, save_chart
-from bodyseg_data.labels import PARTS33
-from bodyseg_model.evaluation import ConfusionMatrix, count_pairs, over_seeds, pairs_of
+from bodyseg_data.labels import BACKGROUND, PARTS33
+from bodyseg_model.evaluation import MEASURABLE, ConfusionMatrix, GrossErrors, count_pairs, over_seeds, pairs_of
 from bodyseg_model.networks import Network, Trained, device_of, load_network, predict
 from bodyseg_model.stability.scenes import CLEAN, LabelledImage, Scenes, Sweep, SweepPoint
 
@@ -257,23 +257,34 @@ def _labels(runs: Sequence[Run]) -> list[str]:
     return [run.name for run in runs]
 
 
-Accuracies = dict[str, dict[SweepPoint, float]]
-"""Run's name -> condition -> average per-class accuracy."""
+class Score(NamedTuple):
+    """Average per-class accuracy and gross errors of one network under one condition."""
+
+    accuracy: float
+    gross_errors: GrossErrors
 
 
-def accuracy(network: Network, images: Sequence[LabelledImage]) -> float:
-    """Average per-class accuracy of a network in evaluation mode, from one confusion matrix over all images.
+Found = dict[str, dict[SweepPoint, Score]]
+"""Run's name -> condition -> score."""
+
+
+def score(network: Network, images: Sequence[LabelledImage]) -> Score:
+    """Score a network in evaluation mode, by one confusion matrix over all images; without SciPy no gross errors.
 
     Images are predicted one by one, as a sensor gives them: the window that a batch is cropped to depends on all its
     bodies. NaN if nothing was measured in any image.
     """
-    matrix = ConfusionMatrix()
+    matrix, gross = ConfusionMatrix(), GrossErrors()
     device = device_of(network)
     for image in images:
         prediction = predict(network, torch.from_numpy(image.range_m)[None, None].to(device))
         predicted = prediction.labels[0].cpu().numpy().ravel()[image.pixels]
-        matrix.counts += count_pairs(pairs_of(image.truth, predicted))
-    return matrix.average_per_class_accuracy()
+        counts = count_pairs(pairs_of(image.truth, predicted))
+        matrix.counts += counts
+        if MEASURABLE:
+            wrong = (image.truth != BACKGROUND) & (image.truth != predicted)
+            gross.add(image.surface.distances(image.places[wrong], predicted[wrong]), int(counts.trace()))
+    return Score(matrix.average_per_class_accuracy(), gross)
 
 
 def evaluate_conditions(
@@ -281,20 +292,20 @@ def evaluate_conditions(
     conditions: Sequence[SweepPoint],
     scenes: Scenes,
     progress: NotedProgress = silent,
-) -> Accuracies:
-    """Measure the accuracy of every network under every condition.
+) -> Found:
+    """Score every network under every condition.
 
     progress: called with images done, images in all, and the condition's name. Raises BadConfig, before any is
     measured, for a condition that the scenes cannot show.
     """
     for condition in conditions:
         scenes.check(condition)
-    found: Accuracies = {run.name: {} for run in runs}
+    found: Found = {run.name: {} for run in runs}
     done, total = 0, len(runs) * len(conditions) * len(scenes)
     for condition in conditions:  # the outer loop, so that images are made once
         images = scenes.labelled_images(condition)
         for run in runs:
-            found[run.name][condition] = accuracy(run.trained.network, images)
+            found[run.name][condition] = score(run.trained.network, images)
             done += len(scenes)
             progress(done, total, condition.name)
     return found
@@ -303,12 +314,12 @@ def evaluate_conditions(
 BOUND: Final = 0.6
 
 
-def summarise(groups: Sequence[Group], sweeps: Mapping[str, Sweep], found: Accuracies, reference: Group | None) -> Tree:
+def summarise(groups: Sequence[Group], sweeps: Mapping[str, Sweep], found: Found, reference: Group | None) -> Tree:
     """Build the part of stability.json that is about images; plain JSON. found: has every condition of the sweeps."""
     conditions = {name: sweep.conditions(name) for name, sweep in sweeps.items()}
     curves = {
         group.label: {
-            name: [[found[run.name][condition] for condition in row] for run in group.runs]
+            name: [[found[run.name][condition].accuracy for condition in row] for run in group.runs]
             for name, row in conditions.items()
         }
         for group in groups
@@ -323,6 +334,7 @@ def summarise(groups: Sequence[Group], sweeps: Mapping[str, Sweep], found: Accur
                 **group.to_json(),
                 "clean": _clean(group, conditions, found),
                 **_scores(sweeps, curves[group.label], means),
+                "gross_errors": {name: _gross_errors(group, row, found) for name, row in conditions.items()},
             }
             for group in groups
         },
@@ -358,11 +370,20 @@ def _mean(rows: Sequence[Sequence[float]]) -> list[float]:
     return [statistics.mean(values) for values in zip(*rows, strict=True)]
 
 
-def _clean(group: Group, conditions: Mapping[str, Sequence[SweepPoint]], found: Accuracies) -> Tree:
+def _gross_errors(group: Group, row: Sequence[SweepPoint], found: Found) -> Tree | None:
+    """Each of the gross errors' scores of one sweep, as a curve is; None if they were not counted everywhere."""
+    rows = [[found[run.name][condition].gross_errors.to_json() for condition in row] for run in group.runs]
+    counted = [[each for each in scores if each is not None] for scores in rows]
+    if counted != rows:
+        return None
+    return {name: _curve([[each[name] for each in scores] for scores in counted]) for name in counted[0][0]}
+
+
+def _clean(group: Group, conditions: Mapping[str, Sequence[SweepPoint]], found: Found) -> Tree:
     """Accuracy on the clean stored and the clean rendered images, as far as the sweeps have them."""
     needed = {row[0] for row in conditions.values()}
     return {
-        origin: over_seeds([found[run.name][clean] for run in group.runs])
+        origin: over_seeds([found[run.name][clean].accuracy for run in group.runs])
         for origin, clean in CLEAN.items()
         if clean in needed
     }

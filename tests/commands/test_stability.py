@@ -19,13 +19,14 @@ from bodyseg_data import RangeImages
 from bodyseg_data.bodies import SOURCES
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import load_label_map
+from bodyseg_data.rigs import Camera
 from bodyseg_model.commands import cli
 from bodyseg_model.commands import stability as command
-from bodyseg_model.evaluation import ConfusionMatrix
+from bodyseg_model.evaluation import ConfusionMatrix, TrueSurface
 from bodyseg_model.networks import build, predict, save_network
 from bodyseg_model.stability import Scenes, evaluate_conditions, load_runs
 from bodyseg_model.stability.scenes import CLEAN, LabelledImage, SweepPoint
-from bodyseg_model.stability.summary import accuracy
+from bodyseg_model.stability.summary import score
 
 SETTINGS = {"patch": 16, "widths": (8,), "blocks": (0,)}
 CHOSEN = ("farther", "hard")
@@ -110,7 +111,13 @@ def test_answers_at_other_places_are_counted_there() -> None:
     range_m, places = torch.full((2, 4), 2.0).numpy(), torch.tensor([0, 3, 3, 4]).numpy()
     truth = torch.tensor([0, 3, 2, 0], dtype=torch.uint8).numpy()
     # Columns are labels: right at 0, 3 and (row 1, column 0) 4; wrong once where 3 was said for 2.
-    assert accuracy(Places(1, 1), [LabelledImage(range_m, places, truth)]) == pytest.approx((1 + 1 + 0) / 3)
+    labels = torch.tensor([[0, 255, 255, 2], [3, 255, 255, 255]], dtype=torch.uint8).numpy()
+    camera = Camera(2, 4, 100.0, (2.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    seen = torch.tensor([0, 4, 3, 0]).numpy()  # where the true surface shows what these pixels see
+    found = score(Places(1, 1), [LabelledImage(range_m, places, truth, TrueSurface(range_m, labels, camera), seen)])
+    assert found.accuracy == pytest.approx((1 + 1 + 0) / 3)
+    # The part said there is 3 columns and a row of 20 mm away.
+    assert found.gross_errors.to_json() == {"beyond_30_mm": 0.25, "beyond_60_mm": 0.25, "mean_mm": 15.81}
 
 
 def test_progress_counts_images(runs: Path, figures_set: Path) -> None:
@@ -124,8 +131,10 @@ def test_progress_counts_images(runs: Path, figures_set: Path) -> None:
 
 def test_an_accuracy_of_nothing_measured_is_none() -> None:
     nothing = torch.zeros(0, dtype=torch.int64).numpy()
-    image = LabelledImage(torch.full((2, 4), 2.0).numpy(), nothing, nothing.astype("uint8"))
-    assert math.isnan(accuracy(Places(1, 1), [image]))
+    ranges, camera = torch.full((2, 4), 2.0).numpy(), Camera(2, 4, 1.0, (2.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    surface = TrueSurface(ranges, ranges.astype("uint8"), camera)
+    found = score(Places(1, 1), [LabelledImage(ranges, nothing, nothing.astype("uint8"), surface, nothing)])
+    assert math.isnan(found.accuracy) and found.gross_errors.to_json() is None
 
 
 def test_names_tell_runs_apart_and_each_counts_once(runs: Path, tmp_path: Path) -> None:

@@ -1,14 +1,41 @@
 """Distances of pixels to the parts predicted for them: against every pair of points, in images, and summed up."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+import torch
 
+from bodyseg_data import RangeImages
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.rigs import Camera
-from bodyseg_model.evaluation.gross_errors import FARTHEST_M, GrossErrors, distances_in_image, distances_to_parts
+from bodyseg_data.samples import metres
+from bodyseg_model.commands.evaluate import headline
+from bodyseg_model.evaluation import evaluate, evaluation, open_images, report
+from bodyseg_model.evaluation.evaluation import PredictedImage
+from bodyseg_model.evaluation.gross_errors import FARTHEST_M, GrossErrors, TrueSurface, distances_to_parts
+from bodyseg_model.networks import Network
 
 CAMERA = Camera(40, 30, 50.0, (15.0, 20.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+
+
+class Striped(Network):
+    """Calls every five rows another class."""
+
+    def __init__(self, classes: int) -> None:
+        super().__init__()
+        self.classes = classes
+
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+        rows = torch.arange(range_m.shape[2]) // 5 % self.classes
+        scores = torch.nn.functional.one_hot(rows, self.classes).T[None, :, :, None].float()
+        return scores.expand(len(range_m), -1, -1, range_m.shape[3])
+
+
+def copied(image: PredictedImage) -> PredictedImage:
+    """The image, whose arrays are valid until the next one."""
+    return image._replace(**{name: getattr(image, name).copy() for name in ("range_m", "labels", "predicted")})
 
 
 def by_pairs(points: np.ndarray, predicted: np.ndarray, surface: np.ndarray, labels: np.ndarray) -> np.ndarray:
@@ -51,15 +78,12 @@ def flat_image() -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_distances_in_an_image_are_by_the_clean_surface() -> None:
-    range_m, labels = flat_image()
-    truth, predicted = labels.copy(), labels.copy()
-    predicted[10, 11] = 1  # 20 mm from its border
-    predicted[10, 6] = 2  # 13 pixels of 20 mm
-    predicted[20, 7] = 9  # nowhere in the image
-    truth[30, 6], predicted[30, 6] = BACKGROUND, 2  # lost by an artifact
-    predicted[:5] = 2  # of the background
-    found = distances_in_image(truth, predicted, range_m, labels, CAMERA)
-    assert found == pytest.approx([0.26, 0.02, np.inf])  # reading order
+    surface = TrueSurface(*flat_image(), CAMERA)
+    # 20 mm from the part's border; 13 pixels of 20 mm; a part that is nowhere in the image; the pixel's own part.
+    pixels = np.array([10 * 30 + 11, 10 * 30 + 6, 20 * 30 + 7, 8 * 30 + 8])
+    found = surface.distances(pixels, np.array([1, 2, 9, 0], np.uint8))
+    assert found == pytest.approx([0.02, 0.26, np.inf, 0])
+    assert surface.points(pixels[:1]) == pytest.approx(np.array([[(11.5 - 15) / 50, (10.5 - 20) / 50, 1]]))
 
 
 def test_a_part_behind_is_as_far_as_its_range_says() -> None:
@@ -67,11 +91,42 @@ def test_a_part_behind_is_as_far_as_its_range_says() -> None:
     labels = np.zeros((40, 30), np.uint8)
     range_m = np.full(labels.shape, 1.0, np.float32)
     labels[:, 14], range_m[:, 14] = 1, 0.9
-    predicted = labels.copy()
-    predicted[20, 14] = 0
-    (found,) = distances_in_image(labels, predicted, range_m, labels, CAMERA)
-    rays = CAMERA.pixel_rays() * range_m[..., None]
-    assert found == pytest.approx(np.linalg.norm(rays[labels == 0] - rays[20, 14], axis=1).min(), abs=5e-4)
+    surface, pixel = TrueSurface(range_m, labels, CAMERA), np.array([20 * 30 + 14])
+    behind = surface.points(np.flatnonzero(labels == 0))
+    nearest = np.linalg.norm(behind - surface.points(pixel), axis=1).min()
+    assert surface.distances(pixel, np.zeros(1, np.uint8)) == pytest.approx([nearest], abs=5e-4)
+
+
+def test_of_an_evaluation_they_are_by_the_stored_samples(small_set: Path) -> None:
+    """Artifacts take pixels out and move ranges, and joined classes join parts; the surface stays."""
+    for labels in (None, "limbs14"):
+        images = open_images(str(small_set), "all", labels=labels)
+        classes = len(images.label_map)
+        seen: list[PredictedImage] = []
+        found = evaluate(Striped(classes).eval(), images, watch=lambda one, _, seen=seen: seen.append(copied(one)))
+        total = GrossErrors()
+        for one in seen:
+            sample = images.clean(images.keys.index(one.key))
+            own = images.label_map.table[sample.labels]
+            points = images.manifest.rig.camera.pixel_rays() * metres(sample.range, images.step_m)[..., None]
+            body, wrong = own != BACKGROUND, (one.labels != BACKGROUND) & (one.labels != one.predicted)
+            away = by_pairs(points[wrong], one.predicted[wrong], points[body], own[body])
+            assert one.away == pytest.approx(away, abs=5e-4)
+            total.add(away, np.count_nonzero((one.labels != BACKGROUND) & ~wrong))
+        scores = found.total().gross_errors
+        assert scores.pixels == total.pixels == found.total().confusion.pixels > 0
+        assert scores.mean_mm() == pytest.approx(total.mean_mm(), abs=0.5)
+        assert report(found)["gross_errors"] == scores.to_json()
+        assert report(found)["subsets"]["A"]["gross_errors"]["mean_mm"] > 0
+
+
+def test_images_that_transforms_change_have_none(small_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    images = RangeImages(small_set, "none", "test", transform=lambda image, draws: image)
+    assert report(evaluate(Striped(33).eval(), images, 2))["gross_errors"] is None
+    monkeypatch.setattr(evaluation, "MEASURABLE", False)
+    tree = report(evaluate(Striped(33).eval(), open_images(str(small_set), "none"), 2))
+    assert tree["gross_errors"] is None, "without SciPy"
+    assert "30 mm" not in headline(tree)
 
 
 def test_counts_add_up_and_merge() -> None:

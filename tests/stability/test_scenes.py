@@ -18,6 +18,7 @@ from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.rendering import RasterRenderer
 from bodyseg_data.rigs import axes_at, load_rig
 from bodyseg_data.samples import ViewGrid
+from bodyseg_model.evaluation import TrueSurface
 from bodyseg_model.stability import SWEEPS, Scenes
 from bodyseg_model.stability.scenes import (
     CLEAN,
@@ -176,7 +177,7 @@ def test_hard_poses_are_another_sets_images(scenes: Scenes) -> None:
 
 def test_a_picture_counts_what_was_measured() -> None:
     image, labels = np.array([[0, 20_000], [30_000, 0]], np.uint16), np.array([[255, 7], [9, 4]], np.uint8)
-    made = labelled_image(image, 1e-4, labels)
+    made = labelled_image(image, 1e-4, TrueSurface(image * np.float32(1e-4), labels, RIG.camera))
     np.testing.assert_array_equal(made.range_m, np.float32([[0, 2], [3, 0]]))
     assert made.pixels.tolist() == [1, 2] and made.truth.tolist() == [7, 9]
 

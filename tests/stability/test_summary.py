@@ -11,11 +11,11 @@ from PIL import Image
 from torch import nn
 
 from bodyseg_data.core import BadConfig
-from bodyseg_model.evaluation import over_seeds
+from bodyseg_model.evaluation import GrossErrors, over_seeds
 from bodyseg_model.networks import Trained
 from bodyseg_model.stability import Group, Run, Sweep, draw_stability, group, group_of, summarise
 from bodyseg_model.stability.scenes import CLEAN, SweepPoint
-from bodyseg_model.stability.summary import _styles, corruption_error, falls_below, relative_robustness
+from bodyseg_model.stability.summary import Found, Score, _styles, corruption_error, falls_below, relative_robustness
 
 SWEEPS = {
     "noise": Sweep("Noise", "sigma, mm", (0, 10, 30)),
@@ -44,8 +44,16 @@ GROUPS = [
 ]
 
 
-def accuracies(**rows: tuple[float, ...]) -> dict[str, dict[SweepPoint, float]]:
-    return {name.replace("_", "-"): dict(zip(SETTINGS, row, strict=True)) for name, row in rows.items()}
+def scored(accuracy: float) -> Score:
+    """Of 10 pixels: as many right as the accuracy says, the others 50 mm from their parts."""
+    gross = GrossErrors()
+    wrong = round(10 * (1 - accuracy))
+    gross.add(np.full(wrong, 0.05, np.float32), 10 - wrong)
+    return Score(accuracy, gross)
+
+
+def accuracies(**rows: tuple[float, ...]) -> Found:
+    return {name.replace("_", "-"): dict(zip(SETTINGS, map(scored, row), strict=True)) for name, row in rows.items()}
 
 
 FOUND = accuracies(
@@ -124,9 +132,20 @@ def test_falling_is_on_straight_lines(curve: tuple[float, ...], strength: float 
 def test_what_has_no_number_is_null() -> None:
     assert corruption_error((0.9, 0.5), (1.0, 1.0)) is None
     assert relative_robustness((0.0, 0.5)) is None
-    found = {run: dict.fromkeys(SETTINGS, 0.0) for run in FOUND}
+    found = {run: dict.fromkeys(SETTINGS, Score(0.0, GrossErrors())) for run in FOUND}
     groups = summarise(GROUPS, SWEEPS, found, None)["groups"]
     assert groups["all"]["mrr"] is None and groups["all"]["mce"] is None
+    assert groups["all"]["gross_errors"] == dict.fromkeys(SWEEPS), "not counted"
+
+
+def test_gross_errors_are_given_at_every_strength(figures: dict[str, Any]) -> None:
+    noise = figures["groups"]["all"]["gross_errors"]["noise"]
+    assert noise["beyond_30_mm"] == {
+        "mean": [0.2, 0.3, 0.4],
+        "sd": [0.0, 0.1, 0.1],
+        "seeds": [[0.2, 0.3, 0.5], [0.2, 0.2, 0.3], [0.2, 0.4, 0.4]],
+    }
+    assert noise["beyond_60_mm"]["mean"] == [0, 0, 0] and noise["mean_mm"]["mean"] == [10, 15, 20]
 
 
 def test_sweeps_that_do_not_count_alone_give_no_score() -> None:

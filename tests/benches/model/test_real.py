@@ -233,9 +233,11 @@ def test_agreement_counts_points_that_two_frames_see(frames: list[Frame]) -> Non
     steps: list[tuple[int, int]] = []
     found = agreement(frames, by_place, lambda done, total: steps.append((done, total)))
     assert found["same"] > 0.97 and steps[-1] == (TURNS, TURNS)
+    assert found["within_30_mm"] == found["within_60_mm"] == 1, "the frames differ at the border alone"
     assert list(found["by_angle"]) == ["0 to 15 degrees", "15 to 30 degrees", "30 to 45 degrees"]
     assert found["by_angle"]["0 to 15 degrees"] is None  # frames are 20 degrees apart
-    assert agreement(frames, by_frame)["same"] == 0
+    strange = agreement(frames, by_frame)
+    assert strange["same"] == strange["within_60_mm"] == 0
     apart = agreement(frames[::3], by_place[::3])  # 60 degrees
     assert apart["points"] == 0 and apart["same"] is None
     nothing = [np.full_like(image, BACKGROUND) for image in by_place]
@@ -292,6 +294,9 @@ def test_what_the_bench_finds(measured: Results, tmp_path: Path) -> None:
     assert figures["scores"]["calibration_error"] > 0.5  # this network is always sure
     assert 0.5 < figures["scores"]["share_of_the_person"] < 1
     assert figures["agreement_of_truth"]["same"] > 0.95
+    gross = figures["scores"]["gross_errors"]
+    assert 0.1 < gross["beyond_60_mm"] < gross["beyond_30_mm"] < 1 - figures["scores"]["pixel_accuracy"]
+    assert figures["gross_errors_by_placement"] == dict.fromkeys(("mean", "first", "second"), gross), "placed alike"
     json.dumps(figures)
     draw_real(figures, tmp_path / "real.png")
     with Image.open(tmp_path / "real.png") as picture:

@@ -15,6 +15,7 @@ CONTENT = {
     "flag": True,
     "ms": {"ours": 10.98, "theirs": 215.2},
     "bytes": 1957696,
+    "scores": {"gross_errors": {"beyond_30_mm": 0.0512, "beyond_60_mm": 0.0207, "mean_mm": 7.21}},
     "command": "tools/bench network",
     "codecs": {"ours, compiled": {"ms": 0.25}},
     "times": [{"task": "scores", "threads": 1, "ms": 5}, {"task": "scores", "threads": 2, "ms": 3}],
@@ -43,6 +44,8 @@ def folder(tmp_path: Path) -> Path:
         ('a.codecs["ours, compiled"].ms | number(2)', "0.25"),
         ("(a.ms.theirs / a.ms.ours) | number(1)", "19.6"),
         ("charts.left_out[0]", "codec"),
+        ("a.scores | gross", "5.1 % beyond 30 mm and 2.1 % beyond 60 mm, 7.2 mm on average"),
+        ("a.ms | gross", "not measured"),
         ("range.command", "a file may be called as a function of Jinja2"),
     ],
 )

@@ -33,10 +33,17 @@ def _images(label: str, group: Mapping[str, Any], figures: Mapping[str, Any]) ->
     return {
         "network": label,
         "clean, %": _percent(group["clean"].get("stored")),
+        **_gross_errors(group),
         "mCE": _number(group["mce"]),
         "mRR": _number(group["mrr"]),
         "worst case": f"{sweep['title']}, {worst['strength']:g}: {accuracy} %",
     }
+
+
+def _gross_errors(group: Mapping[str, Any]) -> dict[str, str]:
+    """Column of clean gross errors, of files that have any."""
+    curves = [curve for curve in group.get("gross_errors", {}).values() if curve is not None]
+    return {"clean, gross errors (30 mm), %": _percent(_at(curves[0]["beyond_30_mm"], 0))} if curves else {}
 
 
 def _sweep(name: str, figures: Mapping[str, Any]) -> dict[str, str]:

@@ -93,7 +93,7 @@ def _environment() -> Environment:
         undefined=StrictUndefined, finalize=_finished, trim_blocks=True, keep_trailing_newline=True, autoescape=False
     )
     environment.globals.clear()  # a file may be called as one of them
-    environment.filters |= {"number": _number, "percent": _percent, "find": _find, "table": _table}
+    environment.filters |= {"number": _number, "percent": _percent, "find": _find, "table": _table, "gross": _gross}
     environment.filters |= {"each": _each, "span": _span}
     return environment
 
@@ -111,6 +111,15 @@ def _number(value: Any, decimals: int = 0) -> str:
 
 def _percent(value: Any, decimals: int = 0) -> str:
     return _number(_checked(value) * 100, decimals)
+
+
+def _gross(scores: Mapping[str, Any], decimals: int = 1) -> str:
+    """Gross errors of scores, in words: beyond 30 mm, beyond 60 mm, mean distance."""
+    found = scores.get("gross_errors")
+    if found is None:
+        return "not measured"
+    shares = " and ".join(f"{_percent(found[f'beyond_{mm}_mm'], decimals)} % beyond {mm} mm" for mm in (30, 60))
+    return f"{shares}, {_number(found['mean_mm'], decimals)} mm on average"
 
 
 def _checked(value: Any) -> float:

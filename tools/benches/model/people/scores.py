@@ -81,9 +81,12 @@ def scored(
             progress(before + done, len(VARIANTS) * total)
 
         evaluation = evaluate(network, images, progress=show, watch=watch)
-        confidences = evaluation.total().confidences
-        calibration = None if confidences is None else _rounded(confidences.ece())
-        results[variant] = by_groups(counts) | {"calibration_error": calibration}
+        total = evaluation.total()
+        calibration = None if total.confidences is None else _rounded(total.confidences.ece())
+        results[variant] = by_groups(counts) | {
+            "calibration_error": calibration,
+            "gross_errors": total.gross_errors.to_json(),
+        }
     return results
 
 

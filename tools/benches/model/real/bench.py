@@ -6,7 +6,7 @@ docs/results/real_frames.md says how to read the results.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -25,7 +25,7 @@ from bodyseg_data.core import ProgressCallback, check_int, silent
 from bodyseg_data.labels import BACKGROUND, LANDMARKS, PART_CLASSES
 from bodyseg_data.machine import torch_threads
 from bodyseg_data.rigs import Camera
-from bodyseg_model.evaluation import ConfusionMatrix, pairs_of
+from bodyseg_model.evaluation import ConfusionMatrix, GrossErrors, distances_to_parts, pairs_of
 from bodyseg_model.evaluation.scores import Confidences, count_kinds
 from bodyseg_model.networks import Trained
 from bodyseg_model.recordings import FrameCamera
@@ -91,7 +91,8 @@ def bench_real(
         frames = fitted(turned, rough)
         fused = fuse(frames)
         residuals = {"stored": residuals_m(turned, rough), "fitted": residuals_m(frames, fused)}
-        by_placement, landmarks = true_labels(frames, fused, placements)
+        of_surface = labels_of_surface(fused, placements)
+        by_placement = in_frames(frames, fused, of_surface)
         truth = by_placement["mean"]
         progress(0, 2 * len(stored))
         answers: dict[bool, list[Answer]] = {}
@@ -102,6 +103,10 @@ def bench_real(
                 answers[way].append(segment(frame, exchanged=way != mirrored, turned=mirrored))
                 progress(sum(map(len, answers.values())), 2 * len(stored))
     chosen = answers[mirrored]
+
+    def errors(name: str, given: Sequence[Answer]) -> dict[str, Any]:
+        return {"gross_errors": gross_errors(frames, by_placement[name], given, fused, of_surface[name])}
+
     return Results(
         {
             "recording": Path(data).name,
@@ -113,11 +118,12 @@ def bench_real(
                 "vertices": len(fused.vertices),
                 "residual_mm": {name: _millimetres(each) for name, each in residuals.items()},
             },
-            "landmarks": landmarks,
-            "scores": scored(frames, truth, chosen),
+            "landmarks": described(placements, of_surface),
+            "scores": scored(frames, truth, chosen) | errors("mean", chosen),
             "accuracy_by_placement": {
                 name: scored(frames, labels, chosen)["accuracy"] for name, labels in by_placement.items()
             },
+            "gross_errors_by_placement": {name: errors(name, chosen)["gross_errors"] for name in by_placement},
             "scores_if_mirrored_otherwise": scored(frames, truth, answers[not mirrored]),
             "agreement": agreement(frames, [answer.labels for answer in chosen]),
             "agreement_of_truth": agreement(frames, truth),
@@ -145,26 +151,53 @@ def settled(frames: Sequence[Frame]) -> tuple[ProjectorShadow | None, bool]:
 def true_labels(
     frames: Sequence[Frame], fused: FusedSurface, placements: Placements
 ) -> tuple[dict[str, list[Labels]], dict[str, Any]]:
-    """True labels of frames, uint8 [H, W] each, by the mean of both placements, the first and the second; and how well
-    the placements repeat.
+    """True labels by `in_frames`, and how well the placements repeat. Raises BadConfig as `surface_labels`."""
+    labels = labels_of_surface(fused, placements)
+    return in_frames(frames, fused, labels), described(placements, labels)
+
+
+def labels_of_surface(fused: FusedSurface, placements: Placements) -> dict[str, Labels]:
+    """Labels of the surface's vertices, uint8 [V], by the mean of both placements, the first and the second.
 
     Raises BadConfig as `surface_labels`.
     """
-    from scipy.spatial import KDTree
-
     points = {
         "mean": (placements.first + placements.second) / 2,
         "first": placements.first,
         "second": placements.second,
     }
-    labels = {
-        name: surface_labels(fused, each, placements.labels, placements.left_out) for name, each in points.items()
-    }
+    return {name: surface_labels(fused, each, placements.labels, placements.left_out) for name, each in points.items()}
+
+
+def in_frames(frames: Sequence[Frame], fused: FusedSurface, labels: Mapping[str, Labels]) -> dict[str, list[Labels]]:
+    """Labels of frames, uint8 [H, W] each, by each labelling of the surface's vertices."""
+    from scipy.spatial import KDTree
+
     tree = KDTree(fused.vertices)
-    return {name: [frame_labels(frame, tree, each) for frame in frames] for name, each in labels.items()}, {
+    return {name: [frame_labels(frame, tree, each) for frame in frames] for name, each in labels.items()}
+
+
+def described(placements: Placements, labels: Mapping[str, Labels]) -> dict[str, Any]:
+    """How well the placements repeat, and how much of the surface they label."""
+    return {
         **repeatability(placements, labels["first"], labels["second"]),
         "surface_labelled": round(float((labels["mean"] != BACKGROUND).mean()), 4),
     }
+
+
+def gross_errors(
+    frames: Sequence[Frame], truth: Sequence[Labels], answers: Sequence[Answer], fused: FusedSurface, labels: Labels
+) -> dict[str, float] | None:
+    """Gross errors of the pixels that `scored` counts, by the surface, whose vertices have `labels`, uint8 [V]."""
+    total, known = GrossErrors(), labels != BACKGROUND
+    for frame, true, answer in zip(frames, truth, answers, strict=True):
+        right, given = (image.ravel()[frame.pixels] for image in (true, answer.labels))
+        scored_pixels = (right != BACKGROUND) & (given != BACKGROUND)
+        wrong = scored_pixels & (right != given)
+        points = frame.points(frame.pixels[wrong])
+        away = distances_to_parts(points, given[wrong], fused.vertices[known], labels[known])
+        total.add(away, np.count_nonzero(scored_pixels) - len(away))
+    return total.to_json()
 
 
 def scored(frames: Sequence[Frame], truth: Sequence[Labels], answers: Sequence[Answer]) -> dict[str, Any]:

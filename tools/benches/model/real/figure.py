@@ -51,9 +51,10 @@ def draw_real(figures: Results, path: Path) -> None:
 
 def _title(figures: Results) -> str:
     scores = figures["scores"]
+    gross = _percent((scores["gross_errors"] or {}).get("beyond_30_mm"))
     return (
         f"{figures['network']}: average per-class accuracy {_percent(scores['accuracy'])} on {len(scores['parts'])} "
-        f"parts, pixels right {_percent(scores['pixel_accuracy'])}, agreement of frames "
+        f"parts, pixels right {_percent(scores['pixel_accuracy'])}, gross errors {gross}, agreement of frames "
         f"{_percent(figures['agreement']['same'])}"
     )
 
