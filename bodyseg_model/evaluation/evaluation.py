@@ -213,8 +213,7 @@ def evaluate(
     they and, with SciPy and images without transforms, gross errors are counted beside the confusion matrix.
     label_map: the classes that the network predicts, by default those of the images' labels; where the images have
     coarser classes, each predicted label counts as the class that it is part of, with its own confidence.
-    progress: called with images done and images in all.
-    watch: called with every image and its average per-class accuracy.
+    progress: called with images done and images in all. watch: with every image and its average per-class accuracy.
 
     Raises BadConfig for an invalid count, another number of classes than the network's, classes that
     cannot be joined to the images', or confidences outside 0 to 1; otherwise as `loader`.

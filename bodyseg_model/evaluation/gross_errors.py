@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.rigs import Camera
 
@@ -37,15 +37,13 @@ def distances_to_parts(
 
     points [N, 3], surface [M, 3]: of one frame of reference, metres. predicted: uint8 [N]; surface_labels: uint8 [M].
     inf where no point of the surface has that part, 0 for a point of the surface with its own label: whoever counts
-    right pixels need not look them up. Raises BadConfig for arrays of other shapes, MissingLibrary without SciPy.
+    right pixels need not look them up. Needs SciPy (`MEASURABLE`). Raises BadConfig for arrays of other shapes.
     """
     for name, each, labels in (("points", points, predicted), ("the surface", surface, surface_labels)):
         if each.shape != (*labels.shape, 3) or labels.ndim != 1:
             raise BadConfig(f"{name} must be [N, 3] with labels [N], found {each.shape} and {labels.shape}")
-    try:
-        from scipy.spatial import cKDTree
-    except ImportError as error:
-        raise MissingLibrary("gross errors need SciPy: pip install 'bodyseg[segment]'") from error
+    from scipy.spatial import cKDTree
+
     found = np.full(len(points), np.inf, np.float32)
     for part in np.unique(predicted):
         own, asked = surface[surface_labels == part], np.flatnonzero(predicted == part)
@@ -59,8 +57,8 @@ class TrueSurface:
     """The true surface as a camera sees it without any artifact. range_m: float32 [H, W], metres, 0 = none; labels:
     uint8 [H, W]; camera: without its distortion.
 
-    The outlines of its parts and every fourth row and column within represent them, so that distances are too long by
-    less than 0.5 mm.
+    The outlines of its parts and every fourth row and column within represent them: distances of the example's images
+    become longer by 0.4 mm at most, by 0.0002 mm on average.
     """
 
     range_m: NDArray[np.float32] = field(repr=False)
@@ -75,17 +73,16 @@ class TrueSurface:
     @cached_property
     def _kept(self) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
         """Points that represent the parts, [M, 3], and their labels, [M]."""
-        kept = np.zeros(self.labels.shape, np.bool_)
-        for axis in (0, 1):
-            before, after = (np.moveaxis(self.labels, axis, 0)[part] for part in (np.s_[:-1], np.s_[1:]))
-            for part in (np.s_[:-1], np.s_[1:]):
-                np.moveaxis(kept, axis, 0)[part] |= before != after
+        beside = [np.roll(self.labels, step, axis) for axis in (0, 1) for step in (-1, 1)]
+        kept = np.logical_or.reduce([self.labels != each for each in beside])
         kept[::_EVERY, ::_EVERY] = True
         pixels = np.flatnonzero(kept & (self.range_m > 0) & (self.labels != BACKGROUND))
         return self.points(pixels), self.labels.ravel()[pixels]
 
     def distances(self, pixels: NDArray[np.intp], predicted: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """`distances_to_parts` of pixels [N] that see the surface, row * W + column, with predictions, uint8 [N]."""
+        """`distances_to_parts` of pixels that see the surface, float32 [N]. pixels: int64 [N], row * W + column;
+        predicted: uint8 [N].
+        """
         return distances_to_parts(self.points(pixels), predicted, *self._kept)
 
 
@@ -99,9 +96,6 @@ class GrossErrors:
         self.pixels = 0
         self.beyond: NDArray[np.int64] = np.zeros(len(LIMITS_MM), np.int64)
         self.micrometres = 0
-
-    def __repr__(self) -> str:
-        return f"GrossErrors({self.pixels} pixels, {self.to_json()})"
 
     def add(self, distances: NDArray[np.floating[Any]], right: int = 0) -> None:
         """Count pixels by their distances, metres, [N], inf for none, and `right` more, whose part is right."""
