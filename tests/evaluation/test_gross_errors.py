@@ -9,6 +9,7 @@ import torch
 from bodyseg_data import RangeImages
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.loading import Flip
 from bodyseg_data.rigs import Camera
 from bodyseg_data.samples import metres
 from bodyseg_model.commands.evaluate import headline
@@ -121,7 +122,7 @@ def test_of_an_evaluation_they_are_by_the_stored_samples(small_set: Path) -> Non
 
 
 def test_images_that_transforms_change_have_none(small_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    images = RangeImages(small_set, "none", "test", transform=lambda image, draws: image)
+    images = RangeImages(small_set, "none", "test", transform=Flip())
     assert report(evaluate(Striped(33).eval(), images, 2))["gross_errors"] is None
     monkeypatch.setattr(evaluation, "MEASURABLE", False)
     tree = report(evaluate(Striped(33).eval(), open_images(str(small_set), "none"), 2))
