@@ -236,18 +236,15 @@ class Scenes:
                 labelled_image(sample.range, self.hard.step_m, _surface(sample, self.hard.manifest.rig))
                 for sample in _first(self.hard, self._count)
             ]
+        step_m = self.rig.range_step_m
         return [
-            labelled_image(corrupted(sample, condition, self.rig, self.seed), self.rig.range_step_m, surface)
-            for sample, surface in zip(self._samples, self._surfaces, strict=True)
+            labelled_image(corrupted(sample, condition, self.rig, self.seed), step_m, _surface(sample, self.rig))
+            for sample in self._samples
         ]
 
     @cached_property
     def _samples(self) -> list[Sample]:
         return _first(self.images, self._count)
-
-    @cached_property
-    def _surfaces(self) -> list[TrueSurface]:
-        return [_surface(sample, self.rig) for sample in self._samples]
 
     @cached_property
     def _bodies(self) -> list[_PosedBody]:

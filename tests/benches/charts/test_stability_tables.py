@@ -66,6 +66,11 @@ def test_images_have_a_row_a_group_and_sweeps_a_row_a_sweep() -> None:
             {"corruption": "Hard poses, 1: hard", "from, to": "0, 1", "all": "when clean"},
         ],
     }
+    counted = {**GROUP, "gross_errors": {"noise": {"beyond_30_mm": {"mean": [0.05, 0.3], "sd": [0.01, 0.02]}}}}
+    (row,) = tables({**FIGURES, "groups": {"all": counted}})["images"]
+    assert row["clean, gross errors (30 mm), %"] == "5.0 ± 1.0"
+    counted["gross_errors"] = dict.fromkeys(SWEEPS)  # without SciPy
+    assert tables({**FIGURES, "groups": {"all": counted}})["images"] == tables(FIGURES)["images"]
 
 
 def test_a_strength_has_no_spread_where_a_seed_never_falls() -> None:

@@ -180,6 +180,7 @@ def test_what_the_bench_finds_on_bodies_with_known_landmarks(
         scores = figures["scores"][variant]
         assert scores["images"] == 2 and 0 < scores["accuracy"] < 0.5
         assert scores["calibration_error"] > 0.5  # this network is always sure
+        assert 0 < scores["gross_errors"]["beyond_60_mm"] < scores["gross_errors"]["beyond_30_mm"] < 1
         assert set(scores["people"]) == {"person 0", "person 1"} and set(scores["poses"]) == {"pose 0"}
 
 
