@@ -196,7 +196,7 @@ def gross_errors(
         wrong = scored_pixels & (right != given)
         points = frame.points(frame.pixels[wrong])
         away = distances_to_parts(points, given[wrong], fused.vertices[known], labels[known])
-        total.add(away, np.count_nonzero(scored_pixels) - len(away))
+        total.add(away, int(np.count_nonzero(scored_pixels)) - len(away))
     return total.to_json()
 
 
