@@ -37,7 +37,7 @@ def test_figures_that_do_not_fit_on_the_disk_are_one_line_and_leave_nothing(
     [
         (["variants", "--runs", "x"], "bench variants needs --data"),
         (["variants", "--data", "x"], "bench variants needs --runs"),
-        (["codec", "--alone"], "--alone is for bench variants, people, found it with bench codec"),
+        (["codec", "--alone"], "--alone is for bench people, found it with bench codec"),
         (
             ["render", "--num-workers", "2"],
             "--num-workers is for bench cluster, far, loader, open_data, workers, gpu, found it with bench render",

@@ -112,6 +112,20 @@ _FIGURES: dict[str, dict[str, Any]] = {
             "forest": _network("forest", 90.0, None, 0.55),
         }
     },
+    "variants": {
+        "loader": {"none": {"ms": 0.9}, "md": {"ms": 1.2}, "all": {"ms": 1.6}, "occ": {"ms": 1.1}},
+        "real": {
+            "none": {
+                "kinect_v1, accuracy": {"mean": 0.61, "sd": 0.01},
+                "structure_bust, same": {"mean": 0.8, "sd": None},
+            },
+            "md": {
+                "kinect_v1, accuracy": {"mean": 0.66, "sd": 0.02},
+                "structure_bust, same": {"mean": 0.9, "sd": None},
+            },
+            "all": {"kinect_v1, accuracy": {"mean": 0.7, "sd": 0.01}},
+        },
+    },
 }
 _FIGURES["smaller"] = _FIGURES["architectures"]
 

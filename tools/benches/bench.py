@@ -64,7 +64,10 @@ BENCHES: Final = {
     "open_data": Bench("data.open_data", None, "scenes, 60", optional=("num_workers",)),
     "workers": Bench("data.workers.bench", "figure", "samples in all, 540", optional=("num_workers",)),
     "variants": Bench(
-        "model.variants.bench", "figure", required=("data", "runs"), optional=("seeds", "steps", "images", "alone")
+        "model.variants.bench",
+        "figure",
+        required=("data", "runs"),
+        optional=("seeds", "steps", "images", "only_finished", "real", "hard", "people"),
     ),
     "network": Bench("model.networks.network", "network_figure", "typical frames, 12", optional=("runs", "scores")),
     "runtimes": Bench(
@@ -145,7 +148,8 @@ class Options:
     )
     data: str | None = option(f"for {_takers('data')}: folder or address of the set", None, address=True)
     runs: tuple[Path, ...] | None = option(
-        "for variants: folder of runs VARIANT-SEED, where missing ones are trained; for architectures and ablation: "
+        "for variants: folder of runs VARIANT-SEED, where missing ones are trained, and folders of others to compare "
+        "on real frames; for architectures and ablation: "
         "folders of runs NAME-SEED; for motion: runs, all of them; for rooms: runs of a finder; for network, runtimes, "
         "numerical, sensors, limits, windows, people, joints, real, steady and failures: runs",
         None,
@@ -175,11 +179,10 @@ class Options:
     poses: int | None = option(
         "for people: meshes of each person in a folder without sub-folders, in the order of names (default 10)", None
     )
-    alone: bool = option(
-        "for variants: also sweep noise and missing data without the other artifacts; for people: scores "
-        "alone, no landmarks",
-        False,
-    )
+    only_finished: bool = option("for variants: train nothing, compare what there is", False)
+    real: Path | None = option("for variants: folder of recordings of real frames, to test on as well", None)
+    people: Path | None = option("for variants: folder of scanned people with landmarks, to test on as well", None)
+    alone: bool = option("for people: scores alone, no landmarks", False)
     flip_average: bool = option("for people, real and steady: average the answers to images and mirror images", False)
     scores: tuple[Path, ...] | None = option(
         "for network: JSON files of `bodyseg evaluate` on `all`, for the accuracies", None

@@ -82,6 +82,17 @@ def test_where_pyrender_cannot_draw_only_renderers_are_left_to_compare() -> None
     assert [panel.default for panel in panels_of("renderer", **without, **RENDERERS)] == ["raster"]
 
 
+def test_artifacts_are_compared_on_the_real_frames_that_were_measured() -> None:
+    labels, views = panels_of("artifacts")
+    assert (labels.name, labels.default) == ("right labels, Kinect v1", "all")
+    assert [(point.name, point.x, point.y, point.y_sd) for point in labels.points] == [
+        ("none", 0.9, 0.61, 0.01), ("md", 1.2, 0.66, 0.02), ("all", 1.6, 0.7, 0.01),
+    ]  # fmt: skip
+    assert [(point.name, point.y_sd) for point in views.points] == [("none", None), ("md", None)]
+    assert views.default is None
+    assert panels_of("artifacts", real={}) == ()
+
+
 # What is wrong in a file
 
 

@@ -17,7 +17,7 @@ from benches.results.page import render_page, sources_of
 from benches.results.records import Records
 from benches.results.running import duration
 from benches.results.step import Graph, Places, Step
-from benches.results.trainings import SEEDS
+from benches.results.trainings import SEEDS, SENSOR_RUNS
 from folders import ROOT
 from made_steps import Workshop, a_result, a_set, a_training
 
@@ -75,21 +75,21 @@ def test_what_a_processor_decides_is_measured_on_that_processor(
 def test_the_fifteen_trainings_and_three_seeds_of_every_network_are_declared() -> None:
     graph = everything()
     names = [name for name, step in graph.steps.items() if step.kind == "training"]
-    assert sum(name.startswith("runs/variants/") for name in names) == 15
-    for folder in ("runs/variants", "runs/networks", "runs/alexnet"):
+    assert sum(name.startswith("runs/kinect/") for name in names) == SEEDS * (5 + len(SENSOR_RUNS))
+    for folder in ("runs/kinect", "runs/paper", "runs/networks", "runs/alexnet"):
         of_folder = [name.rpartition("-")[0] for name in names if name.startswith(f"{folder}/")]
         assert {of_folder.count(name) for name in of_folder} == {SEEDS}
 
 
 def test_steps_read_what_their_commands_name() -> None:
     graph = everything()
-    assert graph.inputs(graph.steps["failures_open"]) == ("sets/open18", "runs/variants/all-0", "sets/hard18")
+    assert graph.inputs(graph.steps["failures_open"]) == ("sets/open18", "runs/networks/compact-0", "sets/hard18")
     assert graph.external(graph.steps["people"]) == ("data/faust", "shipped")
     assert graph.external(graph.steps["stability_networks"]) == ("shipped",)
     architectures = graph.inputs(graph.steps["architectures"])
-    assert {"runs/variants/all-2", "runs/networks/deeplab_half-0"} <= {*architectures}
+    assert {"runs/networks/compact-2", "runs/networks/deeplab_half-0"} <= {*architectures}
     ablation = graph.inputs(graph.steps["ablation"])
-    assert {"runs/variants/all-1", "runs/ablation/views_1-0", "sets/bare233"} <= {*ablation}
+    assert {"runs/networks/compact-1", "runs/ablation/views_1-0", "sets/bare233"} <= {*ablation}
     assert graph.external(graph.steps["page"]) == tuple(f"docs/results/{page}.in" for page in PAGES)
 
 

@@ -193,6 +193,28 @@ def _networks(figures: Field) -> tuple[Panel, ...]:
     return tuple(panels)
 
 
+_ON_REAL_FRAMES: Final = {
+    "kinect_v1, accuracy": "right labels, Kinect v1",
+    "kinect_v1, same": "agreement of views, Kinect v1",
+    "structure_bust, same": "agreement of views, Structure sensor",
+}
+"""Measure -> title of a panel."""
+
+
+def _artifacts(figures: Field) -> tuple[Panel, ...]:
+    panels = []
+    for measure, title in _ON_REAL_FRAMES.items():
+        points = []
+        for name, cost in figures["loader"].items().items():
+            if (score := figures.get("real", name, measure)) is not None:
+                sd = None if (spread := score.get("sd")) is None else spread.number()
+                x, y = cost["ms"].number(above=0), score["mean"].number()
+                points.append(Point(name, x, y, name, named=True, y_sd=sd))
+        if len(points) > 1:
+            panels.append(Panel(title, tuple(points), "all" if any(point.name == "all" for point in points) else None))
+    return tuple(panels)
+
+
 def _ms(per_second: Field) -> float:
     return round(1000 / per_second.number(above=0), 4)
 
@@ -274,5 +296,15 @@ CHOICES: Final = (
     ),
     _NETWORKS,
     _SMALLER_NETWORKS,
+    Choice(
+        "artifacts",
+        "variants",
+        "Which artifacts?",
+        "Networks trained alike but for the artifacts, on real frames; bars: standard deviation over seeds.",
+        Axis("making a sample, ms of processor", "time"),
+        Axis("% of the points that real frames show", "accuracy", more_is_better=True, factor=100),
+        _artifacts,
+        shared="",
+    ),
 )
 """In the order of the page."""

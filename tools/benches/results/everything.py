@@ -13,7 +13,6 @@ from benches.results.trainings import (
     BARE,
     BOX,
     BOX_LINKS,
-    COMPACT_LINKS,
     DRESSED,
     HARD,
     LOSSES_RUNS,
@@ -28,6 +27,7 @@ from benches.results.trainings import (
     sets,
     trainings,
 )
+from benches.results.trainings import KINECT as KINECT_SET
 
 FAUST: Final = "data/faust"
 KINECT: Final = "data/real/kinect_v1"
@@ -109,14 +109,17 @@ def _shipped() -> Iterator[Step]:
 
 def _trained() -> Iterator[Step]:
     """Networks that were trained for the comparison."""
-    folder = ("--runs", "runs/variants")
-    yield _bench("variants", "--data", OPEN, *folder, "--seeds", "3", "--images", "100", drawn=True)
+    words = ("--data", KINECT_SET, "--runs", "runs/kinect", "runs/paper", "--seeds", "3", "--images", "300")
+    on_real = ("--real", REAL, "--people", FAUST)
+    yield _bench("variants", *words, *on_real, drawn=True, more=("variants_real.png",), alone=True)
+    words = ("--data", KINECT_SET, "--runs", "runs/fine", "--seeds", "1", "--images", "300", "--only-finished")
+    yield _bench("variants", *words, to="variants_fine", alone=True)
     folder = ("--runs", "runs/networks")
-    yield _bench("architectures", "--data", OPEN, *folder, "--images", "200", links=COMPACT_LINKS, alone=True)
+    yield _bench("architectures", "--data", OPEN, *folder, "--images", "200", alone=True)
     yield _bench("shuffles", "--data", OPEN)
     smaller = ("--data", OPEN, "--runs", "runs/smaller", "--images", "200", "--forest", "0")
     yield _bench("architectures", *smaller, to="smaller", links=SMALLER_LINKS, alone=True)
-    named = ("--data", OPEN, "--runs", "runs/variants/all-0", "--hard", HARD)
+    named = ("--data", OPEN, "--runs", "runs/networks/compact-0", "--hard", HARD)
     yield _bench("failures", *named, "--images", "500", to="failures_open")
     sets_read = ("--data", OPEN, "--hard", HARD, "--clothes", DRESSED, BARE)
     rows = ("--runs", "runs/ablation", "--images", "40")
@@ -166,14 +169,18 @@ def _by_processor() -> Iterator[Step]:
 
 def _stability() -> Iterator[Step]:
     """Robustness: accuracy under rising severity, in motion, in other arithmetic."""
-    for to, run in (("numerical", "runs/variants/all-0"), ("numerical_fcn_alexnet", "runs/networks/fcn_alexnet_8th-0")):
+    for to, run in (
+        ("numerical", "runs/networks/compact-0"),
+        ("numerical_fcn_alexnet", "runs/networks/fcn_alexnet_8th-0"),
+    ):
         yield _bench("numerical", "--data", OPEN, "--views", "25", "--runs", run, to=to)
-    yield _stability_of("stability", VARIANT_RUNS)
+    yield _stability_of("stability", VARIANT_RUNS, data=KINECT_SET)
     yield _stability_of("stability_fcn_alexnet", ALEXNET_RUNS)
-    yield _stability_of("stability_networks", (*seeds("runs/variants/all"), BOX, *LOSSES_RUNS), BOX_LINKS)
-    yield _stability_of("stability_architectures", NETWORK_RUNS, COMPACT_LINKS)
-    for to, runs in (("stability_motion", VARIANT_RUNS), ("stability_fcn_alexnet_motion", ALEXNET_RUNS)):
-        yield _bench("motion", "--data", OPEN, "--runs", *runs, to=to)
+    yield _stability_of("stability_networks", (*seeds("runs/networks/compact"), BOX, *LOSSES_RUNS), BOX_LINKS)
+    yield _stability_of("stability_architectures", NETWORK_RUNS)
+    moving = (("stability_motion", KINECT_SET, VARIANT_RUNS), ("stability_fcn_alexnet_motion", OPEN, ALEXNET_RUNS))
+    for to, data, runs in moving:
+        yield _bench("motion", "--data", data, "--runs", *runs, to=to)
     hidden = ("--sweeps", "hidden", "hidden_shown", "--images", "14", "--threads", "1")
     yield _stability_of("stability_hidden", (BOX,), BOX_LINKS, sweeps=hidden)
     harmful = ("patches", "stripes", "crop_above", "crop_below", "tilt")
@@ -181,13 +188,15 @@ def _stability() -> Iterator[Step]:
     yield _stability_of("stability_shipped", (BOX,), BOX_LINKS, sweeps=harms)
 
 
-def _stability_of(name: str, runs: tuple[str, ...], links: Links = (), sweeps: tuple[str, ...] = _ALL_SWEEPS) -> Step:
+def _stability_of(
+    name: str, runs: tuple[str, ...], links: Links = (), sweeps: tuple[str, ...] = _ALL_SWEEPS, data: str = OPEN
+) -> Step:
+    """A step of `bodyseg stability`; on all sweeps with a picture, and of `OPEN` beside the networks of reference."""
     out = f"stability/{name}"
-    compared = ("--reference", *REFERENCE_RUNS, "--hard", HARD) if sweeps == _ALL_SWEEPS else ()
-    words = ("bodyseg", "stability", "--run", *runs, "--data", OPEN, "--out", out, *compared, *sweeps)
-    results = [(f"{out}/stability.json", f"{name}.json")]
-    if compared:
-        results.append((f"{out}/stability.png", f"{name}.png"))
+    drawn = sweeps == _ALL_SWEEPS
+    compared = ("--reference", *REFERENCE_RUNS, "--hard", HARD) if drawn and data == OPEN else ()
+    words = ("bodyseg", "stability", "--run", *runs, "--data", data, "--out", out, *compared, *sweeps)
+    results = [(f"{out}/stability.{kind}", f"{name}.{kind}") for kind in ("json", *(("png",) if drawn else ()))]
     return Step(name, "results", words, tuple(results), links)
 
 

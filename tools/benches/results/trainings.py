@@ -18,6 +18,8 @@ HARD: Final = "sets/hard18"
 DRESSED: Final = "sets/dressed233"
 BARE: Final = "sets/bare233"
 READ: Final = "sets/open200"
+KINECT: Final = "sets/kinect"
+PAPER: Final = "sets/paper"
 
 SETS: Final = {
     OPEN: ("open",),
@@ -25,10 +27,13 @@ SETS: Final = {
     DRESSED: ("open", "--meshes", "233"),
     BARE: ("bare", "--meshes", "233"),
     READ: ("open", "--meshes", "200", "--views", "54"),
+    KINECT: ("open", "--rig", "kinect_v1", "--meshes", "500", "--views", "12"),
+    PAPER: ("open", "--rig", "paper", "--meshes", "500", "--views", "12"),
 }
 """Folder -> source, and further options of `bodyseg shard`."""
 
 _SHORT: Final = ("--steps", "1400", "--batch-size", "8")
+_COMPARED: Final = ("--steps", "1200", "--batch-size", "8", "--precision", "float32")
 _STILL: Final = "--no-geometric-augmentation"
 _HOW: Final = ("--threads", "1", "--num-workers", "1", "--checkpoint-every", "250", "--log-every", "50", "--resume")
 
@@ -61,13 +66,23 @@ _SETS_OF_ROWS: Final[dict[Source, str]] = {"": OPEN, "dressed": DRESSED, "bare":
 Links = tuple[tuple[str, str], ...]
 
 
+_SMALL: Final = (*_COMPARED, *_TINY)
+
+
 def seeds(name: str) -> tuple[str, ...]:
     """NAME-0, NAME-1 ..."""
     return tuple(f"{name}-{seed}" for seed in range(SEEDS))
 
 
-VARIANT_RUNS: Final = tuple(itertools.chain(*(seeds(f"runs/variants/{variant}") for variant in VARIANTS)))
-"""The fifteen trainings: five variants, three seeds each."""
+VARIANT_RUNS: Final = tuple(itertools.chain(*(seeds(f"runs/kinect/{variant}") for variant in VARIANTS)))
+"""The fifteen trainings: five variants, three seeds each, of a rig of which there are real frames."""
+
+SENSOR_RUNS: Final = {"sensor": "kinect_v1", "phase_shift": "paper_phase_shift"}
+"""Trainings beside the fifteen -> their sensor file."""
+
+FINE_RUNS: Final = ("runs/fine/none-0", "runs/fine/noise-0")
+_FINE: Final = ("--settings", '{"patch":4,"widths":[16,32,56,72,80],"blocks":[0,1,1,1,1]}')
+"""Trainings of a network whose first layer sees 4 x 4 pixels."""
 
 REFERENCE_RUNS: Final = seeds("runs/alexnet/fcn_alexnet_8th_none")
 """The networks that mCE compares with."""
@@ -79,15 +94,12 @@ NETWORK_RUNS: Final = tuple(itertools.chain(*(seeds(f"runs/networks/{name}") for
 LOSSES_RUNS: Final = seeds("runs/ablation/losses")
 
 SMALLER_LINKS: Final[Links] = (
-    *zip(seeds("runs/smaller/compact"), seeds("runs/variants/all"), strict=True),
+    *zip(seeds("runs/smaller/compact"), seeds("runs/networks/compact"), strict=True),
     *zip(seeds("runs/smaller/compact_small"), seeds("runs/networks/compact_small"), strict=True),
 )
 
-COMPACT_LINKS: Final[Links] = tuple(zip(seeds("runs/networks/compact"), seeds("runs/variants/all"), strict=True))
-"""`compact` of the table of networks is the training on `all` among the fifteen."""
-
 ABLATION_LINKS: Final[Links] = (
-    *zip(seeds("runs/ablation/all"), seeds("runs/variants/all"), strict=True),
+    *zip(seeds("runs/ablation/all"), seeds("runs/networks/compact"), strict=True),
     *(
         pair
         for row, name in _ROWS_OF_NETWORKS.items()
@@ -106,8 +118,16 @@ def sets() -> Iterator[Step]:
 def trainings() -> Iterator[Step]:
     """Steps that train, in an order in which the results that need few trainings come first."""
     for seed, variant in itertools.product(range(SEEDS), VARIANTS):
-        yield _training(f"runs/variants/{variant}-{seed}", OPEN, "--variant", variant, seed=seed)
-    for (name, options), seed in itertools.product(NETWORKS.items(), range(SEEDS)):
+        yield _training(
+            f"runs/kinect/{variant}-{seed}", KINECT, *_TINY, "--variant", variant, seed=seed, scale=_COMPARED
+        )
+    for seed, (name, sensor) in itertools.product(range(SEEDS), SENSOR_RUNS.items()):
+        yield _training(f"runs/kinect/{name}-{seed}", KINECT, "--sensor", sensor, seed=seed, scale=_SMALL)
+    for seed, either in itertools.product(range(SEEDS), ("none", "all")):
+        yield _training(f"runs/paper/{either}-{seed}", PAPER, "--variant", either, seed=seed, scale=_SMALL)
+    for name, either in zip(FINE_RUNS, ("none", "noise"), strict=True):
+        yield _training(name, KINECT, *_FINE, "--variant", either, seed=0, scale=_COMPARED)
+    for (name, options), seed in itertools.product([("compact", ()), *NETWORKS.items()], range(SEEDS)):
         yield _training(f"runs/networks/{name}-{seed}", OPEN, *options, seed=seed)
     for (name, options), seed in itertools.product(SMALLER.items(), range(SEEDS)):
         yield _training(f"runs/smaller/{name}-{seed}", OPEN, *options, seed=seed)
@@ -125,9 +145,9 @@ def trainings() -> Iterator[Step]:
     yield _sensor_training("all")
 
 
-def _training(name: str, data: str, *options: str, seed: int) -> Step:
+def _training(name: str, data: str, *options: str, seed: int, scale: tuple[str, ...] = (*_SHORT, _STILL)) -> Step:
     chosen = (*options, *(("--seed", str(seed)) if seed else ()))
-    words = ("bodyseg", "train", "--data", data, "--out", name, *_SHORT, _STILL, *chosen, *_HOW)
+    words = ("bodyseg", "train", "--data", data, "--out", name, *scale, *chosen, *_HOW)
     return Step(name, "training", words)
 
 

@@ -61,9 +61,14 @@ def loader_costs(data: str) -> Tree:
     """Time of a sample in the loader, from shard to image: the base, no artifact, and each row that differs in them."""
     known = [ROW_OF_BASE, replace(ROW_OF_BASE, name="none", variant="none")]
     known += [row for row in ROWS if row.group in ("artifacts", "sub-kinds")]
-    images = {each.name: RangeImages(data, each.variant, "train", sensor=each.sensor) for each in known}
-    camera = images[BASE].manifest.rig.camera
-    indices = evenly_spaced(range(len(images[BASE])), SAMPLES)
+    return loading_ms({each.name: RangeImages(data, each.variant, "train", sensor=each.sensor) for each in known})
+
+
+def loading_ms(images: Mapping[str, RangeImages]) -> Tree:
+    """Time of a sample in the loader, from shard to image, of one set opened in several ways."""
+    one = next(iter(images.values()))
+    camera = one.manifest.rig.camera
+    indices = evenly_spaced(range(len(one)), SAMPLES)
     image, labels = (np.empty((camera.rows, camera.columns), kind) for kind in (np.uint16, np.uint8))
 
     def read(chosen: RangeImages) -> None:

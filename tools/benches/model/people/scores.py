@@ -20,6 +20,7 @@ from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.meshes.landmarks import LANDMARKS_FORMAT
 from bodyseg_data.packing import Packing, pack
 from bodyseg_data.packing.sampler import body_key
+from bodyseg_data.rigs import Rig, load_rig
 from bodyseg_data.samples import ViewGrid, split_key
 from bodyseg_model.evaluation import ConfusionMatrix, count_pairs, evaluate, open_images, pairs_of
 from bodyseg_model.evaluation.evaluation import PredictedImage
@@ -36,10 +37,10 @@ Key = tuple[str, str, str]
 """Person, pose and key of an image."""
 
 
-def packed_views(bodies: Sequence[Annotated], views: int, folder: Path) -> dict[str, Annotated]:
+def packed_views(bodies: Sequence[Annotated], views: int, folder: Path, rig: Rig | None = None) -> dict[str, Annotated]:
     """Pack test images of the bodies, from all round, into `folder`/set; returns the beginning of keys -> body.
 
-    Raises the errors of `pack`.
+    rig: by default the paper's. Raises the errors of `pack`.
     """
     meshes = folder / "meshes"
     by_file: dict[str, Annotated] = {}
@@ -53,7 +54,7 @@ def packed_views(bodies: Sequence[Annotated], views: int, folder: Path) -> dict[
         (home / "body.json").write_text(json.dumps(table), encoding="utf-8")
         by_file[home.name] = body
     grid = ViewGrid(azimuths=_AZIMUTHS, span_deg=_SPAN_DEG, count=views)
-    packing = Packing(_SOURCE, path=meshes, units="m", up="y", views=grid)
+    packing = Packing(_SOURCE, path=meshes, units="m", up="y", views=grid, rig=rig or load_rig())
     with ThreadPoolExecutor(1) as executor:
         pack(packing, folder / "set", executor, 1)
     listed = open_source(_SOURCE, meshes, None, "m", "y").bodies()

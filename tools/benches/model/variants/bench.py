@@ -1,25 +1,36 @@
-"""`bench variants`: the gain of training with each artifact, and the robustness that it gives (Figs. 7 and 8).
+"""`bench variants`: the gain of training with each artifact, and the robustness that it gives (Figs. 6 to 9).
 
 One network for each of the five variants and each seed, alike in everything else, is evaluated on the test images of
-all five variants and on two sweeps of exact strengths. docs/results/variants.md says how to read the results.
+all five variants, on two sweeps of exact strengths and on real frames. docs/results/variants.md says how to read the
+results.
 """
 
 from __future__ import annotations
 
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import torch
 
+from benches.model.ablation.conditions import AblationCondition, hard_condition
+from benches.model.ablation.costs import loading_ms
 from benches.model.chosen import parameters
+from benches.model.people.bodies import annotated_bodies
+from benches.model.people.scores import packed_views
 from benches.model.variants.claims import ScoresOf, Tree, accuracies, claims
-from benches.model.variants.runs import NETWORK, Plan, Run, common_plan, origin, runs_in, train
-from benches.model.variants.scores import SWEEPS, SWEEPS_ALONE, TABLE, Condition, Evaluator, Sweep
+from benches.model.variants.real import RealFrames, Shown, Values
+from benches.model.variants.runs import NETWORK, Plan, Run, common_plan, origin, other_runs, runs_in, train
+from benches.model.variants.scores import SWEEPS, TABLE, Condition, Evaluator, Sweep
+from benches.model.variants.verdicts import REAL, RULE, Scores, differences, verdicts
 from bodyseg_data.artifacts import VARIANTS, VariantName
 from bodyseg_data.core import BadConfig, NotedProgress, check_int, silent
+from bodyseg_data.loading import RangeImages
+from bodyseg_data.rigs import Rig
 from bodyseg_model.evaluation import over_seeds
 from bodyseg_model.networks import build, find_device, load_network
 from bodyseg_model.training import Metrics
@@ -28,6 +39,19 @@ from bodyseg_model.training.distributed import ProcessGroup
 _PASSES: Final = 3
 """Forward passes that take as long as training on one image: one forward, and a backward of about two."""
 
+_ACCURACY: Final = "average_per_class_accuracy"
+_REAL_IMAGES: Final = 130  # that a network labels of all recordings, for the progress
+_PEOPLE_VIEWS: Final = 6
+_PEOPLE_POSES: Final = 10
+
+
+class Results(dict[str, Any]):
+    """The figures, and beside them, for the picture alone, real frames with labels, which no file holds."""
+
+    def __init__(self, content: dict[str, Any], shown: Sequence[Shown]) -> None:
+        super().__init__(content)
+        self.shown = shown
+
 
 def bench_variants(
     data: str,
@@ -35,56 +59,140 @@ def bench_variants(
     seeds: int = 3,
     steps: int | None = None,
     images: int = 500,
-    alone: bool = False,
+    only_finished: bool = False,
+    real: Path | None = None,
+    hard: str | None = None,
+    people: Path | None = None,
     progress: NotedProgress = silent,
-) -> dict[str, Any]:
-    """Train what is missing in the folder `runs`, then evaluate every network on the first `images` of `data`.
+) -> Results:
+    """Train what is missing in the first folder of `runs`, then evaluate every network on the first `images` of `data`.
 
     Trainings are RUNS/VARIANT-SEED, carry on where they were cut, and share the recipe of those that are there, or else
-    the preset's. Scores are kept in each run's cached_results.json. alone: sweep noise and missing data by themselves,
-    too.
+    the preset's. Others of that recipe are further rows: NAME-SEED in the first folder, and those of the further
+    folders, of any rig, which real frames alone can compare. Scores are kept in each run's cached_results.json.
 
-    Raises BadConfig for more than one folder, wrong numbers, or trainings that differ in more than variant and seed;
-    otherwise as training and evaluating do.
+    only_finished: train nothing. real: folder of recordings, see `RealFrames`. hard: a set of hard poses of the same
+    rig. people: folder of meshes with landmarks, see `annotated_bodies`.
+
+    Raises BadConfig for wrong numbers, no finished training where nothing is to be trained, or trainings that differ in
+    more than they may; otherwise as training and evaluating do.
     """
-    if len(runs) != 1:
-        raise BadConfig(f"bench variants keeps its trainings in one folder, found {len(runs)} with --runs")
     check_int("the number of test images", images, 1)
-    trainings = runs_in(runs[0], seeds)
-    plan = common_plan(trainings, data, steps)
-    sweeps = SWEEPS | (SWEEPS_ALONE if alone else {})
-    swept = (condition for sweep in sweeps.values() for condition in sweep.conditions)
-    conditions = list(dict.fromkeys([*TABLE.values(), *swept]))
-    evaluator = Evaluator(data, images)
-    test_images = min(images, len(evaluator.images(conditions[0])))
-    work = _Progress(trainings, plan, test_images * len(conditions), progress)
+    planned = runs_in(runs[0], seeds)
+    trainings = [run for run in planned if run.finished] if only_finished else planned
+    if not trainings:
+        raise BadConfig(f"--only-finished needs finished trainings VARIANT-SEED, found none in {runs[0]}")
+    others = other_runs(runs, seeds)
+    plan = common_plan([*trainings, *others], data, steps)
+    recordings = None if real is None else RealFrames(real, runs[0] / "real_labels.npz")
+    work = _Work(data, trainings, others, plan, images, recordings, progress)
+    with ExitStack() as stack:
+        if hard is not None:
+            work.more.append(hard_condition(hard))
+        if people is not None:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+            packed_views(annotated_bodies(people, _PEOPLE_POSES), _PEOPLE_VIEWS, folder, work.rig)
+            more = AblationCondition("none", label="people", title="scanned people", data=str(folder / "set"))
+            work.more.append(more)
+        measured = _measured(work)
+    measured["missing"] = [run.name for run in planned if not run.finished]
+    shown = () if recordings is None else recordings.shown({run.row: run.path for run in reversed(trainings)})
+    return Results(measured, shown)
+
+
+class _Work:
+    """What is compared, and on what. rendered: trainings that rendered test images can compare, of the set's rig."""
+
+    def __init__(
+        self,
+        data: str,
+        trainings: list[Run],
+        others: list[Run],
+        plan: Plan,
+        images: int,
+        recordings: RealFrames | None,
+        progress: NotedProgress,
+    ) -> None:
+        self.data, self.trainings, self.plan, self.images = data, trainings, plan, images
+        self.recordings, self.progress = recordings, progress
+        self.everything = [*trainings, *others]
+        self.rendered = [run for run in self.everything if not run.elsewhere]
+        self.sensors = {run.row: run.sensor for run in self.rendered if run.variant is None}
+        self.evaluator = Evaluator(data, images)
+        self.manifest = self.evaluator.images(TABLE["none"]).manifest
+        self.test_images = min(images, len(self.evaluator.images(TABLE["none"])))
+        self.more: list[AblationCondition] = [
+            AblationCondition("all", label=row, sensor=sensor) for row, sensor in self.sensors.items()
+        ]
+
+    def __repr__(self) -> str:
+        return f"_Work({len(self.everything)} trainings, {self.test_images} images)"
+
+    @property
+    def rig(self) -> Rig:
+        return self.manifest.rig
+
+    def tests(self) -> dict[str, Condition]:
+        """The conditions of the rule, by name. Raises BadConfig for a set of another rig."""
+        for condition in self.more:
+            found = self.evaluator.images(condition).manifest.rig
+            if found != self.rig:
+                raise BadConfig(f"test images '{condition.name}' must be of rig {self.rig.name}, found {found.name}")
+        swept = {"noise of 40 mm": SWEEPS["noise"].at(40), "half missing": SWEEPS["missing"].at(0.5)}
+        swept["flat"] = Condition("none", flat=True)
+        variants = {str(variant): condition for variant, condition in TABLE.items()}
+        return {**variants, **swept, **{condition.name: condition for condition in self.more}}
+
+    def ms(self) -> Tree:
+        """Processor time of a sample in the loader, by row."""
+        ways = {str(variant): RangeImages(self.data, variant, "train") for variant in VARIANTS}
+        ways |= {name: RangeImages(self.data, "all", "train", sensor=each) for name, each in self.sensors.items()}
+        return loading_ms(ways)
+
+
+def _measured(work: _Work) -> dict[str, Any]:
     start = time.perf_counter()
+    tests = work.tests()
+    swept = (condition for sweep in SWEEPS.values() for condition in sweep.conditions)
+    conditions: list[Condition] = list(dict.fromkeys([*tests.values(), *swept]))
+    bar = _Progress(work, len(conditions))
     device = find_device()
-    for run in work.missing:
-        train(run, plan, data, ProcessGroup(0, 1, device), work.report(run))
-        work.trained(run)
+    for run in bar.missing:
+        train(run, work.plan, work.data, ProcessGroup(0, 1, device), bar.report(run))
+        bar.trained(run)
     found: dict[tuple[Run, Condition], Tree] = {}
-    networks = {run: load_network(run.path) for run in trainings}
+    networks = {run: load_network(run.path) for run in work.rendered}
     for condition in conditions:  # the outer loop, so that every set of test images is opened once
         for run, trained in networks.items():
-            network = trained.network.to(device)
             extras = run.variant == "all" and condition == TABLE["all"]
-            found[run, condition] = evaluator.scores(run.path, network, condition, extras)
-            work.evaluated(run, condition, test_images)
+            found[run, condition] = work.evaluator.scores(run.path, trained.network.to(device), condition, extras)
+            bar.add(work.test_images, f"{run.name} on {condition.name}")
+    real: dict[Run, Mapping[str, Values]] = {}
+    for run in work.everything if work.recordings is not None else ():
+        real[run] = work.recordings.scores(run.path) if work.recordings is not None else {}
+        bar.add(_REAL_IMAGES, f"{run.row}-{run.seed} on real frames")
 
-    def scores_of(variant: VariantName, condition: Condition) -> list[Tree]:
-        return [found[run, condition] for run in trainings if run.variant == variant]
+    def scores_of(seeds: Collection[int]) -> ScoresOf:
+        return lambda variant, condition: [
+            found[run, condition] for run in work.trainings if run.variant == variant and run.seed in seeds
+        ]
 
-    manifest = evaluator.images(conditions[0]).manifest
+    seeds = {variant: [run.seed for run in work.trainings if run.variant == variant] for variant in VARIANTS}
+    trained_on = [variant for variant in VARIANTS if seeds[variant]]
+    everyone = scores_of({seed for each in seeds.values() for seed in each})
+    measures = _measures(found, tests, real)
+    loading = work.ms()
+    manifest, plan = work.manifest, work.plan
     return {
         "scale": {
             "steps": plan.recipe.steps,
             "images_a_step": _images_a_step(plan),
             "train_images": manifest.samples("train"),
-            "test_images": test_images,
+            "test_images": work.test_images,
             "test_images_of": manifest.samples("test"),
-            "image": [manifest.rig.camera.rows, manifest.rig.camera.columns],
-            "seeds": seeds,
+            "image": [work.rig.camera.rows, work.rig.camera.columns],
+            "rig": work.rig.name,
+            "seeds": max(map(len, seeds.values())),
         },
         "network": NETWORK,
         "parameters": parameters(build(NETWORK, plan.settings)),
@@ -95,24 +203,57 @@ def bench_variants(
         "threads": torch.get_num_threads(),
         "seconds": round(time.perf_counter() - start, 1),
         "table": {
-            variant: {test: over_seeds(accuracies(scores_of, variant, condition)) for test, condition in TABLE.items()}
-            for variant in VARIANTS
+            row: {test: over_seeds([*each[test].values()]) for test in tests}
+            for row, each in measures.items()
+            if "none" in each
         },
-        "subsets": _subsets(scores_of),
-        "sweeps": {name: _curves(scores_of, sweep) for name, sweep in sweeps.items()},
-        "claims": claims(scores_of, alone),
-        "networks": [origin(run.path) for run in trainings],
+        "subsets": _subsets(everyone, trained_on),
+        "sweeps": {name: _curves(everyone, sweep, trained_on) for name, sweep in SWEEPS.items()},
+        "real": {
+            row: {
+                name.removeprefix(REAL): over_seeds([*seeds.values()]) for name, seeds in each.items() if REAL in name
+            }
+            for row, each in measures.items()
+        },
+        "differences": {base: differences(measures, base) for base in ("none", "all")},
+        "loader": loading,
+        "rule": RULE,
+        "verdicts": verdicts(measures, {row: each["ms"] for row, each in loading.items()}),
+        "claims": claims(scores_of, seeds, measures if real else None),
+        "networks": [origin(run.path) for run in work.everything],
     }
+
+
+def _measures(
+    found: Mapping[tuple[Run, Condition], Tree],
+    tests: Mapping[str, Condition],
+    real: Mapping[Run, Mapping[str, Values]],
+) -> Scores:
+    """Row -> measure -> seed -> value: accuracy on rendered images, every measure on real frames."""
+    rows: dict[str, dict[str, dict[int, float]]] = {}
+
+    def add(run: Run, name: str, value: float) -> None:
+        rows.setdefault(run.row, {}).setdefault(name, {})[run.seed] = value
+
+    named = {condition: name for name, condition in tests.items()}
+    for (run, condition), scores in found.items():
+        if condition in named:
+            add(run, named[condition], scores[_ACCURACY])
+    for run, recordings in real.items():
+        for recording, values in recordings.items():
+            for name, value in values.items():
+                add(run, f"{REAL}{recording}, {name}", value)
+    return rows
 
 
 def _images_a_step(plan: Plan) -> int:
     return plan.recipe.batch_size * plan.recipe.accumulate
 
 
-def _curves(scores_of: ScoresOf, sweep: Sweep) -> Tree:
+def _curves(scores_of: ScoresOf, sweep: Sweep, trained_on: Sequence[VariantName]) -> Tree:
     others = list(VARIANTS[sweep.conditions[0].variant])
     curves = {}
-    for variant in VARIANTS:
+    for variant in trained_on:
         points = [over_seeds(accuracies(scores_of, variant, condition)) for condition in sweep.conditions]
         seeds = [list(values) for values in zip(*(point["seeds"] for point in points), strict=True)]
         curves[variant] = {name: [point[name] for point in points] for name in ("mean", "sd")} | {"seeds": seeds}
@@ -124,10 +265,10 @@ def _curves(scores_of: ScoresOf, sweep: Sweep) -> Tree:
     }
 
 
-def _subsets(scores_of: ScoresOf) -> Tree:
+def _subsets(scores_of: ScoresOf, trained_on: Sequence[VariantName]) -> Tree:
     """Accuracy on each subset of the test images of `all`, by training variant (Fig. 6); null for one too small."""
     found: Tree = {}
-    for variant in VARIANTS:
+    for variant in trained_on:
         rows = [each["subsets"] for each in scores_of(variant, TABLE["all"])]
         values = {name: [row[name]["average_per_class_accuracy"] for row in rows] for name in rows[0]}
         found[variant] = {name: None if None in each else over_seeds(each) for name, each in values.items()}
@@ -138,33 +279,32 @@ def _subsets(scores_of: ScoresOf) -> Tree:
 class _Progress:
     """Progress of the whole bench, counted in images that networks have processed."""
 
-    trainings: list[Run]
-    plan: Plan
-    images_a_network: int
-    progress: NotedProgress
+    work: _Work
+    conditions: int
     done: int = 0
 
     def __post_init__(self) -> None:
-        self.missing = [run for run in self.trainings if not run.finished]
-        self._total = len(self.missing) * self._of_training(self.plan.recipe.steps)
-        self._total += len(self.trainings) * self.images_a_network
+        work = self.work
+        self.missing = [run for run in work.trainings if not run.finished]
+        self._total = len(self.missing) * self._of_training(work.plan.recipe.steps)
+        self._total += len(work.rendered) * self.conditions * work.test_images
+        self._total += len(work.everything) * _REAL_IMAGES if work.recordings is not None else 0
 
     def _of_training(self, steps: int) -> int:
-        return _PASSES * _images_a_step(self.plan) * steps
+        return _PASSES * _images_a_step(self.work.plan) * steps
 
     def report(self, run: Run) -> Callable[[Metrics], None]:
+        progress, plan = self.work.progress, self.work.plan
+
         def show(figures: Metrics) -> None:
-            note = f"training {run.name}, step {figures.step} of {self.plan.recipe.steps}, per class "
-            self.progress(self.done + self._of_training(figures.step), self._total, f"{note}{figures.accuracy:.1%}")
+            note = f"training {run.name}, step {figures.step} of {plan.recipe.steps}, per class "
+            progress(self.done + self._of_training(figures.step), self._total, f"{note}{figures.accuracy:.1%}")
 
         return show
 
     def trained(self, run: Run) -> None:
-        self._add(self._of_training(self.plan.recipe.steps), f"trained {run.name}")
+        self.add(self._of_training(self.work.plan.recipe.steps), f"trained {run.name}")
 
-    def evaluated(self, run: Run, condition: Condition, images: int) -> None:
-        self._add(images, f"{run.name} on {condition.name}")
-
-    def _add(self, images: int, note: str) -> None:
+    def add(self, images: int, note: str) -> None:
         self.done += images
-        self.progress(self.done, self._total, note)
+        self.work.progress(self.done, self._total, note)

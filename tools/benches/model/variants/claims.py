@@ -1,4 +1,4 @@
-"""Claims of section 4 of the paper about Figs. 5 to 8, as statements that our figures bear out or do not.
+"""Claims of section 4 of the paper about Figs. 5 to 9, as statements that our figures bear out or do not.
 
 Where the paper gives no number ("highly robust"), the bound is ours and stands in the statement. A statement is tested
 by means over seeds; differences are taken between networks of one seed.
@@ -7,10 +7,11 @@ by means over seeds; differences are taken between networks of one seed.
 from __future__ import annotations
 
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Final
 
-from benches.model.variants.scores import SWEEPS, SWEEPS_ALONE, TABLE, Condition, Sweep
+from benches.model.variants.scores import SWEEPS, TABLE, Condition, Sweep
+from benches.model.variants.verdicts import REAL, Scores, above, differences, lower_is_better
 from bodyseg_data.artifacts import VARIANTS, VariantName
 from bodyseg_model.evaluation import over_seeds
 
@@ -31,21 +32,22 @@ def accuracies(scores_of: ScoresOf, variant: VariantName, condition: Condition) 
     return [found[_ACCURACY] for found in scores_of(variant, condition)]
 
 
-def claims(scores_of: ScoresOf, alone: bool) -> list[Tree]:
+def claims(
+    scores_of: Callable[[Collection[int]], ScoresOf],
+    seeds: Mapping[VariantName, Collection[int]],
+    real: Scores | None = None,
+) -> list[Tree]:
     """Every statement with the section it is from, the paper's number if it gives one, ours, and whether it holds.
 
-    holds: None where a subset that it needs is missing. alone: whether the sweeps without other artifacts were
-    measured.
+    scores_of: for some seeds, which all variants that a statement is about have. seeds: those of each variant's
+    networks; statements about variants that have none in common are left out. real: scores on real frames, if there
+    are any. holds: None where a subset that it needs is missing.
     """
-    return [
-        *_whole_set(scores_of),
-        *_edges(scores_of),
-        *_confidence(scores_of),
-        *_subsets(scores_of),
-        *_noise(scores_of, alone),
-        *_missing_data(scores_of, alone),
-        *_everything(scores_of),
-    ]
+    found = []
+    for statements, variants in _STATEMENTS:
+        common = set.intersection(*(set(seeds.get(variant, ())) for variant in variants))
+        found += statements(scores_of(common)) if common else []
+    return found + (_real(real) if real is not None else [])
 
 
 def _claim(section: str, statement: str, paper: Any, ours: Any, holds: bool | None) -> Tree:
@@ -61,12 +63,13 @@ def _whole_set(scores_of: ScoresOf) -> list[Tree]:
 def _edges(scores_of: ScoresOf) -> list[Tree]:
     wrong, pixels = [], []
     for found in scores_of("all", TABLE["all"]):
-        bins = {row["distance"]: row for row in found["border_distance_px"]}
-        count = {name: row["pixels"] * (row["wrong"] or 0) for name, row in bins.items()}
-        wrong.append(sum(count[name] for name in _EDGE_BINS) / max(1, sum(count.values())))
-        pixels.append(
-            sum(bins[name]["pixels"] for name in _EDGE_BINS) / max(1, sum(row["pixels"] for row in bins.values()))
+        rows = [
+            (row["distance"] in _EDGE_BINS, row["pixels"], row["wrong"] or 0) for row in found["border_distance_px"]
+        ]
+        wrong.append(
+            sum(at * count * share for at, count, share in rows) / max(1, sum(n * each for _, n, each in rows))
         )
+        pixels.append(sum(at * count for at, count, _ in rows) / max(1, sum(count for _, count, _ in rows)))
     ours = {"wrong_pixels_at_edges": over_seeds(wrong), "all_pixels_at_edges": over_seeds(pixels)}
     statement = "most of the wrong pixels lie at edges of parts: within 4 pixels (13 mm) of another part"
     return [_claim("4.1, Fig. 5", statement, None, ours, ours["wrong_pixels_at_edges"]["mean"] > 0.5)]
@@ -75,26 +78,17 @@ def _edges(scores_of: ScoresOf) -> list[Tree]:
 def _confidence(scores_of: ScoresOf) -> list[Tree]:
     found = scores_of("all", TABLE["all"])
     above = [each["confidence"]["above_70_percent"] for each in found]
-    before, after = (
-        over_seeds([each[_ACCURACY] for each in found]),
-        over_seeds([each[_ACCURACY] or 0 for each in above]),
-    )
+    before = over_seeds([each[_ACCURACY] for each in found])
+    after = over_seeds([each[_ACCURACY] or 0 for each in above])
     dropped = over_seeds([1 - each["share_of_pixels"] for each in above])
+    paper, ours = ({first: one, "its pixels above 70 %": other} for first, one, other in (
+        ("one image", 0.911, 0.978), ("test set", before, after)
+    ))  # fmt: skip
+    higher = "without the pixels of less than 70 % confidence, accuracy is higher"
+    share = "that discards no more than 18 % of the test set's pixels"
     return [
-        _claim(
-            "4.1, Fig. 5",
-            "without the pixels of less than 70 % confidence, accuracy is higher",
-            {"one image": 0.911, "its pixels above 70 %": 0.978},
-            {"test set": before, "its pixels above 70 %": after},
-            after["mean"] > before["mean"],
-        ),
-        _claim(
-            "4.1, Fig. 5",
-            "that discards no more than 18 % of the test set's pixels",
-            0.18,
-            dropped,
-            dropped["mean"] <= 0.18,
-        ),
+        _claim("4.1, Fig. 5", higher, paper, ours, after["mean"] > before["mean"]),
+        _claim("4.1, Fig. 5", share, 0.18, dropped, dropped["mean"] <= 0.18),
     ]
 
 
@@ -108,87 +102,53 @@ def _subsets(scores_of: ScoresOf) -> list[Tree]:
     }
     means = {name: value["mean"] for name, value in ours.items()}
     best = max(means, key=lambda name: means[name])
+    people = "of all subsets, the one of many people in one posture (CAESAR; here: people) is segmented best"
+    postures = "subject A, of many postures, is segmented worse than the whole test set"
+    a = {"A": means.get("A"), "test set": round(whole, 5)}
+    papers_a = {"A": 0.781, "test set": 0.813}
     return [
-        _claim(
-            "4.1, Fig. 6",
-            "of all subsets, the one of many people in one posture (CAESAR; here: people) is segmented best",
-            None,
-            ours,
-            best == "people" if "people" in means else None,
-        ),
-        _claim(
-            "4.1, Fig. 6",
-            "subject A, of many postures, is segmented worse than the whole test set",
-            {"A": 0.781, "test set": 0.813},
-            {"A": means.get("A"), "test set": round(whole, 5)},
-            means["A"] < whole if "A" in means else None,
-        ),
+        _claim("4.1, Fig. 6", people, None, ours, best == "people" if "people" in means else None),
+        _claim("4.1, Fig. 6", postures, papers_a, a, means["A"] < whole if "A" in means else None),
     ]
 
 
-def _noise(scores_of: ScoresOf, alone: bool) -> list[Tree]:
+def _noise(scores_of: ScoresOf) -> list[Tree]:
     sweep = SWEEPS["noise"]
-    lost = _lost(scores_of, ("noise", "all"), sweep, _SIGMA_MM)
-    others = _lost(scores_of, ("none", "occ", "md"), sweep, _SIGMA_MM)
+    others = (
+        f"so do networks that never saw noise, at most {{}} points at {_SIGMA_MM} mm: robustness is 'implicitly "
+        "embedded in the architecture'"
+    )
     gains = _gains(scores_of, sweep)
-    found = [
-        _loses_little("4.2, Fig. 7", f"noise and all lose at most {{}} points at a sigma of {_SIGMA_MM} mm", lost),
-        _loses_little(
-            "4.2",
-            f"so do networks that never saw noise, at most {{}} points at {_SIGMA_MM} mm: robustness is 'implicitly "
-            "embedded in the architecture'",
-            others,
-        ),
-        _claim(
-            "4.2",
-            "over this sweep, training with missing data and training with occlusions each gain more on none than "
-            "training with noise does",
-            None,
-            {"points gained on none": gains},
-            min(gains["md"]["mean"], gains["occ"]["mean"]) > gains["noise"]["mean"],
-        ),
+    more = (
+        "over this sweep, training with missing data and training with occlusions each gain more on none than "
+        "training with noise does"
+    )
+    holds = min(gains["md"]["mean"], gains["occ"]["mean"]) > gains["noise"]["mean"]
+    own = f"noise and all lose at most {{}} points at a sigma of {_SIGMA_MM} mm"
+    return [
+        _loses_little("4.2, Fig. 7", own, _lost(scores_of, ("noise", "all"), sweep, _SIGMA_MM)),
+        _loses_little("4.2", others, _lost(scores_of, ("none", "occ", "md"), sweep, _SIGMA_MM)),
+        _claim("4.2", more, None, {"points gained on none": gains}, holds),
     ]
-    if alone:
-        lost = _lost(scores_of, ("noise", "all"), SWEEPS_ALONE["noise_alone"], _SIGMA_MM)
-        statement = f"without other artifacts, noise and all lose at most {{}} points at a sigma of {_SIGMA_MM} mm"
-        found.append(_loses_little("4.2", statement, lost))
-    return found
 
 
-def _missing_data(scores_of: ScoresOf, alone: bool) -> list[Tree]:
+def _missing_data(scores_of: ScoresOf) -> list[Tree]:
     sweep = SWEEPS["missing"]
-    start, half = _at(sweep, 0), _at(sweep, _MISSING)
+    half = f"{_MISSING:.0%} missing".replace("%", " %")
     none = {
-        "0 % missing": over_seeds(accuracies(scores_of, "none", start)),
-        "50 % missing": over_seeds(accuracies(scores_of, "none", half)),
+        name: over_seeds(accuracies(scores_of, "none", sweep.at(share)))
+        for name, share in (("0 % missing", 0), (half, _MISSING))
     }
+    collapses = "trained on none, accuracy collapses: at 50 % missing data it is less than half of that at 0 %"
     gains = _gains(scores_of, sweep)
-    found = [
-        _claim(
-            "4.3, Fig. 8",
-            "trained on none, accuracy collapses: at 50 % missing data it is less than half of that at 0 %",
-            None,
-            none,
-            none["50 % missing"]["mean"] < none["0 % missing"]["mean"] / 2,
-        ),
-        _loses_little(
-            "4.3, Fig. 8",
-            "md and all lose at most {} points at 50 % missing data",
-            _lost(scores_of, ("md", "all"), sweep, _MISSING),
-        ),
-        _claim(
-            "4.3",
-            "over this sweep, training with missing data gains most on none, training with occlusions less, but gains",
-            None,
-            {"points gained on none": gains},
-            gains["md"]["mean"] > gains["occ"]["mean"] > 0,
-        ),
+    most = "over this sweep, training with missing data gains most on none, training with occlusions less, but gains"
+    lost = _lost(scores_of, ("md", "all"), sweep, _MISSING)
+    holds = gains["md"]["mean"] > gains["occ"]["mean"] > 0
+    return [
+        _claim("4.3, Fig. 8", collapses, None, none, none[half]["mean"] < none["0 % missing"]["mean"] / 2),
+        _loses_little("4.3, Fig. 8", "md and all lose at most {} points at 50 % missing data", lost),
+        _claim("4.3", most, None, {"points gained on none": gains}, holds),
     ]
-    if alone:
-        lost = _lost(scores_of, ("md", "all"), SWEEPS_ALONE["missing_alone"], _MISSING)
-        statement = "without other artifacts, md and all lose at most {} points at 50 % missing data"
-        found.append(_loses_little("4.3", statement, lost))
-    return found
 
 
 def _everything(scores_of: ScoresOf) -> list[Tree]:
@@ -202,13 +162,9 @@ def _everything(scores_of: ScoresOf) -> list[Tree]:
     return [_claim("4.2 to 4.4", statement, None, behind, holds)]
 
 
-def _at(sweep: Sweep, strength: float) -> Condition:
-    return sweep.conditions[sweep.strengths.index(strength)]
-
-
 def _lost(scores_of: ScoresOf, variants: Sequence[VariantName], sweep: Sweep, strength: float) -> Tree:
     """Points of accuracy between strength 0 and `strength`."""
-    ends = _at(sweep, 0), _at(sweep, strength)
+    ends = sweep.at(0), sweep.at(strength)
     found: Tree = {}
     for variant in variants:
         pairs = zip(*(accuracies(scores_of, variant, condition) for condition in ends), strict=True)
@@ -234,3 +190,42 @@ def _gains(scores_of: ScoresOf, sweep: Sweep) -> dict[str, Tree]:
         variant: over_seeds([100 * (ours - none) for ours, none in zip(means[variant], means["none"], strict=True)], 2)
         for variant in ("occ", "noise", "md")
     }
+
+
+_STATEMENTS: Final[Sequence[tuple[Callable[[ScoresOf], list[Tree]], Sequence[VariantName]]]] = (
+    (_whole_set, ("all",)),
+    (_edges, ("all",)),
+    (_confidence, ("all",)),
+    (_subsets, ("all",)),
+    (_noise, tuple(VARIANTS)),
+    (_missing_data, tuple(VARIANTS)),
+    (_everything, tuple(VARIANTS)),
+)
+"""Statements on rendered images, and the variants whose networks they are about."""
+
+
+def _real(scores: Scores) -> list[Tree]:
+    found = []
+    means = {
+        variant: {
+            name: statistics.mean(seeds.values())
+            for name, seeds in scores[variant].items()
+            if REAL in name and not name.endswith("mean_mm")
+        }
+        for variant in VARIANTS
+        if variant in scores
+    }
+    if len(means) == len(VARIANTS):
+        ranked = {
+            name: sorted(means, key=lambda row: means[row][name], reverse=lower_is_better(name))
+            for name in means["none"]
+        }
+        statement = "on real frames, training without shadows and missing data (none, noise) is worst, by every measure"
+        holds = all({*order[:2]} == {"none", "noise"} for order in ranked.values())
+        found.append(_claim("4.4, Fig. 9", statement, None, {"from worst to best": ranked}, holds))
+    gains = {name: each for name, each in differences(scores, "none").get("all", {}).items() if REAL in name}
+    if gains:
+        statement = "on real frames, training with all artifacts is better than with none, beyond the spread of seeds"
+        holds = all(above(each) for each in gains.values())
+        found.append(_claim("4.4, 5", f"{statement}, by every measure", None, {"points better": gains}, holds))
+    return found

@@ -1,17 +1,19 @@
 """The trainings that `bench variants` compares: one for each variant and seed, alike in everything else.
 
 Trainings of one seed share first weights, order of the images, mirrors and the artifacts' draws, whatever their
-variant. So two of them differ by the artifacts alone.
+variant. So two of them differ by the artifacts alone. Beside them may stand trainings with other artifacts, and, in
+further folders, of another rig.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from benches.model.chosen import recipe_from_json
-from bodyseg_data.artifacts import VARIANTS, VariantName
+from bodyseg_data.artifacts import VARIANTS, SensorModel, VariantName, sensor_model_from_json
 from bodyseg_data.commands import last_name, provenance
 from bodyseg_data.core import BadConfig, check_int
 from bodyseg_data.files import read_json
@@ -26,16 +28,28 @@ RUN_OPTIONS: Final = RunOptions()
 
 @dataclass(frozen=True)
 class Run:
-    """One training and its folder."""
+    """One training and its folder.
 
-    variant: VariantName
+    variant: of the five; None for another, whose artifacts its card names. row: in the tables, by default the variant.
+    elsewhere: it lies in a further folder, and may be of another rig.
+    """
+
+    variant: VariantName | None
     seed: int
     path: Path
+    row: str = ""
+    elsewhere: bool = False
 
     @property
     def name(self) -> str:
-        """VARIANT-SEED, which is also the folder's name."""
+        """NAME-SEED, which is also the folder's name."""
         return self.path.name
+
+    @property
+    def sensor(self) -> SensorModel:
+        """The artifacts that a finished training was given, by its card. Raises BadConfig."""
+        artifacts = (read_json(self.path / "network.json").get("data") or {}).get("artifacts", [])
+        return sensor_model_from_json({"name": self.path.name, "artifacts": artifacts}, str(self.path))
 
     @property
     def finished(self) -> bool:
@@ -59,21 +73,32 @@ class Plan:
     data: dict[str, Any]
 
     def of(self, run: Run) -> dict[str, Any]:
-        """Facts that the card in the folder of `run` must have."""
-        return {
-            "network": NETWORK,
-            "settings": self.settings,
-            "recipe": self.recipe.to_json(),
-            "variant": run.variant,
-            "data": {**self.data, "variant": run.variant, "seed": run.seed},
-            "seed": run.seed,
-        }
+        """Facts that the card in the folder of `run` must have; of others than the variants, artifacts may differ."""
+        facts = {"network": NETWORK, "settings": self.settings, "recipe": self.recipe.to_json(), "seed": run.seed}
+        if run.variant is None:
+            return facts if run.elsewhere else {**facts, "set": self.data["set"]}
+        return {**facts, "variant": run.variant, "data": {**self.data, "variant": run.variant, "seed": run.seed}}
 
 
 def runs_in(folder: Path, seeds: int) -> list[Run]:
     """The trainings of every variant with seeds 0, 1 ..., all variants of a seed together. Raises BadConfig."""
     numbers = range(check_int("the number of seeds", seeds, 1))
-    return [Run(variant, seed, folder / f"{variant}-{seed}") for seed in numbers for variant in VARIANTS]
+    return [Run(variant, seed, folder / f"{variant}-{seed}", variant) for seed in numbers for variant in VARIANTS]
+
+
+def other_runs(folders: Sequence[Path], seeds: int) -> list[Run]:
+    """Finished trainings NAME-SEED of other names in the first folder, in rows NAME; all of the further folders, in
+    rows FOLDER/NAME.
+    """
+    found = []
+    for number, folder in enumerate(folders):
+        for path in sorted(folder.glob("*-*")):
+            name, _, seed = path.name.rpartition("-")
+            if not seed.isdecimal() or int(seed) >= seeds or (number == 0 and name in VARIANTS):
+                continue
+            run = Run(None, int(seed), path, f"{folder.name}/{name}" if number else name, bool(number))
+            found += [run] if run.finished else []
+    return found
 
 
 def common_plan(runs: list[Run], data: str, steps: int | None) -> Plan:
@@ -94,11 +119,12 @@ def common_plan(runs: list[Run], data: str, steps: int | None) -> Plan:
     else:
         shared = Plan(recipe_for(NETWORK, steps=steps), build(NETWORK).settings, identity)
     for run, plan in there:
+        found = {**plan, "set": (plan.get("data") or {}).get("set")}
         for name, wanted in shared.of(run).items():
-            if plan.get(name) != wanted:
+            if found.get(name) != wanted:
                 raise BadConfig(
                     f"trainings to compare differ in variant and seed alone: {name} of {run.path} is "
-                    f"{plan.get(name)!r}, expected {wanted!r}"
+                    f"{found.get(name)!r}, expected {wanted!r}"
                 )
     return shared
 
@@ -115,7 +141,7 @@ def train(run: Run, plan: Plan, data: str, processes: ProcessGroup, report: Repo
     Raises what `Training.run` raises.
     """
     network = build(NETWORK, plan.settings, run.seed)
-    images = RangeImages(data, run.variant, "train", run.seed)
+    images = RangeImages(data, run.variant or "all", "train", run.seed)
     training = Training(network, NETWORK, images, plan.recipe, RunFolder(run.path), processes, run.seed, RUN_OPTIONS)
     command = f"tools/bench variants --data {last_name(data)} --runs {run.path.parent.name}"
     training.run(True, report, provenance(command))

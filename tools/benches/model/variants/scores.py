@@ -8,13 +8,18 @@ with occlusions gains most, which it only can where test images have them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from benches.model.border_distance import BorderErrors
 from benches.result_cache import ResultCache, network_identity
 from bodyseg_data.artifacts import VARIANTS, VariantName
+from bodyseg_data.core import generator
 from bodyseg_data.loading import RangeImages
 from bodyseg_model.evaluation import evaluate, open_images, report
 from bodyseg_model.networks import Network, device_of
@@ -24,6 +29,8 @@ FILE: Final = "cached_results.json"
 
 SIGMAS_MM: Final = (0, 10, 20, 30, 40, 50, 60, 80, 100)
 MISSING: Final = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+GRAINS_PX: Final = (1, 4, 16, 64)
+GRAIN_MM: Final = 40
 
 _SEED: Final = 0  # of the tests' draws, whatever the training's was: all networks see the same images
 _BATCH: Final = 1  # as a sensor gives them
@@ -32,22 +39,63 @@ _KEPT: Final = ("images", "pixels", "average_per_class_accuracy", "pixel_accurac
 
 @dataclass(frozen=True)
 class Condition:
-    """Test images of one kind: a variant, with one strength of noise or of missing data for all if it is not None."""
+    """Test images of one kind: a variant, with one strength of noise or of missing data for all if it is not None.
+
+    grain_px: noise of `GRAIN_MM` that is equal over squares of so many pixels, on top of all else; 0 for none. flat:
+    the body is at one range, so that its outline alone is left.
+    """
 
     variant: VariantName
     noise_mm: float | None = None
     missing: float | None = None
+    grain_px: int = 0
+    flat: bool = False
 
     @property
     def name(self) -> str:
         """The condition in words."""
         strengths = [f"sigma {self.noise_mm:g} mm"] if self.noise_mm is not None else []
         strengths += [f"{self.missing:.0%} missing"] if self.missing is not None else []
+        strengths += [f"{GRAIN_MM} mm by {self.grain_px} px"] if self.grain_px else []
+        strengths += ["flat"] if self.flat else []
         return ", ".join([self.variant, *strengths])
 
     def open(self, data: str) -> RangeImages:
         """The images, of the test split."""
+        if self.grain_px or self.flat:
+            return ReliefImages(data, self)
         return open_images(data, self.variant, "test", _SEED, self.noise_mm, self.missing)
+
+
+class ReliefImages(RangeImages):
+    """Test images of a condition with a grain, or flat, as batches have them."""
+
+    def __init__(self, path: str, condition: Condition) -> None:
+        super().__init__(path, condition.variant, "test", _SEED)
+        self._grain_px, self._flat = condition.grain_px, condition.flat
+
+    def write(
+        self,
+        index: int,
+        epoch: int,
+        image: NDArray[np.uint16],
+        labels: NDArray[np.uint8],
+        planes: Sequence[NDArray[Any]] = (),
+    ) -> None:
+        """As `RangeImages.write`."""
+        super().write(index, epoch, image, labels, planes)
+        if self._flat:
+            image[image > 0] = np.median(image[image > 0])
+        if self._grain_px:
+            draws = generator(self.seed, epoch, self.clean(index).key, "grain")
+            sides = [-(-side // self._grain_px) for side in image.shape]
+            noise = draws.normal(0, GRAIN_MM / 1e3 / self.step_m, sides)
+            whole = noise.repeat(self._grain_px, 0).repeat(self._grain_px, 1)[: image.shape[0], : image.shape[1]]
+            image[...] = np.where(image > 0, np.clip(np.rint(image + whole), 1, 65535), 0)
+
+    def identity(self) -> dict[str, Any]:
+        """As `RangeImages.identity`, with what else is done to the images."""
+        return super().identity() | {"grain": [self._grain_px, GRAIN_MM], "flat": self._flat}
 
 
 @dataclass(frozen=True)
@@ -58,6 +106,10 @@ class Sweep:
     strengths: tuple[float, ...]
     conditions: tuple[Condition, ...]
 
+    def at(self, strength: float) -> Condition:
+        """The condition of one of the strengths."""
+        return self.conditions[self.strengths.index(strength)]
+
 
 TABLE: Final = {name: Condition(name) for name in VARIANTS}
 """The test sets of Table 1."""
@@ -65,14 +117,9 @@ TABLE: Final = {name: Condition(name) for name in VARIANTS}
 SWEEPS: Final = {
     "noise": Sweep("noise", SIGMAS_MM, tuple(Condition("all", noise_mm=sigma) for sigma in SIGMAS_MM)),
     "missing": Sweep("missing data", MISSING, tuple(Condition("all", missing=share) for share in MISSING)),
+    "grain": Sweep("grain of noise", GRAINS_PX, tuple(Condition("none", grain_px=size) for size in GRAINS_PX)),
 }
-"""Figs. 7 and 8: the other artifacts as in X_all."""
-
-SWEEPS_ALONE: Final = {
-    "noise_alone": Sweep("noise alone", SIGMAS_MM, tuple(Condition("noise", noise_mm=sigma) for sigma in SIGMAS_MM)),
-    "missing_alone": Sweep("missing data alone", MISSING, tuple(Condition("md", missing=share) for share in MISSING)),
-}
-"""The same without the other artifacts, which the paper does not show."""
+"""Figs. 7 and 8: the other artifacts as in X_all. And noise that a patch of pixels averages away, or does not."""
 
 
 class Evaluator:
