@@ -253,7 +253,8 @@ def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]
     across = face_normals(vertices, faces)
     sums = [np.bincount(faces.ravel(), np.repeat(across[:, axis], 3), len(vertices)) for axis in range(3)]
     normals = np.stack(sums, axis=1)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15)
+    units: NDArray[np.float64] = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15)
+    return units
 
 
 def signed_volumes(corners: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -47,7 +47,7 @@ def fitted_to(body: FittingBody, annotated: Annotated) -> Fitted:
     fitted = fit_body(body, annotated.mesh)
     seconds = time.process_time() - start
     landmarks, _ = nearest_corner(annotated.mesh.vertices, annotated.mesh.faces, annotated.points)
-    return Fitted(annotated, fitted, seconds, partition(annotated.mesh, landmarks))
+    return Fitted(annotated, fitted, seconds, partition(annotated.mesh, landmarks.astype(np.int64)))
 
 
 def carried(fitted: FittedBody, points: NDArray[np.float64]) -> NDArray[np.float64]:
