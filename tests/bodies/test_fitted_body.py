@@ -36,7 +36,7 @@ def body() -> FittingBody:
 
 
 def fitted(body: FittingBody, pose: str = "standing", scale: float = 1.1) -> FittedBody:
-    zeros = [torch.zeros(count).double() for count in (len(body.joints.deviation), len(body.head_shapes))]
+    zeros = [torch.zeros(count).double() for count in (len(body.deviation), len(body.head_shapes))]
     move = torch.tensor([0.3, -0.2, 0.5]).double()
     fit = Fit(body.start(dict(POSTURES)[pose]), move, torch.tensor(scale).double(), *zeros)
     vertices = fitted_points(body, fit, body.whole)[0]

@@ -74,7 +74,7 @@ def about_y(angle: float) -> np.ndarray:
 
 
 def fit_of(body: FittingBody, pose: str, **changes: torch.Tensor) -> Fit:
-    zeros = {"move": 3, "angles": len(body.joints.deviation), "shape": len(body.head_shapes)}
+    zeros = {"move": 3, "angles": len(body.deviation), "shape": len(body.head_shapes)}
     values = {name: torch.zeros(count).double() for name, count in zeros.items()} | {
         "scale": torch.tensor(1.0).double()
     }
@@ -102,8 +102,8 @@ def test_refining_finds_a_pose_that_was_changed_a_little(body: FittingBody) -> N
     wanted = fit_of(body, "a_pose", shape=torch.linspace(1, -1, len(body.head_shapes)).double())
     angles = (
         0.3
-        * body.joints.deviation
-        * torch.tensor([1.0, -1.0]).double().repeat(len(body.joints.deviation))[: len(body.joints.deviation)]
+        * body.deviation
+        * torch.tensor([1.0, -1.0]).double().repeat(len(body.deviation))[: len(body.deviation)]
     )
     angles[:3] = torch.tensor([0.1, 0.2, 0.0])
     begun = fit_of(body, "a_pose", angles=angles, move=torch.tensor([0.03, -0.02, 0.04]).double())

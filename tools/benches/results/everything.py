@@ -109,7 +109,18 @@ def _shipped() -> Iterator[Step]:
 
 def _trained() -> Iterator[Step]:
     """Networks that were trained for the comparison."""
-    words = ("--data", KINECT_SET, "--runs", "runs/kinect", "runs/paper", "--seeds", "3", "--images", "300")
+    words = (
+        "--data",
+        KINECT_SET,
+        "--runs",
+        "runs/kinect",
+        "runs/whole",
+        "--seeds",
+        "3",
+        "--images",
+        "200",
+        "--only-finished",
+    )
     on_real = ("--real", REAL, "--people", FAUST)
     yield _bench("variants", *words, *on_real, drawn=True, more=("variants_real.png",), alone=True)
     words = ("--data", KINECT_SET, "--runs", "runs/fine", "--seeds", "1", "--images", "300", "--only-finished")

@@ -19,7 +19,6 @@ DRESSED: Final = "sets/dressed233"
 BARE: Final = "sets/bare233"
 READ: Final = "sets/open200"
 KINECT: Final = "sets/kinect"
-PAPER: Final = "sets/paper"
 
 SETS: Final = {
     OPEN: ("open",),
@@ -28,12 +27,11 @@ SETS: Final = {
     BARE: ("bare", "--meshes", "233"),
     READ: ("open", "--meshes", "200", "--views", "54"),
     KINECT: ("open", "--rig", "kinect_v1", "--meshes", "500", "--views", "12"),
-    PAPER: ("open", "--rig", "paper", "--meshes", "500", "--views", "12"),
 }
 """Folder -> source, and further options of `bodyseg shard`."""
 
 _SHORT: Final = ("--steps", "1400", "--batch-size", "8")
-_COMPARED: Final = ("--steps", "1200", "--batch-size", "8", "--precision", "float32")
+_COMPARED: Final = ("--batch-size", "8", "--precision", "float32")
 _STILL: Final = "--no-geometric-augmentation"
 _HOW: Final = ("--threads", "1", "--num-workers", "1", "--checkpoint-every", "250", "--log-every", "50", "--resume")
 
@@ -77,6 +75,11 @@ def seeds(name: str) -> tuple[str, ...]:
 VARIANT_RUNS: Final = tuple(itertools.chain(*(seeds(f"runs/kinect/{variant}") for variant in VARIANTS)))
 """The fifteen trainings: five variants, three seeds each, of a rig of which there are real frames."""
 
+WHOLE_RUNS: Final = seeds("runs/whole/none")
+"""Trainings on whole bodies without artifacts, from which those of each seed start."""
+
+_STARTED: Final = ("--steps", "900", "--bust", "0.5")
+
 SENSOR_RUNS: Final = {"sensor": "kinect_v1", "phase_shift": "paper_phase_shift"}
 """Trainings beside the fifteen -> their sensor file."""
 
@@ -117,16 +120,15 @@ def sets() -> Iterator[Step]:
 
 def trainings() -> Iterator[Step]:
     """Steps that train, in an order in which the results that need few trainings come first."""
-    for seed, variant in itertools.product(range(SEEDS), VARIANTS):
-        yield _training(
-            f"runs/kinect/{variant}-{seed}", KINECT, *_TINY, "--variant", variant, seed=seed, scale=_COMPARED
-        )
-    for seed, (name, sensor) in itertools.product(range(SEEDS), SENSOR_RUNS.items()):
-        yield _training(f"runs/kinect/{name}-{seed}", KINECT, "--sensor", sensor, seed=seed, scale=_SMALL)
-    for seed, either in itertools.product(range(SEEDS), ("none", "all")):
-        yield _training(f"runs/paper/{either}-{seed}", PAPER, "--variant", either, seed=seed, scale=_SMALL)
+    for seed, run in enumerate(WHOLE_RUNS):
+        yield _training(run, KINECT, "--variant", "none", "--steps", "1200", seed=seed, scale=_SMALL)
+    rows = [(variant, "--variant", variant) for variant in VARIANTS]
+    rows += [(name, "--sensor", sensor) for name, sensor in SENSOR_RUNS.items()]
+    for seed, (name, *chosen) in itertools.product(range(SEEDS), rows):
+        start = ("--pretrained", WHOLE_RUNS[seed], *_STARTED)
+        yield _training(f"runs/kinect/{name}-{seed}", KINECT, *chosen, *start, seed=seed, scale=_SMALL)
     for name, either in zip(FINE_RUNS, ("none", "noise"), strict=True):
-        yield _training(name, KINECT, *_FINE, "--variant", either, seed=0, scale=_COMPARED)
+        yield _training(name, KINECT, *_FINE, "--variant", either, "--steps", "1200", seed=0, scale=_COMPARED)
     for (name, options), seed in itertools.product([("compact", ()), *NETWORKS.items()], range(SEEDS)):
         yield _training(f"runs/networks/{name}-{seed}", OPEN, *options, seed=seed)
     for (name, options), seed in itertools.product(SMALLER.items(), range(SEEDS)):
