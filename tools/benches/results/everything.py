@@ -109,22 +109,11 @@ def _shipped() -> Iterator[Step]:
 
 def _trained() -> Iterator[Step]:
     """Networks that were trained for the comparison."""
-    words = (
-        "--data",
-        KINECT_SET,
-        "--runs",
-        "runs/kinect",
-        "runs/whole",
-        "--seeds",
-        "3",
-        "--images",
-        "200",
-        "--only-finished",
-    )
-    on_real = ("--real", REAL, "--people", FAUST)
-    yield _bench("variants", *words, *on_real, drawn=True, more=("variants_real.png",), alone=True)
-    words = ("--data", KINECT_SET, "--runs", "runs/fine", "--seeds", "1", "--images", "300", "--only-finished")
-    yield _bench("variants", *words, to="variants_fine", alone=True)
+    compared = ("--data", KINECT_SET, "--runs", "runs/kinect", "runs/whole", "--seeds", "3", "--images", "200")
+    on_real = ("--only-finished", "--real", REAL, "--people", FAUST)
+    yield _bench("variants", *compared, *on_real, drawn=True, more=("variants_real.png",), alone=True)
+    fine = ("--data", KINECT_SET, "--runs", "runs/fine", "--seeds", "1", "--images", "300", "--only-finished")
+    yield _bench("variants", *fine, to="variants_fine", alone=True)
     folder = ("--runs", "runs/networks")
     yield _bench("architectures", "--data", OPEN, *folder, "--images", "200", alone=True)
     yield _bench("shuffles", "--data", OPEN)

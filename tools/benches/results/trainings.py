@@ -122,11 +122,11 @@ def trainings() -> Iterator[Step]:
     """Steps that train, in an order in which the results that need few trainings come first."""
     for seed, run in enumerate(WHOLE_RUNS):
         yield _training(run, KINECT, "--variant", "none", "--steps", "1200", seed=seed, scale=_SMALL)
-    rows = [(variant, "--variant", variant) for variant in VARIANTS]
-    rows += [(name, "--sensor", sensor) for name, sensor in SENSOR_RUNS.items()]
-    for seed, (name, *chosen) in itertools.product(range(SEEDS), rows):
+    rows: dict[str, tuple[str, str]] = {variant: ("--variant", variant) for variant in VARIANTS}
+    rows |= {name: ("--sensor", sensor) for name, sensor in SENSOR_RUNS.items()}
+    for seed, (name, artifacts) in itertools.product(range(SEEDS), rows.items()):
         start = ("--pretrained", WHOLE_RUNS[seed], *_STARTED)
-        yield _training(f"runs/kinect/{name}-{seed}", KINECT, *chosen, *start, seed=seed, scale=_SMALL)
+        yield _training(f"runs/kinect/{name}-{seed}", KINECT, *artifacts, *start, seed=seed, scale=_SMALL)
     for name, either in zip(FINE_RUNS, ("none", "noise"), strict=True):
         yield _training(name, KINECT, *_FINE, "--variant", either, "--steps", "1200", seed=0, scale=_COMPARED)
     for (name, options), seed in itertools.product([("compact", ()), *NETWORKS.items()], range(SEEDS)):
