@@ -280,9 +280,12 @@ def read_lnd(path: Path) -> PointLandmarks:
     different places, and for a file that cannot be read or lacks the lines "AUX =" and "END =".
     """
     found: dict[str, tuple[float, ...]] = {}
+    unknown: list[str] = []
     text = file_bytes(path, ".lnd", LARGEST_BYTES, BadLandmarks).decode("latin-1")
     for number, point, written in _rows(text, path):
         name = recognise(written)
+        if name is None:
+            unknown.append(written)
         if name is None or _is_placeholder(point):
             continue
         if name in found and found[name] != point:
@@ -290,7 +293,8 @@ def read_lnd(path: Path) -> PointLandmarks:
         found[name] = point
     missing = [name for name in LANDMARKS if name not in found]
     if missing:
-        raise BadLandmarks(f"landmarks {path}: {', '.join(map(repr, missing))} missing")
+        stray = f"; names not recognised: {', '.join(map(repr, unknown[:8]))}" if unknown else ""
+        raise BadLandmarks(f"landmarks {path}: {', '.join(map(repr, missing))} missing{stray}")
     return PointLandmarks(str(path), np.array([found[name] for name in LANDMARKS]) * METRES["mm"])
 
 

@@ -434,7 +434,8 @@ def _read_off(data: bytes) -> _Parsed:
         raise BadMesh(f"line {number}: the counts of vertices and faces must follow OFF, found {counts[:20]!r}")
     vertex_count, face_count = map(int, counts.split()[:2])
     if vertex_count + face_count > len(lines) - 1:
-        raise BadMesh(f"the header announces {vertex_count + face_count} lines, found {len(lines) - 1}")
+        counted = f"{vertex_count} vertices and {face_count} faces"
+        raise BadMesh(f"the header announces {counted}, found {len(lines) - 1} lines")
     vertices: Vertices = []
     polygons: Polygons = []
     for row, (number, line) in enumerate(lines[1 : 1 + vertex_count + face_count]):

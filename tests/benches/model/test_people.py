@@ -45,7 +45,7 @@ def body() -> FittingBody:
 
 
 def known_fit(body: FittingBody, pose: str, scale: float) -> Fit:
-    zeros = [torch.zeros(count).double() for count in (len(body.joints.deviation), len(body.head_shapes))]
+    zeros = [torch.zeros(count).double() for count in (len(body.deviation), len(body.head_shapes))]
     return Fit(body.start(dict(POSTURES)[pose]), torch.zeros(3).double(), torch.tensor(scale).double(), *zeros)
 
 
