@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
-    from bodyseg_data.packing.jobs import PROCESSES, check_engine, open_engine, processes
+    from bodyseg_data.packing.engines import PROCESSES, check_engine, open_engine
+    from bodyseg_data.packing.jobs import processes
     from bodyseg_data.packing.joining import join
     from bodyseg_data.packing.mesh_reduction import reduced_body
     from bodyseg_data.packing.options import Packing

@@ -1,9 +1,8 @@
-"""Jobs of a packing, their results in order, and their engines: processes of this machine, or a running cluster."""
+"""Jobs of a packing, their results in order, and processes of this machine that do them."""
 
 import itertools
 import multiprocessing
 import os
-import re
 import signal
 import threading
 from collections import deque
@@ -13,13 +12,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, Final, TypeVar
 
-from bodyseg_data.core import BadConfig
 from bodyseg_data.machine import processors, signals_held
-from bodyseg_data.packing.options import Packing
-
-PROCESSES: Final = "processes"
-_DASK: Final = re.compile(r"dask://(\[[0-9A-Fa-f:.]+\]|[^\s:/@\[\]]+):(\d{1,5})")
-
 
 Result = TypeVar("Result")
 
@@ -111,36 +104,3 @@ def _end_with_parent() -> None:
             os._exit(1)
 
     threading.Thread(target=wait, daemon=True).start()
-
-
-@contextmanager
-def open_engine(name: str, workers: int | None, packing: Packing) -> Iterator[Engine]:
-    """An engine for `packing`, open as long as the context; leaving it with an error drops the jobs under way.
-
-    name: "processes", or "dask://HOST:PORT" of a running scheduler. workers: how many processes to start (default:
-    one a processor), or how many of the cluster's workers to keep busy (default: those there now).
-
-    Raises BadConfig for another name, for no worker, for a scheduler that does not answer, and for workers that would
-    not give the same bytes; MissingLibrary without `distributed`.
-    """
-    address = check_engine(name)
-    if workers is not None and workers < 1:
-        raise BadConfig(f"packing needs at least one worker, found {workers}")
-    if address is None:
-        with processes(workers) as engine:
-            yield engine
-    else:
-        from bodyseg_data.packing.cluster import cluster
-
-        with cluster(address, workers, packing) as engine:
-            yield engine
-
-
-def check_engine(name: str) -> tuple[str, int] | None:
-    """Host and port of the scheduler that an engine's name holds; None for processes. Raises BadConfig."""
-    if name == PROCESSES:
-        return None
-    match = _DASK.fullmatch(name)
-    if match is None or not 0 < int(match[2]) < 1 << 16:
-        raise BadConfig(f"the engine must be {PROCESSES} or dask://HOST:PORT, found {name!r}")
-    return match[1], int(match[2])

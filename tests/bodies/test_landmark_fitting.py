@@ -101,9 +101,7 @@ def test_the_fitting_body_moves_as_the_open_body_does(body: FittingBody) -> None
 def test_refining_finds_a_pose_that_was_changed_a_little(body: FittingBody) -> None:
     wanted = fit_of(body, "a_pose", shape=torch.linspace(1, -1, len(body.head_shapes)).double())
     angles = (
-        0.3
-        * body.deviation
-        * torch.tensor([1.0, -1.0]).double().repeat(len(body.deviation))[: len(body.deviation)]
+        0.3 * body.deviation * torch.tensor([1.0, -1.0]).double().repeat(len(body.deviation))[: len(body.deviation)]
     )
     angles[:3] = torch.tensor([0.1, 0.2, 0.0])
     begun = fit_of(body, "a_pose", angles=angles, move=torch.tensor([0.03, -0.02, 0.04]).double())

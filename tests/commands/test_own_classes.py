@@ -125,7 +125,7 @@ def test_a_network_refuses_sets_of_other_classes(
     assert "'parts33' are of other classes than the set's" in refused("evaluate", "--data", folder / "cells", *scored)
     training = ["--steps", 4, "--batch-size", 2, "--num-workers", 0, "--settings", SETTINGS, "--device", "cpu"]
     line = refused("train", "--data", tmp_path / "other", "--out", folder / "run", "--resume", *training)
-    assert "holds another training" in line and "labels" in line
+    assert "holds another training" in line
     line = refused(
         "train", "--data", tmp_path / "other", "--out", tmp_path / "run", "--pretrained", folder / "run", *training
     )

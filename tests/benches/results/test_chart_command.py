@@ -115,7 +115,7 @@ def test_a_page_may_quote_what_was_drawn(results: Path, tmp_path: Path, monkeypa
     page = tmp_path / "index.md"
     page.with_name("index.md.in").write_text("{{ codec.command }} {{ charts.left_out[0] }}")
     assert run(Options(in_=results, out=tmp_path / "out", page=(page,))) == 0
-    assert page.read_text() == f"{SOURCE['command']} loader"
+    assert page.read_text() == f"{SOURCE['command']} artifacts"
 
 
 def test_a_page_without_a_template_is_refused(results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

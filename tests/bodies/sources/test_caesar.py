@@ -129,7 +129,7 @@ def test_a_scan_is_repaired_and_says_so(tmp_path: Path) -> None:
     faces[::7] = faces[::7, ::-1]
     write_mesh(tmp_path / "csr0001a.ply", PERSON.vertices @ TURN * 1000, faces)
     write_lnd(tmp_path / "csr0001a.lnd", POINTS)
-    with pytest.raises(BadMesh, match=r"neighbouring faces must agree .*; --pymeshlab repairs most scans\)$"):
+    with pytest.raises(BadMesh, match=r"neighbouring faces must agree, .*; --pymeshlab repairs most scans\)$"):
         first(CaesarBodies(tmp_path))
     source = CaesarBodies(tmp_path)
     with pytest.raises(BadMesh, match="--pymeshlab repairs most scans"):  # before the first view is rendered

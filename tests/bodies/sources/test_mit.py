@@ -163,7 +163,7 @@ def test_bodies_of_no_human_size_or_inside_out_are_refused(labelled: Path) -> No
     with pytest.raises(BadMesh, match=r"mesh_0003\.obj: .* at its largest: found .* 6\.8 "):
         first(MitBodies(labelled))
     path.write_bytes(obj(PERSON.vertices @ FACING, PERSON.faces[:, ::-1]))
-    with pytest.raises(BadMesh, match=r"inside out.*mesh_0003\.obj"):
+    with pytest.raises(BadMesh, match=r"must point outwards.*mesh_0003\.obj"):
         first(MitBodies(labelled))
     write(labelled, "I_squat", 3, PERSON.vertices @ FACING * 1000)
     np.testing.assert_allclose(first(MitBodies(labelled)).mesh.vertices, PERSON.vertices, atol=1e-9)

@@ -173,6 +173,6 @@ def test_a_broken_mesh_is_refused_with_its_file(tmp_path: Path) -> None:
     path = write_mesh(tmp_path / "mesh001.ply", PERSON.vertices, PERSON.faces[:, ::-1])
     write_by_vertex(tmp_path / "landmarks.json")
     source = ScapeBodies(tmp_path)
-    with pytest.raises(BadMesh, match="inside out") as error:
+    with pytest.raises(BadMesh, match="must point outwards") as error:
         source.build(source.bodies()[1])
     assert str(path) in str(error.value) and "\n" not in str(error.value)
