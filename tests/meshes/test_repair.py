@@ -100,7 +100,7 @@ def test_the_checks_can_fail() -> None:
     assert is_closed(whole)
     assert not is_closed(Mesh("doubled", *doubled_faces(whole)))
     assert not is_closed(Mesh("loose", *loose_triangles(whole)))
-    with pytest.raises(BadMesh, match="inside out"):
+    with pytest.raises(BadMesh, match="must point outwards"):
         Mesh("turned", *inside_out(whole))
 
 

@@ -39,7 +39,7 @@ def test_a_body_gets_the_pixel_size_of_the_networks_rig() -> None:
     assert body.scale == pytest.approx(757.5757 / 4 / 2.5 / (100 / 2.0), rel=1e-6)
     (seen,) = places.seen
     larger = seen.shape[2] - SMALL.camera.rows, seen.shape[3] - SMALL.camera.columns
-    assert larger == (STEP, 2 * STEP), "40 by 12 of the frame's pixels are 62 by 20, with 64 pixels around them"
+    assert larger == (0, STEP), "40 by 12 of the frame's pixels are 62 by 20, with 32 pixels around them"
 
 
 def test_options_and_cameras_are_kept_by_camera() -> None:
