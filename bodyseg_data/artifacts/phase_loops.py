@@ -45,9 +45,10 @@ def _select(typing: Any, condition: Any, first: Any, second: Any) -> Any:
 
 
 _selected: Any = intrinsic(_select)
+_overload: Any = overload
 
 
-@overload(phase_shift.pick, strict=False, jit_options={"forceinline": True})
+@_overload(phase_shift.pick, strict=False, jit_options={"forceinline": True})
 def _pick(condition: Any, first: Any, second: Any) -> Any:
     return lambda condition, first, second: _selected(condition, first, second)
 
@@ -59,7 +60,8 @@ def _split(clean: Any, labels: Any, width: Any, edges: Any, runs: Any, sums: Any
 
     Images are flat. Returns how many there are, and their pixels.
     """
-    count, points, row = np.int64(0), np.int64(0), np.int64(0)
+    count, points = np.int64(0), np.int64(0)
+    row: Any = np.int64(0)
     starts = np.zeros(_LABELS + 1, np.int64)
     for edge in range(np.uint64(edges.size // 2)):
         first, last = np.int64(edges[_TWO * edge]), np.int64(edges[_TWO * edge + _ONE])
@@ -103,12 +105,12 @@ def _gather(clean: Any, width: Any, run: Any, first: Any, length: Any, x: Any, y
 
     Whole blocks are quicker; what is written behind the last pixel is not read.
     """
-    row, column, to, size = run[0], first - run[0] * width, np.uint64(at), clean.size
+    row, column, place, size = run[0], first - run[0] * width, np.uint64(at), clean.size
     span = (length + BLOCK - 1) // BLOCK * BLOCK
     has_above, has_below = row >= _REACH, row < size // width - _REACH
     if column < _REACH or column + length > width - _REACH or first + _REACH * width + span > size:
         span = length
-    here, ray, ray_y, place = np.uint64(first), np.uint64(column), y[row], to
+    here, ray, ray_y = np.uint64(first), np.uint64(column), y[row]
     up, down = np.uint64(first - _REACH * width), np.uint64(first + _REACH * width)
     for i in range(np.uint64(span)):
         f[place + i] = np.float32(clean[here + i])
@@ -130,9 +132,10 @@ def _gather(clean: Any, width: Any, run: Any, first: Any, length: Any, x: Any, y
             f[_TWO * _ROOM + place + i] = _known(clean[here + np.uint64(_REACH) + i])
     else:
         for step in range(length):
-            i, left, right = np.uint64(step), column + step >= _REACH, column + step < width - _REACH
-            f[_ROOM + place + i] = _known(clean[here + i - np.uint64(_REACH)]) if left else FAR
-            f[_TWO * _ROOM + place + i] = _known(clean[here + i + np.uint64(_REACH)]) if right else FAR
+            to, pixel = place + np.uint64(step), here + np.uint64(step)
+            left, right = column + step >= _REACH, column + step < width - _REACH
+            f[_ROOM + to] = _known(clean[pixel - np.uint64(_REACH)]) if left else FAR
+            f[_TWO * _ROOM + to] = _known(clean[pixel + np.uint64(_REACH)]) if right else FAR
 
 
 @_kernel
@@ -183,7 +186,8 @@ def _alter(
     raw_words(stream[0], stream[1], 0, drawn.size, drawn)
     bits, words = drawn.view(np.uint32), np.empty(CHUNK, np.uint32)
     pieces = np.empty((CHUNK, 4), np.int64)  # run, first pixel, length, place
-    number, taken = np.int64(0), np.int64(0)
+    number = np.int64(0)
+    taken: Any = np.int64(0)
     while number < len(order):
         label, count, found = runs[order[number], 3], np.int64(0), np.int64(0)
         while number < len(order) and runs[order[number], 3] == label and count < _CHUNK:

@@ -330,7 +330,7 @@ class PhaseShift(Artifact):
         padded[padded == 0] = FAR
         at = [padded[rows + REACH + down, columns + REACH + along] for down, along in _NEIGHBOURS]
         steps, kept, along, down = decode(
-            *at, x[columns], y[rows], tuple(looks[:, labels]), optics, normals(bits), bits
+            at[0], at[1], at[2], at[3], at[4], x[columns], y[rows], tuple(looks[:, labels]), optics, normals(bits), bits
         )
         for time in times:
             row, column = rows - np.rint(down * time).astype(np.intp), columns - np.rint(along * time).astype(np.intp)
@@ -413,10 +413,10 @@ def _harmonic(gamma: float, order: int) -> float:
 
 
 def fill(parts: Any, sums: Any, place: Any, cloth: Any, clothes: Any, motion: Any, tables: Any) -> None:
-    """Write `PhaseShift.looks` into float32 [34, 19]. Compiled, too, so it indexes and calls no other function.
+    """Write what `PhaseShift.looks` returns, transposed, into tables. Compiled, too, so it indexes arrays.
 
     place: metres of a step, focal length, centre and stand-off; cloth: its strengths, and speed of hands and feet, m/s;
-    clothes, motion: uint32 [6, 12] and [108], drawn.
+    clothes, motion: drawn 32 bits each, [6, 12] and [108].
     """
     step_m, focal, centre_x, centre_y, stand_off = place
     coat, darkest, spread, patterned, speed = cloth
