@@ -45,10 +45,9 @@ def _select(typing: Any, condition: Any, first: Any, second: Any) -> Any:
 
 
 _selected: Any = intrinsic(_select)
-_overload: Any = overload
 
 
-@_overload(phase_shift.pick, strict=False, jit_options={"forceinline": True})
+@overload(phase_shift.pick, strict=False, jit_options={"forceinline": True})  # type: ignore[untyped-decorator]
 def _pick(condition: Any, first: Any, second: Any) -> Any:
     return lambda condition, first, second: _selected(condition, first, second)
 
@@ -85,8 +84,8 @@ def _split(clean: Any, labels: Any, width: Any, edges: Any, runs: Any, sums: Any
             points += length
             count += 1
             first = end
-    for label in range(_LABELS):
-        starts[label + 1] += starts[label]
+    for each in range(_LABELS):
+        starts[each + 1] += starts[each]
     for run in range(count):
         label = runs[run, 3]
         order[starts[label]] = run
