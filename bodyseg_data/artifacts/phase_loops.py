@@ -6,20 +6,22 @@ from typing import Any
 import numpy as np
 from numba.extending import intrinsic, overload, register_jitable
 from numba.np.unsafe.ndarray import to_fixed_tuple
-from numpy.typing import NDArray
 
 from bodyseg_data.artifacts import phase_shift
 from bodyseg_data.artifacts.constants import FAR, SEGMENTS
-from bodyseg_data.artifacts.phase_shift import PART_COUNT, REACH, decode
-from bodyseg_data.artifacts.random_loops import draw_normals
-from bodyseg_data.artifacts.scratch import CHUNK, ROOM, constant
+from bodyseg_data.artifacts.phase_shift import PART_COUNT, REACH, decode, pick
+from bodyseg_data.artifacts.random_loops import draw_normals, raw_words
+from bodyseg_data.artifacts.scratch import BLOCK, CHUNK, ROOM, constant
+from bodyseg_data.artifacts.shadow_loops import find_runs
+from bodyseg_data.core import Draws
 from bodyseg_data.machine import compiled
+from bodyseg_data.samples import Sample
 
 _kernel = partial(compiled, feature="the compiled form of the artifacts")
-_LOOKS, _NO_PART, _REACH = 19, np.uint8(PART_COUNT), np.int64(REACH)
+_LOOKS, _LABELS, _NO_PART, _REACH = 19, PART_COUNT + 1, np.uint8(PART_COUNT), np.int64(REACH)
 _CHUNK, _ROOM = np.int64(CHUNK), np.uint64(ROOM)
 _ONE, _TWO, _THREE, _FOUR, _FIVE, _SIX, _SEVEN, _EIGHT, _NINE, _TEN, _ELEVEN = map(np.uint64, range(1, 12))
-_LEAST, _MOST = np.float32(1), np.float32(65535)
+_ZERO, _LEAST, _MOST = map(np.float32, (0, 1, 65535))
 
 for _formula in (
     phase_shift.sine,
@@ -28,6 +30,7 @@ for _formula in (
     phase_shift.wave,
     phase_shift.changes_at,
     decode,
+    phase_shift._cross,
 ):
     register_jitable(forceinline=True)(_formula)
 
@@ -44,39 +47,50 @@ def _select(typing: Any, condition: Any, first: Any, second: Any) -> Any:
 _selected: Any = intrinsic(_select)
 
 
-@overload(phase_shift.pick, strict=False, jit_options={"forceinline": True})
+@overload(phase_shift.pick, strict=False, jit_options={"forceinline": True})  # type: ignore[untyped-decorator]
 def _pick(condition: Any, first: Any, second: Any) -> Any:
     return lambda condition, first, second: _selected(condition, first, second)
 
 
 @_kernel
-def _find_runs(clean: Any, labels: Any, runs: Any, sums: Any) -> Any:
-    """Find runs of one label in a row, (row, first, end, label, pixels before it), and sum as `sums_of`."""
-    rows, columns = clean.shape
+def _split(clean: Any, labels: Any, width: Any, edges: Any, runs: Any, sums: Any, order: Any) -> Any:
+    """Cut runs of foreground into those of one label in a row, (row, first pixel, end, label, pixels before it), and
+    sum pixels of each label, their columns, rows and steps; order: numbers of runs, by label.
+
+    Images are flat. Returns how many there are, and their pixels.
+    """
     count, points = np.int64(0), np.int64(0)
-    for row in range(rows):
-        ranges, names = clean[row], labels[row]
-        column = np.uint64(0)
-        while column < np.uint64(columns):
-            if ranges[column] == 0:
-                column += _ONE
-                continue
-            label, end, steps = names[column], column, np.int64(0)
-            while end < np.uint64(columns) and ranges[end] > 0 and names[end] == label:
-                steps += np.int64(ranges[end])
-                end += _ONE
-            first, after, label = np.int64(column), np.int64(end), min(label, _NO_PART)
-            runs[count, 0], runs[count, 1], runs[count, 2] = row, first, after
-            runs[count, 3], runs[count, 4] = label, points
-            length = after - first
+    row: Any = np.int64(0)
+    starts = np.zeros(_LABELS + 1, np.int64)
+    for edge in range(np.uint64(edges.size // 2)):
+        first, last = np.int64(edges[_TWO * edge]), np.int64(edges[_TWO * edge + _ONE])
+        while first < last:
+            while first >= (row + 1) * width:
+                row += 1
+            name, end, limit = labels[np.uint64(first)], first + 1, min(last, (row + 1) * width)
+            while end < limit and labels[np.uint64(end)] == name:
+                end += 1
+            steps = np.int64(0)
+            for pixel in range(np.uint64(first), np.uint64(end)):
+                steps += np.int64(clean[pixel])
+            label, length = np.int64(min(name, _NO_PART)), end - first
+            at = np.uint64(count)
+            runs[at, 0], runs[at, 1], runs[at, 2], runs[at, 3], runs[at, 4] = row, first, end, label, points
             sums[0, label] += length
-            sums[1, label] += (first + after - 1) * length // 2
+            sums[1, label] += (first + end - 1 - 2 * row * width) * length // 2
             sums[2, label] += row * length
             sums[3, label] += steps
+            starts[label + 1] += 1
             points += length
             count += 1
-            column = end
-    return count
+            first = end
+    for each in range(_LABELS):
+        starts[each + 1] += starts[each]
+    for run in range(count):
+        label = runs[run, 3]
+        order[starts[label]] = run
+        starts[label] += 1
+    return count, points
 
 
 @_kernel
@@ -85,36 +99,42 @@ def _known(value: Any) -> Any:
 
 
 @_kernel
-def _gather(clean: Any, row: Any, first: Any, end: Any, x: Any, y: Any, at: Any, f: Any) -> None:
-    """Write ranges of a run's pixels and of those beside them, and their rays, from place `at` on."""
-    rows, columns = clean.shape
-    here, to, start, length = clean[row], np.uint64(at), np.uint64(first), np.uint64(end - first)
-    ray = y[row]
-    for i in range(length):
-        f[to + i] = np.float32(here[start + i])
-        f[_FIVE * _ROOM + to + i] = x[start + i]
-        f[_SIX * _ROOM + to + i] = ray
-    if first >= _REACH and end <= columns - _REACH:
-        for i in range(length):
-            f[_ROOM + to + i] = _known(here[start - np.uint64(_REACH) + i])
-            f[_TWO * _ROOM + to + i] = _known(here[start + np.uint64(_REACH) + i])
+def _gather(clean: Any, width: Any, run: Any, first: Any, length: Any, x: Any, y: Any, at: Any, f: Any) -> None:
+    """Write ranges of a run's pixels and of those beside them, and their rays, from place `at` on.
+
+    Whole blocks are quicker; what is written behind the last pixel is not read.
+    """
+    row, column, place, size = run[0], first - run[0] * width, np.uint64(at), clean.size
+    span = (length + BLOCK - 1) // BLOCK * BLOCK
+    has_above, has_below = row >= _REACH, row < size // width - _REACH
+    if column < _REACH or column + length > width - _REACH or first + _REACH * width + span > size:
+        span = length
+    here, ray, ray_y = np.uint64(first), np.uint64(column), y[row]
+    up, down = np.uint64(first - _REACH * width), np.uint64(first + _REACH * width)
+    for i in range(np.uint64(span)):
+        f[place + i] = np.float32(clean[here + i])
+        f[_FIVE * _ROOM + place + i] = x[ray + i]
+        f[_SIX * _ROOM + place + i] = ray_y
+    if has_above:
+        for i in range(np.uint64(span)):
+            f[_THREE * _ROOM + place + i] = _known(clean[up + i])
     else:
-        for i in range(length):
-            column = first + np.int64(i)
-            f[_ROOM + to + i] = _known(here[column - _REACH]) if column >= _REACH else FAR
-            f[_TWO * _ROOM + to + i] = _known(here[column + _REACH]) if column < columns - _REACH else FAR
-    if row >= _REACH:
-        above = clean[row - _REACH]
-        for i in range(length):
-            f[_THREE * _ROOM + to + i] = _known(above[start + i])
+        f[_THREE * _ROOM + place : _THREE * _ROOM + place + np.uint64(span)] = FAR
+    if has_below:
+        for i in range(np.uint64(span)):
+            f[_FOUR * _ROOM + place + i] = _known(clean[down + i])
     else:
-        f[_THREE * _ROOM + to : _THREE * _ROOM + to + length] = FAR
-    if row < rows - _REACH:
-        below = clean[row + _REACH]
-        for i in range(length):
-            f[_FOUR * _ROOM + to + i] = _known(below[start + i])
+        f[_FOUR * _ROOM + place : _FOUR * _ROOM + place + np.uint64(span)] = FAR
+    if column >= _REACH and column + length <= width - _REACH:
+        for i in range(np.uint64(span)):
+            f[_ROOM + place + i] = _known(clean[here - np.uint64(_REACH) + i])
+            f[_TWO * _ROOM + place + i] = _known(clean[here + np.uint64(_REACH) + i])
     else:
-        f[_FOUR * _ROOM + to : _FOUR * _ROOM + to + length] = FAR
+        for step in range(length):
+            to, pixel = place + np.uint64(step), here + np.uint64(step)
+            left, right = column + step >= _REACH, column + step < width - _REACH
+            f[_ROOM + to] = _known(clean[pixel - np.uint64(_REACH)]) if left else FAR
+            f[_TWO * _ROOM + to] = _known(clean[pixel + np.uint64(_REACH)]) if right else FAR
 
 
 @_kernel
@@ -127,63 +147,96 @@ def _decode(count: Any, look: Any, o: Any, words: Any, f: Any) -> None:
 
 
 @_kernel
-def _scatter(image: Any, clean: Any, row: Any, first: Any, end: Any, edge: Any, times: Any, at: Any, f: Any) -> None:
-    rows, columns = clean.shape
-    for i in range(np.uint64(end - first)):
-        column, place = first + np.int64(i), np.uint64(at) + i
-        kept = image[row, column] > 0 and f[_NINE * _ROOM + place] > 0
-        if kept:
-            for time in times:
-                at_row = row - np.int64(np.rint(f[_ELEVEN * _ROOM + place] * time))
-                at_column = column - np.int64(np.rint(f[_TEN * _ROOM + place] * time))
-                inside = 0 <= at_row < rows and 0 <= at_column < columns
-                seen = clean[at_row, at_column] if inside else np.uint16(0)
-                kept &= seen > 0 and abs(np.float32(seen) - f[place]) <= edge
-        value = np.rint(np.float32(image[row, column]) + f[_EIGHT * _ROOM + place])
-        image[row, column] = np.uint16(np.int32(min(max(value, _LEAST), _MOST))) if kept else np.uint16(0)
+def _trace(rows: Any, width: Any, run: Any, first: Any, length: Any, times: Any, at: Any, ints: Any, f: Any) -> None:
+    """Write which pixels the surfaces of a run came from at both times, -1 for those beyond the image."""
+    column, row, place, most = np.float32(first - run[0] * width), np.float32(run[0]), np.uint64(at), np.float32(rows)
+    span, wide = (length + BLOCK - 1) // BLOCK * BLOCK, np.float32(width)
+    for time in range(_TWO):
+        to = time * _ROOM + place
+        for i in range(np.uint64(span)):
+            down = row - np.rint(f[_ELEVEN * _ROOM + place + i] * times[time])
+            along = column + np.float32(np.int32(i)) - np.rint(f[_TEN * _ROOM + place + i] * times[time])
+            inside = (down >= _ZERO) & (down < most) & (along >= _ZERO) & (along < wide)
+            pixel = np.int32(pick(inside, down, _ZERO)) * np.int32(width) + np.int32(pick(inside, along, _ZERO))
+            ints[to + i] = pick(inside, np.int32(pixel), np.int32(-1))
+
+
+@_kernel
+def _scatter(image: Any, first: Any, length: Any, edge: Any, at: Any, f: Any) -> None:
+    to, place = np.uint64(first), np.uint64(at)
+    span = min((length + BLOCK - 1) // BLOCK * BLOCK, image.size - first)
+    for i in range(np.uint64(span)):
+        before, here = image[to + i], f[place + i]
+        one, two = f[_THREE * _ROOM + place + i], f[_FOUR * _ROOM + place + i]
+        kept = (before > 0) & (f[_NINE * _ROOM + place + i] > _ZERO) & (one > _ZERO) & (two > _ZERO)
+        kept &= (abs(one - here) <= edge) & (abs(two - here) <= edge)
+        value = np.rint(np.float32(before) + f[_EIGHT * _ROOM + place + i])
+        after = np.uint16(np.int32(min(max(value, _LEAST), _MOST))) * np.uint16(kept)
+        image[to + i] = np.uint16(after) if np.int64(i) < length else before
 
 
 @_kernel
 def _alter(
-    image: Any, clean: Any, runs: Any, x: Any, y: Any, looks: Any, o: Any, bits: Any, edge: Any, times: Any, words: Any,
-    segments: Any, segment_of: Any, f: Any,
+    image: Any, clean: Any, width: Any, runs: Any, order: Any, points: Any, x: Any, y: Any, looks: Any, o: Any,
+    stream: Any, edge: Any, times: Any, segments: Any, f: Any, ints: Any,
 ) -> None:  # fmt: skip
-    """Alter the pixels of runs that are sorted by label; words, segment_of, f: room for those of a chunk."""
-    run, taken = np.int64(0), np.int64(0)
-    while run < len(runs):
-        label, begin, begun, count = runs[run, 3], run, taken, np.int64(0)
-        while run < len(runs) and runs[run, 3] == label and count < _CHUNK:
+    """Alter the pixels of runs in the order of their labels; f, ints: room for numbers of a chunk's points."""
+    drawn = np.empty((points + 7) // 8 * 4, np.uint64)
+    raw_words(stream[0], stream[1], 0, drawn.size, drawn)
+    bits, words = drawn.view(np.uint32), np.empty(CHUNK, np.uint32)
+    pieces = np.empty((CHUNK, 4), np.int64)  # run, first pixel, length, place
+    number = np.int64(0)
+    taken: Any = np.int64(0)
+    while number < len(order):
+        label, count, found = runs[order[number], 3], np.int64(0), np.int64(0)
+        while number < len(order) and runs[order[number], 3] == label and count < _CHUNK:
+            run = order[number]
             first, point = runs[run, 1] + taken, runs[run, 4] + taken
-            end = min(runs[run, 2], first + _CHUNK - count)
-            _gather(clean, runs[run, 0], first, end, x, y, count, f)
-            for i in range(np.uint64(end - first)):
+            length = min(runs[run, 2] - first, _CHUNK - count)
+            pieces[found, 0], pieces[found, 1], pieces[found, 2], pieces[found, 3] = run, first, length, count
+            _gather(clean, width, runs[run], first, length, x, y, count, f)
+            for i in range(np.uint64(length)):
                 words[np.uint64(count) + i] = bits[np.uint64(point) + i]
-            count += end - first
-            taken = taken + end - first if end < runs[run, 2] else 0
-            run += np.int64(taken == 0)
-        draw_normals(words, count, segments, segment_of, f[_SEVEN * _ROOM : _EIGHT * _ROOM])
+            count += length
+            found += 1
+            taken = taken + length if first + length < runs[run, 2] else 0
+            number += np.int64(taken == 0)
+        draw_normals(words, count, segments, ints, f[_SEVEN * _ROOM : _EIGHT * _ROOM])
         _decode(count, to_fixed_tuple(looks[label], _LOOKS), o, words, f)
-        place = np.int64(0)
-        while place < count:
-            first = runs[begin, 1] + begun
-            end = min(runs[begin, 2], first + count - place)
-            _scatter(image, clean, runs[begin, 0], first, end, edge, times, place, f)
-            place += end - first
-            begin, begun = begin + 1, 0
+        for i in range(found):
+            piece = pieces[i]
+            _trace(clean.size // width, width, runs[piece[0]], piece[1], piece[2], times, piece[3], ints, f)
+        for time in range(_TWO):
+            for i in range(np.uint64(count)):
+                pixel = ints[time * _ROOM + i]
+                f[(_THREE + time) * _ROOM + i] = np.float32(clean[np.uint64(max(pixel, 0))] if pixel >= 0 else 0)
+        for i in range(found):
+            _scatter(image, pieces[i, 1], pieces[i, 2], edge, pieces[i, 3], f)
 
 
-def runs_of(clean: NDArray[np.uint16], labels: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Runs of one label, sorted by it, and sums of the pixels of each: number, columns, rows and steps, [4, 34]."""
-    sums = np.zeros((4, PART_COUNT + 1), np.int64)
-    ends = (labels[:, 1:] != labels[:, :-1]) | ((clean[:, 1:] == 0) != (clean[:, :-1] == 0))
-    runs = np.empty((np.count_nonzero(ends) + len(clean), 5), np.int64)
-    count = _find_runs(constant(clean).reshape(clean.shape), constant(labels).reshape(clean.shape), runs, sums)
-    runs = runs[:count]
-    return runs[np.argsort(runs[:, 3], kind="stable")], sums
+_fill = _kernel(phase_shift.fill)
 
 
-def alter(image: Any, clean: Any, runs: Any, x: Any, y: Any, looks: Any, *given: Any) -> None:
-    """As `PhaseShift.apply` from the tables on."""
-    room = np.empty(CHUNK, np.uint32), SEGMENTS, np.empty(CHUNK, np.int32), np.empty(12 * ROOM, np.float32)
-    looks = np.ascontiguousarray(looks.T)
-    _alter(image, constant(clean).reshape(clean.shape), runs, x, y, looks, *given, *room)
+def fill(*given: Any) -> None:
+    """As `phase_shift.fill`."""
+    _fill(*given)
+
+
+def apply(
+    image: Any, sample: Sample, x: Any, y: Any, looks_of: Any, optics: Any, draws: Draws, edge: Any, times: Any
+) -> None:
+    """As `PhaseShift.apply`, from the tables on; looks_of: makes those of labels of their sums."""
+    clean, labels, occupancy, width = constant(sample.range), constant(sample.labels), sample.occupancy, image.shape[1]
+    if occupancy is not None and occupancy.edges is not None:
+        edges = occupancy.edges
+    else:
+        edges = np.empty(clean.size + 2, np.int32)
+        edges = edges[: 2 * find_runs(clean, np.zeros(clean.size // 8 * 8 + 8, np.uint8), edges)]
+    # Of memory that is not written to, the system gives none.
+    runs, order = np.empty((clean.size, 5), np.int64), np.empty(clean.size, np.int64)
+    sums = np.zeros((4, _LABELS), np.int64)
+    count, points = _split(clean, labels, width, edges, runs, sums, order)
+    looks = np.ascontiguousarray(looks_of(sums, draws=draws).T)
+    room = SEGMENTS, np.empty(12 * ROOM, np.float32), np.empty(2 * ROOM, np.int32)
+    of_labels = runs[:count], order[:count], points, x, y, looks, optics
+    _alter(image.reshape(-1), clean, width, *of_labels, draws.stream("fringe noise"), edge, times, *room)

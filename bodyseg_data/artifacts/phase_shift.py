@@ -13,7 +13,7 @@ makes float32 alone, and every constant in it is one.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from statistics import NormalDist
 from typing import Any, ClassVar, Final, NamedTuple
 
@@ -23,10 +23,13 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene, bounded
 from bodyseg_data.artifacts.constants import FAR
 from bodyseg_data.artifacts.noise import as_range, drawn_bits, normals
+from bodyseg_data.artifacts.scratch import BLOCK
 from bodyseg_data.core import BadConfig, Draws
 from bodyseg_data.labels import PART_COUNT
 from bodyseg_data.machine import if_ready, loops
 from bodyseg_data.rigs import Rig
+
+_LOOPS: Final = "bodyseg_data.artifacts.phase_loops"
 
 REACH: Final = 2
 """Pixels to the neighbours that give slopes: over fewer of them, whole steps of a range make the slopes coarse."""
@@ -213,10 +216,12 @@ _HANDS = (((20,), 5, 0.5, 3), ((21,), 6, 0.5, 2), ((22,), 7, 0.5, 3))
 _LEGS = (((23,), 0, 0.2, 4), ((24,), 0, 0.2, 5), ((25, 27), 10, 0.5, 4), ((26, 28), 11, 0.5, 5))
 _FEET = (((29,), 12, 0.5, 4), ((30,), 13, 0.5, 5), ((31,), 14, 0.5, 4), ((32,), 15, 0.5, 5))
 _CHAIN: Final = (_TRUNK, _HEAD, *_ARMS, *_HANDS, *_LEGS, *_FEET)
-_MEMBERS: Final = [list(each[0]) for each in _CHAIN]
-_PART_OF: Final = [
-    next((at for at, part in enumerate(_MEMBERS) if label in part), -1) for label in range(PART_COUNT + 1)
-]
+_BEFORE: Final = np.array([part[1] for part in _CHAIN])
+_SHARE: Final = np.array([part[2] for part in _CHAIN])
+_LIMB: Final = np.array([part[3] for part in _CHAIN])
+_PART_OF: Final = np.array(
+    [next((at for at, part in enumerate(_CHAIN) if label in part[0]), -1) for label in range(PART_COUNT + 1)]
+)
 _LIMB_M: Final = 0.6
 """From the joint of an arm to its end: what turns with the speed of an image over this moves about so fast there."""
 
@@ -305,18 +310,13 @@ class PhaseShift(Artifact):
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         """As `Artifact.apply`. Raises BadConfig for a rig whose camera and projector are at one point."""
-        optics = self.optics(scene.rig, image.drawn["ambient"])
-        clean, camera = scene.sample.range, scene.rig.camera
-        parts = "subset" in scene.sample.info.fields
-        x, y = (slopes.astype(np.float32) for slopes in camera.slopes)
+        (fixed, x, y), ambient = self._of_rig(scene.rig), self.signal_e * image.drawn["ambient"]
+        optics, clean = fixed._replace(ambient=np.float32(ambient)), scene.sample.range
+        looks_of = partial(self.looks, "subset" in scene.sample.info.fields, scene=scene, drawn=image.drawn)
         edge = np.float32(EDGE_M / scene.step_m)
-        times = np.float32((optics.finest + 1 - self.binary_patterns, (self.phase_patterns - 1) / 2))
+        times = np.float32(optics.finest + 1 - self.binary_patterns), np.float32((self.phase_patterns - 1) / 2)
         with if_ready:
-            forms = loops("bodyseg_data.artifacts.phase_loops")
-            runs, sums = forms.runs_of(clean, scene.sample.labels)
-            looks = self.looks(parts, sums, scene, image.drawn, draws)
-            bits = drawn_bits(draws, "fringe noise", int(sums[0].sum()), np.uint32)
-            forms.alter(image.range, clean, runs, x, y, looks, optics, bits, edge, times)
+            loops(_LOOPS).apply(image.range, scene.sample, x, y, looks_of, optics, draws, edge, times)
             return
         pixels = scene.pixels
         rows, columns = np.divmod(pixels, clean.shape[1])
@@ -324,13 +324,13 @@ class PhaseShift(Artifact):
         here = clean.reshape(-1)[pixels]
         weights = (np.ones_like(here), columns, rows, here)
         sums = np.stack([np.bincount(labels, weight, PART_COUNT + 1) for weight in weights]).astype(np.int64)
-        looks = self.looks(parts, sums, scene, image.drawn, draws)
-        bits = drawn_bits(draws, "fringe noise", len(pixels), np.uint32)
+        looks = looks_of(sums, draws=draws)
+        bits = draws.pixels("fringe noise", len(pixels), np.uint32)
         padded = np.pad(clean, REACH).astype(np.float32)
         padded[padded == 0] = FAR
         at = [padded[rows + REACH + down, columns + REACH + along] for down, along in _NEIGHBOURS]
         steps, kept, along, down = decode(
-            *at, x[columns], y[rows], tuple(looks[:, labels]), optics, normals(bits), bits
+            at[0], at[1], at[2], at[3], at[4], x[columns], y[rows], tuple(looks[:, labels]), optics, normals(bits), bits
         )
         for time in times:
             row, column = rows - np.rint(down * time).astype(np.intp), columns - np.rint(along * time).astype(np.intp)
@@ -343,10 +343,11 @@ class PhaseShift(Artifact):
 
     def optics(self, rig: Rig, ambient: float) -> Optics:
         """What is the same for all pixels of a rig's image; ambient: other light, a share of `signal_e`."""
-        return self._of_rig(rig)._replace(ambient=np.float32(self.signal_e * ambient))
+        return self._of_rig(rig)[0]._replace(ambient=np.float32(self.signal_e * ambient))
 
     @lru_cache(maxsize=8)  # noqa: B019 - of an artifact, whose strengths are its identity
-    def _of_rig(self, rig: Rig) -> Optics:
+    def _of_rig(self, rig: Rig) -> tuple[Optics, NDArray[np.float32], NDArray[np.float32]]:
+        """Optics in the dark, and the rays of columns and of rows; behind the last column is room for a block."""
         rotation, shift = rig.camera_to_projector()
         if not shift.any():
             raise BadConfig(f"rig {rig.name} has no baseline, which phase_shift needs")
@@ -372,7 +373,8 @@ class PhaseShift(Artifact):
             *(1 / self.rate_hz, camera.focal_px / self.rate_hz, -(patterns + 1) / 2, self.edge_fringes),
             NormalDist().inv_cdf(self.jumps_found) if 0 < self.jumps_found < 1 else found,
         )
-        return Optics(*map(np.float32, values))
+        x, y = (slopes.astype(np.float32) for slopes in camera.slopes)
+        return Optics(*map(np.float32, values)), np.pad(x, (0, BLOCK)), y
 
     def looks(
         self, parts: bool, sums: NDArray[np.int64], scene: Scene, drawn: Mapping[str, float], draws: Draws
@@ -383,45 +385,17 @@ class PhaseShift(Artifact):
         reflectance where their sum is positive, and elsewhere; velocity at the camera, m/s, and rotation, rad/s, in the
         camera's frame. sums: of pixels, their columns, rows and steps by label, [4, 34]. parts: labels are the 33 ones.
         """
-        garments = self._wardrobe(drawn["coat"], draws)
-        motions = _motions(parts, _middles(parts, sums, scene), drawn["speed_m_s"], draws)
-        worn = _WORN if parts else np.full(PART_COUNT + 1, _COAT)
-        return np.concatenate([garments[worn], motions], axis=1).T.astype(np.float32, order="C")
-
-    def _wardrobe(self, coat: float, draws: Draws) -> NDArray[np.float64]:
-        """Waves, weights and reflectances of every garment, [6, 13]."""
-        chances = draws.pixels("clothes", 6 * 12, np.uint32).reshape(6, 12) * 2.0**-32
-        garments = []
-        for garment, (
-            kind,
-            turn_x,
-            turn_y,
-            tilt,
-            size,
-            other,
-            phase,
-            next_phase,
-            light,
-            next_light,
-            plain,
-            _,
-        ) in enumerate(chances.tolist()):
-            bare = garment in (_SKIN, _HAIR)
-            albedo = 0.15 + 0.3 * light if garment == _SKIN else 0.02 + 0.2 * light * light if bare else None
-            if albedo is None:
-                albedo = coat if garment == _COAT else self._cloth(light)
-            along, up = turn_x - 0.5, turn_y - 0.5
-            length = math.sqrt(along * along + up * up + 1e-9)
-            along, up, pattern = along / length, up / length, int(3 * kind)
-            period_m = 0.08 + 0.17 * size if pattern == 2 else 0.015 + 0.065 * size
-            second_m, weights = period_m * (0.7 + 0.6 * other), ((1, 0, 0), (0, 0, 1), (1, 1, 0))[pattern]
-            waves = along / period_m, up / period_m, (tilt - 0.5) / period_m, phase
-            across = -up / second_m, along / second_m, (0.5 - tilt) / second_m, next_phase
-            second = albedo if bare or plain >= self.patterned else self._cloth(next_light)
-            garments.append([*waves, *across, *weights, albedo, second])
-        if chances[_TROUSERS, 11] < 0.25:
-            garments[_TROUSERS] = garments[_COAT]  # a coat that reaches down
-        return np.array(garments)
+        camera, tables = scene.rig.camera, np.zeros((PART_COUNT + 1, 19), np.float32)
+        place = scene.step_m, camera.focal_px, *camera.centre_px, scene.rig.stand_off_m
+        cloth = drawn["coat"], self.darkest, self.lightest - self.darkest, self.patterned, drawn["speed_m_s"]
+        clothes = drawn_bits(draws, "clothes", 6 * 12, np.uint32).reshape(6, 12)
+        motion = drawn_bits(draws, "motion", 6 * len(_CHAIN) + 6, np.uint32)
+        given = parts, sums, tuple(map(float, place)), tuple(map(float, cloth)), clothes, motion, tables
+        with if_ready:
+            loops(_LOOPS).fill(*given)
+            return tables.T
+        fill(*given)
+        return tables.T
 
     def _cloth(self, chance: float) -> float:
         """A reflectance of cloth: more of it is dark than light."""
@@ -438,38 +412,68 @@ def _harmonic(gamma: float, order: int) -> float:
     return math.prod((gamma - k) / (gamma + k + 1) for k in range(1, order))
 
 
-def _middles(parts: bool, sums: NDArray[np.int64], scene: Scene) -> list[list[float]]:
-    """Where the rigid parts are, metres in the camera's frame, [[x, y, z]]; of one that is not seen, that before it."""
-    camera, found = scene.rig.camera, list[list[float]]()
-    totals = np.stack([sums[:, labels].sum(axis=1) for labels in (_MEMBERS if parts else [slice(None)])]).tolist()
-    for (count, column, row, steps), (_, before, _, _) in zip(totals, _CHAIN, strict=False):
-        if not count:
-            found.append(found[before] if before >= 0 else [0.0, 0.0, scene.rig.stand_off_m])
-            continue
-        z = steps / count * scene.step_m
-        x = (column / count + 0.5 - camera.centre_px[0]) / camera.focal_px
-        found.append([x * z, ((row / count + 0.5) - camera.centre_px[1]) / camera.focal_px * z, z])
-    return found
+def fill(parts: Any, sums: Any, place: Any, cloth: Any, clothes: Any, motion: Any, tables: Any) -> None:
+    """Write what `PhaseShift.looks` returns, transposed, into tables. Compiled, too, so it indexes arrays.
 
+    place: metres of a step, focal length, centre and stand-off; cloth: its strengths, and speed of hands and feet, m/s;
+    clothes, motion: drawn 32 bits each, [6, 12] and [108].
+    """
+    step_m, focal, centre_x, centre_y, stand_off = place
+    coat, darkest, spread, patterned, speed = cloth
+    garments = np.zeros((6, 13))
+    for garment in range(6):
+        chance = clothes[garment] * 2.0**-32
+        light, other, bare = chance[8], chance[9], garment in (_SKIN, _HAIR)
+        if bare:
+            albedo = 0.15 + 0.3 * light if garment == _SKIN else 0.02 + 0.2 * light * light
+        else:
+            albedo = coat if garment == _COAT else darkest + spread * light * light
+        along, up, pattern = chance[1] - 0.5, chance[2] - 0.5, int(3 * chance[0])
+        length = math.sqrt(along * along + up * up + 1e-9)
+        along, up, row = along / length, up / length, garments[garment]
+        period_m = 0.08 + 0.17 * chance[4] if pattern == 2 else 0.015 + 0.065 * chance[4]
+        second_m = period_m * (0.7 + 0.6 * chance[5])
+        row[0], row[1], row[2], row[3] = along / period_m, up / period_m, (chance[3] - 0.5) / period_m, chance[6]
+        row[4], row[5], row[6], row[7] = -up / second_m, along / second_m, (0.5 - chance[3]) / second_m, chance[7]
+        row[10 if pattern == 1 else 8] = 1
+        row[9] = pattern == 2
+        row[11] = albedo
+        row[12] = albedo if bare or chance[10] >= patterned else darkest + spread * other * other
+    if clothes[_TROUSERS, 11] * 2.0**-32 < 0.25:
+        garments[_TROUSERS] = garments[_COAT]  # a coat that reaches down
 
-def _motions(parts: bool, middles: list[list[float]], speed: float, draws: Draws) -> NDArray[np.float64]:
-    """Velocity at the camera, m/s, and rotation, rad/s, of every label, [34, 6]; speed: of hands and feet, m/s."""
-    chances = (draws.pixels("motion", 6 * len(_CHAIN) + 6, np.uint32) * 2.0**-31 - 1.0).tolist()
-    lively = [abs(chance) for chance in chances[-6:]]  # of each limb
-    moving: list[tuple[float, ...]] = []
-    for index, (middle, (_, before, share, limb)) in enumerate(zip(middles, _CHAIN, strict=False)):
-        much = speed * lively[limb]
-        turn = [much / _LIMB_M * chance for chance in chances[6 * index : 6 * index + 3]]
-        joint, at_joint = middle, [0.4 * much * chance for chance in chances[6 * index + 3 : 6 * index + 6]]
+    # Where the rigid parts are, metres in the camera's frame; of one that is not seen, that before it.
+    count = len(_BEFORE) if parts else 1
+    totals, middles, moving = np.zeros((count + 1, 4), np.int64), np.zeros((count, 3)), np.zeros((count + 1, 6))
+    for label in range(PART_COUNT + 1):
+        totals[_PART_OF[label] if parts else 0] += sums[:, label]
+    for part in range(count):
+        pixels, middle, before = totals[part, 0], middles[part], _BEFORE[part]
+        if pixels:
+            middle[2] = totals[part, 3] / pixels * step_m
+            middle[0] = (totals[part, 1] / pixels + 0.5 - centre_x) / focal * middle[2]
+            middle[1] = (totals[part, 2] / pixels + 0.5 - centre_y) / focal * middle[2]
+        elif before >= 0:
+            middle[:] = middles[before]
+        else:
+            middle[2] = stand_off
+
+    # Velocity at the camera and rotation of each.
+    chances, own = motion * 2.0**-31 - 1.0, 6 * len(_LIMB)
+    for part in range(count):
+        much, before, at = speed * abs(chances[own + _LIMB[part]]), _BEFORE[part], 6 * part
+        most, joint, moves = much / _LIMB_M, middles[part].copy(), 0.4 * much * chances[at + 3 : at + 6]
+        turn = most * chances[at : at + 3]
         if before >= 0:
-            joint = [here + share * (there - here) for here, there in zip(middle, middles[before], strict=True)]
-            vx, vy, vz, *turning = moving[before]
-            at_joint = [v + w for v, w in zip((vx, vy, vz), _cross(turning, joint), strict=True)]
-            turn = [old + new for old, new in zip(turning, turn, strict=True)]
-        moving.append((*(v - w for v, w in zip(at_joint, _cross(turn, joint), strict=True)), *turn))
-    still = (0.0,) * 6
-    return np.array([*moving, still])[_PART_OF] if parts else np.repeat([moving[0]], PART_COUNT + 1, axis=0)
+            joint += _SHARE[part] * (middles[before] - joint)
+            moves = moving[before, :3] + _cross(moving[before, 3:], joint)
+            turn = moving[before, 3:] + turn
+        moving[part, :3] = moves - _cross(turn, joint)
+        moving[part, 3:] = turn
+    for label in range(PART_COUNT + 1):
+        tables[label, :13] = garments[_WORN[label] if parts else _COAT]
+        tables[label, 13:] = moving[_PART_OF[label] if parts else 0]
 
 
-def _cross(a: list[float], b: list[float]) -> tuple[float, float, float]:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+def _cross(a: Any, b: Any) -> Any:
+    return np.array((a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]))
