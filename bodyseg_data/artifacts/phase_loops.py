@@ -7,13 +7,14 @@ import numpy as np
 from numba.extending import intrinsic, overload, register_jitable
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
-from bodyseg_data.artifacts import phase_shift
+from bodyseg_data.artifacts import fringes
 from bodyseg_data.artifacts.constants import FAR, SEGMENTS
-from bodyseg_data.artifacts.phase_shift import PART_COUNT, REACH, decode, pick
+from bodyseg_data.artifacts.fringes import REACH, decode, pick
 from bodyseg_data.artifacts.random_loops import draw_normals, raw_words
 from bodyseg_data.artifacts.scratch import BLOCK, CHUNK, ROOM, constant
 from bodyseg_data.artifacts.shadow_loops import find_runs
 from bodyseg_data.core import Draws
+from bodyseg_data.labels import PART_COUNT
 from bodyseg_data.machine import compiled
 from bodyseg_data.samples import Sample
 
@@ -24,13 +25,13 @@ _ONE, _TWO, _THREE, _FOUR, _FIVE, _SIX, _SEVEN, _EIGHT, _NINE, _TEN, _ELEVEN = m
 _ZERO, _LEAST, _MOST = map(np.float32, (0, 1, 65535))
 
 for _formula in (
-    phase_shift.sine,
-    phase_shift.angle,
-    phase_shift.slope,
-    phase_shift.wave,
-    phase_shift.changes_at,
+    fringes.sine,
+    fringes.angle,
+    fringes.slope,
+    fringes.wave,
+    fringes.changes_at,
     decode,
-    phase_shift._cross,
+    fringes.cross,
 ):
     register_jitable(forceinline=True)(_formula)
 
@@ -47,7 +48,7 @@ def _select(typing: Any, condition: Any, first: Any, second: Any) -> Any:
 _selected: Any = intrinsic(_select)
 
 
-@overload(phase_shift.pick, strict=False, jit_options={"forceinline": True})  # type: ignore[untyped-decorator]
+@overload(fringes.pick, strict=False, jit_options={"forceinline": True})  # type: ignore[untyped-decorator]
 def _pick(condition: Any, first: Any, second: Any) -> Any:
     return lambda condition, first, second: _selected(condition, first, second)
 
@@ -214,11 +215,11 @@ def _alter(
             _scatter(image, pieces[i, 1], pieces[i, 2], edge, pieces[i, 3], f)
 
 
-_fill = _kernel(phase_shift.fill)
+_fill = _kernel(fringes.fill)
 
 
 def fill(*given: Any) -> None:
-    """As `phase_shift.fill`."""
+    """As `fringes.fill`."""
     _fill(*given)
 
 

@@ -14,7 +14,8 @@ from kernel_forms import by_both
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts import Scene, load_sensor_model
-from bodyseg_data.artifacts.phase_shift import REACH, PhaseShift, decode
+from bodyseg_data.artifacts.fringes import REACH, decode
+from bodyseg_data.artifacts.phase_shift import PhaseShift
 from bodyseg_data.core import BadConfig, Draws
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.rigs import load_rig
