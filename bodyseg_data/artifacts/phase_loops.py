@@ -34,6 +34,7 @@ for _formula in (
     fringes.cross,
 ):
     register_jitable(forceinline=True)(_formula)
+register_jitable(fringes.fill)
 
 
 def _select(typing: Any, condition: Any, first: Any, second: Any) -> Any:
@@ -215,12 +216,10 @@ def _alter(
             _scatter(image, pieces[i, 1], pieces[i, 2], edge, pieces[i, 3], f)
 
 
-_fill = _kernel(fringes.fill)
-
-
-def fill(*given: Any) -> None:
+@_kernel
+def fill(parts: Any, sums: Any, place: Any, cloth: Any, clothes: Any, motion: Any, tables: Any) -> None:
     """As `fringes.fill`."""
-    _fill(*given)
+    fringes.fill(parts, sums, place, cloth, clothes, motion, tables)
 
 
 def apply(
