@@ -83,7 +83,7 @@ def bench_variants(
     if not trainings:
         raise BadConfig(f"--only-finished needs finished trainings VARIANT-SEED, found none in {runs[0]}")
     others = other_runs(runs, seeds)
-    plan = common_plan([*trainings, *others], data, steps)
+    plan = common_plan([*trainings, *(run for run in others if not run.elsewhere)], data, steps)
     recordings = None if real is None else RealFrames(real, runs[0] / "real_labels.npz")
     work = _Work(data, trainings, others, plan, images, recordings, progress)
     with ExitStack() as stack:

@@ -2,7 +2,7 @@
 
 Trainings of one seed share first weights, order of the images, mirrors and the artifacts' draws, whatever their
 variant. So two of them differ by the artifacts alone. Beside them may stand trainings with other artifacts, and, in
-further folders, of another rig.
+further folders, of another rig or recipe.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Run:
     """One training and its folder.
 
     variant: of the five; None for another, whose artifacts its card names. row: in the tables, by default the variant.
-    elsewhere: it lies in a further folder, and may be of another rig.
+    elsewhere: it lies in a further folder, and may be of another rig or recipe.
     """
 
     variant: VariantName | None
@@ -76,7 +76,7 @@ class Plan:
         """Facts that the card in the folder of `run` must have; of others than the variants, artifacts may differ."""
         facts = {"network": NETWORK, "settings": self.settings, "recipe": self.recipe.to_json(), "seed": run.seed}
         if run.variant is None:
-            return facts if run.elsewhere else {**facts, "set": self.data["set"]}
+            return {**facts, "set": self.data["set"]}
         return {**facts, "variant": run.variant, "data": {**self.data, "variant": run.variant, "seed": run.seed}}
 
 
