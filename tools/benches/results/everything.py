@@ -109,7 +109,7 @@ def _shipped() -> Iterator[Step]:
 
 def _trained() -> Iterator[Step]:
     """Networks that were trained for the comparison."""
-    compared = ("--data", KINECT_SET, "--runs", "runs/kinect", "runs/whole", "--seeds", "3", "--images", "200")
+    compared = ("--data", KINECT_SET, "--runs", "runs/kinect", "runs/whole", "--seeds", "3", "--images", "60")
     on_real = ("--only-finished", "--real", REAL, "--people", FAUST)
     yield _bench("variants", *compared, *on_real, drawn=True, more=("variants_real.png",), alone=True)
     fine = ("--data", KINECT_SET, "--runs", "runs/fine", "--seeds", "1", "--images", "300", "--only-finished")

@@ -24,7 +24,8 @@ RULE: Final = (
     "rendered images that have its harm, by more than the spread of seeds, and nowhere else worse by more than that. "
     "More than the spread: the 95 % interval of the differences between networks of one seed does not reach 0. Real "
     f"frames decide only where the network without it loses at least {DECIDE_POINTS:g} point on them; elsewhere an "
-    "artifact is untestable here and taken by its cost."
+    "artifact is untestable here and taken by its cost. One that gains a point or more, but within the spread, is "
+    "undecided: longer trainings must tell."
 )
 _HARMED: Final[Mapping[str, Sequence[str]]] = {
     "occ": ("occ", "all"),
@@ -100,10 +101,10 @@ def _verdict(row: str, base: str, gains: Mapping[str, Tree]) -> Tree:
         outcome = "undecided: one seed"
     elif better_real or better_rendered:
         outcome = "gains and loses" if worse else "stays" if better_real else "stays, by rendered images alone"
-    elif worse:
-        outcome = "goes"
+    elif decides or any(gains[name]["mean"] >= DECIDE_POINTS for name in harmed):
+        outcome = "undecided: seeds differ"
     else:
-        outcome = "undecided: seeds differ" if decides else "untestable here"
+        outcome = "goes" if worse else "untestable here"
     return {
         "row": row,
         "against": base,
