@@ -254,6 +254,12 @@ def _bad_landmarks() -> Iterator[None]:
         raise BadLandmarks(str(error)) from None
 
 
+def _misspelt(name: str, others: list[str]) -> str:
+    """A missing name, and which of the other names in its file may be meant."""
+    close = difflib.get_close_matches(name, others, 1)
+    return repr(name) + (f" (misspelt as {close[0]!r}?)" if close else "")
+
+
 def _by_name(tree: Table, key: str) -> tuple[Table, tuple[str, ...]]:
     """The last table of a landmark file, by name, and the names in it that are not among the 33.
 
@@ -262,11 +268,7 @@ def _by_name(tree: Table, key: str) -> tuple[Table, tuple[str, ...]]:
     table = tree.table(key)
     tree.finish()
     others = [name for name in table if name not in LANDMARKS]
-    missing = []
-    for name in LANDMARKS:
-        if not table.has(name):
-            close = difflib.get_close_matches(name, others, 1)
-            missing.append(repr(name) + (f" (misspelt as {close[0]!r}?)" if close else ""))
+    missing = [_misspelt(name, others) for name in LANDMARKS if not table.has(name)]
     if missing:
         raise BadLandmarks(f"{tree.where}: landmark {', '.join(missing)} is missing")
     return table, tuple(others)
@@ -293,8 +295,7 @@ def read_lnd(path: Path) -> PointLandmarks:
         found[name] = point
     missing = [name for name in LANDMARKS if name not in found]
     if missing:
-        stray = f"; names not recognised: {', '.join(map(repr, unknown[:8]))}" if unknown else ""
-        raise BadLandmarks(f"landmarks {path}: {', '.join(map(repr, missing))} missing{stray}")
+        raise BadLandmarks(f"landmarks {path}: {', '.join(_misspelt(name, unknown) for name in missing)} missing")
     return PointLandmarks(str(path), np.array([found[name] for name in LANDMARKS]) * METRES["mm"])
 
 

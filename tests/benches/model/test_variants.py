@@ -370,10 +370,9 @@ def test_finished_trainings_are_compared_with_others_of_their_recipe(
         ("all", "undecided: one seed"),
         ("sensor", "undecided: one seed"),
     }
-    (tmp_path / "paper" / "noise-0").rename(tmp_path / "paper" / "x-1")
-    card = json.loads((tmp_path / "paper" / "x-1" / "network.json").read_text())
-    (tmp_path / "paper" / "x-1" / "network.json").write_text(json.dumps(card | {"recipe": {}}))
-    with pytest.raises(BadConfig, match="differ in variant and seed alone: recipe of .*x-1 is {}, expected"):
+    card = json.loads((folder / "sensor-0" / "network.json").read_text())
+    (folder / "sensor-0" / "network.json").write_text(json.dumps(card | {"recipe": {}}))
+    with pytest.raises(BadConfig, match="differ in variant and seed alone: recipe of .*sensor-0 is {}, expected"):
         bench_variants(str(figures_set), (folder, tmp_path / "paper"), only_finished=True)
 
 
