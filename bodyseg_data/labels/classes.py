@@ -143,7 +143,7 @@ class Classes:
 
 
 def classes_of(given: Classes | Iterable[str | LabelClass], name: str = "classes") -> Classes:
-    """Return classes as given, or made of names and `LabelClass`es. name: of the whole. Raises BadConfig."""
+    """Return classes as given, or made of names and `LabelClass` entries. name: of the whole. Raises BadConfig."""
     if isinstance(given, Classes):
         return given
     if isinstance(given, str) or not isinstance(given, Iterable):

@@ -41,7 +41,7 @@ def tube(points: list[Point], radius: float) -> Solid:
 
 
 def wheel(radius: float, thick: float, centre: Point, spokes: int) -> Solid:
-    """An upright wheel in the plane x = `centre`[0]."""
+    """An upright wheel in the plane of the x of `centre`."""
     turns, (x, y, z) = [2 * math.pi * step / 16 for step in range(17)], centre
     rim: list[Point] = [(x, y + radius * math.sin(turn), z + radius * math.cos(turn)) for turn in turns]
     return together([tube(rim, thick), *(tube([centre, rim[step * 16 // spokes]], 0.006) for step in range(spokes))])
