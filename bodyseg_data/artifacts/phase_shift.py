@@ -89,13 +89,13 @@ class PhaseShift(Artifact):
         return {
             "speed_m_s": self.slowest_m_s + (self.fastest_m_s - self.slowest_m_s) * speed * speed,
             "ambient": self.dimmest + (self.brightest - self.dimmest) * light,
-            "coat": self._cloth(coat),
+            "coat": self.darkest + (self.lightest - self.darkest) * coat * coat,  # more cloth is dark than light
         }
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         """As `Artifact.apply`. Raises BadConfig for a rig whose camera and projector are at one point."""
-        (fixed, x, y), ambient = self._of_rig(scene.rig), self.signal_e * image.drawn["ambient"]
-        optics, clean = fixed._replace(ambient=np.float32(ambient)), scene.sample.range
+        optics, clean = self.optics(scene.rig, image.drawn["ambient"]), scene.sample.range
+        _, x, y = self._of_rig(scene.rig)
         looks_of = partial(self.looks, "subset" in scene.sample.info.fields, scene=scene, drawn=image.drawn)
         edge = np.float32(EDGE_M / scene.step_m)
         times = np.float32(optics.finest + 1 - self.binary_patterns), np.float32((self.phase_patterns - 1) / 2)
@@ -180,10 +180,6 @@ class PhaseShift(Artifact):
             return tables.T
         fill(*given)
         return tables.T
-
-    def _cloth(self, chance: float) -> float:
-        """A reflectance of cloth: more of it is dark than light."""
-        return self.darkest + (self.lightest - self.darkest) * chance * chance
 
 
 _NEIGHBOURS: Final = ((0, 0), (0, -REACH), (0, REACH), (-REACH, 0), (REACH, 0))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
@@ -10,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.model.ablation.sensor_artifacts import ADDED
-from benches.model.variants.scores import Condition
-from bodyseg_data.artifacts import SHAPES, RangeImage, SensorModel, load_sensor_model, lost
+from benches.model.variants.scores import AlteredImages, Condition
+from bodyseg_data.artifacts import SHAPES, SensorModel, load_sensor_model, lost
 from bodyseg_data.core import generator
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.loading import RangeImages
@@ -91,7 +90,7 @@ def coarse_conditions(step_mm: float) -> tuple[AblationCondition, ...]:
     return tuple(AblationCondition(name, label=name, title=name, step_mm=step_mm) for name in ("all", "none"))
 
 
-class ConditionImages(RangeImages):
+class ConditionImages(AlteredImages):
     """Test images of a condition: those of the variant, then with losses, then rounded."""
 
     def __init__(self, path: str, condition: AblationCondition) -> None:
@@ -99,31 +98,14 @@ class ConditionImages(RangeImages):
         super().__init__(path, condition.variant, "test", _SEED, sensor=fixed, only=condition.only)
         self._condition = condition
 
-    def write(
-        self,
-        index: int,
-        epoch: int,
-        image: NDArray[np.uint16],
-        labels: NDArray[np.uint8],
-        planes: Sequence[NDArray[Any]] = (),
-    ) -> None:
-        """As `RangeImages.write`."""
-        super().write(index, epoch, image, labels, planes)
-        self._alter(index, epoch, image, labels)
-
-    def image(self, index: int, epoch: int | None = None) -> RangeImage:
-        """As `RangeImages.image`."""
-        made = super().image(index, epoch)
-        self._alter(index, self.epoch if epoch is None else epoch, made.range, made.labels)
-        return made
-
     def identity(self) -> dict[str, Any]:
         """As `RangeImages.identity`, with what else is done to the images, if anything is."""
         facts = asdict(self._condition)
         altered = {name: facts[name] for name in ("lost", "share", "step_mm") if facts[name]}
         return super().identity() | ({"altered": altered} if altered else {})
 
-    def _alter(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
+    def alter(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
+        """As `AlteredImages.alter`."""
         if self._condition.lost is not None:
             gone = self._lost(self._condition.lost, index, epoch)
             image[gone] = 0

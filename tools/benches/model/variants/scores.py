@@ -8,6 +8,7 @@ with occlusions gains most, which it only can where test images have them.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from benches.model.border_distance import BorderErrors
 from benches.result_cache import ResultCache, network_identity
-from bodyseg_data.artifacts import VARIANTS, VariantName
+from bodyseg_data.artifacts import VARIANTS, RangeImage, VariantName
 from bodyseg_data.core import generator
 from bodyseg_data.loading import RangeImages
 from bodyseg_model.evaluation import evaluate, open_images, report
@@ -67,12 +68,8 @@ class Condition:
         return open_images(data, self.variant, "test", _SEED, self.noise_mm, self.missing)
 
 
-class ReliefImages(RangeImages):
-    """Test images of a condition with a grain, or flat, as batches have them."""
-
-    def __init__(self, path: str, condition: Condition) -> None:
-        super().__init__(path, condition.variant, "test", _SEED)
-        self._grain_px, self._flat = condition.grain_px, condition.flat
+class AlteredImages(RangeImages, ABC):
+    """Test images that are altered after their artifacts."""
 
     def write(
         self,
@@ -84,6 +81,28 @@ class ReliefImages(RangeImages):
     ) -> None:
         """As `RangeImages.write`."""
         super().write(index, epoch, image, labels, planes)
+        self.alter(index, epoch, image, labels)
+
+    def image(self, index: int, epoch: int | None = None) -> RangeImage:
+        """As `RangeImages.image`."""
+        made = super().image(index, epoch)
+        self.alter(index, self.epoch if epoch is None else epoch, made.range, made.labels)
+        return made
+
+    @abstractmethod
+    def alter(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
+        """Alter an image, uint16 [H, W], stored steps, and its labels, uint8 [H, W], in place."""
+
+
+class ReliefImages(AlteredImages):
+    """Test images of a condition with a grain, or flat."""
+
+    def __init__(self, path: str, condition: Condition) -> None:
+        super().__init__(path, condition.variant, "test", _SEED)
+        self._grain_px, self._flat = condition.grain_px, condition.flat
+
+    def alter(self, index: int, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> None:
+        """As `AlteredImages.alter`."""
         if self._flat:
             image[image > 0] = np.median(image[image > 0])
         if self._grain_px:
