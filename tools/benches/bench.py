@@ -109,6 +109,7 @@ BENCHES: Final = {
     "motion": Bench("model.motion", required=("data", "runs")),
     "steady": Bench("model.real.steady", None, "frames, 100", required=("data",), optional=("runs", "flip_average")),
     "shuffles": Bench("model.shuffles", required=("data",), optional=("seeds", "steps", "images")),
+    "harm": Bench("model.harm", required=("data",), optional=("runs", "images")),
     "training": Bench("model.training_speed", required=("data",), optional=("steps",)),
     "gpu": Bench("model.gpu", None, "samples of a pass, 2000", required=("data",), optional=("num_workers", "steps")),
     "failures": Bench("model.failures.bench", "figure", required=("data",), optional=("runs", "images", "hard")),
@@ -151,7 +152,7 @@ class Options:
         "for variants: folder of runs VARIANT-SEED, where missing ones are trained, and folders of others to compare "
         "on real frames; for architectures and ablation: "
         "folders of runs NAME-SEED; for motion: runs, all of them; for rooms: runs of a finder; for network, runtimes, "
-        "numerical, sensors, limits, windows, people, joints, real, steady and failures: runs",
+        "numerical, sensors, harm, limits, windows, people, joints, real, steady and failures: runs",
         None,
     )
     seeds: int | None = option("for variants and shuffles: trainings of each variant or order (default 3)", None)
@@ -162,7 +163,7 @@ class Options:
     )
     images: int | None = option(
         "number of test images (default: variants 500, architectures, runtimes and ablation 200, windows 300, "
-        "shuffles 500, failures 1000)",
+        "shuffles 500, harm 100, failures 1000)",
         None,
     )
     hard: str | None = option(

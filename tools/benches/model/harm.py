@@ -1,0 +1,90 @@
+"""`bench harm`: what each artifact costs networks that were not trained with it, on test images that have it alone.
+
+An artifact that costs such networks nothing cannot be learned to anybody's gain on rendered images: no training is
+needed to tell that it is more than a scene needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+from benches.model.ablation.conditions import AblationCondition
+from benches.model.ablation.costs import loading_ms
+from benches.model.chosen import chosen_network
+from benches.model.variants.verdicts import DECIDE_POINTS, paired
+from bodyseg_data.artifacts import Artifact, AxialNoise, MissingData, Noise, SensorModel, load_sensor_model
+from bodyseg_data.artifacts.lost_pixels import EdgeLoss, GrazingLoss, PatchLoss, StripeLoss
+from bodyseg_data.artifacts.range_errors import DisparityRounding, LateralNoise, MixedPixels, RangeRounding, StereoNoise
+from bodyseg_data.core import ProgressCallback, check_int, counter, silent
+from bodyseg_data.loading import RangeImages
+from bodyseg_model.evaluation import evaluate, over_seeds
+from bodyseg_model.networks import find_device
+
+ARTIFACTS: Final[dict[str, Artifact]] = {
+    "noise of one sigma": Noise(0.0, 20.0),
+    "noise by range and incidence": AxialNoise(),
+    "noise of disparity": StereoNoise(0.08, 425.0, 0.05),
+    "rounded disparities": DisparityRounding(0.125, 580.0, 0.075),
+    "whole millimetres": RangeRounding(1.0),
+    "pixels that show what is beside them": LateralNoise(),
+    "mixed pixels": MixedPixels(0.5, 4.0),
+    "pixels lost by themselves": MissingData((0.0, 0.05, 0.5)),
+    "patches lost": PatchLoss(0.0, 0.4),
+    "stripes lost": StripeLoss(0.0, 0.4),
+    "grazing surfaces lost": GrazingLoss(70.0, 0.7),
+    "edges lost": EdgeLoss(2, 0.5),
+}
+"""In words -> the artifact, as strong as on sensors that have it: Kinect v1, and RealSense D435 for its stereo."""
+SENSORS: Final = ("kinect_v1", "realsense_d435", "azure_kinect", "paper_phase_shift")
+_NONE: Final = "none"
+
+
+def bench_harm(
+    data: str, runs: Sequence[Path] = (), images: int = 100, progress: ProgressCallback = silent
+) -> dict[str, Any]:
+    """Evaluate networks on the first test images of a set without artifacts, then with each of `ARTIFACTS` alone, then
+    with all artifacts of each of `SENSORS`.
+
+    data: folder or address of a set. runs: trainings NAME-SEED, one row for each NAME, beside the shipped network.
+    lost: points of average per-class accuracy less than without artifacts, over the seeds. harmless: less than
+    `DECIDE_POINTS` in every row. ms: processor time of a sample in the loader. Raises BadConfig, and as `load_network`.
+    """
+    check_int("the number of test images", images, 1)
+    device = find_device()
+    rows: dict[str, dict[int, Any]] = {}
+    for name, trained in [chosen_network(), *(chosen_network([run]) for run in runs)]:
+        row, _, seed = name.rpartition("-")
+        rows.setdefault(row or name, {})[int(seed) if row else 0] = trained.network.to(device)
+    shown = {_NONE: SensorModel(_NONE, ())}
+    shown |= {title: SensorModel(artifact.name, (artifact,)) for title, artifact in ARTIFACTS.items()}
+    shown |= {f"all of {name}": load_sensor_model(name) for name in SENSORS}
+    tick = counter(progress, len(shown) * sum(map(len, rows.values())))
+    found: dict[str, dict[str, dict[int, float]]] = {}
+    for title, sensor in shown.items():  # the outer loop, so that every set of test images is opened once
+        tested = AblationCondition("all", label=title, sensor=sensor).open(data)
+        for row, networks in rows.items():
+            for seed, network in networks.items():
+                judged = evaluate(network, tested, images, confidences=False, batch_size=1).total().confusion
+                found.setdefault(title, {}).setdefault(row, {})[seed] = judged.average_per_class_accuracy()
+                tick()
+    clean = found.pop(_NONE)
+    cost = loading_ms({title: RangeImages(data, "all", "train", sensor=sensor) for title, sensor in shown.items()})
+    return {
+        "data": tested.manifest.source,
+        "rig": tested.manifest.rig.name,
+        "test_images": min(images, len(tested)),
+        "without": {row: over_seeds([*scores.values()]) for row, scores in clean.items()},
+        "artifacts": [
+            {
+                "what": title,
+                "strengths": {each.name: asdict(each) for each in shown[title].artifacts},
+                "lost": {row: paired(clean[row], scores[row]) for row in rows},
+                "harmless": all((paired(clean[row], scores[row]) or {})["mean"] < DECIDE_POINTS for row in rows),
+                "ms": round(cost[title]["ms"] - cost[_NONE]["ms"], 3),
+            }
+            for title, scores in found.items()
+        ],
+    }
