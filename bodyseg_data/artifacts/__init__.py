@@ -11,7 +11,8 @@ if TYPE_CHECKING:
     from bodyseg_data.artifacts.missing_data import MissingData
     from bodyseg_data.artifacts.noise import Noise
     from bodyseg_data.artifacts.occlusion import Occlusion, ShadowTest, framed, lit_pixels, shadow_tests
-    from bodyseg_data.artifacts.range_errors import AxialNoise
+    from bodyseg_data.artifacts.phase_shift import PhaseShift
+    from bodyseg_data.artifacts.range_errors import AxialNoise, MixedPixels
     from bodyseg_data.artifacts.registry import artifact_class
     from bodyseg_data.artifacts.sensor_model import (
         PAPER_SENSOR,

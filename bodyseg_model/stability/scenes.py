@@ -15,7 +15,18 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts import SHAPES, Artifact, MissingData, Noise, box_of, lit_pixels, lost, shown_with
+from bodyseg_data.artifacts import (
+    SHAPES,
+    Artifact,
+    MissingData,
+    MixedPixels,
+    Noise,
+    PhaseShift,
+    box_of,
+    lit_pixels,
+    lost,
+    shown_with,
+)
 from bodyseg_data.bodies import BodyRef, open_source
 from bodyseg_data.core import BadConfig, ProgressCallback, generator, silent
 from bodyseg_data.labels import BACKGROUND
@@ -97,8 +108,12 @@ SWEEPS: Final = {
         "Hidden by things, which are in the image", "share of the body", _SHARES, "rendered", counts=False
     ),
     "hard": Sweep("Hard poses", "0: the set's, 1: hard", (0, 1), counts=False),
+    "mixed": Sweep("Mixed pixels before a wall", "share of edges", (0.0, 0.1, 0.25, 0.5, 1.0), counts=False),
+    "speed": Sweep("Moving limbs, shifted fringes", "hands and feet, m/s", (0.0, 0.5, 1.0, 2.0, 4.0), counts=False),
+    "clothes": Sweep("Dark clothes, shifted fringes", "reflectance", (0.8, 0.2, 0.1, 0.05, 0.03, 0.02), counts=False),
+    "ambient": Sweep("Other light, shifted fringes", "share of the projector's", (0.0, 1.0, 4.0, 16.0), counts=False),
 }
-"""Name -> sweep. Resampling is a remedy, things and hard poses are not a sensor's fault, so they do not count."""
+"""Name -> sweep. Those do not count that are a remedy, no fault of a sensor, or causes of a loss that counts already."""
 
 
 def chosen(names: tuple[str, ...], hard: bool) -> dict[str, Sweep]:
@@ -123,7 +138,7 @@ def corrupted(sample: Sample, condition: SweepPoint, rig: Rig, seed: int) -> NDA
     if condition == CLEAN["stored"]:
         return sample.range
     if condition.sweep in _ARTIFACTS:
-        return shown_with(_ARTIFACTS[condition.sweep](condition.strength), sample, rig, seed).range
+        return shown_with(_ARTIFACTS[condition.sweep](condition.strength, rig), sample, rig, seed).range
     if condition.sweep in SHAPES:
         draws = generator(seed, 0, sample.key, condition.sweep)
         return sample.range * ~lost(condition.sweep, sample.range, condition.strength, rig.camera, draws)
@@ -150,9 +165,23 @@ def _crop(image: NDArray[np.uint16], share: float, from_end: bool = False) -> ND
     return cropped
 
 
-_ARTIFACTS: Final[dict[str, Callable[[float], Artifact]]] = {
-    "noise": lambda sigma_mm: Noise(sigma_mm, sigma_mm),
-    "missing": lambda share: MissingData((share,)),
+_WALL_M: Final = 1.5  # behind the rig's stand-off
+_REFLECTANCE: Final = 0.5  # of clothes that are not dark
+
+
+def _fringes(speed_m_s: float = 0.0, reflectance: float = _REFLECTANCE, ambient: float = 0.0) -> PhaseShift:
+    """The paper's sensor, of which every image has one speed, one reflectance of clothes and one ambient light."""
+    light = {"dimmest": ambient, "brightest": ambient, "darkest": reflectance, "lightest": reflectance}
+    return PhaseShift(slowest_m_s=speed_m_s, fastest_m_s=speed_m_s, patterned=0.0, **light)
+
+
+_ARTIFACTS: Final[dict[str, Callable[[float, Rig], Artifact]]] = {
+    "noise": lambda sigma_mm, _: Noise(sigma_mm, sigma_mm),
+    "missing": lambda share, _: MissingData((share,)),
+    "mixed": lambda share, rig: MixedPixels(share, rig.stand_off_m + _WALL_M),
+    "speed": lambda speed_m_s, _: _fringes(speed_m_s),
+    "clothes": lambda reflectance, _: _fringes(reflectance=reflectance),
+    "ambient": lambda share, _: _fringes(ambient=share),
 }
 """The sweeps of one artifact: name -> the artifact at a strength."""
 

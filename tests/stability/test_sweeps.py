@@ -63,7 +63,10 @@ def test_what_is_changed_is_a_copy_on_the_body(name: str, sample: Sample, rig: R
     assert corrupted(sample, CLEAN["stored"], rig, 0) is sample.range
 
 
-@pytest.mark.parametrize("name", [name for name in STORED if name not in ("noise", "depth_steps")])
+LOSING = [name for name in STORED if name not in ("noise", "depth_steps", "mixed", "speed", "clothes", "ambient")]
+
+
+@pytest.mark.parametrize("name", LOSING)
 def test_what_is_lost_stays_lost_and_the_rest_is_as_it_was(name: str, sample: Sample, rig: Rig) -> None:
     before = sample.range
     for strength in SWEEPS[name].strengths[1:]:
@@ -98,6 +101,19 @@ def test_noise_has_the_sigma_asked_for(sample: Sample, rig: Rig) -> None:
     assert (
         corrupted(sample, SweepPoint("noise", 10), rig, 1) != corrupted(sample, SweepPoint("noise", 10), rig, 0)
     ).any()
+
+
+def test_fringes_lose_and_err_more_where_their_cause_is_stronger(sample: Sample, rig: Rig) -> None:
+    def left_and_error_mm(name: str) -> list[tuple[int, float]]:
+        images = [corrupted(sample, SweepPoint(name, strength), rig, 0) for strength in SWEEPS[name].strengths[1:]]
+        errors = [(image.astype(float) - sample.range)[image > 0] * rig.range_step_mm for image in images]
+        return [(len(each), float(np.quantile(np.abs(each), 0.9))) for each in errors]
+
+    for name in ("speed", "clothes"):
+        left = [pixels for pixels, _ in left_and_error_mm(name)]
+        assert left[-1] < 0.9 * np.count_nonzero(sample.range) and sorted(left, reverse=True) == left
+    errors = [error for _, error in left_and_error_mm("ambient")]
+    assert errors[-1] > 2 * errors[0] and sorted(errors) == errors
 
 
 def test_few_bits_leave_few_depths(sample: Sample, rig: Rig) -> None:
