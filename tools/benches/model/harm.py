@@ -15,9 +15,9 @@ from benches.model.ablation.conditions import AblationCondition
 from benches.model.ablation.costs import loading_ms
 from benches.model.chosen import chosen_network
 from benches.model.variants.verdicts import DECIDE_POINTS, paired
-from bodyseg_data.artifacts import Artifact, AxialNoise, MissingData, Noise, SensorModel, load_sensor_model
+from bodyseg_data.artifacts import Artifact, AxialNoise, MissingData, MixedPixels, Noise, SensorModel, load_sensor_model
 from bodyseg_data.artifacts.lost_pixels import EdgeLoss, GrazingLoss, PatchLoss, StripeLoss
-from bodyseg_data.artifacts.range_errors import DisparityRounding, LateralNoise, MixedPixels, RangeRounding, StereoNoise
+from bodyseg_data.artifacts.range_errors import DisparityRounding, LateralNoise, RangeRounding, StereoNoise
 from bodyseg_data.core import ProgressCallback, check_int, counter, silent
 from bodyseg_data.loading import RangeImages
 from bodyseg_model.evaluation import evaluate, over_seeds

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Final
 
-from bodyseg_data.artifacts import Artifact, AxialNoise
+from bodyseg_data.artifacts import Artifact, AxialNoise, MixedPixels
 from bodyseg_data.artifacts.lost_pixels import EdgeLoss, GrazingLoss, PatchLoss, StripeLoss
-from bodyseg_data.artifacts.range_errors import DisparityRounding, LateralNoise, MixedPixels, RangeRounding, StereoNoise
+from bodyseg_data.artifacts.range_errors import DisparityRounding, LateralNoise, RangeRounding, StereoNoise
 
 ADDED: Final[dict[str, Artifact]] = {
     "noise by range and incidence": AxialNoise(),
