@@ -23,10 +23,11 @@ from benches.model.chosen import parameters
 from benches.model.people.bodies import annotated_bodies
 from benches.model.people.scores import packed_views
 from benches.model.variants.claims import ScoresOf, Tree, accuracies, claims
+from benches.model.variants.real import ALTERED as ALTERED_FRAMES
 from benches.model.variants.real import RealFrames, Shown, Values
 from benches.model.variants.runs import NETWORK, Plan, Run, common_plan, origin, other_runs, runs_in, train
 from benches.model.variants.scores import SWEEPS, TABLE, Condition, Evaluator, Sweep
-from benches.model.variants.verdicts import REAL, RULE, Scores, differences, verdicts
+from benches.model.variants.verdicts import ALTERED, REAL, RULE, Scores, differences, verdicts
 from bodyseg_data.artifacts import VARIANTS, VariantName
 from bodyseg_data.core import BadConfig, NotedProgress, check_int, silent
 from bodyseg_data.loading import RangeImages
@@ -211,7 +212,9 @@ def _measured(work: _Work) -> dict[str, Any]:
         "sweeps": {name: _curves(everyone, sweep, trained_on) for name, sweep in SWEEPS.items()},
         "real": {
             row: {
-                name.removeprefix(REAL): over_seeds([*seeds.values()]) for name, seeds in each.items() if REAL in name
+                name.split(": ", 1)[1]: over_seeds([*seeds.values()])
+                for name, seeds in each.items()
+                if name.startswith((REAL, ALTERED))
             }
             for row, each in measures.items()
         },
@@ -242,7 +245,7 @@ def _measures(
     for run, recordings in real.items():
         for recording, values in recordings.items():
             for name, value in values.items():
-                add(run, f"{REAL}{recording}, {name}", value)
+                add(run, f"{ALTERED if name in ALTERED_FRAMES else REAL}{recording}, {name}", value)
     return rows
 
 

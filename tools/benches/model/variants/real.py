@@ -27,11 +27,13 @@ from benches.model.real.recording import Frame, read_recording
 from benches.model.rooms.real import CUTS, ROOM, RealFrame, cut_frames, room_frames
 from benches.model.variants.scores import FILE
 from benches.result_cache import ResultCache, code_digest, json_digest, network_identity
+from bodyseg_data.artifacts import Artifact, MissingData, PhaseShift, shown_with
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import read_bytes, read_json
 from bodyseg_data.labels import BACKGROUND, LANDMARKS, PART_CLASSES
 from bodyseg_data.machine import torch_threads
-from bodyseg_data.rigs import PlacedCamera
+from bodyseg_data.rigs import PlacedCamera, load_rig
+from bodyseg_data.samples import Sample, SampleInfo, steps
 from bodyseg_model.evaluation import ConfusionMatrix, GrossErrors, distances_to_parts
 from bodyseg_model.networks import Trained, load_network
 from bodyseg_model.segmentation import Background, Segmenter
@@ -46,6 +48,13 @@ RECORDINGS: Final = {
     ROOM: "a man in a room, Kinect v1",
 }
 """Folder -> what it shows."""
+
+ALTERED: Final[Mapping[str, Artifact]] = {
+    "thinned": MissingData((0.5,)),
+    "darkened": PhaseShift(fastest_m_s=0, darkest=0.003, lightest=0.003, patterned=0, brightest=0),
+}
+"""What is done to the labelled frames as well: half of the pixels lost, or what shifted fringes lose on black clothes:
+so near the sensor, 0.3 % of the light come back as 3 % at its stand-off."""
 
 _PLACEMENTS: Final = ("mean", "first", "second")
 _DOUBTFUL: Final = "00007"  # whose pose does not bring it onto the other frames
@@ -83,6 +92,21 @@ class Recording:
         """A frame as its labels are, turned right where that is known."""
         return self.frames[number].mirrored() if self.mirrored else self.frames[number]
 
+    def altered(self, artifact: Artifact) -> Recording:
+        """The recording with an artifact in every frame; true labels are of the pixels that are left."""
+        rig, frames, truth = load_rig(LABELLED), [], []
+        for frame, labels in zip(self.frames, self.truth["mean"], strict=True):
+            seen = labels[:, ::-1] if self.mirrored else labels
+            sensor = replace(rig, camera=frame.placed.camera)
+            info = SampleInfo("test", {"subset": self.name})  # so that the labels are taken for the 33 parts
+            ranges = steps(frame.range_m, rig.range_step_m, frame.name)
+            sample = Sample(frame.name, ranges, None, np.ascontiguousarray(seen), ranges > 0, info)
+            kept = np.where(shown_with(artifact, sample, sensor, 0).range > 0, frame.range_m, np.float32(0))
+            frames.append(replace(frame, range_m=kept, pixels=np.flatnonzero(kept)))
+            shown = kept[:, ::-1] if self.mirrored else kept
+            truth.append(np.where(shown > 0, labels, np.uint8(BACKGROUND)))
+        return replace(self, frames=frames, truth={"mean": truth})
+
     def answers(self, trained: Trained) -> list[Labels]:
         """Labels of `seen`, or else of `frames`."""
         labels = self.labels(trained, self.mirrored)
@@ -96,13 +120,14 @@ class Recording:
             given = [Answer(answer, np.zeros(answer.shape, np.float32)) for answer in answers]
             found = gross_errors(self.seen, self.truth["mean"], given, *self.surface) or {}
         for placement, truth in self.truth.items():
-            matrix = ConfusionMatrix()
-            for labels, answer in zip(truth, answers, strict=True):
-                matrix.add(labels, answer)
+            matrix = _counted(truth, answers)
             if placement == "mean":
                 found |= {"accuracy": matrix.average_per_class_accuracy(), "pixels": matrix.pixel_accuracy()}
             else:
                 found[f"accuracy_{placement}"] = matrix.average_per_class_accuracy()
+        for name, artifact in ALTERED.items() if self.truth else ():
+            altered = self.altered(artifact)
+            found[name] = _counted(altered.truth["mean"], altered.answers(trained)).average_per_class_accuracy()
         if self.seen:
             found |= _agreement(self.seen, answers)
         else:
@@ -271,6 +296,13 @@ def _largest(person: NDArray[np.bool_]) -> NDArray[np.bool_]:
     pieces, _ = label(person)
     largest: NDArray[np.bool_] = pieces == 1 + np.bincount(pieces[pieces > 0])[1:].argmax()
     return largest
+
+
+def _counted(truth: Sequence[Labels], answers: Sequence[Labels]) -> ConfusionMatrix:
+    matrix = ConfusionMatrix()
+    for labels, answer in zip(truth, answers, strict=True):
+        matrix.add(labels, answer)
+    return matrix
 
 
 def _agreement(frames: Sequence[Frame], answers: Sequence[Labels]) -> Values:

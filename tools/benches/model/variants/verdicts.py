@@ -18,6 +18,8 @@ Scores = Mapping[str, Mapping[str, Series]]
 DECIDE_POINTS: Final = 1.0
 REAL: Final = "real: "
 """Begin of the names of measures on real frames; all others are on rendered images."""
+ALTERED: Final = "altered: "
+"""Begin of the names of measures on real frames with a harm of ours, which decide nothing."""
 
 RULE: Final = (
     "An artifact stays if networks that are trained with it are better on real frames of a sensor that has it, or on "
@@ -90,6 +92,7 @@ def verdicts(scores: Scores, ms: Mapping[str, float]) -> list[Tree]:
 
 
 def _verdict(row: str, base: str, gains: Mapping[str, Tree]) -> Tree:
+    gains = {name: gain for name, gain in gains.items() if not name.startswith(ALTERED)}
     real = [name for name in gains if name.startswith(REAL)]
     harmed = [name for name in _HARMED.get(row, ("all", row)) if name in gains]
     elsewhere = real + [name for name in gains if name not in (*real, *harmed, *_NO_TEST)]
