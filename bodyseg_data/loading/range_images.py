@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts import (
@@ -34,7 +35,6 @@ from bodyseg_data.loading.image_set import Request, Requests, SampleDataset, Shu
 from bodyseg_data.loading.pipelines import sample_of
 from bodyseg_data.loading.selection import BlockOrder, Permutation, Selection, permutation
 from bodyseg_data.loading.skipping import with_text
-from bodyseg_data.loading.slots import SCRATCH, item_tensor
 from bodyseg_data.loading.transform import (
     BadTransform,
     Transforms,
@@ -230,7 +230,7 @@ class RangeImages(SampleDataset):
         """
         chosen, camera = self.epoch if epoch is None else check_epoch(epoch), self.manifest.rig.camera
         shape = (camera.rows, camera.columns)
-        ranges, labels = SCRATCH.empty(shape, np.uint16), SCRATCH.empty(shape, np.uint8)
+        ranges, labels = np.empty(shape, np.uint16), np.empty(shape, np.uint8)
         return self._made(index, chosen, ranges, labels)
 
     def write(
@@ -300,14 +300,14 @@ class RangeImages(SampleDataset):
         BadSample for members that are damaged or of another set, BadTransform.
         """
         clean = sample_of(sample, len(self.manifest.rig.projectors), self.unlabelled)
-        arrays = SCRATCH.empty(clean.range.shape, np.uint16), SCRATCH.empty(clean.range.shape, np.uint8)
+        arrays = np.empty(clean.range.shape, np.uint16), np.empty(clean.range.shape, np.uint8)
         return {"__key__": clean.key, **self._item(self._made_of(clean, self.epoch, *arrays))}
 
     def _item(self, image: RangeImage) -> dict[str, Any]:
-        ranges = metres(image.range, self.step_m, SCRATCH.empty(self.shape, np.float32))
-        item = {"range": item_tensor(ranges[None]), "labels": item_tensor(image.labels), "key": image.key}
+        ranges = metres(image.range, self.step_m)
+        item = {"range": torch.from_numpy(ranges[None]), "labels": torch.from_numpy(image.labels), "key": image.key}
         if self.planes:
-            item["planes"] = {name: item_tensor(plane) for name, plane in image.planes.items()}
+            item["planes"] = {name: torch.from_numpy(plane) for name, plane in image.planes.items()}
         return item
 
     def describe(self, index: int) -> dict[str, Any]:
