@@ -33,7 +33,7 @@ from bodyseg_data.labels import BACKGROUND, UNLABELLED, LabelMap, load_label_map
 from bodyseg_data.loading.conditions import named_fields, table_of, texts_of
 from bodyseg_data.loading.image_set import Request, Requests, SampleDataset, Shuffle, check_bool, check_index
 from bodyseg_data.loading.pipelines import sample_of
-from bodyseg_data.loading.selection import BlockOrder, Permutation, Selection, permutation
+from bodyseg_data.loading.selection import BlockOrder, Selection, permutation
 from bodyseg_data.loading.skipping import with_text
 from bodyseg_data.loading.transform import (
     BadTransform,
@@ -66,9 +66,6 @@ from bodyseg_data.shards import (
 OccluderName = Literal["stored", "camera"]
 OCCLUDERS: Final[tuple[OccluderName, ...]] = get_args(OccluderName)
 """What the projector's range comes from: the set, or what the camera sees."""
-
-WHOLE_ORDER: Final = 1 << 23
-"""Number of samples of an epoch whose order is computed at once; that of more samples in parts."""
 
 
 class RangeImages(SampleDataset):
@@ -376,9 +373,9 @@ class RangeImages(SampleDataset):
         return permutation(len(self), self.seed, check_epoch(epoch)) if shuffle else np.arange(len(self))
 
     def requests(self, epoch: int, shuffle: Shuffle = True) -> Requests:
-        """`order`, of many samples and by blocks in parts, with the epoch of the draws, the same for all samples."""
-        in_parts = BlockOrder if shuffle == "blocks" else Permutation if shuffle and len(self) > WHOLE_ORDER else None
-        order = self.order(epoch, shuffle) if in_parts is None else in_parts(len(self), self.seed, check_epoch(epoch))
+        """`order`, by blocks in parts, with the epoch of the draws, the same for all samples."""
+        blocks = shuffle == "blocks"
+        order = BlockOrder(len(self), self.seed, check_epoch(epoch)) if blocks else self.order(epoch, shuffle)
         return Requests(order, np.broadcast_to(np.int64(epoch), len(self)))
 
     def places(self, index: int) -> list[Place]:
