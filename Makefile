@@ -30,7 +30,7 @@ test: install
 
 # Folders and files whose tests call compiled loops.
 LOOPED := tests/machine tests/labels tests/artifacts tests/segmentation tests/training/test_geometric.py tests/training/test_mirror.py \
-	tests/shards/test_sample_codec.py tests/loading/test_labels.py tests/samples/test_metres.py \
+	tests/shards/test_sample_codec.py tests/loading/test_labels.py \
 	tests/packing/test_two_projectors.py tests/networks/test_input.py tests/networks/test_labelling.py \
 	tests/training/test_loss.py
 

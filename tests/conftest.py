@@ -98,7 +98,6 @@ _LONG_FILES: Final = (
     "training/test_loop.py",
     "rendering/test_renderers.py",
     "segmentation/test_segment_command.py",
-    "loading/test_items.py",
     "test_structure.py",
     "benches/model/test_architectures.py",
     "evaluation/test_evaluation.py",

@@ -25,7 +25,7 @@ from torch.utils.data import Dataset, Sampler
 
 from bodyseg_data.core import BadConfig, check_epoch, check_int
 from bodyseg_data.labels import LabelMap
-from bodyseg_data.loading.selection import Permutation
+from bodyseg_data.loading.selection import BlockOrder
 from bodyseg_data.samples import Sample
 from bodyseg_data.shards import Place
 
@@ -58,7 +58,7 @@ class Requests:
     indices: int64 [N], or an order whose slices are that. epochs: int64 [N], of each sample's draws.
     """
 
-    indices: NDArray[np.int64] | Permutation
+    indices: NDArray[np.int64] | BlockOrder
     epochs: NDArray[np.int64]
 
     def part(self, first: int, end: int) -> list[Request]:

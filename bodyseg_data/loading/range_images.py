@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts import (
@@ -32,9 +33,8 @@ from bodyseg_data.labels import BACKGROUND, UNLABELLED, LabelMap, load_label_map
 from bodyseg_data.loading.conditions import named_fields, table_of, texts_of
 from bodyseg_data.loading.image_set import Request, Requests, SampleDataset, Shuffle, check_bool, check_index
 from bodyseg_data.loading.pipelines import sample_of
-from bodyseg_data.loading.selection import BlockOrder, Permutation, Selection, permutation
+from bodyseg_data.loading.selection import BlockOrder, Selection, permutation
 from bodyseg_data.loading.skipping import with_text
-from bodyseg_data.loading.slots import SCRATCH, item_tensor
 from bodyseg_data.loading.transform import (
     BadTransform,
     Transforms,
@@ -66,9 +66,6 @@ from bodyseg_data.shards import (
 OccluderName = Literal["stored", "camera"]
 OCCLUDERS: Final[tuple[OccluderName, ...]] = get_args(OccluderName)
 """What the projector's range comes from: the set, or what the camera sees."""
-
-WHOLE_ORDER: Final = 1 << 23
-"""Number of samples of an epoch whose order is computed at once; that of more samples in parts."""
 
 
 class RangeImages(SampleDataset):
@@ -230,7 +227,7 @@ class RangeImages(SampleDataset):
         """
         chosen, camera = self.epoch if epoch is None else check_epoch(epoch), self.manifest.rig.camera
         shape = (camera.rows, camera.columns)
-        ranges, labels = SCRATCH.empty(shape, np.uint16), SCRATCH.empty(shape, np.uint8)
+        ranges, labels = np.empty(shape, np.uint16), np.empty(shape, np.uint8)
         return self._made(index, chosen, ranges, labels)
 
     def write(
@@ -300,14 +297,14 @@ class RangeImages(SampleDataset):
         BadSample for members that are damaged or of another set, BadTransform.
         """
         clean = sample_of(sample, len(self.manifest.rig.projectors), self.unlabelled)
-        arrays = SCRATCH.empty(clean.range.shape, np.uint16), SCRATCH.empty(clean.range.shape, np.uint8)
+        arrays = np.empty(clean.range.shape, np.uint16), np.empty(clean.range.shape, np.uint8)
         return {"__key__": clean.key, **self._item(self._made_of(clean, self.epoch, *arrays))}
 
     def _item(self, image: RangeImage) -> dict[str, Any]:
-        ranges = metres(image.range, self.step_m, SCRATCH.empty(self.shape, np.float32))
-        item = {"range": item_tensor(ranges[None]), "labels": item_tensor(image.labels), "key": image.key}
+        ranges = metres(image.range, self.step_m)
+        item = {"range": torch.from_numpy(ranges[None]), "labels": torch.from_numpy(image.labels), "key": image.key}
         if self.planes:
-            item["planes"] = {name: item_tensor(plane) for name, plane in image.planes.items()}
+            item["planes"] = {name: torch.from_numpy(plane) for name, plane in image.planes.items()}
         return item
 
     def describe(self, index: int) -> dict[str, Any]:
@@ -376,9 +373,9 @@ class RangeImages(SampleDataset):
         return permutation(len(self), self.seed, check_epoch(epoch)) if shuffle else np.arange(len(self))
 
     def requests(self, epoch: int, shuffle: Shuffle = True) -> Requests:
-        """`order`, of many samples and by blocks in parts, with the epoch of the draws, the same for all samples."""
-        in_parts = BlockOrder if shuffle == "blocks" else Permutation if shuffle and len(self) > WHOLE_ORDER else None
-        order = self.order(epoch, shuffle) if in_parts is None else in_parts(len(self), self.seed, check_epoch(epoch))
+        """`order`, by blocks in parts, with the epoch of the draws, the same for all samples."""
+        blocks = shuffle == "blocks"
+        order = BlockOrder(len(self), self.seed, check_epoch(epoch)) if blocks else self.order(epoch, shuffle)
         return Requests(order, np.broadcast_to(np.int64(epoch), len(self)))
 
     def places(self, index: int) -> list[Place]:

@@ -30,8 +30,6 @@ from bodyseg_data.shards import BODY_FIELDS, Fields, Manifest
 BodyRow = tuple[str, ...]
 """A body: source, subset, subject, mesh, pose."""
 
-_BLOCK_WORDS: Final = 1 << 18
-
 BLOCK_SAMPLES: Final = 32
 """Samples of a block of `BlockOrder`, neighbours in the manifest's order."""
 
@@ -44,19 +42,21 @@ def permutation(count: int, seed: int, epoch: int, purpose: str = "order") -> ND
     return np.argsort(words, kind="stable")
 
 
-class Permutation:
-    """The order of `permutation`, computed part by part as slices of it are read; a slice is int64.
+class BlockOrder:
+    """An order, computed part by part as slices of it are read, int64, in which neighbours come near each
+    other, so that few files are read at a time.
 
-    A part holds the things whose words share their highest bits. All words are drawn again for each, so the whole order
-    takes longer than by `permutation`, and memory for one part and a block of words only. part_bits: parts
-    hold 2**part_bits things, or half as many, on average. The part read last is held: who reads elsewhere at the same
-    time needs a copy.
+    Blocks of `BLOCK_SAMPLES` neighbours are permuted. A part holds 4, 8, 16 and from then on 32 of the blocks that
+    follow each other, and its things are permuted: the first batches come from few places, later ones from many. The
+    part read last is held: who reads elsewhere at the same time needs a copy.
     """
 
-    def __init__(self, count: int, seed: int, epoch: int, purpose: str = "order", part_bits: int = 21) -> None:
-        self._count, self._key = count, Draws(seed, epoch, "").stream(purpose)
-        self._shared_bits = max(0, (count - 1).bit_length() - part_bits)
+    def __init__(self, count: int, seed: int, epoch: int) -> None:
+        self._count, self._key = count, Draws(seed, epoch, "").stream("order in blocks")
         self._held = (-1, np.empty(0, np.int64))
+        self._permuted = permutation(-(-count // BLOCK_SAMPLES), seed, epoch, "blocks")
+        starts = [*_FIRST_PARTS, *range(2 * _FIRST_PARTS[-1] + 4, len(self._permuted), _FIRST_PARTS[-1] + 4)]
+        self._starts = [start for start in starts if start < len(self._permuted)]
 
     def __len__(self) -> int:
         return self._count
@@ -76,46 +76,6 @@ class Permutation:
     @cached_property
     def _ends(self) -> NDArray[np.int64]:
         """Number of things up to the end of each part, int64 [P]."""
-        counts = np.zeros(1 << self._shared_bits, np.int64)
-        for _, words in self._blocks():
-            counts += np.bincount(self._part_of(words), minlength=len(counts))
-        return np.cumsum(counts)
-
-    def _part(self, part: int) -> NDArray[np.int64]:
-        things, own = [], []
-        for start, words in self._blocks():
-            inside = np.flatnonzero(self._part_of(words) == part)
-            things.append(inside + start)
-            own.append(words[inside])
-        order: NDArray[np.int64] = np.concatenate(things)[np.argsort(np.concatenate(own), kind="stable")]
-        return order
-
-    def _part_of(self, words: NDArray[np.uint64]) -> NDArray[np.int64]:
-        shift = np.uint64(64 - self._shared_bits)
-        return (words >> shift).astype(np.int64) if self._shared_bits else np.zeros(len(words), np.int64)
-
-    def _blocks(self) -> Iterator[tuple[int, NDArray[np.uint64]]]:
-        """Yield all words, block by block, each with the number of its first thing."""
-        words = np.random.Philox(key=self._key)
-        for start in range(0, self._count, _BLOCK_WORDS):
-            yield start, words.random_raw(min(_BLOCK_WORDS, self._count - start))
-
-
-class BlockOrder(Permutation):
-    """An order, computed part by part, in which neighbours come near each other, so that few files are read at a time.
-
-    Blocks of `BLOCK_SAMPLES` neighbours are permuted. A part holds 4, 8, 16 and from then on 32 of the blocks that
-    follow each other, and its things are permuted: the first batches come from few places, later ones from many.
-    """
-
-    def __init__(self, count: int, seed: int, epoch: int) -> None:
-        super().__init__(count, seed, epoch, "order in blocks")
-        self._permuted = permutation(-(-count // BLOCK_SAMPLES), seed, epoch, "blocks")
-        starts = [*_FIRST_PARTS, *range(2 * _FIRST_PARTS[-1] + 4, len(self._permuted), _FIRST_PARTS[-1] + 4)]
-        self._starts = [start for start in starts if start < len(self._permuted)]
-
-    @cached_property
-    def _ends(self) -> NDArray[np.int64]:
         sizes = np.full(len(self._permuted), BLOCK_SAMPLES)
         sizes[self._permuted == len(sizes) - 1] -= BLOCK_SAMPLES * len(sizes) - self._count
         return np.cumsum(np.add.reduceat(sizes, self._starts))

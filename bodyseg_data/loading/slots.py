@@ -1,13 +1,7 @@
 """Shared memory into which workers write whole batches, reused as soon as no reference to a batch is left.
 
-`Slots` are the memory of `Loader`. No pixel is copied or sent between processes, and after the first few batches
-nothing is allocated and no page is touched for the first time. The memory has no name, so that nothing is left behind;
-a small /dev/shm does not limit it.
-
-`item_tensor` and `empty_batch` serve PyTorch's own DataLoader, whose workers take new shared memory for every batch,
-and to write to it for the first time takes longer than to make the images. Here a worker keeps the memory of its
-batches. The last byte says whether a batch is in use: the worker sets it when it sends the batch, and the process that
-receives it clears it when no tensor or view of it is left.
+No pixel is copied or sent between processes, and after the first few batches nothing is allocated and no page is
+touched for the first time. The memory has no name, so that nothing is left behind; a small /dev/shm does not limit it.
 """
 
 from __future__ import annotations
@@ -18,75 +12,19 @@ import mmap
 import os
 import tempfile
 import weakref
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from multiprocessing import reduction
-from multiprocessing.reduction import ForkingPickler
 from typing import Any, Final
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch.multiprocessing import get_sharing_strategy
-from torch.utils.data import default_collate, get_worker_info
-from torch.utils.data._utils.collate import default_collate_fn_map  # where the manual of `default_collate` extends it
 
 from bodyseg_data.core import BadConfig
 from bodyseg_data.shards import Stage
 
-_KEPT_BYTES: Final = 2**26  # the most memory that is kept: for 60 items of 640 x 329 pixels
-
-
-class ReusedMemory:
-    """Gives out arrays; the memory of one is used again when neither it nor a view or tensor of it is left.
-
-    Arrays beyond 64 MB in all have memory of their own. Threads may use it at once. Copies of the object, in forks and
-    by pickle, have other memory.
-    """
-
-    def __init__(self) -> None:
-        self._clear()
-
-    def _clear(self) -> None:
-        self._owner = os.getpid()
-        self._free: dict[int, list[mmap.mmap]] = {}
-        self._kept = 0
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self._clear()
-
-    def empty(self, shape: tuple[int, ...], kind: type[np.generic]) -> NDArray[Any]:
-        """Return a contiguous array of any content."""
-        if self._owner != os.getpid():
-            self._clear()
-        size = math.prod(shape) * np.dtype(kind).itemsize
-        free = self._free.setdefault(size, [])
-        try:
-            memory = free.pop()
-        except IndexError:
-            if self._kept + size > _KEPT_BYTES or not size:
-                return np.empty(shape, kind)
-            self._kept += size
-            memory = mmap.mmap(-1, size)
-        # Its base is no array, so that views and tensors of it keep exactly this object alive.
-        found: NDArray[Any] = np.ndarray(shape, kind, memory)
-        weakref.finalize(found, free.append, memory).atexit = False
-        return found
-
-
-SCRATCH: Final = ReusedMemory()
-"""That of this process."""
-
-
 SPARE: Final = 3
 """Batches that a user may hold at once without a copy: the current one, the one before it, and one more."""
-
-_MOST: Final = 8  # batches of one kind that a worker keeps memory for; any beyond them are left to PyTorch
-_Reduced = tuple[Callable[..., torch.Tensor], tuple[Any, ...]]
-
-_memories: dict[int, list[_SharedMemory]] = {}  # bytes of an item -> the memory of this worker's batches of such items
 
 
 class Slots:
@@ -193,138 +131,3 @@ def _anonymous_file(size: int) -> int:
             file = os.dup(temporary.fileno())
     os.ftruncate(file, size)
     return file
-
-
-class _SharedMemory:
-    """Shared memory for one batch at a time."""
-
-    def __init__(self, size: int) -> None:
-        self._whole = torch.empty(size + 1, dtype=torch.uint8).share_memory_()  # type: ignore[no-untyped-call]
-        self._bytes = self._whole.numpy()
-        self._array: weakref.ref[NDArray[Any]] | None = None
-        self._sent = False
-
-    @property
-    def size(self) -> int:
-        """Bytes that a batch may have."""
-        return len(self._bytes) - 1
-
-    @property
-    def is_free(self) -> bool:
-        """True if neither this process nor the one that has received the batch refers to it."""
-        if self._array is not None and self._array() is not None:
-            return False
-        return not (self._sent and self._bytes[-1])
-
-    def batch(self, shape: tuple[int, ...], kind: np.dtype[Any]) -> BatchTensor:
-        """Return the memory as a batch of any content."""
-        array = _shaped(self._bytes, shape, kind)
-        self._array, self._sent = weakref.ref(array), False
-        tensor = torch.from_numpy(array).as_subclass(BatchTensor)
-        tensor.memory = self
-        return tensor
-
-    def reduced(self, batch: torch.Tensor) -> _Reduced | None:
-        """Return what another process makes the batch of, once; None if it was sent before or has been altered."""
-        if self._sent or not batch.is_contiguous() or batch.data_ptr() != self._whole.data_ptr():
-            return None
-        self._sent, self._bytes[-1] = True, 1
-        return _received, (self._whole, tuple(batch.shape), batch.numpy().dtype.str)
-
-
-class _Plain(torch.Tensor):
-    """A tensor of a class of its own. What operations on it return are plain tensors."""
-
-    @classmethod
-    def __torch_function__(cls, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        with torch._C.DisableTorchFunctionSubclass():  # as PyTorch's manual, "Extending torch", writes it
-            return func(*args, **(kwargs or {}))
-
-
-class ItemTensor(_Plain):
-    """One sample's range or labels in a worker of a DataLoader, also where a data set of the user's hands it on.
-
-    The class tells `default_collate` to stack such tensors by `_stacked`.
-    """
-
-
-class BatchTensor(_Plain):
-    """A batch in a worker's shared memory."""
-
-    memory: _SharedMemory
-
-
-# Batches of PyTorch's own DataLoader.
-
-
-def item_tensor(array: NDArray[Any]) -> torch.Tensor:
-    """Return an array as a tensor, uncopied: an `ItemTensor` in a worker, else a plain one."""
-    tensor = torch.from_numpy(array)
-    return tensor if get_worker_info() is None else tensor.as_subclass(ItemTensor)
-
-
-def _stacked(items: Sequence[torch.Tensor], *, collate_fn_map: Any = None) -> torch.Tensor:
-    """Stack tensors as `default_collate` does, in memory that is used again where it can be."""
-    plain = [item.as_subclass(torch.Tensor) for item in items]
-    shape, kind = plain[0].shape, plain[0].dtype
-    if all(item.shape == shape and item.dtype == kind for item in plain):
-        made = empty_batch(len(plain), tuple(shape), plain[0].numpy().dtype)
-        if made is not None:
-            torch.stack(plain, out=made.as_subclass(torch.Tensor))
-            return made
-    found: torch.Tensor = default_collate(plain)
-    return found
-
-
-def _shaped(memory: NDArray[np.uint8], shape: tuple[int, ...], kind: np.dtype[Any]) -> NDArray[Any]:
-    return memory[: math.prod(shape) * kind.itemsize].view(kind).reshape(shape)
-
-
-def _received(whole: torch.Tensor, shape: tuple[int, ...], kind: str) -> torch.Tensor:
-    """Return the batch in the process that receives it, as a plain tensor."""
-    memory = whole.numpy()
-    array = _shaped(memory, shape, np.dtype(kind))
-    # Every tensor, array or view that shares the storage keeps exactly this array alive.
-    weakref.finalize(array, _release, memory, os.getpid()).atexit = False
-    return torch.from_numpy(array)
-
-
-def _release(memory: NDArray[np.uint8], owner: int) -> None:
-    if os.getpid() == owner:  # a fork of the receiver may drop its reference first
-        memory[-1] = 0
-
-
-def _reduce(batch: BatchTensor) -> _Reduced:
-    plain = batch.as_subclass(torch.Tensor)
-    return batch.memory.reduced(plain) or (torch.Tensor.contiguous, (plain.clone(),))
-
-
-def _reduce_item(tensor: ItemTensor) -> _Reduced:
-    return torch.Tensor.contiguous, (tensor.as_subclass(torch.Tensor),)  # by PyTorch's own way of sharing
-
-
-default_collate_fn_map[ItemTensor] = _stacked
-ForkingPickler.register(BatchTensor, _reduce)
-ForkingPickler.register(ItemTensor, _reduce_item)
-
-
-def empty_batch(count: int, shape: tuple[int, ...], kind: np.dtype[Any]) -> BatchTensor | None:
-    """Return a batch [count, *shape] of any content to fill and send, or None where PyTorch should make it.
-
-    That is outside of a DataLoader's workers, with another way of sharing memory than by file descriptor, and when the
-    batches in use are too many.
-    """
-    each = math.prod(shape) * kind.itemsize
-    strategy = get_sharing_strategy()  # type: ignore[no-untyped-call]
-    if get_worker_info() is None or strategy != "file_descriptor" or not count * each:
-        return None
-    kept = _memories.setdefault(each, [])
-    free = [memory for memory in kept if memory.is_free]
-    for memory in free:
-        if memory.size >= count * each:
-            return memory.batch((count, *shape), kind)
-        kept.remove(memory)  # too small, as after a short batch
-    if len(kept) >= _MOST:
-        return None
-    kept.append(_SharedMemory(count * each))
-    return kept[-1].batch((count, *shape), kind)

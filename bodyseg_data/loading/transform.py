@@ -29,7 +29,6 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts import RangeImage, box_of
 from bodyseg_data.core import BadConfig, BadSample, BodysegError, Draws
 from bodyseg_data.labels import BACKGROUND, PART_CLASSES, UNLABELLED, Classes
-from bodyseg_data.loading.slots import SCRATCH
 from bodyseg_data.rigs import Camera
 from bodyseg_data.samples import Sample, SampleInfo, metres
 
@@ -235,11 +234,9 @@ def _checked_image(found: Any, image: CameraImage, name: str, shape: tuple[int, 
             shown = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
             raise BadTransform(f"{where} must return {what} as {kind.__name__} {shape}, found {shown}")
     ranges, labels, count = np.ascontiguousarray(found.range), found.labels, len(found.classes)
-    above = np.subtract(
-        labels, np.uint8(count), out=SCRATCH.empty(shape, np.uint8)
-    )  # classes wrap around to what is larger than 254 and 255
-    if above.min() < unlabelled - count:
-        raise BadTransform(f"{where} must return labels 0 to {count - 1} or {BACKGROUND}, found {above.min() + count}")
+    strange = labels[(labels >= count) & (labels < unlabelled)]
+    if strange.size:
+        raise BadTransform(f"{where} must return labels 0 to {count - 1} or {BACKGROUND}, found {strange.min()}")
     if found.planes.keys() != image.planes.keys():
         raise BadTransform(f"{where} must return the planes {', '.join(image.planes)}, found {', '.join(found.planes)}")
     for what, array in found.planes.items():
@@ -248,9 +245,7 @@ def _checked_image(found: Any, image: CameraImage, name: str, shape: tuple[int, 
                 f"{where} must return the plane {what!r} as {image.planes[what].dtype} {shape}, "
                 f"found {array.dtype} {array.shape}"
             )
-    lost = np.equal(ranges, 0, out=SCRATCH.empty(shape, np.bool_)).view(np.uint8)
-    np.negative(lost, out=lost)  # all bits, which are background's
-    labels = np.bitwise_or(labels, lost, out=above)
+    labels = np.where(ranges == 0, np.uint8(BACKGROUND), labels)
     if not found.planes:
         return replace(found, range=ranges, labels=labels)
     planes = {what: np.ascontiguousarray(array) for what, array in found.planes.items()}

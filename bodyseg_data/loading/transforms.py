@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadConfig, check_int
 from bodyseg_data.labels import BACKGROUND, looked_up
 from bodyseg_data.loading.image_set import check_bool
-from bodyseg_data.loading.slots import SCRATCH
 from bodyseg_data.loading.transform import Box, CameraImage, Transform, ends_of
 from bodyseg_data.rigs import MAX_SIDE
 from bodyseg_data.samples import FARTHEST_STEPS
@@ -138,11 +137,10 @@ class Flip(Transform):
         """See `Transform`."""
         if unit(random) >= self.share:
             return image
-        ranges, (x, y) = SCRATCH.empty(image.range.shape, np.uint16), image.centre_px
-        ranges[...] = image.range[:, ::-1]
+        x, y = image.centre_px
         return replace(
             image,
-            range=ranges,
+            range=np.ascontiguousarray(image.range[:, ::-1]),
             labels=looked_up(image.labels[:, ::-1], image.classes.mirrored),
             centre_px=(image.range.shape[1] - x, y),
             planes={name: plane[:, ::-1] for name, plane in image.planes.items()},
@@ -265,9 +263,7 @@ def _within(places: NDArray[np.floating[Any]], first: int, end: int) -> slice:
 
 def background(image: CameraImage, rows: int, columns: int) -> CameraImage:
     """The image with arrays of another size, in which nothing was measured; planes are 0."""
-    ranges, labels = SCRATCH.empty((rows, columns), np.uint16), SCRATCH.empty((rows, columns), np.uint8)
-    ranges.fill(0)
-    labels.fill(BACKGROUND)
+    ranges, labels = np.zeros((rows, columns), np.uint16), np.full((rows, columns), BACKGROUND, np.uint8)
     planes = {name: np.zeros((rows, columns), plane.dtype) for name, plane in image.planes.items()}
     return replace(image, range=ranges, labels=labels, planes=planes)
 

@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from bodyseg_data.machine.libraries import (
         SOFTWARE_DRIVER,
         compress,
-        decompress,
         missing_library,
         require_libraries,
         silence_libtiff,

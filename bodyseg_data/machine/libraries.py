@@ -111,17 +111,6 @@ def compress(data: Any, level: int) -> bytes:
     return packed
 
 
-def decompress(packed: bytes, size: int) -> bytes:
-    """Decompress zlib's format to exactly `size` bytes, however many more there are. Raises ValueError."""
-    try:
-        data: bytes = deflate_library().decompressobj().decompress(packed, size)
-    except deflate_library().error as error:
-        raise ValueError(f"its pixels cannot be decompressed: {error}") from error
-    if len(data) != size:
-        raise ValueError(f"its pixels must be {size} bytes, found {len(data)}")
-    return data
-
-
 @cache
 def deflate_library() -> Any:
     """The module that compresses: isal's, whose functions and errors are those of zlib, or zlib."""

@@ -18,7 +18,6 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import Any, Final, Literal, cast
 
 import numpy as np
@@ -26,7 +25,6 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadSample
 from bodyseg_data.labels import BACKGROUND, PART_COUNT, UNLABELLED
-from bodyseg_data.machine import compiled, if_ready, use_compiled
 from bodyseg_data.samples.views import View
 
 Split = Literal["train", "test"]
@@ -314,20 +312,5 @@ def metres(steps: NDArray[np.uint16], step_m: float, out: NDArray[np.float32] | 
 
     step_m: one step, metres (`RangeImages.step_m`). out: float32 array to write into, of the same shape.
     """
-    if out is not None and steps.shape == out.shape and steps.flags.carray and out.flags.carray and use_compiled():
-        with if_ready:
-            _compiled_scale()(steps.reshape(-1), np.float32(step_m), out.reshape(-1))
-            return out
     found: NDArray[np.float32] = np.multiply(steps, np.float32(step_m), out=out)
     return found
-
-
-def _scale(steps: Any, step_m: Any, out: Any) -> None:
-    """Write float32(steps) * step_m in one pass; steps: uint16 [N], step_m: float32, out: float32 [N]."""
-    for i in range(np.uint64(out.size)):
-        out[i] = np.float32(steps[i]) * step_m
-
-
-@lru_cache(maxsize=1)
-def _compiled_scale() -> Any:
-    return compiled(_scale, "converting ranges in a compiled loop")

@@ -58,7 +58,7 @@ class Options:
 
     frames: tuple[Path, ...] = option(RECORDINGS_HELP, positional=True)
     out: Path = option("folder for labels, overlays, preview.gif, legend.png and summary.json")
-    labels_out: Path | None = option("also write labels with their frames' times into this .mcap file or new bag", None)
+    labels_out: Path | None = option("also write labels with their frames' times into this .mcap file", None)
     points: bool = option("with --labels-out: also write the points of people, with label and confidence", False)
     run: Path | None = option("a training's folder, a .safetensors or .onnx file (default: the one that ships)", None)
     backend: BackendName | None = option(BACKEND_HELP, None)

@@ -1,6 +1,6 @@
 """Cameras of single frames, from JSON files beside them, in OpenCV's terms.
 
-`NAME.json` beside `NAME.png` is that frame's camera; `cameras.json` in a folder or tar holds those of all frames there:
+`NAME.json` beside `NAME.png` is that frame's camera; `cameras.json` in a folder holds those of all frames there:
 
     {"fx": 525.2, "fy": 525.0, "cx": 319.5, "cy": 239.5, "distortion": [0.1, -0.2, 0, 0, 0]}
     {"default": {"fx": ...}, "frames": {"NAME": {"fx": ...}}}
@@ -8,14 +8,15 @@
 
 import os
 from collections.abc import Sequence
-from pathlib import Path, PurePosixPath
+from functools import cached_property
+from pathlib import Path, PurePath
 from typing import Any, Final
 
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import Table, parse_json, read_bytes
 from bodyseg_data.rigs import Distortion, Rig
 from bodyseg_model.recordings.cameras import FrameCamera, Intrinsics, frame_camera
-from bodyseg_model.recordings.frames import PngSource, Skipping, first_readable, list_tar, read_part
+from bodyseg_model.recordings.frames import Skipping, first_readable
 from bodyseg_model.recordings.recording import Frame
 
 CAMERAS: Final = "cameras.json"
@@ -35,11 +36,10 @@ def cameras_beside(frames: Sequence[Frame]) -> list[Intrinsics | None]:
     homes: dict[Path, _Home] = {}
     found = []
     for frame in frames:
-        in_tar = frame.member if isinstance(frame.source, PngSource) else None
-        path = frame.path if in_tar else frame.path.parent
-        if path not in homes:
-            homes[path] = _Home(path, in_tar is not None)
-        found.append(frame.camera or homes[path].camera(in_tar or frame.path.name))
+        folder = frame.path.parent
+        if folder not in homes:
+            homes[folder] = _Home(folder)
+        found.append(frame.camera or homes[folder].camera(frame.path.name))
     return found
 
 
@@ -98,15 +98,11 @@ def _shape(frame: Frame) -> tuple[int, int]:
 
 
 class _Home:
-    """JSON files in a folder, or in a tar."""
+    """JSON files in a folder."""
 
-    def __init__(self, path: Path, in_tar: bool) -> None:
+    def __init__(self, path: Path) -> None:
         self._path = path
-        members = list_tar(path) if in_tar else []
-        self._members = {str(PurePosixPath(member.name)): member for member in members if member.plain}
-        self._in_tar = in_tar
         self._known: dict[str, Intrinsics | None] = {}  # many frames of one recording share a name
-        self._shared: dict[str, tuple[Intrinsics | None, dict[str, Intrinsics]]] = {}
 
     def camera(self, name: str) -> Intrinsics | None:
         """The camera of a file, by its name from here."""
@@ -115,21 +111,19 @@ class _Home:
         return self._known[name]
 
     def _read(self, name: str) -> Intrinsics | None:
-        stem = PurePosixPath(name)
-        own = self._tree(str(stem.with_suffix(".json")))
+        own_file = (self._path / name).with_suffix(".json")
+        own = _tree(own_file)
         if own is not None and any(name in own for name in _NEEDED):
-            return _intrinsics(own, self._where(str(stem.with_suffix(".json"))))
-        folder = str(stem.parent / CAMERAS)
-        if folder not in self._shared:
-            self._shared[folder] = self._read_shared(folder)
-        default, named = self._shared[folder]
-        return named.get(stem.stem, default)
+            return _intrinsics(own, str(own_file))
+        default, named = self._shared
+        return named.get(PurePath(name).stem, default)
 
-    def _read_shared(self, name: str) -> tuple[Intrinsics | None, dict[str, Intrinsics]]:
-        tree = self._tree(name)
+    @cached_property
+    def _shared(self) -> tuple[Intrinsics | None, dict[str, Intrinsics]]:
+        where = self._path / CAMERAS
+        tree = _tree(where)
         if tree is None:
             return None, {}
-        where = self._where(name)
         unknown = sorted(tree.keys() - {"default", "frames"})
         frames = tree.get("frames", {})
         if unknown or not isinstance(frames, dict) or not tree:
@@ -139,23 +133,10 @@ class _Home:
             name.removesuffix(".png"): _intrinsics(camera, f"{where}, {name}") for name, camera in frames.items()
         }
 
-    def _where(self, name: str) -> str:
-        return f"{self._path}: {name}" if self._in_tar else str(self._path / name)
 
-    def _tree(self, name: str) -> dict[str, Any] | None:
-        """The object in a JSON file; None if there is no such file. Raises BadConfig."""
-        where, member, path = self._where(name), self._members.get(name), self._path / name
-        if not self._in_tar:
-            return parse_json(read_bytes(path, _LARGEST_FILE), where) if os.path.lexists(path) else None
-        if member is None:
-            return None
-        if member.size > _LARGEST_FILE:
-            raise BadConfig(f"{where} is larger than {_LARGEST_FILE} bytes")
-        try:
-            data = read_part(self._path, member.offset, member.size)
-        except BadConfig as error:
-            raise BadConfig(f"{where}: {error}") from error
-        return parse_json(data, where)
+def _tree(path: Path) -> dict[str, Any] | None:
+    """The object in a JSON file; None if there is no such file. Raises BadConfig."""
+    return parse_json(read_bytes(path, _LARGEST_FILE), str(path)) if os.path.lexists(path) else None
 
 
 def _intrinsics(tree: Any, where: str) -> Intrinsics:

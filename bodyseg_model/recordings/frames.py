@@ -1,15 +1,14 @@
-"""Frames of a range sensor at the paths of a command: PNGs in files, folders or tars, and recordings of any format.
+"""Frames of a range sensor at the paths of a command: PNGs in files or folders, and recordings of any format.
 
 Their result files have names that are unique among all frames of a call. Frames that cannot be read are skipped within
-a budget. A tar's entries and their offsets are listed from its headers alone; nothing is extracted.
+a budget.
 """
 
 import re
-import tarfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path, PurePosixPath
-from typing import Any, BinaryIO, Final, cast
+from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +24,7 @@ _NAME: Final = re.compile(r"[\w+()-][\w+(). -]{0,99}")
 _DEPTH_NAME: Final = re.compile(r"(?:^|[^a-z])(depth|range)(?![a-z])")
 _DEPTH_FOLDERS: Final = ("depth", "depth_raw", "range")
 
-_NO_NAMES: Final = ("/", ".", "..")
-
-RECORDINGS_HELP: Final = "16-bit grey PNGs, folders or tars of them, or recordings: bags, MCAP, NPY, NPZ, TIFF, MKV"
+RECORDINGS_HELP: Final = "16-bit grey PNGs, folders of them, or recordings: bags, MCAP, NPY, NPZ, TIFF, MKV"
 """Help of commands' argument for frames."""
 
 UNITS_HELP: Final = "size of one step of a frame: mm, 0.1mm, cm ... (default: the recording's, or mm)"
@@ -48,7 +45,7 @@ def find_frames(paths: Sequence[Path], topic: str | None = None, step_m: float |
     folders or recordings (`result_names`). topic, step_m: as of `open_recording`. Raises BadConfig for a path that
     cannot be read or contains no frame, a name unfit for a result file, or one frame given twice; MissingLibrary.
     """
-    files = [path for path in paths if not path.is_dir() and path.suffix.lower() != ".tar" and not find_format(path)]
+    files = [path for path in paths if not path.is_dir() and not find_format(path)]
     single = [frame for path in files for frame in open_recording(path, topic, step_m)]
     groups: list[Iterable[Frame]] = [sorted(single, key=lambda frame: natural_key(frame.name))]
     groups += [open_recording(path, topic, step_m) for path in paths if path not in files]
@@ -58,7 +55,7 @@ def find_frames(paths: Sequence[Path], topic: str | None = None, step_m: float |
 
 
 def open_recording(path: Path | str, topic: str | None = None, step_m: float | None = None) -> tuple[Frame, ...]:
-    """Open a recording, its frames in order: a PNG, a folder or tar of PNGs, or a file or folder of one of `FORMATS`,
+    """Open a recording, its frames in order: a PNG, a folder of PNGs, or a file or folder of one of `FORMATS`,
     by content or suffix.
 
     A folder without any of these may hold files of `FORMATS`, which are read one after another, in natural order.
@@ -69,8 +66,6 @@ def open_recording(path: Path | str, topic: str | None = None, step_m: float | N
     path = Path(path)
     if path.is_dir():
         return _folder(path, topic, step_m)
-    if path.suffix.lower() == ".tar":
-        return _pngs(_tar(path), path, topic, step_m)
     found = find_format(path)
     return _pngs([png_file(path)], path, topic, step_m) if found is None else found.open(path, topic, step_m)
 
@@ -107,7 +102,7 @@ def png_file(path: Path, time_s: float | None = None, step_m: float = MILLIMETRE
     except OSError as error:
         raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error
     _check_size(size, str(path))
-    return Frame(path.stem, str(path), path, None, PngSource(path, 0, size), ("",), 0, time_s, step_m)
+    return Frame(path.stem, str(path), path, None, PngSource(path, size), ("",), 0, time_s, step_m)
 
 
 def _folder(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame, ...]:
@@ -142,22 +137,6 @@ def _of_depth(files: list[Path]) -> list[Path]:
     return depth if 4 * len(depth) >= len(files) else files
 
 
-def _tar(path: Path) -> list[Frame]:
-    members = [member for member in list_tar(path) if _is_frame(PurePosixPath(member.name).name)]
-    if not members:
-        raise BadConfig(f"a tar of frames must hold .png files, found none in {path}")
-    frames = []
-    for member in members:
-        where = f"{path}: {member.name}"
-        if not member.plain:
-            raise BadConfig(f"a frame in a tar must be a plain file, found a link or the like: {where}")
-        # Only the last part of the name is used and the member is not extracted, so "../" in it does no harm.
-        name, source = PurePosixPath(member.name).stem, PngSource(path, member.offset, member.size)
-        _check_size(member.size, where)
-        frames.append(Frame(name, where, path, member.name, source, (member.name,)))
-    return frames
-
-
 def _check_size(size: int, where: str) -> None:
     if size > _LARGEST_FILE:
         raise BadConfig(f"a frame must have at most {_LARGEST_FILE} bytes, found {size} in {where}")
@@ -180,11 +159,11 @@ def natural_key(name: str) -> list[tuple[int, str]]:
 def result_names(frames: Sequence[Frame]) -> list[str]:
     """Names of the results of frames, without suffix: their files' own ("1"), unless two of them are equal.
 
-    Otherwise every frame gets a folder, which is named after the frame's folder or tar, with as many of the folders
-    above it as tell all of them apart ("left/1", "monday/left/1"). Raises BadConfig for a name unfit for a file, or
+    Otherwise every frame gets a folder, named after the frame's folder or recording, with as many of the folders above
+    it as tell all of them apart ("left/1", "monday/left/1"). Raises BadConfig for a name unfit for a file, or
     two frames that no folder tells apart, such as one frame given twice.
     """
-    stems = [(frame.path.stem if frame.member is None else PurePosixPath(frame.member).stem) for frame in frames]
+    stems = [frame.member or frame.path.stem for frame in frames]
     names = stems
     if len(set(stems)) < len(stems):
         homes = [_home(frame) for frame in frames]
@@ -206,15 +185,9 @@ def result_names(frames: Sequence[Frame]) -> list[str]:
 
 
 def _home(frame: Frame) -> tuple[str, ...]:
-    """The folders of a frame from the root, a tar counted as one of its name; parts of no name, like "..", left out."""
+    """The folders of a frame from the root, a recording of several counted as one of its name."""
     folders = frame.path.parent.resolve().parts[1:]
-    if frame.member is None:
-        return folders
-    return (
-        *folders,
-        frame.path.stem,
-        *(part for part in PurePosixPath(frame.member).parts[:-1] if part not in _NO_NAMES),
-    )
+    return folders if frame.member is None else (*folders, frame.path.stem)
 
 
 class Skipping:
@@ -253,8 +226,6 @@ def first_readable(frames: Sequence[Frame], skipping: Skipping) -> Frame:
 _KINDS: Final = {0: "grey", 2: "RGB", 3: "palette", 4: "grey with alpha", 6: "RGB with alpha"}
 _NEEDED: Final = (b"IHDR", b"IDAT", b"IEND")
 
-_LARGEST_HEADER: Final = 1 << 14
-
 
 def parse_frame(data: bytes) -> NDArray[np.uint16]:
     """Decode the pixels of a 16-bit grey PNG, uint16 [H, W]. Raises BadConfig.
@@ -281,78 +252,17 @@ def parse_frame(data: bytes) -> NDArray[np.uint16]:
 
 @dataclass(frozen=True)
 class PngSource(FrameSource):
-    """Reader of one frame, a PNG: `size` bytes from `offset` of the file at `path`, which is the PNG or a tar."""
+    """Reader of one frame, the PNG of `size` bytes at `path`."""
 
     path: Path
-    offset: int
     size: int
 
     def read(self, index: int) -> NDArray[np.uint16]:
-        return parse_frame(read_part(self.path, self.offset, self.size))
-
-
-def read_part(path: Path, offset: int, size: int) -> bytes:
-    """Read `size` bytes from `offset` of a file. Raises BadConfig without its name."""
-    try:
-        with path.open("rb") as file:
-            file.seek(offset)
-            data = file.read(size)
-    except OSError as error:
-        raise BadConfig(f"the file cannot be read: {error.strerror or error}") from error
-    if len(data) != size:
-        raise BadConfig(f"the file must still have the {size} bytes it had, found {len(data)}")
-    return data
-
-
-@dataclass(frozen=True)
-class Member:
-    """One entry: its data are `size` bytes from `offset` of the tar. plain: True for a regular file."""
-
-    name: str
-    offset: int
-    size: int
-    plain: bool
-
-
-def list_tar(path: Path) -> list[Member]:
-    """List the entries of an uncompressed tar, folders aside, in its order.
-
-    Raises BadConfig, naming the tar, if it is not one, is damaged, or has no end-of-archive block: `tarfile` treats a
-    header that is cut off or altered as the end.
-    """
-    members: list[Member] = []
-    try:
-        refuse_special(path)
-        size = path.stat().st_size
-        with path.open("rb") as file, tarfile.open(fileobj=cast(Any, _Headers(file, path)), mode="r:") as tar:
-            last = -1
-            for entry in tar:
-                if not last < entry.offset <= entry.offset_data + max(entry.size, 0) <= size or entry.size < 0:
-                    raise BadConfig(
-                        f"a tar's entries must lie behind one another and within it: {path}, {entry.name!r}"
-                    )
-                last = entry.offset
-                plain = entry.isreg() and not entry.issparse()
-                if not entry.isdir():
-                    members.append(Member(entry.name, entry.offset_data, entry.size, plain))
-            file.seek(tar.offset)
-            if file.read(tarfile.BLOCKSIZE) != bytes(tarfile.BLOCKSIZE):
-                raise BadConfig(f"a tar must be whole, found it cut off or damaged at byte {tar.offset}: {path}")
-    except OSError as error:
-        raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error
-    except (tarfile.TarError, UnicodeError, ValueError, RecursionError) as error:
-        raise BadConfig(f"{path} must be an uncompressed tar: {error}") from error
-    return members
-
-
-class _Headers:
-    """A tar's file with limited reads, because `tarfile` reads long names into memory by the size that they claim."""
-
-    def __init__(self, file: BinaryIO, path: Path) -> None:
-        self._file, self._path = file, path
-        self.seek, self.tell = file.seek, file.tell
-
-    def read(self, size: int) -> bytes:
-        if not 0 <= size <= _LARGEST_HEADER:
-            raise BadConfig(f"a tar's header must have at most {_LARGEST_HEADER} bytes, found {size}: {self._path}")
-        return self._file.read(size)
+        try:
+            with self.path.open("rb") as file:
+                data = file.read(self.size)
+        except OSError as error:
+            raise BadConfig(f"the file cannot be read: {error.strerror or error}") from error
+        if len(data) != self.size:
+            raise BadConfig(f"the file must still have the {self.size} bytes it had, found {len(data)}")
+        return parse_frame(data)

@@ -1,13 +1,12 @@
-"""Labels and points of frames as messages of ROS 2: in an MCAP file, or in a bag, with the times of their frames."""
+"""Labels and points of frames as messages of ROS 2: in an MCAP file, with the times of their frames."""
 
 from __future__ import annotations
 
 import contextlib
-import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any, Final, Protocol
+from typing import IO, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,14 +36,15 @@ _DATATYPES: Final = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4":
 
 @contextlib.contextmanager
 def labels_out(path: Path, label_map: LabelMap, frames_per_second: float) -> Iterator[LabelsOut]:
-    """Open the file or folder of a recording's labels: it appears when the block ends, and not at all if it fails.
+    """Open the file of a recording's labels: it appears when the block ends, and not at all if it fails.
 
-    path: an .mcap file, or a folder that does not exist, for a ROS 2 bag. frames_per_second: of frames without times.
+    path: an .mcap file. frames_per_second: of frames without times.
     Raises BadConfig for another path or one that cannot be written, MissingLibrary.
     """
-    part = part_beside(path)
+    if path.suffix.lower() != _SUFFIX:
+        raise BadConfig(f"labels are written into an .mcap file, found {path}")
     try:
-        out: _Out = _McapOut(path, part) if path.suffix.lower() == _SUFFIX else _BagOut(path, part)
+        out = _McapOut(path, part_beside(path))
         try:
             yield LabelsOut(out, label_map, frames_per_second)
             out.finish(legend(label_map))
@@ -96,7 +96,7 @@ class LabelsOut:
     are given: `CLOUD` on `POINTS_TOPIC`.
     """
 
-    def __init__(self, out: _Out, label_map: LabelMap, frames_per_second: float) -> None:
+    def __init__(self, out: _McapOut, label_map: LabelMap, frames_per_second: float) -> None:
         self._out, self._rate, self._count = out, frames_per_second, 0
         self._types = typestore("cdr").types
 
@@ -137,12 +137,6 @@ class LabelsOut:
             self._out.write(topic, kind, max(time_ns, 0), bytes(typestore("cdr").serialize_cdr(message, kind)))
 
 
-class _Out(Protocol):
-    def write(self, topic: str, kind: str, time_ns: int, data: bytes) -> None: ...
-    def finish(self, metadata: dict[str, str]) -> None: ...
-    def abandon(self) -> None: ...
-
-
 class _McapOut:
     """An MCAP file, written beside its place."""
 
@@ -173,39 +167,3 @@ class _McapOut:
     def abandon(self) -> None:
         self._file.close()
         self._part.unlink(missing_ok=True)
-
-
-class _BagOut:
-    """The folder of a ROS 2 bag, written beside its place."""
-
-    def __init__(self, path: Path, part: Path) -> None:
-        if path.suffix:
-            raise BadConfig(f"labels are written into an .mcap file or the folder of a bag, found {path}")
-        if path.exists():
-            raise BadConfig(f"the folder of a bag must be a new one, found {path}")
-        try:
-            from rosbags.rosbag2 import StoragePlugin, Writer
-        except ImportError as error:
-            raise missing(error) from error
-        shutil.rmtree(part, ignore_errors=True)
-        self._path, self._part = path, part
-        self._writer: Any = Writer(part / path.name, version=9, storage_plugin=StoragePlugin.MCAP)
-        self._writer.open()
-        self._connections: dict[str, Any] = {}
-
-    def write(self, topic: str, kind: str, time_ns: int, data: bytes) -> None:
-        if topic not in self._connections:
-            self._connections[topic] = self._writer.add_connection(topic, kind, typestore=typestore("cdr"))
-        self._writer.write(self._connections[topic], time_ns, data)
-
-    def finish(self, metadata: dict[str, str]) -> None:
-        for key, value in metadata.items():
-            self._writer.set_custom_data(f"{LEGEND}.{key}", value)
-        self._writer.close()
-        (self._part / self._path.name).replace(self._path)  # its files are named after the folder
-        self._part.rmdir()
-
-    def abandon(self) -> None:
-        with contextlib.suppress(Exception):  # of a writer that is closed already
-            self._writer.close()
-        shutil.rmtree(self._part, ignore_errors=True)

@@ -6,7 +6,7 @@ import pytest
 from bodyseg_data.artifacts.random_loops import raw_words
 from bodyseg_data.core import BadConfig, Draws, chance, check_seed, generator
 from bodyseg_data.core.randomness import pixel_draws, stream
-from bodyseg_data.loading.selection import Permutation, permutation
+from bodyseg_data.loading.selection import permutation
 
 
 def test_a_draw_belongs_to_seed_epoch_key_and_purpose() -> None:
@@ -80,17 +80,6 @@ def test_an_order_is_a_permutation_that_differs_by_epoch_and_seed(count: int) ->
         assert not np.array_equal(order, permutation(count, 1, 0))
         assert not np.array_equal(order, np.arange(count))
     assert np.array_equal(order, permutation(count, 0, 0))
-
-
-@pytest.mark.parametrize(("count", "part_bits"), [(0, 4), (1, 4), (1000, 4), (1000, 10), (300_000, 16)])
-def test_an_order_in_parts_is_the_same_order(count: int, part_bits: int) -> None:
-    """The last one takes more than one block of words."""
-    order, parts = permutation(count, 7, 3), Permutation(count, 7, 3, part_bits=part_bits)
-    assert len(parts) == count
-    assert np.array_equal(parts[:], order)
-    assert parts[:].dtype == order.dtype
-    for first, end in ((0, 1), (500, 777), (777, 500), (count - 1, count), (count - 5, count + 5)):
-        assert np.array_equal(parts[max(0, first) : end], order[max(0, first) : end])
 
 
 @pytest.mark.parametrize("seed", [-1, 2**63, 1.5, True, "0"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import tarfile
 from pathlib import Path
 from typing import Any
 
@@ -82,19 +81,6 @@ def test_a_frames_own_file_comes_before_its_entry_and_that_before_the_default(fo
 def test_other_files_of_a_frames_name_are_no_cameras(folder: Path) -> None:
     write(folder / "1.json", {"subject": "A", "time": 3})
     assert focal_lengths(folder) == [None, None, None]
-
-
-def test_tars_hold_cameras_too(folder: Path, tmp_path: Path) -> None:
-    write(folder / "cameras.json", {"default": PLAIN})
-    write(folder / "3.json", PLAIN | {"fx": 80.0, "fy": 80.0})
-    with tarfile.open(tmp_path / "a.tar", "w") as tar:
-        tar.add(folder, "some/where")
-        tar.add(folder / "1.png", "bare/4.png")
-    assert focal_lengths(tmp_path / "a.tar") == [50, 50, 80, None]
-    write(folder / "3.json", PLAIN | {"fx": -1})
-    with tarfile.open(tmp_path / "b.tar", "w") as tar:
-        tar.add(folder, "x")
-    assert refusal(tmp_path / "b.tar") == f"{tmp_path / 'b.tar'}: x/3.json: 'fx' must be positive, found -1"
 
 
 @pytest.mark.parametrize(

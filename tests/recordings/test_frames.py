@@ -1,10 +1,8 @@
-"""Frames from files, folders and tars, whatever strangers put into them."""
+"""Frames from files and folders, whatever strangers put into them."""
 
 from __future__ import annotations
 
-import io
 import os
-import tarfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,30 +12,6 @@ from pngs import RAMP, png
 
 from bodyseg_data.core import BadConfig
 from bodyseg_model.recordings import Frame, evenly_apart, find_frames, metres_a_step, to_metres
-from bodyseg_model.recordings.frames import list_tar
-
-
-def tar_of(path: Path, *entries: tuple[tarfile.TarInfo | str, bytes], end: bool = True) -> Path:
-    """A tar of names, or of headers as given, with their bytes."""
-    data = b""
-    for entry, content in entries:
-        header = tarfile.TarInfo(entry) if isinstance(entry, str) else entry
-        header.size = header.size or len(content)
-        data += header.tobuf(tarfile.GNU_FORMAT) + content + bytes(-len(content) % 512)
-    path.write_bytes(data + bytes(1024 if end else 0))
-    return path
-
-
-def linked(name: str, kind: bytes, target: str = "/etc/passwd") -> tarfile.TarInfo:
-    header = tarfile.TarInfo(name)
-    header.type, header.linkname = kind, target
-    return header
-
-
-def sized(name: str, size: int, kind: bytes = tarfile.REGTYPE) -> tarfile.TarInfo:
-    header = tarfile.TarInfo(name)
-    header.size, header.type = size, kind
-    return header
 
 
 def refusal(*paths: Path) -> str:
@@ -78,23 +52,21 @@ def test_files_come_first_and_groups_as_they_are_given(tmp_path: Path) -> None:
         folder.mkdir()
         for number in (10, 9):
             (folder / f"{folder.name}{number}.png").write_bytes(png())
-    tar = tar_of(tmp_path / "m.tar", ("m2.png", png()), ("m1.png", png()))
+    recording = tmp_path / "m.npy"
+    np.save(recording, np.stack([RAMP, RAMP]))
     for name in ("x11.png", "x3.png"):
         (tmp_path / name).write_bytes(png())
-    found = find_frames([folders[0], tar, tmp_path / "x11.png", folders[1], tmp_path / "x3.png"])
-    assert names(found) == ["x3", "x11", "z9", "z10", "m1", "m2", "a9", "a10"]
+    found = find_frames([folders[0], recording, tmp_path / "x11.png", folders[1], tmp_path / "x3.png"])
+    assert names(found) == ["x3", "x11", "z9", "z10", "0000", "0001", "a9", "a10"]
 
 
 def test_what_is_not_there_or_empty_is_named(tmp_path: Path) -> None:
     assert refusal(tmp_path / "no.png") == f"cannot read {tmp_path / 'no.png'}: No such file or directory"
-    assert refusal(tmp_path / "no.tar") == f"cannot read {tmp_path / 'no.tar'}: No such file or directory"
     kinds = ".bag, .db3, .mcap, .npy, .npz, .tif, .tiff, .mkv"
     assert (
         refusal(tmp_path)
         == f"a folder of frames must hold .png files or recordings ({kinds}), found none in {tmp_path}"
     )
-    tar = tar_of(tmp_path / "a.tar", ("a.txt", b"a"))
-    assert refusal(tar) == f"a tar of frames must hold .png files, found none in {tar}"
     os.mkfifo(tmp_path / "pipe.png")
     assert refusal(tmp_path / "pipe.png") == f"cannot read {tmp_path / 'pipe.png'}: not a regular file"
 
@@ -120,14 +92,10 @@ def test_frames_of_one_name_get_the_names_of_their_folders(tmp_path: Path) -> No
     assert names(found) == ["left/1", "left/2", "right/1"]
     assert [frame.sequence for frame in found] == [1, 1, 2]
     assert names(find_frames([left / "1.png", right / "1.png"])) == ["left/1", "right/1"]
-    tar = tar_of(tmp_path / "a.tar", ("left/1.png", png()), ("../right/1.png", png()))
-    assert names(find_frames([tar])) == ["left/1", "right/1"]
-    assert names(find_frames([tar, left])) == [
-        "a/left/1",
-        "a/right/1",
-        f"{tmp_path.name}/left/1",
-        f"{tmp_path.name}/left/2",
-    ]
+    recordings = [tmp_path / name for name in ("a.npy", "b.npy")]
+    for recording in recordings:
+        np.save(recording, np.stack([RAMP, RAMP]))
+    assert names(find_frames(recordings)) == ["a/0000", "a/0001", "b/0000", "b/0001"]
     assert names(find_frames([left, frames_in(tmp_path / "other", "3")])) == ["1", "2", "3"]
 
 
@@ -140,15 +108,12 @@ def test_one_frame_given_twice_is_refused(tmp_path: Path) -> None:
     left = frames_in(tmp_path / "left", "1")
     message = refusal(left, left / "1.png")
     assert message == f"two frames must not have one name, as their results would: {left / '1.png'}, {left / '1.png'}"
-    tar = tar_of(tmp_path / "a.tar", ("left/1.png", png()), ("../left/1.png", png()))
-    assert f"as their results would: {tar}: left/1.png, {tar}: ../left/1.png" in refusal(tar)
 
 
 @pytest.mark.parametrize("name", [" a.png", "a*b.png", "a\nb.png", "x" * 101 + ".png"])
 def test_a_name_must_do_for_the_results(name: str, tmp_path: Path) -> None:
-    assert refusal(tar_of(tmp_path / "a.tar", (name, png()))).startswith(
-        "a frame's name, which its results get, must be"
-    )
+    (tmp_path / name).write_bytes(png())
+    assert refusal(tmp_path / name).startswith("a frame's name, which its results get, must be")
 
 
 def test_a_frame_that_cannot_be_opened_or_has_shrunk_is_named(tmp_path: Path) -> None:
@@ -167,105 +132,6 @@ def test_files_beyond_reason_are_not_read(tmp_path: Path) -> None:
     with (tmp_path / "a.png").open("wb") as file:
         file.truncate(1 << 29)
     assert f"a frame must have at most {1 << 28} bytes, found {1 << 29} in" in refusal(tmp_path / "a.png")
-
-
-# Tars.
-
-
-def test_a_tar_is_read_in_place(tmp_path: Path) -> None:
-    images = [RAMP + np.uint16(number) for number in range(3)]
-    tar = tar_of(tmp_path / "a.tar", *((f"deep/er/f{number}.png", png(image)) for number, image in enumerate(images)))
-    before = sorted(tmp_path.rglob("*"))
-    for frame, image in zip(find_frames([tar]), images, strict=True):
-        np.testing.assert_array_equal(frame.read(), image)
-    assert sorted(tmp_path.rglob("*")) == before
-
-
-@pytest.mark.parametrize("name", ["../../up.png", "/abs/up.png", "a/../up.png", "up.png"])
-def test_no_path_of_a_member_leads_anywhere(name: str, tmp_path: Path) -> None:
-    (frame,) = find_frames([tar_of(tmp_path / "a.tar", (name, png()))])
-    assert frame.name == "up"
-
-
-@pytest.mark.parametrize("kind", [tarfile.SYMTYPE, tarfile.LNKTYPE, tarfile.CHRTYPE, tarfile.FIFOTYPE])
-def test_links_and_devices_are_no_frames(kind: bytes, tmp_path: Path) -> None:
-    message = refusal(tar_of(tmp_path / "a.tar", ("b.png", png()), (linked("a.png", kind), b"")))
-    assert message == f"a frame in a tar must be a plain file, found a link or the like: {tmp_path / 'a.tar'}: a.png"
-
-
-def test_members_beyond_reason_are_not_read(tmp_path: Path) -> None:
-    tar = tar_of(tmp_path / "a.tar", (sized("a.png", 1 << 40), png()))
-    assert refusal(tar) == f"a tar's entries must lie behind one another and within it: {tar}, 'a.png'"
-    with tar_of(tmp_path / "b.tar", (sized("a.png", 1 << 29), b""), end=False).open("r+b") as file:
-        file.truncate((1 << 29) + 2048)
-    assert f"a frame must have at most {1 << 28} bytes, found {1 << 29} in" in refusal(tmp_path / "b.tar")
-
-
-@pytest.mark.parametrize("kind", [tarfile.GNUTYPE_LONGNAME, tarfile.XHDTYPE, tarfile.XGLTYPE])
-def test_long_headers_are_not_read_into_memory(kind: bytes, tmp_path: Path) -> None:
-    with tar_of(tmp_path / "a.tar", (sized("x", 1 << 30, kind), b""), end=False).open("r+b") as file:
-        file.truncate(1 << 31)
-    assert "a tar's header must have at most 16384 bytes, found" in refusal(tmp_path / "a.tar")
-
-
-def test_a_size_below_zero_ends(tmp_path: Path) -> None:
-    header = bytearray(sized("a.png", 512).tobuf(tarfile.GNU_FORMAT))
-    header[124:136] = b"\xff" * 10 + b"\xfc\x00"  # -1024 in base 256: the next header would be this one
-    header[148:156] = b" " * 8
-    header[148:156] = b"%06o\0 " % sum(header)
-    (tmp_path / "a.tar").write_bytes(bytes(header) + bytes(2048))
-    assert str(tmp_path / "a.tar") in refusal(tmp_path / "a.tar")
-
-
-def test_every_cut_through_a_tar_is_noticed(tmp_path: Path) -> None:
-    whole = tar_of(tmp_path / "whole.tar", ("1.png", png()), ("2.png", png())).read_bytes()
-    cut = tmp_path / "cut.tar"
-    entry = 512 * (1 + -(-len(png()) // 512))
-    for length in (
-        0,
-        1,
-        511,
-        512,
-        513,
-        entry - 1,
-        entry,
-        entry + 1,
-        entry + 511,
-        entry + 512,
-        2 * entry - 1,
-        2 * entry,
-    ):
-        cut.write_bytes(whole[:length])
-        assert str(cut) in refusal(cut)
-    cut.write_bytes(whole[: 2 * entry + 512])
-    assert names(find_frames([cut])) == ["1", "2"]
-
-
-def test_a_damaged_header_is_noticed(tmp_path: Path) -> None:
-    tar = tar_of(tmp_path / "a.tar", ("1.png", png()), ("2.png", png()))
-    data = bytearray(tar.read_bytes())
-    entry = 512 * (1 + -(-len(png()) // 512))
-    data[entry + 3] ^= 1
-    tar.write_bytes(data)
-    assert refusal(tar) == f"a tar must be whole, found it cut off or damaged at byte {entry}: {tar}"
-
-
-def test_a_packed_tar_is_not_a_tar(tmp_path: Path) -> None:
-    with tarfile.open(tmp_path / "a.tar", "w:gz") as tar:
-        tar.add(__file__, "a.png")
-    assert f"{tmp_path / 'a.tar'} must be an uncompressed tar" in refusal(tmp_path / "a.tar")
-
-
-def test_a_tar_may_hold_long_names_and_folders(tmp_path: Path) -> None:
-    with tarfile.open(tmp_path / "a.tar", "w", format=tarfile.PAX_FORMAT) as tar:
-        folder = tarfile.TarInfo("d.png")
-        folder.type = tarfile.DIRTYPE
-        tar.addfile(folder)
-        header = tarfile.TarInfo("ü" * 90 + "/" + "f" * 99 + ".png")
-        header.size = len(png())
-        tar.addfile(header, io.BytesIO(png()))
-    assert [member.name for member in list_tar(tmp_path / "a.tar")] == [header.name]
-    np.testing.assert_array_equal(find_frames([tmp_path / "a.tar"])[0].read(), RAMP)
 
 
 # Units.

@@ -16,7 +16,6 @@ from label_networks import Places
 from mcap.reader import make_reader
 from numpy.typing import NDArray
 from PIL import Image
-from rosbags.rosbag2 import Reader
 
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND
@@ -139,21 +138,17 @@ def test_a_message_holds_numbers_alone() -> None:
         cloud_fields(np.zeros(1, [("x", "f4"), ("name", "U4")]))
 
 
-def test_labels_go_out_as_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_labels_go_out_with_times_of_their_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     np.save(tmp_path / "a.npy", STACK)
     words = (tmp_path / "a.npy", "--focal", "100", "--fps", "4", "--out", tmp_path / "out", "--labels-out")
-    assert run(*words, tmp_path / "bag") == 0
-    with Reader(tmp_path / "bag") as reader:
-        times = [time for _, time, _ in reader.messages()]
-    assert times == [number * 250_000_000 for number in range(5)], "frames without times follow --fps"
-    assert run(*words, tmp_path / "points", "--points") == 0
-    with Reader(tmp_path / "points") as reader:
-        assert {name: each.msgcount for name, each in reader.topics.items()} == {
-            "/bodyseg/labels": 5,
-            "/bodyseg/points": 5,
-        }
-    assert "the folder of a bag must be a new one" in refused(capsys, *words, tmp_path / "bag")
-    assert "an .mcap file or the folder of a bag, found" in refused(capsys, *words, tmp_path / "labels.txt")
+    assert run(*words, tmp_path / "points.mcap", "--points") == 0
+    with (tmp_path / "points.mcap").open("rb") as file:
+        found = [(channel.topic, message.log_time) for _, channel, message in make_reader(file).iter_messages()]
+    times = [number * 250_000_000 for number in range(5)]
+    for topic in ("/bodyseg/labels", "/bodyseg/points"):
+        assert [time for name, time in found if name == topic] == times, "frames without times follow --fps"
+    for name in ("labels.txt", "bag"):
+        assert "labels are written into an .mcap file, found" in refused(capsys, *words, tmp_path / name)
     assert "--labels-out must lie outside --out" in refused(capsys, *words, tmp_path / "out" / "a.mcap")
     assert "No such file or directory" in refused(capsys, *words, tmp_path / "no" / "a.mcap")
     assert not list(tmp_path.glob(".*"))

@@ -14,13 +14,11 @@ from typing import Any
 
 import pytest
 
-from bodyseg_data import Mixture, RangeImages, loader
+from bodyseg_data import RangeImages, loader
 from bodyseg_data.cards import Publication, set_facts
 from bodyseg_data.cards.croissant import croissant
 from bodyseg_data.commands import main
 from bodyseg_data.core import BadShard
-from bodyseg_data.loading import range_images
-from bodyseg_data.loading.selection import Permutation
 from bodyseg_data.samples import ViewGrid
 from bodyseg_data.shards import (
     BODY_FIELDS,
@@ -116,20 +114,6 @@ def test_a_loader_goes_on_with_the_state_of_the_set_without_an_index(small_set: 
     other = loader(RangeImages(indexed_set, split="train"), 4)
     other.load_state_dict(plain.state_dict())
     assert next(iter(other))["key"] == next(batches)["key"]
-
-
-def test_an_order_in_parts_is_the_same_in_batches_and_mixtures(
-    small_set: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    images = RangeImages(small_set, split="train")
-    mixture = Mixture([(images, 1.0), (RangeImages(small_set, split="train", seed=1), 2.0)], samples=40)
-    whole, mixed = list(images.batches(5)), list(mixture.batches(5))
-    monkeypatch.setattr(range_images, "WHOLE_ORDER", 4)
-    images.set_epoch(0)
-    assert isinstance(images.requests(0).indices, Permutation)
-    assert list(images.batches(5)) == whole
-    parts = Mixture([(images, 1.0), (RangeImages(small_set, split="train", seed=1), 2.0)], samples=40)
-    assert list(parts.batches(5)) == mixed
 
 
 def test_opening_a_set_reads_no_piece(indexed_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
