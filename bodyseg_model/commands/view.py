@@ -34,6 +34,7 @@ class Options:
     host: str = option("serve on this address; any but loopback lets other machines in", LOOPBACK)
     allow_host: tuple[str, ...] = option("serve also under these hosts' names, such as a proxy's", ())
     port: int = option("serve on this port, or the next free one", 8080)
+    save: Path | None = option("folder for saved pictures (default: the browser downloads them)", None)
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
     split: ReadSplit | None = option("sets: only this split (default: train and test)", None)
     val_share: float = option("sets: share of train that is the split val, and not train", 0.0)
@@ -61,12 +62,14 @@ def run(options: Options) -> int:
     """Serve the page until Ctrl-C."""
     kind = "set" if is_set(options.source) else "recording"
     check_options(options, kind)
+    if options.save is not None and not options.save.is_dir():
+        raise BadConfig(f"--save must be a folder that is there, found {options.save}")
     trained = load_network(options.run)
     trained.network.to(find_device(options.device))
     view = _set_view(options, trained) if kind == "set" else _recording_view(options, trained)
     index = view.first_index() if isinstance(view, SetView) else 0
     first = Shown(index, options.variant, sensor=load_sensor_model(options.sensor))
-    page, recording = Page(options.host, options.port, "bodyseg view", options.allow_host), None
+    page, recording = Page(options.host, options.port, "bodyseg view", options.save, options.allow_host), None
     try:
         if isinstance(view, SetView):
             SetPage(page, view, first)
@@ -86,7 +89,7 @@ def welcome(address: str, host: str, port: int) -> str:
     """The line that says where the page is, and who can reach it."""
     if host in ("localhost", "::1") or host.startswith("127."):
         return f"open {address} in a browser; Ctrl-C ends"
-    everyone = f"whoever has this address and reaches port {port} of this machine sees the page"
+    everyone = f"whoever has this address and reaches port {port} of this machine sees the page and saves pictures"
     return f"open {address} in a browser; {everyone}; Ctrl-C ends"
 
 

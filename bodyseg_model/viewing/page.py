@@ -22,6 +22,7 @@ import threading
 import time
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import urlsplit
 
@@ -29,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BodysegError
+from bodyseg_data.files import write_result
 from bodyseg_data.machine import missing_library
 from bodyseg_model.viewing.pictures import (
     VIEWPOINTS,
@@ -36,6 +38,7 @@ from bodyseg_model.viewing.pictures import (
     facts_html,
     legend_html,
     name_heights,
+    sheet_of,
     viewpoint,
 )
 
@@ -229,20 +232,24 @@ _FREE: Final = 0.4  # share of the height, from the top, that the controls leave
 _SAME: Final = 0.02
 _DEVICE_M: Final = 0.22
 _DEVICE_COLOURS: Final = ((32, 34, 40), (196, 110, 20), (150, 60, 140))
+_VIEW_PX: Final = (1000, 800)
+_VIEW_TIMEOUT_S: Final = 20.0
 
 
 class Page:
     """A page with nothing on it yet: controls are added to `server.gui`, and `start` begins to draw.
 
-    host, port: as for `open_server`, and raises as it does. title: of the page. allowed: names of hosts
-    beside this one's under which it is served, such as a proxy's.
+    host, port: as for `open_server`, and raises as it does. title: of the page. save: folder for pictures; None: the
+    browser downloads them. allowed: names of hosts beside this one's under which it is served, such as a proxy's.
     """
 
-    def __init__(self, host: str, port: int, title: str, allowed: Collection[str] = ()) -> None:
+    def __init__(
+        self, host: str, port: int, title: str, save: Path | None = None, allowed: Collection[str] = ()
+    ) -> None:
         self.guard = Guard(host, allowed)
         self.server = open_server(host, port, title, self.guard)
         self.host, self.port = host, self.server.get_port()
-        self._warning = ""
+        self._save_in, self._warning = save, ""
         self._drawing: Drawing | None = None
         self._lock = threading.Lock()
         self._redrawing: Redrawing | None = None
@@ -280,12 +287,13 @@ class Page:
         self.server.on_client_connect(self._follow)
 
     def add_view_controls(self) -> None:
-        """Add the controls of the viewpoint and of what is drawn."""
+        """Add the controls of the viewpoint and of what is drawn, and the button that saves a picture."""
         gui = self.server.gui
         with gui.add_folder("View"):
             look = gui.add_button_group("look at", VIEWPOINTS)
             size = gui.add_slider("point size", 0.4, 4.0, 0.1, self.point_scale)
             devices = gui.add_checkbox("camera, projector", self._devices_shown)
+            save = gui.add_button("Save picture")
 
         @size.on_update
         def _(_: object) -> None:
@@ -303,6 +311,11 @@ class Page:
                 box: Any = devices
                 box.value = box.value or look.value == "sensor"
                 self._look(event.client, look.value)
+
+        @save.on_click
+        def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
+            if event.client is not None:
+                self._save(event.client)
 
     def start(self, draw: Callable[[], Drawing]) -> None:
         """Draw once, then after every `request`, in a thread. Raises what the first drawing raises."""
@@ -420,7 +433,41 @@ class Page:
             self._names[device].position = placed.position + np.array([0.0, height, 0.0])
             handle.visible = self._names[device].visible = self._devices_shown
 
+    def _save(self, client: viser.ClientHandle) -> None:
+        """Write the panels and the points as one client sees them as a PNG."""
+        drawing = self._drawing
+        if drawing is None:
+            return
+        try:
+            view = client.get_render(*_VIEW_PX, timeout=_VIEW_TIMEOUT_S)
+            name, data = picture_file(drawing, np.asarray(view[..., :3], np.uint8))
+            if self._save_in is None:
+                client.send_file_download(name, data, save_immediately=True)
+                return
+            path = unused(self._save_in / name)
+            write_result(path, data)
+            client.add_notification("Saved", str(path), auto_close_seconds=6)
+        except Exception as error:  # also of a picture that a browser made up
+            self.warn(f"no picture was saved: {error}")
+
 
 def aimed_at(drawing: Drawing) -> NDArray[np.float32]:
     """Points that a window is turned to, float32 [N, 3]: those of bodies, or all if there is no body."""
     return drawing.points.xyz[: drawing.bodies or None]
+
+
+def picture_file(drawing: Drawing, view: NDArray[np.uint8]) -> tuple[str, bytes]:
+    """Name and bytes of a PNG of a drawing. view: its points as a browser drew them, sRGB uint8 [H, W, 3]."""
+    buffer = io.BytesIO()
+    sheet_of(drawing.picture, view, drawing.facts).save(buffer, "PNG")
+    word = "".join(letter if letter.isalnum() or letter in "-_" else "_" for letter in drawing.facts[0])
+    return f"{word[:80] or 'picture'}.png", buffer.getvalue()
+
+
+def unused(path: Path) -> Path:
+    """The path, or with the first number from 2 on at the end of its name for which there is no file."""
+    number, found = 1, path
+    while found.exists():
+        number += 1
+        found = path.with_name(f"{path.stem}-{number}{path.suffix}")
+    return found

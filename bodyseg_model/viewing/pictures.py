@@ -186,6 +186,24 @@ def facts_html(facts: Sequence[str], warning: str = "") -> str:
     return f'<div style="font-size:12px;line-height:1.45;padding:2px 8px">{"".join(lines)}</div>'
 
 
+def sheet_of(picture: NDArray[np.uint8], view: NDArray[np.uint8], facts: Sequence[str]) -> Image.Image:
+    """The picture of panels with the points as a browser drew them beside it, and facts above both.
+
+    picture: sRGB uint8 [H, W, 3]. view: the same, of any size; it is scaled to the picture's height.
+    """
+    width = max(1, round(view.shape[1] * picture.shape[0] / view.shape[0]))
+    line = 24
+    top = line * len(facts) + 2 * _GAP
+    sheet = Image.new("RGB", (picture.shape[1] + width, top + picture.shape[0]), PAPER)
+    pen = ImageDraw.Draw(sheet)
+    for number, fact in enumerate(facts):
+        pen.text((_GAP, _GAP + number * line), fact, INK, font=font(17))
+    sheet.paste(Image.fromarray(picture), (0, top))
+    seen = Image.fromarray(np.ascontiguousarray(view))
+    sheet.paste(seen.resize((width, picture.shape[0]), Image.Resampling.LANCZOS), (picture.shape[1], top))
+    return sheet
+
+
 # Space.
 
 

@@ -18,7 +18,7 @@ from bodyseg_data.artifacts import Noise, load_sensor_model
 from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_model.networks import Trained
 from bodyseg_model.viewing import LOOPBACK, Page, SetPage, SetView, Shown
-from bodyseg_model.viewing.page import Guard, aimed_at, free_port, open_server
+from bodyseg_model.viewing.page import Guard, aimed_at, free_port, open_server, unused
 from bodyseg_model.viewing.pictures import Drawing, Points
 from bodyseg_model.viewing.set_page import SensorState
 from bodyseg_model.viewing.strengths import controls_of
@@ -27,8 +27,8 @@ WAIT_S = 60.0
 
 
 @pytest.fixture
-def page() -> Iterator[Page]:
-    opened = Page(LOOPBACK, 0, "bodyseg view")
+def page(tmp_path: Path) -> Iterator[Page]:
+    opened = Page(LOOPBACK, 0, "bodyseg view", tmp_path)
     yield opened
     opened.close()
 
@@ -177,6 +177,15 @@ def test_nothing_is_shared_outside_and_nothing_is_printed(capfd: pytest.CaptureF
     page.close()
     assert capfd.readouterr() == ("", "")
     assert not [thread for thread in threading.enumerate() if thread.name == "redrawing"]
+
+
+def test_saved_pictures_replace_none(tmp_path: Path) -> None:
+    path = tmp_path / "a.png"
+    assert unused(path) == path
+    path.touch()
+    assert unused(path).name == "a-2.png"
+    (tmp_path / "a-2.png").touch()
+    assert unused(path).name == "a-3.png"
 
 
 def test_windows_are_turned_to_bodies_or_to_all() -> None:

@@ -1,18 +1,24 @@
-"""Panels in lines, legends, and facts as HTML."""
+"""Panels in lines, legends and facts as HTML, and saved pictures."""
 
 from __future__ import annotations
 
+import io
+
 import numpy as np
 import pytest
+from PIL import Image
 
 from bodyseg_data.drawing import EMPTY
 from bodyseg_data.labels import PARTS33, label_map_names, load_label_map
+from bodyseg_model.viewing.page import picture_file
 from bodyseg_model.viewing.pictures import (
     CONFIDENCE_LEGEND,
     KIND_LEGEND,
     WIDTH,
+    Drawing,
     Layout,
     Panel,
+    Points,
     class_image,
     class_legend,
     facts_html,
@@ -20,6 +26,7 @@ from bodyseg_model.viewing.pictures import (
     legible,
     luminance,
     share_image,
+    sheet_of,
 )
 from bodyseg_model.viewing.recording_view import FLICKER_LEGEND
 
@@ -75,3 +82,15 @@ def test_colours_hold_on_the_white_page_and_in_black_images(name: str) -> None:
     assert len({tuple(colour) for colour in shown.tolist()}) == len(label_map)
     extreme = legible(np.array([[255, 255, 255], [0, 0, 0], [120, 130, 140]], np.uint8))
     assert extreme[0, 0] < 215 and extreme[1, 0] > 50 and extreme[2].tolist() == [120, 130, 140]
+
+
+def test_saved_pictures_have_the_panels_the_view_and_the_facts() -> None:
+    picture, view = np.full((50, 60, 3), 10, np.uint8), np.full((100, 40, 3), 77, np.uint8)
+    sheet = np.asarray(sheet_of(picture, view, ["name", "fact"]))
+    assert np.count_nonzero((sheet == 10).all(-1)) == 50 * 60
+    assert np.count_nonzero((sheet == 77).all(-1)) == 50 * 20
+    points = Points(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
+    drawing = Drawing(points, {}, picture, ("left/../1",), 0.01, 0, ())
+    name, data = picture_file(drawing, view)
+    assert name == "left____1.png"
+    assert Image.open(io.BytesIO(data)).size[0] == 80

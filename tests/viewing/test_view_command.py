@@ -18,7 +18,7 @@ from bodyseg_model.commands.view import Options, check_options, is_set, welcome
 def test_sets_are_told_from_recordings(tmp_path: Path, small_set: Path) -> None:
     assert is_set([str(small_set)]) and is_set([str(small_set / "train-*.tar")]) and is_set(["s3://bucket/shards"])
     assert is_set([str(next(small_set.glob("*.tar")))]) and is_set([str(small_set / "manifest.json")])
-    assert not is_set([str(tmp_path)]) and not is_set([str(tmp_path / "frames.npy"), str(tmp_path)])
+    assert not is_set([str(tmp_path)]) and not is_set([str(tmp_path / "frames.tar"), str(tmp_path)])
     with pytest.raises(BadConfig, match="view shows one set, or one or several recordings, found"):
         is_set([str(small_set), str(tmp_path)])
 
@@ -68,3 +68,8 @@ def test_ctrl_c_ends_in_one_line(
     assert served == [200]
     assert capfd.readouterr() == ("", "bodyseg view: interrupted\n")
     assert not {"redrawing", "player"} & {thread.name for thread in threading.enumerate()}
+
+
+def test_pictures_need_a_folder(small_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["view", str(small_set), "--save", str(tmp_path / "none")]) == 2
+    assert "--save must be a folder that is there, found" in capsys.readouterr().err

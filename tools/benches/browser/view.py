@@ -185,13 +185,15 @@ def check(condition: bool, what: str) -> None:
 def run(folder: Path, out: Path) -> None:
     """All checks on the page of a set, with screenshots in a folder."""
     out.mkdir(parents=True, exist_ok=True)
+    saves = Path(tempfile.mkdtemp(dir=out))
     command = [sys.executable, "-m", "bodyseg_model", "view", str(folder), "--port", "0", "--variant", "noise"]
+    command += ["--save", str(saves)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=_interruptible) as program:
         try:
             if program.stderr is None:
                 raise RuntimeError("the program has no standard error")
             address = program.stderr.readline().split()[1]
-            _look(address, folder, out)
+            _look(address, folder, out, saves)
             program.send_signal(signal.SIGINT)
             said = program.stderr.read()
             status = program.wait(_WAIT_S)
@@ -204,7 +206,7 @@ def _interruptible() -> None:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-def _look(address: str, folder: Path, out: Path) -> None:
+def _look(address: str, folder: Path, out: Path, saves: Path) -> None:
     view = SetView(folder)
     layout, _ = view.layout_of(view.images.clean(0))
     with contextlib.closing(Proxy(PREFIX, urlsplit(address).port or 0)) as proxy, open_tab(*WINDOW) as tab:
@@ -238,6 +240,12 @@ def _look(address: str, folder: Path, out: Path) -> None:
         beside = settled(tab, lambda image: differs(after, image) > _CHANGED)
         Image.fromarray(beside).save(out / "sensor.png")
         check(differs(after, beside) > _CHANGED, "a button looks at the sensor from beside")
+        press(tab, "Save picture")
+        end = time.monotonic() + _WAIT_S
+        while not (saved := [*saves.iterdir()]) and time.monotonic() < end:
+            time.sleep(_SETTLED_S)
+        colours = [colours_of(np.asarray(Image.open(each))[:, WIDTH:]) for each in saved]
+        check(len(saved) == 1 and colours[0] > _COLOURED, f"a button saves panels and points as PNG: {len(saved)} file")
         check(not tab.errors, f"no script fails {tab.errors or ''}")
 
 
