@@ -1,31 +1,16 @@
-"""Surfaces in a clean range image: where they are, how they lie to the camera, and where one ends before another."""
+"""Surfaces in a clean range image: how they lie to the camera, and where one ends before another."""
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.constants import ARCCOS, FAR, STEEPEST
-from bodyseg_data.machine import if_ready, loops
+from bodyseg_data.artifacts.constants import FAR
+from bodyseg_data.artifacts.lost_pixels import Box
 from bodyseg_data.rigs import Camera
 
-Box = tuple[slice, slice]
-
-_RIGHT_ANGLE: Final = np.float32(np.pi / 2)
-
-
-def box_of(image: NDArray[Any], margin: int = 0) -> Box | None:
-    """The rows and columns that all of an image of whole numbers or a mask [H, W] but 0 reaches over; None if all is 0.
-
-    margin: pixels more on every side, where the image has them. By the bits of whole rows, which takes three fifths of
-    the time that `any` takes for 16-bit ranges.
-    """
-    rows = np.flatnonzero(np.bitwise_or.reduce(image, axis=1))
-    if not len(rows):
-        return None
-    columns = np.flatnonzero(np.bitwise_or.reduce(image[rows[0] : rows[-1] + 1], axis=0))
-    top, left = max(int(rows[0]) - margin, 0), max(int(columns[0]) - margin, 0)
-    return slice(top, int(rows[-1]) + 1 + margin), slice(left, int(columns[-1]) + 1 + margin)
+_ARCCOS: Final = tuple(map(np.float32, (1.5707288, -0.2121144, 0.0742610, -0.0187293)))
+_STEEPEST: Final = np.float32(0.0871557)  # cosine of 85 degrees: the slopes of a range image end there
 
 
 def slants(range_image: NDArray[np.uint16], camera: Camera, box: Box) -> NDArray[np.float32]:
@@ -68,34 +53,10 @@ def angles(slant: NDArray[np.float32]) -> NDArray[np.float32]:
     1964, 4.4.45): sums, products and roots alone, so every machine gives the same bits.
     """
     one = np.float32(1)
-    cosine = np.maximum(one / np.sqrt(np.maximum(slant, one)), STEEPEST)
-    constant, linear, square, cube = ARCCOS
+    cosine = np.maximum(one / np.sqrt(np.maximum(slant, one)), _STEEPEST)
+    constant, linear, square, cube = _ARCCOS
     cubic = constant + cosine * (linear + cosine * (square + cosine * cube))
     found: NDArray[np.float32] = np.sqrt(one - cosine) * cubic
-    return found
-
-
-def incidence(range_image: NDArray[np.uint16], camera: Camera, pixels: NDArray[np.intp]) -> NDArray[np.float32]:
-    """The angle of incidence at each pixel of the foreground, radians, float32 [N]; see `angles`.
-
-    range_image: clean, uint16 [H, W], 0 is background. pixels: flat indices of the foreground in reading order, [N].
-    """
-    with if_ready:
-        found: NDArray[np.float32] = compiled_forms().incidence(range_image, camera, pixels)
-        return found
-    box = box_of(range_image)
-    if box is None:
-        return np.zeros(0, np.float32)
-    return angles(slants(range_image, camera, box)[range_image[box] != 0])
-
-
-def grazing(angle: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Theta / (pi/2 - theta) of angles of incidence theta, radians: 0 facing the camera, 17 at 85 degrees.
-
-    The measure of Nguyen, Izadi and Lovell, "Modeling Kinect sensor noise for improved 3D reconstruction and
-    tracking", 3DIMPVT 2012.
-    """
-    found: NDArray[np.float32] = angle / (_RIGHT_ANGLE - angle)
     return found
 
 
@@ -105,9 +66,6 @@ def silhouettes(range_image: NDArray[np.uint16], jump: float) -> NDArray[np.bool
     range_image: uint16 [H, W], 0 is background; jump: in its steps. Neighbours are those above, below, left and right;
     the image's border is none.
     """
-    with if_ready:
-        found: NDArray[np.bool_] = compiled_forms().silhouettes(range_image, jump)
-        return found
     z = range_image.astype(np.int32)
     marked = np.zeros(z.shape, np.bool_)
     for first, second, near, far in (
@@ -123,9 +81,6 @@ def silhouettes(range_image: NDArray[np.uint16], jump: float) -> NDArray[np.bool
 
 def widened(marked: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
     """Mark all pixels at most `pixels` rows and columns away from a marked one, [H, W]."""
-    with if_ready:
-        compiled: NDArray[np.bool_] = compiled_forms().widened(marked, pixels)
-        return compiled
     found = marked.copy()
     for _ in range(pixels):
         before = found.copy()
@@ -135,8 +90,3 @@ def widened(marked: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
         found[:, 1:] |= before[:, :-1]
         found[:, :-1] |= before[:, 1:]
     return found
-
-
-def compiled_forms() -> Any:
-    """The compiled forms, for `if_ready`."""
-    return loops("bodyseg_data.artifacts.sensor_loops")
