@@ -48,7 +48,7 @@ def artifact_class(name: str) -> type[Artifact]:
     added = {entry.name: entry for entry in metadata.entry_points(group=ENTRY_POINT)}
     if name not in added and name in REMOVED:
         raise BadConfig(
-            f"artifact {name} was removed, since networks lose nothing by it (docs/results/variants.md): leave it out"
+            f"artifact {name} was removed, since networks lose nothing by it (results/variants.md): leave it out"
         )
     if name not in added:
         raise BadConfig(f"an artifact must be one of {', '.join((*ARTIFACTS, *added))}, found {name!r}")

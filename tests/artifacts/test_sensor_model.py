@@ -175,7 +175,7 @@ def test_a_bad_sensor_file_is_one_line(text: str, message: str) -> None:
 
 @pytest.mark.parametrize("name", REMOVED)
 def test_an_artifact_that_was_removed_is_one_line_that_says_why(name: str) -> None:
-    why = f"artifact {name} was removed, since networks lose nothing by it (docs/results/variants.md): leave it out"
+    why = f"artifact {name} was removed, since networks lose nothing by it (results/variants.md): leave it out"
     file = f"format = 'bodyseg sensor 1'\nname = 'a'\n[[artifacts]]\nartifact = '{name}'\nstrength = 1"
     with pytest.raises(BadConfig) as refused:
         parse_sensor_model(file, "mine.toml")

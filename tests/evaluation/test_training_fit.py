@@ -121,7 +121,7 @@ def test_cards_whose_artifacts_were_removed_are_read_and_say_so_when_asked() -> 
     line = sensor_warning(finder, Augmentation(PAPER, "all", sensor=MODEL), "set")
     assert line == (
         "the artifacts of set cannot be compared with those trained on: a network's card, sensor: artifact "
-        "lateral_noise was removed, since networks lose nothing by it (docs/results/variants.md): leave it out"
+        "lateral_noise was removed, since networks lose nothing by it (results/variants.md): leave it out"
     )
 
 
