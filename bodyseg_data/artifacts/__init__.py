@@ -23,7 +23,6 @@ if TYPE_CHECKING:
         sensor_model_from_json,
         sensor_model_names,
     )
-    from bodyseg_data.artifacts.surface import angles, silhouettes, slants, widened
     from bodyseg_data.artifacts.variants import (
         PAIRS,
         VARIANTS,
