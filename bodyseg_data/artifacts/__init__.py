@@ -7,12 +7,12 @@ from bodyseg_data.core import lazy_door
 if TYPE_CHECKING:
     from bodyseg_data.artifacts.artifact import Artifact, Bounds, RangeImage, Scene
     from bodyseg_data.artifacts.cast_shadow import seen_by_projectors
-    from bodyseg_data.artifacts.lost_pixels import SHAPES, Losses, lost
+    from bodyseg_data.artifacts.lost_pixels import SHAPES, Losses, box_of
     from bodyseg_data.artifacts.missing_data import MissingData
+    from bodyseg_data.artifacts.mixed_pixels import MixedPixels
     from bodyseg_data.artifacts.noise import Noise
     from bodyseg_data.artifacts.occlusion import Occlusion, ShadowTest, framed, lit_pixels, shadow_tests
     from bodyseg_data.artifacts.phase_shift import PhaseShift
-    from bodyseg_data.artifacts.range_errors import AxialNoise, MixedPixels
     from bodyseg_data.artifacts.registry import artifact_class
     from bodyseg_data.artifacts.sensor_model import (
         PAPER_SENSOR,
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
         sensor_model_from_json,
         sensor_model_names,
     )
-    from bodyseg_data.artifacts.surface import angles, box_of, silhouettes, slants, widened
     from bodyseg_data.artifacts.variants import (
         PAIRS,
         VARIANTS,

@@ -19,7 +19,6 @@ from typing import Any, ClassVar, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.surface import incidence
 from bodyseg_data.core import Draws, check_fields
 from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import Sample, shape_of
@@ -27,41 +26,25 @@ from bodyseg_data.samples import Sample, shape_of
 
 @dataclass(frozen=True)
 class Bounds:
-    """Numbers from `low` to `high` that a field may hold; above: without `low` itself; below: without `high`.
-
-    values: the only ones that it may hold, if not any between the ends.
-    """
+    """Numbers from `low` to `high` that a field may hold; above: without `low` itself."""
 
     low: float
     high: float
     above: bool = False
-    below: bool = False
-    values: tuple[float, ...] = ()
 
     def take(self, number: float) -> bool:
         """Return whether a number lies within. NaN never does."""
-        if self.values:
-            return number in self.values
-        return (self.low < number if self.above else self.low <= number) and (
-            number < self.high if self.below else number <= self.high
-        )
+        return (self.low < number if self.above else self.low <= number) and number <= self.high
 
     def __str__(self) -> str:
-        if self.values:
-            return f"one of {', '.join(f'{value:g}' for value in self.values)}"
         if self.above:
-            return f"above {self.low:g} and {'below' if self.below else 'at most'} {self.high:g}"
-        return f"from {self.low:g} to {'below ' if self.below else ''}{self.high:g}"
+            return f"above {self.low:g} and at most {self.high:g}"
+        return f"from {self.low:g} to {self.high:g}"
 
 
-def bounded(default: Any, low: float, high: float, *, above: bool = False, below: bool = False) -> Any:
+def bounded(default: Any, low: float, high: float, *, above: bool = False) -> Any:
     """Declare a dataclass's field whose number, or each number of a tuple, lies within `Bounds`; None may stand."""
-    return field(default=default, metadata={"bounds": Bounds(low, high, above, below)})
-
-
-def one_of(default: float, values: tuple[float, ...]) -> Any:
-    """Declare a dataclass's field that holds one of some numbers."""
-    return field(default=default, metadata={"bounds": Bounds(min(values), max(values), values=values)})
+    return field(default=default, metadata={"bounds": Bounds(low, high, above)})
 
 
 Kind = Literal["occlusion", "noise", "missing_data"]
@@ -110,11 +93,6 @@ class Scene:
         then the same in every variant.
         """
         return np.flatnonzero(self.sample.range != 0)
-
-    @cached_property
-    def incidence(self) -> NDArray[np.float32]:
-        """The angle of incidence at each of `pixels`, radians, 0 facing the camera, float32 [N]; see `incidence`."""
-        return incidence(self.sample.range, self.rig.camera, self.pixels)
 
 
 class Artifact(Protocol):

@@ -8,10 +8,6 @@ from numpy.typing import NDArray
 
 FAR: Final = np.float32(1e7)  # steps: behind every range, and its square times a focal length's is still a float32
 
-ARCCOS: Final = tuple(map(np.float32, (1.5707288, -0.2121144, 0.0742610, -0.0187293)))
-STEEPEST: Final = np.float32(0.0871557)
-"""Cosine of 85 degrees, beyond which angles are taken to be 85: the slopes of a range image end there."""
-
 # A segment is a float's exponent and the highest four bits of its mantissa, the rest is the offset in the segment. The
 # lowest segment begins at 0.5, the last one is 2**31 alone.
 SEGMENT_SHIFT: Final = 19

@@ -1,27 +1,40 @@
-"""Pixels lost together, as sensors lose them: patches, stripes, and surfaces that lie along the ray or end there.
+"""Pixels lost together, as sensors lose them, in patches and stripes.
 
 Missing data as in the paper (`missing_data.py`) is lost pixel by pixel. Here neighbouring pixels are lost: dark cloth
-that returns no light, bands of a body that moved between two fringe patterns, and flanks that lie almost along the
-camera's ray. `lost` and the functions it calls lose exactly the given share, to the nearest pixel, and a larger share
-of the same image and draws loses the same pixels and more.
+that returns no light, and bands of a body that moved between two fringe patterns. `SHAPES` lose exactly the given
+share, to the nearest pixel, and a larger share of the same image and draws loses the same pixels and more.
 """
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
-from typing import ClassVar, Final, Literal
+from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene, bounded
-from bodyseg_data.artifacts.noise import drawn_bits
-from bodyseg_data.artifacts.surface import Box, box_of, compiled_forms, silhouettes, slants, widened
 from bodyseg_data.core import BadConfig, Draws
 from bodyseg_data.labels import PARTS
-from bodyseg_data.machine import if_ready
-from bodyseg_data.rigs import Camera, Rig
+from bodyseg_data.machine import if_ready, loops
+from bodyseg_data.rigs import Rig
+
+Box = tuple[slice, slice]
+
+
+def box_of(image: NDArray[Any], margin: int = 0) -> Box | None:
+    """The rows and columns that all of an image of whole numbers or a mask [H, W] but 0 reaches over; None if all is 0.
+
+    margin: pixels more on every side, where the image has them. By the bits of whole rows, which takes three fifths of
+    the time that `any` takes for 16-bit ranges.
+    """
+    rows = np.flatnonzero(np.bitwise_or.reduce(image, axis=1))
+    if not len(rows):
+        return None
+    columns = np.flatnonzero(np.bitwise_or.reduce(image[rows[0] : rows[-1] + 1], axis=0))
+    top, left = max(int(rows[0]) - margin, 0), max(int(columns[0]) - margin, 0)
+    return slice(top, int(rows[-1]) + 1 + margin), slice(left, int(columns[-1]) + 1 + margin)
 
 
 def units(random: np.random.Generator, count: int) -> NDArray[np.float64]:
@@ -30,61 +43,14 @@ def units(random: np.random.Generator, count: int) -> NDArray[np.float64]:
     return (words >> np.uint64(11)).astype(np.float64) * 2.0**-53
 
 
-SHAPES: Final = ("patches", "stripes", "grazing")
-
 MOST_PATCHES: Final = 4
 LONGEST: Final = 2.0
 """How many times as long as wide a patch may be, or as wide as long."""
 FEWEST_STRIPES: Final = 2
 MOST_STRIPES: Final = 12
 
+_LOOPS: Final = "bodyseg_data.artifacts.sensor_loops"
 _LABELS: Final = {part.landmark: part.label for part in PARTS}
-
-
-@dataclass(frozen=True)
-class Losses(Artifact):
-    """Patches, stripes, grazing surfaces or nothing lost, each as likely; the paper has none of it.
-
-    most: the largest share of the foreground that is lost; each image's share is uniform from 0 to it.
-    """
-
-    name = "losses"
-    kind = "missing_data"
-    purposes = ("losses",)
-
-    most: float = bounded(0.0, 0, 1)
-
-    def lost(
-        self, range_image: NDArray[np.uint16], camera: Camera, generator: np.random.Generator
-    ) -> NDArray[np.bool_]:
-        """Mark the pixels that one image loses, bool [H, W].
-
-        range_image: the clean one, uint16 [H, W], 0 is background. camera: the one that sees it. generator: draws the
-        shape, the share and the positions. Raises BadConfig for an image that is not the camera's.
-        """
-        chances = units(generator, 2)
-        shapes, share = (None, *SHAPES), self.most * float(chances[1])
-        shape = shapes[int(chances[0] * len(shapes))]
-        if shape is None:
-            return np.zeros(range_image.shape, np.bool_)
-        return lost(shape, range_image, share, camera, generator)
-
-    def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
-        """As `Artifact.apply`. Raises BadConfig for a sample that is not the rig's."""
-        image.range[self.lost(scene.sample.range, scene.rig.camera, draws.generator("losses"))] = 0
-
-
-def lost(
-    shape: str, range_image: NDArray[np.uint16], share: float, camera: Camera, generator: np.random.Generator
-) -> NDArray[np.bool_]:
-    """Mark the pixels lost in one of `SHAPES`, bool [H, W]; other arguments as of `lost_patches` and `lost_grazing`."""
-    if shape == "patches":
-        return lost_patches(range_image, share, generator)
-    if shape == "stripes":
-        return lost_stripes(range_image, share, generator)
-    if shape == "grazing":
-        return lost_grazing(range_image, share, camera)
-    raise BadConfig(f"pixels are lost in one of {', '.join(SHAPES)}, found {shape!r}")
 
 
 def lost_patches(range_image: NDArray[np.uint16], share: float, generator: np.random.Generator) -> NDArray[np.bool_]:
@@ -116,7 +82,7 @@ def _least_sums(
     """The least sum at each pixel, [N], of a `down` [h] at its row and of the `along` [w] at its column."""
     with if_ready:
         values = np.empty(len(pixels), np.float32)
-        compiled_forms().least_sums(pixels, len(along[0]), np.stack(down), np.stack(along), values)
+        loops(_LOOPS).least_sums(pixels, len(along[0]), np.stack(down), np.stack(along), values)
         return values
     sums = (rows[:, None] + columns for rows, columns in zip(down, along, strict=True))
     least: NDArray[np.float32] = reduce(np.minimum, sums)
@@ -151,23 +117,39 @@ def lost_stripes(range_image: NDArray[np.uint16], share: float, generator: np.ra
     return lost
 
 
-def lost_grazing(range_image: NDArray[np.uint16], share: float, camera: Camera) -> NDArray[np.bool_]:
-    """Mark the pixels whose surface lies most nearly along the camera's ray, bool [H, W]; see `slants`.
+SHAPES: Final = {"patches": lost_patches, "stripes": lost_stripes}
+"""Name -> what marks the pixels that are lost in that shape."""
 
-    As `lost_patches`. Raises BadConfig as well for an image that is not the camera's.
+
+@dataclass(frozen=True)
+class Losses(Artifact):
+    """Patches, stripes or nothing lost, each as likely; the paper has none of it.
+
+    most: the largest share of the foreground that is lost; each image's share is uniform from 0 to it.
     """
-    _check_share(share)
-    if range_image.shape != (camera.rows, camera.columns):
-        raise BadConfig(
-            f"a range image must be as large as its camera's, {camera.rows} x {camera.columns}, "
-            f"found {' x '.join(map(str, range_image.shape))}"
-        )
-    box = box_of(range_image)
-    if box is None:
-        return np.zeros(range_image.shape, np.bool_)
-    pixels = np.flatnonzero(range_image[box] != 0)
-    order = -slants(range_image, camera, box)
-    return _lose_first(range_image.shape, box, pixels, order.ravel()[pixels], share)
+
+    name = "losses"
+    kind = "missing_data"
+    version = 2
+    purposes = ("losses",)
+
+    most: float = bounded(0.0, 0, 1)
+
+    def lost(self, range_image: NDArray[np.uint16], generator: np.random.Generator) -> NDArray[np.bool_]:
+        """Mark the pixels that one image loses, bool [H, W].
+
+        range_image: the clean one, uint16 [H, W], 0 is background. generator: draws the shape, the share and the
+        positions.
+        """
+        which, share = units(generator, 2)
+        shapes = (None, *SHAPES.values())
+        shape = shapes[int(which * len(shapes))]
+        if shape is None:
+            return np.zeros(range_image.shape, np.bool_)
+        return shape(range_image, self.most * float(share), generator)
+
+    def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
+        image.range[self.lost(scene.sample.range, draws.generator("losses"))] = 0
 
 
 @dataclass(frozen=True)
@@ -247,60 +229,6 @@ def code_lines(rig: Rig) -> Literal["rows", "columns"]:
     return "columns" if abs(x) >= abs(y) else "rows"
 
 
-@dataclass(frozen=True)
-class GrazingLoss(Artifact):
-    """Pixels whose surface is seen at more than `from_deg` from its normal, lost each with probability `share`.
-
-    from_deg: degrees, 0 facing the camera; the slopes of a range image end at 85 (`angles`).
-    """
-
-    name = "grazing_loss"
-    kind = "missing_data"
-    purposes = ("grazing loss",)
-
-    from_deg: float = bounded(75.0, 0, 85, below=True)
-    share: float = bounded(1.0, 0, 1)
-
-    def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
-        bits = drawn_bits(draws, "grazing loss", len(scene.pixels), np.uint16)
-        ranges, limit, steepest = image.range.reshape(-1), self.share * 65536, np.float32(math.radians(self.from_deg))
-        with if_ready:
-            compiled_forms().lose_steep(
-                ranges, scene.pixels, bits, np.uint32(math.ceil(limit)), scene.incidence, steepest
-            )
-            return
-        lost = (bits < limit) & (scene.incidence > steepest)
-        ranges[scene.pixels[lost]] = 0
-
-
-@dataclass(frozen=True)
-class EdgeLoss(Artifact):
-    """Pixels at most `width_px` from where a surface ends, on either side of it, lost each with probability `share`.
-
-    width_px: rows and columns; 1 is the last pixel before the edge. A surface ends at background and where ranges of
-    neighbours differ by more than `jump_mm`.
-    """
-
-    name = "edge_loss"
-    kind = "missing_data"
-    purposes = ("edge loss",)
-
-    width_px: int = bounded(1, 1, 50)
-    share: float = bounded(0.5, 0, 1)
-    jump_mm: float = bounded(30.0, 0, 10_000, above=True)
-
-    def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
-        clean = scene.sample.range
-        edge = widened(silhouettes(clean, self.jump_mm / 1000 / scene.step_m), self.width_px - 1)
-        bits = drawn_bits(draws, "edge loss", len(scene.pixels), np.uint16)
-        ranges, limit, marked = image.range.reshape(-1), self.share * 65536, edge.reshape(-1)
-        with if_ready:
-            compiled_forms().lose_marked(ranges, scene.pixels, bits, np.uint32(math.ceil(limit)), marked)
-            return
-        lost = (bits < limit) & marked[scene.pixels]
-        ranges[scene.pixels[lost]] = 0
-
-
 def _lose_first(
     shape: tuple[int, ...], box: Box, pixels: NDArray[np.intp], values: NDArray[np.float32], share: float
 ) -> NDArray[np.bool_]:
@@ -313,7 +241,7 @@ def _lose_first(
     if count:
         limit = np.partition(values, count - 1)[count - 1]
         with if_ready:
-            compiled_forms().mark_below(pixels, values, limit, count, lost[box])
+            loops(_LOOPS).mark_below(pixels, values, limit, count, lost[box])
             return lost
         gone = values < limit
         gone[np.flatnonzero(values == limit)[: count - np.count_nonzero(gone)]] = True

@@ -5,7 +5,7 @@ Normals are made of 32 random bits each, by the inverse of their distribution fu
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,6 @@ from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene, bounded
 from bodyseg_data.artifacts.constants import FIRST_SEGMENT, OFFSET_MASK, SEGMENT_SHIFT, SEGMENTS
 from bodyseg_data.core import BadConfig, Draws
 from bodyseg_data.machine import if_ready, loops
-
-_LOOPS: Final = "bodyseg_data.artifacts.random_loops"
 
 
 @dataclass(frozen=True)
@@ -68,20 +66,12 @@ def normals(draws: NDArray[np.uint32]) -> NDArray[np.float32]:
     return signed
 
 
-def drawn_bits(draws: Draws, purpose: str, count: int, kind: type[np.uint16] | type[np.uint32]) -> NDArray[Any]:
-    """One draw a pixel of a purpose, [count]; see `Draws.pixels`."""
+def drawn_bits(draws: Draws, purpose: str, count: int) -> NDArray[np.uint32]:
+    """32 random bits a pixel of a purpose, uint32 [count]; see `Draws.pixels`."""
     with if_ready:
-        found: NDArray[Any] = loops(_LOOPS).bits_of(draws.stream(purpose), count, kind)
+        found: NDArray[np.uint32] = loops("bodyseg_data.artifacts.random_loops").bits_of(draws.stream(purpose), count)
         return found
-    return draws.pixels(purpose, count, kind)
-
-
-def drawn_normals(draws: Draws, purpose: str, count: int) -> NDArray[np.float32]:
-    """One standard normal for each 32 random bits of a purpose, float32 [N]; see `normals`."""
-    with if_ready:
-        found: NDArray[np.float32] = loops(_LOOPS).normals_of(draws.stream(purpose), count)
-        return found
-    return normals(draws.pixels(purpose, count, np.uint32))
+    return draws.pixels(purpose, count, np.uint32)
 
 
 def steps_of(sigma_mm: float, step_m: float) -> np.float32:

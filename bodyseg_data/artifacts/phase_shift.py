@@ -172,8 +172,8 @@ class PhaseShift(Artifact):
         camera, tables = scene.rig.camera, np.zeros((PART_COUNT + 1, 19), np.float32)
         place = scene.step_m, camera.focal_px, *camera.centre_px, scene.rig.stand_off_m
         cloth = drawn["coat"], self.darkest, self.lightest - self.darkest, self.patterned, drawn["speed_m_s"]
-        clothes = drawn_bits(draws, "clothes", 6 * 12, np.uint32).reshape(6, 12)
-        motion = drawn_bits(draws, "motion", 6 * len(CHAIN) + 6, np.uint32)
+        clothes = drawn_bits(draws, "clothes", 6 * 12).reshape(6, 12)
+        motion = drawn_bits(draws, "motion", 6 * len(CHAIN) + 6)
         given = parts, sums, tuple(map(float, place)), tuple(map(float, cloth)), clothes, motion, tables
         with if_ready:
             loops(_LOOPS).fill(*given)

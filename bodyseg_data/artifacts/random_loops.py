@@ -13,8 +13,7 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.constants import FIRST_SEGMENT, OFFSET_MASK, SEGMENT_SHIFT, SEGMENTS
-from bodyseg_data.artifacts.scratch import CHUNK
+from bodyseg_data.artifacts.constants import FIRST_SEGMENT, OFFSET_MASK, SEGMENT_SHIFT
 from bodyseg_data.machine import compiled
 
 _llvm: Any = import_module("llvmlite.ir")  # has no types
@@ -65,11 +64,11 @@ def raw_words(key_0: Any, key_1: Any, first: Any, count: Any, words: Any) -> Non
         words[offset + np.uint64(3)] = d
 
 
-def bits_of(stream: NDArray[np.uint64], count: int, kind: type[np.uint16] | type[np.uint32]) -> NDArray[Any]:
-    """One draw a pixel, as `Draws.pixels`, [count]."""
-    words = np.empty(-(-count * np.dtype(kind).itemsize // 32) * 4, np.uint64)  # whole blocks of four words
+def bits_of(stream: NDArray[np.uint64], count: int) -> NDArray[np.uint32]:
+    """32 bits a pixel, as `Draws.pixels`, uint32 [count]."""
+    words = np.empty(-(-count // 8) * 4, np.uint64)  # whole blocks of four words
     raw_words(stream[0], stream[1], 0, len(words), words)
-    return words.view(kind)[:count]
+    return words.view(np.uint32)[:count]
 
 
 @_kernel
@@ -87,22 +86,3 @@ def draw_normals(halves: Any, count: Any, segments: Any, segment_of: Any, normal
         # The sign as a bit: a branch on it, which is random, would take most of the time.
         sign = ~halves[point] & np.uint32(0x80000000)
         normals[point] = np.uint32(size.view(np.uint32) ^ sign).view(np.float32)
-
-
-@_kernel
-def _fill(key_0: Any, key_1: Any, segments: Any, words: Any, segment_of: Any, normals: Any) -> None:
-    """Draw as many normals as the array has room for; words, segment_of: room for those of a chunk."""
-    halves = words.view(np.uint32)
-    first: Any = np.int64(0)
-    while first < normals.size:
-        count = min(np.int64(CHUNK), normals.size - first)
-        raw_words(key_0, key_1, first // 2, (count + 1) // 2, words)
-        draw_normals(halves, count, segments, segment_of, normals[first : first + count])
-        first += count
-
-
-def normals_of(stream: NDArray[np.uint64], count: int) -> NDArray[np.float32]:
-    """`count` standard normals of a stream, float32 [N], as `noise.normals` makes of its 32-bit draws."""
-    drawn = np.empty(count, np.float32)
-    _fill(stream[0], stream[1], SEGMENTS, np.empty(CHUNK // 2, np.uint64), np.empty(CHUNK, np.int32), drawn)
-    return drawn

@@ -9,19 +9,12 @@ from importlib import metadata
 from typing import Any, Final, get_args
 
 from bodyseg_data.artifacts.artifact import Artifact, Kind
-from bodyseg_data.artifacts.lost_pixels import EdgeLoss, GrazingLoss, Losses, PatchLoss, StripeLoss
+from bodyseg_data.artifacts.lost_pixels import Losses, PatchLoss, StripeLoss
 from bodyseg_data.artifacts.missing_data import MissingData
+from bodyseg_data.artifacts.mixed_pixels import MixedPixels
 from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.occlusion import Occlusion
 from bodyseg_data.artifacts.phase_shift import PhaseShift
-from bodyseg_data.artifacts.range_errors import (
-    AxialNoise,
-    DisparityRounding,
-    LateralNoise,
-    MixedPixels,
-    RangeRounding,
-    StereoNoise,
-)
 from bodyseg_data.core import BadConfig
 
 ARTIFACTS: Final[dict[str, type[Artifact]]] = {
@@ -29,19 +22,17 @@ ARTIFACTS: Final[dict[str, type[Artifact]]] = {
     "noise": Noise,
     "missing_data": MissingData,
     "losses": Losses,
-    "axial_noise": AxialNoise,
-    "lateral_noise": LateralNoise,
-    "stereo_noise": StereoNoise,
-    "disparity_rounding": DisparityRounding,
-    "range_rounding": RangeRounding,
     "mixed_pixels": MixedPixels,
     "patch_loss": PatchLoss,
     "stripe_loss": StripeLoss,
-    "grazing_loss": GrazingLoss,
-    "edge_loss": EdgeLoss,
     "phase_shift": PhaseShift,
 }
 """Name -> class of the artifacts that ship with this package; the first three are those of the paper's Table 1."""
+
+REMOVED: Final = (
+    "axial_noise", "lateral_noise", "stereo_noise", "disparity_rounding", "range_rounding", "grazing_loss", "edge_loss",
+)  # fmt: skip
+"""Names of artifacts that earlier versions had, and that files and cards may still name."""
 
 ENTRY_POINT: Final = "bodyseg.artifacts"
 """Group of the entry points by which an installed package adds artifacts."""
@@ -55,6 +46,10 @@ def artifact_class(name: str) -> type[Artifact]:
     if name in ARTIFACTS:
         return ARTIFACTS[name]
     added = {entry.name: entry for entry in metadata.entry_points(group=ENTRY_POINT)}
+    if name not in added and name in REMOVED:
+        raise BadConfig(
+            f"artifact {name} was removed, since networks lose nothing by it (results/variants.md): leave it out"
+        )
     if name not in added:
         raise BadConfig(f"an artifact must be one of {', '.join((*ARTIFACTS, *added))}, found {name!r}")
     return _loaded(added[name])

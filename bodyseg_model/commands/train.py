@@ -70,7 +70,7 @@ class Options:
     where: tuple[str, ...] = option(WHERE_HELP, ())
     noise_mm: float | None = option("largest sigma of the noise, mm (default: 100)", None)
     missing: tuple[float, ...] | None = option("shares of pixels that images lose (default: 0 0.05 0.5)", None)
-    losses: float | None = option("largest share of pixels lost in patches, stripes, at grazing angles", None)
+    losses: float | None = option("largest share of pixels lost in patches or stripes", None)
     sensor: tuple[str, ...] = option(
         "the artifacts: a sensor that ships with the package, or a TOML file; of several, each set once with each",
         (PAPER_SENSOR,),

@@ -7,7 +7,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts import AxialNoise
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Estimate, Finding, rounded
 from bodyseg_model.sensor_fit.residuals import Residuals, Steps
 
@@ -133,7 +132,7 @@ def clipped_variance(values: Floats, step: float) -> float:
     return sigma**2
 
 
-FROM_M: Final = AxialNoise.from_m
+FROM_M: Final = 0.4
 """Range at which the quadratic term begins."""
 
 LEAST_RESIDUALS: Final = 2000

@@ -24,7 +24,6 @@ from bodyseg_data.artifacts import (
     PhaseShift,
     box_of,
     lit_pixels,
-    lost,
     shown_with,
 )
 from bodyseg_data.bodies import BodyRef, open_source
@@ -90,7 +89,6 @@ SWEEPS: Final = {
     "missing": Sweep("Pixels missing at random", "share of the body", (0.0, 0.1, 0.3, 0.5, 0.7, 0.9)),
     "patches": Sweep("Patches missing (dark cloth)", "share of the body", _SHARES),
     "stripes": Sweep("Stripes missing (motion)", "share of the body", _SHARES),
-    "grazing": Sweep("Grazing surfaces missing", "share of the body", _SHARES),
     "depth_steps": Sweep(f"Coarse depth, {DEPTHS_M[0]:g} to {DEPTHS_M[1]:g} m", "bits", (16, 12, 11, 10, 9, 8)),
     "crop_below": Sweep("Cut off from below", "share of the height", _SHARES),
     "crop_above": Sweep("Cut off from above", "share of the height", _SHARES),
@@ -141,7 +139,7 @@ def corrupted(sample: Sample, condition: SweepPoint, rig: Rig, seed: int) -> NDA
         return shown_with(_ARTIFACTS[condition.sweep](condition.strength, rig), sample, rig, seed).range
     if condition.sweep in SHAPES:
         draws = generator(seed, 0, sample.key, condition.sweep)
-        return sample.range * ~lost(condition.sweep, sample.range, condition.strength, rig.camera, draws)
+        return sample.range * ~SHAPES[condition.sweep](sample.range, condition.strength, draws)
     if condition.sweep == "depth_steps":
         return _depth_steps(sample, condition.strength, rig.range_step_m)
     return _CROPS[condition.sweep](sample, condition.strength)

@@ -124,18 +124,13 @@ def _controls(artifact: Artifact, name: str, hint: Any) -> Iterator[Control]:
         yield TextEntry(name, several, held in (int, float))
 
 
-def _number(artifact: Artifact, name: str, item: int | None, value: float, whole: bool) -> Control:
-    """A slider, or a choice where the artifact takes single numbers and nothing between them."""
+def _number(artifact: Artifact, name: str, item: int | None, value: float, whole: bool) -> Slider:
     bounds = _bounds(artifact, name)
-    if bounds.values:
-        return Choice(name, bounds.values)
     rounds = [digit * 10.0**power for power in range(_SMALLEST, _LARGEST + 1) for digit in (1, 2, 5)]
     wanted = _REACH * (_reference(artifact, name, value) or min(bounds.high, 1.0) / _REACH)
     round_end = next((number for number in rounds if number >= wanted), bounds.high)
     high = max(bounds.high if bounds.high < 2 * round_end else round_end, value)
     step = 1.0 if whole else max((number for number in rounds if number <= high / _STEPS), default=10.0**_SMALLEST)
-    if bounds.below and high == bounds.high:
-        high = max(high - step, value)
     low = max(bounds.low, 0.0)
     low = step if bounds.above and low == bounds.low else low
     return Slider(name, item, min(low, value), high, step, whole)

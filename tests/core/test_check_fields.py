@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bodyseg_data.artifacts import Augmentation, Noise, SensorModel, load_sensor_model
-from bodyseg_data.artifacts.artifact import bounded, one_of
+from bodyseg_data.artifacts.artifact import bounded
 from bodyseg_data.artifacts.registry import ARTIFACTS
 from bodyseg_data.core import BadConfig, check_fields
 from bodyseg_data.packing import Packing
@@ -117,10 +117,7 @@ def test_numbers_of_numpy_whole_floats_and_lists_are_accepted() -> None:
 @dataclass(frozen=True)
 class Bounded:
     open_below: float = bounded(1.0, 0, 10, above=True)
-    open_above: float = bounded(1.0, 0, 10, below=True)
-    open_twice: float = bounded(1.0, 0, 10, above=True, below=True)
     closed: int = bounded(1, 1, 50)
-    listed: float = one_of(0.5, (0.5, 2.0))
     each: tuple[float, ...] = bounded((0.0, 1.0), 0, 1)
     optional: float | None = bounded(None, 0, 1)
 
@@ -132,10 +129,7 @@ class Bounded:
     ("name", "wrong", "words"),
     [
         ("open_below", 0.0, "above 0 and at most 10, found 0.0"),
-        ("open_above", 10.0, "from 0 to below 10, found 10.0"),
-        ("open_twice", 10.0, "above 0 and below 10, found 10.0"),
         ("closed", 51, "from 1 to 50, found 51"),
-        ("listed", 1.0, "one of 0.5, 2, found 1.0"),
         ("each", (0.5, 1.5), r"from 0 to 1, found \(0.5, 1.5\)"),
         ("optional", float("nan"), "from 0 to 1, found nan"),
     ],
@@ -143,4 +137,4 @@ class Bounded:
 def test_numbers_beyond_the_bounds_of_a_field_are_refused(name: str, wrong: Any, words: str) -> None:
     with pytest.raises(BadConfig, match=f"^Bounded: {name} must be {words}$"):
         Bounded(**{name: wrong})
-    assert Bounded(10.0, 0.0, 5.0, 50, 2.0, (), 1.0)
+    assert Bounded(10.0, 50, (), 1.0)

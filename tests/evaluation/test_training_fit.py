@@ -17,7 +17,7 @@ from bodyseg_data.rigs import Rig, load_rig
 from bodyseg_model.commands import cli
 from bodyseg_model.evaluation import RigFit, sensor_warning
 from bodyseg_model.evaluation.reports import FAR_OFF, SIMILAR
-from bodyseg_model.networks import Trained, build, save_network
+from bodyseg_model.networks import FINDER, Trained, build, load_network, save_network
 
 PAPER = load_rig()
 MODEL = load_sensor_model()
@@ -113,6 +113,16 @@ def test_artifacts_that_are_not_installed_are_told() -> None:
     line = sensor_warning(trained(sensor=card), Augmentation(PAPER, "all", sensor=MODEL), "set")
     assert line is not None and line.startswith("the artifacts of set cannot be compared with those trained on: ")
     assert "'rust'" in line
+
+
+def test_cards_whose_artifacts_were_removed_are_read_and_say_so_when_asked() -> None:
+    finder = load_network(FINDER)
+    assert "lateral_noise" in json.dumps(finder.card["sensor"]) and finder.label_map.name == "people"
+    line = sensor_warning(finder, Augmentation(PAPER, "all", sensor=MODEL), "set")
+    assert line == (
+        "the artifacts of set cannot be compared with those trained on: a network's card, sensor: artifact "
+        "lateral_noise was removed, since networks lose nothing by it (results/variants.md): leave it out"
+    )
 
 
 def test_evaluate_tells_refuses_and_goes_on(

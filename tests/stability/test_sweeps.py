@@ -16,7 +16,7 @@ from bodyseg_model.stability import SWEEPS, chosen
 from bodyseg_model.stability.scenes import CLEAN, DEPTHS_M, SweepPoint, corrupted
 
 STORED = [name for name, sweep in SWEEPS.items() if sweep.origin == "stored" and name != "hard"]
-SHARES = ("missing", "patches", "stripes", "grazing")
+SHARES = ("missing", "patches", "stripes")
 
 
 @pytest.fixture(scope="module")

@@ -75,7 +75,7 @@ def test_a_command_trains_on_a_set_with_the_artifacts_of_several_sensors(small_s
     parts = RunFolder(tmp_path).plan()["data"]["mixture"]
     assert [part["weight"] for part in parts] == [1, 3] and len({part["set"] for part in parts}) == 1
     kinds = [{each["artifact"] for each in part["artifacts"]} for part in parts]
-    assert "disparity_rounding" in kinds[1] - kinds[0]
+    assert "patch_loss" in kinds[1] - kinds[0]
     assert load_network(tmp_path).label_map == load_label_map("people")
 
 

@@ -8,10 +8,10 @@ from typing import Any, Literal
 
 import pytest
 
-from bodyseg_data.artifacts import Artifact, AxialNoise, MissingData, Noise, RangeImage, Scene
+from bodyseg_data.artifacts import Artifact, MissingData, Noise, RangeImage, Scene
 from bodyseg_data.artifacts.artifact import bounded
 from bodyseg_data.artifacts.lost_pixels import PatchLoss, StripeLoss
-from bodyseg_data.artifacts.range_errors import POWERS, MixedPixels, RangeRounding
+from bodyseg_data.artifacts.mixed_pixels import MixedPixels
 from bodyseg_data.artifacts.registry import ARTIFACTS
 from bodyseg_data.core import BadConfig, Draws
 from bodyseg_model.viewing.strengths import Choice, Control, Slider, TextEntry, controls_of, moved, value_of
@@ -59,11 +59,10 @@ def test_both_ends_of_every_slider_are_taken(kind: Callable[[], Artifact]) -> No
 
 
 def test_sliders_reach_a_few_times_the_strength_within_the_limits_of_the_artifact() -> None:
-    assert control(AxialNoise(), "constant_mm") == Slider("constant_mm", None, 0.0, 5.0, 0.02, False)
+    assert control(Noise(0.0, 1.2), "high_mm") == Slider("high_mm", None, 0.0, 500.0, 2.0, False)
     assert control(MixedPixels(), "share").high == 1
-    assert control(RangeRounding(), "step_mm").low > 0
+    assert control(MixedPixels(), "jump_mm").low > 0
     assert control(Noise(0.0, 100.0), "low_mm").high == control(Noise(0.0, 100.0), "high_mm").high == 500
-    assert control(AxialNoise(), "grazing_power") == Choice("grazing_power", POWERS)
 
 
 def test_users_artifacts_have_controls_of_every_kind() -> None:
@@ -121,4 +120,4 @@ def test_texts_that_are_no_numbers_are_refused() -> None:
 
 
 def test_units_are_set_apart() -> None:
-    assert [each.label for each in controls_of(AxialNoise())][:3] == ["constant, mm", "quadratic, mm", "from, m"]
+    assert [each.label for each in controls_of(MixedPixels())] == ["share", "background, m", "jump, mm"]

@@ -41,8 +41,6 @@ def test_coarser_steps_take_fewer_bytes_and_cast_the_same_shadows(figures: dict[
         assert row["wrong_pixels"] == pytest.approx(row["false_lit"] + row["false_shadow"], abs=2e-6)
         assert 0 < row["wrong_pixels"] <= row["worst_view"] + 1e-6 < 0.02
         assert row["decode_ms"] > 0 and 0 < row["projector_bytes"] < row["bytes"]
-    grazing = [row["other_grazing"] for row in rows.values()]
-    assert grazing == sorted(grazing) and grazing[0] == 0 < grazing[1]
     assert [row["gap_steps"] for row in rows.values()] == [60, 24, 12, 6, 3]
 
 
@@ -58,8 +56,8 @@ def test_the_chart_is_drawn(figures: dict[str, Any], tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     draw_quantisation(figures, tmp_path / "steps.png")
     picture = decoded(tmp_path / "steps.png")
-    for panel in range(3):
-        inside = part(picture, across=(panel / 3, (panel + 1) / 3))
+    for panel in range(2):
+        inside = part(picture, across=(panel / 2, (panel + 1) / 2))
         assert len(marks(inside, quantisation_figure._DEFAULT, 60)) == 1
         assert len(marks(inside, quantisation_figure._OTHERS, 20)) >= 1
         lines = [mark for mark in marks(inside, quantisation_figure._LIMIT) if mark.width > 200]

@@ -23,14 +23,13 @@ from benches.model.ablation.conditions import (
 from benches.model.ablation.figure import draw_ablation
 from benches.model.ablation.rows import ROW_OF_BASE, ROWS, AblationRow, deviation_of, enough, verdict, worth
 from benches.model.ablation.runs import find_runs
-from benches.model.ablation.sensor_artifacts import ADDED
 from pictures import decoded, marks, part
 from slow_accuracy import slow_accuracy
 
 from bodyseg_data import RangeImages
-from bodyseg_data.artifacts.lost_pixels import lost_grazing
+from bodyseg_data.artifacts import SHAPES
 from bodyseg_data.commands.options import parse
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, generator
 from bodyseg_model.commands import train
 from bodyseg_model.networks import build, load_network, save_network
 from bodyseg_model.training.recipes import PRESETS
@@ -100,8 +99,7 @@ def test_every_network_is_evaluated_under_every_condition(
     assert len(rows["step_8mm"]["accuracy"]["none"]["seeds"]) == 2 and rows["step_8mm"]["worth"]["all"]["sd"] is None
     conditions = [condition["name"] for condition in measured["conditions"]]
     assert conditions == [
-        *("all", "none", "noise_80", "missing_50", "patches_30", "stripes_30", "grazing_30"),
-        *(artifact.name for artifact in ADDED.values()),
+        *("all", "none", "noise_80", "missing_50", "patches_30", "stripes_30"),
         *("near_far", "other_side", "A", "hard"),  # there are no subjects B and C, and nobody is called P...
     ]
     assert set(rows["views_1"]["accuracy"]) == set(conditions)
@@ -203,17 +201,16 @@ def test_exams_change_what_they_say(figures_set: Path) -> None:
     quiet = [conditions[name].open(str(figures_set)) for name in ("noise_80", "missing_50")]
     assert {image.drawn["sigma_mm"] for image in map(quiet[0].image, range(8))} == {80}
     assert {image.drawn["missing_rate"] for image in map(quiet[1].image, range(8))} == {0.5}
-    for kind in ("patches", "stripes", "grazing"):
+    for kind in SHAPES:
         fewer = conditions[f"{kind}_30"].open(str(figures_set))
         assert fewer.identity() != plain.identity()
         ours, usual, clean = fewer.image(3), plain.image(3), plain.clean(3)
         gone = (ours.range == 0) & (usual.range > 0)
         assert np.array_equal(ours.range, np.where(gone, 0, usual.range))
         assert np.array_equal(ours.labels, np.where(gone, 255, usual.labels))
-        if kind == "grazing":
-            lost = lost_grazing(clean.range, 0.3, plain.manifest.rig.camera)
-            assert abs(lost.sum() - 0.3 * (clean.range > 0).sum()) < 1
-            assert np.array_equal(gone, lost & (usual.range > 0)) and gone.any()
+        lost = SHAPES[kind](clean.range, 0.3, generator(fewer.seed, 0, clean.key, f"lost {kind}"))
+        assert abs(lost.sum() - 0.3 * (clean.range > 0).sum()) < 1
+        assert np.array_equal(gone, lost & (usual.range > 0)) and gone.any()
         image, labels = np.full_like(ours.range, 7), np.full_like(ours.labels, 7)
         fewer.write(3, 0, image, labels)
         assert np.array_equal(image, ours.range) and np.array_equal(labels, ours.labels)

@@ -47,9 +47,7 @@ class BorderErrors:
 
     def watch(self, image: PredictedImage, accuracy: float) -> None:
         """Count the pixels of one image of `evaluate`."""
-        clean = self._images.label_map.table[self._images.clean(self._index_of[image.key]).labels]
-        # Lateral noise moves silhouettes, so that pixels have labels where the clean image has none.
-        bins = distance_bins(np.where(clean == BACKGROUND, image.labels, clean))
+        bins = distance_bins(self._images.label_map.table[self._images.clean(self._index_of[image.key]).labels])
         body = image.labels != BACKGROUND
         np.add.at(self.counts, (bins[body], (image.labels != image.predicted)[body].astype(np.intp)), 1)
 

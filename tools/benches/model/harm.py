@@ -15,9 +15,8 @@ from benches.model.ablation.conditions import AblationCondition
 from benches.model.ablation.costs import loading_ms
 from benches.model.chosen import chosen_network
 from benches.model.variants.verdicts import DECIDE_POINTS, paired
-from bodyseg_data.artifacts import Artifact, AxialNoise, MissingData, MixedPixels, Noise, SensorModel, load_sensor_model
-from bodyseg_data.artifacts.lost_pixels import EdgeLoss, GrazingLoss, PatchLoss, StripeLoss
-from bodyseg_data.artifacts.range_errors import DisparityRounding, LateralNoise, RangeRounding, StereoNoise
+from bodyseg_data.artifacts import Artifact, MissingData, MixedPixels, Noise, SensorModel, load_sensor_model
+from bodyseg_data.artifacts.lost_pixels import PatchLoss, StripeLoss
 from bodyseg_data.core import ProgressCallback, check_int, counter, silent
 from bodyseg_data.loading import RangeImages
 from bodyseg_model.evaluation import evaluate, over_seeds
@@ -25,19 +24,13 @@ from bodyseg_model.networks import find_device
 
 ARTIFACTS: Final[dict[str, Artifact]] = {
     "noise of one sigma": Noise(0.0, 20.0),
-    "noise by range and incidence": AxialNoise(),
-    "noise of disparity": StereoNoise(0.08, 425.0, 0.05),
-    "rounded disparities": DisparityRounding(0.125, 580.0, 0.075),
-    "whole millimetres": RangeRounding(1.0),
-    "pixels that show what is beside them": LateralNoise(),
     "mixed pixels": MixedPixels(0.5, 4.0),
     "pixels lost by themselves": MissingData((0.0, 0.05, 0.5)),
     "patches lost": PatchLoss(0.0, 0.4),
     "stripes lost": StripeLoss(0.0, 0.4),
-    "grazing surfaces lost": GrazingLoss(70.0, 0.7),
-    "edges lost": EdgeLoss(2, 0.5),
+    "phase shifting": next(each for each in load_sensor_model("paper_phase_shift") if each.name == "phase_shift"),
 }
-"""In words -> the artifact, as strong as on sensors that have it: Kinect v1, and RealSense D435 for its stereo."""
+"""In words -> the artifact, as strong as on sensors that have it."""
 SENSORS: Final = ("kinect_v1", "realsense_d435", "azure_kinect", "paper_phase_shift")
 _NONE: Final = "none"
 

@@ -124,8 +124,6 @@ def _trained() -> Iterator[Step]:
     sets_read = ("--data", OPEN, "--hard", HARD, "--clothes", DRESSED, BARE)
     rows = ("--runs", "runs/ablation", "--images", "40")
     yield _bench("ablation", *sets_read, *rows, drawn=True, links=ABLATION_LINKS, alone=True)
-    rows = ("--runs", "runs/sensors", "--images", "40")
-    yield _bench("ablation", "--data", DRESSED, *rows, to="ablation_sensors", alone=True)
 
 
 def _speed() -> Iterator[Step]:

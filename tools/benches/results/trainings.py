@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from typing import Final
 
 from benches.model.ablation.rows import ROWS, Source
-from benches.model.ablation.sensor_artifacts import ADDED
 from benches.results.step import SHIPPED, Step
 from bodyseg_data.artifacts import VARIANTS
 
@@ -135,26 +134,14 @@ def trainings() -> Iterator[Step]:
         yield _training(f"runs/smaller/{name}-{seed}", OPEN, *options, seed=seed)
     for seed, run in enumerate(REFERENCE_RUNS):
         yield _training(run, OPEN, "--variant", "none", *NETWORKS["fcn_alexnet_8th"], seed=seed)
-    sensors = {artifact.name for artifact in ADDED.values()}
     for row in ROWS:
         if row.arguments is None or row.name in _ROWS_OF_NETWORKS:
             continue
-        if row.name in sensors:
-            yield _sensor_training(row.name, *row.arguments)
-            continue
         for seed in range(_SEEDS_OF_ROWS.get(row.name, 1)):
             yield _training(f"runs/ablation/{row.name}-{seed}", _SETS_OF_ROWS[row.source], *row.arguments, seed=seed)
-    yield _sensor_training("all")
 
 
 def _training(name: str, data: str, *options: str, seed: int, scale: tuple[str, ...] = (*_SHORT, _STILL)) -> Step:
     chosen = (*options, *(("--seed", str(seed)) if seed else ()))
     words = ("bodyseg", "train", "--data", data, "--out", name, *scale, *chosen, *_HOW)
     return Step(name, "training", words)
-
-
-def _sensor_training(row: str, *options: str) -> Step:
-    """A training of the small ablation, of artifacts of real sensors."""
-    name = f"runs/sensors/{row}-0"
-    words = ("bodyseg", "train", "--data", DRESSED, "--out", name, "--steps", "400", "--batch-size", "8")
-    return Step(name, "training", (*words, *options, *_HOW))

@@ -12,13 +12,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benches.data.occlusion.tallies import share
 from benches.data.occlusion.views import ExactView, exact_views, postures
 from benches.measuring import median_time
 from bodyseg_data.artifacts import ShadowTest
-from bodyseg_data.artifacts.lost_pixels import lost_grazing
 from bodyseg_data.core import BadConfig, ProgressCallback, silent
 from bodyseg_data.rigs import load_rig
 from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
@@ -29,7 +27,6 @@ LIMIT: Final = 0.005
 RESOLUTION_MM: Final = 1.0
 """What the paper's sensor resolves (docs/how-to/rig.md): the default rig's step may not be coarser."""
 
-_GRAZING_SHARE: Final = 0.3  # of the foreground: lost at grazing incidence, which is computed from stored ranges
 _ROUNDS: Final = 8
 
 
@@ -41,7 +38,6 @@ class _Tally:
     counts: list[tuple[int, int, int]] = field(default_factory=list)  # wrongly lit, wrongly dark, all pixels
     data: list[bytes] = field(default_factory=list)
     projector_bytes: list[int] = field(default_factory=list)
-    grazing: list[NDArray[np.uint8]] = field(default_factory=list)
 
     def add(self, view: ExactView) -> None:
         sample, inside = view.sample, view.inside
@@ -52,17 +48,9 @@ class _Tally:
         self.data.append(encode_images(sample.range, sample.labels, facing, sample.occluder_range()))
         without = encode_images(sample.range, sample.labels, facing, None)
         self.projector_bytes.append(len(self.data[-1]) - len(without))
-        self.grazing.append(np.packbits(lost_grazing(sample.range, _GRAZING_SHARE, self.test.rig.camera)))
 
-    def row(self, decode_s: Sequence[float], finest: _Tally) -> dict[str, Any]:
+    def row(self, decode_s: Sequence[float]) -> dict[str, Any]:
         false_lit, false_dark, pixels = (sum(count) for count in zip(*self.counts, strict=True))
-        lost, others = (
-            sum(int(np.unpackbits(one).sum()) for one in images)
-            for images in (
-                finest.grazing,
-                (one & ~other for one, other in zip(self.grazing, finest.grazing, strict=True)),
-            )
-        )
         return {
             "bytes": round(statistics.mean(map(len, self.data))),
             "projector_bytes": round(statistics.mean(self.projector_bytes)),
@@ -71,7 +59,6 @@ class _Tally:
             "false_lit": share(false_lit, pixels),
             "false_shadow": share(false_dark, pixels),
             "worst_view": round(max((lit + dark) / max(whole, 1) for lit, dark, whole in self.counts), 6),
-            "other_grazing": share(others, lost),
             "gap_steps": int(self.test.gap_steps),
             "edge_steps": int(self.test.edge_steps),
         }
@@ -83,10 +70,8 @@ def bench_quantisation(views: int = 40, progress: ProgressCallback = silent) -> 
     steps: step in millimetres -> mean bytes of a sample's images and of the projector's among them; decode_ms:
     processor time to decode them, mean over views of the median of eight rounds in which the steps take turns;
     wrong_pixels, false_lit, false_shadow: shares of the foreground pixels inside the projector's view, all views
-    pooled; worst_view: the largest share in one of them. other_grazing: of the pixels that `losses.lost_grazing` takes,
-    30 % of the foreground, the share that it does not take at the finest step. best: the step of fewest bytes with at
-    most `limit` wrong that is not coarser than `resolution_mm`. default: the step of the default rig. Raises BadConfig
-    for no views.
+    pooled; worst_view: the largest share in one of them. best: the step of fewest bytes with at most `limit` wrong that
+    is not coarser than `resolution_mm`. default: the step of the default rig. Raises BadConfig for no views.
     """
     if views < 1:
         raise BadConfig(f"at least one view must be measured, found {views}")
@@ -98,7 +83,7 @@ def bench_quantisation(views: int = 40, progress: ProgressCallback = silent) -> 
             tally.add(view)
             progress(number * views + done, len(STEPS_MM) * views)
     times = _decoding_times({step_mm: tally.data for step_mm, tally in tallies.items()})
-    rows = {f"{step_mm:g}": tally.row(times[step_mm], tallies[STEPS_MM[0]]) for step_mm, tally in tallies.items()}
+    rows = {f"{step_mm:g}": tally.row(times[step_mm]) for step_mm, tally in tallies.items()}
     fit = [name for name, row in rows.items() if row["wrong_pixels"] <= LIMIT and float(name) <= RESOLUTION_MM]
     return {
         "steps": rows,

@@ -14,17 +14,16 @@ _LIMIT: Final = "#e08a1e"
 _PANELS: Final = (
     ("bytes", 1e-3, "kB a sample, three images"),
     ("wrong_pixels", 100, "pixels with a wrong shadow, %"),
-    ("other_grazing", 100, "pixels that are lost at grazing incidence\nand not at the finest step, %"),
 )
 """Figure of a step, factor to the unit drawn, caption."""
 
 
 def draw_quantisation(figures: dict[str, Any], path: Path) -> None:
-    """Write a PNG of `bench_quantisation`'s results: bytes, wrong shadows and grazing losses against the step.
+    """Write a PNG of `bench_quantisation`'s results: bytes and wrong shadows against the step.
 
     Raises MissingLibrary without matplotlib, BadConfig if the file cannot be written.
     """
-    figure = new_chart(12, 4.2)
+    figure = new_chart(8, 4.2)
     axes: Any = figure.subplots(1, len(_PANELS))
     steps = {float(name): row for name, row in figures["steps"].items()}
     for axis, (key, factor, caption) in zip(axes, _PANELS, strict=True):

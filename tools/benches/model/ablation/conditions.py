@@ -8,9 +8,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benches.model.ablation.sensor_artifacts import ADDED
 from benches.model.variants.scores import AlteredImages, Condition
-from bodyseg_data.artifacts import SHAPES, SensorModel, load_sensor_model, lost
+from bodyseg_data.artifacts import SHAPES, SensorModel, load_sensor_model
 from bodyseg_data.core import generator
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.loading import RangeImages
@@ -57,10 +56,6 @@ CONDITIONS: Final = (
     *(
         AblationCondition("all", lost=kind, share=0.3, label=f"{kind}_30", title=f"30 % lost: {kind}")
         for kind in SHAPES
-    ),
-    *(
-        AblationCondition("all", label=each.name, title=what, sensor=load_sensor_model().with_artifacts(each))
-        for what, each in ADDED.items()
     ),
     AblationCondition("all", only=("*-d215-*", "*-d295-*"), label="near_far", title="2.15 m and 2.95 m away"),
     AblationCondition("all", only=("*-a1?0",), label="other_side", title="azimuths of 100 to 170 degrees"),
@@ -117,7 +112,7 @@ class ConditionImages(AlteredImages):
     def _lost(self, shape: str, index: int, epoch: int) -> NDArray[np.bool_]:
         clean = self.clean(index)
         draws = generator(self.seed, epoch, clean.key, f"lost {shape}")
-        return lost(shape, clean.range, self._condition.share, self.manifest.rig.camera, draws)
+        return SHAPES[shape](clean.range, self._condition.share, draws)
 
 
 def steps_of(step_mm: float, step_m: float) -> int:

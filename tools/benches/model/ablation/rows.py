@@ -5,15 +5,13 @@ A row is one training, or several by seed, that differs from the base in one eff
 
 from __future__ import annotations
 
-import json
 import math
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
 from benches.model.ablation.conditions import STEPS_MM
-from benches.model.ablation.sensor_artifacts import ADDED
 from bodyseg_data.artifacts import Losses, MissingData, Noise, SensorModel, VariantName, load_sensor_model
 
 Tree = dict[str, Any]
@@ -107,24 +105,12 @@ ROWS: Final = (
     ),
     AblationRow(
         "losses",
-        "patches, stripes, grazing surfaces lost",
+        "patches, stripes lost",
         "sub-kinds",
-        ("patches_30", "stripes_30", "grazing_30"),
+        ("patches_30", "stripes_30"),
         ("--losses", f"{_LOSSES:g}"),
         sensor=_PAPER.with_artifacts(Losses(_LOSSES)),
         added=True,
-    ),
-    *(
-        AblationRow(
-            each.name,
-            what,
-            "sub-kinds",
-            (each.name,),
-            ("--artifacts", json.dumps({each.name: asdict(each)})),
-            sensor=_PAPER.with_artifacts(each),
-            added=True,
-        )
-        for what, each in ADDED.items()
     ),
     AblationRow("dressed_233", "all but 233 bodies", "amount", source="dressed"),
     AblationRow("no_clothes", "clothes", "bodies", ("dressed",), against="dressed_233", source="bare"),

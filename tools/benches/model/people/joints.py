@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from benches.model.chosen import chosen_network
 from benches.model.people.bodies import annotated_bodies
-from bodyseg_data.artifacts import AxialNoise
 from bodyseg_data.bodies import open_source
 from bodyseg_data.bodies.skeleton import bone_rotations
 from bodyseg_data.core import ProgressCallback, generator, silent
@@ -54,7 +53,6 @@ _LEAST_SEEN: Final = 0.03  # share of views
 _UNKNOWN_M: Final = 0.3  # error of a joint of which nothing is seen
 _RARE: Final = 20  # views of two features together, by which their correlation is halved
 _LEAST_SPREAD: Final = 0.02
-_NOISE: Final = AxialNoise(grazing_mm=0.0, grazing_power=0.0)  # of a Kinect v1, on surfaces that face it
 _ROUNDING_M2: Final = 4e-4  # so that weights stay small
 
 Floats = NDArray[np.float64]
@@ -118,9 +116,13 @@ def views_of(
 
 
 def _measured(nearest: NDArray[np.float32], draws: np.random.Generator) -> NDArray[np.float32]:
-    """Ranges with a Kinect's noise, in whole millimetres; two pixels in a hundred are lost, and steep edges are."""
+    """Ranges with a Kinect's noise, in whole millimetres; two pixels in a hundred are lost, and steep edges are.
+
+    The noise: equation 6 of Nguyen, Izadi and Lovell, "Modeling Kinect sensor noise for improved 3D reconstruction and
+    tracking", 3DIMPVT 2012, on surfaces that face the sensor.
+    """
     nearest = np.where(np.isfinite(nearest), nearest, 0.0)
-    sigma = _NOISE.sigma_m(nearest.ravel(), np.zeros(nearest.size, np.float32)).reshape(nearest.shape)
+    sigma = 0.0012 + 0.0019 * (nearest - 0.4) ** 2
     noisy = nearest + draws.normal(0.0, 1.0, nearest.shape) * sigma
     lost = (nearest == 0) | (draws.random(nearest.shape) < 0.02)
     lost[:, 1:] |= np.abs(np.diff(nearest, axis=1)) > 0.25

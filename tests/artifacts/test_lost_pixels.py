@@ -1,17 +1,16 @@
-"""Lost pixels: exact shares, the parts and directions named, angles and edges of surfaces that are known exactly."""
+"""Lost pixels: exact shares, the parts and directions named."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from planes import CAMERA, PROJECTOR, RIG, plane, sample_of, shown
+from planes import PROJECTOR, RIG, plane, sample_of, shown
 
 from bodyseg_data.artifacts import Artifact, shown_with
-from bodyseg_data.artifacts.lost_pixels import EdgeLoss, GrazingLoss, PatchLoss, StripeLoss, code_lines
+from bodyseg_data.artifacts.lost_pixels import PatchLoss, StripeLoss, code_lines
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import PARTS
 
@@ -55,37 +54,7 @@ def test_lines_of_one_code_are_at_right_angles_to_the_baseline() -> None:
         np.testing.assert_array_equal(ours.range, named.range)
 
 
-@pytest.mark.parametrize("share", [0.25, 1.0])
-def test_grazing_surfaces_are_lost_beyond_the_angle(share: float) -> None:
-    rays = CAMERA.pixel_rays()[..., 0]
-    for tilt in (50, 70):
-        sample = plane(2.0, tilt)
-        normal = np.arctan(rays) + math.radians(tilt)  # angle between ray and normal in the middle row
-        made = shown(GrazingLoss(60.0, share), sample)
-        middle = slice(95, 105)
-        there = sample.range[middle] > 0
-        beyond = np.degrees(normal[middle]) > 60.5
-        lost = (made.range[middle] == 0) & there
-        assert lost[beyond & there].mean() == pytest.approx(share, abs=0.05)
-        assert not lost[there & (np.degrees(normal[middle]) < 59.5)].any()
-
-
-@pytest.mark.parametrize(("width", "share"), [(1, 1.0), (3, 1.0), (2, 0.4)])
-def test_edges_are_lost_as_wide_as_said(width: int, share: float) -> None:
-    z = np.full((200, 160), 2.0)
-    z[:, 80:] = 3.0
-    z[:10] = 0
-    sample = sample_of(z)
-    made = shown(EdgeLoss(width, share), sample)
-    lost = (sample.range > 0) & (made.range == 0)
-    columns = set(np.flatnonzero(lost[100:].any(axis=0)))
-    assert columns <= set(range(80 - width, 80 + width))
-    assert lost[100:, 80 - width : 80 + width].mean() == pytest.approx(share, abs=0.1)
-    assert lost[10 : 10 + width, :60].mean() == pytest.approx(share, abs=0.15) and not lost[10 + width, :60].any()
-    assert shown(EdgeLoss(width, share, jump_mm=1500.0), sample).range[100:].min() != 0
-
-
-@pytest.mark.parametrize("artifact", [PatchLoss(0.5, 0.5), StripeLoss(0.5, 0.5), GrazingLoss(), EdgeLoss()])
+@pytest.mark.parametrize("artifact", [PatchLoss(0.5, 0.5), StripeLoss(0.5, 0.5)])
 def test_an_empty_image_stays_empty(artifact: Artifact) -> None:
     assert not shown(artifact, sample_of(np.zeros((200, 160)))).range.any()
 
@@ -97,12 +66,6 @@ def test_an_empty_image_stays_empty(artifact: Artifact) -> None:
         (PatchLoss, {"parts": ("Nose",)}, "parts must be landmarks of the 33 parts, found 'Nose'"),
         (StripeLoss, {"high": 1.2}, "StripeLoss: high must be from 0 to 1, found 1.2"),
         (StripeLoss, {"along": "lines"}, "StripeLoss: along must be 'rows' or 'columns' or None, found 'lines'"),
-        (GrazingLoss, {"from_deg": 85.0}, "from_deg must be from 0 to below 85, found 85.0"),
-        (GrazingLoss, {"share": -0.1}, "GrazingLoss: share must be from 0 to 1, found -0.1"),
-        (EdgeLoss, {"width_px": 0}, "EdgeLoss: width_px must be from 1 to 50, found 0"),
-        (EdgeLoss, {"width_px": 1.5}, "EdgeLoss: width_px must be a whole number, found 1.5"),
-        (EdgeLoss, {"share": 2.0}, "EdgeLoss: share must be from 0 to 1, found 2.0"),
-        (EdgeLoss, {"jump_mm": -1.0}, "jump_mm must be above 0 and at most 10000, found -1.0"),
     ],
 )
 def test_strengths_out_of_range_are_one_line(kind: Any, strengths: dict[str, Any], message: str) -> None:

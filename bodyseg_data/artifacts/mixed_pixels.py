@@ -1,0 +1,52 @@
+"""Mixed (flying) pixels, as times of flight have them: ranges between two surfaces that a pixel sees both of."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene, bounded
+from bodyseg_data.artifacts.noise import as_range, drawn_bits
+from bodyseg_data.core import Draws
+from bodyseg_data.machine import if_ready, loops
+
+
+@dataclass(frozen=True)
+class MixedPixels(Artifact):
+    """Pixels beside a farther surface, each with probability `share`, get a range between both, uniform over the gap.
+
+    A surface is farther if it is at least `jump_mm` behind, in a pixel above, below, left or right. background_m: range
+    of what lies behind the body, metres, for the body's own silhouette; None if nothing is in reach of the sensor, so
+    only edges before other parts of the body are mixed. Labels stay: the pixel sees the body, too.
+    """
+
+    name = "mixed_pixels"
+    kind = "noise"
+    purposes = ("mixed pixels",)
+    alters_labels = False
+
+    share: float = bounded(0.5, 0, 1)
+    background_m: float | None = bounded(None, 0, 100, above=True)
+    jump_mm: float = bounded(30.0, 0, 10_000, above=True)
+
+    def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
+        behind = 0 if self.background_m is None else round(self.background_m / scene.step_m)
+        # The higher half of a draw chooses, the lower one is the position in the gap.
+        bits = drawn_bits(draws, "mixed pixels", len(scene.pixels))
+        with if_ready:
+            flat, steps = image.range.reshape(-1), np.ascontiguousarray(scene.sample.range).reshape(-1)
+            limits = self.share * 65536, behind, self.jump_mm, scene.step_m
+            loops("bodyseg_data.artifacts.sensor_loops").mix(
+                flat, steps, image.range.shape[1], scene.pixels, bits, *limits
+            )
+            return
+        clean = scene.sample.range.astype(np.int64)
+        seen = np.pad(np.where(clean > 0, clean, behind), 1)
+        neighbours = seen[:-2, 1:-1], seen[2:, 1:-1], seen[1:-1, :-2], seen[1:-1, 2:]
+        farthest = np.maximum.reduce(neighbours).reshape(-1)[scene.pixels]
+        gap = farthest - clean.reshape(-1)[scene.pixels]
+        chosen = (bits >> np.uint32(16)) < self.share * 65536
+        mixed = np.flatnonzero(chosen & (gap * scene.step_m * 1000 >= self.jump_mm))
+        ranges, pixels = image.range.reshape(-1), scene.pixels[mixed]
+        before = ranges[pixels]
+        position = (bits[mixed] & np.uint32(0xFFFF)) / 65536
+        ranges[pixels] = np.where(before > 0, as_range(before + gap[mixed] * position), 0)

@@ -1,0 +1,52 @@
+"""Mixed pixels lie between two surfaces whose ranges are exact."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from planes import sample_of, shown
+
+from bodyseg_data.artifacts.mixed_pixels import MixedPixels
+from bodyseg_data.core import BadConfig
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_mixed_pixels_lie_between_the_surfaces(share: float) -> None:
+    z = np.full((200, 160), 2.0)
+    z[:, 80:] = 3.0
+    z[:10] = 0
+    sample = sample_of(z)
+    made = shown(MixedPixels(share), sample).range
+    changed = made != sample.range
+    assert set(np.flatnonzero(changed.any(axis=0))) <= {79}
+    assert changed.sum() == pytest.approx(190 * share, abs=4 * math.sqrt(190 * share * (1 - share)) + 1e-9)
+    if share == 1:
+        position = (made[10:, 79] - 20_000) / 10_000
+        assert position.min() >= 0 and position.max() < 1
+        assert position.mean() == pytest.approx(0.5, abs=0.1) and position.std() == pytest.approx(0.289, abs=0.06)
+    behind = shown(MixedPixels(1.0, background_m=5.0), sample).range
+    assert (behind[10, :80] > 20_000).all() and (behind[10, 80:] > 30_000).all() and behind[:10].max() == 0
+    assert not (shown(MixedPixels(1.0, jump_mm=1500.0), sample).range != sample.range).any()
+
+
+def test_nothing_and_lost_pixels_stay_nothing() -> None:
+    z = np.zeros((200, 160))
+    assert not shown(MixedPixels(1.0), sample_of(z)).range.any()
+    z[100, 80] = 6.5535
+    assert shown(MixedPixels(1.0), sample_of(z)).range.max() > 50_000
+
+
+@pytest.mark.parametrize(
+    ("strengths", "message"),
+    [
+        ({"share": 1.1}, "MixedPixels: share must be from 0 to 1, found 1.1"),
+        ({"background_m": 0.0}, "background_m must be above 0 and at most 100, found 0.0"),
+        ({"jump_mm": 0.0}, "jump_mm must be above 0 and at most 10000, found 0.0"),
+    ],
+)
+def test_strengths_out_of_range_are_one_line(strengths: dict[str, Any], message: str) -> None:
+    with pytest.raises(BadConfig, match=message):
+        MixedPixels(**strengths)
