@@ -23,7 +23,7 @@ if TYPE_CHECKING:
         sensor_model_from_json,
         sensor_model_names,
     )
-    from bodyseg_data.artifacts.surface import angles, box_of, silhouettes, slants, widened
+    from bodyseg_data.artifacts.surface import box_of
     from bodyseg_data.artifacts.variants import (
         PAIRS,
         VARIANTS,

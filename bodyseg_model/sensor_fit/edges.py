@@ -36,9 +36,9 @@ def measure_mixed_pixels(recording: MarkedRecording) -> Finding:
     mixed, plain, between, beside, room = 0, 0, 0.0, 0.0, []
     for frame in recording.frames:
         jump = max(JUMP_M, _NOISES * frame.noise_m)
+        image = frame.range_m.astype(np.float64)
         for quarters in range(4):
-            image, body = (np.rot90(each, quarters) for each in (frame.range_m.astype(np.float64), frame.body))
-            gaps_mixed, gaps_plain = _edges(image, body, jump)
+            gaps_mixed, gaps_plain = _edges(np.rot90(image, quarters), np.rot90(frame.body, quarters), jump)
             mixed += len(gaps_mixed)
             plain += len(gaps_plain)
             each = 1 / (1 - 2 * np.maximum(jump / gaps_mixed, END))
@@ -54,10 +54,8 @@ def measure_mixed_pixels(recording: MarkedRecording) -> Finding:
     reason = f"{mixed} of {mixed + plain} edges have a pixel between both ranges"
     if share < LEAST_MIXED_SHARE:
         return Finding("mixed_pixels", NOT_SEEN, reason, estimates)
-    strengths = {"share": rounded(share)}
-    if np.isfinite(room).any():
-        strengths["background_m"] = rounded(float(np.nanmedian(room)))
-    return Finding("mixed_pixels", NEEDED, reason, estimates, strengths)
+    behind = {"background_m": rounded(float(np.nanmedian(room)))} if np.isfinite(room).any() else {}
+    return Finding("mixed_pixels", NEEDED, reason, estimates, {"share": rounded(share), **behind})
 
 
 def _edges(image: Floats, body: NDArray[np.bool_], jump: float) -> tuple[Floats, Floats]:
@@ -103,8 +101,8 @@ class ProjectorShadow:
 def measure_shadow(recording: MarkedRecording) -> ProjectorShadow | None:
     """Measure the gaps beside bodies in all rows; None where too few rows show the room on both sides."""
     sides: tuple[Side, Side] = ("left", "right")
-    focal_px = recording.camera.focal_px
-    rows = {side: np.concatenate([_gaps(each, focal_px, side) for each in recording.frames], 1) for side in sides}
+    frames, focal_px = recording.frames, recording.camera.focal_px
+    rows = {side: np.concatenate([_gaps(frame, focal_px, side) for frame in frames], 1) for side in sides}
     count = min(found.shape[1] for found in rows.values())
     if count < LEAST_GAPS:
         return None
@@ -163,7 +161,7 @@ def shadow_finding(shadow: ProjectorShadow | None, projector: Side | None) -> Fi
     if shadow.width_px[narrow] >= LEAST_PX:
         both = shadow.baseline_m.values()
         total = Estimate(sum(each.value for each in both), math.hypot(*(each.error for each in both)))
-        estimates["baseline_m"] = total
+        estimates |= {"baseline_m": total}
         reason += f", {total} m together: the image is seen from between camera and projector, or edges are lost too"
     else:
         estimates["baseline_m"] = shadow.baseline_m[shadow.side]

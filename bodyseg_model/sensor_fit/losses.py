@@ -108,8 +108,8 @@ def _stripes_along(striped: Mask, missing: Mask) -> Mask:
     """Lost pixels of rows that are lost as a whole, and long runs of them in rows beside: stripes may end in a row."""
     from scipy.ndimage import binary_opening
 
-    beside = striped | np.roll(striped, 1) | np.roll(striped, -1)
-    return missing & (striped[:, None] | binary_opening(missing & beside[:, None], np.ones((1, _RUN_PX))))
+    beside, runs = striped | np.roll(striped, 1) | np.roll(striped, -1), np.ones((1, _RUN_PX))
+    return missing & (striped[:, None] | np.asarray(binary_opening(missing & beside[:, None], runs), np.bool_))
 
 
 def filled(body: Mask, room: Mask) -> Mask:
@@ -193,8 +193,8 @@ def measure_losses(outlines: Sequence[BodyOutline]) -> list[Finding]:
     """Findings of "missing_data", "patch_loss" and "stripe_loss"."""
     pixels = sum(int(np.count_nonzero(outline.inside)) for outline in outlines)
     if pixels < LEAST_PIXELS:
-        reason = f"bodies have {pixels} pixels away from their outline, {LEAST_PIXELS} are needed"
-        return [Finding(name, UNKNOWN, reason) for name in ("missing_data", "patch_loss", "stripe_loss")]
+        few = f"bodies have {pixels} pixels away from their outline, {LEAST_PIXELS} are needed"
+        return [Finding(name, UNKNOWN, few) for name in ("missing_data", "patch_loss", "stripe_loss")]
     return [_random(outlines), _patches(outlines), _stripes(outlines)]
 
 
@@ -205,8 +205,7 @@ def _random(outlines: Sequence[BodyOutline]) -> Finding:
     lost = [np.count_nonzero(outline.lost & area) for outline, area in zip(outlines, areas, strict=True)]
     rates = lost / np.maximum(counts, 1)
     mean = float(np.sum(lost) / max(counts.sum(), 1))
-    error = float(np.sqrt(max(mean * (1 - mean), 1e-6) / max(counts.sum(), 1)))
-    estimates = {"share": Estimate(mean, error)}
+    estimates = {"share": Estimate(mean, float(np.sqrt(max(mean * (1 - mean), 1e-6) / max(counts.sum(), 1))))}
     if mean < LEAST_SHARE:
         return Finding("missing_data", NOT_SEEN, f"{mean:.2%} of {counts.sum()} pixels lost singly", estimates)
     strengths, reason = _rates(rates[counts > 0])

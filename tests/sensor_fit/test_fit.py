@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from known_sensors import CAMERA, by_artifact, fitted, recorded
 
-from bodyseg_data.artifacts import MissingData, Noise, Occlusion
+from bodyseg_data.artifacts import MissingData, MixedPixels, Noise, Occlusion
 from bodyseg_data.artifacts.lost_pixels import PatchLoss
-from bodyseg_data.artifacts.range_errors import MixedPixels
 from bodyseg_data.artifacts.sensor_model import parse_sensor_model
 from bodyseg_model.recordings import find_frames, frame_camera
 from bodyseg_model.segmentation import Background
