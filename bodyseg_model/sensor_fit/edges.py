@@ -36,8 +36,9 @@ def measure_mixed_pixels(recording: MarkedRecording) -> Finding:
     mixed, plain, between, beside, room = 0, 0, 0.0, 0.0, []
     for frame in recording.frames:
         jump = max(JUMP_M, _NOISES * frame.noise_m)
-        for image, body in ((frame.range_m, frame.body), (frame.range_m.T, frame.body.T)):
-            gaps_mixed, gaps_plain = _edges(image.astype(np.float64), body, jump)
+        image = frame.range_m.astype(np.float64)
+        for quarters in range(4):
+            gaps_mixed, gaps_plain = _edges(np.rot90(image, quarters), np.rot90(frame.body, quarters), jump)
             mixed += len(gaps_mixed)
             plain += len(gaps_plain)
             each = 1 / (1 - 2 * np.maximum(jump / gaps_mixed, END))
@@ -45,45 +46,29 @@ def measure_mixed_pixels(recording: MarkedRecording) -> Finding:
             beside += float((each * 2 * jump / gaps_mixed).sum())  # so near to an end that they look like it
         room.append(float(np.median(frame.range_m[frame.room])) if frame.room.any() else np.nan)
     if mixed + plain < LEAST_EDGES:
-        reason = f"{mixed + plain} edges before a measured surface, {LEAST_EDGES} are needed"
-        return Finding("mixed_pixels", UNKNOWN, reason)
+        few = f"{mixed + plain} edges before a measured surface, {LEAST_EDGES} are needed"
+        return Finding("mixed_pixels", UNKNOWN, few)
     share = min(between / (between + max(plain - beside, 0.0)), 1.0) if mixed else 0.0
     error = float(np.sqrt(max(share * (1 - share), 1e-4) / (mixed + plain)))
     estimates = {"share": Estimate(share, error)}
     reason = f"{mixed} of {mixed + plain} edges have a pixel between both ranges"
     if share < LEAST_MIXED_SHARE:
         return Finding("mixed_pixels", NOT_SEEN, reason, estimates)
-    strengths = {"share": rounded(share)}
-    if np.isfinite(room).any():
-        strengths["background_m"] = rounded(float(np.nanmedian(room)))
-    return Finding("mixed_pixels", NEEDED, reason, estimates, strengths)
+    behind = {"background_m": rounded(float(np.nanmedian(room)))} if np.isfinite(room).any() else {}
+    return Finding("mixed_pixels", NEEDED, reason, estimates, {"share": rounded(share), **behind})
 
 
 def _edges(image: Floats, body: NDArray[np.bool_], jump: float) -> tuple[Floats, Floats]:
-    """Gaps of the edges along rows, metres: with one pixel between both ranges [N], and without [M].
-
-    Two pixels on either side must be of one surface each; the nearer is a body's.
+    """Gaps of the edges after which rows go on farther away, metres: with one pixel between both ranges [N], and
+    without [M]. Two pixels on either side must be of one surface each; the nearer is a body's.
     """
-    step = np.diff(image, axis=1)
-    known = image > 0
-    joined = known[:, 1:] & known[:, :-1]
-    flat = joined & (np.abs(step) < jump)
-    rise, fall = joined & (step >= jump), joined & (step <= -jump)
-    found = []
-    for up, near_first in ((rise, True), (fall, False)):
-        near, far = (1, 3) if near_first else (3, 1)
-        two = flat[:, :-3] & up[:, 1:-2] & up[:, 2:-1] & flat[:, 3:]
-        gap_two = np.abs(image[:, 3:-1] - image[:, 1:-3])
-        two &= (gap_two >= _WIDE * jump) & body[:, near : near + two.shape[1]]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            position = np.abs(step[:, 1:-2]) / gap_two
-        two &= (position >= END) & (position <= 1 - END)
-        near, far = (1, 2) if near_first else (2, 1)
-        one = flat[:, :-2] & up[:, 1:-1] & flat[:, 2:]
-        gap_one = np.abs(image[:, far : far + one.shape[1]] - image[:, near : near + one.shape[1]])
-        one &= (gap_one >= _WIDE * jump) & body[:, near : near + one.shape[1]]
-        found.append((gap_two[two], gap_one[one]))
-    return np.concatenate([a for a, _ in found]), np.concatenate([b for _, b in found])
+    step, joined = np.diff(image), (image[:, 1:] > 0) & (image[:, :-1] > 0)
+    flat, rise = joined & (np.abs(step) < jump), joined & (step >= jump)
+    two = flat[:, :-3] & rise[:, 1:-2] & rise[:, 2:-1] & flat[:, 3:] & body[:, 1:-3]
+    gap = image[:, 3:-1] - image[:, 1:-3]
+    two &= (gap >= _WIDE * jump) & (step[:, 1:-2] >= END * gap) & (step[:, 1:-2] <= (1 - END) * gap)
+    one = flat[:, :-2] & rise[:, 1:-1] & flat[:, 2:] & body[:, 1:-2] & (step[:, 1:-1] >= _WIDE * jump)
+    return gap[two], step[:, 1:-1][one]
 
 
 Side = Literal["left", "right"]
@@ -112,23 +97,17 @@ class ProjectorShadow:
     side: Side | None
     gaps: int
 
-    @property
-    def total_m(self) -> float:
-        """Both sides' baselines together: from camera to projector, wherever between them the image is seen from."""
-        return sum(estimate.value for estimate in self.baseline_m.values())
-
 
 def measure_shadow(recording: MarkedRecording) -> ProjectorShadow | None:
     """Measure the gaps beside bodies in all rows; None where too few rows show the room on both sides."""
-    gaps: dict[Side, list[Floats]] = {"left": [], "right": []}
-    for frame in recording.frames:
-        for side, found in _gaps(frame, recording.camera.focal_px).items():
-            gaps[side].append(found)
-    rows = {side: np.concatenate(found, 1) for side, found in gaps.items()}
+    sides: tuple[Side, Side] = ("left", "right")
+    frames, focal_px = recording.frames, recording.camera.focal_px
+    rows = {side: np.concatenate([_gaps(frame, focal_px, side) for frame in frames], 1) for side in sides}
     count = min(found.shape[1] for found in rows.values())
     if count < LEAST_GAPS:
         return None
-    baselines, widths = {}, {}
+    baselines: dict[Side, Estimate] = {}
+    widths: dict[Side, float] = {}
     for side, (width, scale) in rows.items():
         each = width / scale
         low, high = np.quantile(each, _MIDDLE)
@@ -169,8 +148,7 @@ class ShadowFrames:
 def shadow_finding(shadow: ProjectorShadow | None, projector: Side | None) -> Finding:
     """The finding of "occlusion". projector: its side of the camera where the sensor is known."""
     if shadow is None:
-        reason = f"fewer than {LEAST_GAPS} rows show the room behind a body on both sides"
-        return Finding("occlusion", UNKNOWN, reason)
+        return Finding("occlusion", UNKNOWN, f"fewer than {LEAST_GAPS} rows show the room behind a body on both sides")
     estimates = {f"baseline_{side}_m": estimate for side, estimate in shadow.baseline_m.items()}
     widths = ", ".join(f"{width:.3g} px {side}" for side, width in shadow.width_px.items())
     if max(shadow.width_px.values()) < LEAST_PX:
@@ -181,16 +159,15 @@ def shadow_finding(shadow: ProjectorShadow | None, projector: Side | None) -> Fi
         return Finding("occlusion", UNKNOWN, f"{reason}, alike on both sides as edges are", estimates)
     narrow: Side = "left" if shadow.side == "right" else "right"
     if shadow.width_px[narrow] >= LEAST_PX:
-        total = Estimate(shadow.total_m, math.hypot(*(each.error for each in shadow.baseline_m.values())))
-        estimates["baseline_m"] = total
+        both = shadow.baseline_m.values()
+        total = Estimate(sum(each.value for each in both), math.hypot(*(each.error for each in both)))
+        estimates |= {"baseline_m": total}
         reason += f", {total} m together: the image is seen from between camera and projector, or edges are lost too"
     else:
         estimates["baseline_m"] = shadow.baseline_m[shadow.side]
     if (mirrored := probably_mirrored(shadow, projector)) is not None:
-        reason += (
-            f"; a projector on the camera's {projector} " + ("cannot" if mirrored else "does") + " cast them there"
-        )
-        reason += ": frames are probably mirrored" if mirrored else ": frames are not mirrored"
+        can, are = ("cannot", "probably") if mirrored else ("does", "not")
+        reason += f"; a projector on the camera's {projector} {can} cast them there: frames are {are} mirrored"
     return Finding("occlusion", NEEDED, reason, estimates)
 
 
@@ -204,32 +181,18 @@ def probably_mirrored(shadow: ProjectorShadow | None, projector: Side | None) ->
     return shadow.side == projector
 
 
-def _gaps(frame: MarkedFrame, focal_px: float) -> dict[Side, Floats]:
-    """Gaps between body and room in the rows of a frame: widths in pixels and focal length times the difference of
-    inverse ranges, [2, N] for each side.
+def _gaps(frame: MarkedFrame, focal_px: float, side: Side) -> Floats:
+    """Gaps between the body's last pixel on a side of a row and the first of the room beyond: widths in pixels, and
+    focal length times the difference of inverse ranges, [2, N].
     """
-    found: dict[Side, Floats] = {}
-    for side in ("left", "right"):
-        flip = np.s_[:, ::-1] if side == "left" else np.s_[:, :]
-        range_m, body = frame.range_m[flip].astype(np.float64), frame.body[flip]
-        rows, ends, begins = _ends(range_m, body)
-        near, far = range_m[rows, ends], range_m[rows, begins]
-        apart = far - near >= _LEAST_DEPTH_M
-        rows, ends, begins = rows[apart], ends[apart], begins[apart]
-        inverse = 1 / near[apart] - 1 / far[apart]
-        found[side] = np.stack([(begins - ends - 1).astype(np.float64), focal_px * inverse])
-    return found
-
-
-def _ends(range_m: Floats, body: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """Rows in which room follows the last body pixel to the right: rows, that pixel's column, and the room's first."""
-    columns = range_m.shape[1]
-    index = np.arange(columns)
-    last = np.where(body, index, -1).max(1)
-    room = (range_m > 0) & ~body & (index > last[:, None])
-    first = np.where(room, index, columns).min(1)
-    usable = np.flatnonzero((last >= 0) & (first < columns - _MARGIN))
+    flip = np.s_[:, ::-1] if side == "left" else np.s_[:, :]
+    range_m, body, room = frame.range_m[flip].astype(np.float64), frame.body[flip], frame.room[flip]
+    columns = np.arange(range_m.shape[1])
+    last = np.where(body, columns, -1).max(1)
+    first = np.where(room & (columns > last[:, None]), columns, len(columns)).min(1)
+    rows = np.flatnonzero((last >= 0) & (first < len(columns) - _MARGIN))
     # A wall goes on beside its first pixel; a flying pixel is alone.
-    steady = [np.count_nonzero(room[row, first[row] : first[row] + _MARGIN]) == _MARGIN for row in usable]
-    usable = usable[np.array(steady, np.bool_)] if len(usable) else usable
-    return usable, last[usable], first[usable]
+    steady = room[rows[:, None], first[rows, None] + np.arange(_MARGIN)].all(1)
+    near, far = range_m[rows, last[rows]], range_m[rows, first[rows]]
+    found = np.stack([(first - last - 1)[rows].astype(np.float64), focal_px * (1 / near - 1 / far)])
+    return found[:, steady & (far - near >= _LEAST_DEPTH_M)]

@@ -5,8 +5,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
-from bodyseg_data.artifacts import Artifact, artifact_class
-
 Verdict = Literal["needed", "not seen", "cannot be told"]
 
 NEEDED: Final[Verdict] = "needed"
@@ -22,9 +20,7 @@ class Estimate:
     error: float = math.nan
 
     def __str__(self) -> str:
-        if not math.isfinite(self.error):
-            return f"{self.value:.3g}"
-        return f"{self.value:.3g} ± {self.error:.2g}"
+        return f"{self.value:.3g}" + (f" ± {self.error:.2g}" if math.isfinite(self.error) else "")
 
     def to_json(self) -> dict[str, float | None]:
         """Value and error as plain JSON, null where the error is not known."""
@@ -36,8 +32,7 @@ class Finding:
     """The measurement of one artifact.
 
     artifact: its name in the registry. reason: the figures behind the verdict, one line. estimates: figures by name,
-    with their units in the names. strengths: of the artifact where it is needed, or where it stands for others that the
-    frames cannot tell it from; else none.
+    with their units in the names. strengths: of the artifact where it is needed, else none.
     """
 
     artifact: str
@@ -46,15 +41,6 @@ class Finding:
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
     strengths: Mapping[str, Any] = field(default_factory=dict)
 
-    @property
-    def written(self) -> bool:
-        """True if the artifact is in the sensor file."""
-        return self.verdict == NEEDED or bool(self.strengths)
-
-    def build(self) -> Artifact:
-        """The artifact with the strengths measured. Raises BadConfig for one that is not installed."""
-        return artifact_class(self.artifact)(**self.strengths)
-
     def to_json(self) -> dict[str, Any]:
         """Everything measured as plain JSON."""
         return {
@@ -62,12 +48,10 @@ class Finding:
             "verdict": self.verdict,
             "reason": self.reason,
             "estimates": {name: estimate.to_json() for name, estimate in self.estimates.items()},
-            "strengths": {
-                name: list(value) if isinstance(value, tuple) else value for name, value in self.strengths.items()
-            },
+            "strengths": dict(self.strengths),
         }
 
 
-def rounded(value: float, digits: int = 3) -> float:
-    """A figure to so many significant digits, for strengths in files."""
-    return float(f"{value:.{digits}g}")
+def rounded(value: float) -> float:
+    """A figure to three significant digits, for strengths in files."""
+    return float(f"{value:.3g}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Final
 
 import numpy as np
@@ -18,6 +18,11 @@ from bodyseg_model.recordings import Frame, Skipping, evenly_apart, to_metres
 from bodyseg_model.segmentation import Background, find_bodies
 
 Mask = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+
+_POWERS: Final = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
+_RADII: Final = (3, 8)
+_SLOPE_ERROR: Final = 0.04  # wanted of a fitted slope, as its tangent
 
 
 def require_libraries_of_fit() -> None:
@@ -50,137 +55,61 @@ def closing(mask: Mask, radius: int) -> Mask:
     return eroded(dilated(np.pad(mask, 2 * radius), radius), radius)[2 * radius : -2 * radius, 2 * radius : -2 * radius]
 
 
-def opening(mask: Mask, radius: int) -> Mask:
-    """Keep what such a square fits into, bool [H, W]."""
-    return dilated(eroded(mask, radius), radius)
-
-
-def holes(mask: Mask, outside: Mask) -> Mask:
-    """The empty pixels that neither the image's border nor a pixel of `outside` reaches through empty ones.
-
-    mask, outside: bool [H, W]. Steps go to the four neighbours.
-    """
-    from skimage.measure import label
-
-    regions = label(np.pad(~mask, 1, constant_values=True), connectivity=1)  # 0 on the mask
-    inside = regions[1:-1, 1:-1]
-    open_regions = np.append(np.unique(inside[outside]), (regions[0, 0], 0))
-    return np.isin(inside, open_regions, invert=True)
-
-
-def connected(mask: Mask, pixel: int) -> Mask:
-    """The pixels of a mask that steps to the four neighbours reach from one of them, a flat index; bool [H, W]."""
-    from skimage.segmentation import flood
-
-    reached: Mask = flood(mask, np.unravel_index(pixel, mask.shape), connectivity=1)
-    return reached
-
-
-Floats = NDArray[np.float64]
-
-_POWERS: Final = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
-_FULL: Final = 0.5  # least share of a window's pixels that must be measured for a fit
-
-
-@dataclass(frozen=True)
-class SmoothSurface:
-    """A smooth surface in a range image, all arrays [H, W].
-
-    range_m: metres, NaN where there were too few pixels. slope_m: metres a pixel, the length of the gradient.
-    incidence_rad: the angle between a pixel's ray and the surface's normal, by the smaller differences to its
-    neighbours as artifacts take it (`bodyseg_data.artifacts.slants`). misfit_m: standard deviation of the
-    pixels around the surface within the window.
-    """
-
-    range_m: Floats
-    slope_m: Floats
-    incidence_rad: Floats
-    misfit_m: Floats
-
-    def at(self, known: Mask) -> Mask:
-        """The pixels of `known` at which there is a surface."""
-        return known & np.isfinite(self.range_m)
-
-
-def smooth_surface(range_m: NDArray[np.floating], known: Mask, camera: Camera, radius: int) -> SmoothSurface:
-    """Fit a quadratic in row and column to the known pixels of each window, 2 radius + 1 pixels a side.
-
-    range_m: [H, W], metres. known: bool [H, W], the pixels to fit, of one continuous surface as far as can be told.
-    """
-    inside = box_of(known, radius)
-    if inside is None:
-        empty = np.full(range_m.shape, np.nan)
-        return SmoothSurface(empty, empty.copy(), empty.copy(), empty.copy())
-    weight = known[inside].astype(np.float64)
-    # About their middle, so that squares lose no digits.
-    middle = float(np.median(range_m[known]))
-    image = np.where(known[inside], range_m[inside].astype(np.float64) - middle, 0)
-    offsets = np.arange(-radius, radius + 1, dtype=np.float64)
-    columns = [_along(weight, offsets**power, 1) for power in range(5)]
-    moments = {(i, j): _along(columns[i], offsets**j, 0) for i in range(5) for j in range(5 - i)}
-    sides = [_along(image, offsets**power, 1) for power in range(3)]
-    right = np.stack([_along(sides[i], offsets**j, 0) for i, j in _POWERS], -1)
-    square = _along(_along(image**2, offsets**0, 1), offsets**0, 0)
-    enough = moments[0, 0] >= max(_FULL * len(offsets) ** 2, len(_POWERS) + 3)
-    few = {power: moment[enough] for power, moment in moments.items()}
-    matrix = np.stack([np.stack([few[a + c, b + d] for c, d in _POWERS], -1) for a, b in _POWERS], -2)
-    fitted = np.full((*enough.shape, 6), np.nan)
-    scale = np.array([float(radius) ** (i + j) for i, j in _POWERS])
-    scaled = matrix / (scale[:, None] * scale)
-    scaled += 1e-9 * few[0, 0][:, None, None] * np.eye(6)
-    fitted[enough] = np.linalg.solve(scaled, (right[enough] / scale)[..., None])[..., 0] / scale
-    rest = np.maximum(square - (fitted * right).sum(-1), 0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        misfit = np.sqrt(rest / (moments[0, 0] - len(_POWERS)))
-    value, across, down = fitted[..., 0] + middle, fitted[..., 1], fitted[..., 2]
-    full = [np.full(range_m.shape, np.nan) for _ in range(4)]
-    least = (_smaller(across, fitted[..., 3]), _smaller(down, fitted[..., 5]))
-    parts = (value, np.hypot(across, down), _incidence(value, *least, camera, inside), misfit)
-    for whole, part in zip(full, parts, strict=True):
-        whole[inside] = part
-    return SmoothSurface(*full)
-
-
-def third_differences(range_m: NDArray[np.floating], known: Mask) -> tuple[Floats, NDArray[np.intp]]:
+def third_differences(range_m: NDArray[np.floating], known: Mask) -> Floats:
     """Third differences along rows and columns, scaled so that independent noise of the pixels keeps its deviation.
 
-    Returns the differences [N], in the unit of range_m, and their pixels [N], flat indices. Quadratic surfaces cancel:
-    (1, -3, 3, -1) / sqrt(20).
+    (1, -3, 3, -1) / sqrt(20), in which quadratic surfaces cancel: [N], in the unit of range_m [H, W].
     """
-    values, pixels = [], []
-    index = np.arange(known.size).reshape(known.shape)
+    values = []
     image = range_m.astype(np.float64)
-    for a, m, i in ((image, known, index), (image.T, known.T, index.T)):
+    for a, m in ((image, known), (image.T, known.T)):
         usable = m[:, :-3] & m[:, 1:-2] & m[:, 2:-1] & m[:, 3:]
         third = (a[:, :-3] - a[:, 3:] + 3 * (a[:, 2:-1] - a[:, 1:-2])) / np.sqrt(20)
         values.append(third[usable])
-        pixels.append(i[:, 1:-2][usable])
-    return np.concatenate(values), np.concatenate(pixels)
+    return np.concatenate(values)
 
 
-def _smaller(slope: Floats, bend: Floats) -> Floats:
-    """The smaller one of the differences slope + bend and slope - bend to a pixel's two neighbours."""
-    forward, backward = slope + bend, slope - bend
-    smaller: Floats = np.where(np.abs(forward) <= np.abs(backward), forward, backward)
-    return smaller
+def smooth_surface(range_m: NDArray[np.floating], known: Mask, noise_m: float, camera: Camera) -> tuple[Floats, Floats]:
+    """Fit a quadratic in row and column to the known pixels of a window around each pixel, as large as noise needs.
 
-
-def _incidence(value: Floats, across: Floats, down: Floats, camera: Camera, box: tuple[slice, slice]) -> Floats:
-    """Angle between ray and normal, radians: the normal of z(u, v) is (-f z_u, -f z_v, z + u z_u + v z_v)."""
-    v = (np.arange(camera.rows)[box[0]] + 0.5 - camera.centre_px[1])[:, None]
-    u = (np.arange(camera.columns)[box[1]] + 0.5 - camera.centre_px[0])[None]
-    focal = camera.focal_px
-    normal = np.sqrt((focal * across) ** 2 + (focal * down) ** 2 + (value + u * across + v * down) ** 2)
-    ray = np.sqrt(1 + (u / focal) ** 2 + (v / focal) ** 2)
-    angle: Floats = np.arccos(np.clip(value / (normal * ray), 0, 1))
-    return angle
-
-
-def _along(image: Floats, kernel: Floats, axis: int) -> Floats:
-    """Correlate with a kernel of odd length along one axis; the world outside the image is 0."""
+    range_m: [H, W], metres; known: bool [H, W]; noise_m: of the ranges. Returns the surface's range, metres, and the
+    tangent of its slope to the image plane, [H, W] each; NaN where half of a window or more is not known.
+    """
     from scipy.ndimage import correlate1d
 
-    found: Floats = correlate1d(image, kernel, axis, mode="constant")
+    along = partial(correlate1d, mode="constant")
+    surface, slope = np.full(range_m.shape, np.nan), np.full(range_m.shape, np.nan)
+    middle = float(np.median(range_m[known])) if known.any() else 1.0  # about which squares lose no digits
+    width = np.sqrt(noise_m * np.sqrt(12) * camera.focal_px / middle / _SLOPE_ERROR)
+    radius = int(np.clip(np.ceil((width - 1) / 2), *_RADII))
+    inside = box_of(known, radius)
+    if inside is None:
+        return surface, slope
+    weight = known[inside].astype(np.float64)
+    image = np.where(known[inside], range_m[inside] - middle, 0)
+    offsets = np.arange(-radius, radius + 1) / radius
+
+    def moment(of: Floats, across: int, down: int) -> Floats:
+        return np.asarray(along(along(of, offsets**across, 1), offsets**down, 0))
+
+    enough = moment(weight, 0, 0) > len(offsets) ** 2 / 2
+    moments = {(i, j): moment(weight, i, j)[enough] for i in range(5) for j in range(5 - i)}
+    matrix = np.stack([np.stack([moments[a + c, b + d] for c, d in _POWERS], -1) for a, b in _POWERS], -2)
+    right = np.stack([moment(image, *powers)[enough] for powers in _POWERS], -1)
+    fitted = np.linalg.solve(matrix + 1e-6 * np.eye(len(_POWERS)), right[..., None])[..., 0]
+    surface[inside][enough] = fitted[:, 0] + middle
+    slope[inside][enough] = np.hypot(fitted[:, 1], fitted[:, 2]) / radius * camera.focal_px / (fitted[:, 0] + middle)
+    return surface, slope
+
+
+def jumps(range_m: NDArray[np.floating], known: Mask, least_m: float) -> Mask:
+    """The known pixels whose range differs by more than `least_m` from that of a known neighbour, bool [H, W]."""
+    found = np.zeros(known.shape, np.bool_)
+    for axis in (0, 1):
+        a, b = (np.s_[:-1], np.s_[1:]) if axis == 0 else (np.s_[:, :-1], np.s_[:, 1:])
+        both = known[a] & known[b] & (np.abs(np.diff(range_m, axis=axis)) > least_m)
+        found[a] |= both
+        found[b] |= both
     return found
 
 
@@ -188,8 +117,7 @@ MOST_FRAMES: Final = 40
 """The most frames that are measured: of a longer recording, pairs of neighbours spread evenly over it."""
 
 STILL_SHARE: Final = 0.5
-"""Least overlap of the bodies of two frames (intersection over union) for a body that stands still; half of each may be
-lost, and elsewhere."""
+"""Least intersection over union of a still body in two frames; half of each may be lost, and elsewhere."""
 
 _BLOCK: Final = 8
 _MOST_DRIFT: Final = 0.4  # of the pixels' differences; blocks of 64 independent pixels show an eighth
@@ -216,7 +144,7 @@ class MarkedFrame:
     @cached_property
     def noise_m(self) -> float:
         """A robust standard deviation of the body's noise, metres, by `third_differences`; 0 where there are none."""
-        values, _ = third_differences(self.range_m, self.body)
+        values = third_differences(self.range_m, self.body)
         return float(1.4826 * np.median(np.abs(values))) if len(values) else 0.0
 
 
@@ -232,38 +160,38 @@ class MarkedRecording:
     @cached_property
     def still(self) -> bool:
         """True if the bodies of all pairs and of the first and last frame stand still: frames then differ by noise."""
-        if not self.pairs:
-            return False
-        return all(self._still(a, b) for a, b in (*self.pairs, (0, len(self.frames) - 1)))
-
-    @cached_property
-    def still_room(self) -> bool:
-        """True if the room behind the bodies stays the same between the frames of every pair."""
-        return bool(self.pairs) and all(self.unmoved(a, b, body=False) for a, b in self.pairs)
-
-    def unmoved(self, a: int, b: int, body: bool) -> bool:
-        """Compare two frames: True if the body's (or the room's) ranges differ from pixel to pixel, not over areas."""
-        first, second = self.frames[a], self.frames[b]
-        both = first.body & second.body if body else first.room & second.room
-        difference = np.where(both, second.range_m - first.range_m, 0)
-        rows, columns = (side // _BLOCK * _BLOCK for side in both.shape)
-        blocks = difference[:rows, :columns].reshape(rows // _BLOCK, _BLOCK, -1, _BLOCK).swapaxes(1, 2)
-        counts = both[:rows, :columns].reshape(rows // _BLOCK, _BLOCK, -1, _BLOCK).swapaxes(1, 2).sum((2, 3))
-        full = counts >= _BLOCK * _BLOCK // 4
-        if np.count_nonzero(full) < 4:
-            return False
-        means = blocks.sum((2, 3))[full] / counts[full]
-        spread = _robust(difference[both])
-        # Fewer pixels in a block leave more of the noise in its mean.
-        by_chance = spread / np.sqrt(np.median(counts[full]))
-        return bool(_robust(means) <= 2 * by_chance + _MOST_DRIFT * spread / 2 + _LEAST_DRIFT_M)
+        return bool(self.pairs) and all(self._still(a, b) for a, b in (*self.pairs, (0, len(self.frames) - 1)))
 
     def _still(self, a: int, b: int) -> bool:
-        first, second = (closing(self.frames[index].body, 2) for index in (a, b))
+        """True if two bodies cover each other and their ranges differ from pixel to pixel, not over areas."""
+        bodies = [self.frames[index].body for index in (a, b)]
+        first, second = (closing(body, 2) for body in bodies)
         either = np.count_nonzero(first | second)
         if not either or np.count_nonzero(first & second) < STILL_SHARE * either:
             return False
-        return self.unmoved(a, b, body=True)
+        both = bodies[0] & bodies[1]
+        difference = np.where(both, self.frames[b].range_m - self.frames[a].range_m, 0)
+        rows, columns = (side // _BLOCK * _BLOCK for side in both.shape)
+        sums, counts = (
+            image[:rows, :columns].reshape(rows // _BLOCK, _BLOCK, -1, _BLOCK).sum((1, 3))
+            for image in (difference, both)
+        )
+        full = counts >= _BLOCK * _BLOCK // 4
+        if np.count_nonzero(full) < 4:
+            return False
+        spread = _robust(difference[both])
+        # Fewer pixels in a block leave more of the noise in its mean.
+        by_chance = spread / np.sqrt(np.median(counts[full]))
+        limit = 2 * by_chance + _MOST_DRIFT * spread / 2 + _LEAST_DRIFT_M
+        return bool(_robust(sums[full] / counts[full]) <= limit)
+
+
+def mean_of(frames: Sequence[MarkedFrame]) -> tuple[Floats, Mask]:
+    """Mean range of a still body over frames [H, W], metres, and the pixels measured in at least a fifth of them."""
+    counts = sum(frame.body.astype(np.int64) for frame in frames)
+    total = sum(np.where(frame.body, frame.range_m, 0).astype(np.float64) for frame in frames)
+    known = np.asarray(counts >= max(1, len(frames) // 5))
+    return np.where(known, total / np.maximum(counts, 1), 0), known
 
 
 def read_recording(
@@ -303,7 +231,9 @@ def read_recording(
                 f"frames must have the size of the first, {camera.rows} x {camera.columns}, "
                 f"found {stored.shape[0]} x {stored.shape[1]}: {files[index].where}"
             )
-        frames.append(_frame(files[index].name, stored, camera, step_m, background, nearer_than_m, quarters))
+        range_m = to_metres(stored, step_m)
+        body = _body(range_m, camera, background, nearer_than_m, quarters)
+        frames.append(MarkedFrame(files[index].name, stored, range_m, body))
     if not any(frame.body.any() for frame in frames):
         raise BadConfig(
             "no frame shows a body: are --units, --near, --far or --nearer-than right, and the camera's focal length, "
@@ -322,26 +252,16 @@ def chosen_frames(count: int, most: int = MOST_FRAMES) -> tuple[list[int], tuple
     return chosen, tuple(pairs)
 
 
-def _frame(
-    name: str,
-    stored: NDArray[np.uint16],
-    camera: Camera,
-    step_m: float,
-    background: Background,
-    nearer_than_m: float | None,
-    quarters: int,
-) -> MarkedFrame:
-    range_m = to_metres(stored, step_m)
-    body = np.zeros(stored.shape, np.bool_)
+def _body(
+    range_m: NDArray[np.float32], camera: Camera, background: Background, nearer_than_m: float | None, quarters: int
+) -> Mask:
     if nearer_than_m is not None:
-        body[(range_m > 0) & (range_m < nearer_than_m)] = True
-    else:
-        upright = np.ascontiguousarray(np.rot90(range_m, -quarters))
-        marked = np.zeros(upright.shape, np.bool_)
-        for found in find_bodies(upright, camera.turned(quarters), background):
-            marked.ravel()[found.pixels] = True
-        body = np.ascontiguousarray(np.rot90(marked, quarters))
-    return MarkedFrame(name, stored, range_m, body)
+        return (range_m > 0) & (range_m < nearer_than_m)
+    upright = np.ascontiguousarray(np.rot90(range_m, -quarters))
+    marked = np.zeros(upright.shape, np.bool_)
+    for found in find_bodies(upright, camera.turned(quarters), background):
+        marked.ravel()[found.pixels] = True
+    return np.ascontiguousarray(np.rot90(marked, quarters))
 
 
 def _robust(values: NDArray[np.float32]) -> float:

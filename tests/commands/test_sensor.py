@@ -49,9 +49,9 @@ def test_frames_become_a_sensor_file_and_a_picture(
     said = capsys.readouterr()
     verdicts = {line.split()[0]: line.split(maxsplit=1)[1] for line in said.out.splitlines()}
     assert verdicts["noise"].startswith("needed") and verdicts["mixed_pixels"].startswith("not seen")
-    assert len(verdicts) == 13 and f"wrote {out}" in said.err and f"wrote {picture}" in said.err
+    assert len(verdicts) == 6 and f"wrote {out}" in said.err and f"wrote {picture}" in said.err
     model = load_sensor_model(out)
-    assert model.name == "mine" and {"noise", "range_rounding"} <= {artifact.name for artifact in model}
+    assert model.name == "mine" and {"occlusion", "noise"} <= {artifact.name for artifact in model}
     (noise,) = (artifact for artifact in model if isinstance(artifact, Noise))
     assert noise.low_mm == noise.high_mm == pytest.approx(4, rel=0.1)
     with Image.open(picture) as drawn:

@@ -8,16 +8,15 @@ import numpy as np
 import pytest
 from known_sensors import recorded
 
-from bodyseg_data.artifacts import MissingData, Noise
-from bodyseg_data.artifacts.lost_pixels import EdgeLoss, GrazingLoss, PatchLoss, StripeLoss
-from bodyseg_model.sensor_fit.finding import NEEDED, UNKNOWN, Finding
-from bodyseg_model.sensor_fit.losses import measure_losses
-from bodyseg_model.sensor_fit.outlines import outlines_of
-from bodyseg_model.sensor_fit.recording import MarkedRecording
+from bodyseg_data.artifacts import MissingData
+from bodyseg_data.artifacts.lost_pixels import PatchLoss, StripeLoss
+from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Finding
+from bodyseg_model.sensor_fit.losses import measure_losses, outlines_of
+from bodyseg_model.sensor_fit.recording import MarkedRecording, Mask, eroded, jumps
 
 
 def losses_of(recording: MarkedRecording) -> dict[str, Finding]:
-    return {finding.artifact: finding for finding in measure_losses(outlines_of(recording, 0.075))}
+    return {finding.artifact: finding for finding in measure_losses(outlines_of(recording))}
 
 
 def needed(found: dict[str, Finding]) -> list[str]:
@@ -80,25 +79,29 @@ def test_stripes_may_be_cut_by_the_ends_of_a_body() -> None:
     assert found.estimates["share"].value == pytest.approx(35 / 400 / 2, rel=0.05)
 
 
-@pytest.mark.parametrize(("width", "share"), [(1, 0.5), (2, 0.3)])
-def test_edges_of_a_still_body(width: int, share: float) -> None:
-    found = losses_of(recorded(EdgeLoss(width, share), frames=8))
-    assert needed(found) == ["edge_loss"] and found["edge_loss"].strengths["width_px"] == width
-    assert found["edge_loss"].strengths["share"] == pytest.approx(share, rel=0.1)
+def without(recording: MarkedRecording, lost: Mask) -> MarkedRecording:
+    """The recording without some pixels, bool [frames, H, W]."""
+    frames = [
+        replace(frame, stored=frame.stored * ~gone, range_m=frame.range_m * ~gone, body=frame.body & ~gone)
+        for frame, gone in zip(recording.frames, lost, strict=True)
+    ]
+    return replace(recording, frames=tuple(frames))
 
 
-def test_grazing_surfaces_of_a_still_body() -> None:
-    found = losses_of(recorded(GrazingLoss(70.0, 0.5), frames=12))
-    assert found["grazing_loss"].verdict == NEEDED
-    assert found["grazing_loss"].strengths["from_deg"] == pytest.approx(70, abs=1.5)
-    assert found["grazing_loss"].strengths["share"] == pytest.approx(0.5, rel=0.1)
-    bare = losses_of(recorded(GrazingLoss(70.0, 1.0), frames=4))["grazing_loss"]
-    assert bare.strengths == {"from_deg": pytest.approx(70, abs=2), "share": 1.0} and "hardly one beyond" in bare.reason
-
-
-def test_noise_hides_which_surfaces_are_lost() -> None:
-    found = losses_of(recorded(Noise(15.0, 15.0), GrazingLoss(70.0, 0.2), frames=4))
-    assert found["grazing_loss"].verdict == UNKNOWN and "hides" in found["grazing_loss"].reason
+@pytest.mark.parametrize("moving", [False, True])
+def test_lost_edges_are_no_missing_data(moving: bool) -> None:
+    recording = recorded(MissingData((0.05,)), frames=6, moving=moving)
+    generator = np.random.default_rng(0)
+    lost = np.stack(
+        [
+            (~eroded(frame.body, 2) | jumps(frame.range_m, frame.body, 0.03))
+            & (generator.random(frame.body.shape) < 0.7)
+            for frame in recorded(frames=6, moving=moving).frames
+        ]
+    )
+    found = losses_of(without(recording, lost))
+    assert found["missing_data"].strengths["rates"] == (pytest.approx(0.05, rel=0.1),)
+    assert found["patch_loss"].verdict != NEEDED and found["stripe_loss"].verdict == NOT_SEEN
 
 
 def test_a_gap_between_limbs_is_no_loss() -> None:

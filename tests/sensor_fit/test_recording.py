@@ -44,7 +44,7 @@ def test_bodies_are_found_by_a_limit_or_as_people(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.room, frame == 4000)
     (people,) = read_recording(files, CAMERA, Background(), None).frames
     np.testing.assert_array_equal(people.body, found.body)
-    assert not recording.still and not recording.still_room
+    assert not recording.still
 
 
 def test_frames_must_fit_and_show_a_body(tmp_path: Path) -> None:
@@ -69,8 +69,5 @@ def test_without_its_libraries_the_extra_is_named(
 
 def test_a_body_is_still_whatever_is_lost_of_it() -> None:
     assert recorded(Noise(8.0, 8.0), PatchLoss(0.2, 0.2)).still
-    still = recorded(Noise(8.0, 8.0), wall=True)
-    assert still.still and still.still_room
-    moving = recorded(Noise(8.0, 8.0), moving=True, wall=True)
-    assert not moving.still and moving.still_room
+    assert not recorded(Noise(8.0, 8.0), moving=True).still
     assert not recorded(frames=1).still

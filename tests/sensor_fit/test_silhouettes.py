@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 from known_sensors import recorded
 
-from bodyseg_data.artifacts import Noise
-from bodyseg_data.artifacts.mixed_pixels import MixedPixels
+from bodyseg_data.artifacts import MixedPixels, Noise
 from bodyseg_model.sensor_fit.edges import measure_mixed_pixels
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN
 

@@ -19,9 +19,9 @@ from bodyseg_data.core import BadConfig
 @pytest.fixture
 def figures(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """Results for one figure, four cases and one scene."""
-    names = ("nothing", "noise 3 mm", "edges 1 px 50%", "shadow 0.2 m")
-    chosen = [case for case in all_cases(525.0) if case.name in names]
-    monkeypatch.setattr(bench, "all_cases", lambda focal_px: chosen)
+    names = ("nothing", "noise 3 mm", "noise 1 mm, steps of 8 mm", "shadow 0.2 m")
+    chosen = [case for case in all_cases() if case.name in names]
+    monkeypatch.setattr(bench, "all_cases", lambda: chosen)
     monkeypatch.setattr(bench, "SCENES", (Scene(4),))
     monkeypatch.setattr(bench, "open_source", lambda name: Figures())
     done: list[tuple[int, int]] = []
@@ -38,8 +38,9 @@ def test_known_strengths_are_compared_with_those_found(figures: dict[str, Any], 
     assert noise["true"] == 3.0 and abs(noise["error"]) < 0.1
     (shadow,) = rows["shadow 0.2 m", "4 still"]["figures"]
     assert shadow["figure"] == "baseline_m" and abs(shadow["error"]) < 0.1
-    assert rows["edges 1 px 50%", "4 still"]["verdicts"] == {"edge_loss": "needed"}
-    assert figures["summary"]["4 still"]["within"] == figures["summary"]["4 still"]["figures"] == 4
+    (coarse,) = rows["noise 1 mm, steps of 8 mm", "4 still"]["figures"]
+    assert coarse["true"] == pytest.approx((1 + 64 / 12) ** 0.5) and abs(coarse["error"]) < 0.1
+    assert figures["summary"]["4 still"]["within"] == figures["summary"]["4 still"]["figures"] == 3
     draw_sensor_fit(figures, tmp_path / "sensor_fit.png")
     picture = decoded(tmp_path / "sensor_fit.png")
     bands = marks(picture, "#e9eee4", 40)

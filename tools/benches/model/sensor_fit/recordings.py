@@ -40,6 +40,16 @@ class Scene:
         return f"{self.frames} {'moving' if self.moving else 'still'}"
 
 
+def in_steps(recording: MarkedRecording, step_mm: float) -> MarkedRecording:
+    """The recording as files that hold whole multiples of a step have it."""
+    step = step_mm / 1000 / recording.step_m
+    frames = []
+    for frame in recording.frames:
+        stored = np.rint(np.rint(frame.stored / step) * step).astype(np.uint16)
+        frames.append(replace(frame, stored=stored, range_m=stored * np.float32(recording.step_m)))
+    return replace(recording, frames=tuple(frames))
+
+
 class Scenes:
     """Clean samples of one body by one rig, rendered once a view."""
 
