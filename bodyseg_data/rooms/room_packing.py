@@ -32,7 +32,7 @@ _PEOPLE: Final = 20
 _SOURCES: Final[dict[Split, tuple[str, str]]] = {"train": ("wide", "everyday"), "test": ("open", "hard")}
 _NAMES: Final = "words", "vertices", "faces", "labels", "distance", "shared faces", "distance there"
 _OWN_M: Final = 0.05, 4.0  # least and greatest size of a user's thing
-_OWN_FACES: Final = 300_000  # a room has 20 000
+_OWN_FACES: Final = 300_000  # of which is drawn in every room
 _AT_ONCE: Final = 8  # blocks that are written in turns, so that as many processes build people
 
 

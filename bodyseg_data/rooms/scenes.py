@@ -20,7 +20,7 @@ from bodyseg_data.core import Draws
 from bodyseg_data.labels import BACKGROUND, PART_CLASSES, UNLABELLED
 from bodyseg_data.machine import compiled
 from bodyseg_data.meshes import Mesh, Partition, Solid, cuboid, together
-from bodyseg_data.packing import Numbers
+from bodyseg_data.packing import Numbers, surface_points
 from bodyseg_data.rendering import RasterRenderer
 from bodyseg_data.renders import Render
 from bodyseg_data.rigs import PlacedCamera, Rig, axes_at
@@ -401,9 +401,8 @@ class Room:
         (across, down), first = self.rig.camera.slopes, 0
         for number, (person, pose, _) in enumerate(self.persons):
             own = np.nonzero((face >= first) & (face < first + len(person.mesh.faces)))
-            away = range_m[own].astype(np.float64)
-            points = camera.to_body(np.stack([across[own[1]] * away, down[own[0]] * away, away], axis=1))
-            found = person.parts.labels_at(person.mesh, face[own] - np.int32(first), pose.back(points))
+            points = pose.back(surface_points(seen, camera, *own))
+            found = person.parts.labels_at(person.mesh, face[own] - np.int32(first), points)
             body, first = found < UNLABELLED, first + len(person.mesh.faces)
             labels[own], people[own] = np.where(body, found, UNLABELLED), np.where(body, number + 1, 0)
         # Of each face the row of its losses: those of people's parts come first, one person after another.

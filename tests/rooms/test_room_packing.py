@@ -103,8 +103,6 @@ def test_own_meshes_stand_in_rooms_as_no_body_with_the_same_bytes(tmp_path: Path
     assert files(tmp_path / "1") == files(tmp_path / "3")
     shard = next(tmp_path.glob("1/*.tar")).name
     assert files(tmp_path / "1")[shard] != files(tmp_path / "without")[shard]
-    images = RangeImages(str(tmp_path / "1"), variant="none", split="test", planes=("person",))
-    assert {int(label) for number in range(4) for label in np.unique(images[number]["labels"])} >= {254, 255}
     box_file(tmp_path / "own/press.off", (41, 80, 60))  # other things are another set
     assert own.read()[1] not in (tmp_path / "1/manifest.json").read_text()
 
