@@ -169,11 +169,14 @@ def nearest_first(reach: int) -> NDArray[np.int64]:
 
 def _cells_of(pixels: NDArray[np.intp], range_m: NDArray[np.float32], lens: Lens) -> _Cells:
     """Average a body's pixels, [N], in cells; range_m: of the frame, flat. A pixel further than `_JUMP_M` from the mean
-    of its cell does not count, so that a cell with two surfaces has one of them or none.
+    of its cell does not count, so that a cell with two surfaces has one of them or none. Of large cells, every second,
+    third ... row and column is used.
     """
     shape = -(-lens.rows // lens.side) + 2, -(-lens.columns // lens.side) + 2
-    size, z = shape[0] * shape[1], range_m[pixels].astype(np.float64)
-    row, column = np.divmod(pixels, lens.columns)
+    size, step = shape[0] * shape[1], max(1, lens.side // 3)
+    row, column = np.divmod(pixels.astype(np.int32), np.int32(lens.columns))
+    used = (row % step == 0) & (column % step == 0)
+    row, column, z = row[used], column[used], range_m[pixels[used]].astype(np.float64)
     cell = (row // lens.side + 1) * shape[1] + column // lens.side + 1
     with np.errstate(invalid="ignore"):  # of empty cells
         count = np.bincount(cell, minlength=size)
