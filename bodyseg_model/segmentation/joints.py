@@ -14,17 +14,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import LANDMARKS, PART_COUNT, PARTS33, LabelMap
-from bodyseg_model.segmentation.persons import NUMBERS, Records, SurfacePixels, parts_of
-
-if TYPE_CHECKING:
-    from bodyseg_model.segmentation.segmenter import Segmentation
+from bodyseg_model.segmentation.persons import NUMBERS, FrameLabels, Records, SurfacePixels, parts_of
 
 JOINTS: Final = (
     "head",
@@ -66,7 +63,7 @@ def code_of(part: int, other: int | None = None) -> int:
     return low * NUMBERS + high
 
 
-def feature_points(answer: Segmentation, codes: NDArray[np.int64]) -> Floats:
+def feature_points(answer: FrameLabels, codes: NDArray[np.int64]) -> Floats:
     """Centroids of features of every person, float64 [people, F, 3], metres, in the camera's frame; NaN of those that
     too few pixels show.
 
@@ -167,7 +164,7 @@ def shipped_joint_map() -> JointMap:
     return joint_map_from_json(json.loads((resources.files("bodyseg_model") / "weights" / FILE).read_text()))
 
 
-def found_joints(answer: Segmentation, label_map: LabelMap | None) -> Records:
+def found_joints(answer: FrameLabels, label_map: LabelMap | None) -> Records:
     """The joints of all people, `JOINT` [people, 15]. Raises BadConfig for a network of other classes than the 33
     parts: their borders are not where joints are.
     """

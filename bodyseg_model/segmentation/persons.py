@@ -8,16 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND
-
-if TYPE_CHECKING:
-    from bodyseg_model.segmentation.segmenter import Segmentation
+from bodyseg_data.rigs import Camera
 
 POINT: Final = np.dtype(
     [("x", "f4"), ("y", "f4"), ("z", "f4"), ("label", "u1"), ("person", "u2"), ("confidence", "f4")], align=True
@@ -49,6 +47,21 @@ NUMBERS: Final = 1 << 8
 Records = NDArray[np.void]
 
 
+class FrameLabels(Protocol):
+    """Labels of a frame as `Segmentation` has them."""
+
+    @property
+    def labels(self) -> NDArray[np.uint8]: ...
+    @property
+    def bodies(self) -> Sequence[Any]: ...
+    @property
+    def range_m(self) -> NDArray[np.float32]: ...
+    @property
+    def camera(self) -> Camera: ...
+    @property
+    def mirrored(self) -> bool: ...
+
+
 class SurfacePixels:
     """The pixels of people that have a range, each person's in reading order, and their runs: pixels of one part, side
     by side in a row, which are far fewer.
@@ -58,7 +71,7 @@ class SurfacePixels:
     down: float32 [W] and [H], x and y at z = 1. begin: int64 [R], the first pixel of each run.
     """
 
-    def __init__(self, answer: Segmentation) -> None:
+    def __init__(self, answer: FrameLabels) -> None:
         bodies, columns = answer.bodies, answer.labels.shape[1]
         pixels: NDArray[np.intp] = np.concatenate([np.zeros(0, np.intp), *(body.pixels for body in bodies)])
         person: NDArray[np.uint16] = np.repeat(
@@ -86,7 +99,7 @@ class SurfacePixels:
         self.begin = np.flatnonzero(begins)
 
 
-def labelled_points(answer: Segmentation) -> Records:
+def labelled_points(answer: FrameLabels) -> Records:
     """The points of all people, `POINT` [N], those without a label too: whoever keeps away from people needs them."""
     seen = SurfacePixels(answer)
     points = np.zeros(len(seen.pixels), POINT)
@@ -95,7 +108,7 @@ def labelled_points(answer: Segmentation) -> Records:
     return points
 
 
-def measured_parts(answer: Segmentation, near_m: Sequence[float] = (0.0, 0.0, 0.0)) -> Records:
+def measured_parts(answer: FrameLabels, near_m: Sequence[float] = (0.0, 0.0, 0.0)) -> Records:
     """Each part of each person, `PART` [N], by person and part; what no pixel shows is left out, as is no label.
 
     near_m: the point, in the camera's frame, to which the nearest point is sought: the camera itself, or a gripper.
