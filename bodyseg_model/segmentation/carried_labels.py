@@ -47,15 +47,21 @@ class Carrying(NamedTuple):
     keep: share of the evidence that is left after a frame, 0 to less than 1. margin: evidence by which another label
     must exceed the one shown, in frames of confidence 1. border, border_share: evidence for the label shown is
     multiplied by border_share where the new one is shown up to `border` pixels away: borders are where a wrong motion
-    does harm. tolerance_m, noises: a point is the same if ranges agree within tolerance_m or `noises` standard
+    does harm. bending_keep, bending_border, bending_share: the same of a body that bends, without margin, as the place
+    of its points is less certain; bends: share of its cells that meet no surface after the motion from which on it
+    does. tolerance_m, noises: a point is the same if ranges agree within tolerance_m or `noises` standard
     deviations of the ranges' noise, whichever is more. reach: pixels around the expected place at which it is sought.
     cell_m: side of the cells in which motion is estimated, metres.
     """
 
-    keep: float = 0.9
+    keep: float = 0.8
     margin: float = 0.25
     border: int = 1
     border_share: float = 0.6
+    bending_keep: float = 0.5
+    bending_border: int = 4
+    bending_share: float = 0.3
+    bends: float = 0.05
     tolerance_m: float = 0.03
     noises: float = 2.5
     reach: int = 2
@@ -144,15 +150,18 @@ class CarriedLabels:
         if last is not None:
             left, cells = list(last.bodies), [_cells_of(pixels, flat, last.lens) for pixels, _ in seen]
             for body, own in zip(seen, cells, strict=True):
-                motion, tolerance_m = np.eye(3, 4), _NOWHERE
+                motion, tolerance_m, rule = np.eye(3, 4), _NOWHERE, given
                 away = [float(np.linalg.norm(own.middle - other.middle)) for other in left]
                 if away and min(away) <= SAME_BODY_M:
                     earlier = left.pop(int(np.argmin(away)))
-                    motion = _motion(own, earlier, last.lens)
+                    motion, unmet = _motion(own, earlier, last.lens)
+                    if unmet > given.bends:
+                        border = {"border": given.bending_border, "border_share": given.bending_share}
+                        rule = given._replace(keep=given.bending_keep, margin=0.0, **border)
                     noise_m = math.hypot(own.noise_m, earlier.noise_m)
                     tolerance_m = max(given.tolerance_m, given.noises * noise_m)
-                rule = given, np.float32(tolerance_m), nearest_first(given.reach)
-                self._carry(*body, flat, named, last.lens, motion.astype(np.float32), last.images, rule, new)
+                how = rule, np.float32(tolerance_m), nearest_first(given.reach)
+                self._carry(*body, flat, named, last.lens, motion.astype(np.float32), last.images, how, new)
             last = _LastFrame(camera, last.lens, new, cells)
         self._last = last
         return new.shown.reshape(labels.shape).copy()
@@ -196,8 +205,9 @@ def _cells_of(pixels: NDArray[np.intp], range_m: NDArray[np.float32], lens: Lens
     return _Cells(points, np.nan_to_num(normals), own, own.mean(axis=0), noise_m)
 
 
-def _motion(own: _Cells, earlier: _Cells, lens: Lens) -> Floats:
-    """Rigid motion of a body back to the frame before, [3, 4]: rotation and, last, translation, metres.
+def _motion(own: _Cells, earlier: _Cells, lens: Lens) -> tuple[Floats, float]:
+    """Rigid motion of a body back to the frame before, [3, 4]: rotation and, last, translation, metres; and the share
+    of its points that meet no cell after it.
 
     Sought from no motion or the shift of its middle, whichever fits better, by Gauss-Newton steps (Chen and Medioni
     1992) on the distances of its points to the planes of the cells they meet, with Tukey's weights.
@@ -217,7 +227,7 @@ def _motion(own: _Cells, earlier: _Cells, lens: Lens) -> Floats:
         turn = rotation(step[:3])
         motion = turn @ motion
         motion[:, 3] += middle - turn @ middle + step[3:]
-    return motion
+    return motion, float((_met(_moved(motion, points), earlier, lens, gate)[0] == 0).all(axis=1).mean())
 
 
 def _met(places: Floats, cells: _Cells, lens: Lens, gate: float) -> tuple[Floats, Floats, float]:

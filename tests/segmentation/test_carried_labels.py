@@ -92,7 +92,7 @@ def test_labels_stay_on_the_surface_of_a_body_that_moves(
         # The network is right, then no longer sure of anything.
         answer, sure = (labels, 1.0) if frame < 2 else (np.where(range_m > 0, np.uint8(30), np.uint8(BACKGROUND)), 0.02)
         shown = call(carried, range_m, answer, sure)
-        monkeypatch.setattr(carried_labels, "_motion", lambda *_: np.eye(3, 4))
+        monkeypatch.setattr(carried_labels, "_motion", lambda *_: (np.eye(3, 4), 0.0))
         behind = call(still, range_m, answer, sure)
         monkeypatch.setattr(carried_labels, "_motion", sought)
     body = (range_m > 0) & (shown != 30)
@@ -204,9 +204,20 @@ def test_a_motion_back_is_found_to_a_tenth_of_a_degree_and_a_millimetre() -> Non
     for x_m, z_m, turn in ((0.0, 2.0, 0.0), (0.03, 2.02, 0.05)):
         range_m = pillar(x_m, z_m, turn)[0].ravel()
         cells.append(carried_labels._cells_of(np.flatnonzero(range_m), range_m, lens))
-    motion = carried_labels._motion(cells[1], cells[0], lens)
+    motion, unmet = carried_labels._motion(cells[1], cells[0], lens)
+    assert unmet < 0.1
     np.testing.assert_allclose(motion[:, :3], rotation(np.array([0.0, 0.05, 0.0])), atol=0.002)
     np.testing.assert_allclose(motion @ (0.03, 0.0, 2.02, 1.0), (0.0, 0.0, 2.0), atol=0.001)
+
+
+def test_a_body_that_bends_keeps_less_of_its_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
+    range_m, labels = pillar()
+    other = np.where(labels == BACKGROUND, labels, np.uint8(9))
+    for unmet, shown in ((0.04, labels), (0.06, other)):
+        monkeypatch.setattr(carried_labels, "_motion", lambda *_, unmet=unmet: (np.eye(3, 4), unmet))
+        carried = CarriedLabels()
+        call(carried, range_m, labels)
+        np.testing.assert_array_equal(call(carried, range_m, other, 0.8), shown)
 
 
 def test_a_rotation_turns_about_its_vector() -> None:

@@ -112,7 +112,7 @@ def test_the_bench_joins_both(monkeypatch: pytest.MonkeyPatch) -> None:
     found = steady.bench_steady("folder/made", 5, progress=lambda *numbers: done.append(numbers))
     assert done == [(500, 1000), (750, 1000), (1000, 1000)]
     assert found["still"]["recording"] == "made" and found["moving"]["ways"]["none"]["ratio"] == 0.889
-    assert len(found["tables"]["steady"]) == len(TITLES) and found["carrying"]["keep"] == 0.9
+    assert len(found["tables"]["steady"]) == len(TITLES) and found["carrying"]["keep"] == 0.8
     json.dumps(found)
     with pytest.raises(BadConfig, match="the number of frames must be"):
         steady.bench_steady("folder/made", 1)
