@@ -156,8 +156,8 @@ class CarriedLabels:
                     earlier = left.pop(int(np.argmin(away)))
                     motion, unmet = _motion(own, earlier, last.lens)
                     if unmet > given.bends:
-                        border = {"border": given.bending_border, "border_share": given.bending_share}
-                        rule = given._replace(keep=given.bending_keep, margin=0.0, **border)
+                        rule = given._replace(keep=given.bending_keep, margin=0.0)
+                        rule = rule._replace(border=given.bending_border, border_share=given.bending_share)
                     noise_m = math.hypot(own.noise_m, earlier.noise_m)
                     tolerance_m = max(given.tolerance_m, given.noises * noise_m)
                 how = rule, np.float32(tolerance_m), nearest_first(given.reach)
