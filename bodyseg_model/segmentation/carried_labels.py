@@ -227,12 +227,13 @@ def _motion(own: _Cells, earlier: _Cells, lens: Lens) -> tuple[Floats, float]:
         turn = rotation(step[:3])
         motion = turn @ motion
         motion[:, 3] += middle - turn @ middle + step[3:]
-    return motion, float((_met(_moved(motion, points), earlier, lens, gate)[0] == 0).all(axis=1).mean())
+    return motion, _met(_moved(motion, points), earlier, lens, gate)[2][1]
 
 
-def _met(places: Floats, cells: _Cells, lens: Lens, gate: float) -> tuple[Floats, Floats, float]:
+def _met(places: Floats, cells: _Cells, lens: Lens, gate: float) -> tuple[Floats, Floats, tuple[float, float]]:
     """Of places [M, 3] the way to the cell that each meets, into which it projects and which is at most `gate` metres
-    away in range, and its normal, both 0 for none; and the mean distance in range, `gate` for none.
+    away in range, and its normal, both 0 for none; and the mean distance in range, `gate` for none, and the
+    share of those that meet none.
     """
     ahead = np.maximum(places[:, 2], _NEAREST_M)
     line, row = (
@@ -242,8 +243,8 @@ def _met(places: Floats, cells: _Cells, lens: Lens, gate: float) -> tuple[Floats
     at = row.astype(np.intp), line.astype(np.intp)
     off = cells.points[at] - places
     meets = np.abs(off[:, 2:]) <= gate
-    distance_m = np.where(meets, np.abs(off[:, 2:]), gate).mean()
-    return np.where(meets, off, 0), np.where(meets, cells.normals[at], 0), float(distance_m)
+    distance_m = float(np.where(meets, np.abs(off[:, 2:]), gate).mean())
+    return np.where(meets, off, 0), np.where(meets, cells.normals[at], 0), (distance_m, 1 - float(meets.mean()))
 
 
 def _moved(rigid: Floats, points: Floats) -> Floats:
