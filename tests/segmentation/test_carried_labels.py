@@ -68,8 +68,8 @@ def test_flicker_of_a_still_body_goes() -> None:
     shown = [call(carried, range_m, repeated(labels, 0.2, seed)) for seed in range(8)]
     body = range_m > 0
     alone = (repeated(labels, 0.2, 6) != repeated(labels, 0.2, 7))[body].mean()
-    assert alone > 0.25 and (shown[-1] != shown[-2])[body].mean() < 0.05
-    assert (shown[-1] != labels)[body].mean() < 0.05
+    assert alone > 0.25 and (shown[-1] != shown[-2])[body].mean() < 0.1
+    assert (shown[-1] != labels)[body].mean() < 0.1
     assert (shown[-1][~body] == BACKGROUND).all()
 
 
