@@ -48,7 +48,11 @@ ROOMS: Final = "rooms"
 """The source of made rooms with people."""
 
 _OF_ALL: Final = ("source", "out", "codec", "shard_samples", "workers", "report", "plan")
-_TAKEN: Final = {RENDERS: ("path", "layout", "projector"), ROOMS: ("rig", "samples", "split", "kinds", "without")}
+_TAKEN: Final = {
+    RENDERS: ("path", "layout", "projector"),
+    ROOMS: ("rig", "units", "up", "samples", "split", "kinds", "without", "scene"),
+}
+_ALSO: Final = ("path", "rig", "units", "up")  # of these, of bodies, too
 _WHY: Final = {
     RENDERS: "they are finished scenes, with rig and classes of their own",
     ROOMS: "all in them is drawn by their keys",
@@ -71,6 +75,7 @@ class Options:
     split: Split = option("rooms: people and split of all of them", "train")
     kinds: tuple[str, ...] = option("rooms: kinds of things in them (default: all)", ())
     without: tuple[str, ...] = option("rooms: kinds of things that are left out, to test with", ())
+    scene: Path | None = option("rooms: folder of meshes that stand in them, too, as no body", None)
     landmarks: Path | None = option("landmark file, or folder of them (default: beside the meshes)", None)
     units: Units = option("unit of the mesh files", Packing.units)
     up: UpAxis = option("their axis that points up; a negative one as --up=-y", Packing.up)
@@ -202,7 +207,7 @@ def _refuse_foreign(options: Options) -> None:
     """Raise BadConfig for options of another kind of source."""
     source = options.source
     for each in fields(options):
-        others = [other for other, names in _TAKEN.items() if each.name in names[1:]]  # the first is of bodies, too
+        others = [other for other, names in _TAKEN.items() if each.name in names and each.name not in _ALSO]
         foreign = each.name not in (*_OF_ALL, *_TAKEN[source]) if source in _TAKEN else others
         if foreign and getattr(options, each.name) != each.default:
             flag = "--" + each.name.replace("_", "-")
@@ -231,16 +236,20 @@ def _run_renders(options: Options) -> int:
 
 def _run_rooms(options: Options) -> int:
     """Pack made rooms, or print the plan."""
-    from bodyseg_data.rooms import chosen_kinds, pack_rooms  # needs numba, as other sources do when they render
+    from bodyseg_data.rooms import OwnThings, chosen_kinds, pack_rooms  # needs numba, as sources do when they render
 
     if options.samples is None:
         raise BadConfig(f"--source {ROOMS} needs --samples: how many rooms")
     kinds = chosen_kinds(options.kinds, options.without)
+    if options.scene is None and (options.units, options.up) != (Packing.units, Packing.up):
+        raise BadConfig("--units and --up are those of the meshes of --scene, which is missing")
+    own = None if options.scene is None else OwnThings(options.scene.absolute(), options.units, options.up)
     if options.plan:
         counts = {"source": ROOMS, "views": options.samples, options.split: options.samples, "kinds": kinds}
+        counts |= {} if own is None else {"scene": [name for name, _ in own.read()[0]]}
         sys.stdout.write(json.dumps(counts, indent=2) + "\n")
         return 0
-    given = _needed_out(options), load_rig(options.rig), options.samples, options.split, kinds
+    given = _needed_out(options), load_rig(options.rig), options.samples, options.split, kinds, own
     how = options.codec, options.shard_samples, options.workers
     return _reported(options, "rooms", lambda progress, _: pack_rooms(*given, *how, progress.update))
 

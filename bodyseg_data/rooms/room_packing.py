@@ -11,15 +11,15 @@ from contextlib import suppress
 from functools import lru_cache, partial
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from bodyseg_data.bodies import open_source
+from bodyseg_data.bodies import Units, UpAxis, open_source
 from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh, ProgressCallback, check_int, silent
 from bodyseg_data.files import write_atomically
 from bodyseg_data.labels import PART_CLASSES
-from bodyseg_data.meshes import Borders, Mesh, Partition
+from bodyseg_data.meshes import Borders, Mesh, Partition, Solid
 from bodyseg_data.packing import STATE_NAME, ShardWriter, processes, reduced_body
 from bodyseg_data.rigs import Rig, load_rig
 from bodyseg_data.rooms.furnishings import FURNISHINGS
@@ -31,6 +31,8 @@ _BLOCK: Final = 400
 _PEOPLE: Final = 20
 _SOURCES: Final[dict[Split, tuple[str, str]]] = {"train": ("wide", "everyday"), "test": ("open", "hard")}
 _NAMES: Final = "words", "vertices", "faces", "labels", "distance", "shared faces", "distance there"
+_OWN_M: Final = 0.05, 4.0  # least and greatest size of a user's thing
+_OWN_FACES: Final = 300_000  # of which is drawn in every room
 _AT_ONCE: Final = 8  # blocks that are written in turns, so that as many processes build people
 
 
@@ -45,12 +47,49 @@ def chosen_kinds(only: tuple[str, ...], without: tuple[str, ...]) -> tuple[str, 
     return found
 
 
+class OwnThings(NamedTuple):
+    """A user's meshes as things of rooms. folder: of scenes, with or without labels, as the source "labelled" reads
+    them. units, up: of its files, as of `open_source`.
+    """
+
+    folder: Path
+    units: Units = "auto"
+    up: UpAxis = "auto"
+
+    def read(self) -> tuple[list[tuple[str, Solid]], str]:
+        """Name and surface of each, its base on y = 0 around x = z = 0; and a digest of the files.
+
+        Raises BadConfig for a folder without meshes; BadMesh, naming the file, for one that cannot be read, is smaller
+        than 5 cm or larger than 4 m, or has more than 300 000 triangles.
+        """
+        try:
+            scenes: Any = open_source("labelled", self.folder, None, self.units, self.up)
+        except BadConfig as error:
+            raise BadConfig(f"--scene: {error}") from error
+        found = []
+        for body in scenes.bodies():
+            mesh, file = scenes.surface(body), scenes.entry(body).path
+            low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+            size_m, (least_m, most_m) = float((high - low).max()), _OWN_M
+            if not least_m <= size_m <= most_m:
+                raise BadMesh(
+                    f"{file}: a thing of rooms must be {least_m:g} to {most_m:g} m large, found {size_m:.4g} m; "
+                    "--units gives the unit of its file"
+                )
+            if len(mesh.faces) > _OWN_FACES:
+                raise BadMesh(f"{file}: a thing of rooms may have {_OWN_FACES} triangles, found {len(mesh.faces)}")
+            base = (low + high) / 2 * (1, 0, 1) + low * (0, 1, 0)
+            found.append((body.mesh, Solid(mesh.vertices - base, mesh.faces)))
+        return found, scenes.fingerprint(scenes.bodies())[:12]
+
+
 def pack_rooms(
     out: Path,
     rig: Rig,
     samples: int,
     split: Split = "train",
     kinds: tuple[str, ...] = tuple(FURNISHINGS),
+    own: OwnThings | None = None,
     codec: CodecName = "bsi",
     shard_samples: int = 1080,
     workers: int | None = None,
@@ -59,7 +98,8 @@ def pack_rooms(
     """Pack made rooms into the folder `out` and return its manifest; carries on where an interrupted packing stopped.
 
     split: of all samples, with people of "wide" and "everyday", or for test of "open" and "hard"; the plane "person"
-    numbers them from 1. workers: processes, one a processor if None. Raises BadConfig, and as `ShardWriter`.
+    numbers them from 1. own: further things. workers: processes, one a processor if None. Raises BadConfig, as
+    `OwnThings.read`, and as `ShardWriter`.
     """
     order = sorted(
         range(check_int("samples", samples, 1)),
@@ -67,6 +107,8 @@ def pack_rooms(
     )
     keys = {f"room-{split}-{room:06d}": room for room in order}
     lacking = ", ".join(kind for kind in FURNISHINGS if kind not in kinds)
+    source = f"rooms without {lacking}" if lacking else "rooms"
+    source += "" if own is None else f", with things of digest {own.read()[1]}"
     with (
         processes(workers if workers is None else check_int("workers", workers, 1)) as engine,
         ShardWriter(
@@ -75,7 +117,7 @@ def pack_rooms(
             classes=PART_CLASSES,
             projector="exact",
             planes={"person": "uint8"},
-            source=f"rooms without {lacking}" if lacking else "rooms",
+            source=source,
             codec=codec,
             shard_samples=shard_samples,
             workers=engine.workers,
@@ -84,14 +126,21 @@ def pack_rooms(
         ) as writer,
     ):
         progress(sum(key in writer for key in keys), samples)
-        writer.write_all(keys, partial(_made, rig, split, kinds, (out / STATE_NAME).absolute()))
+        writer.write_all(keys, partial(_made, rig, split, kinds, own, (out / STATE_NAME).absolute()))
     return read_manifest(out)
 
 
-def _made(rig: Rig, split: Split, kinds: tuple[str, ...], state: Path, room: int) -> dict[str, Any]:
-    people = _shared_people(state, split, room // _BLOCK)
-    made = vars(Room(f"room-{split}-{room:06d}", rig, people, kinds).render(split))
+def _made(
+    rig: Rig, split: Split, kinds: tuple[str, ...], own: OwnThings | None, state: Path, room: int
+) -> dict[str, Any]:
+    people, things = _shared_people(state, split, room // _BLOCK), () if own is None else _things_of(own)
+    made = vars(Room(f"room-{split}-{room:06d}", rig, people, kinds, own=things).render(split))
     return {name: made[name] for name in made if name != "key"}
+
+
+@lru_cache(1)
+def _things_of(own: OwnThings) -> list[tuple[str, Solid]]:
+    return own.read()[0]
 
 
 @lru_cache(_AT_ONCE)

@@ -20,7 +20,7 @@ from bodyseg_data.core import Draws
 from bodyseg_data.labels import BACKGROUND, PART_CLASSES, UNLABELLED
 from bodyseg_data.machine import compiled
 from bodyseg_data.meshes import Mesh, Partition, Solid, cuboid, together
-from bodyseg_data.packing import Numbers
+from bodyseg_data.packing import Numbers, surface_points
 from bodyseg_data.rendering import RasterRenderer
 from bodyseg_data.renders import Render
 from bodyseg_data.rigs import PlacedCamera, Rig, axes_at
@@ -112,9 +112,19 @@ class _Wall:
 
 
 class Room:
-    """One room: walls, things and people. kinds: names of `FURNISHINGS`; coats hang where there are coat stands."""
+    """One room: walls, things and people. kinds: names of `FURNISHINGS`; coats hang where there are coat stands. own:
+    names and surfaces of further things, of which one to three are in each room.
+    """
 
-    def __init__(self, key: str, rig: Rig, people: Sequence[RoomPerson], kinds: Sequence[str], seed: int = 0) -> None:
+    def __init__(
+        self,
+        key: str,
+        rig: Rig,
+        people: Sequence[RoomPerson],
+        kinds: Sequence[str],
+        seed: int = 0,
+        own: Sequence[tuple[str, Solid]] = (),
+    ) -> None:
         self._draws, self._key, self._kinds, self.rig = Draws(seed, 0, key), key, kinds, rig
         self.solids: list[tuple[Solid, Loss]] = []
         self.things: dict[int, str] = {}
@@ -132,9 +142,13 @@ class Room:
         if not bare:
             self._build_walls(n)
         for number in range(0 if not people or (empty and not bare) else _COUNTS[n.whole(0, len(_COUNTS) - 1)]):
-            own = Numbers(self._draws, f"person {number}")
-            person = people[own.whole(0, len(people) - 1)]
-            any(self._place_person(person, own) for _ in range(6))
+            drawn = Numbers(self._draws, f"person {number}")
+            person = people[drawn.whole(0, len(people) - 1)]
+            any(self._place_person(person, drawn) for _ in range(6))
+        for number in range(Numbers(self._draws, "own things").whole(1, 3) if own else 0):
+            drawn = Numbers(self._draws, f"own thing {number}")
+            thing = own[drawn.whole(0, len(own) - 1)]
+            (self._place_thing if drawn.whole(0, 3) else self._place_before)(drawn, thing)
         for number in range(n.whole(0, 2) if bare else n.whole(2, 12)):
             self._place_thing(Numbers(self._draws, f"thing {number}"))
         for _ in range(0 if n.whole(0, 2) else n.whole(1, 8)):  # small surfaces in the air, as of reflections
@@ -337,9 +351,23 @@ class Room:
         name = (seats or self._kinds)[n.whole(0, len(seats or self._kinds) - 1)]
         return name, FURNISHINGS[name](n)
 
-    def _place_thing(self, n: Numbers) -> None:
-        """A thing stands against a wall, free, or touches somebody; few lie on their side."""
-        (name, thing), how = self._thing(n), n.between(0, 1)
+    def _place_before(self, n: Numbers, named: tuple[str, Solid]) -> None:
+        """A thing reaches into the image from its border, right before the camera, in any pose: a robot's own arm."""
+        (name, thing), edge, beside = named, (-1.0, 1.0)[n.whole(0, 1)], n.between(-1, 1)
+        turn = about(n.between(-math.pi, math.pi)) @ about(n.between(-math.pi, math.pi), 0)
+        middle = (thing.vertices.min(axis=0) + thing.vertices.max(axis=0)) / 2
+        radius = float(np.linalg.norm(thing.vertices - middle, axis=1).max())
+        across, down = (edge, beside) if n.whole(0, 1) else (beside, edge)
+        camera = self.rig.camera
+        ray = np.array([across * self._half, down * camera.rows / 2 / camera.focal_px, 1.0])
+        way = ray @ axes_at(0, self.pitch_deg) / np.linalg.norm(ray)
+        at = self._eye + way * (radius + n.between(0.25, 0.6))
+        if all(math.hypot(at[0] - x, -at[2] - away) > 0.8 * (radius + taken) for x, away, taken in self._taken):
+            self._add(_Pose(turn, at - turn @ middle).of(thing), n, name)
+
+    def _place_thing(self, n: Numbers, named: tuple[str, Solid] | None = None) -> None:
+        """A thing stands against a wall, free, or touches somebody; few lie on their side. named: it; else drawn."""
+        (name, thing), how = named or self._thing(n), n.between(0, 1)
         radius = 0.45 * math.hypot(*np.ptp(thing.vertices, axis=0)[::2])
         spot = self._spot(n, radius, n.between(1.0, _FARTHEST_M))
         if how > 0.85 and self.persons:
@@ -373,9 +401,8 @@ class Room:
         (across, down), first = self.rig.camera.slopes, 0
         for number, (person, pose, _) in enumerate(self.persons):
             own = np.nonzero((face >= first) & (face < first + len(person.mesh.faces)))
-            away = range_m[own].astype(np.float64)
-            points = camera.to_body(np.stack([across[own[1]] * away, down[own[0]] * away, away], axis=1))
-            found = person.parts.labels_at(person.mesh, face[own] - np.int32(first), pose.back(points))
+            points = pose.back(surface_points(seen, camera, *own))
+            found = person.parts.labels_at(person.mesh, face[own] - np.int32(first), points)
             body, first = found < UNLABELLED, first + len(person.mesh.faces)
             labels[own], people[own] = np.where(body, found, UNLABELLED), np.where(body, number + 1, 0)
         # Of each face the row of its losses: those of people's parts come first, one person after another.

@@ -62,14 +62,6 @@ class FrameLabels(Protocol):
     def mirrored(self) -> bool: ...
 
 
-def person_image(answer: FrameLabels) -> NDArray[np.uint16]:
-    """The person that each pixel shows, uint16 [H, W], from 1, in the order of `bodies`; 0 where there is none."""
-    image = np.zeros(answer.labels.shape, np.uint16)
-    for number, body in enumerate(answer.bodies, start=1):
-        image.ravel()[body.pixels] = number
-    return image
-
-
 class SurfacePixels:
     """The pixels of people that have a range, each person's in reading order, and their runs: pixels of one part, side
     by side in a row, which are far fewer.

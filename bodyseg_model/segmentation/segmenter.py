@@ -20,7 +20,7 @@ from bodyseg_model.runtimes import on_backend
 from bodyseg_model.segmentation.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.finder import Background, Found, find_bodies, part_people, shipped_finder, view_of
 from bodyseg_model.segmentation.joints import found_joints
-from bodyseg_model.segmentation.persons import Records, labelled_points, measured_parts, person_image
+from bodyseg_model.segmentation.persons import Records, labelled_points, measured_parts
 from bodyseg_model.segmentation.views import BodyView, compile_views_ahead, usual_views, view_body, view_frame
 
 STAGES: Final = ("find", "resample", "network", "back", "video")
@@ -106,8 +106,11 @@ class Segmentation:
 
     @property
     def persons(self) -> NDArray[np.uint16]:
-        """The person that each pixel shows: 1 for the first of `bodies` (`person_image`)."""
-        return person_image(self)
+        """The person that each pixel shows, uint16 [H, W], from 1, in the order of `bodies`; 0 where there is none."""
+        image = np.zeros(self.labels.shape, np.uint16)
+        for number, body in enumerate(self.bodies, start=1):
+            image.ravel()[body.pixels] = number
+        return image
 
     def points(self) -> Records:
         """The points of all people, with label, person and confidence, `POINT` [N] (`labelled_points`)."""

@@ -7,7 +7,8 @@ import threading
 
 import pytest
 
-from bodyseg_data.machine import in_threads, of_each, pieces
+from bodyseg_data.machine import of_each, pieces
+from bodyseg_data.machine.threads import in_threads
 
 
 @pytest.mark.parametrize(("count", "parts"), [(0, 1), (1, 3), (10, 3), (7, 7)])

@@ -17,9 +17,9 @@ from bodyseg_data import RangeImages
 from bodyseg_data.bodies import Body, BodyRef
 from bodyseg_data.commands.cli import main
 from bodyseg_data.core import BadConfig, BadMesh
-from bodyseg_data.meshes import partition
+from bodyseg_data.meshes import cuboid, partition
 from bodyseg_data.packing.jobs import Engine
-from bodyseg_data.rooms import chosen_kinds, pack_rooms, room_packing
+from bodyseg_data.rooms import OwnThings, chosen_kinds, pack_rooms, room_packing
 from bodyseg_data.rooms.furnishings import FURNISHINGS
 from bodyseg_data.rooms.scenes import RoomPerson
 from bodyseg_data.samples import Split
@@ -79,6 +79,62 @@ def test_kinds_are_chosen_by_name_and_a_set_says_what_it_lacks(tmp_path: Path, b
             chosen_kinds(only, without)
     manifest = pack_rooms(tmp_path / "set", SMALL, 1, "train", chosen_kinds((), ("sofa", "bed")), workers=1)
     assert manifest.source == "rooms without sofa, bed"
+
+
+def box_file(path: Path, size: tuple[float, float, float] = (40, 80, 60)) -> Path:
+    """A cuboid in a file, by default in cm, off its origin, as machines' files have them."""
+    solid = cuboid(size, (300.0, -20.0, 5.0))
+    rows = [*solid.vertices.tolist(), *([3, *face] for face in solid.faces.tolist())]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join(["OFF", f"{len(solid.vertices)} 12 0", *(" ".join(map(str, row)) for row in rows)]))
+    return path
+
+
+def test_own_meshes_stand_in_rooms_as_no_body_with_the_same_bytes(tmp_path: Path, built: list[tuple[str, int]]) -> None:
+    box_file(tmp_path / "own/press.off")
+    own = OwnThings(tmp_path / "own", "cm")
+    ((name, solid),), _ = own.read()
+    assert name == "press"
+    np.testing.assert_allclose(solid.vertices.min(axis=0), (-0.2, 0.0, -0.3), atol=1e-12)
+    np.testing.assert_allclose(solid.vertices.max(axis=0), (0.2, 0.8, 0.3), atol=1e-12)
+    for workers in (1, 3):
+        pack_rooms(tmp_path / str(workers), SMALL, 4, "test", ("stool",), own, shard_samples=3, workers=workers)
+    pack_rooms(tmp_path / "without", SMALL, 4, "test", ("stool",), shard_samples=3, workers=1)
+    assert files(tmp_path / "1") == files(tmp_path / "3")
+    shard = next(tmp_path.glob("1/*.tar")).name
+    assert files(tmp_path / "1")[shard] != files(tmp_path / "without")[shard]
+    box_file(tmp_path / "own/press.off", (41, 80, 60))  # other things are another set
+    assert own.read()[1] not in (tmp_path / "1/manifest.json").read_text()
+
+
+def test_own_meshes_that_cannot_stand_in_rooms_are_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ["shard", "--source", "rooms", "--samples", "1", "--out", str(tmp_path / "set"), "--scene"]
+    good, damaged = box_file(tmp_path / "good/press.off"), tmp_path / "damaged/arm.off"
+    damaged.parent.mkdir()
+    damaged.write_text("OFF\n3 1 0\n0 0 0\n")
+    (tmp_path / "empty").mkdir()
+    cases = {
+        "--scene: the source 'labelled' reads a folder, found none at": [tmp_path / "none"],
+        "--scene: the source 'labelled' needs meshes": [tmp_path / "empty"],
+        f"{damaged}: the header announces": [damaged.parent],
+        f"{good}: a thing of rooms must be 0.05 to 4 m large, found 80 m; --units gives": [good.parent],
+    }
+    for said, options in cases.items():
+        assert main([*words, *map(str, options)]) == 2
+        shown = capsys.readouterr().err
+        assert said in shown and shown.count("\n") == 1
+    assert main([*words, str(good.parent), "--units", "mm", "--plan"]) == 0
+    assert json.loads(capsys.readouterr().out)["scene"] == ["press"]
+    assert main([*words[:-1], "--up", "z"]) == 2
+    assert "--units and --up are those of the meshes of --scene" in capsys.readouterr().err
+    assert main(["shard", "--source", "open", "--scene", "x", "--plan"]) == 2
+    assert "--scene does not go with --source open: it is of rooms" in capsys.readouterr().err
+    monkeypatch.setattr(room_packing, "_OWN_FACES", 11)
+    assert main([*words, str(good.parent), "--units", "cm"]) == 2
+    assert f"{good}: a thing of rooms may have 11 triangles, found 12" in capsys.readouterr().err
+    assert not (tmp_path / "set").exists()
 
 
 def test_the_command_plans_packs_and_refuses(

@@ -13,7 +13,7 @@ from small_rig import SMALL
 
 from bodyseg_data.core import Draws
 from bodyseg_data.labels import UNLABELLED
-from bodyseg_data.meshes import Solid, partition
+from bodyseg_data.meshes import Solid, cuboid, partition
 from bodyseg_data.packing import Numbers
 from bodyseg_data.packing.render_packing import contradicting
 from bodyseg_data.rooms import scenes
@@ -120,6 +120,21 @@ def test_dark_things_are_not_measured_but_hide_what_is_behind() -> None:
     assert 0.3 < lost.mean() < 0.7
     beside = (patches.range_m[:, 1:] == 0) == (patches.range_m[:, :-1] == 0)
     assert beside[things[:, 1:] & things[:, :-1]].mean() > 0.8  # in patches, not pixel by pixel
+
+
+def test_own_things_stand_in_rooms_or_reach_into_the_image() -> None:
+    own, placed, near = [("press", cuboid((0.5, 0.9, 0.4), (0.0, 0.45, 0.0)))], 0, 0
+    for number in range(24):
+        made = Room(f"room-{number}", SMALL, people(), ["stool"], own=own)
+        for place in (place for place, name in made.things.items() if name == "press"):
+            vertices, placed = made.solids[place][0].vertices, placed + 1
+            reaches = np.linalg.norm(vertices - (0.0, made.height_m, 0.0), axis=1)
+            assert reaches.min() > 0.25
+            if reaches.max() < 2.0 and abs(vertices[:, 1].min()) > 1e-9:  # off the floor, right before the camera
+                near += 1
+                assert reaches.min() < 0.9
+        assert (made.render().labels == UNLABELLED).any()
+    assert placed > 20 and near > 2
 
 
 def test_kinds_that_are_left_out_are_nowhere(monkeypatch: pytest.MonkeyPatch) -> None:

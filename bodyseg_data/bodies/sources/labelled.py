@@ -25,7 +25,7 @@ from bodyseg_data.bodies.sources.folder import body_ref
 from bodyseg_data.core import BadConfig, BadMesh
 from bodyseg_data.files import Table, read_json
 from bodyseg_data.labels import BACKGROUND, Classes, classes_from_json
-from bodyseg_data.meshes import METRES, MeshContent, SceneMesh, mesh_content, scene_stem, welded
+from bodyseg_data.meshes import METRES, Mesh, MeshContent, SceneMesh, mesh_content, scene_stem, welded
 from bodyseg_data.samples import SPLITS
 
 SCENE_NAME: Final = "scene.json"
@@ -121,13 +121,19 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
         """
         return self._built(body, self.classes)
 
-    def _built(self, body: BodyRef, classes: Classes | None) -> Body:
-        """One mesh of all pieces of a scene. classes: of the set; None: not known yet, and not needed by a check."""
+    def surface(self, body: BodyRef) -> Mesh:
+        """One scene without classes, whether it has labels or not, with the errors of `build` but for those."""
+        return self._built(body, None, labelled=False).mesh
+
+    def _built(self, body: BodyRef, classes: Classes | None, labelled: bool = True) -> Body:
+        """One mesh of all pieces of a scene. classes: of the set; None: not known yet, and not needed by a check.
+        labelled: look for labels.
+        """
         scene, notes, count = self.entry(body), [], 0
         points, faces, labels = [], [], []
         for piece in scene.pieces:
             content = mesh_content(piece.mesh)
-            named = self._named(piece, content)
+            named = self._named(piece, content) if labelled else NamedCorners((), np.full(content.faces.shape, -1))
             labels.append(self._coded(named, classes, str(piece.mesh)))
             notes += [f"{piece.mesh.name}: {note}" for note in named.notes]
             vertices = content.vertices * piece.metres @ piece.pose[:3, :3].T + piece.pose[:3, 3]
