@@ -1,114 +1,95 @@
-"""Labels of a video's frames, steadied by the evidence of earlier frames, without delay.
-
-A body is taken to move as a whole: the rigid motion that brings cells of its pixels onto those of the frame before says
-where each point of its surface was.
-"""
+"""Labels of a video's frames, steadied by the evidence of earlier frames, without delay."""
 
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import import_module
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.machine import in_threads, pieces
 from bodyseg_data.rigs import Camera
 
+if TYPE_CHECKING:
+    from bodyseg_model.segmentation.carried_loops import BodyMotion, BodyPixels, CellLens, Cells, Images, Rule
+
 Labels = NDArray[np.uint8]
-Floats = NDArray[np.float64]
 SeenBody = tuple[NDArray[np.intp], NDArray[np.float32]]
 """Pixels of a body in a frame and the confidence of each, both [N]."""
 
+Points = NDArray[np.float32]
+Rigid = NDArray[np.float64]
+"""A rigid motion, [3, 4]: rotation and, last, translation, metres."""
+
+MotionModel = Literal["still", "rigid", "parts"]
 SAME_BODY_M: Final = 0.5
 """Bodies of two frames are one if their middles are nearer, metres: 12 m/s at 25 frames a second."""
 
-SLOTS: Final = 3
-"""Labels that a pixel has evidence for, at most; a new one replaces the weaker of those not shown."""
-
+_UNMOVED: Final = np.eye(3, 4, dtype=np.float32)
+_LEAST_PIXELS: Final = 1 << 12  # of a thread that carries evidence, so that starting it pays
 _NOWHERE: Final = -1.0  # a tolerance within which no range is: evidence starts anew
-_NEAREST_M: Final = 0.1  # before the camera
 _JUMP_M: Final = 0.04  # neighbouring cells whose ranges differ by more are of two surfaces
 _GATE_M: Final = 0.05  # cells further from the surface they meet do not count
 _NOISES: Final = 3.0  # standard deviations of a cell's ranges that the gate is at least
-_LEAST_FOR_NOISE: Final = 6  # pixels of a cell whose ranges say how noisy the frame is
-_STEPS: Final = 5
-_CELLS: Final = 800  # suffice for a motion: of more, every second, third ... is used
-_STILL: Final = np.diag((0.002,) * 3 + (1.0,) * 3)  # of no turn, square metres, and of no shift, against 1 of each cell
+_RIGID_STEPS: Final = 5
+_RIGID_CELLS: Final = 800  # suffice for a rigid motion: of more, every second, third ... is used
+_PART_CELLS: Final = 20  # of a part that moves by itself, at least
+_PART_REACH_M: Final = 0.3  # greatest shift of a part beyond the body's own
+_PULL: Final = 0.05  # weight of a part's shift
+_FAITH_NOISE_M: Final = 0.02  # noise that halves the weight of distances to planes
+_FALL_M: Final = 0.001  # fall of ranges' differences that counts as much as _MORE cells of which the label agrees
+_MORE: Final = 0.01
+_REMEMBERED: Final = 0.7  # of the gain of shifting parts up to the frame before
+_MOST_GAIN: Final = 2.0  # that is remembered, so that a body that begins to bend is soon seen to
+_BENDS: Final = 1.5  # gain from which on a body bends
 
 
-class Carrying(NamedTuple):
+@dataclass(frozen=True)
+class Carrying:
     """Parameters of `CarriedLabels`; docs/how-to/steady.md has their effect.
 
-    keep: share of the evidence that is left after a frame, 0 to less than 1. margin: evidence by which another label
-    must exceed the one shown, in frames of confidence 1. border, border_share: evidence for the label shown is
-    multiplied by border_share where the new one is shown up to `border` pixels away: borders are where a wrong motion
-    does harm. bending_keep, bending_border, bending_share: the same of a body that bends, without margin, as the place
-    of its points is less certain; bends: share of its cells that meet no surface after the motion from which on it
-    does. tolerance_m, noises: a point is the same if ranges agree within tolerance_m or `noises` standard
-    deviations of the ranges' noise, whichever is more. reach: pixels around the expected place at which it is sought.
-    cell_m: side of the cells in which motion is estimated, metres.
+    motion: "parts" follows the parts of a body, "rigid" the body as a whole, "still" nothing: evidence stays at its
+    pixel. keep: share of the evidence that is left after a frame, 0 to less than 1; bending_keep: of a body that bends,
+    as the place of its points is less certain. margin: of a body that does not bend, evidence by which another label
+    must exceed the one shown, in frames of confidence 1. border, border_share: of a body that bends, evidence for the
+    label shown is multiplied by border_share where the new one is shown up to `border` pixels away: borders are where a
+    wrong motion does harm. stiff_border, stiff_border_share: the same of a body that does not bend.
+    tolerance_m, noises: a point is the same if ranges agree within tolerance_m or `noises` standard deviations of the
+    ranges' noise, whichever is more. reach: pixels around the expected place at which it is sought. cell_m: side of the
+    cells in which motion is estimated, metres.
     """
 
-    keep: float = 0.8
+    motion: MotionModel = "parts"
+    keep: float = 0.9
+    bending_keep: float = 0.8
     margin: float = 0.25
-    border: int = 1
-    border_share: float = 0.6
-    bending_keep: float = 0.5
-    bending_border: int = 4
-    bending_share: float = 0.3
-    bends: float = 0.05
+    border: int = 4
+    border_share: float = 0.3
+    stiff_border: int = 1
+    stiff_border_share: float = 0.6
     tolerance_m: float = 0.03
     noises: float = 2.5
     reach: int = 2
     cell_m: float = 0.02
 
 
-class Images(NamedTuple):
-    """Images of a frame, flat: ranges, float32 [H * W], metres, 0 off the bodies; slots of evidence, uint32 [H * W,
-    `SLOTS`]; the label shown, uint8 [H * W].
+@dataclass(frozen=True)
+class _LastFrame:
+    """The frame before: its camera, lens and images; the cells of its bodies, and the gain of shifting the parts of
+    each, summed up over the frames so far.
     """
 
-    range_m: NDArray[np.float32]
-    slots: NDArray[np.uint32]
-    shown: Labels
-
-
-class Lens(NamedTuple):
-    """Numbers of a camera: focal length and principal point (x, y), columns and rows of its images, and the side of a
-    cell, pixels.
-    """
-
-    focal: float
-    x: float
-    y: float
-    columns: int
-    rows: int
-    side: int
-
-
-class _Cells(NamedTuple):
-    """Cells of a body, in the rows and columns of the image and one more all round. points: float64 [R, C, 3], metres,
-    means of one surface, NaN where the body has none. normals: [R, C, 3], of unit length, 0 where neighbours lack. own:
-    [M, 3], the points in reading order, of which `middle` is the mean. noise_m: median deviation of a cell's ranges.
-    """
-
-    points: Floats
-    normals: Floats
-    own: Floats
-    middle: Floats
-    noise_m: float
-
-
-class _LastFrame(NamedTuple):
     camera: Camera
-    lens: Lens
-    images: Images
-    bodies: list[_Cells]
+    lens: CellLens
+    images: Images = field(repr=False)
+    bodies: list[tuple[Cells, float]] = field(repr=False)
 
 
 class CarriedLabels:
@@ -117,17 +98,19 @@ class CarriedLabels:
     A label is kept on the point of the surface that it was found on: the body's motion since the last frame says where
     each point was, and where the ranges agree, its evidence is carried along, less by `carrying.keep`, and the new
     frame's confidence is added. Starts anew at `restart`, for frames of another camera, and for a body that was not
-    seen in the last frame. The result is the same on every run. Raises MissingLibrary without numba.
+    seen in the last frame. The result is the same on every run, for any number of torch's threads. Raises
+    MissingLibrary without numba.
     """
 
     def __init__(self, carrying: Carrying | None = None) -> None:
         self.carrying = carrying or Carrying()
-        self._carry = import_module(f"{__package__}.pixel_loops").carry
+        self._loops = import_module(f"{__package__}.carried_loops")
         self._last: _LastFrame | None = None
+        self._spare: Images | None = None
 
     def restart(self) -> None:
         """Forget all frames, as at the start of a recording."""
-        self._last = None
+        self._last = self._spare = None
 
     def __call__(
         self, range_m: NDArray[np.float32], labels: Labels, bodies: Sequence[SeenBody], camera: Camera
@@ -137,34 +120,124 @@ class CarriedLabels:
         range_m: float32 [H, W], metres, 0 = nothing measured. labels: uint8 [H, W], the network's. bodies: pixels,
         int64 [N], row * W + column, ascending, and confidence, float32 [N], of each. camera: that of the frame.
         """
-        last, given = self._last if self._last is None or self._last.camera == camera else None, self.carrying
+        if self._last is not None and self._last.camera != camera:
+            self.restart()
+        last, loops = self._last, self._loops
         flat, named = np.ascontiguousarray(range_m).ravel(), np.ascontiguousarray(labels).ravel()
-        seen = [body for body in bodies if len(body[0])]
-        slots = np.empty((flat.size, SLOTS), np.uint32)
-        new = Images(np.zeros(flat.size, np.float32), slots, np.full(flat.size, BACKGROUND, np.uint8))
-        if last is None and seen:
-            pixels_a_metre = camera.focal_px / float(np.median(flat[seen[0][0]]))
-            side = max(1, round(given.cell_m * pixels_a_metre))
-            lens = Lens(camera.focal_px, *camera.centre_px, camera.columns, camera.rows, side)
-            last = _LastFrame(camera, lens, new, [])
-        if last is not None:
-            left, cells = list(last.bodies), [_cells_of(pixels, flat, last.lens) for pixels, _ in seen]
-            for body, own in zip(seen, cells, strict=True):
-                motion, tolerance_m, rule = np.eye(3, 4), _NOWHERE, given
-                away = [float(np.linalg.norm(own.middle - other.middle)) for other in left]
-                if away and min(away) <= SAME_BODY_M:
-                    earlier = left.pop(int(np.argmin(away)))
-                    motion, unmet = _motion(own, earlier, last.lens)
-                    if unmet > given.bends:
-                        rule = given._replace(keep=given.bending_keep, margin=0.0)
-                        rule = rule._replace(border=given.bending_border, border_share=given.bending_share)
-                    noise_m = math.hypot(own.noise_m, earlier.noise_m)
-                    tolerance_m = max(given.tolerance_m, given.noises * noise_m)
-                how = rule, np.float32(tolerance_m), nearest_first(given.reach)
-                self._carry(*body, flat, named, last.lens, motion.astype(np.float32), last.images, how, new)
-            last = _LastFrame(camera, last.lens, new, cells)
-        self._last = last
+        seen = [loops.BodyPixels(*body, flat, named) for body in bodies if len(body[0])]
+        if last is None and not seen:  # nobody was seen yet
+            return np.full(labels.shape, BACKGROUND, np.uint8)
+        lens = self._lens(seen[0], camera) if last is None else last.lens
+        new, old = self._empty_images(flat.size), None if last is None else last.images
+        cells = [loops.Cells(*loops.cells_of(body, lens, np.float32(_JUMP_M))) for body in seen]
+        known = []
+        for body, own, number in zip(seen, cells, self._pairs(cells), strict=True):
+            motion, gain = loops.BodyMotion(_UNMOVED, np.zeros_like(own.points), own.grid), 0.0
+            if last is None or old is None or number is None:
+                self._carry(body, lens, motion, new, self._rule(_NOWHERE), new)
+            else:
+                earlier, gain = last.bodies[number]
+                if self.carrying.motion != "still":
+                    motion, gain = self._motion(own, earlier, gain, lens)
+                noise = float(np.hypot(own.noise_m, earlier.noise_m))
+                rule = self._rule(max(self.carrying.tolerance_m, self.carrying.noises * noise), gain > _BENDS)
+                self._carry(body, lens, motion, old, rule, new)
+            known.append((own, gain))
+        self._spare, self._last = old, _LastFrame(camera, lens, new, known)
         return new.shown.reshape(labels.shape).copy()
+
+    def _lens(self, body: BodyPixels, camera: Camera) -> CellLens:
+        """The camera's numbers, and cells of the size that `carrying.cell_m` has at the body's range."""
+        side = max(1, round(self.carrying.cell_m * camera.focal_px / float(np.median(body.range_m[body.pixels]))))
+        cells = -(-camera.columns // side), -(-camera.rows // side)
+        lens: CellLens = self._loops.CellLens(
+            camera.focal_px, *camera.centre_px, camera.columns, camera.rows, side, *cells
+        )
+        return lens
+
+    def _empty_images(self, size: int) -> Images:
+        """Memory of a frame's images: that of the frame before the last, where there is one."""
+        images: Images = self._spare or self._loops.Images(
+            np.empty(size, np.float32), np.empty((size, self._loops.SLOTS), np.uint32), np.empty(size, np.uint8)
+        )
+        images.range_m.fill(0)
+        images.shown.fill(BACKGROUND)
+        return images
+
+    def _pairs(self, cells: Sequence[Cells]) -> list[int | None]:
+        """For every body its number in the last frame: the nearest that is left; None for a new one."""
+        left = {} if self._last is None else dict(enumerate(self._last.bodies))
+        found: list[int | None] = []
+        for own in cells:
+            away = {
+                number: float(np.linalg.norm(_middle(own) - _middle(earlier))) for number, (earlier, _) in left.items()
+            }
+            nearest = min(away, key=lambda number: (away[number], number), default=None)
+            found.append(nearest if nearest is not None and away[nearest] <= SAME_BODY_M else None)
+            left.pop(-1 if found[-1] is None else found[-1], None)
+        return found
+
+    def _rule(self, tolerance_m: float, bends: bool = False) -> Rule:
+        """The parameters as the loops take them."""
+        given = self.carrying
+        keep, share, border, margin = given.keep, given.stiff_border_share, given.stiff_border, given.margin
+        if bends:
+            keep, share, border, margin = given.bending_keep, given.border_share, given.border, 0.0
+        kept, border_kept = (np.uint32(round(1024 * part)) for part in (keep, share * keep))
+        least, tolerance = np.uint32(round(margin * self._loops.UNIT)), np.float32(tolerance_m)
+        steps = nearest_first(given.reach)
+        rule: Rule = self._loops.Rule(steps, given.reach, tolerance, kept, border_kept, border, least)
+        return rule
+
+    def _motion(self, own: Cells, earlier: Cells, gain: float, lens: CellLens) -> tuple[BodyMotion, float]:
+        """Motion of a body back to the frame before, and the gain of shifting its parts, summed up.
+
+        A rigid motion, and displacements that fit the surface smoothly. These start from the shifts of parts if ranges
+        and labels fit better with them over the last frames: else the body is rigid, and of one that turns, the middles
+        of parts follow what comes into view, not the skin.
+        """
+        noise = max(own.noise_m, earlier.noise_m)
+        gate = max(_GATE_M, _NOISES * noise)
+        rigid = self._rigid(own, earlier, lens, gate)
+        places, field = moved(rigid, own.points), np.zeros_like(own.points)
+        if self.carrying.motion == "parts":
+            shifts, weights = part_shifts(places, own.labels, earlier)
+            some = weights > 0
+            (away, same), (away_shifted, same_shifted) = (
+                self._loops.fit_of(each[some], own.labels[some], earlier, lens, gate)
+                for each in (places, places + shifts)
+            )
+            gain = _REMEMBERED * min(max(gain, -_MOST_GAIN), _MOST_GAIN)
+            gain += (away - away_shifted) / _FALL_M + (same_shifted - same) / _MORE
+            if gain <= _BENDS:
+                shifts[:], weights[:] = 0, 0
+            faith = np.float32(1 / (1 + (noise / _FAITH_NOISE_M) ** 2))
+            field = self._loops.smooth_field(places, own, shifts, weights, earlier, lens, np.float32(gate), faith)
+        motion: BodyMotion = self._loops.BodyMotion(rigid.astype(np.float32), field, own.grid)
+        return motion, gain
+
+    def _rigid(self, own: Cells, earlier: Cells, lens: CellLens, gate: float) -> Rigid:
+        """Rigid motion of a body back to the frame before, sought from no motion or the shift of its middle, whichever
+        fits better.
+        """
+        every = max(1, len(own.points) // _RIGID_CELLS)
+        some, labels = np.ascontiguousarray(own.points[::every]), np.ascontiguousarray(own.labels[::every])
+        shift = np.eye(3, 4)
+        shift[:, 3] = _middle(earlier) - _middle(own)
+        starts = np.eye(3, 4), shift
+        rigid = min(starts, key=lambda start: self._loops.fit_of(moved(start, some), labels, earlier, lens, gate)[0])
+        self._loops.fit_rigid(some, rigid, earlier, lens, gate, _RIGID_STEPS)
+        return rigid
+
+    def _carry(self, body: BodyPixels, *arguments: Any) -> None:
+        """Carry evidence to a body's pixels, which do not depend on each other, in several threads if they are many."""
+
+        def work(first: int, last: int) -> None:
+            some = body._replace(pixels=body.pixels[first:last], confidence=body.confidence[first:last])
+            self._loops.carry(some, *arguments)
+
+        count = len(body.pixels)
+        in_threads(work, pieces(count, min(torch.get_num_threads(), max(1, count // _LEAST_PIXELS))))
 
 
 @lru_cache(maxsize=8)
@@ -176,86 +249,37 @@ def nearest_first(reach: int) -> NDArray[np.int64]:
     return np.array(sorted(itertools.product(line, line), key=lambda step: step[0] ** 2 + step[1] ** 2), np.int64)
 
 
-def _cells_of(pixels: NDArray[np.intp], range_m: NDArray[np.float32], lens: Lens) -> _Cells:
-    """Average a body's pixels, [N], in cells; range_m: of the frame, flat. A pixel further than `_JUMP_M` from the mean
-    of its cell does not count, so that a cell with two surfaces has one of them or none. Of large cells, every second,
-    third ... row and column is used.
+def moved(rigid: Rigid, points: Points) -> Points:
+    """Points, float32 [M, 3], after a rigid motion."""
+    return (points @ rigid[:, :3].T + rigid[:, 3]).astype(np.float32)
+
+
+def part_shifts(places: Points, labels: Labels, earlier: Cells) -> tuple[Points, NDArray[np.float32]]:
+    """Displacement of the part of each cell from the frame before, float32 [M, 3], metres, and its weight, float32 [M]:
+    0 where a part is small or would move too far.
+
+    places: the cells after the rigid motion, float32 [M, 3]; labels: uint8 [M]. The displacement is that of the part's
+    middle; parts of which less or more was in view before weigh less.
     """
-    shape = -(-lens.rows // lens.side) + 2, -(-lens.columns // lens.side) + 2
-    size, step = shape[0] * shape[1], max(1, lens.side // 3)
-    row, column = np.divmod(pixels.astype(np.int32), np.int32(lens.columns))
-    used = (row % step == 0) & (column % step == 0)
-    row, column, z = row[used], column[used], range_m[pixels[used]].astype(np.float64)
-    cell = (row // lens.side + 1) * shape[1] + column // lens.side + 1
-    with np.errstate(invalid="ignore"):  # of empty cells
-        count = np.bincount(cell, minlength=size)
-        off = z - (np.bincount(cell, z, size) / count)[cell]
-        spread = np.bincount(cell, off * off, size)[count >= _LEAST_FOR_NOISE] / (count[count >= _LEAST_FOR_NOISE] - 1)
-        noise_m = math.sqrt(np.median(spread)) if len(spread) else 0.0
-        kept = np.abs(off) <= max(_JUMP_M, 2 * noise_m)
-        count = np.bincount(cell[kept], minlength=size)
-        u, v, ahead = (np.bincount(cell[kept], each[kept], size) / count for each in (column, row, z))
-        x, y = (u + 0.5 - lens.x) / lens.focal * ahead, (v + 0.5 - lens.y) / lens.focal * ahead
-        points = np.stack([x, y, ahead], axis=1).reshape(*shape, 3)
-        ends = [np.roll(points, step, axis) for axis in (1, 0) for step in (-1, 1)]
-        same = [np.where(np.abs(end - points)[..., 2:] < _JUMP_M, end, points) for end in ends]
-        normals = np.cross(same[0] - same[1], same[2] - same[3])
-        normals /= np.linalg.norm(normals, axis=2, keepdims=True)
-    own = points[points[..., 2] > 0]
-    return _Cells(points, np.nan_to_num(normals), own, own.mean(axis=0), noise_m)
+    (middles, areas), (old_middles, old_areas) = _parts(places, labels), _parts(earlier.points, earlier.labels)
+    shifts = old_middles - middles
+    smaller = np.minimum(areas, old_areas)
+    counts = (smaller > _PART_CELLS * places[:, 2].mean() ** 2) & (np.linalg.norm(shifts, axis=1) < _PART_REACH_M)
+    weights = np.where(counts, _PULL * (smaller / np.maximum(np.maximum(areas, old_areas), 1e-6)) ** 2, 0)
+    return np.where(counts[:, None], shifts, 0).astype(np.float32)[labels], weights.astype(np.float32)[labels]
 
 
-def _motion(own: _Cells, earlier: _Cells, lens: Lens) -> tuple[Floats, float]:
-    """Rigid motion of a body back to the frame before, [3, 4]: rotation and, last, translation, metres; and the share
-    of its points that meet no cell after it.
-
-    Sought from no motion or the shift of its middle, whichever fits better, by Gauss-Newton steps (Chen and Medioni
-    1992) on the distances of its points to the planes of the cells they meet, with Tukey's weights.
+def _parts(points: Points, labels: Labels) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Middles, float64 [256, 3], metres, of parts, by the areas of their cells; and these, in cells times square metres
+    of range.
     """
-    gate = max(_GATE_M, _NOISES * max(own.noise_m, earlier.noise_m))
-    points = own.own[:: max(1, len(own.own) // _CELLS)]
-    still = np.eye(3, 4)
-    shifted = np.column_stack([np.eye(3), earlier.middle - own.middle])
-    motion = min(still, shifted, key=lambda start: _met(_moved(start, points), earlier, lens, gate)[2])
-    for _ in range(_STEPS):
-        places = _moved(motion, points)
-        off, normals, _ = _met(places, earlier, lens, gate)
-        away, middle = np.einsum("ij,ij->i", normals, off), places.mean(axis=0)
-        lines = np.hstack([np.cross(places - middle, normals), normals])
-        weighed = lines.T * np.maximum(1 - (away / gate) ** 2, 0) ** 2
-        step = np.linalg.solve(weighed @ lines + _STILL, weighed @ away)
-        turn = rotation(step[:3])
-        motion = turn @ motion
-        motion[:, 3] += middle - turn @ middle + step[3:]
-    return motion, _met(_moved(motion, points), earlier, lens, gate)[2][1]
+    area = points[:, 2].astype(np.float64) ** 2
+    areas: NDArray[np.float64] = np.bincount(labels, area, 256).astype(np.float64)
+    sums = np.stack([np.bincount(labels, area * along, 256) for along in points.T], axis=1)
+    return sums / np.maximum(areas, 1e-6)[:, None], areas
 
 
-def _met(places: Floats, cells: _Cells, lens: Lens, gate: float) -> tuple[Floats, Floats, tuple[float, float]]:
-    """Of places [M, 3] the way to the cell that each meets, into which it projects and which is at most `gate` metres
-    away in range, and its normal, both 0 for none; and the mean distance in range, `gate` for none, and the
-    share of those that meet none.
-    """
-    ahead = np.maximum(places[:, 2], _NEAREST_M)
-    line, row = (
-        np.clip((places[:, axis] / ahead * lens.focal + centre) // lens.side + 1, 0, cells.points.shape[1 - axis] - 1)
-        for axis, centre in ((0, lens.x), (1, lens.y))
-    )
-    at = row.astype(np.intp), line.astype(np.intp)
-    off = cells.points[at] - places
-    meets = np.abs(off[:, 2:]) <= gate
-    distance_m = float(np.where(meets, np.abs(off[:, 2:]), gate).mean())
-    return np.where(meets, off, 0), np.where(meets, cells.normals[at], 0), (distance_m, 1 - float(meets.mean()))
-
-
-def _moved(rigid: Floats, points: Floats) -> Floats:
-    """Points [M, 3] after a rigid motion [3, 4]."""
-    return points @ rigid[:, :3].T + rigid[:, 3]
-
-
-def rotation(vector: Floats) -> Floats:
-    """Matrix [3, 3] of a rotation vector [3], radians (Rodrigues' formula)."""
-    angle = max(float(np.linalg.norm(vector)), 1e-12)
-    x, y, z = vector / angle
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    matrix: Floats = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * (cross @ cross)
-    return matrix
+def _middle(cells: Cells) -> NDArray[np.float64]:
+    """Mean point of a body, float64 [3], metres."""
+    middle: NDArray[np.float64] = cells.points.mean(axis=0, dtype=np.float64)
+    return middle

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Final, Literal, TypeVar, cast, get_args
@@ -281,7 +281,7 @@ class FrameLabeller:
             },
             "rig": self.rig.to_json(),
             "least_confidence": self.least_confidence,
-            "video": None if self.video is None else self.video.carrying._asdict(),
+            "video": None if self.video is None else asdict(self.video.carrying),
             "device": str(device_of(self.trained.network)),
             "runtime": backend_of(self.trained.network),
         }

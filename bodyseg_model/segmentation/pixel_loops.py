@@ -1,11 +1,7 @@
-"""Odds of people, resampling of a body, labels carried along and painting of overlays, compiled, for `finder.py`,
-`views.py`, `carried_labels.py`, `pictures.py`.
+"""Odds of people, resampling of a body and painting of overlays, compiled, for `finder.py`, `views.py`, `pictures.py`.
 
 For views: pixels: ascending flat indices of the frame; rows, columns: int [N], of these; mapping: a `Turn`. All ranges
 are finite and in front of the view, so that no point is outside the box that is computed.
-
-For labels that are carried along: a pixel has three slots of evidence, uint32: weight << 8 | label, in units of 1 /
-`UNIT`. The first slot is the label shown, the others contend for its place. Evidence is of whole numbers.
 
 For overlays: flat: ranges of a frame, float32 [N], metres; shading: `pictures.Shading`; table: uint8 [M, 3],
 `pictures._table`; picture: sRGB uint8 [N, 3].
@@ -19,7 +15,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import compiled
 
 _LEAST_AHEAD: Final = 1e-9
@@ -31,18 +26,6 @@ AROUND: Final = 2
 
 _WIDTH: Final = 1.5  # standard deviation of their weights, cells
 _OTHER: Final = np.float32(0.05)  # share of a range by which another surface's differs
-
-UNIT: Final = 4096
-"""Evidence of one frame with confidence 1."""
-
-_EMPTY: Final = np.uint32(BACKGROUND)
-_LABEL: Final = np.uint32(255)
-_BITS: Final = np.uint32(8)
-_SHARE_BITS: Final = np.uint32(10)
-_HALF: Final = np.float32(0.5)
-_UNIT: Final = np.float32(UNIT)
-_NEAREST_M: Final = np.float32(0.1)  # before the camera
-_SHIFT: Final = np.float32(4096)  # makes coordinates positive, so that cutting off decimals rounds down
 
 _kernel = partial(compiled, feature="labelling frames", extra="segment")
 _overlay_kernel = partial(compiled, feature="overlays", extra="segment")
@@ -182,101 +165,6 @@ def fill_lost(down: Any, across: Any, start: Any, ranges: Any, box: Any, corner:
     for i in range(cells.size):
         if chosen[cells[i]] == i:
             flat[cells[i]] = ranges[i]
-
-
-# Labels carried along.
-
-
-@_kernel
-def shown_near(found: Any, label: Any, z: Any, old: Any, lens: Any, border: Any, tolerance: Any) -> Any:
-    """True if the old frame shows a label up to `border` pixels from pixel `found` along each axis, at a range within
-    `tolerance` of z, metres.
-    """
-    row, column = found // lens.columns, found % lens.columns
-    for v in range(max(row - border, 0), min(row + border + 1, lens.rows)):
-        for u in range(max(column - border, 0), min(column + border + 1, lens.columns)):
-            p = np.uint64(v * lens.columns + u)
-            if old.shown[p] == label and old.range_m[p] > 0 and abs(old.range_m[p] - z) <= tolerance:
-                return True
-    return False
-
-
-@_kernel
-def nearest(row: Any, column: Any, z: Any, old_range: Any, lens: Any, tolerance: Any, steps: Any) -> Any:
-    """The first pixel, by `steps` from (row, column), whose old range is within `tolerance` of z, metres; -1 for
-    none.
-    """
-    for n in range(len(steps)):
-        v, u = row + steps[n, 0], column + steps[n, 1]
-        if 0 <= v < lens.rows and 0 <= u < lens.columns:
-            p = np.uint64(v * lens.columns + u)
-            if (old_range[p] > 0) & (abs(old_range[p] - z) <= tolerance):
-                return np.int64(p)
-    return np.int64(-1)
-
-
-@_kernel
-def carry(
-    pixels: Any, confidence: Any, range_m: Any, labels: Any, lens: Any, motion: Any, old: Any, rule: Any, new: Any
-) -> None:
-    """Carry evidence to a body's pixels, int64 [N], add the new frame's, and show the labels that have most.
-
-    confidence: float32 [N]. range_m, labels: of the new frame, flat. rule: a `Carrying`, the tolerance in range,
-    metres, and steps, int64 [S, 2]. A pixel's point is sought at the pixel that `motion`, float32 [3, 4], takes it to,
-    and by `steps` around it, where the old range agrees within the tolerance; not found, evidence starts anew. The old
-    weights are multiplied by `keep`, and by `border_share` if another label than the new frame's is shown there, and
-    the new one up to `border` pixels beside it: a border has moved, or its place is uncertain. The label shown changes
-    if another has more evidence by more than `margin`. `new` (`Images`) is written at the body's pixels.
-    """
-    given, tolerance, steps = rule
-    keep, margin = np.uint32(round(1024 * given.keep)), np.uint32(round(UNIT * given.margin))
-    border_keep = np.uint32(round(1024 * given.border_share * given.keep))
-    focal, cx, cy = np.float32(lens.focal), np.float32(lens.x), np.float32(lens.y)
-    a, b, c, d = motion[0]
-    e, f, g, h = motion[1]
-    i, j, k, l = motion[2]  # noqa: E741
-    for n in range(len(pixels)):
-        p = np.uint64(pixels[n])  # int64 would be tested for counting from the end
-        v = pixels[n] // lens.columns
-        z, label = range_m[p], np.uint32(labels[p])
-        x = (np.float32(pixels[n] - v * lens.columns) + _HALF - cx) / focal * z
-        y = (np.float32(v) + _HALF - cy) / focal * z
-        pz, found = i * x + j * y + k * z + l, np.int64(-1)
-        if pz > _NEAREST_M:
-            px, py = (a * x + b * y + c * z + d) * focal / pz + cx, (e * x + f * y + g * z + h) * focal / pz + cy
-            if abs(px) < _SHIFT and abs(py) < _SHIFT:
-                column, row = np.int64(px + _SHIFT) - np.int64(_SHIFT), np.int64(py + _SHIFT) - np.int64(_SHIFT)
-                found = nearest(row, column, pz, old.range_m, lens, tolerance, steps)
-        weight = np.uint32(confidence[n] * confidence[n] * _UNIT + _HALF)
-        new.range_m[p] = z
-        if found < 0:
-            new.slots[p, 0], new.slots[p, 1], new.slots[p, 2] = (weight << _BITS) | label, _EMPTY, _EMPTY
-            new.shown[p] = labels[p]
-            continue
-        one, two, three = old.slots[found, 0], old.slots[found, 1], old.slots[found, 2]
-        n1, n2, n3 = one & _LABEL, two & _LABEL, three & _LABEL
-        near = n1 != label and shown_near(found, label, pz, old, lens, given.border, tolerance)
-        share = border_keep if near else keep
-        w1 = ((one >> _BITS) * share) >> _SHARE_BITS
-        w2 = ((two >> _BITS) * share) >> _SHARE_BITS
-        w3 = ((three >> _BITS) * share) >> _SHARE_BITS
-        if n1 == label:
-            w1 += weight
-        elif n2 == label:
-            w2 += weight
-        elif n3 == label:
-            w3 += weight
-        elif w3 <= w2:
-            if weight >= w3:
-                n3, w3 = label, weight
-        elif weight >= w2:
-            n2, w2 = label, weight
-        if w3 > w2:
-            n2, w2, n3, w3 = n3, w3, n2, w2
-        if w2 > w1 + margin:
-            n1, w1, n2, w2 = n2, w2, n1, w1
-        new.slots[p, 0], new.slots[p, 1], new.slots[p, 2] = (w1 << _BITS) | n1, (w2 << _BITS) | n2, (w3 << _BITS) | n3
-        new.shown[p] = n1
 
 
 # Overlays.

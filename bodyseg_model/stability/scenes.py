@@ -169,8 +169,10 @@ _REFLECTANCE: Final = 0.5  # of clothes that are not dark
 
 def _fringes(speed_m_s: float = 0.0, reflectance: float = _REFLECTANCE, ambient: float = 0.0) -> PhaseShift:
     """The paper's sensor, of which every image has one speed, one reflectance of clothes and one ambient light."""
-    light = {"dimmest": ambient, "brightest": ambient, "darkest": reflectance, "lightest": reflectance}
-    return PhaseShift(slowest_m_s=speed_m_s, fastest_m_s=speed_m_s, patterned=0.0, **light)
+    return PhaseShift(
+        dimmest=ambient, brightest=ambient, slowest_m_s=speed_m_s, fastest_m_s=speed_m_s,
+        darkest=reflectance, lightest=reflectance, patterned=0.0,
+    )  # fmt: skip
 
 
 _ARTIFACTS: Final[dict[str, Callable[[float, Rig], Artifact]]] = {

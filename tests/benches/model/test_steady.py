@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,7 +13,7 @@ from benches.model import chosen
 from benches.model.real import steady
 from benches.model.real.fusion import FusedSurface
 from benches.model.real.recording import Frame
-from benches.model.real.steady import ALONE, TITLES, changes, labelled, point_labels, ratio_of, table
+from benches.model.real.steady import ALONE, CARRIED_ALONG, WAYS, changes, labelled, point_labels, ratio_of, table
 from label_networks import Places
 
 from bodyseg_data.core import BadConfig
@@ -68,7 +68,7 @@ def test_every_way_labels_every_frame_and_mirrored_ones_are_turned_over() -> Non
     trained = Trained(Places(1, 8), {"rig": load_rig().to_json()})
     done: list[tuple[int, int]] = []
     answers = labelled(trained, frames, False, lambda *numbers: done.append(numbers))
-    assert list(answers) == list(TITLES) and done[-1] == (4, 4)
+    assert list(answers) == list(WAYS) and done[-1] == (4, 4)
     for way, given in answers.items():
         assert len(given) == 4
         for answer in given:  # nothing moves and the network is sure: all ways agree
@@ -78,22 +78,21 @@ def test_every_way_labels_every_frame_and_mirrored_ones_are_turned_over() -> Non
     assert (turned.labels[10:50, 30:50] != BACKGROUND).all() and (turned.confidence[10:50, 30:50] > 0.9).all()
 
 
-SCORED = "none", "all", "none, carried", "all, carried"
 SCORES = {"vc_right_where_truth_stays": 0.8, "pixel_accuracy": 0.9}
 
 
-def test_rows_name_both_ways_and_leave_open_what_was_not_measured() -> None:
-    still = {way: {"changed": 0.0182, "pixel_accuracy": 0.761} for way in TITLES}
-    moving = {"none": SCORES, "all": SCORES, "none, carried": SCORES | {"pixel_accuracy": None}, "all, carried": SCORES}
-    rows = table(still, moving)
-    assert len(rows) == len(TITLES) and len({tuple(row) for row in rows}) == 1
+def test_rows_name_every_way_and_leave_open_what_was_not_measured() -> None:
+    still = {way: {"changed": 0.0182, "pixel_accuracy": 0.761} for way in WAYS}
+    rows = table(still, {"none": SCORES, "all": SCORES, "none, carried": SCORES | {"pixel_accuracy": None}})
+    assert len(rows) == len(WAYS) and len({tuple(row) for row in rows}) == 1
     assert list(rows[0].values()) == ["each frame alone", "1.82", "76.1", *(["80.0", "90.0", "0.889"] * 2)]
-    assert list(rows[1].values())[3:6] == ["80.0", "–", "–"]
+    assert list(rows[1].values())[3:] == ["–"] * 6
+    assert list(rows[-1].values())[3:6] == ["80.0", "–", "–"]
     assert ratio_of(SCORES) == 0.889 and ratio_of(SCORES | {"vc_right_where_truth_stays": None}) is None
 
 
 def test_the_bench_joins_both(monkeypatch: pytest.MonkeyPatch) -> None:
-    still = {"ways": {way: {"changed": 0.02, "pixel_accuracy": 0.7} for way in TITLES}}
+    still = {"ways": {way: {"changed": 0.02, "pixel_accuracy": 0.7} for way in WAYS}}
     done: list[tuple[int, int]] = []
 
     def still_person(trained: Any, folder: Any, views: int, progress: Any) -> Any:
@@ -104,7 +103,7 @@ def test_the_bench_joins_both(monkeypatch: pytest.MonkeyPatch) -> None:
         progress(1, 2)
         progress(2, 2)
         facts = {"shots": [], "frames": 16, "window": 8, "points": 5}
-        return facts | {"networks": {name: dict.fromkeys(SCORED, SCORES) for name in networks}}
+        return facts | {"networks": {name: {"none": SCORES, "none, carried": SCORES} for name in networks}}
 
     monkeypatch.setattr(chosen, "load_network", lambda path: SimpleNamespace(network=None))
     monkeypatch.setattr(steady, "still_person", still_person)
@@ -112,7 +111,7 @@ def test_the_bench_joins_both(monkeypatch: pytest.MonkeyPatch) -> None:
     found = steady.bench_steady("folder/made", 5, progress=lambda *numbers: done.append(numbers))
     assert done == [(500, 1000), (750, 1000), (1000, 1000)]
     assert found["still"]["recording"] == "made" and found["moving"]["ways"]["none"]["ratio"] == 0.889
-    assert len(found["tables"]["steady"]) == len(TITLES) and found["carrying"]["keep"] == 0.8
+    assert len(found["tables"]["steady"]) == len(WAYS) and found["carrying"] == asdict(WAYS[CARRIED_ALONG])
     json.dumps(found)
     with pytest.raises(BadConfig, match="the number of frames must be"):
         steady.bench_steady("folder/made", 1)

@@ -49,8 +49,8 @@ def bench_harm(
     device = find_device()
     rows: dict[str, dict[int, Any]] = {}
     for name, trained in [chosen_network(), *(chosen_network([run]) for run in runs)]:
-        row, _, seed = name.rpartition("-")
-        rows.setdefault(row or name, {})[int(seed) if row else 0] = trained.network.to(device)
+        row, _, number = name.rpartition("-")
+        rows.setdefault(row or name, {})[int(number) if row else 0] = trained.network.to(device)
     shown = {_NONE: SensorModel(_NONE, ())}
     shown |= {title: SensorModel(artifact.name, (artifact,)) for title, artifact in ARTIFACTS.items()}
     shown |= {f"all of {name}": load_sensor_model(name) for name in SENSORS}
@@ -58,10 +58,10 @@ def bench_harm(
     found: dict[str, dict[str, dict[int, float]]] = {}
     for title, sensor in shown.items():  # the outer loop, so that every set of test images is opened once
         tested = AblationCondition("all", label=title, sensor=sensor).open(data)
-        for row, networks in rows.items():
+        for name, networks in rows.items():
             for seed, network in networks.items():
                 judged = evaluate(network, tested, images, confidences=False, batch_size=1).total().confusion
-                found.setdefault(title, {}).setdefault(row, {})[seed] = judged.average_per_class_accuracy()
+                found.setdefault(title, {}).setdefault(name, {})[seed] = judged.average_per_class_accuracy()
                 tick()
     clean = found.pop(_NONE)
     cost = loading_ms({title: RangeImages(data, "all", "train", sensor=sensor) for title, sensor in shown.items()})

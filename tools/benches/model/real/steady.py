@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,14 +30,27 @@ from bodyseg_model.segmentation import CarriedLabels, Segmenter
 from bodyseg_model.segmentation.carried_labels import Carrying
 
 ALONE: Final = "alone"
-CARRIED_ALONG: Final = "carried"
+CARRIED_ALONG: Final = "parts"
 
-TITLES: Final = {ALONE: "each frame alone", CARRIED_ALONG: "`--video`: carried along"}
-"""Way of labelling -> its name in the table."""
+WAYS: Final[Mapping[str, Carrying | None]] = {
+    ALONE: None,
+    "still": Carrying(motion="still"),
+    "rigid": Carrying(motion="rigid"),
+    CARRIED_ALONG: Carrying(),
+}
+"""Name -> how labels of earlier frames are carried along; None: not at all. The last is that of `--video`."""
+
+TITLES: Final = {
+    ALONE: "each frame alone",
+    "still": "evidence stays at its pixel",
+    "rigid": "carried, one rigid motion",
+    CARRIED_ALONG: "`--video`: carried, with parts",
+}
 
 _FRAMES: Final = 100
 _FACING: Final = 0.3  # least cosine between a normal and the way to the camera: beyond it, a pixel spans many points
 _VARIANTS: Final = ("none", "all")
+_NOT_MEASURED: Final = {"vc_right_where_truth_stays": None, "pixel_accuracy": None}
 
 Labels = NDArray[np.uint8]
 
@@ -67,7 +81,7 @@ def bench_steady(
     by_way = moving["networks"]["network"]
     return {
         "network": network_name,
-        "carrying": Carrying()._asdict(),
+        "carrying": asdict(Carrying()),
         "still": still,
         "moving": {name: moving[name] for name in ("shots", "frames", "window", "points")}
         | {"ways": {way: scores | {"ratio": ratio_of(scores)} for way, scores in by_way.items()}},
@@ -77,7 +91,7 @@ def bench_steady(
 
 def still_person(trained: Trained, folder: Path, views: int, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Share of the points of the fused surface whose label changes from a frame to the next, of those that both see,
-    and share of pixels right, for each of `TITLES`.
+    and share of pixels right, for each of `WAYS`.
 
     Frames and cameras are made to fit one surface as in `bench_real`, and frames are labelled in their order.
     """
@@ -115,18 +129,20 @@ def still_person(trained: Trained, folder: Path, views: int, progress: ProgressC
 def labelled(
     trained: Trained, frames: Sequence[Frame], mirrored: bool, progress: ProgressCallback = silent
 ) -> dict[str, list[Answer]]:
-    """Label frames as they are stored, in each of `TITLES`; the network labels each frame once.
+    """Label frames as they are stored, in each of `WAYS`; the network labels each frame once.
 
     mirrored: frames show left for right; answers are then turned over, as the frames of the surface are.
     """
     segment = Segmenter(trained.network, frames[0].placed.camera, PEOPLE, mirrored, rig=trained.rig)
-    video = CarriedLabels()
-    answers: dict[str, list[Answer]] = {way: [] for way in TITLES}
+    videos = {way: None if carrying is None else CarriedLabels(carrying) for way, carrying in WAYS.items()}
+    answers: dict[str, list[Answer]] = {way: [] for way in WAYS}
     for done, frame in enumerate(frames, start=1):
         found = segment(frame.range_m)
         seen = [(body.pixels, body.confidence) for body in found.bodies]
-        carried = video(frame.range_m, found.labels, seen, segment.camera)
-        for way, labels in ((ALONE, found.labels), (CARRIED_ALONG, carried)):
+        for way, video in videos.items():
+            labels = found.labels
+            if video is not None:
+                labels = video(frame.range_m, found.labels, seen, segment.camera)
             one = Answer(on_person(labels, frame), found.confidence)
             answers[way].append(Answer(one.labels[:, ::-1], one.confidence[:, ::-1]) if mirrored else one)
         progress(done, len(frames))
@@ -190,7 +206,8 @@ def table(still: Mapping[str, Mapping[str, Any]], moving: Mapping[str, Mapping[s
             "pixels right, %": _percent(still[way]["pixel_accuracy"]),
         }
         for variant in _VARIANTS:
-            scores = moving[variant if way == ALONE else f"{variant}{CARRIED}"]
+            measured = {ALONE: variant, CARRIED_ALONG: f"{variant}{CARRIED}"}.get(way)
+            scores = moving.get(measured, _NOT_MEASURED) if measured else _NOT_MEASURED
             head, ratio = f"moving, `{variant}`", ratio_of(scores)
             row[f"{head}: VC₈ constant and right, %"] = _percent(scores["vc_right_where_truth_stays"])
             row[f"{head}: pixels right, %"] = _percent(scores["pixel_accuracy"])
