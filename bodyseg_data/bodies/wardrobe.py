@@ -166,12 +166,6 @@ class Refinement:
             vertices = np.concatenate([vertices, vertices[ends].mean(axis=1)])
         return vertices
 
-    def carried(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Values [V, ...] of old vertices, and for each new one those at an end of its edge, [V', ...]."""
-        for ends in self._ends:
-            values = np.concatenate([values, values[ends[:, 0]]])
-        return values
-
 
 def _split(
     points: NDArray[np.float64], faces: NDArray[np.int32], longest_m: float

@@ -62,9 +62,9 @@ def colour_labels(
 class OnTemplate:
     """Regions of the template of the body that a label map joins in place of a set's classes.
 
-    kind: "parts33"; "bones", whose names may be patterns; "landmarks", each region the points nearest to a landmark
-    along the surface; or the path of a .npy file with a number for each vertex. numbers: of each region, the vertex of
-    its landmark, or its number in the file.
+    kind: "parts33"; "bones", names or patterns of them, with front, back, left or right for a half; "landmarks", each
+    region the points nearest to a landmark along the surface; or the path of a .npy file with a number for each vertex.
+    numbers: of each region, the vertex of its landmark, or its number in the file.
     """
 
     kind: str
@@ -311,7 +311,7 @@ def load_label_map(labels: str | Path | LabelMap, of: Classes = PART_CLASSES) ->
     of another set's classes.
     """
     if isinstance(labels, LabelMap):
-        if labels.template is None and labels.of != of and labels.name in _FILES.names()[1:]:
+        if labels.template is None and labels.name in _FILES.names()[1:]:
             shipped = load_label_map(labels.name)
             labels = shipped if shipped == labels else labels  # one that was stored, with a network, without regions
         if labels.of != of and labels.template is None:

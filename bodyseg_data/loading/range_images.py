@@ -28,7 +28,6 @@ from bodyseg_data.artifacts import (
     load_sensor_model,
     seen_by_projectors,
 )
-from bodyseg_data.bodies import load_template, region_labels
 from bodyseg_data.core import BadConfig, BadSample, BadShard, Draws, check_epoch, check_seed
 from bodyseg_data.labels import BACKGROUND, TEMPLATE, UNLABELLED, LabelMap, load_label_map, whole_map
 from bodyseg_data.loading.conditions import named_fields, table_of, texts_of
@@ -214,6 +213,8 @@ class RangeImages(SampleDataset):
 
     def _regions_of(self, path: str) -> NDArray[np.uint8]:
         """The label of each number of the plane `TEMPLATE`, uint8 [65536], of regions that become the set's classes."""
+        from bodyseg_data.bodies import load_template, region_labels
+
         if TEMPLATE not in self.columns:
             raise BadConfig(
                 f"{path} has no map of the body, the column {TEMPLATE!r}, which labels {self.label_map.name!r} need: "

@@ -108,10 +108,12 @@ class Sampler:
         fields |= {name: getattr(body, name) for name in ("subset", "subject", "mesh", "pose")}
         fields |= asdict(view)
         info = SampleInfo(body.split, {**fields, "things": place, "hidden_pct": hidden_pct})
-        second, planes = facing[1] if len(facing) == 2 else None, {}
+        second = facing[1] if len(facing) == 2 else None
+        planes: dict[str, NDArray[np.uint16]] = {}
         if self._template is not None:
             planes[TEMPLATE] = np.full(seen.face.shape, NOWHERE, np.uint16)
-            planes[TEMPLATE].ravel()[pixels] = self._places(faces, points(np.arange(len(pixels))))
+            seen_at = points(np.arange(len(pixels)))
+            planes[TEMPLATE].ravel()[pixels] = self._places(faces, seen_at, self._template)
         sample = Sample(key, range_image, np.concatenate(occluders), labels, facing[0], info, None, second, planes)
         sample.check(self._classes)
         return sample
@@ -144,16 +146,18 @@ class Sampler:
         labels[labels == BACKGROUND] = UNLABELLED  # a thing that is held or worn
         return labels
 
-    def _places(self, faces: NDArray[np.int32], points: NDArray[np.float64]) -> NDArray[np.uint16]:
+    def _places(
+        self, faces: NDArray[np.int32], points: NDArray[np.float64], template: NDArray[np.float64]
+    ) -> NDArray[np.uint16]:
         """Numbers, uint16 [N], of the template's points nearest to `points` [N, 3] of triangles [N], or `NOWHERE`."""
-        template = np.empty((0, 3)) if self._template is None else self._template
         corners, weights = self._mesh.faces[faces], self._mesh.barycentric(faces, points)
         if self._below is not None:
             over = self._below[corners[:, 0]] != corners[:, 0]
             nearest = corners[np.arange(len(corners)), weights.argmax(axis=1)]
             corners = np.where(over[:, None], self._below[nearest][:, None], corners)
-        places = np.einsum("nc,nci->ni", weights, template[corners])
-        return np.where(corners[:, 0] < 0, np.uint16(NOWHERE), load_template().nearest(places))
+        numbers = load_template().nearest(np.einsum("nc,nci->ni", weights, template[corners]))
+        numbers[corners[:, 0] < 0] = NOWHERE
+        return numbers
 
     def _facing(
         self, faces: NDArray[np.int32], points: PointsAt, source: NDArray[np.float64], eye: NDArray[np.float64]

@@ -40,7 +40,8 @@ CROSSED = LabelMap("crossed", (("a", ("Rt. Olecranon", "Lt. PSIS")), ("b", ("Lt.
 
 
 def test_the_maps_that_ship_cover_every_part_once() -> None:
-    assert label_map_names() == ("parts33", "itop15", "limbs14", "people")
+    shipped = "densepose24", "human3d15", "itop15", "joints24", "limbs14", "people", "template33"
+    assert label_map_names() == ("parts33", *shipped)
     for name, count in (("parts33", 33), ("itop15", 15), ("limbs14", 14)):
         label_map = load_label_map(name)
         assert label_map.name == name and len(label_map) == len(label_map.names) == count
