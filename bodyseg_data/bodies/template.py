@@ -83,10 +83,16 @@ class Template:
 def load_template() -> Template:
     """Return the template that ships with the package."""
     with resources.files(__package__).joinpath(_FILE).open("rb") as file, np.load(file) as data:
-        arrays = [data[name] for name in ("vertices", "faces", "point_faces", "weights", "parts", "bones")]
-        name, bone_names = str(data["name"]), tuple(data["bone_names"].tolist())
-    kinds = np.float64, np.int32, np.int32, np.float64, np.uint8, np.uint8
-    return Template(name, *(array.astype(kind) for array, kind in zip(arrays, kinds, strict=True)), bone_names)
+        return Template(
+            str(data["name"]),
+            data["vertices"].astype(np.float64),
+            data["faces"].astype(np.int32),
+            data["point_faces"].astype(np.int32),
+            data["weights"].astype(np.float64),
+            data["parts"],
+            data["bones"],
+            tuple(data["bone_names"].tolist()),
+        )
 
 
 def region_labels(label_map: LabelMap) -> NDArray[np.uint8]:

@@ -36,7 +36,7 @@ class Renders(Executor):
         if self._left < 0:
             future.set_exception(Interrupted())
             return future
-        key = (packing.tolerance_mm, run[:2])
+        key = (packing.tolerance_mm, packing.template, run[:2])
         try:
             if key not in self._known:
                 self._known[key] = fn(packing, *run, **kwargs)

@@ -71,8 +71,7 @@ def test_a_pixel_has_the_point_nearest_to_where_its_ray_hits(quick_geodesics: No
     body, view = clothed(), View(215, 0)
     mesh, parts, ref = body.mesh, body.partition(), BodyRef("A", "A", "A-0", "standing", "train")
     assert body.template is not None and parts.below is not None
-    options = "none", 33, body.template
-    sample = Sampler(RasterRenderer(mesh), SMALL, mesh, parts, "open", ref, *options).take(view)
+    sample = Sampler(RasterRenderer(mesh), SMALL, mesh, parts, "open", ref, template=body.template).take(view)
     plane = sample.planes["template"]
     assert plane.dtype == np.uint16 and (plane[sample.range == 0] == NOWHERE).all()
 
@@ -82,7 +81,7 @@ def test_a_pixel_has_the_point_nearest_to_where_its_ray_hits(quick_geodesics: No
     rays[:, 0] = (columns + 0.5 - SMALL.camera.centre_px[0]) / SMALL.camera.focal_px
     rays[:, 1] = (rows + 0.5 - SMALL.camera.centre_px[1]) / SMALL.camera.focal_px
     face, weights, far = first_hits(mesh, camera.position, camera.to_body(rays) - camera.position)
-    seen = np.abs(far - sample.range[rows, columns] * SMALL.range_step_m) < 2e-4
+    seen = np.abs(far - sample.range[rows, columns] * SMALL.range_step_m) < SMALL.range_step_m
     assert seen.mean() > 0.98, "all but some at outlines"
     wanted, kinds = np.full((len(rows), 3), np.nan), set()
     for at in np.flatnonzero(seen):
@@ -248,10 +247,8 @@ def test_own_landmarks_and_numbers_make_parts(tmp_path: Path, quick_geodesics: N
     own = load_label_map(path)
     regions = region_labels(own)[: len(POINTS)]
     assert own.names == ("left", "right", "top") and own.mirrored[:3].tolist() == [1, 0, 2]
-    assert (
-        regions[template.nearest(vertices[[*ends, head]])].tolist() == [0, 1, 2]
-        and (region_labels(own)[len(POINTS) :] == UNLABELLED).all()
-    )
+    assert regions[template.nearest(vertices[[*ends, head]])].tolist() == [0, 1, 2]
+    assert (region_labels(own)[len(POINTS) :] == UNLABELLED).all()
     assert (POINTS[regions == 0, 0] > -0.03).all() and (POINTS[regions == 1, 0] < 0.03).all()
 
     for name, places in (("vertices", vertices), ("points", POINTS)):
@@ -273,7 +270,7 @@ def test_the_template_is_sound_and_its_parts_mirror_each_other() -> None:
         label_map = load_label_map(name)
         classes = label_map.table[region_labels(label_map)[: len(POINTS)]]
         assert np.unique(classes).tolist() == list(range(PART_SETS[name])), "every point has one"
-        assert (label_map.mirrored[classes[opposite]] == classes).mean() > 0.97
+        assert (label_map.mirrored[classes[opposite]] == classes).mean() > 0.95
     assert load_label_map("template33").of == PARTS33.of
 
 

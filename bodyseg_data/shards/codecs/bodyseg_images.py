@@ -129,7 +129,8 @@ class BodysegImages:
             raise ValueError(f"a plane has 1 or 2 bytes a pixel, found {width}")
         if data[:4] == _COPIED_MAGIC:
             sizes = copied_bytes((rows, columns), count)
-            return decode_copies(*_split(_numbers(view[_PLANE.size :], sum(sizes)), sizes), (rows, columns))
+            kinds, numbers = _split(_numbers(view[_PLANE.size :], sum(sizes)), sizes)
+            return decode_copies(kinds, numbers, (rows, columns))
         sizes = [width * count, count, 4 * long]
         values, lengths, longs = _split(_numbers(view[_PLANE.size :], sum(sizes)), sizes)
         stored = from_byte_planes(values, np.uint8 if width == 1 else np.uint16)

@@ -226,10 +226,10 @@ def decode_copies(packed: Bytes, stored: Bytes, size: tuple[int, int]) -> Range:
         raise ValueError(f"{int(new.sum())} pixels have a number of their own, found {len(numbers)}")
     if (kinds[:columns] == _ABOVE).any() or (kinds[::columns] == _LEFT).any():
         raise ValueError("a pixel at the edge cannot equal one beyond it")
-    index = np.arange(pixels, dtype=np.int32)
+    index = np.arange(pixels)
     # From the pixel that a stretch of equal ones to the right begins with, up to the one that it equals, and so on.
-    source = np.maximum.accumulate(np.where(kinds == _LEFT, np.int32(0), index))
-    source -= np.where(kinds[source] == _ABOVE, np.int32(columns), np.int32(0))
+    source = np.maximum.accumulate(np.where(kinds == _LEFT, 0, index))
+    source -= np.where(kinds[source] == _ABOVE, columns, 0)
     while not new[source].all():
         source = source[source]
     found = np.zeros(pixels, np.uint16)
