@@ -76,7 +76,7 @@ def test_a_pixel_has_the_point_nearest_to_where_its_ray_hits(quick_geodesics: No
     assert plane.dtype == np.uint16 and (plane[sample.range == 0] == NOWHERE).all()
 
     camera, _ = SMALL.placed(mesh.centre, view)
-    rows, columns = np.nonzero(sample.range)
+    rows, columns = (each[::6] for each in np.nonzero(sample.range))
     rays = np.ones((len(rows), 3))
     rays[:, 0] = (columns + 0.5 - SMALL.camera.centre_px[0]) / SMALL.camera.focal_px
     rays[:, 1] = (rows + 0.5 - SMALL.camera.centre_px[1]) / SMALL.camera.focal_px
@@ -100,8 +100,8 @@ def test_a_pixel_has_the_point_nearest_to_where_its_ray_hits(quick_geodesics: No
     placed = np.flatnonzero(seen & np.isfinite(wanted[:, 0]))
     chosen = POINTS[plane[rows[placed], columns[placed]]]
     off = np.linalg.norm(chosen - wanted[placed], axis=1)
-    least = np.array([np.sqrt(((POINTS - place) ** 2).sum(axis=1).min()) for place in wanted[placed][::7]])
-    assert np.median(np.abs(off[::7] - least)) < 1e-5 and (np.abs(off[::7] - least) < 1e-3).mean() > 0.97
+    least = np.array([np.sqrt(((POINTS - place) ** 2).sum(axis=1).min()) for place in wanted[placed]])
+    assert np.median(np.abs(off - least)) < 1e-5 and (np.abs(off - least) < 1e-3).mean() > 0.97
 
 
 @pytest.fixture(scope="module")
@@ -194,7 +194,7 @@ def test_batches_have_the_labels_of_single_images(mapped: Path, method: Any) -> 
         assert one["key"] == other["key"] and torch.equal(one["labels"], other["labels"])
 
 
-def test_states_and_stored_maps_name_their_regions(mapped: Path, tmp_path: Path) -> None:
+def test_states_and_stored_maps_name_their_regions(mapped: Path, tmp_path: Path, quick_geodesics: None) -> None:
     images = RangeImages(mapped, "none", labels="joints24")
     stored = label_map_from_json(json.loads(json.dumps(images.label_map.to_json())), "a card")
     assert stored.template is None and stored == images.label_map
