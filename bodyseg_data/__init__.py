@@ -62,6 +62,7 @@ __all__ = [
     "load_label_map",
     "load_rig",
     "load_sensor_model",
+    "load_template",
     "loader",
     "open_source",
     "pack",
@@ -81,7 +82,7 @@ if TYPE_CHECKING:
         SensorModel,
         load_sensor_model,
     )
-    from bodyseg_data.bodies import Body, BodyRef, BodySource, open_source
+    from bodyseg_data.bodies import Body, BodyRef, BodySource, load_template, open_source
     from bodyseg_data.core import BadConfig, BadSample, BadShard, BodysegError, Draws
     from bodyseg_data.shards import Unreachable
     from bodyseg_data.loading import BadTransform

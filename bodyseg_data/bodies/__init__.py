@@ -12,5 +12,6 @@ if TYPE_CHECKING:
     from bodyseg_data.bodies.motions.catalogue import FRAMES_PER_SECOND
     from bodyseg_data.bodies.source import Body, BodyRef, BodySource, collapsed
     from bodyseg_data.bodies.sources import SOURCES, SourceEntry, open_source
+    from bodyseg_data.bodies.template import NOWHERE, load_template, region_labels
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

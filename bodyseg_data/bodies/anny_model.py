@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from bodyseg_data.bodies.anny_people import Person
 from bodyseg_data.bodies.outfits import Outfit
 from bodyseg_data.bodies.skeleton import Pose, bone_rotations
+from bodyseg_data.bodies.template import load_template
 from bodyseg_data.core import BadConfig, ProgressCallback, silent
 from bodyseg_data.machine import missing_library, torch_threads
 
@@ -222,6 +223,11 @@ class AnnyModel:
             if dressed:
                 vertices = wardrobe.worn(vertices)
         return standing(vertices, figure.height_m), faces
+
+    def places(self, figure: Figure) -> NDArray[np.float64]:
+        """Return where on the template the vertices of `surface` lie, [V, 3], metres."""
+        places = load_template().vertices
+        return places if figure.outfit is None else self._wardrobe(figure.who, figure.outfit)[0](places)
 
     def posable(self, who: Person) -> Posable:
         """Return a person's surface and skeleton at rest, to be posed without Anny."""

@@ -5,7 +5,6 @@ between them has. A name is a class by classes.json.
 """
 
 import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BadMesh
 from bodyseg_data.files import read_json, refuse_special
-from bodyseg_data.labels import BACKGROUND, UNLABELLED, Classes, classes_from_json
+from bodyseg_data.labels import BACKGROUND, UNLABELLED, Classes, classes_from_json, with_sides
 from bodyseg_data.meshes import MeshContent
 
 LABEL_PROPERTIES: Final = tuple(
@@ -35,9 +34,6 @@ NAMING: Final = ("groups", "nodes", "objects", "materials")
 """What names polygons in mesh files."""
 
 _CHANNELS: Final = ("red", "green", "blue")
-_OTHER_SIDE: Final = {"left": "right", "Left": "Right", "LEFT": "RIGHT", "L": "R", "l": "r", "Lt": "Rt", "lt": "rt"}
-_EXCHANGED: Final = {**_OTHER_SIDE, **{right: left for left, right in _OTHER_SIDE.items()}}
-_SIDE: Final = re.compile(r"[Ll]eft|LEFT|[Rr]ight|RIGHT|(?:(?<=^)|(?<=[_. -]))[LlRr]t?(?=$|[_. -])")
 
 
 class ClassTable:
@@ -267,20 +263,6 @@ def _having(content: MeshContent, names: Sequence[str]) -> tuple[str, dict[str, 
         if all(name in columns for name in names):
             return of, {name: np.asarray(columns[name]) for name in names}
     return "", {}
-
-
-def with_sides(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Complete the "mirror" of classes: of a pair, either may state it, else names that differ in left and right do."""
-    stated = {row["name"]: row["mirror"] for row in rows if isinstance(row.get("mirror"), str)}
-    stated = {other: name for name, other in stated.items()} | stated
-    free = {row["name"] for row in rows} - set(stated)
-    found = []
-    for row in rows:
-        other = _SIDE.sub(lambda side: _EXCHANGED[side[0]], row["name"])
-        guessed = other if {row["name"], other} <= free and other != row["name"] else None
-        own = row.get("mirror")
-        found.append({**row, "mirror": stated.get(row["name"], guessed) if own is None else own})
-    return found
 
 
 def _texts(given: Any, where: str) -> list[str]:

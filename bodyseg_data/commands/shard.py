@@ -103,6 +103,7 @@ class Options:
     )
     renderer: RendererName = option("renderer", Packing.renderer)
     things: ThingsPlace = option("draw furniture without labels around the bodies", Packing.things)
+    template: bool = option("open sources: also pack the map of the body, the column 'template'", False)
     codec: CodecName = option("codec of the stored images", Packing.codec)
     shard_samples: int = option("samples a shard", Packing.shard_samples)
     engine: str = option("processes (of this machine), or dask://HOST:PORT of a running scheduler", PROCESSES)
@@ -135,6 +136,7 @@ class Options:
             codec=self.codec,
             shard_samples=self.shard_samples,
             things=self.things,
+            template=self.template,
         )
 
 

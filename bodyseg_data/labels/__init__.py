@@ -15,9 +15,11 @@ if TYPE_CHECKING:
         classes_from_json,
         classes_of,
         looked_up,
+        with_sides,
     )
     from bodyseg_data.labels.label_map import (
         PARTS33,
+        TEMPLATE,
         LabelMap,
         colour_labels,
         label_map_from_json,

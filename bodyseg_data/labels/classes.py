@@ -39,6 +39,9 @@ _GOLDEN: Final = 0.6180339887
 _ROOT: Final = 0.4142135624
 _LUMA: Final = np.array([0.299, 0.587, 0.114])  # of Rec. ITU-R BT.601
 _COLOUR: Final = re.compile(r"#[0-9a-f]{6}")
+_OTHER_SIDE: Final = {"left": "right", "Left": "Right", "LEFT": "RIGHT", "L": "R", "l": "r", "Lt": "Rt", "lt": "rt"}
+_EXCHANGED: Final = {**_OTHER_SIDE, **{right: left for left, right in _OTHER_SIDE.items()}}
+_SIDE: Final = re.compile(r"[Ll]eft|LEFT|[Rr]ight|RIGHT|(?:(?<=^)|(?<=[_. -]))[LlRr]t?(?=$|[_. -])")
 
 
 @dataclass(frozen=True)
@@ -168,6 +171,20 @@ def classes_from_json(tree: Any, where: str) -> Classes:
         return Classes(tree["name"], tuple(LabelClass(**row) for row in rows))
     except BadConfig as error:
         raise BadConfig(f"{where}: {error}") from error
+
+
+def with_sides(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Complete the "mirror" of classes: of a pair, either may state it, else names that differ in left and right do."""
+    stated = {row["name"]: row["mirror"] for row in rows if isinstance(row.get("mirror"), str)}
+    stated = {other: name for name, other in stated.items()} | stated
+    free = {row["name"] for row in rows} - set(stated)
+    found = []
+    for row in rows:
+        other = _SIDE.sub(lambda side: _EXCHANGED[side[0]], row["name"])
+        guessed = other if {row["name"], other} <= free and other != row["name"] else None
+        own = row.get("mirror")
+        found.append({**row, "mirror": stated.get(row["name"], guessed) if own is None else own})
+    return found
 
 
 def _is_name(value: Any) -> bool:

@@ -1,8 +1,12 @@
-"""Label maps: classes that take the place of a set's own, such as the 33 parts joined as other data sets name them."""
+"""Label maps: classes that take the place of a set's own, such as the 33 parts joined as other data sets name them.
+
+Classes are unions of the set's own, or of regions of the template of the body (`OnTemplate`), which need no set of
+these classes: its column `TEMPLATE` tells where on the template every pixel lies.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import resources
 from itertools import zip_longest
@@ -19,10 +23,13 @@ from bodyseg_data.labels.classes import (
     MOST_CLASSES,
     UNLABELLED,
     Classes,
+    LabelClass,
     Side,
     class_colours,
     classes_from_json,
+    classes_of,
     looked_up,
+    with_sides,
 )
 from bodyseg_data.labels.parts import COLOURS, PART_CLASSES
 from bodyseg_data.machine import if_ready, loops
@@ -30,7 +37,10 @@ from bodyseg_data.machine import if_ready, loops
 LABEL_MAP_FORMAT: Final = "bodyseg labels 1"
 REST: Final = "*"
 """Stands, alone, for all that a class may join which no other class does, and for surfaces of no class."""
+TEMPLATE: Final = "template"
+"""Name of the column of a set that tells where on the template of the body each pixel lies."""
 _LOOPS: Final = "bodyseg_data.labels.label_loops"
+_REGIONS: Final = ("parts33", "bones", "landmarks")
 
 
 def colour_labels(
@@ -49,6 +59,19 @@ def colour_labels(
 
 
 @dataclass(frozen=True)
+class OnTemplate:
+    """Regions of the template of the body that a label map joins in place of a set's classes.
+
+    kind: "parts33"; "bones", names or patterns of them, with front, back, left or right for a half; "landmarks", each
+    region the points nearest to a landmark along the surface; or the path of a .npy file with a number for each vertex.
+    numbers: of each region, the vertex of its landmark, or its number in the file.
+    """
+
+    kind: str
+    numbers: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
 class LabelMap:
     """Classes that take the place of a set's own, each a union of some of them.
 
@@ -56,11 +79,13 @@ class LabelMap:
     Classes of the set that stand nowhere are labelled as background, unless a class joins `REST`, as for a network that
     is to tell people from the room. of: the set's own. Raises BadConfig for a map without classes or with more than
     254, one that joins none, an unknown class, one in two classes, or a name given twice.
+    template: of regions of the template, `of` names these; None for classes of the set.
     """
 
     name: str
     classes: tuple[tuple[str, tuple[str, ...]], ...]
     of: Classes = PART_CLASSES
+    template: OnTemplate | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         where, kind = f"labels {self.name!r}", self._kind
@@ -282,10 +307,14 @@ def label_map_from_json(tree: Any, where: str) -> LabelMap:
 def load_label_map(labels: str | Path | LabelMap, of: Classes = PART_CLASSES) -> LabelMap:
     """Return a label map: as given, one that ships or `of` itself by its name, or that of a TOML file.
 
-    of: the classes of the set. Raises BadConfig, also for a map of another set's classes.
+    of: the classes of the set, which a map of regions of the template does not need. Raises BadConfig, also for a map
+    of another set's classes.
     """
     if isinstance(labels, LabelMap):
-        if labels.of != of:
+        if labels.template is None and labels.name in _FILES.names()[1:]:
+            shipped = load_label_map(labels.name)
+            labels = shipped if shipped == labels else labels  # one that was stored, with a network, without regions
+        if labels.of != of and labels.template is None:
             differing = whole_map(labels.of).difference(whole_map(of))
             raise BadConfig(f"labels {labels.name!r} are of other classes than the set's: found {differing}")
         return labels
@@ -295,13 +324,33 @@ def load_label_map(labels: str | Path | LabelMap, of: Classes = PART_CLASSES) ->
         return whole_map(of)
     where = f"label map {labels}"
     tree = _FILES.parse(_FILES.read(labels), str(labels))
-    classes = tree.pop("classes", None)
+    classes, template = tree.pop("classes", None), None
+    if "template" in tree:
+        template, of = _regions(tree.pop("template"), tree.pop("regions", {}), classes, Path(labels).parent, where)
+        classes = {name: [name] for name in of.names} if classes is None else classes
     if not isinstance(classes, dict):
         raise BadConfig(f"{where}: the table [classes] is missing")
     table = Table(tree, where)
     name = table.text("name")
     table.finish()
-    return _map(name, list(classes.items()), of, where)
+    return _map(name, list(classes.items()), of, where, template)
+
+
+def _regions(kind: Any, numbers: Any, classes: Any, folder: Path, where: str) -> tuple[OnTemplate, Classes]:
+    """The regions of the template that a file names. classes: its table, if any. folder: of a file of numbers."""
+    is_file = isinstance(kind, str) and kind.endswith(".npy")
+    if kind not in _REGIONS and not is_file:
+        raise BadConfig(f"{where}: 'template' must be {', '.join(_REGIONS)} or the path of a .npy file, found {kind!r}")
+    if kind == PARTS33.name:
+        return OnTemplate(kind), PART_CLASSES
+    if kind == "bones":
+        lists = [each for each in (classes or {}).values() if isinstance(each, list)]
+        names = [name for members in lists for name in members if isinstance(name, str) and name != REST]
+        numbers = dict.fromkeys(names, 0)
+    if not isinstance(numbers, dict) or not numbers or {*map(type, numbers.values())} != {int}:
+        raise BadConfig(f"{where}: the table [regions] must give each region a whole number, found {numbers!r:.60}")
+    of = classes_of((LabelClass(**row) for row in with_sides([{"name": each} for each in numbers])), "regions")
+    return OnTemplate(str(folder / kind) if is_file else kind, () if kind == "bones" else tuple(numbers.values())), of
 
 
 def _table(tree: Any, where: str) -> Table:
@@ -315,12 +364,14 @@ def _listed(of: Classes) -> str:
     return "landmarks" if of == PART_CLASSES else "classes"
 
 
-def _map(name: str, classes: list[tuple[str, Any]], of: Classes, where: str) -> LabelMap:
+def _map(
+    name: str, classes: list[tuple[str, Any]], of: Classes, where: str, template: OnTemplate | None = None
+) -> LabelMap:
     """Make a label map of (name, members) read from a file. Raises BadConfig, naming `where`."""
     for each, members in classes:
         if not isinstance(members, list) or not all(isinstance(member, str) for member in members):
             raise BadConfig(f"{where}: the class {each!r} must be a list of {_listed(of)}, found {members!r}")
     try:
-        return LabelMap(name, tuple((each, tuple(members)) for each, members in classes), of)
+        return LabelMap(name, tuple((each, tuple(members)) for each, members in classes), of, template)
     except BadConfig as error:
         raise BadConfig(f"{where}: {error}") from error

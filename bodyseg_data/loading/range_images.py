@@ -29,7 +29,7 @@ from bodyseg_data.artifacts import (
     seen_by_projectors,
 )
 from bodyseg_data.core import BadConfig, BadSample, BadShard, Draws, check_epoch, check_seed
-from bodyseg_data.labels import BACKGROUND, UNLABELLED, LabelMap, load_label_map, whole_map
+from bodyseg_data.labels import BACKGROUND, TEMPLATE, UNLABELLED, LabelMap, load_label_map, whole_map
 from bodyseg_data.loading.conditions import named_fields, table_of, texts_of
 from bodyseg_data.loading.image_set import Request, Requests, SampleDataset, Shuffle, check_bool, check_index
 from bodyseg_data.loading.pipelines import sample_of
@@ -77,7 +77,8 @@ class RangeImages(SampleDataset):
     the first epoch. sensor: the artifacts, of which the variant takes those of its kinds: a model, the name of one that
     ships with the package, or a TOML file (docs/how-to/sensors.md). transform: of the samples, applied in the workers,
     one or several in their order (docs/how-to/transforms.md). labels: classes that take the place of the set's own: a
-    map, the name of one that ships with the package, or a TOML file (docs/how-to/label_maps.md). unlabelled: give 254
+    map, the name of one that ships with the package, or a TOML file (docs/how-to/label_maps.md); a map of regions of
+    the template takes them from the column `template`. unlabelled: give 254
     and not 255 to surfaces that have no class, so that 255 means that nothing was measured. planes: names of further
     images of the set, like "instances", that items and batches hold, too, as stored, also where artifacts lose pixels.
     occluder: "camera" makes the projector's range out of what the camera sees, also for a set that holds none; what the
@@ -123,7 +124,10 @@ class RangeImages(SampleDataset):
         store, pattern = open_store(_checked_path(path), storage_options, retry_policy)
         self.path = store.name
         self.manifest = with_kept_index(read_manifest(store), store, cache, cache_bytes)
-        named = (*named_fields(where), *texts_of("planes", planes))
+        classes = self.manifest.classes
+        self.label_map = whole_map(classes) if labels is None else load_label_map(labels, classes)
+        on_template = (TEMPLATE,) if self.label_map.template is not None else ()
+        named = (*named_fields(where), *texts_of("planes", planes), *on_template)
         self.columns = open_columns(store, self.manifest, texts_of("columns", columns), named)
         self.manifest = with_columns(self.manifest, self.columns)
         self.split, self.seed = split, seed
@@ -142,8 +146,6 @@ class RangeImages(SampleDataset):
         self.planes = _chosen_planes(planes, self.manifest)
         """Name -> type of the further images that items and batches hold."""
         self.transforms = check_transforms(transform)
-        classes = self.manifest.classes
-        self.label_map = whole_map(classes) if labels is None else load_label_map(labels, classes)
         self.unlabelled = UNLABELLED if check_bool("unlabelled", unlabelled) else BACKGROUND
         camera = self.manifest.rig.camera
         self.shape = transformed_shape(self.transforms, camera.rows, camera.columns)
@@ -151,6 +153,8 @@ class RangeImages(SampleDataset):
         self._joins = not self.label_map.is_whole
         if self.label_map.has_rest:
             self.unlabelled = UNLABELLED
+        self._regions = self._regions_of(self.path) if on_template else None
+        self._read_planes = tuple(dict.fromkeys((*self.planes, *on_template)))
         self.selection = Selection.of(pattern, split, only, where, val_share, self.manifest.fields)
         self._samples = self.selection.choose(self.manifest, str(path))
         chosen = self._samples.shards
@@ -199,11 +203,38 @@ class RangeImages(SampleDataset):
     def clean(self, index: int) -> Sample:
         """Return the stored sample, without artifacts, with all of its planes and the set's own labels.
 
+        With `labels` of the template, its labels are regions of that, the classes of `manifest.classes` here.
         Its projector range is the one that artifacts use: with `occluder="camera"`, made of the camera's.
         """
         shard, within = self._where(index)
         sample = self.reader.read(shard, within, self.occluder == "stored", unlabelled=self.unlabelled)
+        self._label_by_place(sample)
         return self._shaded(sample) if self.occluder == "camera" else sample
+
+    def _regions_of(self, path: str) -> NDArray[np.uint8]:
+        """The label of each number of the plane `TEMPLATE`, uint8 [65536], of regions that become the set's classes."""
+        from bodyseg_data.bodies import load_template, region_labels
+
+        if TEMPLATE not in self.columns:
+            raise BadConfig(
+                f"{path} has no map of the body, the column {TEMPLATE!r}, which labels {self.label_map.name!r} need: "
+                "`shard --template` packs it for the open sources"
+            )
+        if self.columns[TEMPLATE].source != load_template().name:
+            found = f"{self.columns[TEMPLATE].source!r}, here {load_template().name!r}"
+            raise BadShard(f"{path}: the column {TEMPLATE!r} is of another template: {found}")
+        self.manifest = replace(self.manifest, classes=self.label_map.of)
+        regions = region_labels(self.label_map)
+        return np.where(regions == UNLABELLED, np.uint8(self.unlabelled), regions)
+
+    def _label_by_place(self, sample: Sample) -> None:
+        """Replace a sample's labels by regions of the template, if the label map joins those. Raises BadSample."""
+        if self._regions is not None:
+            if TEMPLATE not in sample.planes:
+                raise BadSample(f"{sample.key}: labels {self.label_map.name!r} need the column {TEMPLATE!r}")
+            found = self._regions.take(sample.planes[TEMPLATE])
+            found[sample.range == 0] = BACKGROUND
+            vars(sample).update(labels=found)
 
     def augmentation_of(self, sample: Sample) -> Augmentation:
         """The artifacts as made for the sample's own rig. Raises BadSample for a rig that is none of the set's."""
@@ -252,7 +283,7 @@ class RangeImages(SampleDataset):
         try:
             shard, within = self._where(index)
             stored = self.augmentation.needs_projector and self.occluder == "stored"
-            sample = self.reader.read(shard, within, stored, (image, labels), self.unlabelled, (*self.planes,))
+            sample = self.reader.read(shard, within, stored, (image, labels), self.unlabelled, self._read_planes)
             return self._made_of(sample, epoch, image, labels)
         except BadSample as error:
             name, _, offset = self.location(index)
@@ -262,6 +293,7 @@ class RangeImages(SampleDataset):
 
     def _made_of(self, sample: Sample, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> RangeImage:
         """Make a clean sample in arrays of the camera's size. Raises BadSample or BadTransform."""
+        self._label_by_place(sample)
         if self._casts:
             sample = self._shaded(sample)
         made = self.augmentation_of(sample).into(sample, epoch, image, labels)
@@ -348,6 +380,7 @@ class RangeImages(SampleDataset):
             **self.selection.filters(),
             **({"transforms": transforms_to_json(self.transforms)} if self.transforms else {}),
             **({"labels": self.label_map.to_json()} if self._joins else {}),
+            **({} if self._regions is None else {"regions": hashlib.sha256(self._regions.tobytes()).hexdigest()}),
             **({"unlabelled": True} if self.unlabelled == UNLABELLED else {}),
             **({"columns": {name: column.digest for name, column in self.columns.items()}} if self.columns else {}),
             **({"planes": list(self.planes)} if self.planes else {}),
@@ -381,7 +414,7 @@ class RangeImages(SampleDataset):
     def places(self, index: int) -> list[Place]:
         """Where the bytes of a sample are, and those of its planes that are columns."""
         number, within = self._where(index)
-        files = [self.manifest, *(self.columns[name] for name in self.planes if name in self.columns)]
+        files = [self.manifest, *(self.columns[name] for name in self._read_planes if name in self.columns)]
         return [(self.reader.store, each.shards[number], within) for each in files]
 
     def evenly_sampled(self, count: int) -> NDArray[np.int64]:

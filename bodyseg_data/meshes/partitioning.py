@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadLandmarks
-from bodyseg_data.labels import BACKGROUND, LANDMARKS, PART_COUNT
+from bodyseg_data.labels import BACKGROUND, LANDMARKS
 from bodyseg_data.meshes.geodesics import FALLBACK_METHOD, GeodesicMethod, Unanswerable, check_method, nearest_sources
 from bodyseg_data.meshes.landmarks import nearest_corner
 from bodyseg_data.meshes.mending import MendedSurface, mend
@@ -25,7 +25,7 @@ from bodyseg_data.meshes.mesh import Mesh, face_components
 from bodyseg_data.meshes.solids import SurfacePiece, label_pieces
 
 _ROUNDS: Final = 4  # triangles by which distances are extended across a border
-_PARTS: Final = 64  # above the number of parts: encodes (vertex, part) as one number
+_PARTS: Final = 256  # above the number of parts: encodes (vertex, part) as one number
 
 
 @dataclass(frozen=True)
@@ -36,13 +36,15 @@ class Partition:
     to the landmark of that part; infinite where no landmark can be reached (another piece of the surface, or a vertex
     that no face uses), where the label is that of the nearest reached triangle in a straight line, or, on a
     `SurfacePiece`, of the nearest vertex of the parts that it covers. borders: the triangles that parts share. note:
-    repairs and a change of method in words, or None.
+    repairs and a change of method in words, or None. below: int64 [V], the vertex of the body under each vertex of a
+    `SurfacePiece`, -1 on things; all others stand for themselves. None without pieces.
     """
 
     labels: NDArray[np.uint8]
     distance: NDArray[np.float64]
     borders: Borders
     note: str | None = None
+    below: NDArray[np.int64] | None = None
 
     @property
     def holding(self) -> bool:
@@ -68,12 +70,17 @@ class Partition:
 
 
 def partition(
-    mesh: Mesh, landmarks: NDArray[np.int64], method: GeodesicMethod = "exact", pieces: Sequence[SurfacePiece] = ()
+    mesh: Mesh,
+    landmarks: NDArray[np.int64],
+    method: GeodesicMethod = "exact",
+    pieces: Sequence[SurfacePiece] = (),
+    names: Sequence[str] = LANDMARKS,
 ) -> Partition:
     """Label every vertex of `mesh` with its nearest landmark along the surface.
 
     landmarks: vertex indices [33] of any integer dtype, one for each of `parts.PARTS`, in that order. method: of
-    measuring distances (`geodesics.nearest_sources`). pieces: those that lie over the body (`Body.pieces`).
+    measuring distances (`geodesics.nearest_sources`). pieces: those that lie over the body (`Body.pieces`). names: of
+    other landmarks, at most 254.
 
     Defects that prevent distances along the surface are mended first (`mending.mend`): seams that are not welded,
     duplicate and degenerate faces, edges with more than two faces. If `method` fails even so,
@@ -87,9 +94,9 @@ def partition(
     rtree.
     """
     check_method(method)
-    landmarks = _checked_landmarks(mesh, landmarks)
+    landmarks = _checked_landmarks(mesh, landmarks, names)
     mended = mend(mesh.vertices, mesh.faces)
-    _check_distinct_points(mesh, landmarks, mended)
+    _check_distinct_points(mesh, landmarks, mended, names)
     notes = list(mended.notes)
     try:
         labels, distance, note = _nearest_landmarks(mesh, landmarks, mended, method)
@@ -126,10 +133,11 @@ def _with_borders(
     note: str | None,
     pieces: Sequence[SurfacePiece],
 ) -> Partition:
-    reached = np.isfinite(distance)
+    reached, below = np.isfinite(distance), None
     if pieces:
         piece = face_components(len(mesh.vertices), surface.faces)
-        reached |= label_pieces(mesh, pieces, piece, labels, distance)
+        below = label_pieces(mesh, pieces, piece, labels, distance)
+        reached |= below != np.arange(len(below))
     unreached = np.flatnonzero(~reached)
     if len(unreached):
         reached_faces = surface.faces[np.isfinite(distance[surface.faces]).all(axis=1)].astype(np.int32)
@@ -138,24 +146,26 @@ def _with_borders(
         labels = labels[surface.representative]
     for array in (labels, distance):
         array.flags.writeable = False
-    return Partition(labels, distance, find_borders(mesh, labels, distance, surface.representative), note)
+    return Partition(labels, distance, find_borders(mesh, labels, distance, surface.representative), note, below)
 
 
-def _checked_landmarks(mesh: Mesh, landmarks: NDArray[Any]) -> NDArray[np.int64]:
+def _checked_landmarks(mesh: Mesh, landmarks: NDArray[Any], names: Sequence[str]) -> NDArray[np.int64]:
     landmarks = np.asarray(landmarks)
-    if landmarks.shape != (PART_COUNT,) or not np.issubdtype(landmarks.dtype, np.integer):
+    if landmarks.shape != (len(names),) or not np.issubdtype(landmarks.dtype, np.integer):
         found = f"{landmarks.dtype} {landmarks.shape}"
-        raise BadLandmarks(f"mesh {mesh.name}: landmarks must be {PART_COUNT} whole numbers, found {found}")
-    for name, vertex, seen in zip(LANDMARKS, landmarks.tolist(), np.isin(landmarks, mesh.faces), strict=True):
+        raise BadLandmarks(f"mesh {mesh.name}: landmarks must be {len(names)} whole numbers, found {found}")
+    for name, vertex, seen in zip(names, landmarks.tolist(), np.isin(landmarks, mesh.faces), strict=True):
         if not seen:
             raise BadLandmarks(f"mesh {mesh.name}: landmarks must lie on the surface, found {name} at {vertex}")
     return landmarks.astype(np.int64)
 
 
-def _check_distinct_points(mesh: Mesh, landmarks: NDArray[np.int64], mended: MendedSurface) -> None:
+def _check_distinct_points(
+    mesh: Mesh, landmarks: NDArray[np.int64], mended: MendedSurface, names: Sequence[str]
+) -> None:
     """Raise BadLandmarks unless the landmarks are distinct points of the mended surface."""
     first: dict[int, str] = {}
-    for name, vertex in zip(LANDMARKS, mended.representative[landmarks].tolist(), strict=True):
+    for name, vertex in zip(names, mended.representative[landmarks].tolist(), strict=True):
         if vertex in first:
             both = f"{first[vertex]} and {name} at {mesh.vertices[vertex].tolist()}"
             raise BadLandmarks(f"mesh {mesh.name}: landmarks must lie in different places, found {both}")

@@ -119,15 +119,15 @@ def label_pieces(
     piece_of_vertex: NDArray[np.int32],
     labels: NDArray[np.uint8],
     distance: NDArray[np.float64],
-) -> NDArray[np.bool_]:
-    """Label the vertices of `pieces` in place, and return which they are, bool [V].
+) -> NDArray[np.int64]:
+    """Label the vertices of `pieces` in place, and return `Partition.below`, int64 [V].
 
     piece_of_vertex: int32 [V], index of the connected piece of each vertex. labels: uint8 [V], right wherever
     `distance` [V], metres, is finite. Raises BadLandmarks for a piece that holds a landmark or lies outside the mesh.
     """
     from scipy.spatial import cKDTree
 
-    over = np.zeros(len(labels), np.bool_)
+    below = np.arange(len(labels))
     for piece in pieces:
         if not 0 <= piece.vertex < len(labels):
             raise BadLandmarks(f"mesh {mesh.name}: a piece over the body must be a vertex, found {piece.vertex}")
@@ -136,8 +136,8 @@ def label_pieces(
             raise BadLandmarks(f"mesh {mesh.name}: the piece at vertex {piece.vertex} is the body, not over it")
         if piece.parts:
             covered = np.flatnonzero(np.isfinite(distance) & np.isin(labels, piece.parts))
-            labels[own] = labels[covered[cKDTree(mesh.vertices[covered]).query(mesh.vertices[own])[1]]]
+            below[own] = covered[cKDTree(mesh.vertices[covered]).query(mesh.vertices[own])[1]]
+            labels[own] = labels[below[own]]
         else:
-            labels[own] = BACKGROUND
-        over |= own
-    return over
+            labels[own], below[own] = BACKGROUND, -1
+    return below

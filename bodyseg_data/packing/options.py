@@ -29,7 +29,8 @@ class Packing:
     source, path, landmarks, units, up, pymeshlab: where bodies come from (`open_source`). meshes: how many of them,
     taken evenly from every subset; all if None. views: of each body. renderer, codec: by name. shard_samples: samples a
     shard. geodesics: how distances along the surface are measured. tolerance_mm, pymeshlab: how coarse meshes may be
-    (`reduced_body`). things: where things stand around the bodies (docs/reference/things.md).
+    (`reduced_body`). things: where things stand around the bodies (docs/reference/things.md). template: also pack the
+    map of the body, a column; the set's own bytes are the same without it.
     """
 
     source: str
@@ -47,6 +48,7 @@ class Packing:
     tolerance_mm: float | None = None
     pymeshlab: bool = False
     things: ThingsPlace = "none"
+    template: bool = False
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -55,6 +57,8 @@ class Packing:
         if self.shard_samples < 1:
             raise BadConfig(f"a shard holds at least one sample, found {self.shard_samples}")
         check_tolerance(self.tolerance_mm)
+        if self.template and self.tolerance_mm:
+            raise BadConfig(f"the map of the body is of whole meshes, found a tolerance of {self.tolerance_mm:g} mm")
         try:
             self.rig.check_reach(max(self.views.distances_cm) / 100)
         except BadConfig as error:

@@ -14,9 +14,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from bodyseg_data.bodies import BodyRef, collapsed
+from bodyseg_data.bodies import BodyRef, collapsed, load_template
 from bodyseg_data.core import BadConfig, BodysegError, ProgressCallback, silent
-from bodyseg_data.labels import PART_CLASSES
+from bodyseg_data.labels import PART_CLASSES, TEMPLATE
 from bodyseg_data.packing.mesh_reduction import reduced_body
 from bodyseg_data.packing.options import PACKING_VERSION, Packing, classes_from, forget_sources
 from bodyseg_data.packing.sampler import Sampler
@@ -28,6 +28,7 @@ from bodyseg_data.packing.writing import (
     cut,
     cut_again,
     digest_of,
+    files_of,
     forget_shard,
     record_skips,
     stored_skips,
@@ -39,10 +40,13 @@ from bodyseg_data.samples import SHADOW_THRESHOLDS, SPLITS, View
 from bodyseg_data.shards import (
     MANIFEST_FORMAT,
     MANIFEST_NAME,
+    Fields,
     Manifest,
     SkippedMesh,
+    column_tar,
     encode_sample,
     read_manifest,
+    write_column_manifest,
     write_manifest,
 )
 
@@ -118,9 +122,8 @@ def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...], plan: s
     parts = built.surface_labels(packing.geodesics)
     renderer = open_renderer(packing.renderer, built.mesh)
     try:
-        sampler = Sampler(
-            renderer, packing.rig, built.mesh, parts, source.name, body, packing.things, len(classes_from(source))
-        )
+        options = packing.things, len(classes_from(source)), built.template if packing.template else None
+        sampler = Sampler(renderer, packing.rig, built.mesh, parts, source.name, body, *options)
         samples = (sampler.take(view) for view in views)
         notes = (*built.notes, *(() if (note := getattr(parts, "note", None)) is None else (note,)))
         return Rendered([(sample.key, encode_sample(sample, packing.codec)) for sample in samples], notes)
@@ -147,6 +150,8 @@ def pack(
     """
     forget_sources()
     check_folder(out)
+    if packing.template and not getattr(packing.opened(), "on_template", False):
+        raise BadConfig(f"the map of the body is of bodies that are made, found the source {packing.source!r}")
     bodies = packing.bodies()
     skips = SkipList(on_faults, len(bodies), packing.path)
     try:
@@ -175,7 +180,7 @@ def pack(
                     raise error
                 skips.add({body.mesh: str(error)})
                 for shard in cut_again(shards, body):
-                    forget_shard(out, state, shard.name)
+                    forget_shard(out, state, files_of(packing, shard.name))
                 late[body.mesh] = skips.reasons[body.mesh]
                 record_skips(state, late)
             manifest = Manifest(
@@ -189,6 +194,10 @@ def pack(
                 skipped=tuple(SkippedMesh(mesh, reason) for mesh, reason in skips.reasons.items()),
             )
             manifest = read_manifest(out) if (out / MANIFEST_NAME).exists() else write_manifest(manifest, out)
+            if packing.template:
+                tars = [records[column_tar(shard.name, TEMPLATE)] for shard in shards]
+                planes, name = {TEMPLATE: "uint16"}, load_template().name
+                write_column_manifest(out, manifest, TEMPLATE, tars, planes, Fields(()), name)
             shutil.rmtree(state)
     except BrokenExecutor as error:
         killed = f"a worker process was killed (out of memory?) while packing {out}"

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts import ShadowTest, shadow_tests
-from bodyseg_data.bodies import BodyRef
-from bodyseg_data.labels import BACKGROUND, PART_COUNT, UNLABELLED
+from bodyseg_data.bodies import NOWHERE, BodyRef, load_template
+from bodyseg_data.labels import BACKGROUND, PART_COUNT, TEMPLATE, UNLABELLED
 from bodyseg_data.meshes import Mesh, Partition, SceneMesh
 from bodyseg_data.packing.occluders import occluder_range
 from bodyseg_data.packing.things import Things, ThingsPlace, draw_things, nearest
@@ -40,6 +40,8 @@ class Sampler:
     """Takes samples of one body or scene with one rig; all that does not depend on the view is computed once.
 
     parts: its labels, below `classes`. things: where things stand that are drawn for each sample (`draw_things`).
+    template: `Body.template`, for samples with the plane `TEMPLATE`: the nearest point of the template, uint16, or
+    `NOWHERE`; of clothes that lie over the body, that of the skin below.
     """
 
     def __init__(
@@ -52,9 +54,11 @@ class Sampler:
         body: BodyRef,
         things: ThingsPlace = "none",
         classes: int = PART_COUNT,
+        template: NDArray[np.float64] | None = None,
     ) -> None:
         self._renderer, self._rig, self._mesh, self._parts = renderer, rig, mesh, parts
         self._source, self._body, self._place, self._classes = source, body, things, classes
+        self._template, self._below = template, parts.below if isinstance(parts, Partition) else None
         self._tests = shadow_tests(rig)
         corners = parts.corners(mesh)
         whole = (corners == corners[:, :1]).all(axis=1)
@@ -105,7 +109,12 @@ class Sampler:
         fields |= asdict(view)
         info = SampleInfo(body.split, {**fields, "things": place, "hidden_pct": hidden_pct})
         second = facing[1] if len(facing) == 2 else None
-        sample = Sample(key, range_image, np.concatenate(occluders), labels, facing[0], info, faces_second=second)
+        planes: dict[str, NDArray[np.uint16]] = {}
+        if self._template is not None:
+            planes[TEMPLATE] = np.full(seen.face.shape, NOWHERE, np.uint16)
+            seen_at = points(np.arange(len(pixels)))
+            planes[TEMPLATE].ravel()[pixels] = self._places(faces, seen_at, self._template)
+        sample = Sample(key, range_image, np.concatenate(occluders), labels, facing[0], info, None, second, planes)
         sample.check(self._classes)
         return sample
 
@@ -136,6 +145,19 @@ class Sampler:
         labels[shared] = self._parts.labels_at(self._mesh, faces[shared], points(shared))
         labels[labels == BACKGROUND] = UNLABELLED  # a thing that is held or worn
         return labels
+
+    def _places(
+        self, faces: NDArray[np.int32], points: NDArray[np.float64], template: NDArray[np.float64]
+    ) -> NDArray[np.uint16]:
+        """Numbers, uint16 [N], of the template's points nearest to `points` [N, 3] of triangles [N], or `NOWHERE`."""
+        corners, weights = self._mesh.faces[faces], self._mesh.barycentric(faces, points)
+        if self._below is not None:
+            over = self._below[corners[:, 0]] != corners[:, 0]
+            nearest = corners[np.arange(len(corners)), weights.argmax(axis=1)]
+            corners = np.where(over[:, None], self._below[nearest][:, None], corners)
+        numbers = load_template().nearest(np.einsum("nc,nci->ni", weights, template[corners]))
+        numbers[corners[:, 0] < 0] = NOWHERE
+        return numbers
 
     def _facing(
         self, faces: NDArray[np.int32], points: PointsAt, source: NDArray[np.float64], eye: NDArray[np.float64]

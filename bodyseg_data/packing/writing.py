@@ -24,6 +24,7 @@ from bodyseg_data.bodies import BodyRef
 from bodyseg_data.core import BadConfig, BadShard, ProgressCallback
 from bodyseg_data.files import claimed as held_alone
 from bodyseg_data.files import is_leftover, write_atomically
+from bodyseg_data.labels import TEMPLATE
 from bodyseg_data.packing.jobs import ordered
 from bodyseg_data.packing.options import Packing
 from bodyseg_data.packing.skipping import SKIPPABLE
@@ -34,6 +35,8 @@ from bodyseg_data.shards import (
     Fields,
     ShardRecord,
     TarWriter,
+    column_file,
+    column_tar,
     read_manifest,
     record_from_json,
     record_to_json,
@@ -41,11 +44,15 @@ from bodyseg_data.shards import (
 
 STATE_NAME: Final = ".packing"
 _SKIPPED: Final = "skipped.json"
+_NO_FIELDS: Final = Fields(())
+_COLUMN: Final = f"plane.{TEMPLATE}."
 
 
 @dataclass(frozen=True)
 class Rendered:
-    """The result of a run. samples: key and members (extension -> bytes). notes: lines about the body."""
+    """The result of a run. samples: key and members (extension -> bytes), with a column those of its tar, too. notes:
+    lines about the body.
+    """
 
     samples: list[tuple[str, dict[str, bytes]]]
     notes: tuple[str, ...]
@@ -61,6 +68,11 @@ class Shard:
 
     def __len__(self) -> int:
         return sum(len(views) for _, views in self.runs)
+
+
+def files_of(packing: Packing, shard: str) -> list[str]:
+    """The tars of a shard: its own and, of a packing with the map of the body, that of this column."""
+    return [shard, column_tar(shard, TEMPLATE)] if packing.template else [shard]
 
 
 def cut(packing: Packing, bodies: Sequence[BodyRef]) -> list[Shard]:
@@ -96,36 +108,49 @@ def write_shards(
     progress: ProgressCallback,
 ) -> tuple[tuple[BodyRef, Exception] | None, dict[str, ShardRecord]]:
     """Write the shards that are not yet there. Returns the first body that cannot be packed and the error, or None, and
-    the records of all finished shards.
+    the records of all finished tars.
 
     folders: of the set and of its state. render: begins to render a body from some views.
     """
     out, state = folders
     total = sum(len(shard) for shard in shards)
     records = finished_shards(out, state, [shard.name for shard in shards])
-    done = sum(len(record) for record in records.values())
+    if packing.template:
+        names = [column_tar(shard.name, TEMPLATE) for shard in shards]
+        records |= finished_shards(out, state, names, _NO_FIELDS, column_file(TEMPLATE))
+    todo = [shard for shard in shards if not records.keys() >= {*files_of(packing, shard.name)}]
+    done = total - sum(map(len, todo))
     progress(done, total)
-    todo = [shard for shard in shards if shard.name not in records]
     jobs = (partial(render, body, views) for shard in todo for body, views in shard.runs)
     with contextlib.closing(ordered(jobs, workers)) as results:
         for shard in todo:
-            with TarWriter(out / shard.name, state / f"{shard.name}.part", shard.split) as writer:
+            with contextlib.ExitStack() as stack:
+                writers = {}
+                for name in files_of(packing, shard.name):
+                    if name not in records:
+                        fields = BODY_FIELDS if name == shard.name else _NO_FIELDS
+                        writer = TarWriter(out / name, state / f"{name}.part", shard.split, fields)
+                        writers[name] = stack.enter_context(writer)
                 for body, views in shard.runs:
                     try:
                         rendered = next(results)
                     except SKIPPABLE as error:
                         return (body, error), records
                     for key, members in rendered.samples:
-                        writer.write(key, members)
+                        apart = {name: data for name, data in members.items() if name.startswith(_COLUMN)}
+                        whole = {name: data for name, data in members.items() if name not in apart}
+                        for name, writer in writers.items():
+                            writer.write(key, whole if name == shard.name else apart)
                         done += 1
                     # A body that goes on in the next shard is noted where it begins.
-                    if views[0] == next(packing.views_of(body)):
-                        writer.note(body.mesh, rendered.notes)
+                    if shard.name in writers and views[0] == next(packing.views_of(body)):
+                        writers[shard.name].note(body.mesh, rendered.notes)
                     progress(done, total)
-            if writer.record is None:
-                raise BadShard(f"{shard.name} was not written")
-            records[shard.name] = writer.record
-            record_shard(state, writer.record)
+            for name, writer in writers.items():
+                if writer.record is None:
+                    raise BadShard(f"{name} was not written")
+                records[name] = writer.record
+                record_shard(state, writer.record)
     return None, records
 
 
@@ -186,16 +211,17 @@ def _check_plan(path: Path, description: dict[str, Any], out: Path) -> None:
 
 
 def finished_shards(
-    out: Path, state: Path, names: Sequence[str], fields: Fields = BODY_FIELDS
+    out: Path, state: Path, names: Sequence[str], fields: Fields = BODY_FIELDS, manifest: str = MANIFEST_NAME
 ) -> dict[str, ShardRecord]:
     """Records of the shards that an earlier run finished and that still have the bytes it wrote. fields: of the set.
 
     If `out` has a manifest and not all of its shards are intact, the manifest goes: the set is no longer complete.
+    manifest: its name, that of a column for the column's tars.
     """
     known: dict[str, ShardRecord] = {}
-    complete = (out / MANIFEST_NAME).exists()
+    complete = (out / manifest).exists()
     if complete:
-        known = {record.name: record for record in read_manifest(out).shards}
+        known = {record.name: record for record in read_manifest(out, name=manifest).shards}
     else:
         for name in names:
             with contextlib.suppress(OSError, ValueError, RecursionError, BadShard):
@@ -204,7 +230,7 @@ def finished_shards(
     if complete and len(records) < len(names):
         for record in records.values():
             record_shard(state, record)
-        (out / MANIFEST_NAME).unlink()
+        (out / manifest).unlink()
     return records
 
 
@@ -222,10 +248,11 @@ def record_shard(state: Path, record: ShardRecord) -> None:
     write_atomically(state / f"{record.name}.json", json.dumps(record_to_json(record)).encode())
 
 
-def forget_shard(out: Path, state: Path, name: str) -> None:
-    """Delete a shard and its record: it is cut anew."""
-    (state / f"{name}.json").unlink(missing_ok=True)
-    (out / name).unlink(missing_ok=True)
+def forget_shard(out: Path, state: Path, names: Sequence[str]) -> None:
+    """Delete the tars of a shard and their records: it is cut anew."""
+    for name in names:
+        (state / f"{name}.json").unlink(missing_ok=True)
+        (out / name).unlink(missing_ok=True)
 
 
 def stored_skips(out: Path, state: Path, checked: Sequence[str]) -> dict[str, str]:

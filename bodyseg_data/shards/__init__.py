@@ -9,7 +9,16 @@ if TYPE_CHECKING:
     from bodyseg_data.shards.cache import with_cache, with_kept_index
     from bodyseg_data.shards.codecs import CODECS, CodecName
     from bodyseg_data.shards.codecs.png import SIGNATURE, check_checksums, decode_chunks, read_chunks, read_header
-    from bodyseg_data.shards.columns import ColumnWriter, column_files, column_names, open_columns, with_columns
+    from bodyseg_data.shards.columns import (
+        ColumnWriter,
+        column_file,
+        column_files,
+        column_names,
+        column_tar,
+        open_columns,
+        with_columns,
+        write_column_manifest,
+    )
     from bodyseg_data.shards.faults import find_column_faults, find_faults, find_index_faults
     from bodyseg_data.shards.manifest import (
         EXTERNAL,

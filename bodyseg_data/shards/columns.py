@@ -227,21 +227,40 @@ class ColumnWriter:
                 f"column {self._name!r} must have every sample of the set: {len(lacking)} of {len(self._places)} are "
                 f"missing, {lacking[0]} the first"
             )
-        column = replace(
-            self._set,
-            rigs=(self._set.rig,),
-            source="column",
-            renderer="",
-            plan=self._set.digest,
-            shards=tuple(self._records[at] for at in range(len(self._records))),
-            skipped=(),
-            fields=self._fields,
-            projector="none",
-            planes={self._name: self._kind} if self._is_plane else {},
-        )
-        names = sorted({*column_names(LocalFolder(self._folder)), self._name})
+        planes = {self._name: self._kind} if self._is_plane else {}
+        records = [self._records[at] for at in range(len(self._records))]
         try:
-            write_atomically(self._folder / column_file(self._name), manifest_bytes(column))
-            write_atomically(self._folder / COLUMNS_NAME, json.dumps({"columns": names}).encode() + b"\n")
+            write_column_manifest(self._folder, self._set, self._name, records, planes, self._fields)
         except OSError as error:
             raise BadConfig(f"cannot write {self._folder}: {error.strerror or error}") from error
+
+
+def write_column_manifest(
+    folder: Path,
+    manifest: Manifest,
+    name: str,
+    records: Sequence[ShardRecord],
+    planes: Mapping[str, str],
+    fields: Fields,
+    source: str = "column",
+) -> None:
+    """Write the manifest of a column whose tars are written, and its name into the list of columns.
+
+    manifest: of the set. records: of the tars, in the order of its shards. planes, fields: what they hold. source: what
+    wrote them.
+    """
+    column = replace(
+        manifest,
+        rigs=(manifest.rig,),
+        source=source,
+        renderer="",
+        plan=manifest.digest,
+        shards=tuple(records),
+        skipped=(),
+        fields=fields,
+        projector="none",
+        planes=planes,
+    )
+    names = sorted({*column_names(LocalFolder(folder)), name})
+    write_atomically(folder / column_file(name), manifest_bytes(column))
+    write_atomically(folder / COLUMNS_NAME, json.dumps({"columns": names}).encode() + b"\n")

@@ -120,6 +120,9 @@ class SetView:
             answered = self.label_map
             self.label_map = load_label_map(labels, self.images.manifest.classes)
             self._joined = answered.joined_to(self.label_map)
+        if self.label_map.template is not None:
+            chosen = {"only": only, "where": where, "val_share": val_share, "labels": self.label_map}
+            self.images = RangeImages(path, "none", split, seed, **chosen)
         self.rig = self.images.manifest.rig
         self._clean = lru_cache(maxsize=4)(self.images.clean)
         self._asked = False

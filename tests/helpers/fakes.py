@@ -18,6 +18,7 @@ class Figures:
     """Six figures of two subjects, each a little different; the last one of each subject is for testing."""
 
     name = "open"
+    on_template = True
 
     def bodies(self) -> Sequence[BodyRef]:
         return [
@@ -37,7 +38,8 @@ class Figures:
         plain = figure(body.mesh)
         mesh = Mesh(body.mesh, plain.vertices * (1 + 0.02 * number, 1 - 0.02 * number, 1.0), plain.faces)
         # Equal steps through the vertices of all five pieces: a piece without a landmark would cost most of the time.
-        return Body(mesh, np.linspace(0, len(mesh.vertices) - 1, PART_COUNT).astype(np.int64))
+        landmarks = np.linspace(0, len(mesh.vertices) - 1, PART_COUNT).astype(np.int64)
+        return Body(mesh, landmarks, template=plain.vertices)
 
 
 @dataclass(frozen=True)

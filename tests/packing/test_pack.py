@@ -1,14 +1,12 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
-import math
 import os
 import signal
 import time
 from collections.abc import Callable
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +15,7 @@ import pytest
 import warm
 from fakes import Figures
 from folders import HELPERS
+from packings import Interrupted, Renders, contents
 from small_rig import SMALL_FILE
 
 from bodyseg_data.bodies import Body, BodyRef, open_source
@@ -32,11 +31,6 @@ from bodyseg_data.samples.views import Drawn
 from bodyseg_data.shards import read_manifest
 
 Pack = Callable[..., Path]
-
-
-def contents(folder: Path) -> dict[str, str]:
-    """Name -> hash of every file of a set."""
-    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir() if path.is_file()}
 
 
 def test_packing_twice_gives_the_same_bytes(figures_set: Path, tmp_path: Path, pack_figures: Pack) -> None:
@@ -87,35 +81,6 @@ def test_no_mesh_has_views_on_both_sides(figures_set: Path) -> None:
             sides.setdefault(key.rpartition("-d")[0], set()).add(shard.split)
     assert len(sides) == 6
     assert all(len(splits) == 1 for splits in sides.values())
-
-
-class Interrupted(Exception):
-    """Stands for whatever ends a process in the middle of its work."""
-
-
-class Renders(Executor):
-    """Renders at once what was not rendered before, and ends the packing after so many runs.
-
-    Rendering twice gives the same bytes, which the first test here shows; what follows is about what is kept of it.
-    """
-
-    def __init__(self, known: dict[Any, Any], limit: float = math.inf) -> None:
-        self._known, self._left = known, limit
-
-    def submit(self, fn: Callable[..., Any], /, packing: Packing, *run: Any, **kwargs: Any) -> Future[Any]:  # type: ignore[override]
-        future: Future[Any] = Future()
-        self._left -= 1
-        if self._left < 0:
-            future.set_exception(Interrupted())
-            return future
-        key = (packing.tolerance_mm, run[:2])
-        try:
-            if key not in self._known:
-                self._known[key] = fn(packing, *run, **kwargs)
-            future.set_result(self._known[key])
-        except Exception as error:
-            future.set_exception(error)
-        return future
 
 
 @pytest.fixture(scope="module")

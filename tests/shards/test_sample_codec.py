@@ -28,7 +28,7 @@ from bodyseg_data.samples import Sample
 from bodyseg_data.shards import CODECS, CodecName, check_codec, encode_sample, read_chunks, read_header
 from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
 from bodyseg_data.shards.codecs.png import decode_png, encode_png
-from bodyseg_data.shards.codecs.residuals import unzigzag, zigzag
+from bodyseg_data.shards.codecs.residuals import decode_copies, unzigzag, zigzag
 from bodyseg_data.shards.earlier import split_label_bytes
 from bodyseg_data.shards.sample_codec import decode_sample
 
@@ -636,3 +636,26 @@ def test_arrays_that_do_not_fit_are_left_alone(codec: CodecName) -> None:
         assert same(replace(decode_sample(sample.key, stored, out=out), occupancy=None), sample)
         assert not out[0].any()
         assert not out[1].any()
+
+
+def test_planes_of_many_regions_come_back_and_damage_is_refused() -> None:
+    codec, random = CODECS["bsi"], np.random.default_rng(0)
+    for shape in ((1, 1), (1, 9), (7, 1), (23, 31), (40, 64)):
+        for cells in (1, 2, 5):
+            few = random.integers(0, 65536, (-(-shape[0] // cells), -(-shape[1] // cells))).astype(np.uint16)
+            plane = np.repeat(np.repeat(few, cells, 0), cells, 1)[: shape[0], : shape[1]]
+            data = codec.encode_plane(plane)["bsp"]
+            assert data[:4] == b"BSP2"
+            np.testing.assert_array_equal(codec.decode_plane(data), plane)
+    assert codec.encode_plane(np.zeros((64, 64), np.uint16))["bsp"][:4] == b"BSP1"
+    new, left, above = 2, 1, 0
+    wrong = (
+        ([above, above], 0, "edge cannot equal"),
+        ([left, above], 0, "edge"),
+        ([new, new], 1, "2 pixels have a number"),
+    )
+    for (first, second), count, message in wrong:
+        with pytest.raises(ValueError, match=message):
+            decode_copies(np.array([first + 3 * second], np.uint8), np.zeros(2 * count, np.uint8), (1, 2))
+    with pytest.raises(ValueError, match="five pixels take 0 to 242, found 243"):
+        decode_copies(np.array([243], np.uint8), np.zeros(0, np.uint8), (1, 2))

@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.alignment import Alignment, upright_rotation
-from bodyseg_data.bodies.given_labels import ClassTable, NamedCorners, file_labels, labels_from_file, with_sides
+from bodyseg_data.bodies.given_labels import ClassTable, NamedCorners, file_labels, labels_from_file
 from bodyseg_data.bodies.mesh_bodies import files_below
 from bodyseg_data.bodies.source import DEFAULTS, Body, BodyRef, ListedBodies, MeshOptions
 from bodyseg_data.bodies.sources.folder import body_ref
 from bodyseg_data.core import BadConfig, BadMesh
 from bodyseg_data.files import Table, read_json
-from bodyseg_data.labels import BACKGROUND, Classes, classes_from_json
+from bodyseg_data.labels import BACKGROUND, Classes, classes_from_json, with_sides
 from bodyseg_data.meshes import METRES, Mesh, MeshContent, SceneMesh, mesh_content, scene_stem, welded
 from bodyseg_data.samples import SPLITS
 

@@ -50,6 +50,9 @@ Listed = Iterator[tuple[BodyRef, Maker]]
 class MadeBodies(ListedBodies[Maker]):
     """Bodies that are made on demand, each from its figure."""
 
+    on_template = True
+    """Their `Body.template` is known."""
+
     def __init__(self, name: str, figures: Mapping[BodyRef, Maker]) -> None:
         """figures: called for one body at a time, so that listing bodies computes no pose."""
         super().__init__(figures)
@@ -89,7 +92,8 @@ class MadeBodies(ListedBodies[Maker]):
         """
         figure = self.figure(body)
         vertices, faces = self.model.surface(figure, dressed)
-        return Body(Mesh(body.mesh, vertices, faces), np.array(load_landmarks("open").vertices, np.int64))
+        landmarks = np.array(load_landmarks("open").vertices, np.int64)
+        return Body(Mesh(body.mesh, vertices, faces), landmarks, template=self.model.places(figure))
 
 
 class OpenBodies(MadeBodies):
@@ -329,10 +333,12 @@ class EverydayBodies(MadeBodies):
         wearer, vertices, faces = self._wearer(figure)
         cloth = None if attire.drape is None else draped(wearer, attire.drape)
         if attire.drape is not None and cloth is None:
-            wearer, vertices, faces = self._wearer(replace(figure, outfit=self._outfit(body)))
+            figure = replace(figure, outfit=self._outfit(body))
+            wearer, vertices, faces = self._wearer(figure)
         vertices, faces, pieces = joined(vertices, faces, put_on(wearer, attire, cloth))
         landmarks = np.array(load_landmarks("open").vertices, np.int64)
-        return Body(Mesh(body.mesh, standing(vertices), faces), landmarks, pieces=pieces)
+        mesh = Mesh(body.mesh, standing(vertices), faces)
+        return Body(mesh, landmarks, pieces=pieces, template=self.model.places(figure))
 
     def _wearer(self, figure: Figure) -> tuple[Wearer, NDArray[np.float64], NDArray[np.int32]]:
         vertices, faces = self.model.surface(figure, dressed=True)

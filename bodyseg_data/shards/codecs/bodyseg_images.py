@@ -28,7 +28,10 @@ from bodyseg_data.shards.codecs.residuals import (
     Slopes,
     bounding_box,
     checked_lengths,
+    copied_bytes,
+    decode_copies,
     decode_slopes,
+    encode_copies,
     encode_slopes,
     escape_large,
     find_runs,
@@ -43,6 +46,8 @@ _LOOPS: Final = "bodyseg_data.shards.codecs.bodyseg_loops"
 _MAGIC: Final = b"BSI3"
 _EARLIER_MAGIC: Final = b"BSI2"
 _PLANE_MAGIC: Final = b"BSP1"
+_COPIED_MAGIC: Final = b"BSP2"
+_MANY_RUNS: Final = 32  # a plane with a run for less than so many pixels is stored as copies
 _START: Final = struct.Struct("<4sI")  # the magic, a CRC-32 of all that follows
 _CAMERA: Final = struct.Struct("<6H6I")
 _PROJECTOR: Final = struct.Struct("<H6H5I")
@@ -104,20 +109,28 @@ class BodysegImages:
             raise ValueError(f"bsi: {error}") from error
 
     def encode_plane(self, plane: Bytes | Range) -> dict[str, bytes]:
-        """See `ImageCodec.encode_plane`: runs, of which images of classes and instances have few."""
+        """See `ImageCodec.encode_plane`: runs, of which images of classes and instances have few; else copies."""
         runs = find_runs(plane)
+        if _MANY_RUNS * len(runs.values) > plane.size and plane.itemsize == 2:
+            kinds, numbers = encode_copies(plane.astype(np.uint16))
+            checked = _PLANE.pack(2, *plane.shape, len(numbers) // 2, 0) + _frame([kinds, numbers])
+            return {"bsp": _START.pack(_COPIED_MAGIC, zlib.crc32(checked)) + checked}
         lengths, long = escape_large(runs.lengths, np.uint32)
         header = _PLANE.pack(plane.itemsize, *plane.shape, len(runs.values), len(long) // 4)
         checked = header + _frame([to_byte_planes(runs.values), lengths, long])
         return {"bsp": _START.pack(_PLANE_MAGIC, zlib.crc32(checked)) + checked}
 
     def decode_plane(self, data: bytes) -> Bytes | Range:
-        view = _checked(data, (_PLANE_MAGIC,), _PLANE.size)
+        view = _checked(data, (_PLANE_MAGIC, _COPIED_MAGIC), _PLANE.size)
         width, rows, columns, count, long = _PLANE.unpack_from(view)
         box = Box(0, 0, rows, columns)
         _check_header((rows, columns), box, CameraCounts(count, long, 0, 0, 0))
         if width not in (1, 2):
             raise ValueError(f"a plane has 1 or 2 bytes a pixel, found {width}")
+        if data[:4] == _COPIED_MAGIC:
+            sizes = copied_bytes((rows, columns), count)
+            kinds, numbers = _split(_numbers(view[_PLANE.size :], sum(sizes)), sizes)
+            return decode_copies(kinds, numbers, (rows, columns))
         sizes = [width * count, count, 4 * long]
         values, lengths, longs = _split(_numbers(view[_PLANE.size :], sum(sizes)), sizes)
         stored = from_byte_planes(values, np.uint8 if width == 1 else np.uint16)

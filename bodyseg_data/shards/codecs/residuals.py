@@ -190,3 +190,48 @@ def _ranges(firsts: Range, steps: Range, starts: NDArray[np.int64], body: NDArra
         flat[starts[1:]] -= gone[:-1]
     np.cumsum(flat, dtype=np.uint16, out=flat)
     return crop
+
+
+_DIGITS: Final = 3 ** np.arange(5)
+_ABOVE, _LEFT, _NEW = range(3)
+
+
+def encode_copies(plane: Range) -> tuple[Bytes, Bytes]:
+    """Encode an image of many small regions: for each pixel whether it equals the one above, else the one to the left,
+    else neither, five in a byte; and the numbers of the last kind, as zigzag differences in byte planes.
+    """
+    kinds = np.full(plane.shape, _NEW, np.uint8)
+    kinds[:, 1:][plane[:, 1:] == plane[:, :-1]] = _LEFT
+    kinds[1:][plane[1:] == plane[:-1]] = _ABOVE
+    numbers = plane[kinds == _NEW]
+    padded = np.concatenate([kinds.ravel(), np.zeros(-plane.size % 5, np.uint8)]).reshape(-1, 5)
+    return (padded @ _DIGITS).astype(np.uint8), to_byte_planes(zigzag(np.diff(numbers, prepend=np.uint16(0))))
+
+
+def copied_bytes(size: tuple[int, int], count: int) -> list[int]:
+    """Bytes of what `encode_copies` gives for an image of this size with so many numbers."""
+    return [-(-size[0] * size[1] // 5), 2 * count]
+
+
+def decode_copies(packed: Bytes, stored: Bytes, size: tuple[int, int]) -> Range:
+    """Decode what `encode_copies` gave. Raises ValueError for other bytes."""
+    pixels, columns = size[0] * size[1], size[1]
+    if packed.size and packed.max() >= 3**5:
+        raise ValueError(f"five pixels take 0 to {3**5 - 1}, found {packed.max()}")
+    table = (np.arange(3**5)[:, None] // _DIGITS % 3).astype(np.uint8)
+    kinds = table[packed].reshape(-1)[:pixels]
+    numbers = np.cumsum(unzigzag(from_byte_planes(stored, np.uint16)), dtype=np.uint16)
+    new = kinds == _NEW
+    if int(new.sum()) != len(numbers):
+        raise ValueError(f"{int(new.sum())} pixels have a number of their own, found {len(numbers)}")
+    if (kinds[:columns] == _ABOVE).any() or (kinds[::columns] == _LEFT).any():
+        raise ValueError("a pixel at the edge cannot equal one beyond it")
+    index = np.arange(pixels)
+    # From the pixel that a stretch of equal ones to the right begins with, up to the one that it equals, and so on.
+    source = np.maximum.accumulate(np.where(kinds == _LEFT, 0, index))
+    source -= np.where(kinds[source] == _ABOVE, columns, 0)
+    while not new[source].all():
+        source = source[source]
+    found = np.zeros(pixels, np.uint16)
+    found[new] = numbers
+    return found[source].reshape(size)

@@ -14,10 +14,9 @@ from small_rig import SMALL_FILE
 
 from bodyseg_data import RangeImages
 from bodyseg_data.bodies import Body, open_source
-from bodyseg_data.bodies.given_labels import with_sides
 from bodyseg_data.commands.cli import main
 from bodyseg_data.core import BadConfig, BadMesh
-from bodyseg_data.labels import classes_from_json
+from bodyseg_data.labels import classes_from_json, with_sides
 from bodyseg_data.meshes import cuboid
 from bodyseg_data.shards import read_manifest
 

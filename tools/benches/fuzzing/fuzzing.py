@@ -36,8 +36,16 @@ from bodyseg_data.meshes import load_landmark_file, read_mesh
 from bodyseg_data.renders import open_renders
 from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import Sample
-from bodyseg_data.shards import BODY_FIELDS, CODECS, MANIFEST_NAME, decode_sample, read_manifest, record_from_json
-from bodyseg_data.shards.columns import column_file, read_column
+from bodyseg_data.shards import (
+    BODY_FIELDS,
+    CODECS,
+    MANIFEST_NAME,
+    column_file,
+    decode_sample,
+    read_manifest,
+    record_from_json,
+)
+from bodyseg_data.shards.columns import read_column
 from bodyseg_data.shards.earlier import EARLIER_FIELDS, piece_as_current
 from bodyseg_data.shards.index import Piece
 from bodyseg_data.shards.tar import parse_members

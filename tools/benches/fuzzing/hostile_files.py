@@ -28,9 +28,8 @@ from benches.fuzzing.hostile import hostile_image, hostile_json, hostile_png, ho
 from bodyseg_data.labels import LANDMARKS, UNLABELLED, LabelClass, classes_of
 from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import SPLITS, Sample, SampleInfo, Value
-from bodyseg_data.shards import BODY_FIELDS, CODECS, CodecName, Fields, Manifest, ShardRecord, encode_sample
+from bodyseg_data.shards import BODY_FIELDS, CODECS, CodecName, Fields, Manifest, ShardRecord, column_tar, encode_sample
 from bodyseg_data.shards.codecs.png import encode_png
-from bodyseg_data.shards.columns import column_tar
 from bodyseg_data.shards.earlier import EARLIER_FORMATS
 from bodyseg_data.shards.index import encode_piece, write_index
 from bodyseg_data.shards.records import describe

