@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
@@ -111,7 +111,8 @@ class SetView:
         seed: int = 0,
         labels: str | Path | LabelMap | None = None,
     ) -> None:
-        self.images = RangeImages(path, "none", split, seed, only=only, where=where, val_share=val_share)
+        opened = partial(RangeImages, path, "none", split, seed, only=only, where=where, val_share=val_share)
+        self.images = opened()
         self.path, self.trained, self.val_share, self.seed = path, trained, val_share, seed
         own = self.images.label_map
         self.label_map = own if trained is None else load_label_map(trained.label_map, self.images.manifest.classes)
@@ -121,8 +122,7 @@ class SetView:
             self.label_map = load_label_map(labels, self.images.manifest.classes)
             self._joined = answered.joined_to(self.label_map)
         if self.label_map.template is not None:
-            chosen = {"only": only, "where": where, "val_share": val_share, "labels": self.label_map}
-            self.images = RangeImages(path, "none", split, seed, **chosen)
+            self.images = opened(labels=self.label_map)
         self.rig = self.images.manifest.rig
         self._clean = lru_cache(maxsize=4)(self.images.clean)
         self._asked = False
