@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -20,6 +21,7 @@ from benches.results.trainings import (
     OPEN,
     READ,
     REFERENCE_RUNS,
+    SENSOR_RUNS,
     SMALLER_LINKS,
     VARIANT_RUNS,
     Links,
@@ -173,6 +175,10 @@ def _stability() -> Iterator[Step]:
     ):
         yield _bench("numerical", "--data", OPEN, "--views", "25", "--runs", run, to=to)
     yield _stability_of("stability", VARIANT_RUNS, data=KINECT_SET)
+    lost = ("noise", "missing", "patches", "stripes", "mixed", "speed", "clothes", "ambient")
+    few = ("--sweeps", *lost, "--images", "20", "--threads", "1")
+    compared = (*VARIANT_RUNS, *itertools.chain(*(seeds(f"runs/kinect/{row}") for row in SENSOR_RUNS)))
+    yield _stability_of("variants_stability", compared, sweeps=few, data=KINECT_SET, drawn=True)
     yield _stability_of("stability_fcn_alexnet", ALEXNET_RUNS)
     yield _stability_of("stability_networks", (*seeds("runs/networks/compact"), BOX, *LOSSES_RUNS), BOX_LINKS)
     yield _stability_of("stability_architectures", NETWORK_RUNS)
@@ -187,12 +193,17 @@ def _stability() -> Iterator[Step]:
 
 
 def _stability_of(
-    name: str, runs: tuple[str, ...], links: Links = (), sweeps: tuple[str, ...] = _ALL_SWEEPS, data: str = OPEN
+    name: str,
+    runs: tuple[str, ...],
+    links: Links = (),
+    sweeps: tuple[str, ...] = _ALL_SWEEPS,
+    data: str = OPEN,
+    drawn: bool = False,
 ) -> Step:
     """A step of `bodyseg stability`; on all sweeps with a picture, and of `OPEN` beside the networks of reference."""
     out = f"stability/{name}"
-    drawn = sweeps == _ALL_SWEEPS
-    compared = ("--reference", *REFERENCE_RUNS, "--hard", HARD) if drawn and data == OPEN else ()
+    drawn = drawn or sweeps == _ALL_SWEEPS
+    compared = ("--reference", *REFERENCE_RUNS, "--hard", HARD) if sweeps == _ALL_SWEEPS and data == OPEN else ()
     words = ("bodyseg", "stability", "--run", *runs, "--data", data, "--out", out, *compared, *sweeps)
     results = [(f"{out}/stability.{kind}", f"{name}.{kind}") for kind in ("json", *(("png",) if drawn else ()))]
     return Step(name, "results", words, tuple(results), links)
