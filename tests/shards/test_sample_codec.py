@@ -638,6 +638,7 @@ def test_arrays_that_do_not_fit_are_left_alone(codec: CodecName) -> None:
         assert not out[1].any()
 
 
+@pytest.mark.usefixtures("either_form")
 def test_planes_of_many_regions_come_back_and_damage_is_refused() -> None:
     codec, random = CODECS["bsi"], np.random.default_rng(0)
     for shape in ((1, 1), (1, 9), (7, 1), (23, 31), (40, 64)):

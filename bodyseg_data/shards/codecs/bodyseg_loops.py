@@ -230,3 +230,20 @@ def fill_projector(numbers: Any, counts: Any, box: Any, image: Any, texels: Any)
             if column == width:
                 row, column = row + columns, _0
     return np.int64(count) if place == area and next_long == long else -1
+
+
+@_kernel
+def fill_copies(kinds: Any, numbers: Any, columns: Any, plane: Any) -> None:
+    """Write a plane, uint16 [N], of pixels that equal the one above (0), to the left (1) or take the next number (2).
+
+    kinds: uint8 [N], checked by `residuals.decode_copies`.
+    """
+    taken, row = _0, np.uint64(columns)
+    for i in range(np.uint64(plane.size)):
+        if kinds[i] == 0:
+            plane[i] = plane[i - row]
+        elif kinds[i] == 1:
+            plane[i] = plane[i - _1]
+        else:
+            plane[i] = numbers[taken]
+            taken += _1

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.machine import if_ready, loops
 
 ESCAPE: Final = 255
 """The byte that marks a number above 254; the number follows among the escapes."""
@@ -192,6 +193,7 @@ def _ranges(firsts: Range, steps: Range, starts: NDArray[np.int64], body: NDArra
     return crop
 
 
+_LOOPS: Final = "bodyseg_data.shards.codecs.bodyseg_loops"
 _DIGITS: Final = 3 ** np.arange(5)
 _ABOVE, _LEFT, _NEW = range(3)
 
@@ -226,6 +228,10 @@ def decode_copies(packed: Bytes, stored: Bytes, size: tuple[int, int]) -> Range:
         raise ValueError(f"{int(new.sum())} pixels have a number of their own, found {len(numbers)}")
     if (kinds[:columns] == _ABOVE).any() or (kinds[::columns] == _LEFT).any():
         raise ValueError("a pixel at the edge cannot equal one beyond it")
+    with if_ready:
+        copied = np.empty(pixels, np.uint16)
+        loops(_LOOPS).fill_copies(kinds, numbers, columns, copied)
+        return copied.reshape(size)
     index = np.arange(pixels)
     # From the pixel that a stretch of equal ones to the right begins with, up to the one that it equals, and so on.
     source = np.maximum.accumulate(np.where(kinds == _LEFT, 0, index))
