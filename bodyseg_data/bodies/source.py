@@ -95,7 +95,7 @@ class Body:
 
     landmarks: int64 [N], the vertex of each of the 33 landmarks in the order of `PARTS`; of a scene none. notes:
     repairs of the mesh and the like, one line each, for its owner. pieces: those of the mesh that lie over the body,
-    like a skirt or a held thing. template: float64 [N, 3], metres, where on the template of the body the first vertices
+    like a skirt or a held thing. template: float64 [V, 3], metres, where on the template of the body the first vertices
     lie, all but those of `pieces`; None for bodies of another topology.
     """
 

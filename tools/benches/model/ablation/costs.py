@@ -6,6 +6,7 @@ once a round, in an order that rotates.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -23,6 +24,7 @@ from bodyseg_data.bodies import BodyRef
 from bodyseg_data.bodies.sources.open_bodies import MadeBodies, OpenBodies
 from bodyseg_data.core import MissingLibrary
 from bodyseg_data.loading import RangeImages
+from bodyseg_data.machine.kernels import VARIABLE
 from bodyseg_data.packing import Sampler
 from bodyseg_data.packing.options import evenly_sampled
 from bodyseg_data.rendering import open_renderer
@@ -66,6 +68,7 @@ def loader_costs(data: str) -> Tree:
 
 def loading_ms(images: Mapping[str, RangeImages]) -> Tree:
     """Time of a sample in the loader, from shard to image, of one set opened in several ways."""
+    os.environ.setdefault(VARIABLE, "compiled")  # no round times NumPy's forms while another process compiles
     one = next(iter(images.values()))
     camera = one.manifest.rig.camera
     indices = evenly_spaced(range(len(one)), SAMPLES)
