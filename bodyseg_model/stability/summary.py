@@ -52,6 +52,7 @@ _SPARE: Final = tuple(map(
 ))  # fmt: skip
 """Lines of further groups; where a colour is repeated, the marker differs."""
 
+_FEW_TIMES: Final = 10  # as strong as the weakest: further strengths are drawn by their logarithms
 _COLUMNS: Final = 4
 _WIDTH: Final = 16.0
 _MOST_IN_A_ROW: Final = 6
@@ -108,7 +109,10 @@ def _panel(axis: Any, sweep: Tree, bound: float) -> None:
     strengths = sweep["strengths"]
     axis.axhline(bound, color="#8a8a8a", linewidth=0.9, linestyle=(0, (6, 2)), zorder=1)
     axis.set_ylim(0, 1)
+    if min(strengths) > 0 and max(strengths) > _FEW_TIMES * min(strengths):
+        axis.set_xscale("log")
     axis.set_xticks(strengths, [f"{strength:g}" for strength in strengths], fontsize=9)
+    axis.minorticks_off()
     if strengths[-1] < strengths[0]:
         axis.invert_xaxis()  # severity rises to the right
     axis.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
