@@ -82,7 +82,7 @@ class Template:
 @lru_cache(maxsize=1)
 def load_template() -> Template:
     """Return the template that ships with the package."""
-    with resources.files(__package__).joinpath(_FILE).open("rb") as file, np.load(file) as data:
+    with resources.files(__package__).joinpath(_FILE).open("rb") as file, np.load(file, allow_pickle=False) as data:
         return Template(
             str(data["name"]),
             data["vertices"].astype(np.float64),
