@@ -110,8 +110,8 @@ def test_a_strength_that_is_moved_is_drawn(set_page: SetPage) -> None:
     assert Noise(80.0, 80.0) in set_page.shown.sensor.artifacts and "noise 80 mm" in page.facts.content
     low.value = -5.0
     assert "low_mm must be from 0 to 1000" in page.facts.content
-    controls.put(load_sensor_model("kinect_v1"))
-    assert set(controls._handles) == {artifact.name for artifact in load_sensor_model("kinect_v1")}
+    controls.put(load_sensor_model("paper_phase_shift"))
+    assert set(controls._handles) == {artifact.name for artifact in load_sensor_model("paper_phase_shift")}
     (control, _), _ = noise
     controls._mover("noise", control, low)(None)  # a message that was on its way
     assert "noise" not in {artifact.name for artifact in controls.state.model}

@@ -114,6 +114,8 @@ def _trained() -> Iterator[Step]:
     compared = ("--data", KINECT_SET, "--runs", "runs/kinect", "runs/whole", "--seeds", "3", "--images", "60")
     on_real = ("--only-finished", "--real", REAL, "--people", FAUST)
     yield _bench("variants", *compared, *on_real, drawn=True, more=("variants_real.png",), alone=True)
+    unlike = (*seeds("runs/kinect/none"), *seeds("runs/kinect/all"))
+    yield _bench("harm", "--data", KINECT_SET, "--runs", *unlike, "--images", "60", reads=(SHIPPED,), alone=True)
     fine = ("--data", KINECT_SET, "--runs", "runs/fine", "--seeds", "1", "--images", "300", "--only-finished")
     yield _bench("variants", *fine, to="variants_fine", alone=True)
     folder = ("--runs", "runs/networks")
