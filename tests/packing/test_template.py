@@ -110,12 +110,9 @@ def mapped(tmp_path_factory: pytest.TempPathFactory, pack_figures: Pack) -> Path
     return pack_figures(tmp_path_factory.mktemp("mapped") / "set", shard_samples=5, template=True)
 
 
-def test_the_bytes_are_the_same_however_they_are_packed(
-    mapped: Path, figures_set: Path, tmp_path: Path, pack_figures: Pack
-) -> None:
+def test_the_bytes_are_the_same_however_they_are_packed(mapped: Path, tmp_path: Path, pack_figures: Pack) -> None:
     wanted = contents(mapped)
     own = {name: digest for name, digest in wanted.items() if "template" not in name and name != "columns.json"}
-    assert own == contents(figures_set), "a column changes nothing of the set"
     rendered: dict[Any, Any] = {}
     with pytest.raises(Interrupted):
         pack_figures(tmp_path / "cut", Renders(rendered, 4), shard_samples=5, template=True)
@@ -123,7 +120,7 @@ def test_the_bytes_are_the_same_however_they_are_packed(
         pack_figures(tmp_path / "cut", two, shard_samples=5, template=True)
     assert contents(tmp_path / "cut") == wanted
     pack_figures(tmp_path / "later", Renders(rendered), shard_samples=5)
-    assert contents(tmp_path / "later") == own
+    assert contents(tmp_path / "later") == own, "a column changes nothing of the set"
     with pytest.raises(Interrupted):
         pack_figures(tmp_path / "later", Renders(rendered, 2), shard_samples=5, template=True)
     assert len(RangeImages(tmp_path / "later", "none")) == 24, "the set stays whole while it gets a column"
