@@ -64,6 +64,7 @@ def bench_harm(
                 found.setdefault(title, {}).setdefault(name, {})[seed] = judged.average_per_class_accuracy()
                 tick()
     clean = found.pop(_NONE)
+    lost = {what: {row: paired(clean[row], scores[row]) for row in rows} for what, scores in found.items()}
     cost = loading_ms({title: RangeImages(data, "all", "train", sensor=sensor) for title, sensor in shown.items()})
     return {
         "data": tested.manifest.source,
@@ -74,10 +75,10 @@ def bench_harm(
             {
                 "what": title,
                 "strengths": {each.name: asdict(each) for each in shown[title].artifacts},
-                "lost": {row: paired(clean[row], scores[row]) for row in rows},
-                "harmless": all((paired(clean[row], scores[row]) or {})["mean"] < DECIDE_POINTS for row in rows),
+                "lost": points,
+                "harmless": all(each is not None and each["mean"] < DECIDE_POINTS for each in points.values()),
                 "ms": round(cost[title]["ms"] - cost[_NONE]["ms"], 3),
             }
-            for title, scores in found.items()
+            for title, points in lost.items()
         ],
     }
