@@ -143,6 +143,13 @@ class RangeImages(SampleDataset):
                 f"{path} holds no projector range, which variant {variant!r} needs: use 'none', 'noise' or 'md', or "
                 "occluder='camera', which makes shadows of what the camera sees"
             )
+        asked = (*texts_of("planes", planes), *on_template)
+        if TEMPLATE in asked and TEMPLATE not in self.columns and TEMPLATE not in self.manifest.planes:
+            need = f", which labels {self.label_map.name!r} need" if on_template else ""
+            raise BadConfig(
+                f"{path} has no map of the body, the column {TEMPLATE!r}{need}: `shard --template` packs it for the "
+                "open sources"
+            )
         self.planes = _chosen_planes(planes, self.manifest)
         """Name -> type of the further images that items and batches hold."""
         self.transforms = check_transforms(transform)
@@ -215,11 +222,6 @@ class RangeImages(SampleDataset):
         """The label of each number of the plane `TEMPLATE`, uint8 [65536], of regions that become the set's classes."""
         from bodyseg_data.bodies import load_template, region_labels
 
-        if TEMPLATE not in self.columns:
-            raise BadConfig(
-                f"{path} has no map of the body, the column {TEMPLATE!r}, which labels {self.label_map.name!r} need: "
-                "`shard --template` packs it for the open sources"
-            )
         if self.columns[TEMPLATE].source != load_template().name:
             found = f"{self.columns[TEMPLATE].source!r}, here {load_template().name!r}"
             raise BadShard(f"{path}: the column {TEMPLATE!r} is of another template: {found}")

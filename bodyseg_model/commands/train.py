@@ -29,7 +29,7 @@ from bodyseg_data.artifacts import (
 from bodyseg_data.commands import OCCLUDER_HELP, WHERE_HELP, Progress, command_line, option, provenance, rate_text
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import parse_json
-from bodyseg_data.labels import PARTS33, LabelMap, label_map_names
+from bodyseg_data.labels import PARTS33, TEMPLATE, LabelMap, label_map_names
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, ImageSet, OccluderName, WorkerMethod, find_rank
 from bodyseg_data.samples import ReadSplit
 from bodyseg_model.networks import CardWords, CheckpointName, Network, NetworkName, build, load_network, network_class
@@ -127,8 +127,13 @@ def run(options: Options) -> int:
         recipe = replace(recipe, geometric_augmentation=placed)
     run_options = RunOptions(options.log_every, options.checkpoint_every, options.num_workers, options.worker_method)
     validation = _validation(options)
+    planes = (TEMPLATE,) if _settings(options).get(TEMPLATE) else ()
     images = open_data(
-        _pairs(options), options.weights, options.samples, options.seed, lambda pair: _open(options, *pair, "train")
+        _pairs(options),
+        options.weights,
+        options.samples,
+        options.seed,
+        lambda pair: _open(options, *pair, "train", planes),
     )
     network = _network(options, images.label_map)
     pretrained = None if options.pretrained is None else _pretrained(options.pretrained, network, options, images)
@@ -159,7 +164,7 @@ def _pairs(options: Options) -> list[tuple[str, str]]:
     return list(itertools.product(options.data, options.sensor))
 
 
-def _open(options: Options, address: str, sensor: str, split: ReadSplit) -> RangeImages:
+def _open(options: Options, address: str, sensor: str, split: ReadSplit, planes: tuple[str, ...] = ()) -> RangeImages:
     return RangeImages(
         address,
         options.variant,
@@ -171,6 +176,7 @@ def _open(options: Options, address: str, sensor: str, split: ReadSplit) -> Rang
         val_share=options.val_share or 0.0,
         labels=options.labels,
         occluder=options.occluder,
+        planes=planes,
     )
 
 
@@ -217,13 +223,18 @@ def _sensor(options: Options, name: str) -> SensorModel:
 
 def _network(options: Options, label_map: LabelMap) -> Network:
     classes = {} if label_map == PARTS33 else {"classes": len(label_map)}
-    return build(options.network, {**classes, **parse_json(options.settings.encode(), "--settings")}, options.seed)
+    return build(options.network, {**classes, **_settings(options)}, options.seed)
+
+
+def _settings(options: Options) -> dict[str, Any]:
+    return parse_json(options.settings.encode(), "--settings")
 
 
 def _pretrained(path: Path, network: Network, options: Options, images: ImageSet) -> dict[str, Any]:
     """Fill a network from a trained one, or from published weights; returns the entry of its card that names the file.
 
-    Raises BadConfig for a trained one of another network, other classes or other settings.
+    Of two networks one of which has a head of places on the template, only this is drawn anew, or left out. Raises
+    BadConfig for a trained one of another network, other classes or other settings.
     """
     if not path.is_dir() and path.suffix != ".safetensors":
         network.load_pretrained(path)
@@ -235,9 +246,10 @@ def _pretrained(path: Path, network: Network, options: Options, images: ImageSet
     if ours.difference(theirs) is not None:
         found = repr(theirs.name) if theirs.name != ours.name else "other classes of that name"
         raise BadConfig(f"--pretrained {path} must have the labels {ours.name!r} of this training, found {found}")
-    for name in sorted(network.settings.keys() | trained.network.settings.keys()):
+    for name in sorted((network.settings.keys() | trained.network.settings.keys()) - {TEMPLATE}):
         _check_alike(path, f"setting {name}", network.settings.get(name), trained.network.settings.get(name))
-    network.load_state_dict(trained.network.state_dict())
+    read = trained.network.state_dict()
+    network.load_state_dict({name: read.get(name, weights) for name, weights in network.state_dict().items()})
     return _entry(path, trained.card[CardWords.WEIGHTS_SHA256])
 
 

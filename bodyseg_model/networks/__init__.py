@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
+    from bodyseg_model.networks.body_map import UNIT_M, place_table
     from bodyseg_model.networks.checkpoints import (
         FINDER,
         SHIPPED,

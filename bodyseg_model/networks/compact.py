@@ -30,7 +30,8 @@ class CompactSettings:
     1 / (2 patch) ... of the resolution. blocks: residual blocks at each. context: whether every cell also gets the mean
     over the whole body. shrink: pixels along one side of the squares that are averaged first; 1 for none. focal_px: of
     the camera whose images the network sees with their true measures, for which a patch is a place in the room
-    (`network.metric_patches`); 0 for images of one body, wherever it stands. classes: see `Network`.
+    (`network.metric_patches`); 0 for images of one body, wherever it stands. template: whether a second head tells
+    where on the template of the body each point lies (`Network.scores_and_places`). classes: see `Network`.
     """
 
     patch: int = 16
@@ -39,6 +40,7 @@ class CompactSettings:
     context: bool = True
     shrink: int = 1
     focal_px: float = 0.0
+    template: bool = False
     classes: int = PART_COUNT
 
     def __post_init__(self) -> None:
@@ -72,7 +74,7 @@ class Compact(Network):
     def __init__(self, settings: CompactSettings | None = None) -> None:
         shape = settings or CompactSettings()
         plain = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(shape).items()}
-        left_out = {"classes"} if shape.focal_px else {"classes", "focal_px"}
+        left_out = {"classes", *(name for name in ("focal_px", "template") if not plain[name])}
         super().__init__({name: value for name, value in plain.items() if name not in left_out}, shape.classes)
         patch, widths, blocks = shape.patch, shape.widths, shape.blocks
         self.embed = _layer(2 * patch * patch + (MEASURES if shape.focal_px else 0), widths[0], 1)
@@ -91,6 +93,9 @@ class Compact(Network):
         self._focal_px = shape.focal_px
         self._fine = max(1, self._cell // self.output_stride)
         self.head = nn.Conv2d(widths[0], self.classes * self._fine**2, 1)
+        self.on_template = shape.template
+        if shape.template:
+            self.template = nn.Conv2d(widths[0], 3 * self._fine**2, 1)
         # As the values between layers are laid out: else each convolution lays its weights out anew.
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
@@ -107,8 +112,18 @@ class Compact(Network):
 
     def scores(self, range_m: torch.Tensor) -> torch.Tensor:
         """Compute scores of every fourth pixel each way; see `Network.scores`."""
+        return self._at_points(self.head(self._features(range_m)), range_m)
+
+    def scores_and_places(self, range_m: torch.Tensor) -> torch.Tensor:
+        """Compute scores, the same bits as of `scores`, and places on the template; see `Network.scores_and_places`."""
+        if not self.on_template:
+            return super().scores_and_places(range_m)
+        x = self._features(range_m)
+        return torch.cat([self._at_points(head(x), range_m) for head in (self.head, self.template)], 1)
+
+    def _features(self, range_m: torch.Tensor) -> torch.Tensor:
+        """What the heads see of range images, of every cell."""
         check_range_images(range_m)
-        rows, columns = range_m.shape[2:]
         if self._focal_px:
             values, measured = metric_patches(range_m, self._patch, self._focal_px)
         else:
@@ -122,8 +137,12 @@ class Compact(Network):
             x = x + self.context(_mean_over_body(x, measured, 1 << (len(seen) - 1)))
         for narrow, fuse, level in reversed(list(zip(self.narrow, self.fuse, seen, strict=False))):
             x = fuse(level + F.interpolate(narrow(x), size=level.shape[-2:], mode="nearest"))
-        x = _spread(self.head(x), self._fine)
-        stride = self.output_stride
+        return x
+
+    def _at_points(self, x: torch.Tensor, range_m: torch.Tensor) -> torch.Tensor:
+        """A head's answer to the cells of range images, at each point of the scores."""
+        (rows, columns), stride = range_m.shape[2:], self.output_stride
+        x = _spread(x, self._fine)
         if self._cell < stride:
             x = F.avg_pool2d(x, stride // self._cell, ceil_mode=True)
         return x[:, :, : (rows + stride - 1) // stride, : (columns + stride - 1) // stride]

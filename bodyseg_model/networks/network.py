@@ -12,7 +12,7 @@ that a network in bfloat16 takes.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar, Final, NamedTuple, Self
@@ -42,6 +42,9 @@ class Network(nn.Module, ABC):
 
     output_stride: int = 1
     """Pixels of the image along each side between two neighbouring scores of `scores`."""
+
+    on_template: bool = False
+    """Whether `scores_and_places` tells where on the template of the body each point lies."""
 
     together: bool = True
     """Whether images of one size are quicker together than one by one: not where a new number of them costs time."""
@@ -74,6 +77,16 @@ class Network(nn.Module, ABC):
         rows: int64 [h]; columns: int64 [w]. A network overrides this where that is cheaper than all of `scores`.
         """
         return self.scores(range_m)[:, :, rows][..., columns]
+
+    def scores_and_places(self, range_m: torch.Tensor) -> torch.Tensor:
+        """Compute `scores` and, behind them, places on the template, float [B, C + 3, h, w] (`body_map`).
+
+        By default a network knows none: raises BadConfig.
+        """
+        raise BadConfig(
+            f"{type(self).__name__} must have a head of places on the template: `train --settings "
+            "'{\"template\": true}'` trains one"
+        )
 
     def forward(self, range_m: torch.Tensor) -> torch.Tensor:
         """Compute scores of every pixel, float [B, C, H, W], interpolated between those of `scores`; see there."""
@@ -121,6 +134,7 @@ class FlipAverage(Network):
         check_label_map(network, label_map)
         super().__init__(network.settings, network.classes)
         self.output_stride, self.together = network.output_stride, network.together
+        self.on_template = network.on_template
         self.network, self.label_map = network, label_map
         opposite = torch.from_numpy(label_map.mirrored[: network.classes].astype(np.int64))
         self._opposite: torch.Tensor
@@ -129,14 +143,27 @@ class FlipAverage(Network):
 
     def scores(self, range_m: torch.Tensor) -> torch.Tensor:
         """Compute scores; see `Network.scores`."""
+        own, mirrored = self._both(range_m, self.network.scores)
+        return (own + mirrored[:, self._opposite]) / 2
+
+    def scores_and_places(self, range_m: torch.Tensor) -> torch.Tensor:
+        """Compute scores and places; see `Network.scores_and_places`."""
+        own, mirrored = self._both(range_m, self.network.scores_and_places)
+        scores, places = mirrored[:, self._opposite], mirrored[:, self.classes :]
+        return (own + torch.cat([scores, -places[:, :1], places[:, 1:]], 1)) / 2
+
+    def _both(
+        self, range_m: torch.Tensor, compute: Callable[[torch.Tensor], torch.Tensor]
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """What is computed of images, and of their mirror images, mirrored back."""
         check_range_images(range_m)
         # Whole strides, so that points of scores fall on one another when they are mirrored.
         seen = F.pad(range_m, (0, -range_m.shape[3] % self.output_stride))
         if self.together:
-            own, mirrored = self.network.scores(torch.cat([seen, seen.flip(3)])).chunk(2)
+            own, mirrored = compute(torch.cat([seen, seen.flip(3)])).chunk(2)
         else:
-            own, mirrored = (self.network.scores(image) for image in (seen, seen.flip(3)))
-        return (own + mirrored.flip(3)[:, self._opposite]) / 2
+            own, mirrored = (compute(image) for image in (seen, seen.flip(3)))
+        return own, mirrored.flip(3)
 
 
 class WrappedModule(Network):

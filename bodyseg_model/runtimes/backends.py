@@ -334,7 +334,7 @@ class Bfloat16(Network):
 
     def __init__(self, network: Network) -> None:
         super().__init__(network.settings, network.classes)
-        self.output_stride = network.output_stride
+        self.output_stride, self.on_template = network.output_stride, network.on_template
         self.network = copy.deepcopy(network)
         for module in self.network.modules():
             if isinstance(module, (nn.Conv2d, nn.Linear)):
@@ -345,3 +345,8 @@ class Bfloat16(Network):
         """Compute scores; see `Network.scores`."""
         with torch.autocast(device_of(self.network).type, torch.bfloat16):
             return self.network.scores(range_m)
+
+    def scores_and_places(self, range_m: torch.Tensor) -> torch.Tensor:
+        """Compute scores and places; see `Network.scores_and_places`."""
+        with torch.autocast(device_of(self.network).type, torch.bfloat16):
+            return self.network.scores_and_places(range_m)

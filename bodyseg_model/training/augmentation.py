@@ -10,6 +10,7 @@ from importlib import import_module
 
 import torch
 
+from bodyseg_data.bodies import NOWHERE
 from bodyseg_data.core import BadConfig, chance, check_fields
 from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap
 from bodyseg_data.machine import if_ready
@@ -138,6 +139,43 @@ def mirror(
     table = torch.from_numpy(label_map.mirrored).to(labels.device)
     labels[picked] = table[labels[picked].flip(-1).int()]
     return range_m, labels
+
+
+def signed_numbers(template: torch.Tensor) -> torch.Tensor:
+    """The plane `TEMPLATE` of B images, uint16 [B, H, W], as float32 [B, 1, H, W]: 1 + number of a point, 0 of none.
+
+    Of a mirrored image, the negative: its pixel shows what lies opposite of that point, at the place of other sign.
+    """
+    numbers = template.view(torch.int16).int() & NOWHERE  # no device computes with uint16
+    return ((numbers + 1) & NOWHERE).float()[:, None]
+
+
+def augmented(
+    range_m: torch.Tensor,
+    labels: torch.Tensor,
+    seed: int,
+    epochs: list[int],
+    keys: list[str],
+    geometric: GeometricAugmentation,
+    mirrored_as: LabelMap | None,
+    places: torch.Tensor | None = None,
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
+    """Copies of range [B, 1, H, W], labels uint8 [B, H, W] and `signed_numbers`, if given, augmented for a training.
+
+    mirrored_as: how labels change sides in half of the images; None if none is mirrored.
+    """
+    images = len(labels)
+    if places is not None:
+        # Draws belong to epochs and keys, so numbers that take the place of ranges are moved as these are.
+        range_m, labels = torch.cat([range_m, places]), torch.cat([labels, labels])
+        epochs, keys = epochs * 2, keys * 2
+    if mirrored_as is not None:
+        draws = mirror_draws(seed, epochs, keys).to(range_m.device)
+        range_m, labels = mirror(range_m, labels, draws, mirrored_as)
+        if places is not None:
+            range_m[images:][draws[images:]] *= -1
+    range_m, labels = geometric(range_m, labels, seed, epochs, keys)
+    return range_m[:images], labels[:images], None if places is None else range_m[images:]
 
 
 def mirror_draws(seed: int, epochs: list[int], keys: list[str]) -> torch.Tensor:

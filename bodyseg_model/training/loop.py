@@ -19,10 +19,10 @@ import numpy as np
 import torch
 from torch import nn
 
-from bodyseg_data import Mixture, RangeImages, loader
+from bodyseg_data import Mixture, RangeImages, load_template, loader
 from bodyseg_data.core import BadConfig, BodysegError, check_int, generator
 from bodyseg_data.files import claimed
-from bodyseg_data.labels import PARTS33
+from bodyseg_data.labels import PARTS33, TEMPLATE
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, Batch, ImageSet, Loader, WorkerMethod, check_worker_method
 from bodyseg_data.machine import peak_mb, signals_held
 from bodyseg_model.networks import (
@@ -37,7 +37,7 @@ from bodyseg_model.networks import (
     name_of,
     save_network,
 )
-from bodyseg_model.training.augmentation import mirror, mirror_draws
+from bodyseg_model.training.augmentation import augmented, signed_numbers
 from bodyseg_model.training.distributed import ProcessGroup, joined_process_group
 from bodyseg_model.training.loss import NetworkWithLoss, class_pixels, part_weights
 from bodyseg_model.training.plan import Best, RunFolder, training_plan
@@ -168,6 +168,8 @@ class Training:
         check_label_map(network, images.label_map)
         if recipe.mirror and not images.label_map.has_mirror_image:
             _ = images.label_map.mirrored  # raises, and says for which class
+        if network.on_template:
+            check_template(images)
         self.name, self.images, self.recipe, self.folder = name, images, recipe, folder
         self.processes, self.seed, self.run_options = processes, seed, run_options or RunOptions()
         self.network = network.to(processes.device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -344,24 +346,25 @@ class Training:
                 batch = next(batches)
             range_m = batch["range"].to(device, non_blocking=True)
             labels = batch["labels"].to(device, non_blocking=True)
-            epochs, keys = batch["epoch"], batch["key"]
-            if recipe.mirror:
-                draws = mirror_draws(self.seed, epochs, keys).to(device)
-                range_m, labels = mirror(range_m, labels, draws, self.images.label_map)
-            range_m, labels = recipe.geometric_augmentation(range_m, labels, self.seed, epochs, keys)
+            epochs, keys, places = batch["epoch"], batch["key"], None
+            if self.network.on_template:
+                places = signed_numbers(batch["planes"][TEMPLATE].to(device, non_blocking=True))
+            sides = self.images.label_map if recipe.mirror else None
+            moving = self.seed, epochs, keys, recipe.geometric_augmentation, sides, places
+            range_m, labels, places = augmented(range_m, labels, *moving)
             name = f"pixels {index}"
             offset = torch.from_numpy(generator(self.seed, self.step, "", name).random(2, np.float32))
             with (
                 self._gradient_sync(objective, index),
                 torch.autocast(device.type, torch.bfloat16, enabled=recipe.bf16),
             ):
-                loss, counts = objective(range_m, labels, offset)
+                loss, counts, off_mm = objective(range_m, labels, offset, places)
                 if not torch.isfinite(loss):
                     raise Diverged(
                         f"the loss is {loss.item()} in step {self.step + 1}, with the samples {', '.join(batch['key'])}"
                     )
                 (loss / recipe.accumulate).backward()
-            window.add(loss, counts, len(batch["key"]))
+            window.add(loss, counts, len(batch["key"]), off_mm)
         if recipe.clip:
             nn.utils.clip_grad_norm_(self.network.parameters(), recipe.clip)
         self.optimiser.step()
@@ -375,6 +378,17 @@ class Training:
             quiet: contextlib.AbstractContextManager[None] = objective.no_sync()  # type: ignore[operator]  # of DDP
             return quiet
         return contextlib.nullcontext()
+
+
+def check_template(images: ImageSet) -> None:
+    """Raise BadConfig unless images come with the map of the body, the plane `TEMPLATE` of this package's template."""
+    for each in images.sets:
+        source = each.columns[TEMPLATE].source if TEMPLATE in images.planes and TEMPLATE in each.columns else None
+        if source != load_template().name:
+            raise BadConfig(
+                f"a network with places on the template needs the plane {TEMPLATE!r} of {each.path}, of the template "
+                f"{load_template().name!r}, found {source!r}: open the images with planes=[{TEMPLATE!r}]"
+            )
 
 
 def open_data(

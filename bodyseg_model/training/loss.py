@@ -14,9 +14,12 @@ from torch import nn
 
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.loading import ImageSet
-from bodyseg_model.networks import Network, in_loops
+from bodyseg_model.networks import UNIT_M, Network, in_loops, place_table
 
 _SAMPLES_FOR_WEIGHTS: Final = 128
+PLACE_WEIGHT: Final = 1.0
+"""Weight of a pixel's error of place, the sum of its three coordinates', against its cross-entropy."""
+
 _BITS: Final = {torch.float32: torch.uint32, torch.bfloat16: torch.uint16}
 """Types of scores that the compiled loops know, and of their bits."""
 
@@ -116,10 +119,12 @@ class LossAndCounts(NamedTuple):
     """Result of a step.
 
     loss: scalar. counts: int64 [C, C], confusion matrix of the selected pixels, rows truth, columns prediction.
+    off_mm: scalar, mean distance between predicted and true places, mm; None of a network without places.
     """
 
     loss: torch.Tensor
     counts: torch.Tensor
+    off_mm: torch.Tensor | None = None
 
 
 class NetworkWithLoss(nn.Module):
@@ -130,40 +135,68 @@ class NetworkWithLoss(nn.Module):
     at the same offset in all cells, with scores interpolated there as in `predict`. Over all offsets every pixel is
     selected once; a stride of 4 makes a sixteenth of the cost.
 
+    A network with places on the template adds the robust error of these, the sum of the absolute ones of three
+    coordinates, where the place of a pixel is known.
+
     weights: float32 [C], weight of a pixel of each class.
     """
 
     weights: torch.Tensor
+    places: torch.Tensor
 
     def __init__(self, network: Network, weights: torch.Tensor, loss_stride: int = 1) -> None:
         super().__init__()
         self.network, self.loss_stride = network, loss_stride
         self.register_buffer("weights", weights)
+        if network.on_template:
+            self.register_buffer("places", F.pad(torch.from_numpy(place_table()), (0, 0, 1, 0)), persistent=False)
 
-    def forward(self, range_m: torch.Tensor, labels: torch.Tensor, offset: torch.Tensor) -> LossAndCounts:
+    def forward(
+        self, range_m: torch.Tensor, labels: torch.Tensor, offset: torch.Tensor, numbers: torch.Tensor | None = None
+    ) -> LossAndCounts:
         """Compute the loss, the mean over images of each image's weighted mean over its body; 0 without a body.
 
         It does not depend on how a batch is divided, between processes or for accumulation. range_m: float32
         [B, 1, H, W], metres; labels: uint8 [B, H, W]; offset: float [2], position of the selected pixels in their
-        cells, down and across, as shares of a cell from 0 to below 1.
+        cells, down and across, as shares of a cell from 0 to below 1. numbers: of a network with places,
+        `augmentation.signed_numbers`, float32 [B, 1, H, W].
         """
         rows, columns = (
             torch.arange(side, device=range_m.device)[int(share * self.loss_stride) :: self.loss_stride]
             for share, side in zip(offset.tolist(), labels.shape[1:], strict=True)
         )
         step = self.network.output_stride  # all of scores that are coarser than the image, else those selected
-        scores = self.network.scores(range_m) if step > 1 else self.network.scores_at(range_m, rows, columns)
+        if numbers is not None:
+            scores = self.network.scores_and_places(range_m)
+            scores = scores if step > 1 else scores[:, :, rows][..., columns]
+        else:
+            scores = self.network.scores(range_m) if step > 1 else self.network.scores_at(range_m, rows, columns)
         stride, images, classes = max(step, self.loss_stride), len(labels), len(self.weights)
         row, column = (int(share * stride) for share in offset.tolist())
         chosen = SelectedPixels.of(labels, row, column, stride)
         at_pixels = chosen.interpolated(scores, step) if step > 1 else chosen.of_cells(scores, stride)
+        at_pixels, found = at_pixels[:, :classes], at_pixels[:, classes:]
+        each, off_mm = F.cross_entropy(at_pixels, chosen.truth, reduction="none"), None
+        if numbers is not None:
+            off, known = self._off(found, numbers[chosen.image, 0, chosen.row, chosen.column])
+            each = each + PLACE_WEIGHT * off.abs().sum(1)
+            off_mm = off.detach().norm(dim=1).sum() * (1000 * UNIT_M) / known.sum().clamp(min=1)
         weight = self.weights[chosen.truth]
-        each = weight * F.cross_entropy(at_pixels, chosen.truth, reduction="none")
+        each = weight * each
         sums, weights = (each.new_zeros(images).index_add(0, chosen.image, values) for values in (each, weight))
         with torch.no_grad():
             pairs = chosen.truth * classes + at_pixels.argmax(1)
             counts = torch.bincount(pairs, minlength=classes**2).reshape(classes, classes)
-        return LossAndCounts((sums / weights.clamp(min=1e-6)).mean(), counts)
+        return LossAndCounts((sums / weights.clamp(min=1e-6)).mean(), counts, off_mm)
+
+    def _off(self, found: torch.Tensor, number: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Errors of places [N, 3], 0 where the true one is unknown, and where it is known, bool [N].
+
+        number: `augmentation.signed_numbers` of N pixels.
+        """
+        known, true = number != 0, self.places[number.abs().long()]
+        true[:, 0] *= number.sign()
+        return (found - true) * known[:, None], known
 
 
 def part_weights(counts: NDArray[np.int64], balance: float) -> torch.Tensor:

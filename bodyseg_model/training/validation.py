@@ -27,7 +27,8 @@ class Metrics:
     step: number of steps done. loss: mean over the steps. accuracy: average per class; pixel_accuracy: share of the
     selected pixels that are right. learning_rate: of the last layer, in the last step. images_per_second: over all
     processes. data_wait: share of the time spent waiting for data; waited_for: the stage of loading that took longest
-    meanwhile (`Loader.stats`), None below 1 %.
+    meanwhile (`Loader.stats`), None below 1 %. off_mm: mean distance of predicted places on the template from the true
+    ones, mm; None for a network without places.
 
     val_accuracy, val_pixel_accuracy: average per class, and share of all pixels that are right, on the images held out
     for validation; val_best_step: step of the highest val_accuracy so far. None in steps without a validation.
@@ -41,6 +42,7 @@ class Metrics:
     images_per_second: float
     data_wait: float
     waited_for: str | None = None
+    off_mm: float | None = None
     val_accuracy: float | None = None
     val_pixel_accuracy: float | None = None
     val_best_step: int | None = None
@@ -67,6 +69,7 @@ class MetricsWindow:
         self._processes, self._classes = processes, classes
         self._loss = torch.zeros((), device=processes.device)
         self._counts = torch.zeros(classes, classes, dtype=torch.int64, device=processes.device)
+        self._off_mm: torch.Tensor | None = None
         self._turns = self._images = 0
         self._waited = 0.0
         self._start = time.perf_counter()
@@ -78,16 +81,20 @@ class MetricsWindow:
         yield
         self._waited += time.perf_counter() - start
 
-    def add(self, loss: torch.Tensor, counts: torch.Tensor, images: int) -> None:
-        """Add the loss and confusion matrix of a batch of `images` images."""
+    def add(self, loss: torch.Tensor, counts: torch.Tensor, images: int, off_mm: torch.Tensor | None = None) -> None:
+        """Add the loss, the confusion matrix and the error of places, if any, of a batch of `images` images."""
         self._loss += loss.detach()
+        if off_mm is not None:
+            self._off_mm = off_mm if self._off_mm is None else self._off_mm + off_mm
         self._counts += counts
         self._turns += 1
         self._images += images
 
     def metrics(self, step: int, rate: float) -> Metrics:
         """Metrics after `step` steps, of all processes, each of which must call this. rate: learning rate."""
-        loss = self._processes.add_up(self._loss).item() / (self._turns * self._processes.world_size)
+        batches = self._turns * self._processes.world_size
+        loss = self._processes.add_up(self._loss).item() / batches
+        off_mm = None if self._off_mm is None else round(self._processes.add_up(self._off_mm).item() / batches, 2)
         matrix = ConfusionMatrix(self._classes)
         matrix.counts += self._processes.add_up(self._counts).cpu().numpy()
         seconds = time.perf_counter() - self._start
@@ -100,6 +107,7 @@ class MetricsWindow:
             rate,
             round(self._images * self._processes.world_size / seconds, 2),
             round(self._waited / seconds, 4),
+            off_mm=off_mm,
         )
 
 

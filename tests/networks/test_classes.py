@@ -124,7 +124,7 @@ def test_loss_and_counts_are_of_the_classes() -> None:
     range_m[:, :, 4:28, 8:24] = 2.0
     labels = torch.where(range_m[:, 0] > 0, 13, 255).to(torch.uint8)
     weights = part_weights(LIMBS.table[:14].astype("int64") + 1, 0.5)
-    loss, counts = NetworkWithLoss(network, weights, 4)(range_m, labels, torch.zeros(2))
+    loss, counts, _ = NetworkWithLoss(network, weights, 4)(range_m, labels, torch.zeros(2))
     assert counts.shape == (14, 14) and int(counts[13].sum()) == int(counts.sum()) == 6 * 4
     with torch.no_grad():
         scores = network.scores(range_m)

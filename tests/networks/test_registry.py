@@ -82,7 +82,7 @@ def test_every_network_is_trained_at_any_loss_stride(name: str) -> None:
     labels = torch.where(range_m[:, 0] > 0, 4, 255).to(torch.uint8)
     for stride in (1, 4):
         network.zero_grad()
-        loss, counts = NetworkWithLoss(network, torch.ones(33), stride)(range_m, labels, torch.tensor([0.5, 0.0]))
+        loss, counts, _ = NetworkWithLoss(network, torch.ones(33), stride)(range_m, labels, torch.tensor([0.5, 0.0]))
         loss.backward()
         assert int(counts.sum()) == int((labels != 255).sum()) // max(stride, network.output_stride) ** 2
         assert any(weight.grad is not None and weight.grad.any() for weight in network.parameters())

@@ -38,7 +38,7 @@ class PixelScores(Network):
 def test_the_loss_is_the_weighted_mean_surprise_of_each_image() -> None:
     range_m, labels = batch(6, 5)
     network, weights = PixelScores(6, 5), torch.rand(33) + 0.5
-    loss, counts = NetworkWithLoss(network, weights)(range_m, labels, torch.zeros(2))
+    loss, counts, _ = NetworkWithLoss(network, weights)(range_m, labels, torch.zeros(2))
     means = []
     for image, scores in zip(labels, network.kept, strict=True):
         sums = [0.0, 0.0]
@@ -70,7 +70,7 @@ def test_looking_everywhere_in_turn_gives_the_loss_of_the_interpolated_image() -
             two = labels.clone()
             two[0] = 255
             for part in (one, two):
-                loss, counts = NetworkWithLoss(network, torch.ones(33))(range_m, part, place)
+                loss, counts, _ = NetworkWithLoss(network, torch.ones(33))(range_m, part, place)
                 total += loss * 2 * counts.sum()
                 seen += int(counts.sum())
     assert seen == int((labels != 255).sum())
@@ -80,7 +80,7 @@ def test_looking_everywhere_in_turn_gives_the_loss_of_the_interpolated_image() -
 def test_an_image_without_a_body_costs_nothing() -> None:
     network = Compact(CompactSettings(patch=8, widths=(4,), blocks=(0,)))
     empty = torch.full((1, 16, 16), 255, dtype=torch.uint8)
-    loss, counts = NetworkWithLoss(network, torch.ones(33))(torch.zeros(1, 1, 16, 16), empty, torch.zeros(2))
+    loss, counts, _ = NetworkWithLoss(network, torch.ones(33))(torch.zeros(1, 1, 16, 16), empty, torch.zeros(2))
     loss.backward()
     assert float(loss.detach()) == 0
     assert not counts.any()
@@ -175,7 +175,7 @@ def test_the_papers_network_is_asked_only_for_the_pixels_looked_at() -> None:
         whole = PixelScores(50, 35)
         whole.kept = network(range_m)
         for place in (torch.zeros(2), torch.tensor([0.3, 0.99])):
-            loss, counts = NetworkWithLoss(network, torch.ones(33), loss_stride=4)(range_m, labels, place)
+            loss, counts, _ = NetworkWithLoss(network, torch.ones(33), loss_stride=4)(range_m, labels, place)
             expected = NetworkWithLoss(whole, torch.ones(33), loss_stride=4)(range_m, labels, place)
             assert float(loss) == pytest.approx(float(expected.loss), rel=1e-5)
             assert torch.equal(counts, expected.counts)
@@ -183,7 +183,7 @@ def test_the_papers_network_is_asked_only_for_the_pixels_looked_at() -> None:
 
 def test_an_image_may_be_smaller_than_the_square_of_which_one_pixel_is_looked_at() -> None:
     range_m, labels = batch(2, 5)
-    loss, counts = NetworkWithLoss(PixelScores(2, 5), torch.ones(33), loss_stride=4)(
+    loss, counts, _ = NetworkWithLoss(PixelScores(2, 5), torch.ones(33), loss_stride=4)(
         range_m, labels, torch.tensor([0.9, 0.0])
     )
     assert float(loss) == 0 and not counts.any()
