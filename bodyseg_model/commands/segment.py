@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+from bodyseg_data import load_template
 from bodyseg_data.commands import Progress, option, rate_text
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import PART_CLASSES, LabelMap
@@ -29,6 +30,7 @@ from bodyseg_model.runtimes import (
 from bodyseg_model.segmentation import (
     LABELS,
     OVERLAY,
+    PLACES,
     TURNED_HELP,
     UNDISTORTED,
     Background,
@@ -81,6 +83,7 @@ class Options:
     finder: Path | None = option(
         "network that finds people: a training's folder or a file (default: the shipped)", None
     )
+    dense: bool = option("also write the point of the body's template at each pixel, 16-bit PNGs, 65535: none", False)
     keep_things: bool = option("label whatever the finder takes for people, also where the network doubts it", False)
     near: float | None = option("the near limit, metres (default: 0.4)", None)
     far: float | None = option("the far limit, metres (default: 6)", None)
@@ -118,6 +121,7 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
         flip_average=options.flip_average,
         device=options.device,
         turned=options.turned,
+        dense=options.dense,
     )
     preview = None if options.no_overlay else Preview(options.fps, labeller.label_map)
     recording = labeller.recording(
@@ -129,6 +133,7 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
     )
     cameras = recording.cameras
     images = [LABELS, *([] if options.no_overlay else [OVERLAY]), *([UNDISTORTED] if cameras.bent else [])]
+    images += [PLACES] if options.dense else []
     shape = cameras.first.camera.rows, cameras.first.camera.columns
     out = OutputFolder(options.out, options.frames, frames, images)
     results = FrameResults(out, labeller.label_map, preview, shape)
@@ -162,6 +167,7 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
         {
             "network": {"file": "shipped" if options.run is None else str(options.run), **_facts(trained)},
             "labels": labeller.label_map.to_json(),
+            **({"template": load_template().name} if options.dense else {}),
             **recording.to_json(),
             **labeller.to_json(),
             "frames_per_second": round(per_second, 2),

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
         name_of,
         network_class,
         predict,
+        predict_dense,
         predict_each,
     )
 else:

@@ -128,7 +128,7 @@ class Compact(Network):
             values, measured = metric_patches(range_m, self._patch, self._focal_px)
         else:
             values, measured = patches_of(range_m, self._patch, self._shrink)
-        x = self.embed(values)
+        x: torch.Tensor = self.embed(values)
         seen = []
         for stage in self.down:
             x = stage(x)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.machine import compiled, of_each, pieces
+from bodyseg_model.networks.body_map import point_grid
 
 REACH: Final = np.float32(12.0)
 """A class whose score is less than another's by as much has at most exp(-12), 6e-6, of its probability."""
@@ -30,6 +31,7 @@ POWER: Final = tuple(np.float32(c) for c in (1.3333558e-3, 9.6181291e-3, 5.55041
 
 _P0, _P1, _P2, _P3, _P4, _P5 = POWER
 _HALF, _ONE, _LEAST = np.float32(0.5), np.float32(1), np.float32(-np.inf)
+_NOTHING = np.float32(0)
 _PIECES: Final = 6  # of an image for several threads: a body is not evenly divided among its rows
 _LEAST_PIXELS: Final = 1 << 13  # measured, of a thread: to start and await one takes as long as labelling some thousand
 
@@ -62,6 +64,50 @@ def label_pixels(
         label_rows(*of_image, *run, labels[image], confidence[image])
 
     of_each(work, list(itertools.product(range(len(scores)), runs)), useful)
+
+
+def number_pixels(
+    places: NDArray[np.float32], range_m: NDArray[np.float32], stride: int, numbers: NDArray[np.uint16]
+) -> None:
+    """Write the point of the template at images' measured pixels, uint16 [B, H, W]; others stay as they are.
+
+    places: as scores of `label_pixels`, [B, h, w, 3]. range_m, stride: as there. Raises MissingLibrary without scipy.
+    """
+    down, across = (interpolation(size, stride) for size in range_m.shape[1:])
+    grid = point_grid()
+    for image in range(len(places)):
+        number_image(places[image], range_m[image], *down, *across, *grid, numbers[image])
+
+
+@partial(compiled, feature="labelling in compiled loops")
+def number_image(
+    places: Any,
+    range_m: Any,
+    rows: Any,
+    down: Any,
+    columns: Any,
+    across: Any,
+    grid: Any,
+    first: Any,
+    side: Any,
+    numbers: Any,
+) -> None:
+    """As `number_pixels`, of one image. rows, down, columns, across: neighbours and weights of `interpolation`."""
+    height, width, _ = places.shape
+    for row in range(rows.size):
+        top, bottom = places[max(rows[row], 0)], places[min(rows[row] + 1, height - 1)]
+        for column in range(columns.size):
+            if range_m[row, column] > 0:
+                left, right = max(columns[column], 0), min(columns[column] + 1, width - 1)
+                a, b, c, d = top[left], top[right], bottom[left], bottom[right]
+                place = 0
+                for axis in range(3):
+                    above = a[axis] + (b[axis] - a[axis]) * across[column]
+                    below = c[axis] + (d[axis] - c[axis]) * across[column]
+                    cube = (above + (below - above) * down[row] - first[axis]) / side
+                    last = grid.shape[axis] - 1
+                    place = place * (last + 1) + int(min(max(cube, _NOTHING), np.float32(last)))
+                numbers[row, column] = grid.ravel()[place]
 
 
 @lru_cache(maxsize=64)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
@@ -13,6 +13,7 @@ import torch.nn.functional as F  # noqa: N812  its name everywhere
 from numpy.typing import NDArray
 from torch import nn
 
+from bodyseg_data.bodies import NOWHERE
 from bodyseg_data.core import BadConfig, generator
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import use_compiled
@@ -96,19 +97,47 @@ def predict(network: Network, range_m: torch.Tensor) -> Prediction:
     labels. Scores that are coarser than the image are interpolated, as they were in training. Raises BadConfig for a
     wrong shape or a network in training mode.
     """
+    return _predict(network, range_m, network.scores if isinstance(network, Network) else None)
+
+
+@torch.inference_mode()
+def predict_dense(network: Network, range_m: torch.Tensor) -> tuple[Prediction, NDArray[np.uint16]]:
+    """As `predict`, and the number of the template's point that each pixel shows, uint16 [B, H, W], `NOWHERE` where
+    nothing was measured (`bodyseg_data.load_template`).
+
+    Raises BadConfig for a network that knows no places, too; MissingLibrary without numba or scipy.
+    """
+    seen: list[NDArray[np.float32]] = []
+
+    def scores(range_m: torch.Tensor) -> torch.Tensor:
+        both = network.scores_and_places(range_m).float()
+        seen.append(np.ascontiguousarray(both[:, network.classes :].permute(0, 2, 3, 1).cpu().numpy()))
+        return both[:, : network.classes]
+
+    found = _predict(network, range_m, scores)
+    numbers = np.full(found.labels.shape, NOWHERE, np.uint16)
+    if seen:
+        loops, metres = import_module(f"{__package__}.labelling"), range_m[:, 0].float().cpu().numpy()
+        loops.number_pixels(seen[0], metres, network.output_stride, numbers)
+    return found, numbers
+
+
+def _predict(network: Network, range_m: torch.Tensor, scores: Callable[[torch.Tensor], torch.Tensor]) -> Prediction:
     check_network(network)
     check_range_images(range_m)
     if network.training:
         raise BadConfig("predict needs a network in evaluation mode: call network.eval() first")
     if range_m.device.type == "cpu":
-        return _predict_on_processor(network, range_m)
+        return _predict_on_processor(network, range_m, scores)
     measured = range_m[:, 0] > 0
     labels = torch.full(measured.shape, BACKGROUND, dtype=torch.uint8, device=range_m.device)
     empty = Prediction(labels, torch.zeros(measured.shape, dtype=torch.float32, device=range_m.device))
-    return _label_by_torch(network, network.scores(range_m).float(), measured, empty) if measured.any() else empty
+    return _label_by_torch(network, scores(range_m).float(), measured, empty) if measured.any() else empty
 
 
-def _predict_on_processor(network: Network, range_m: torch.Tensor) -> Prediction:
+def _predict_on_processor(
+    network: Network, range_m: torch.Tensor, compute: Callable[[torch.Tensor], torch.Tensor]
+) -> Prediction:
     """As `predict`. Where numba is installed, NumPy and compiled loops compute all but the scores: after an operation
     that it divides among threads, PyTorch's threads wait busily for the next one, on processors that a runtime's
     threads need.
@@ -118,7 +147,7 @@ def _predict_on_processor(network: Network, range_m: torch.Tensor) -> Prediction
     found, measured = Prediction(torch.from_numpy(labels), torch.from_numpy(confidence)), metres > 0
     if not measured.any():
         return found
-    scores = network.scores(range_m).float()
+    scores = compute(range_m).float()
     if network.output_stride > 1 and use_compiled():
         by_point = np.ascontiguousarray(scores.permute(0, 2, 3, 1).numpy())
         if np.isfinite(by_point).all():
@@ -129,21 +158,27 @@ def _predict_on_processor(network: Network, range_m: torch.Tensor) -> Prediction
 
 
 def predict_each(
-    network: Network, images: Sequence[NDArray[np.float32]]
-) -> list[tuple[NDArray[np.uint8], NDArray[np.float32]]]:
-    """Labels uint8 and confidences float32 of each of some range images [h, w], metres, which may differ in size.
+    network: Network, images: Sequence[NDArray[np.float32]], dense: bool = False
+) -> list[tuple[NDArray[Any], ...]]:
+    """Labels uint8 and confidences float32 of each of some range images [h, w], metres, which may differ in size; and
+    if `dense`, points of the template uint16, as `predict_dense` gives them.
 
     Images of one size go through the network together, on its device, where that is quicker (`Network.together`).
     Raises BadConfig as `predict`.
     """
-    answers: dict[int, tuple[NDArray[np.uint8], NDArray[np.float32]]] = {}
+    answers: dict[int, tuple[NDArray[Any], ...]] = {}
     groups: dict[Any, list[int]] = {}
     for number, image in enumerate(images):
         groups.setdefault(image.shape if network.together else number, []).append(number)
     for alike in groups.values():
         together = torch.from_numpy(np.stack([images[number] for number in alike]))[:, None]
-        labels, confidence = (found.cpu().numpy() for found in predict(network, together.to(device_of(network))))
-        answers |= dict(zip(alike, zip(labels, confidence, strict=True), strict=True))
+        together, numbers = together.to(device_of(network)), []
+        if dense:
+            prediction, *numbers = predict_dense(network, together)
+        else:
+            prediction = predict(network, together)
+        found = [*(each.cpu().numpy() for each in prediction), *numbers]
+        answers |= dict(zip(alike, zip(*found, strict=True), strict=True))
     return [answers[number] for number in range(len(images))]
 
 

@@ -87,7 +87,7 @@ class FrameLabeller:
     "cpu", "cuda", "cuda:1" ..., by default a GPU if there is one. turned: degrees by which the camera was mounted
     turned clockwise, as seen from behind it: 0; 90, heads point left in its frames; 180, down; 270, right; "auto", the
     turn at which the network is surest of a person in the first frames with people; by default the roll of the frames'
-    camera. Frames are turned upright before they are labelled, and labels back.
+    camera. Frames are turned upright before they are labelled, and labels back. dense: as of `Segmenter`.
 
     Raises BadConfig for a confidence outside 0 to 1 as soon as a camera is known, for another turn, or as `on_backend`
     and `to_device`; MissingLibrary.
@@ -108,6 +108,7 @@ class FrameLabeller:
         flip_average: bool = False,
         device: str | None = None,
         turned: int | Turned | None = None,
+        dense: bool = False,
     ) -> None:
         if turned is not None and str(turned) not in get_args(Turned):
             raise BadConfig(f"turned must be one of {', '.join(get_args(Turned))}, found {turned!r}")
@@ -116,7 +117,7 @@ class FrameLabeller:
         self.label_map, self.rig = self.trained.label_map, self.trained.rig
         of_parts = self.label_map.of == PART_CLASSES
         self.background = background or Background("people" if of_parts else "frame")
-        self.mirrored, self.least_confidence = mirrored, least_confidence
+        self.mirrored, self.least_confidence, self.dense = mirrored, least_confidence, dense
         self.video = CarriedLabels() if video else None
         self._finder: Trained | None = None
         if self.background.mode == "people":
@@ -183,6 +184,7 @@ class FrameLabeller:
             quarters,
             self.label_map,
             None if self._finder is None else self._finder.network,
+            self.dense,
         )
 
     def __call__(self, range_m: NDArray[np.float32], camera: Camera) -> LabelledFrame:

@@ -34,7 +34,7 @@ LEGEND: Final = "legend.png"
 UNFINISHED: Final = "unfinished.json"
 """Frames of a call that has not ended yet, or was cut short; it goes when `SUMMARY` is written."""
 
-LABELS, OVERLAY, UNDISTORTED = IMAGES = ("labels", "overlay", "undistorted")
+LABELS, OVERLAY, UNDISTORTED, PLACES = IMAGES = ("labels", "overlay", "undistorted", "template")
 """Folders of images, one a frame."""
 
 MOST_WAITING: Final = 3
@@ -268,6 +268,8 @@ class FrameResults(WriteBehind):
                     self._preview.add(overlay)  # an animation has frames of one size
             if UNDISTORTED in self._out.folders and labelled.stored is not None:
                 images[UNDISTORTED] = labelled.stored
+            if PLACES in self._out.folders:
+                images[PLACES] = labelled.template
             for folder, image in images.items():
                 self._out.write(folder, frame.name, encode_picture(image))
         times = {**labelled.milliseconds, **watch.milliseconds}

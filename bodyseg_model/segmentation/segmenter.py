@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from bodyseg_data.bodies import NOWHERE
 from bodyseg_data.core import BadConfig, Stopwatch
 from bodyseg_data.labels import BACKGROUND, PART_COUNT, PARTS33, LabelMap
 from bodyseg_data.machine import of_each, require_numba
@@ -45,6 +46,7 @@ class LabelledBody:
 
     median_range_m, turn_rad, scale: its median range, and rotation and scale of its view for the network (`BodyView`).
     person: mean probability over its pixels that they show a person, 0 to 1, by the finder; None if none was asked.
+    places: of a dense segmenter alone, the point of the template that each pixel shows, uint16 [N].
     """
 
     pixels: NDArray[np.intp] = field(repr=False)
@@ -53,6 +55,7 @@ class LabelledBody:
     scale: float
     confidence: NDArray[np.float32] = field(repr=False)
     person: float | None = None
+    places: NDArray[np.uint16] | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True)
@@ -112,6 +115,18 @@ class Segmentation:
             image.ravel()[body.pixels] = number
         return image
 
+    @property
+    def template(self) -> NDArray[np.uint16]:
+        """The point of the body's template that each pixel shows, uint16 [H, W] (`bodyseg_data.load_template`); 65535
+        where there is no label, and everywhere unless the segmenter is dense.
+        """
+        image = np.full(self.labels.shape, NOWHERE, np.uint16)
+        for body in self.bodies:
+            if body.places is not None:
+                image.ravel()[body.pixels] = body.places
+        image[self.labels == BACKGROUND] = NOWHERE
+        return image
+
     def points(self) -> Records:
         """The points of all people, with label, person and confidence, `POINT` [N] (`labelled_points`)."""
         return labelled_points(self)
@@ -150,7 +165,8 @@ def _turned_back(answer: Segmentation, quarters: int) -> Segmentation:
     for body in answer.bodies:
         pixels = place[body.pixels]
         order = np.argsort(pixels)
-        bodies.append(replace(body, pixels=pixels[order], confidence=body.confidence[order]))
+        places = None if body.places is None else body.places[order]
+        bodies.append(replace(body, pixels=pixels[order], confidence=body.confidence[order], places=places))
     things = tuple(replace(thing, pixels=np.sort(place[thing.pixels])) for thing in answer.things)
     return replace(answer, labels=labels, bodies=tuple(bodies), things=things, range_m=range_m)
 
@@ -167,9 +183,10 @@ class Segmenter:
     in that mode, by default the one that ships. video: carries evidence from frame to frame of a recording, whose
     frames must then come in order (`CarriedLabels`); None to label each alone. turned: right angles by which the camera
     was mounted turned clockwise, as seen from behind it: frames are turned clockwise by as many before they are
-    labelled, and labels back. label_map: the network's classes; by default the 33 parts for a network of 33. Raises
-    BadConfig for a confidence outside 0 to 1, a camera with distortion or a network that is no finder; MissingLibrary
-    without numba.
+    labelled, and labels back. label_map: the network's classes; by default the 33 parts for a network of 33. dense:
+    also tell where on the template of the body each pixel lies (`Segmentation.template`). Raises BadConfig for a
+    confidence outside 0 to 1, a camera with distortion, a network that is no finder, or knows no places and is to be
+    dense; MissingLibrary without numba.
     """
 
     def __init__(
@@ -185,6 +202,7 @@ class Segmenter:
         turned: int = 0,
         label_map: LabelMap | None = None,
         finder: Network | None = None,
+        dense: bool = False,
     ) -> None:
         if not 0 <= least_confidence <= 1:
             raise BadConfig(f"a confidence must be 0 to 1, found {least_confidence:g}")
@@ -197,7 +215,12 @@ class Segmenter:
         self.background = background or Background()
         self.rig = rig or load_rig()
         self.video = video
-        self._network = on_backend(network)
+        self._network, self.dense = on_backend(network), dense
+        if dense and not self._network.on_template:
+            raise BadConfig(
+                "dense answers need a network with places on the template, computed by torch: `train --settings "
+                f"'{{\"template\": true}}'` trains one, found {type(network).__name__} without"
+            )
         finds = self.background.mode == "people"
         self.doubted_below = doubted_below if finds else 0.0
         self.finder = on_backend(finder or shipped_finder().network) if finds else None
@@ -252,23 +275,26 @@ class Segmenter:
         bodies: list[LabelledBody] = []
         things: list[Thing] = []
         with watch("network"):
-            answers = predict_each(self._network, [view.range_m for _, view in found.bodies])
+            answers = predict_each(self._network, [view.range_m for _, view in found.bodies], self.dense)
         with watch("back"):
-            for ((pixels, person), view), (view_labels, view_confidence) in zip(found.bodies, answers, strict=True):
+            for ((pixels, person), view), answer in zip(found.bodies, answers, strict=True):
+                view_labels, view_confidence, *numbers = answer
                 confidence = view.back(view_confidence)
                 mean = float(confidence.mean(dtype=np.float64))
                 if person is not None and person * mean < self.doubted_below:
                     things.append(Thing(pixels, view.median_range_m, person, mean))
                     continue
                 labels.ravel()[pixels] = view.back(view_labels)
-                bodies.append(LabelledBody(pixels, view.median_range_m, view.turn_rad, view.scale, confidence, person))
+                seen_as = view.median_range_m, view.turn_rad, view.scale
+                places = view.back(numbers[0]) if numbers else None
+                bodies.append(LabelledBody(pixels, *seen_as, confidence, person, places))
         if self.video is not None:
             with watch("video"):
                 seen = [(body.pixels, body.confidence) for body in bodies]
                 labels = self.video(range_m, labels, seen, self._upright)
         for labelled in bodies:
             labels.ravel()[labelled.pixels[labelled.confidence < self.least_confidence]] = BACKGROUND
-        answer = Segmentation(
+        segmentation = Segmentation(
             labels,
             tuple(bodies),
             watch.milliseconds,
@@ -278,7 +304,7 @@ class Segmenter:
             self.mirrored,
             self.label_map,
         )
-        return _turned_back(answer, self.turned) if self.turned else answer
+        return _turned_back(segmentation, self.turned) if self.turned else segmentation
 
     def prepare(self) -> None:
         """Load the compiled loops and label usual views, so that the first frames take no longer than others: a network
@@ -295,4 +321,4 @@ class Segmenter:
             part_people(room, room > 0, self._upright)
         view_body(np.full_like(room, self.rig.stand_off_m), np.arange(1), self._upright, self.rig, self.mirrored)
         for views in usual_views(self.rig, self._network.together):
-            predict_each(self._network, views)
+            predict_each(self._network, views, self.dense)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,17 +15,16 @@ from small_training import TINY, log, train
 
 from bodyseg_data import RangeImages, load_template
 from bodyseg_data.bodies import NOWHERE
-from bodyseg_data.commands import main
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import PARTS33
-from bodyseg_data.shards import ColumnWriter
+from bodyseg_model.commands import main
 from bodyseg_model.networks import UNIT_M, build, load_network, place_table
 from bodyseg_model.training import GeometricAugmentation
 from bodyseg_model.training.augmentation import augmented, mirror_draws, signed_numbers
 from bodyseg_model.training.loss import PLACE_WEIGHT, NetworkWithLoss
 
 ON_TEMPLATE = {**TINY, "template": True}
-WORDS = "--network compact --steps 2 --batch-size 2 --num-workers 0 --threads 1 --device cpu --seed 3".split()
+WORDS = ["--steps", "2", "--batch-size", "2", "--num-workers", "0", "--threads", "1", "--device", "cpu"]
 
 
 @pytest.fixture(scope="module")
@@ -103,19 +103,13 @@ def test_a_training_learns_places_and_its_network_gives_the_scores_alone_as_well
         assert both.shape[1] == 36 and torch.equal(both[:, :33], network.scores(range_m))
 
 
-def test_a_set_without_places_is_refused(mapped: Path, small_set: Path, tmp_path: Path) -> None:
-    for images, found in ((RangeImages(mapped, "all", "train"), "None"), (_foreign(mapped, tmp_path), "'mine'")):
+def test_a_set_without_places_is_refused(mapped: Path, tmp_path: Path) -> None:
+    foreign = RangeImages(mapped, "all", "train", planes=["template"])
+    foreign.columns["template"] = replace(foreign.columns["template"], source="mine")
+    for images, found in ((RangeImages(mapped, "all", "train"), "None"), (foreign, "'mine'")):
         with pytest.raises(BadConfig, match=rf"^a network with places .* 'anny 11 mm 1', found {found}: open the im"):
             train(mapped, tmp_path / "run", settings=ON_TEMPLATE, images=images)
     assert not (tmp_path / "run").exists()
-
-
-def _foreign(mapped: Path, folder: Path) -> RangeImages:
-    images = RangeImages(mapped, "all", "train", planes=["template"])
-    images.columns["template"] = type(images.columns["template"])(
-        **{**vars(images.columns["template"]), "source": "mine"}
-    )
-    return images
 
 
 def test_the_command_trains_places_and_starts_from_networks_without(
@@ -125,8 +119,8 @@ def test_the_command_trains_places_and_starts_from_networks_without(
     bare = ["train", "--data", str(small_set), *WORDS, "--settings", settings, "--out", str(tmp_path / "no")]
     assert main(bare) == 2
     assert capsys.readouterr().err == (
-        f"bodyseg train: {small_set} has no map of the body, the column 'template': `shard --template` packs it for the "
-        "open sources\n"
+        f"bodyseg train: {small_set} has no map of the body, the column 'template': `shard --template` packs it for "
+        "the open sources\n"
     )
     of_set = ["train", "--data", str(mapped), *WORDS]
     assert main([*of_set, "--settings", plain, "--out", str(tmp_path / "plain")]) == 0
