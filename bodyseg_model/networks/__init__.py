@@ -36,7 +36,6 @@ if TYPE_CHECKING:
         name_of,
         network_class,
         predict,
-        predict_dense,
         predict_each,
     )
 else:
