@@ -419,6 +419,27 @@ def appliance(n: Numbers) -> Solid:
     return together([bent(n, body, 0.02), tube(hose, 0.025), fan])
 
 
+def sculpture(n: Numbers, first: int = 0, last: int = 2) -> Solid:
+    """Bars, balls and slabs joined at random, half of them mirrored: art, toys, machines, and what has no name.
+
+    first, last: of these shapes, the ones that are used.
+    """
+    pieces, ends = list[Solid](), [np.zeros(3)]
+    for _ in range(n.whole(3, 14)):
+        size, shape = (n.between(0.03, 0.3), n.between(0.03, 0.3), n.between(0.15, 0.8)), n.whole(first, last)
+        at, turn = ends[n.whole(0, len(ends) - 1)], about(n.between(-3.2, 3.2)) @ about(n.between(-1.6, 1.6), 0)
+        middle: Point = (0, 0, size[2] / 2)
+        bar = tube([(0, 0, 0), (0, 0, size[2])], size[0] / 4)
+        one = (bar, ball(size, middle), slab(size, middle, 4))[shape]
+        pieces.append(Solid(one.vertices @ turn.T + at, one.faces))
+        ends.append(at + turn @ middle * n.between(0.5, 2.0))
+    made = bent(n, together(pieces), n.between(0.0, 0.08))
+    made = together(both(made.moved((n.between(-0.1, 0.3), 0, 0)))) if n.whole(0, 1) else made
+    low, high = made.vertices.min(axis=0), made.vertices.max(axis=0)
+    base = (low + high) / 2 * (1, 0, 1) + low * (0, 1, 0)
+    return Solid((made.vertices - base) * (n.between(0.3, 1.8) / float((high - low).max())), made.faces)
+
+
 SEATS: Final[dict[str, Callable[..., Solid]]] = {
     **{made.__name__: made for made in (chair, office_chair, folding_chair, stool, armchair, wheelchair)},
     "sofa": partial(armchair, narrowest=1.2, widest=2.0),
@@ -436,6 +457,8 @@ FURNISHINGS: Final[dict[str, Callable[[Numbers], Solid]]] = {
     **{name: partial(_topped, FURNITURE[name]) for name in ("table", "box")},
     "hanging": lambda n: sheet(n, n.between(0.3, 1.8), n.between(0.6, 2.2), n.between(0.01, 0.09), n.between(1, 12)),
     "heap": lambda n: cushions(n, 0.0),
+    "sculpture": sculpture,
+    **{name: partial(sculpture, first=at, last=at) for at, name in enumerate(("framework", "figure", "blocks"))},
     "pile": lambda n: together(clutter(n, n.between(0.5, 1.4), n.between(0.5, 1.2), 0.0, 12, n.between(1.0, 3.0))),
 }
 """Name -> a thing of that kind, drawn anew."""
