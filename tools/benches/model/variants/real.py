@@ -168,18 +168,15 @@ class RealFrames:
         found = {name: _READERS[name](self._folder / name) for name in self.names if name != LABELLED}
         return ({LABELLED: self._labelled()} if LABELLED in self.names else {}) | found
 
+    def make_labels(self) -> None:
+        """Make the file of true labels, unless it is there. Raises BadConfig as reading the recording."""
+        if LABELLED in self.names:
+            self._labels(read_recording(self._folder / LABELLED, _VIEWS))
+
     def _labelled(self) -> Recording:
         """The recording with true labels. Raises BadConfig as `read_recording` and `load_placements`."""
-        folder = self._folder / LABELLED
-        stored = read_recording(folder, _VIEWS)
-        of = json_digest([self._digests[LABELLED], code_digest(__name__)])
-        known: dict[str, Any] = {}
-        if self._kept.exists():
-            with np.load(self._kept, allow_pickle=False) as file:
-                known = {name: file[name] for name in file.files} if str(file["of"]) == of else {}
-        if not known:
-            known = _made_labels(folder, stored)
-            np.savez_compressed(self._kept, of=np.array(of), **known)
+        stored = read_recording(self._folder / LABELLED, _VIEWS)
+        known = self._labels(stored)
         turned = [frame.mirrored() for frame in stored] if known["mirrored"] else stored
         seen = [
             replace(frame, placed=PlacedCamera(frame.placed.camera, axes, position))
@@ -190,6 +187,17 @@ class RealFrames:
         surface = FusedSurface(known["vertices"], none.astype(np.int64), none, none[:, 0].astype(np.int64))
         people = [_person(frame) for frame in stored]
         return Recording(LABELLED, people, bool(known["mirrored"]), seen, truth, (surface, known["vertex_labels"]))
+
+    def _labels(self, stored: Sequence[Frame]) -> dict[str, Any]:
+        of = json_digest([self._digests[LABELLED], code_digest(__name__)])
+        known: dict[str, Any] = {}
+        if self._kept.exists():
+            with np.load(self._kept, allow_pickle=False) as file:
+                known = {name: file[name] for name in file.files} if str(file["of"]) == of else {}
+        if not known:
+            known = _made_labels(self._folder / LABELLED, stored)
+            np.savez_compressed(self._kept, of=np.array(of), **known)
+        return known
 
     @cached_property
     def _digests(self) -> dict[str, str]:
