@@ -67,7 +67,7 @@ BENCHES: Final = {
         "model.variants.bench",
         "figure",
         required=("data", "runs"),
-        optional=("seeds", "steps", "images", "only_finished", "real", "hard", "people"),
+        optional=("seeds", "steps", "images", "only_finished", "real", "hard", "people", "together"),
     ),
     "network": Bench("model.networks.network", "network_figure", "typical frames, 12", optional=("runs", "scores")),
     "runtimes": Bench(
@@ -183,6 +183,7 @@ class Options:
     only_finished: bool = option("for variants: train nothing, compare what there is", False)
     real: Path | None = option("for variants: folder of recordings of real frames, to test on as well", None)
     people: Path | None = option("for variants: folder of scanned people with landmarks, to test on as well", None)
+    together: int | None = option("for variants: processes that score networks side by side (default 1)", None)
     alone: bool = option("for people: scores alone, no landmarks", False)
     flip_average: bool = option("for people, real and steady: average the answers to images and mirror images", False)
     scores: tuple[Path, ...] | None = option(

@@ -13,6 +13,7 @@ import pytest
 import torch
 from benches.model.ablation import costs
 from benches.model.variants import runs as variants_runs
+from benches.model.variants import scores
 from benches.model.variants.bench import Results, bench_variants
 from benches.model.variants.claims import claims
 from benches.model.variants.figure import _STYLES, draw_variants
@@ -107,6 +108,19 @@ def test_every_network_meets_every_test_set(figures_set: Path, measured: tuple[P
     assert json.loads(json.dumps(figures)) == figures
 
 
+def test_networks_scored_together_get_the_same_scores(
+    figures_set: Path, measured: tuple[Path, Results], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "runs"
+    for variant in ("none", "all"):
+        shutil.copytree(measured[0] / f"{variant}-0", folder / f"{variant}-0")
+        (folder / f"{variant}-0" / scores.FILE).unlink()
+    monkeypatch.setattr(scores, "evaluate", None)  # this process scores nothing itself
+    found = bench_variants(str(figures_set), (folder,), 1, images=IMAGES, only_finished=True, together=2)
+    assert found["table"] == {variant: measured[1]["table"][variant] for variant in ("none", "all")}
+    assert found["missing"] == ["occ-0", "noise-0", "md-0"]
+
+
 def test_the_sweeps_change_one_artifact_of_x_all(figures_set: Path) -> None:
     plain = RangeImages(figures_set, "all", "test", 0)
     noisy, holed = (
@@ -151,6 +165,7 @@ def test_noise_of_a_grain_is_equal_over_squares(figures_set: Path) -> None:
             "--only-finished needs finished trainings VARIANT-SEED, found none in a",
         ),
         ({"seeds": 0}, "the number of seeds must be a whole number of at least 1, found 0"),
+        ({"together": 0}, "the number of processes together must be a whole number of at least 1, found 0"),
         ({"images": 0}, "the number of test images must be a whole number of at least 1, found 0"),
         ({"steps": STEPS + 1}, "noise-0 is a training of 2 steps, --steps asks for 3"),
     ],

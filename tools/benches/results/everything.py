@@ -16,9 +16,11 @@ from benches.results.trainings import (
     BOX_LINKS,
     DRESSED,
     HARD,
+    KINECT_HARD,
     LOSSES_RUNS,
     NETWORK_RUNS,
     OPEN,
+    PAPER,
     READ,
     REFERENCE_RUNS,
     SENSOR_RUNS,
@@ -111,12 +113,17 @@ def _shipped() -> Iterator[Step]:
 
 def _trained() -> Iterator[Step]:
     """Networks that were trained for the comparison."""
-    compared = ("--data", KINECT_SET, "--runs", "runs/kinect", "runs/whole", "--seeds", "3", "--images", "60")
-    on_real = ("--only-finished", "--real", REAL, "--people", FAUST)
-    yield _bench("variants", *compared, *on_real, drawn=True, more=("variants_real.png",), alone=True)
+    scored, on_real = ("--seeds", "3", "--images", "60", "--only-finished"), ("--real", REAL, "--people", FAUST)
+    full = ("--data", KINECT_SET, "--runs", "runs/full", *scored, "--hard", KINECT_HARD, *on_real)
+    yield _bench("variants", *full, drawn=True, more=("variants_real.png",), alone=True)
+    small = ("--data", KINECT_SET, "--runs", "runs/kinect", "runs/whole", *scored, *on_real)
+    yield _bench("variants", *small, to="variants_small", alone=True)
+    for folder in ("paper", "paper_alexnet"):
+        of_paper = ("--data", PAPER, "--runs", f"runs/{folder}", *scored, "--hard", HARD, *on_real)
+        yield _bench("variants", *of_paper, to=f"variants_{folder}", alone=True)
     unlike = (*seeds("runs/kinect/none"), *seeds("runs/kinect/all"))
     yield _bench("harm", "--data", KINECT_SET, "--runs", *unlike, "--images", "60", reads=(SHIPPED,), alone=True)
-    fine = ("--data", KINECT_SET, "--runs", "runs/fine", "--seeds", "1", "--images", "300", "--only-finished")
+    fine = ("--data", KINECT_SET, "--runs", "runs/fine", "--seeds", "1", "--images", "60", "--only-finished")
     yield _bench("variants", *fine, to="variants_fine", alone=True)
     folder = ("--runs", "runs/networks")
     yield _bench("architectures", "--data", OPEN, *folder, "--images", "200", alone=True)

@@ -18,6 +18,8 @@ DRESSED: Final = "sets/dressed233"
 BARE: Final = "sets/bare233"
 READ: Final = "sets/open200"
 KINECT: Final = "sets/kinect"
+KINECT_HARD: Final = "sets/hard_kinect"
+PAPER: Final = "sets/paper"
 
 SETS: Final = {
     OPEN: ("open",),
@@ -26,6 +28,8 @@ SETS: Final = {
     BARE: ("bare", "--meshes", "233"),
     READ: ("open", "--meshes", "200", "--views", "54"),
     KINECT: ("open", "--rig", "kinect_v1", "--meshes", "500", "--views", "12"),
+    KINECT_HARD: ("hard", "--rig", "kinect_v1", "--views", "6"),
+    PAPER: ("open", "--meshes", "500", "--views", "12"),
 }
 """Folder -> source, and further options of `bodyseg shard`."""
 
@@ -71,16 +75,31 @@ def seeds(name: str) -> tuple[str, ...]:
     return tuple(f"{name}-{seed}" for seed in range(SEEDS))
 
 
+SENSOR_RUNS: Final = {"sensor": "kinect_v1", "phase_shift": "paper_phase_shift"}
+"""Trainings beside the five variants -> their sensor file."""
+
+FULL_RUNS: Final = tuple(itertools.chain(*(seeds(f"runs/full/{variant}") for variant in VARIANTS)))
+"""Fifteen trainings of the whole `compact`: five variants, three seeds, of a rig of which there are real frames."""
+
+PAPER_RUNS: Final = (*seeds("runs/paper/none"), *seeds("runs/paper/all"))
+"""The same network and recipe, of the paper's rig."""
+
+ALEXNET_4TH_RUNS: Final = (*seeds("runs/paper_alexnet/none"), *seeds("runs/paper_alexnet/all"))
+"""The paper's network, a quarter of its width, of the paper's rig."""
+
+_LONG: Final = ("--steps", "1500", "--batch-size", "32", "--bust", "0.5")
+"""48 000 images from random weights, half of them upper bodies, as most real frames show: the artifacts alone differ
+from the first step on, and so long a training needs no start that others share.
+"""
+_LONG_ALEXNET: Final = (*_ALEXNET, "--settings", '{"width":0.25}', "--steps", "750", *_LONG[2:])
+
 VARIANT_RUNS: Final = tuple(itertools.chain(*(seeds(f"runs/kinect/{variant}") for variant in VARIANTS)))
-"""The fifteen trainings: five variants, three seeds each, of a rig of which there are real frames."""
+"""As `FULL_RUNS`, of half a million weights, which a processor trains."""
 
 WHOLE_RUNS: Final = seeds("runs/whole/none")
-"""Trainings on whole bodies without artifacts, from which those of each seed start."""
+"""Trainings on whole bodies without artifacts, from which those of `VARIANT_RUNS` start."""
 
 _STARTED: Final = ("--steps", "900", "--bust", "0.5")
-
-SENSOR_RUNS: Final = {"sensor": "kinect_v1", "phase_shift": "paper_phase_shift"}
-"""Trainings beside the fifteen -> their sensor file."""
 
 FINE_RUNS: Final = ("runs/fine/none-0", "runs/fine/noise-0")
 _FINE: Final = ("--settings", '{"patch":4,"widths":[16,32,56,72,80],"blocks":[0,1,1,1,1]}')
@@ -119,15 +138,21 @@ def sets() -> Iterator[Step]:
 
 def trainings() -> Iterator[Step]:
     """Steps that train, in an order in which the results that need few trainings come first."""
+    rows: dict[str, tuple[str, str]] = {variant: ("--variant", variant) for variant in VARIANTS}
+    either = {name: rows[name] for name in ("none", "all")}
+    rows |= {name: ("--sensor", sensor) for name, sensor in SENSOR_RUNS.items()}
+    for (name, artifacts), seed in itertools.product(rows.items(), range(SEEDS)):
+        yield _training(f"runs/full/{name}-{seed}", KINECT, *artifacts, seed=seed, scale=_LONG)
+    for folder, scale in (("runs/paper", _LONG), ("runs/paper_alexnet", _LONG_ALEXNET)):
+        for (name, artifacts), seed in itertools.product(either.items(), range(SEEDS)):
+            yield _training(f"{folder}/{name}-{seed}", PAPER, *artifacts, seed=seed, scale=scale)
     for seed, run in enumerate(WHOLE_RUNS):
         yield _training(run, KINECT, "--variant", "none", "--steps", "1200", seed=seed, scale=_SMALL)
-    rows: dict[str, tuple[str, str]] = {variant: ("--variant", variant) for variant in VARIANTS}
-    rows |= {name: ("--sensor", sensor) for name, sensor in SENSOR_RUNS.items()}
     for seed, (name, artifacts) in itertools.product(range(SEEDS), rows.items()):
         start = ("--pretrained", WHOLE_RUNS[seed], *_STARTED)
         yield _training(f"runs/kinect/{name}-{seed}", KINECT, *artifacts, *start, seed=seed, scale=_SMALL)
-    for name, either in zip(FINE_RUNS, ("none", "noise"), strict=True):
-        yield _training(name, KINECT, *_FINE, "--variant", either, "--steps", "1200", seed=0, scale=_COMPARED)
+    for name, variant in zip(FINE_RUNS, ("none", "noise"), strict=True):
+        yield _training(name, KINECT, *_FINE, "--variant", variant, seed=0, scale=_LONG)
     for (name, options), seed in itertools.product([("compact", ()), *NETWORKS.items()], range(SEEDS)):
         yield _training(f"runs/networks/{name}-{seed}", OPEN, *options, seed=seed)
     for (name, options), seed in itertools.product(SMALLER.items(), range(SEEDS)):

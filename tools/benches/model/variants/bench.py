@@ -7,9 +7,11 @@ results.
 
 from __future__ import annotations
 
+import multiprocessing
 import tempfile
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +27,7 @@ from benches.model.people.scores import packed_views
 from benches.model.variants.claims import ScoresOf, Tree, accuracies, claims
 from benches.model.variants.real import ALTERED as ALTERED_FRAMES
 from benches.model.variants.real import RealFrames, Shown, Values
-from benches.model.variants.runs import NETWORK, Plan, Run, common_plan, origin, other_runs, runs_in, train
+from benches.model.variants.runs import Plan, Run, common_plan, origin, other_runs, runs_in, train
 from benches.model.variants.scores import SWEEPS, TABLE, Condition, Evaluator, Sweep
 from benches.model.variants.verdicts import ALTERED, REAL, RULE, Scores, differences, verdicts
 from bodyseg_data.artifacts import VARIANTS, VariantName
@@ -64,6 +66,7 @@ def bench_variants(
     real: Path | None = None,
     hard: str | None = None,
     people: Path | None = None,
+    together: int = 1,
     progress: NotedProgress = silent,
 ) -> Results:
     """Train what is missing in the first folder of `runs`, then evaluate every network on the first `images` of `data`.
@@ -73,12 +76,14 @@ def bench_variants(
     folders, of any rig, which real frames alone can compare. Scores are kept in each run's cached_results.json.
 
     only_finished: train nothing. real: folder of recordings, see `RealFrames`. hard: a set of hard poses of the same
-    rig. people: folder of meshes with landmarks, see `annotated_bodies`.
+    rig. people: folder of meshes with landmarks, see `annotated_bodies`. together: processes that score networks side
+    by side.
 
     Raises BadConfig for wrong numbers, no finished training where nothing is to be trained, or trainings that differ in
     more than they may; otherwise as training and evaluating do.
     """
     check_int("the number of test images", images, 1)
+    check_int("the number of processes together", together, 1)
     planned = runs_in(runs[0], seeds)
     trainings = [run for run in planned if run.finished] if only_finished else planned
     if not trainings:
@@ -95,7 +100,7 @@ def bench_variants(
             packed_views(annotated_bodies(people, _PEOPLE_POSES), _PEOPLE_VIEWS, folder, work.rig)
             more = AblationCondition("none", label="people", title="scanned people", data=str(folder / "set"))
             work.more.append(more)
-        measured = _measured(work)
+        measured = _measured(work, together)
     measured["missing"] = [run.name for run in planned if not run.finished]
     shown = () if recordings is None else recordings.shown({run.row: run.path for run in reversed(trainings)})
     return Results(measured, shown)
@@ -151,7 +156,41 @@ class _Work:
         return loading_ms(ways)
 
 
-def _measured(work: _Work) -> dict[str, Any]:
+def _score_rendered(data: str, images: int, runs: Sequence[Run], conditions: Sequence[Condition]) -> None:
+    """Score the networks of finished trainings, in a process of its own; the scores are kept beside them."""
+    torch.set_num_threads(1)
+    evaluator, device = Evaluator(data, images), find_device()
+    networks = {run: load_network(run.path).network.to(device) for run in runs}
+    for condition in conditions:  # the outer loop, so that every set of test images is opened once
+        for run, network in networks.items():
+            evaluator.scores(run.path, network, condition, _with_extras(run, condition))
+
+
+def _score_real(recordings: RealFrames, runs: Sequence[Run]) -> None:
+    """As `_score_rendered`, on real frames."""
+    for run in runs:
+        recordings.scores(run.path)
+
+
+def _score_together(work: _Work, conditions: Sequence[Condition], processes: int) -> None:
+    """Score all networks, in `processes` at a time."""
+    spawned = multiprocessing.get_context("spawn")  # a forked process could not use the GPU
+    with ProcessPoolExecutor(processes, spawned) as pool:
+        parts = [work.rendered[start::processes] for start in range(processes)]
+        waiting = [pool.submit(_score_rendered, work.data, work.images, part, conditions) for part in parts if part]
+        if work.recordings is not None:
+            work.recordings.make_labels()  # meanwhile, once for all
+            parts = [work.everything[start::processes] for start in range(processes)]
+            waiting += [pool.submit(_score_real, work.recordings, part) for part in parts if part]
+        for each in waiting:
+            each.result()
+
+
+def _with_extras(run: Run, condition: Condition) -> bool:
+    return run.variant == "all" and condition == TABLE["all"]
+
+
+def _measured(work: _Work, together: int) -> dict[str, Any]:
     start = time.perf_counter()
     tests = work.tests()
     swept = (condition for sweep in SWEEPS.values() for condition in sweep.conditions)
@@ -161,12 +200,14 @@ def _measured(work: _Work) -> dict[str, Any]:
     for run in bar.missing:
         train(run, work.plan, work.data, ProcessGroup(0, 1, device), bar.report(run))
         bar.trained(run)
+    if together > 1:
+        _score_together(work, conditions, together)
     found: dict[tuple[Run, Condition], Tree] = {}
     networks = {run: load_network(run.path) for run in work.rendered}
     for condition in conditions:  # the outer loop, so that every set of test images is opened once
         for run, trained in networks.items():
-            extras = run.variant == "all" and condition == TABLE["all"]
-            found[run, condition] = work.evaluator.scores(run.path, trained.network.to(device), condition, extras)
+            network, extras = trained.network.to(device), _with_extras(run, condition)
+            found[run, condition] = work.evaluator.scores(run.path, network, condition, extras)
             bar.add(work.test_images, f"{run.name} on {condition.name}")
     real: dict[Run, Mapping[str, Values]] = {}
     for run in work.everything if work.recordings is not None else ():
@@ -195,8 +236,8 @@ def _measured(work: _Work) -> dict[str, Any]:
             "rig": work.rig.name,
             "seeds": max(map(len, seeds.values())),
         },
-        "network": NETWORK,
-        "parameters": parameters(build(NETWORK, plan.settings)),
+        "network": plan.network,
+        "parameters": parameters(build(plan.network, plan.settings)),
         "settings": plan.settings,
         "recipe": plan.recipe.to_json(),
         "data": {"source": manifest.source, "renderer": manifest.renderer, "train": plan.data["set"]},

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from benches.measuring import evenly_spaced
@@ -35,7 +36,7 @@ from bodyseg_data.machine import torch_threads
 from bodyseg_data.rigs import PlacedCamera, load_rig
 from bodyseg_data.samples import Sample, SampleInfo, steps
 from bodyseg_model.evaluation import ConfusionMatrix, GrossErrors, distances_to_parts
-from bodyseg_model.networks import Trained, load_network
+from bodyseg_model.networks import Trained, find_device, load_network
 from bodyseg_model.segmentation import Background, Segmenter
 
 LABELLED: Final = "kinect_v1"
@@ -168,18 +169,15 @@ class RealFrames:
         found = {name: _READERS[name](self._folder / name) for name in self.names if name != LABELLED}
         return ({LABELLED: self._labelled()} if LABELLED in self.names else {}) | found
 
+    def make_labels(self) -> None:
+        """Make the file of true labels, unless it is there. Raises BadConfig as reading the recording."""
+        if LABELLED in self.names:
+            self._labels(read_recording(self._folder / LABELLED, _VIEWS))
+
     def _labelled(self) -> Recording:
         """The recording with true labels. Raises BadConfig as `read_recording` and `load_placements`."""
-        folder = self._folder / LABELLED
-        stored = read_recording(folder, _VIEWS)
-        of = json_digest([self._digests[LABELLED], code_digest(__name__)])
-        known: dict[str, Any] = {}
-        if self._kept.exists():
-            with np.load(self._kept, allow_pickle=False) as file:
-                known = {name: file[name] for name in file.files} if str(file["of"]) == of else {}
-        if not known:
-            known = _made_labels(folder, stored)
-            np.savez_compressed(self._kept, of=np.array(of), **known)
+        stored = read_recording(self._folder / LABELLED, _VIEWS)
+        known = self._labels(stored)
         turned = [frame.mirrored() for frame in stored] if known["mirrored"] else stored
         seen = [
             replace(frame, placed=PlacedCamera(frame.placed.camera, axes, position))
@@ -190,6 +188,17 @@ class RealFrames:
         surface = FusedSurface(known["vertices"], none.astype(np.int64), none, none[:, 0].astype(np.int64))
         people = [_person(frame) for frame in stored]
         return Recording(LABELLED, people, bool(known["mirrored"]), seen, truth, (surface, known["vertex_labels"]))
+
+    def _labels(self, stored: Sequence[Frame]) -> dict[str, Any]:
+        of = json_digest([self._digests[LABELLED], code_digest(__name__)])
+        known: dict[str, Any] = {}
+        if self._kept.exists():
+            with np.load(self._kept, allow_pickle=False) as file:
+                known = {name: file[name] for name in file.files} if str(file["of"]) == of else {}
+        if not known:
+            known = _made_labels(self._folder / LABELLED, stored)
+            np.savez_compressed(self._kept, of=np.array(of), **known)
+        return known
 
     @cached_property
     def _digests(self) -> dict[str, str]:
@@ -205,13 +214,13 @@ class RealFrames:
         """Recording -> measure -> value, of the network in a run's folder, kept in its cached_results.json."""
         cache = ResultCache(folder / FILE, network_identity(folder), __name__)
         rig = hashlib.sha256(json.dumps(read_json(folder / "network.json").get("rig")).encode()).hexdigest()
-        trained = None
+        trained, device = None, find_device()
         found = {}
         for name in self.names:
-            query = {"real frames": self._digests[name], "rig": rig}
+            query = {"real frames": self._digests[name], "rig": rig, "device": device.type}
             kept = cache.get(query)
             if kept is None:
-                trained = trained or load_network(folder)
+                trained = trained or _loaded(folder, device)
                 with torch_threads(1):
                     kept = self.recordings[name].scores(trained)
                 cache.put(query, kept)
@@ -224,12 +233,18 @@ class RealFrames:
         for name, recording in self.recordings.items():
             numbers = sorted({int(place * len(recording.frames)) for place in _SHOWN.get(name, (0.5,))})
             some = replace(recording, frames=[recording.frames[number] for number in numbers])
-            answers = {row: some.answers(load_network(folder)) for row, folder in folders.items()}
+            answers = {row: some.answers(_loaded(folder, find_device())) for row, folder in folders.items()}
             for place, number in enumerate(numbers):
                 truth = {"true labels": recording.truth["mean"][number]} if recording.truth else {}
                 labels = truth | {row: each[place] for row, each in answers.items()}
                 found.append(Shown(RECORDINGS[name], recording.shown(number), labels))
         return found
+
+
+def _loaded(folder: Path, device: torch.device) -> Trained:
+    trained = load_network(folder)
+    trained.network.to(device)
+    return trained
 
 
 def _made_labels(folder: Path, stored: Sequence[Frame]) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from bodyseg_model.training import Recipe, Report, RunFolder, RunOptions, Traini
 from bodyseg_model.training.distributed import ProcessGroup
 
 NETWORK: Final = "compact"
+"""That is trained where no training is there to say which."""
 RUN_OPTIONS: Final = RunOptions()
 
 
@@ -66,15 +67,18 @@ class Run:
 
 @dataclass(frozen=True)
 class Plan:
-    """Facts that all trainings share. settings: of the network. data: identity of the images, but variant and seed."""
+    """Facts that all trainings share. network, settings: which network. data: identity of the images, but variant and
+    seed.
+    """
 
+    network: str
     recipe: Recipe
     settings: dict[str, Any]
     data: dict[str, Any]
 
     def of(self, run: Run) -> dict[str, Any]:
         """Facts that the card in the folder of `run` must have; of others than the variants, artifacts may differ."""
-        facts = {"network": NETWORK, "settings": self.settings, "recipe": self.recipe.to_json(), "seed": run.seed}
+        facts = {"network": self.network, "settings": self.settings, "recipe": self.recipe.to_json(), "seed": run.seed}
         if run.variant is None:
             return {**facts, "set": self.data["set"]}
         return {**facts, "variant": run.variant, "data": {**self.data, "variant": run.variant, "seed": run.seed}}
@@ -111,13 +115,14 @@ def common_plan(runs: list[Run], data: str, steps: int | None) -> Plan:
     if there:
         run, first = there[0]
         try:
-            shared = Plan(recipe_from_json(first["recipe"]), dict(first["settings"]), identity)
+            recipe = recipe_from_json(first["recipe"])
+            shared = Plan(str(first["network"]), recipe, dict(first["settings"]), identity)
         except (KeyError, TypeError, ValueError) as error:
             raise BadConfig(f"{run.path} must name recipe and settings of a training: {error!r}") from error
         if steps is not None and shared.recipe.steps != steps:
             raise BadConfig(f"{run.path} is a training of {shared.recipe.steps} steps, --steps asks for {steps}")
     else:
-        shared = Plan(recipe_for(NETWORK, steps=steps), build(NETWORK).settings, identity)
+        shared = Plan(NETWORK, recipe_for(NETWORK, steps=steps), build(NETWORK).settings, identity)
     for run, plan in there:
         found = {**plan, "set": (plan.get("data") or {}).get("set")}
         for name, wanted in shared.of(run).items():
@@ -140,8 +145,10 @@ def train(run: Run, plan: Plan, data: str, processes: ProcessGroup, report: Repo
 
     Raises what `Training.run` raises.
     """
-    network = build(NETWORK, plan.settings, run.seed)
+    network = build(plan.network, plan.settings, run.seed)
     images = RangeImages(data, run.variant or "all", "train", run.seed)
-    training = Training(network, NETWORK, images, plan.recipe, RunFolder(run.path), processes, run.seed, RUN_OPTIONS)
+    training = Training(
+        network, plan.network, images, plan.recipe, RunFolder(run.path), processes, run.seed, RUN_OPTIONS
+    )
     command = f"tools/bench variants --data {last_name(data)} --runs {run.path.parent.name}"
     training.run(True, report, provenance(command))
