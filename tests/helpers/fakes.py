@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from shapes import figure
 
-from bodyseg_data.bodies import Body, BodyRef, BodySource, SourceEntry
+from bodyseg_data.bodies import Body, BodyRef, BodySource, Pose, SourceEntry
 from bodyseg_data.labels import PART_COUNT
 from bodyseg_data.meshes import Mesh
 
@@ -40,6 +40,12 @@ class Figures:
         # Equal steps through the vertices of all five pieces: a piece without a landmark would cost most of the time.
         landmarks = np.linspace(0, len(mesh.vertices) - 1, PART_COUNT).astype(np.int64)
         return Body(mesh, landmarks, template=plain.vertices)
+
+    def in_pose(self, body: BodyRef, pose: Pose) -> Body:
+        """The figure, taller by a millimetre a metre and degree by which the right arm is raised."""
+        built = self.build(body)
+        vertices = built.mesh.vertices * (1, 1 + pose.right_arm.flex / 1000, 1)
+        return replace(built, mesh=Mesh(body.mesh, vertices, built.mesh.faces))
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,13 @@ class MadeBodies(ListedBodies[Maker]):
         of all bodies. dressed: False takes the outfit off and leaves the triangles. The same bits in every process.
         Raises BadConfig for a body of another source or if Anny's cache cannot be used, MissingLibrary without Anny.
         """
-        figure = self.figure(body)
+        return self._built(body, self.figure(body), dressed)
+
+    def in_pose(self, body: BodyRef, pose: Pose) -> Body:
+        """Build a body in another pose, dressed as it is, standing on the floor. Raises as `build`."""
+        return self._built(body, replace(self.figure(body), pose=pose, height_m=0.0), True)
+
+    def _built(self, body: BodyRef, figure: Figure, dressed: bool) -> Body:
         vertices, faces = self.model.surface(figure, dressed)
         landmarks = np.array(load_landmarks("open").vertices, np.int64)
         return Body(Mesh(body.mesh, vertices, faces), landmarks, template=self.model.places(figure))
