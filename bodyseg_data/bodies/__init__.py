@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from bodyseg_data.bodies.landmark_proposal import Proposal, propose
     from bodyseg_data.bodies.mesh_bodies import MeshBodies
     from bodyseg_data.bodies.motions.catalogue import FRAMES_PER_SECOND
-    from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, symmetric
     from bodyseg_data.bodies.source import Body, BodyRef, BodySource, collapsed
     from bodyseg_data.bodies.sources import SOURCES, SourceEntry, open_source
     from bodyseg_data.bodies.template import NOWHERE, load_template, region_labels

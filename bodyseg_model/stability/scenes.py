@@ -26,7 +26,7 @@ from bodyseg_data.artifacts import (
     lit_pixels,
     shown_with,
 )
-from bodyseg_data.bodies import Arm, Body, BodyRef, Leg, Pose, Trunk, open_source, symmetric
+from bodyseg_data.bodies import Body, BodyRef, open_source
 from bodyseg_data.core import BadConfig, ProgressCallback, generator, silent
 from bodyseg_data.labels import BACKGROUND, PARTS
 from bodyseg_data.loading import RangeImages
@@ -119,18 +119,8 @@ SWEEPS: Final = {
 }
 """Name -> sweep. Those do not count that are a remedy, no fault of a sensor, or causes of what others count."""
 
-_POSES: Final = {
-    "desk": symmetric(Trunk(bend=8, nod=6), Arm(flex=32, abduct=10, twist=-14, elbow=72), Leg(90, 6, 8, 88)),
-    "kick": Pose(
-        Trunk(lean=-8, bend=10, twist=-8),
-        Arm(flex=-14, abduct=34, elbow=62, fist=0.9),
-        Arm(flex=44, abduct=16, elbow=96, fist=0.9),
-        Leg(flex=82, abduct=2, knee=12, planted=0),
-        Leg(flex=-6, abduct=-5, knee=8),
-    ),
-    "fist": Pose(Trunk(look=-6), Arm(flex=10, elbow=18), Arm(flex=152, abduct=16, elbow=34, fist=1)),
-}
-"""The sweeps whose people are in a pose of their own, seen from the front."""
+_POSED: Final = ("desk", "kick", "fist")
+"""The sweeps whose people are in the pose of that name (`MadeBodies.in_pose`), seen from the front."""
 
 _DESK_M: Final = 1.0
 _BORDERS: Final = {1: "Substernale", 2: "Rt. Axilla, Post."}
@@ -302,9 +292,8 @@ class Scenes:
         return _first(self.images, self._count)
 
     def _bodies(self, sweep: str) -> list[_PosedBody]:
-        """The samples' bodies; for a sweep of `_POSES` the same people in its pose, each built once."""
-        pose = _POSES.get(sweep)
-        kept = sweep if pose is not None else ""
+        """The samples' bodies; for a sweep of `_POSED` the same people in its pose, each built once."""
+        kept = sweep if sweep in _POSED else ""
         if kept in self._posed:
             return self._posed[kept]
         source: Any = open_source(self.images.manifest.source)
@@ -313,13 +302,13 @@ class Scenes:
         posed = self._posed[kept] = []
         for sample in self._samples:
             ref, azimuth = refs[sample.info.mesh], sample.info.azimuth_deg
-            name = ref.mesh if pose is None else ref.subject
+            name = ref.subject if kept else ref.mesh
             if name not in built:
-                body: Body = source.build(ref) if pose is None else source.in_pose(ref, pose)
-                parts = body.partition("exact" if pose is None else "unfolded")
+                body: Body = source.in_pose(ref, sweep) if kept else source.build(ref)
+                parts = body.partition("unfolded" if kept else "exact")
                 built[name] = _PosedBody(ref, body, parts, open_renderer("raster", body.mesh), 0)
             ahead = (azimuth - _AHEAD_DEG[0]) // _AHEAD_DEG[1]
-            posed.append(replace(built[name], azimuth_deg=azimuth if pose is None else ahead))
+            posed.append(replace(built[name], azimuth_deg=ahead if kept else azimuth))
             self._progress(len(posed), self._count)
         return posed
 

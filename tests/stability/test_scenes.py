@@ -188,7 +188,7 @@ def test_people_in_a_pose_are_built_once_and_seen_from_the_front(
 
     class Counting(Figures):
         def in_pose(self, body, pose):  # type: ignore[no-untyped-def]
-            built.append(f"{body.subject} {pose.right_arm.flex:g}")
+            built.append(f"{body.subject} {pose}")
             return super().in_pose(body, pose)
 
     monkeypatch.setitem(SOURCES, "open", FiguresEntry(make=Counting))
@@ -198,7 +198,7 @@ def test_people_in_a_pose_are_built_once_and_seen_from_the_front(
         assert np.count_nonzero(b.range_m.any(axis=1)) > np.count_nonzero(a.range_m.any(axis=1)), "a taller pose"
     assert len({len(each.pixels) for each in fist}) > 2, "from several sides"
     chest, shoulders = (scenes.labelled_images(SweepPoint("desk", cut)) for cut in (1, 2))
-    assert sorted(built) == ["A 152", "A 32", "people 152", "people 32"]
+    assert sorted(built) == ["A desk", "A fist", "people desk", "people fist"]
     for each in (*chest, *shoulders):
         assert each.surface.camera == sensor(525.0) and each.range_m.shape == (RIG.camera.rows, RIG.camera.columns)
         assert each.surface.range_m[-1].any(), "the frame's border cuts the body"

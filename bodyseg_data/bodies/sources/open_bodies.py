@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.anny_model import AnnyModel, Figure, standing
-from bodyseg_data.bodies.anny_people import PEOPLE, POSTURES, SUBJECT_A, person, standing_pose
+from bodyseg_data.bodies.anny_people import EVERYDAY_POSES, PEOPLE, POSTURES, SUBJECT_A, person, standing_pose
 from bodyseg_data.bodies.attire import Attire, drawn_attire, joined, put_on, under
 from bodyseg_data.bodies.contact_poses import ContactSampler, DrawnContact
 from bodyseg_data.bodies.limb_reaching import Ranges, within
@@ -92,9 +92,9 @@ class MadeBodies(ListedBodies[Maker]):
         """
         return self._built(body, self.figure(body), dressed)
 
-    def in_pose(self, body: BodyRef, pose: Pose) -> Body:
-        """Build a body in another pose, dressed as it is, standing on the floor. Raises as `build`."""
-        return self._built(body, replace(self.figure(body), pose=pose, height_m=0.0), True)
+    def in_pose(self, body: BodyRef, pose: str) -> Body:
+        """Build a body in one of `EVERYDAY_POSES`, dressed as it is, on the floor. Raises as `build`."""
+        return self._built(body, replace(self.figure(body), pose=EVERYDAY_POSES[pose], height_m=0.0), True)
 
     def _built(self, body: BodyRef, figure: Figure, dressed: bool) -> Body:
         vertices, faces = self.model.surface(figure, dressed)
