@@ -6,7 +6,7 @@ import numpy as np
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene, bounded
 from bodyseg_data.artifacts.noise import as_range, drawn_bits
-from bodyseg_data.core import Draws
+from bodyseg_data.core import BadConfig, Draws
 from bodyseg_data.machine import if_ready, loops
 
 
@@ -17,24 +17,45 @@ class MixedPixels(Artifact):
     A surface is farther if it is at least `jump_mm` behind, in a pixel above, below, left or right. background_m: range
     of what lies behind the body, metres, for the body's own silhouette; None if nothing is in reach of the sensor, so
     only edges before other parts of the body are mixed. Labels stay: the pixel sees the body, too.
+
+    least, nearest_m: of each image the share is drawn uniformly from `least` to `share`, and the background's range
+    from `nearest_m` to `background_m`; None for `share` and `background_m` in every image. No body's silhouette is
+    mixed with a background that is not behind it, so a small `nearest_m` also leaves images as they are.
     """
 
     name = "mixed_pixels"
     kind = "noise"
-    purposes = ("mixed pixels",)
+    purposes = ("mixed pixels", "mixed share", "mixed background")
     alters_labels = False
 
     share: float = bounded(0.5, 0, 1)
     background_m: float | None = bounded(None, 0, 100, above=True)
     jump_mm: float = bounded(30.0, 0, 10_000, above=True)
+    least: float | None = bounded(None, 0, 1)
+    nearest_m: float | None = bounded(None, 0, 100, above=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.least is not None and self.least > self.share:
+            raise BadConfig(f"mixed pixels must satisfy least <= share, found least {self.least}, share {self.share}")
+        if self.nearest_m is not None and (self.background_m is None or self.nearest_m > self.background_m):
+            raise BadConfig(
+                "mixed pixels must satisfy nearest_m <= background_m, "
+                f"found nearest_m {self.nearest_m}, background_m {self.background_m}"
+            )
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
-        behind = 0 if self.background_m is None else round(self.background_m / scene.step_m)
+        share, wall_m = self.share, self.background_m or 0.0
+        if self.least is not None:
+            share = self.least + (self.share - self.least) * draws.chance("mixed share")
+        if self.nearest_m is not None:
+            wall_m = self.nearest_m + (wall_m - self.nearest_m) * draws.chance("mixed background")
+        behind = round(wall_m / scene.step_m)
         # The higher half of a draw chooses, the lower one is the position in the gap.
         bits = drawn_bits(draws, "mixed pixels", len(scene.pixels))
         with if_ready:
             flat, steps = image.range.reshape(-1), np.ascontiguousarray(scene.sample.range).reshape(-1)
-            limits = self.share * 65536, behind, self.jump_mm, scene.step_m
+            limits = share * 65536, behind, self.jump_mm, scene.step_m
             loops("bodyseg_data.artifacts.sensor_loops").mix(
                 flat, steps, image.range.shape[1], scene.pixels, bits, *limits
             )
@@ -44,7 +65,7 @@ class MixedPixels(Artifact):
         neighbours = seen[:-2, 1:-1], seen[2:, 1:-1], seen[1:-1, :-2], seen[1:-1, 2:]
         farthest = np.maximum.reduce(neighbours).reshape(-1)[scene.pixels]
         gap = farthest - clean.reshape(-1)[scene.pixels]
-        chosen = (bits >> np.uint32(16)) < self.share * 65536
+        chosen = (bits >> np.uint32(16)) < share * 65536
         mixed = np.flatnonzero(chosen & (gap * scene.step_m * 1000 >= self.jump_mm))
         ranges, pixels = image.range.reshape(-1), scene.pixels[mixed]
         before = ranges[pixels]

@@ -310,3 +310,16 @@ def _listed() -> tuple[tuple[str, Pose], ...]:
 
 POSTURES: Final = _listed()
 """(name, pose) in the order in which meshes are numbered."""
+
+EVERYDAY_POSES: Final[dict[str, Pose]] = {
+    "desk": symmetric(Trunk(bend=8, nod=6), Arm(flex=32, abduct=10, twist=-14, elbow=72), Leg(90, 6, 8, 88)),
+    "kick": Pose(
+        Trunk(lean=-8, bend=10, twist=-8),
+        Arm(flex=-14, abduct=34, elbow=62, fist=0.9),
+        Arm(flex=44, abduct=16, elbow=96, fist=0.9),
+        Leg(flex=82, abduct=2, knee=12, planted=0),
+        Leg(flex=-6, abduct=-5, knee=8),
+    ),
+    "fist": Pose(Trunk(look=-6), Arm(flex=10, elbow=18), Arm(flex=152, abduct=16, elbow=34, fist=1)),
+}
+"""Poses of no set, to test with: at a desk, a kick to the front, a fist above the head."""

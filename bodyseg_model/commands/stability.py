@@ -2,6 +2,7 @@
 
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -82,8 +83,19 @@ def run(options: Options) -> int:
     written, picture = options.out / "stability.json", options.out / "stability.png"
     write_json(written, figures)
     draw_stability(figures, picture)
+    sys.stdout.writelines(f"{line}\n" for line in _curves(figures))
     sys.stderr.write(f"{_remarks(groups, reference)}wrote {written}, {picture}\n")
     return 0
+
+
+def _curves(figures: dict[str, Any]) -> Iterator[str]:
+    """A line for each sweep and group: average per class at each strength, per cent, and gross errors at the last."""
+    for name, sweep in figures["sweeps"].items():
+        for label, scores in figures["groups"].items():
+            rows = zip(sweep["strengths"], scores["curves"][name]["mean"], strict=True)
+            far = scores["gross_errors"][name]
+            gross = "" if far is None else f"; last, beyond 30 mm: {100 * far['beyond_30_mm']['mean'][-1]:.1f} %"
+            yield f"{name}, {label}: {', '.join(f'{each:g} {100 * mean:.1f} %' for each, mean in rows)}{gross}"
 
 
 def _images(

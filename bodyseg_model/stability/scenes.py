@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +26,9 @@ from bodyseg_data.artifacts import (
     lit_pixels,
     shown_with,
 )
-from bodyseg_data.bodies import BodyRef, open_source
+from bodyseg_data.bodies import Body, BodyRef, open_source
 from bodyseg_data.core import BadConfig, ProgressCallback, generator, silent
-from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.labels import BACKGROUND, PARTS
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.meshes import Mesh, Partition
 from bodyseg_data.packing import Sampler, draw_things, in_front, surface_points
@@ -106,12 +106,25 @@ SWEEPS: Final = {
         "Hidden by things, which are in the image", "share of the body", _SHARES, "rendered", counts=False
     ),
     "hard": Sweep("Hard poses", "0: the set's, 1: hard", (0, 1), counts=False),
+    "turned": Sweep("Frame turned clockwise", "degrees", (0, 90, 180, 270), counts=False),
+    "desk": Sweep(
+        "At a desk, 1 m away", "0: the set's, 1: from the chest up, 2: shoulders up", (0, 1, 2), "rendered", False
+    ),
+    "kick": Sweep("A kick towards the camera", "0: the set's, 1: a kick", (0, 1), "rendered", counts=False),
+    "fist": Sweep("A fist above the head", "0: the set's, 1: a fist", (0, 1), "rendered", counts=False),
     "mixed": Sweep("Mixed pixels before a wall", "share of edges", (0.0, 0.1, 0.25, 0.5, 1.0), counts=False),
     "speed": Sweep("Moving limbs, shifted fringes", "hands and feet, m/s", (0.0, 0.5, 1.0, 2.0, 4.0), counts=False),
     "clothes": Sweep("Dark clothes, shifted fringes", "reflectance", (0.8, 0.2, 0.1, 0.05, 0.03, 0.02), counts=False),
     "ambient": Sweep("Other light, shifted fringes", "share of the projector's", (0.0, 1.0, 4.0, 16.0), counts=False),
 }
 """Name -> sweep. Those do not count that are a remedy, no fault of a sensor, or causes of what others count."""
+
+_POSED: Final = ("desk", "kick", "fist")
+"""The sweeps whose people are in the pose of that name (`MadeBodies.in_pose`), seen from the front."""
+
+_DESK_M: Final = 1.0
+_BORDERS: Final = {1: "Substernale", 2: "Rt. Axilla, Post."}
+_AHEAD_DEG: Final = 85, 3  # 18 azimuths over half a circle become as many from -28 to 28 degrees
 
 
 def chosen(names: tuple[str, ...], hard: bool) -> dict[str, Sweep]:
@@ -242,6 +255,7 @@ class Scenes:
         self.images, self.hard = images, hard
         self.rig, self.seed = images.manifest.rig, images.seed
         self._count, self._progress = min(count, len(images)), progress
+        self._posed: dict[str, list[_PosedBody]] = {}
 
     def __len__(self) -> int:
         return self._count
@@ -259,13 +273,15 @@ class Scenes:
         """Make the images of a condition, always in the same order. Raises BadConfig as `check`."""
         self.check(condition)
         if _is_rendered(condition):
-            return [body.image(self.rig, condition) for body in self._bodies]
+            return [body.image(self.rig, condition) for body in self._bodies(condition.sweep)]
         if condition.sweep == "hard" and self.hard is not None:
             return [
                 labelled_image(sample.range, self.hard.step_m, _surface(sample, self.hard.manifest.rig))
                 for sample in _first(self.hard, self._count)
             ]
         step_m = self.rig.range_step_m
+        if condition.sweep == "turned":
+            return [turned(image, condition.strength) for image in self.labelled_images(CLEAN["stored"])]
         return [
             labelled_image(corrupted(sample, condition, self.rig, self.seed), step_m, _surface(sample, self.rig))
             for sample in self._samples
@@ -275,19 +291,24 @@ class Scenes:
     def _samples(self) -> list[Sample]:
         return _first(self.images, self._count)
 
-    @cached_property
-    def _bodies(self) -> list[_PosedBody]:
-        source = open_source(self.images.manifest.source)
+    def _bodies(self, sweep: str) -> list[_PosedBody]:
+        """The samples' bodies; for a sweep of `_POSED` the same people in its pose, each built once."""
+        kept = sweep if sweep in _POSED else ""
+        if kept in self._posed:
+            return self._posed[kept]
+        source: Any = open_source(self.images.manifest.source)
         refs = {body.mesh: body for body in source.bodies()}
         built: dict[str, _PosedBody] = {}
-        posed = []
+        posed = self._posed[kept] = []
         for sample in self._samples:
-            name = sample.info.mesh
+            ref, azimuth = refs[sample.info.mesh], sample.info.azimuth_deg
+            name = ref.subject if kept else ref.mesh
             if name not in built:
-                body = source.build(refs[name])
-                parts = body.partition()
-                built[name] = _PosedBody(refs[name], body.mesh, parts, open_renderer("raster", body.mesh), 0)
-            posed.append(replace(built[name], azimuth_deg=sample.info.azimuth_deg))
+                body: Body = source.in_pose(ref, sweep) if kept else source.build(ref)
+                parts = body.partition("unfolded" if kept else "exact")
+                built[name] = _PosedBody(ref, body, parts, open_renderer("raster", body.mesh), 0)
+            ahead = (azimuth - _AHEAD_DEG[0]) // _AHEAD_DEG[1]
+            posed.append(replace(built[name], azimuth_deg=ahead if kept else azimuth))
             self._progress(len(posed), self._count)
         return posed
 
@@ -297,10 +318,14 @@ class _PosedBody:
     """A labelled body and the azimuth that it is seen from, degrees."""
 
     ref: BodyRef
-    mesh: Mesh
+    body: Body
     parts: Partition
     renderer: Renderer
     azimuth_deg: int
+
+    @property
+    def mesh(self) -> Mesh:
+        return self.body.mesh
 
     def image(self, rig: Rig, condition: SweepPoint) -> LabelledImage:
         sweep, strength = condition.sweep, condition.strength
@@ -314,6 +339,8 @@ class _PosedBody:
             camera = sensor(strength)
             made = self._rendered(rig, camera, rig.stand_off_m)
             return made if sweep == "rig" else resampled(made, camera, rig)
+        if sweep == "desk":
+            return self._at_desk(rig, _BORDERS[int(strength)])
         if sweep in ("hidden", "hidden_shown"):
             return self._behind_things(rig, strength, shown=sweep == "hidden_shown")
         return self._rendered(rig, rig.camera, rig.stand_off_m)
@@ -338,12 +365,25 @@ class _PosedBody:
         ranges = np.where(before, things.range if shown else np.float32(0), seen.range)
         return labelled_image(steps(ranges, rig.range_step_m, self.ref.mesh), rig.range_step_m, surface, labels)
 
+    def _at_desk(self, rig: Rig, landmark: str) -> LabelledImage:
+        """What the other camera of the longest focal length sees, level and near, resampled; the frame ends below at a
+        landmark.
+        """
+        camera = sensor(_FOCALS_PX[0])
+        border = self.mesh.vertices[self.body.landmarks[[part.landmark for part in PARTS].index(landmark)]]
+        above = _DESK_M * (camera.rows - camera.centre_px[1]) / camera.focal_px
+        placed = looking_down(camera, np.add(border, (0, above, 0)), self.azimuth_deg, _DESK_M, 0.0)
+        return resampled(self._seen_by(placed, rig), camera, rig)
+
     def _rendered(self, rig: Rig, camera: Camera, distance_m: float, tilt_deg: float = 0.0) -> LabelledImage:
         """Image of a camera in the rig's steps, without shadows of a projector."""
         placed = looking_down(camera, self.mesh.centre, self.azimuth_deg, distance_m, tilt_deg)
+        return self._seen_by(placed, rig)
+
+    def _seen_by(self, placed: PlacedCamera, rig: Rig) -> LabelledImage:
         seen = self.renderer.render(placed)
         image = steps(seen.range, rig.range_step_m, self.ref.mesh)
-        surface = TrueSurface(seen.range, self._labels(seen, placed), camera)
+        surface = TrueSurface(seen.range, self._labels(seen, placed), placed.camera)
         return labelled_image(image, rig.range_step_m, surface)
 
     def _labels(self, seen: Surface, camera: PlacedCamera) -> NDArray[np.uint8]:
@@ -388,6 +428,17 @@ def resampled(image: LabelledImage, camera: Camera, rig: Rig) -> LabelledImage:
     """The image of `camera` as the rig's camera would see the body, resampled as `Segmenter` does."""
     view = view_body(image.range_m, image.pixels, camera, rig)
     return replace(image, range_m=view.range_m, pixels=view.view_pixels)
+
+
+def turned(image: LabelledImage, degrees: float) -> LabelledImage:
+    """The image of a camera turned anticlockwise by quarters: its content is turned clockwise."""
+    places, range_m = (
+        np.ascontiguousarray(np.rot90(each, -round(degrees / 90)))
+        for each in (np.arange(image.range_m.size).reshape(image.range_m.shape), image.range_m)
+    )
+    pixels = np.flatnonzero(range_m)
+    at = places.ravel()[pixels]
+    return LabelledImage(range_m, pixels, image.surface.labels.ravel()[at], image.surface, at)
 
 
 def _first(images: RangeImages, count: int) -> list[Sample]:

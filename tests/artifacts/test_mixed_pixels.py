@@ -32,6 +32,25 @@ def test_mixed_pixels_lie_between_the_surfaces(share: float) -> None:
     assert not (shown(MixedPixels(1.0, jump_mm=1500.0), sample).range != sample.range).any()
 
 
+def test_each_image_draws_its_share_and_its_background() -> None:
+    z = np.zeros((200, 160))
+    z[10:190, 40:120] = 2.0
+    samples = [sample_of(z, f"k{number}") for number in range(60)]
+
+    def mixed(artifact: MixedPixels) -> tuple[list[int], list[int]]:
+        images = [shown(artifact, each).range for each in samples]
+        return [int((image > 20_000).sum()) for image in images], [int(image.max()) for image in images]
+
+    edge = 2 * (180 + 80) - 4
+    counts, _ = mixed(MixedPixels(1.0, 4.0, least=0.0))
+    assert min(counts) < 0.1 * edge and max(counts) > 0.9 * edge and np.mean(counts) == pytest.approx(edge / 2, rel=0.2)
+    assert min(mixed(MixedPixels(1.0, 4.0, least=0.5))[0]) > 0.4 * edge
+    counts, farthest = mixed(MixedPixels(1.0, 4.0, nearest_m=1.0))
+    behind = [reach for count, reach in zip(counts, farthest, strict=True) if count]
+    assert counts.count(0) == pytest.approx(20, abs=12), "a wall nearer than the body is not behind it"
+    assert set(counts) <= {0, edge - 1, edge} and min(behind) < 24_000 and 36_000 < max(behind) < 40_000
+
+
 def test_nothing_and_lost_pixels_stay_nothing() -> None:
     z = np.zeros((200, 160))
     assert not shown(MixedPixels(1.0), sample_of(z)).range.any()
@@ -44,6 +63,9 @@ def test_nothing_and_lost_pixels_stay_nothing() -> None:
     [
         ({"share": 1.1}, "MixedPixels: share must be from 0 to 1, found 1.1"),
         ({"background_m": 0.0}, "background_m must be above 0 and at most 100, found 0.0"),
+        ({"least": 0.6}, "must satisfy least <= share, found least 0.6, share 0.5"),
+        ({"nearest_m": 2.0}, "must satisfy nearest_m <= background_m, found nearest_m 2.0, background_m None"),
+        ({"nearest_m": 2.0, "background_m": 1.0}, "found nearest_m 2.0, background_m 1.0"),
         ({"jump_mm": 0.0}, "jump_mm must be above 0 and at most 10000, found 0.0"),
     ],
 )

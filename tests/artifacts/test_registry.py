@@ -19,6 +19,7 @@ from bodyseg_data.artifacts import (
     Artifact,
     Losses,
     MissingData,
+    MixedPixels,
     Noise,
     Occlusion,
     RangeImage,
@@ -156,7 +157,8 @@ def test_both_forms_of_every_artifact_and_sensor_give_the_same_bits(
     name: str, figures_set: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if name in ARTIFACTS:
-        strengths = {"losses": {"most": 0.5}, "mixed_pixels": {"share": 0.7, "background_m": 4.0}}.get(name, {})
+        mixed = {"share": 0.9, "background_m": 5.0, "least": 0.1, "nearest_m": 2.0}
+        strengths = {"losses": {"most": 0.5}, "mixed_pixels": mixed}.get(name, {})
         sensor = SensorModel("one", (ARTIFACTS[name](**strengths),))
     else:
         sensor = load_sensor_model(name)
@@ -226,9 +228,12 @@ class Noted(Draws):
 @pytest.mark.parametrize("name", ARTIFACTS)
 def test_every_artifact_keeps_the_rules_of_the_protocol(name: str, figures_set: Path) -> None:
     kind = ARTIFACTS[name]
-    artifact = {"losses": Losses(0.5), "patch_loss": PatchLoss(0.2, 0.5), "stripe_loss": StripeLoss(0.2, 0.5)}.get(
-        name, kind()
-    )
+    artifact = {
+        "losses": Losses(0.5),
+        "mixed_pixels": MixedPixels(1.0, 5.0, least=0.2, nearest_m=4.0),
+        "patch_loss": PatchLoss(0.2, 0.5),
+        "stripe_loss": StripeLoss(0.2, 0.5),
+    }.get(name, kind())
     assert kind.name == name and kind.kind in get_args(Kind)
     assert hash(artifact) == hash(replace(artifact))
     assert all(hasattr(artifact, field.name) for field in fields(artifact))

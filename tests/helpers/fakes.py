@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -40,6 +40,12 @@ class Figures:
         # Equal steps through the vertices of all five pieces: a piece without a landmark would cost most of the time.
         landmarks = np.linspace(0, len(mesh.vertices) - 1, PART_COUNT).astype(np.int64)
         return Body(mesh, landmarks, template=plain.vertices)
+
+    def in_pose(self, body: BodyRef, pose: str) -> Body:
+        """The figure, in any pose a seventh taller."""
+        built = self.build(body)
+        vertices = built.mesh.vertices * (1, 8 / 7, 1)
+        return replace(built, mesh=Mesh(body.mesh, vertices, built.mesh.faces))
 
 
 @dataclass(frozen=True)

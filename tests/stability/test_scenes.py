@@ -169,6 +169,43 @@ def test_sensors_are_known_by_focal_length(scenes: Scenes) -> None:
             assert tall[1] / tall[0] == pytest.approx(RIG.camera.focal_px / focal * middle / RIG.stand_off_m, rel=0.05)
 
 
+@pytest.mark.parametrize("degrees", [90, 180, 270])
+def test_a_turned_frame_shows_the_same_pixels_elsewhere(degrees: int, scenes: Scenes) -> None:
+    made, clean = scenes.labelled_images(SweepPoint("turned", degrees)), scenes.labelled_images(CLEAN["stored"])
+    for a, b in zip(made, clean, strict=True):
+        np.testing.assert_array_equal(np.rot90(a.range_m, degrees // 90), b.range_m)
+        np.testing.assert_array_equal(np.sort(a.places), b.pixels)
+        labels = np.full(a.range_m.shape, BACKGROUND, np.uint8)
+        labels.ravel()[a.pixels] = a.truth
+        np.testing.assert_array_equal(np.rot90(labels, degrees // 90), b.surface.labels)
+        assert a.surface.distances(a.places, a.truth).max() < 0.05
+
+
+def test_people_in_a_pose_are_built_once_and_seen_from_the_front(
+    images: RangeImages, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    built: list[str] = []
+
+    class Counting(Figures):
+        def in_pose(self, body, pose):  # type: ignore[no-untyped-def]
+            built.append(f"{body.subject} {pose}")
+            return super().in_pose(body, pose)
+
+    monkeypatch.setitem(SOURCES, "open", FiguresEntry(make=Counting))
+    scenes = Scenes(images, 8)
+    clean, fist = (scenes.labelled_images(each) for each in (CLEAN["rendered"], SweepPoint("fist", 1)))
+    for a, b in zip(clean, fist, strict=True):
+        assert np.count_nonzero(b.range_m.any(axis=1)) > np.count_nonzero(a.range_m.any(axis=1)), "a taller pose"
+    assert len({len(each.pixels) for each in fist}) > 2, "from several sides"
+    chest, shoulders = (scenes.labelled_images(SweepPoint("desk", cut)) for cut in (1, 2))
+    assert sorted(built) == ["A desk", "A fist", "people desk", "people fist"]
+    for each in (*chest, *shoulders):
+        assert each.surface.camera == sensor(525.0) and each.range_m.shape == (RIG.camera.rows, RIG.camera.columns)
+        assert each.surface.range_m[-1].any(), "the frame's border cuts the body"
+        assert 0.6 < np.median(each.surface.range_m[each.surface.range_m > 0]) < 1.4
+    assert (shares(chest) != shares(shoulders)).all()
+
+
 def test_hard_poses_are_another_sets_images(scenes: Scenes) -> None:
     hard, clean = scenes.labelled_images(SweepPoint("hard", 1)), scenes.labelled_images(CLEAN["stored"])
     for a, b in zip(hard, clean, strict=True):

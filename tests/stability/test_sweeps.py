@@ -15,7 +15,7 @@ from bodyseg_data.samples import Sample
 from bodyseg_model.stability import SWEEPS, chosen
 from bodyseg_model.stability.scenes import CLEAN, DEPTHS_M, SweepPoint, corrupted
 
-STORED = [name for name, sweep in SWEEPS.items() if sweep.origin == "stored" and name != "hard"]
+STORED = [name for name, sweep in SWEEPS.items() if sweep.origin == "stored" and name not in ("hard", "turned")]
 SHARES = ("missing", "patches", "stripes")
 
 

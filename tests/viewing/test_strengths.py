@@ -120,4 +120,5 @@ def test_texts_that_are_no_numbers_are_refused() -> None:
 
 
 def test_units_are_set_apart() -> None:
-    assert [each.label for each in controls_of(MixedPixels())] == ["share", "background, m", "jump, mm"]
+    labels = [each.label for each in controls_of(MixedPixels())]
+    assert labels == ["share", "background, m", "jump, mm", "least", "nearest, m"]

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.anny_model import AnnyModel, Figure, standing
-from bodyseg_data.bodies.anny_people import PEOPLE, POSTURES, SUBJECT_A, person, standing_pose
+from bodyseg_data.bodies.anny_people import EVERYDAY_POSES, PEOPLE, POSTURES, SUBJECT_A, person, standing_pose
 from bodyseg_data.bodies.attire import Attire, drawn_attire, joined, put_on, under
 from bodyseg_data.bodies.contact_poses import ContactSampler, DrawnContact
 from bodyseg_data.bodies.limb_reaching import Ranges, within
@@ -90,7 +90,13 @@ class MadeBodies(ListedBodies[Maker]):
         of all bodies. dressed: False takes the outfit off and leaves the triangles. The same bits in every process.
         Raises BadConfig for a body of another source or if Anny's cache cannot be used, MissingLibrary without Anny.
         """
-        figure = self.figure(body)
+        return self._built(body, self.figure(body), dressed)
+
+    def in_pose(self, body: BodyRef, pose: str) -> Body:
+        """Build a body in one of `EVERYDAY_POSES`, dressed as it is, on the floor. Raises as `build`."""
+        return self._built(body, replace(self.figure(body), pose=EVERYDAY_POSES[pose], height_m=0.0), True)
+
+    def _built(self, body: BodyRef, figure: Figure, dressed: bool) -> Body:
         vertices, faces = self.model.surface(figure, dressed)
         landmarks = np.array(load_landmarks("open").vertices, np.int64)
         return Body(Mesh(body.mesh, vertices, faces), landmarks, template=self.model.places(figure))

@@ -196,9 +196,9 @@ def _stability() -> Iterator[Step]:
         yield _bench("motion", "--data", data, "--runs", *runs, to=to)
     hidden = ("--sweeps", "hidden", "hidden_shown", "--images", "14", "--threads", "1")
     yield _stability_of("stability_hidden", (BOX,), BOX_LINKS, sweeps=hidden)
-    harmful = ("patches", "stripes", "crop_above", "crop_below", "tilt")
+    harmful = ("patches", "stripes", "crop_above", "crop_below", "tilt", "turned", "desk", "kick", "fist", "mixed")
     harms = ("--sweeps", *harmful, "--images", "20", "--threads", "1")
-    yield _stability_of("stability_shipped", (BOX,), BOX_LINKS, sweeps=harms)
+    yield _stability_of("stability_shipped", (BOX,), BOX_LINKS, sweeps=harms, drawn=True)
 
 
 def _stability_of(
