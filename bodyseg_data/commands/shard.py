@@ -76,7 +76,9 @@ class Options:
     kinds: tuple[str, ...] = option("rooms: kinds of things in them (default: all)", ())
     without: tuple[str, ...] = option("rooms: kinds of things that are left out, to test with", ())
     scene: Path | None = option("rooms: folder of meshes that stand in them, too, as no body", None)
-    landmarks: Path | None = option("landmark file, or folder of them (default: beside the meshes)", None)
+    landmarks: Path | None = option(
+        "landmark file, or folder of them (default: those beside the meshes, or shipped)", None
+    )
     units: Units = option("unit of the mesh files", Packing.units)
     up: UpAxis = option("their axis that points up; a negative one as --up=-y", Packing.up)
     out: Path | None = option("folder for the shards; a packing cut short carries on where it stopped", None)

@@ -74,8 +74,8 @@ class Packing:
 
     def opened(self, plan: str = "") -> BodySource:
         """The source, opened once a process and, if it reads files, once a plan (its digest). Raises BadConfig."""
-        if self.path is None:
-            return _source(SOURCES.get(self.source), self.source, self.landmarks, self.units, self.up)
+        if self.path is None and self.landmarks is None:
+            return _source(SOURCES.get(self.source), self.source, self.units, self.up)
         return _read_source(self.source, self.path, self.landmarks, self.units, self.up, self.pymeshlab, plan)
 
 
@@ -107,14 +107,14 @@ def evenly_sampled(bodies: Sequence[BodyRef], count: int | None) -> list[BodyRef
 
 
 @lru_cache(maxsize=4)
-def _source(entry: SourceEntry | None, name: str, landmarks: Path | None, units: Units, up: UpAxis) -> BodySource:
+def _source(entry: SourceEntry | None, name: str, units: Units, up: UpAxis) -> BodySource:
     """Open a source once a process, and again once another entry is registered: loading a body model takes seconds."""
-    return open_source(name, None, landmarks, units, up)
+    return open_source(name, None, None, units, up)
 
 
 @lru_cache(maxsize=4)  # several packings may share a worker
 def _read_source(
-    name: str, path: Path, landmarks: Path | None, units: Units, up: UpAxis, pymeshlab: bool, plan: str
+    name: str, path: Path | None, landmarks: Path | None, units: Units, up: UpAxis, pymeshlab: bool, plan: str
 ) -> BodySource:
     return open_source(name, path, landmarks, units, up, pymeshlab)
 

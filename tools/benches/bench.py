@@ -92,6 +92,9 @@ BENCHES: Final = {
         required=("data",),
         optional=("runs", "poses", "alone", "flip_average"),
     ),
+    "cross_person": Bench(
+        "model.people.cross_person", None, "views of each body, 6", required=("data", "runs"), optional=("poses",)
+    ),
     "joints": Bench("model.people.joints", None, "bodies to fit to, 240", required=("data",), optional=("runs",)),
     "sensor_fit": Bench("model.sensor_fit.bench", "figure", "bodies, 1"),
     "tutorial": Bench("model.tutorial", None, "frames of the recording, 20"),
@@ -151,7 +154,8 @@ class Options:
     runs: tuple[Path, ...] | None = option(
         "for variants: folder of runs VARIANT-SEED, where missing ones are trained, and folders of others to compare "
         "on real frames; for architectures and ablation: "
-        "folders of runs NAME-SEED; for motion: runs, all of them; for rooms: runs of a finder; for network, runtimes, "
+        "folders of runs NAME-SEED; for motion: runs, all of them; for cross_person: a run for "
+        "each person; for rooms: runs of a finder; for network, runtimes, "
         "numerical, sensors, harm, limits, windows, people, joints, real, steady and failures: runs",
         None,
     )
@@ -178,7 +182,9 @@ class Options:
         "for architectures: number of training images of a random forest (default 2000; 0: no forest)", None
     )
     poses: int | None = option(
-        "for people: meshes of each person in a folder without sub-folders, in the order of names (default 10)", None
+        f"for {_takers('poses')}: meshes of each person in a folder without sub-folders, in the order of names "
+        "(default 10)",
+        None,
     )
     only_finished: bool = option("for variants: train nothing, compare what there is", False)
     real: Path | None = option("for variants: folder of recordings of real frames, to test on as well", None)

@@ -86,16 +86,19 @@ def open_source(
     """Open the source called `name`.
 
     path: the folder it reads, for sources that read one. landmarks: a landmark file for all of its meshes that have
-    none of their own, or a folder searched for landmark files instead of `path`. units, up: unit of the mesh files and
+    none of their own, or a folder searched for landmark files instead of `path`; sources of the open body take a file
+    of its vertices. units, up: unit of the mesh files and
     their axis that points up, found from body and landmarks if "auto" (`alignment`). pymeshlab: repair scans that break
     a rule of meshes by that package, whose licence is GPL-3.0. Raises BadConfig for an unknown name, or for arguments
-    that the source does not take.
+    that the source does not take, BadLandmarks for a file that is not of the open body.
     """
     entry = SOURCES[name] if name in SOURCES else _added(name)
     if entry.reads is None:
+        source = entry.open()
+        label_by = getattr(source, "label_by", None)
         given = {
             "--path": path,
-            "--landmarks": landmarks,
+            "--landmarks": landmarks is not None and label_by is None,
             "--units": units != "auto",
             "--up": up != "auto",
             "--pymeshlab": pymeshlab,
@@ -103,7 +106,9 @@ def open_source(
         unused = [option for option, value in given.items() if value]
         if unused:
             raise BadConfig(f"the source {name!r} makes its bodies and reads no files: leave {', '.join(unused)} out")
-        return entry.open()
+        if landmarks is not None and label_by is not None:
+            label_by(landmarks)
+        return source
     if path is None:
         raise BadConfig(f"the source {name!r} needs --path: the folder that holds {entry.reads}")
     if not path.is_dir():

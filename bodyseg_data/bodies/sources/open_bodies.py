@@ -21,6 +21,7 @@ import importlib.metadata
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
+from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
@@ -38,9 +39,9 @@ from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk
 from bodyseg_data.bodies.source import Body, BodyRef, ListedBodies
 from bodyseg_data.bodies.stances import STANCES, Places
 from bodyseg_data.bodies.worn import draped, gripping
-from bodyseg_data.core import generator
+from bodyseg_data.core import BadLandmarks, generator
 from bodyseg_data.machine import missing_library
-from bodyseg_data.meshes import Mesh, load_landmarks
+from bodyseg_data.meshes import Mesh, PointLandmarks, load_landmark_file, load_landmarks
 from bodyseg_data.samples import split_by_motion, split_by_order
 
 Maker = Callable[[], Figure]
@@ -57,7 +58,16 @@ class MadeBodies(ListedBodies[Maker]):
         """figures: called for one body at a time, so that listing bodies computes no pose."""
         super().__init__(figures)
         self.name = name
+        self.landmarks = load_landmarks("open")
         self._model: AnnyModel | None = None
+
+    def label_by(self, file: Path) -> None:
+        """Label all bodies by a landmark file of vertices of their mesh. Raises BadLandmarks for any other file."""
+        read, own = load_landmark_file(file), self.landmarks
+        if isinstance(read, PointLandmarks):
+            raise BadLandmarks(f"landmarks {file}: the source {self.name!r} needs them by vertex, found coordinates")
+        read.check_counts(own.vertex_count, own.face_count, f"bodies of {self.name!r}")
+        self.landmarks = read
 
     def figure(self, body: BodyRef) -> Figure:
         """Return the description of one of `bodies()`. Raises BadConfig for a body of another source."""
@@ -74,7 +84,7 @@ class MadeBodies(ListedBodies[Maker]):
             version = importlib.metadata.version("anny")
         except importlib.metadata.PackageNotFoundError as error:
             raise missing_library("making bodies", error) from error
-        return version, load_landmarks("open").vertices
+        return version, self.landmarks.vertices
 
     @property
     def model(self) -> AnnyModel:
@@ -98,7 +108,7 @@ class MadeBodies(ListedBodies[Maker]):
 
     def _built(self, body: BodyRef, figure: Figure, dressed: bool) -> Body:
         vertices, faces = self.model.surface(figure, dressed)
-        landmarks = np.array(load_landmarks("open").vertices, np.int64)
+        landmarks = np.array(self.landmarks.vertices, np.int64)
         return Body(Mesh(body.mesh, vertices, faces), landmarks, template=self.model.places(figure))
 
 
@@ -342,7 +352,7 @@ class EverydayBodies(MadeBodies):
             figure = replace(figure, outfit=self._outfit(body))
             wearer, vertices, faces = self._wearer(figure)
         vertices, faces, pieces = joined(vertices, faces, put_on(wearer, attire, cloth))
-        landmarks = np.array(load_landmarks("open").vertices, np.int64)
+        landmarks = np.array(self.landmarks.vertices, np.int64)
         mesh = Mesh(body.mesh, standing(vertices), faces)
         return Body(mesh, landmarks, pieces=pieces, template=self.model.places(figure))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,11 +16,11 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("anny")
 
 from benches.model import chosen  # noqa: E402
-from benches.model.people import bench, intervals, landmarks  # noqa: E402
+from benches.model.people import bench, cross_person, intervals, landmarks  # noqa: E402
 from benches.model.people.bodies import annotated_bodies  # noqa: E402
 from benches.model.people.intervals import interval, summed  # noqa: E402
-from benches.model.people.landmarks import placed  # noqa: E402
-from benches.model.people.scores import accuracy, by_groups  # noqa: E402
+from benches.model.people.landmarks import placed, ways_to_place  # noqa: E402
+from benches.model.people.scores import accuracy, by_groups, counted, packed_views  # noqa: E402
 from label_networks import Places  # noqa: E402
 from shapes import ball  # noqa: E402
 
@@ -32,6 +33,7 @@ from bodyseg_data.labels import LANDMARKS, PARTS  # noqa: E402
 from bodyseg_data.machine import torch_threads  # noqa: E402
 from bodyseg_data.meshes import (  # noqa: E402
     Mesh,
+    load_landmark_file,
     partition,
 )
 
@@ -197,3 +199,99 @@ def test_placed_landmarks_are_the_same_left_and_right(
     rest = body.mesh.vertices[vertices]
     mirror = [part.mirror for part in PARTS]
     np.testing.assert_allclose(rest[mirror] * (-1, 1, 1), rest, atol=0.004)
+
+
+def test_landmarks_placed_by_a_persons_other_poses_are_theirs(
+    body: FittingBody, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fit = known_fit(body, "t_pose", 1.0)
+    mesh = Mesh("a", fitted_points(body, fit, body.whole)[0], body.mesh.faces)
+    moved = mesh.vertices[annotations(body)]
+    for name, points in (("a", mesh.vertices[body.landmark_vertices]), ("b", moved)):
+        write(tmp_path, name, mesh, points)
+    monkeypatch.setattr(landmarks, "fit_body", lambda body, mesh: FittedBody(mesh, body, fit, 0.0))
+    monkeypatch.setattr(landmarks, "partition", partial(partition, method="edges"))
+    fits = [landmarks.fitted_to(body, one) for one in annotated_bodies(tmp_path, 2)]
+    ways = ways_to_place(fits, body)
+    assert set(ways) == {"shipped", "all_people", "same_person"}  # there is no other person
+    (of_a, (a,)), (of_b, (b,)) = ways["same_person"]
+    assert (a.of.name, b.of.name) == ("a", "b")
+    rest = body.mesh.vertices  # an annotation comes back to its vertex or the one beside it
+    np.testing.assert_allclose(rest[of_a], rest[annotations(body)], atol=0.004)
+    np.testing.assert_allclose(rest[of_b], rest[body.landmark_vertices], atol=0.004)
+
+
+@pytest.fixture
+def two_people(body: FittingBody, tmp_path: Path) -> Path:
+    for who, pose in (("ann", "standing"), ("bob", "a_pose")):
+        vertices = fitted_points(body, known_fit(body, pose, 1.0), body.whole)[0]
+        write(tmp_path / who, who, Mesh(who, vertices, body.mesh.faces), vertices[body.landmark_vertices])
+    return tmp_path
+
+
+def test_answers_are_right_by_either_of_two_labels(two_people: Path, tmp_path: Path) -> None:
+    bodies = annotated_bodies(two_people, 1)[:1]
+    exchanged = replace(bodies[0], points=bodies[0].points[[1, 0, *range(2, 33)]])
+    keys = packed_views(bodies, 2, tmp_path / "own")
+    packed_views([exchanged], 2, tmp_path / "exchanged")
+    always_0 = Places(0, 10_000)
+    found, same = (
+        counted(always_0, tmp_path / "own", keys, "none", lambda *_: None, tmp_path / name)
+        for name in ("exchanged", "own")
+    )
+    assert len(found.counts) == 2
+    for key, counts in found.counts.items():
+        np.testing.assert_array_equal(same.by_either[key], counts)
+        either = counts.copy()
+        either[1, 1], either[1, 0] = counts[1].sum(), 0  # part 1 is part 0 by the other labels
+        np.testing.assert_array_equal(found.by_either[key], either)
+    whole = np.sum([*found.counts.values()], axis=0)
+    assert whole[1, 0] > 50, "the back of the head is seen"
+    assert found.to_json()["by_either_placement"]["accuracy"] == pytest.approx(
+        2 * found.to_json()["accuracy"], abs=2e-4
+    )
+
+
+@pytest.mark.usefixtures("quick_geodesics")
+def test_networks_are_scored_on_people_who_did_not_place_their_labels(
+    two_people: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    networks = {"by-ann": Places(0, 20), "by-bob": Places(0, 12)}
+    monkeypatch.setattr(cross_person, "load_network", lambda path: SimpleNamespace(network=networks[path.name]))
+    monkeypatch.setattr(intervals, "_DRAWS", 50)
+    steps: list[tuple[int, int]] = []
+    found = cross_person.bench_cross_person(
+        str(two_people), [Path("by-ann"), Path("by-bob")], 2, 1, lambda done, total: steps.append((done, total))
+    )
+    assert found["networks"] == {"ann": "by-ann", "bob": "by-bob"} and steps[-1] == (16, 16)
+    keys = packed_views(annotated_bodies(two_people, 1), 2, tmp_path / "again")
+    for variant in ("all", "none"):
+        crossed, own = found[variant]["cross_person"], found[variant]["in_sample"]
+        for who, other, network in (("ann", "bob", networks["by-ann"]), ("bob", "ann", networks["by-bob"])):
+            scores = counted(network, tmp_path / "again", keys, variant, lambda *_: None).to_json()["people"]
+            assert crossed["placed_by"][who]["people"] == {other: scores[other]}
+            assert own["placed_by"][who]["people"] == {who: scores[who]}
+            assert scores["ann"]["gross_errors"] != scores["bob"]["gross_errors"]
+        for both in (crossed, own):
+            ways = [way["accuracy"] for way in both["placed_by"].values()]
+            assert both["images"] == 4 and both["accuracy"] == pytest.approx(sum(ways) / 2, abs=1e-4)
+            shares = [way["gross_errors"]["beyond_30_mm"] for way in both["placed_by"].values()]
+            assert min(shares) <= both["gross_errors"]["beyond_30_mm"] <= max(shares)
+
+
+def test_cross_person_needs_a_network_for_each_of_several_people(two_people: Path) -> None:
+    with pytest.raises(BadConfig, match="--runs, a network trained on the landmarks of each, found 2 and 1"):
+        cross_person.bench_cross_person(str(two_people), [Path("a")])
+    with pytest.raises(BadConfig, match="found 1 and 1"):
+        cross_person.bench_cross_person(str(two_people / "ann"), [Path("a")])
+
+
+@pytest.mark.parametrize("person", [0, 1])
+def test_landmarks_of_single_people_fit_the_open_body(body: FittingBody, person: int) -> None:
+    file = Path(cross_person.__file__).with_name(f"placed_by_{person}.json")
+    vertices = load_landmark_file(file).for_mesh(body.mesh)
+    assert isinstance(vertices, np.ndarray) and set(vertices) <= {*body.skin}
+    rest, mirror = body.mesh.vertices[vertices], [part.mirror for part in PARTS]
+    np.testing.assert_allclose(rest[mirror] * (-1, 1, 1), rest, atol=0.004)
+    away = np.linalg.norm(rest - body.mesh.vertices[body.landmark_vertices], axis=1)
+    assert 0 < away.mean() < 0.02 and away.max() < 0.06  # of the shipped ones, which both people placed

@@ -99,6 +99,10 @@ def test_steps_read_what_their_commands_name() -> None:
     assert {"runs/networks/compact-2", "runs/networks/deeplab_half-0"} <= {*architectures}
     ablation = graph.inputs(graph.steps["ablation"])
     assert {"runs/networks/compact-1", "runs/ablation/views_1-0", "sets/bare233"} <= {*ablation}
+    assert graph.inputs(graph.steps["cross_person"]) == ("runs/placed_by-0", "runs/placed_by-1")
+    packed = graph.steps["sets/placed_by_1_wide"]
+    assert graph.external(packed) == ("tools/benches/model/people/placed_by_1.json",)
+    assert graph.inputs(graph.steps["runs/placed_by-1"])[0] == packed.name
     assert graph.external(graph.steps["page"]) == tuple(f"docs/results/{page}.in" for page in PAGES)
 
 
@@ -166,8 +170,9 @@ def test_graphs_are_checked(steps: list[Step], message: str) -> None:
         Graph(steps)
 
 
-def test_words_name_files_of_three_folders() -> None:
+def test_words_name_files_of_four_folders() -> None:
     places = Places(Path("/work"), Path("/external"), Path("/checkout/docs/results"))
+    assert places.path("tools/bench") == ROOT / "tools" / "bench"
     found = [str(places.path(word)) for word in ("data/mit", "docs/results/a.json", "docs/results", "runs/x-0")]
     assert found == ["/external/mit", "/checkout/docs/results/a.json", "/checkout/docs/results", "/work/runs/x-0"]
 

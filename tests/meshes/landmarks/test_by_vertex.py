@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,8 @@ from bodyseg_data.bodies import open_source
 from bodyseg_data.core import BadLandmarks
 from bodyseg_data.labels import LANDMARKS, PARTS
 from bodyseg_data.meshes import LandmarkSet, Mesh, load_landmark_file, load_landmarks, partition
-from bodyseg_data.meshes.landmarks import parse_landmarks
+from bodyseg_data.meshes.landmarks import LANDMARKS_FORMAT, parse_landmarks
+from bodyseg_data.packing import Packing
 
 PAIRS = [part.label for part in PARTS if part.side == "right"]
 
@@ -154,6 +156,43 @@ def test_the_open_body_has_its_own_left_and_right_and_front_and_back(standing: A
     for part in PARTS:
         z = normals[landmarks[part.label], 2]
         assert {"front": z > 0, "back": z < 0, "both": True}[part.face], part.landmark
+
+
+def test_open_bodies_are_labelled_by_the_landmarks_of_a_file(standing: Any, tmp_path: Path) -> None:
+    mesh, landmarks = standing
+    shipped = load_landmarks("open")
+    nose, brow = landmarks[LANDMARKS.index("Sellion")], landmarks[LANDMARKS.index("Nuchale")]
+    file = tmp_path / "mine.json"
+    exchanged = tuple({nose: brow, brow: nose}.get(vertex, vertex) for vertex in shipped.vertices)
+    file.write_text(replace(shipped, vertices=tuple(map(int, exchanged))).to_json())
+    source, plain = open_source("open", landmarks=file), open_source("open")
+    refs = source.bodies()[:1]
+    body = source.build(refs[0])
+    assert np.array_equal(body.mesh.vertices, mesh.vertices) and body.landmarks.tolist() == list(exchanged)
+    own = body.partition("edges").labels
+    assert (own[nose], own[brow]) == (LANDMARKS.index("Nuchale"), LANDMARKS.index("Sellion"))
+    assert source.fingerprint(refs) != plain.fingerprint(refs)
+    assert Packing("open", landmarks=file).opened().fingerprint(refs) == source.fingerprint(refs)
+    file.write_text(shipped.to_json())
+    assert Packing("open", landmarks=file).opened("again").fingerprint(refs) == plain.fingerprint(refs)
+
+
+def test_landmarks_of_other_meshes_are_refused_for_open_bodies(tmp_path: Path) -> None:
+    file = tmp_path / "mine.json"
+    points = {name: [0.0, 0.0, 0.0] for name in LANDMARKS}
+    for text, message in (
+        (load_landmarks("mit_I").to_json(), "are for meshes of 10002 .* found 13718 and 27420 in bodies of 'wide'"),
+        (
+            json.dumps({"format": LANDMARKS_FORMAT, "units": "m", "points": points}),
+            "'wide' needs them by vertex",
+        ),
+        ("{", "mine.json is not JSON"),
+    ):
+        file.write_text(text)
+        with pytest.raises(BadLandmarks, match=message):
+            open_source("wide", landmarks=file)
+    with pytest.raises(BadLandmarks, match="cannot read .*absent.json"):
+        open_source("open", landmarks=tmp_path / "absent.json")
 
 
 def test_the_open_body_is_symmetric(standing: Any) -> None:

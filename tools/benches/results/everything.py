@@ -21,6 +21,7 @@ from benches.results.trainings import (
     NETWORK_RUNS,
     OPEN,
     PAPER,
+    PLACED_RUNS,
     READ,
     REFERENCE_RUNS,
     SENSOR_RUNS,
@@ -125,6 +126,7 @@ def _trained() -> Iterator[Step]:
     yield _bench("harm", "--data", KINECT_SET, "--runs", *unlike, "--images", "60", reads=(SHIPPED,), alone=True)
     fine = ("--data", KINECT_SET, "--runs", "runs/fine", "--seeds", "1", "--images", "60", "--only-finished")
     yield _bench("variants", *fine, to="variants_fine", alone=True)
+    yield _bench("cross_person", "--data", FAUST, "--runs", *PLACED_RUNS)
     folder = ("--runs", "runs/networks")
     yield _bench("architectures", "--data", OPEN, *folder, "--images", "200", alone=True)
     yield _bench("shuffles", "--data", OPEN)

@@ -15,7 +15,7 @@ from typing import Final
 
 from benches.environment import child_environment
 from benches.results.records import Records, record_of
-from benches.results.step import DATA, RESULTS, SHIPPED, Graph, Places, Step
+from benches.results.step import DATA, RESULTS, SHIPPED, TOOLS, Graph, Places, Step
 from benches.results.survey import Status, Survey
 from bodyseg_data.commands import provenance
 from bodyseg_data.core import BadConfig
@@ -140,7 +140,8 @@ class Runner:
         log.parent.mkdir(parents=True, exist_ok=True)
         self._records.begin(step, key)
         program, *words = step.words
-        named = [str(self._places.path(word)) if word.startswith((f"{DATA}/", RESULTS)) else word for word in words]
+        tops = f"{DATA}/", RESULTS, f"{TOOLS}/"
+        named = [str(self._places.path(word)) if word.startswith(tops) else word for word in words]
         origin = provenance(step.command)
         with log.open("ab") as file:
             before = file.tell()

@@ -16,6 +16,7 @@ Kind = Literal["set", "training", "results", "page"]
 
 RESULTS: Final = "docs/results"
 DATA: Final = "data"
+TOOLS: Final = "tools"
 SHIPPED: Final = "shipped"
 FINDER: Final = "finder"
 """Name of the network that ships, where a step reads it."""
@@ -30,10 +31,14 @@ class Places:
     results: Path
 
     def path(self, word: str) -> Path:
-        """The file or folder that a word of a command names: DATA/..., docs/results/..., else in the work folder."""
+        """The file or folder that a word of a command names: DATA/..., docs/results/..., tools/..., else in the work
+        folder.
+        """
         top, _, rest = word.partition("/")
         if top == DATA:
             return self.data / rest
+        if top == TOOLS:
+            return Path(__file__).parents[2] / rest
         if word == RESULTS or word.startswith(f"{RESULTS}/"):
             return self.results / word[len(RESULTS) + 1 :]
         return self.work / word
@@ -102,7 +107,9 @@ class Graph:
             self._inputs[step.name] = tuple(read)
             unmade = dict.fromkeys(word for word in _read_by(step) if word not in makers)
             self._external[step.name] = tuple(
-                word for word in unmade if word.startswith((f"{DATA}/", f"{RESULTS}/")) or word in (SHIPPED, FINDER)
+                word
+                for word in unmade
+                if word.startswith((f"{DATA}/", f"{RESULTS}/", f"{TOOLS}/")) or word in (SHIPPED, FINDER)
             )
             for product in _products(step):
                 if product in makers:
@@ -121,7 +128,7 @@ class Graph:
         return self._inputs[step.name]
 
     def external(self, step: Step) -> tuple[str, ...]:
-        """Files that it reads and no step makes: `SHIPPED`, `FINDER`, DATA/... or docs/results/..."""
+        """Files that it reads and no step makes: `SHIPPED`, `FINDER`, DATA/..., docs/results/... or tools/..."""
         return self._external[step.name]
 
     def with_inputs(self, names: Iterable[str]) -> set[str]:

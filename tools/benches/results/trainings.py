@@ -21,6 +21,29 @@ KINECT: Final = "sets/kinect"
 KINECT_HARD: Final = "sets/hard_kinect"
 PAPER: Final = "sets/paper"
 
+PLACED_BY: Final = (0, 1)
+"""People whose annotations alone place the labels of a training (`bench cross_person`)."""
+_PLACED_FROM: Final = {"wide": ("210", "10"), "open": ("40", "10"), "everyday": ("60", "16")}  # bodies, views of each
+
+
+def placed_by(person: int) -> dict[str, tuple[str, ...]]:
+    """Sets labelled by one person's landmarks, as `SETS`."""
+    file, round_ = f"tools/benches/model/people/placed_by_{person}.json", ("--azimuths", "36", "--azimuth-span", "360")
+    return {
+        f"sets/placed_by_{person}_{source}": (
+            source,
+            "--landmarks",
+            file,
+            "--meshes",
+            bodies,
+            "--views",
+            views,
+            *round_,
+        )
+        for source, (bodies, views) in _PLACED_FROM.items()
+    }
+
+
 SETS: Final = {
     OPEN: ("open",),
     HARD: ("hard",),
@@ -30,6 +53,8 @@ SETS: Final = {
     KINECT: ("open", "--rig", "kinect_v1", "--meshes", "500", "--views", "12"),
     KINECT_HARD: ("hard", "--rig", "kinect_v1", "--views", "6"),
     PAPER: ("open", "--meshes", "500", "--views", "12"),
+    **placed_by(0),
+    **placed_by(1),
 }
 """Folder -> source, and further options of `bodyseg shard`."""
 
@@ -111,6 +136,9 @@ REFERENCE_RUNS: Final = seeds("runs/alexnet/fcn_alexnet_8th_none")
 ALEXNET_RUNS: Final = (*REFERENCE_RUNS, *seeds("runs/networks/fcn_alexnet_8th"))
 """The paper's network, an eighth of its width, on `none` and on `all`."""
 
+PLACED_RUNS: Final = tuple(f"runs/placed_by-{person}" for person in PLACED_BY)
+"""Trainings on the labels of `PLACED_BY`."""
+
 NETWORK_RUNS: Final = tuple(itertools.chain(*(seeds(f"runs/networks/{name}") for name in ("compact", *NETWORKS))))
 LOSSES_RUNS: Final = seeds("runs/ablation/losses")
 
@@ -153,6 +181,9 @@ def trainings() -> Iterator[Step]:
         yield _training(f"runs/kinect/{name}-{seed}", KINECT, *artifacts, *start, seed=seed, scale=_SMALL)
     for name, variant in zip(FINE_RUNS, ("none", "noise"), strict=True):
         yield _training(name, KINECT, *_FINE, "--variant", variant, seed=0, scale=_LONG)
+    long = ("--losses", "0.3", "--ema", "0.999", "--lr", "0.003", "--steps", "5000", "--batch-size", "64")
+    for person, run in zip(PLACED_BY, PLACED_RUNS, strict=True):
+        yield Step(run, "training", ("bodyseg", "train", "--data", *placed_by(person), "--out", run, *long, *_HOW))
     for (name, options), seed in itertools.product([("compact", ()), *NETWORKS.items()], range(SEEDS)):
         yield _training(f"runs/networks/{name}-{seed}", OPEN, *options, seed=seed)
     for (name, options), seed in itertools.product(SMALLER.items(), range(SEEDS)):

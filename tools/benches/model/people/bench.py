@@ -18,14 +18,15 @@ from bodyseg_data.bodies.fitting_body import fitting_body
 from bodyseg_data.core import ProgressCallback, check_int, silent
 from bodyseg_data.machine import torch_threads
 
-_POSES: Final = 10
+POSES: Final = 10
+"""Meshes of one person in a folder without sub-folders."""
 
 
 def bench_people(
     data: str,
     views: int = 6,
     runs: Sequence[Path] = (),
-    poses: int = _POSES,
+    poses: int = POSES,
     alone: bool = False,
     flip_average: bool = False,
     progress: ProgressCallback = silent,
@@ -67,5 +68,12 @@ def bench_people(
                 by_name = proposed(pairs)
                 packed_views([by_name[body.name] for body in bodies], views, home / way)
                 results["labels_of_fits"][way] = agreement(home, home / way, keys)
-        results["scores"] = scored(trained.network, home, keys, lambda done, _: progress(steps - images + done, steps))
+        other = home / "same_person"
+        results["scores"] = scored(
+            trained.network,
+            home,
+            keys,
+            lambda done, _: progress(steps - images + done, steps),
+            other if other.is_dir() else None,
+        )
     return results

@@ -1,7 +1,8 @@
-"""Proposed landmarks of people against annotated ones, by landmarks that are placed on the open body in three ways.
+"""Proposed landmarks of people against annotated ones, by landmarks that are placed on the open body in four ways.
 
 shipped: those of the open body as it ships. other people: placed by the annotations of all people but the one measured.
-all people: placed by everybody's.
+all people: placed by everybody's. same person: by those of the person measured, in all other poses, each side by
+itself: how much the annotations of one person wander, and how much the fits add to that.
 """
 
 from __future__ import annotations
@@ -79,22 +80,22 @@ def upright(fitted: FittedBody, offsets: NDArray[np.float64], vertices: NDArray[
     return turned
 
 
-def placed(bodies: Sequence[Fitted]) -> NDArray[np.int64]:
-    """Place the landmarks on the open body by annotated bodies fitted to it: vertices, int64 [33], the same left and
-    right.
+def placed(bodies: Sequence[Fitted], mirrored: bool = True) -> NDArray[np.int64]:
+    """Place the landmarks on the open body by annotated bodies fitted to it: vertices, int64 [33].
 
-    Each annotation is carried over; the median of all bodies and both sides, by coordinate, is snapped to the nearest
-    vertex. Raises BadLandmarks if two landmarks fall on one.
+    Each annotation is carried over; the median of all bodies and, if `mirrored`, both sides, by coordinate, is snapped
+    to the nearest vertex; then left and right are the same. Raises BadLandmarks if two landmarks fall on one.
     """
     from scipy.spatial import KDTree
 
     body = bodies[0].fitted.body
     points = np.stack([carried(one.fitted, one.of.points) for one in bodies])
-    middle = np.median(np.concatenate([points, points[:, _MIRROR] * _ACROSS]), axis=0)
+    if mirrored:
+        points = np.concatenate([points, points[:, _MIRROR] * _ACROSS])
     tree = KDTree(body.mesh.vertices[body.skin])
-    vertices: NDArray[np.int64] = body.skin[tree.query(middle)[1]]
+    vertices: NDArray[np.int64] = body.skin[tree.query(np.median(points, axis=0))[1]]
     for part in PARTS:
-        if part.landmark.startswith("Rt."):
+        if mirrored and part.landmark.startswith("Rt."):
             there = body.mesh.vertices[vertices[part.label]] * _ACROSS
             vertices[part.mirror] = body.skin[tree.query(there)[1]]
     shared = [name for name, vertex in zip(LANDMARKS, vertices, strict=True) if np.sum(vertices == vertex) > 1]
@@ -110,15 +111,25 @@ Ways = dict[str, list[tuple[NDArray[np.int64], list[Fitted]]]]
 
 
 def ways_to_place(bodies: Sequence[Fitted], body: FittingBody) -> Ways:
-    """The ways that the head of this module names; without other people, the first and the last."""
-    people = list(dict.fromkeys(one.of.person for one in bodies))
+    """The ways that the head of this module names; those by other people and other poses where all have some."""
+    own = {who: [one for one in bodies if one.of.person == who] for who in people_of(bodies)}
     ways = {"shipped": [(body.landmark_vertices, list(bodies))], "all_people": [(placed(bodies), list(bodies))]}
-    if len(people) > 1:
+    if len(own) > 1:
         ways["other_people"] = [
-            (placed([one for one in bodies if one.of.person != who]), [one for one in bodies if one.of.person == who])
-            for who in people
+            (placed([one for one in bodies if one.of.person != who]), poses) for who, poses in own.items()
+        ]
+    if min(map(len, own.values())) > 1:
+        ways["same_person"] = [
+            (placed([other for other in poses if other is not one], mirrored=False), [one])
+            for poses in own.values()
+            for one in poses
         ]
     return ways
+
+
+def people_of(bodies: Sequence[Fitted]) -> list[str]:
+    """Names of the people, each once, in the bodies' order."""
+    return list(dict.fromkeys(one.of.person for one in bodies))
 
 
 def proposed(way: Sequence[tuple[NDArray[np.int64], Sequence[Fitted]]]) -> dict[str, Annotated]:
@@ -139,13 +150,20 @@ def measured(bodies: Sequence[Fitted], ways: Ways) -> dict[str, Any]:
     return {
         "seconds": {"mean": round(float(np.mean(seconds)), 1), "most": round(max(seconds), 1)},
         "poor_fits": [one.of.name for one in bodies if one.fitted.proposal(all_people).poor],
-        "placed": dict(zip(LANDMARKS, all_people.tolist(), strict=True)),
+        "placed": _by_name(all_people),
+        "placed_by": {
+            who: _by_name(placed([one for one in bodies if one.of.person == who])) for who in people_of(bodies)
+        },
         **{name: _errors([error for way in pairs for error in _compared(*way)]) for name, pairs in ways.items()},
         "fits": {
             one.of.name: {"gap_mm": round(1000 * one.fitted.gap_m, 1), "seconds": round(one.seconds, 1)}
             for one in bodies
         },
     }
+
+
+def _by_name(vertices: NDArray[np.int64]) -> dict[str, int]:
+    return dict(zip(LANDMARKS, vertices.tolist(), strict=True))
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,7 +23,7 @@ from bodyseg_data.packing import Packing, pack
 from bodyseg_data.packing.sampler import body_key
 from bodyseg_data.rigs import Rig, load_rig
 from bodyseg_data.samples import ViewGrid, split_key
-from bodyseg_model.evaluation import ConfusionMatrix, count_pairs, evaluate, open_images, pairs_of
+from bodyseg_model.evaluation import ConfusionMatrix, GrossErrors, count_pairs, evaluate, open_images, pairs_of
 from bodyseg_model.evaluation.evaluation import PredictedImage
 from bodyseg_model.networks import Network
 
@@ -61,34 +62,99 @@ def packed_views(bodies: Sequence[Annotated], views: int, folder: Path, rig: Rig
     return {body_key(_SOURCE, ref): by_file[ref.subject] for ref in listed}
 
 
+@dataclass(frozen=True)
+class Counted:
+    """What a network answered. counts: int64 [33, 33] of each image; errors: its gross errors.
+
+    calibration_error: of all images; None: unknown. by_either: counts by which an answer is right, too, that other
+    labels of the same pixels give; empty without such.
+    """
+
+    counts: dict[Key, Counts]
+    errors: dict[Key, GrossErrors]
+    calibration_error: float | None = None
+    by_either: dict[Key, Counts] = field(default_factory=dict)
+
+    def of(self, people: Collection[str]) -> Counted:
+        """The images of some people."""
+        counts, errors = (
+            {key: one for key, one in each.items() if key[0] in people} for each in (self.counts, self.errors)
+        )
+        return Counted(counts, errors)
+
+    def to_json(self) -> dict[str, Any]:
+        """Scores by person, pose, body and part, and gross errors of all and of each person."""
+        found = by_groups(self.counts)
+        for person, scores in found["people"].items():
+            scores["gross_errors"] = gross_errors([self.of((person,))])
+        if self.by_either:
+            either = by_groups(self.by_either)
+            found["by_either_placement"] = {name: either[name] for name in ("accuracy", "interval")}
+        return found | {"calibration_error": self.calibration_error, "gross_errors": gross_errors([self])}
+
+
+def gross_errors(several: Iterable[Counted]) -> dict[str, float] | None:
+    """Gross errors of all images together, as `GrossErrors.to_json`."""
+    total = GrossErrors()
+    for errors in (one for counted in several for one in counted.errors.values()):
+        total.merge(errors)
+    return total.to_json()
+
+
+def counted(
+    network: Network,
+    folder: Path,
+    bodies: Mapping[str, Annotated],
+    variant: str,
+    progress: ProgressCallback,
+    other: Path | None = None,
+) -> Counted:
+    """Count a network's answers to one variant of the packed views. other: a folder of the same views with other labels
+    (`Counted.by_either`).
+    """
+    others = None if other is None else open_images(str(other / "set"), "none")
+    index_of = {} if others is None else {key: index for index, key in enumerate(others.keys)}
+    counts: dict[Key, Counts] = {}
+    by_either: dict[Key, Counts] = {}
+    errors: dict[Key, GrossErrors] = {}
+
+    def watch(image: PredictedImage, accuracy: float) -> None:
+        if not math.isnan(accuracy):
+            body = bodies[split_key(image.key)[0]]
+            key = body.person, body.pose, image.key
+            counts[key], errors[key] = count_pairs(pairs_of(image.labels, image.predicted)), GrossErrors()
+            if image.away is not None:
+                errors[key].add(image.away, int(counts[key].trace()))
+            if others is not None:
+                as_other = image.predicted == others.clean(index_of[image.key]).labels
+                answers = np.where(as_other, image.labels, image.predicted)
+                by_either[key] = count_pairs(pairs_of(image.labels, answers))
+
+    images = open_images(str(folder / "set"), variant)
+    total = evaluate(network, images, progress=progress, watch=watch).total()
+    calibration = None if total.confidences is None else _rounded(total.confidences.ece())
+    return Counted(counts, errors, calibration, by_either)
+
+
 def scored(
     network: Network,
     folder: Path,
-    bodies: dict[str, Annotated],
+    bodies: Mapping[str, Annotated],
     progress: ProgressCallback,
+    other: Path | None = None,
 ) -> dict[str, Any]:
-    """Scores of every variant of the packed views."""
-    results: dict[str, Any] = {}
-    for number, variant in enumerate(VARIANTS):
-        images = open_images(str(folder / "set"), variant)
-        counts: dict[Key, Counts] = {}
-
-        def watch(image: PredictedImage, accuracy: float, counts: dict[Key, Counts] = counts) -> None:
-            if not math.isnan(accuracy):
-                body = bodies[split_key(image.key)[0]]
-                counts[body.person, body.pose, image.key] = count_pairs(pairs_of(image.labels, image.predicted))
-
-        def show(done: int, total: int, before: int = number * len(images)) -> None:
-            progress(before + done, len(VARIANTS) * total)
-
-        evaluation = evaluate(network, images, progress=show, watch=watch)
-        total = evaluation.total()
-        calibration = None if total.confidences is None else _rounded(total.confidences.ece())
-        results[variant] = by_groups(counts) | {
-            "calibration_error": calibration,
-            "gross_errors": total.gross_errors.to_json(),
-        }
-    return results
+    """Scores of every variant of the packed views; other: as of `counted`."""
+    return {
+        variant: counted(
+            network,
+            folder,
+            bodies,
+            variant,
+            lambda done, total, before=number: progress(before * total + done, len(VARIANTS) * total),
+            other,
+        ).to_json()
+        for number, variant in enumerate(VARIANTS)
+    }
 
 
 def agreement(true: Path, other: Path, bodies: dict[str, Annotated]) -> dict[str, Any]:

@@ -1,0 +1,90 @@
+"""`bench cross_person`: networks whose labels one person's annotations placed, scored on the other people.
+
+`placed_by_N.json` in this folder are the open body's landmarks, placed by the annotations of person N alone
+(`landmarks.placed`); `bodyseg shard --landmarks` packs labels by them.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benches.model.people.bench import POSES
+from benches.model.people.bodies import annotated_bodies
+from benches.model.people.intervals import interval, summed
+from benches.model.people.scores import VARIANTS, Counted, accuracy, counted, gross_errors, packed_views
+from bodyseg_data.core import BadConfig, ProgressCallback, check_int, silent
+from bodyseg_model.networks import load_network
+
+
+def bench_cross_person(
+    data: str, runs: Sequence[Path], views: int = 6, poses: int = POSES, progress: ProgressCallback = silent
+) -> dict[str, Any]:
+    """Score each network on the people whose annotations did not place its labels, and on the one whose did.
+
+    data, views, poses: as of `bench_people`, whose images these are. runs: a network for each person, in the people's
+    order. Raises BadConfig for another number of networks, or of one person alone; otherwise as `bench_people`.
+    """
+    check_int("the number of views", views, 1)
+    bodies = annotated_bodies(Path(data), poses)
+    people = list(dict.fromkeys(body.person for body in bodies))
+    if len(people) < 2 or len(runs) != len(people):
+        raise BadConfig(
+            "bench cross_person needs two people or more and --runs, a network trained on the landmarks of each, "
+            f"found {len(people)} and {len(runs)}"
+        )
+    networks = [load_network(run).network for run in runs]
+    results: dict[str, Any] = {
+        "networks": dict(zip(people, (run.name for run in runs), strict=True)),
+        "bodies": len(bodies),
+        "people": len(people),
+        "views": views,
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        home = Path(folder)
+        keys = packed_views(bodies, views, home)
+        rounds = [(variant, number) for variant in VARIANTS for number in range(len(networks))]
+        found: dict[str, dict[str, Counted]] = {variant: {} for variant in VARIANTS}
+        for done, (variant, number) in enumerate(rounds):
+
+            def show(images: int, total: int, before: int = done) -> None:
+                progress(before * total + images, len(rounds) * total)
+
+            found[variant][people[number]] = counted(networks[number], home, keys, variant, show)
+    for variant, by_person in found.items():
+        others = {who: one.of({*people} - {who}) for who, one in by_person.items()}
+        own = {who: one.of({who}) for who, one in by_person.items()}
+        results[variant] = {"cross_person": both_ways(others), "in_sample": both_ways(own)}
+    return results
+
+
+def both_ways(ways: Mapping[str, Counted]) -> dict[str, Any]:
+    """The mean of average per-class accuracies, with an interval that draws poses, gross errors, and each way alone.
+
+    ways: whose annotations placed the labels -> answers of the network that learned them.
+    """
+    by_pose = [summed(one.counts, _pose) for one in ways.values()]
+    poses = sorted({pose for one in by_pose for pose in one})
+    nothing = np.zeros((33, 33), np.int64)
+    groups = [np.stack([one.get(pose, nothing) for one in by_pose]) for pose in poses]
+    return {
+        "images": sum(len(one.counts) for one in ways.values()),
+        "accuracy": round(_mean(np.sum(groups, axis=0)), 4),
+        "interval": interval(groups, _mean),
+        "gross_errors": gross_errors(ways.values()),
+        "placed_by": {who: one.to_json() for who, one in ways.items()},
+    }
+
+
+def _mean(counts: NDArray[Any]) -> float:
+    """Mean accuracy of counts [ways, 33, 33]."""
+    return float(np.mean([accuracy(one) for one in counts]))
+
+
+def _pose(key: tuple[str, str, str]) -> str:
+    return key[1]
