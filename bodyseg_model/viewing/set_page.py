@@ -14,7 +14,7 @@ from bodyseg_data.samples import READ_SPLITS, SPLITS, ReadSplit
 from bodyseg_model.viewing.page import Page
 from bodyseg_model.viewing.pictures import Drawing
 from bodyseg_model.viewing.set_view import COLOURINGS, SetView, Shown
-from bodyseg_model.viewing.strengths import Choice, Control, Slider, controls_of, moved, value_of
+from bodyseg_model.viewing.strengths import Slider, moved, sliders_of, value_of
 
 if TYPE_CHECKING:
     import viser
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 
 _KINDS: Final = {"occlusion": "occ", "noise": "noise", "missing_data": "md"}
-_NONE: Final = "none"
 
 
 class SensorState:
@@ -41,10 +40,10 @@ class SensorState:
         """The artifact of this name with its strengths, also where it is left out."""
         return next(artifact for artifact in self._all if artifact.name == name)
 
-    def move(self, name: str, control: Control, value: Any) -> bool:
+    def move(self, name: str, slider: Slider, value: float) -> bool:
         """Set a strength (`moved`); False if nothing changed. Raises BadConfig for a value that it cannot have."""
         before = self._all
-        self._all = before.with_artifacts(moved(self.artifact(name), control, value))
+        self._all = before.with_artifacts(moved(self.artifact(name), slider, value))
         return self._all != before
 
 
@@ -55,7 +54,7 @@ class SensorControls:
         self._page, self._changed = page, changed
         self._lock = threading.RLock()
         self._folder = page.server.gui.add_folder("artifacts")
-        self._handles: dict[str, list[tuple[Control, Any]]] = {}
+        self._handles: dict[str, list[tuple[Slider, Any]]] = {}
         self._folders: list[viser.GuiFolderHandle] = []
         self.put(model)
 
@@ -77,7 +76,7 @@ class SensorControls:
         self._folders.append(folder)
         with folder:
             kept = gui.add_checkbox("applied", True)
-            handles = [(control, self._handle(artifact, control)) for control in controls_of(artifact)]
+            handles = [(slider, self._handle(artifact, slider)) for slider in sliders_of(artifact)]
         self._handles[name] = handles
 
         @kept.on_update
@@ -86,30 +85,22 @@ class SensorControls:
                 (self.state.left_out.discard if kept.value else self.state.left_out.add)(name)
             self._changed(self.state.model)
 
-        for control, handle in handles:
-            handle.on_update(self._mover(name, control, handle))
+        for slider, handle in handles:
+            handle.on_update(self._mover(name, slider, handle))
 
-    def _handle(self, artifact: Artifact, control: Control) -> Any:
-        gui, value = self._page.server.gui, value_of(artifact, control)
-        if isinstance(control, Slider):
-            if control.whole:
-                return gui.add_slider(control.label, round(control.low), round(control.high), 1, value)
-            return gui.add_slider(control.label, control.low, control.high, control.step, float(value))
-        if isinstance(control, Choice):
-            return gui.add_dropdown(control.label, tuple(map(_text, control.values)), initial_value=_text(value))
-        hint = "several values with ; between them" if control.several else "empty: what the artifact takes by itself"
-        return gui.add_text(control.label, value, hint=hint)
+    def _handle(self, artifact: Artifact, slider: Slider) -> Any:
+        gui, value = self._page.server.gui, value_of(artifact, slider)
+        if slider.whole:
+            return gui.add_slider(slider.label, round(slider.low), round(slider.high), 1, round(value))
+        return gui.add_slider(slider.label, slider.low, slider.high, slider.step, float(value))
 
-    def _mover(self, name: str, control: Control, handle: Any) -> Callable[[object], None]:
+    def _mover(self, name: str, slider: Slider, handle: Any) -> Callable[[object], None]:
         def move(_: object) -> None:
             with self._lock:
                 if all(handle is not each for _, each in self._handles.get(name, ())):
                     return  # of a model that is no longer shown
-                given = handle.value
-                if isinstance(control, Choice):
-                    given = next(value for value in control.values if _text(value) == given)
                 try:
-                    if not self.state.move(name, control, given):
+                    if not self.state.move(name, slider, handle.value):
                         return
                 except BadConfig as error:
                     self._page.warn(str(error))
@@ -122,15 +113,10 @@ class SensorControls:
     def _follow(self, name: str) -> None:
         """Show the strengths that changed with the one that was moved."""
         artifact = self.state.artifact(name)
-        for control, handle in self._handles[name]:
-            value = value_of(artifact, control)
-            shown = _text(value) if isinstance(control, Choice) else value
-            if handle.value != shown:
-                handle.value = shown
-
-
-def _text(value: Any) -> str:
-    return _NONE if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+        for slider, handle in self._handles[name]:
+            value = value_of(artifact, slider)
+            if handle.value != value:
+                handle.value = value
 
 
 _BOTH: Final = "train and test"

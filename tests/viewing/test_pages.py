@@ -21,7 +21,7 @@ from bodyseg_model.viewing import LOOPBACK, Page, SetPage, SetView, Shown
 from bodyseg_model.viewing.page import Guard, aimed_at, free_port, open_server, unused
 from bodyseg_model.viewing.pictures import Drawing, Points
 from bodyseg_model.viewing.set_page import SensorState
-from bodyseg_model.viewing.strengths import controls_of
+from bodyseg_model.viewing.strengths import sliders_of
 
 WAIT_S = 60.0
 
@@ -78,7 +78,7 @@ def set_page(page: Page, small_set: Path) -> SetPage:
     return SetPage(page, view, Shown(variant="noise"))
 
 
-def test_controls_of_a_set_change_what_is_drawn(set_page: SetPage) -> None:
+def test_sliders_of_a_set_change_what_is_drawn(set_page: SetPage) -> None:
     page, view = set_page.page, set_page.view
     before = page.facts.content
     set_page._index.value = 3
@@ -119,7 +119,7 @@ def test_a_strength_that_is_moved_is_drawn(set_page: SetPage) -> None:
 
 def test_artifacts_that_are_left_out_keep_their_strengths() -> None:
     state = SensorState(load_sensor_model())
-    _, high = controls_of(state.artifact("noise"))
+    _, high = sliders_of(state.artifact("noise"))
     assert state.move("noise", high, 30.0) and not state.move("noise", high, 30.0)
     state.left_out.add("noise")
     assert [artifact.name for artifact in state.model] == ["occlusion", "missing_data"]
