@@ -132,7 +132,7 @@ TABLE: Final = {**COMMANDS, **BENCH_COMMANDS, **ALL}
 
 WALKED: Final = {
     "start.md": ["demo"],
-    "your_meshes.md": ["landmarks"],
+    "your_meshes.md": [],
 }
 """Documents whose command lines run here, and commands among them that take longer and have tests of their own.
 

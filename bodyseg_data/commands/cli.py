@@ -24,7 +24,6 @@ COMMANDS: Final[Commands] = {
     "join": ("bodyseg_data.commands.join", "join parts that were written side by side to one set"),
     "verify": ("bodyseg_data.commands.verify", "check every byte of a set of shards"),
     "inspect": ("bodyseg_data.commands.inspect", "draw a contact sheet of a set, or count what it holds"),
-    "landmarks": ("bodyseg_data.commands.landmarks", "draw the 33 parts of a body, or propose its landmarks"),
     "demo": ("bodyseg_data.commands.demo", "pack a small open set and stream all five variants"),
 }
 """Name -> (place, summary). A place is a module, or "module:Class" where one has several commands. It is imported when

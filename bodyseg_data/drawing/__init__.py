@@ -1,11 +1,10 @@
-"""Pictures for people: contact sheets, views of a body."""
+"""Pictures for people: contact sheets, and what all pictures share."""
 
 from typing import TYPE_CHECKING
 
 from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
-    from bodyseg_data.drawing.body_views import HEIGHTS_PX, LabelledBody, draw_body_views
     from bodyseg_data.drawing.contact_sheet import Row, Window, colour_range, draw_sheet, span_of, window_of
     from bodyseg_data.drawing.style import (
         EMPTY,

@@ -82,7 +82,7 @@ def one_number_more(text: str) -> str:
 
 def test_unrelated_commands_do_not(changed_by: ChangedBy) -> None:
     files = (
-        "bodyseg_data/commands/landmarks.py",
+        "bodyseg_data/commands/inspect.py",
         "bodyseg_model/commands/stability.py",
         "bodyseg_model/training/loop.py",
     )

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benches.landmarks.proposal import joined
 from numpy.typing import NDArray
 from people_on_disk import PERSON, VERTICES, obj, write_by_point, write_by_vertex, write_mesh
 
 from bodyseg_data.bodies import open_source
-from bodyseg_data.bodies.landmark_proposal import joined
 from bodyseg_data.core import BadMesh
 from bodyseg_data.meshes import Mesh, check_body, cuboid
 

@@ -1,4 +1,4 @@
-"""`tools/bench`, `tools/chart` and `tools/licences`, which a checkout has and an installed package has not."""
+"""The commands that a checkout has and an installed package has not: `tools/bench`, `tools/chart` and others."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from bodyseg_data.commands import cli
 COMMANDS: Final[cli.Commands] = {
     "bench": ("benches.bench", "measure speed and accuracy side by side"),
     "chart": ("benches.results.chart", "chart speed against accuracy, one chart a choice"),
+    "landmarks": ("benches.landmarks.command", "draw the 33 parts of a body, or propose its landmarks"),
     "licences": ("benches.licences", "list the licences of the packages that each extra installs"),
 }
 

@@ -38,10 +38,7 @@ class FolderBodies(MeshBodies):
             for stem, file in meshes_in(parent).items():
                 own = landmark_file(folders[:1], stem)
                 labels = own or given or landmark_file(folders, "landmarks")
-                wanted = (
-                    f"mesh {file}: no {stem}.json, {stem}.lnd or landmarks.json in {folders[0]} or above; "
-                    "`bodyseg landmarks --mesh` proposes them"
-                )
+                wanted = f"mesh {file}: no {stem}.json, {stem}.lnd or landmarks.json in {folders[0]} or above"
                 group = None if own else str(labels)
                 files[body_ref(self.name, inside / stem)] = MeshFile(
                     file, labels, wanted, shared=own is None, group=group

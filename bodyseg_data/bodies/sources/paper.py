@@ -117,7 +117,7 @@ class MitBodies(MeshBodies):
             if subject == "C" and given is not None:
                 labelled = given
             wanted = f"subject {subject} ({', '.join(sequences)}): put landmarks_{subject}.json into {folder}, give "
-            wanted += "it with --landmarks (bodyseg landmarks --propose makes one), or leave these sequences out"
+            wanted += "it with --landmarks, or leave these sequences out"
             if labelled is None and given is None and any((path / sequence).is_dir() for sequence in sequences):
                 missing.append(f"landmarks_{subject}.json (for {', '.join(sequences)})")
             for sequence, count in sequences.items():

@@ -15,6 +15,9 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("anny")
 
+from benches.landmarks.body_fit import Fit, fitted_points  # noqa: E402
+from benches.landmarks.fitting_body import FittingBody, fitting_body  # noqa: E402
+from benches.landmarks.proposal import FittedBody  # noqa: E402
 from benches.model import chosen  # noqa: E402
 from benches.model.people import bench, cross_person, intervals, landmarks  # noqa: E402
 from benches.model.people.bodies import annotated_bodies  # noqa: E402
@@ -25,9 +28,6 @@ from label_networks import Places  # noqa: E402
 from shapes import ball  # noqa: E402
 
 from bodyseg_data.bodies.anny_people import POSTURES  # noqa: E402
-from bodyseg_data.bodies.body_fit import Fit, fitted_points  # noqa: E402
-from bodyseg_data.bodies.fitting_body import FittingBody, fitting_body  # noqa: E402
-from bodyseg_data.bodies.landmark_proposal import FittedBody  # noqa: E402
 from bodyseg_data.core import BadConfig, BadLandmarks  # noqa: E402
 from bodyseg_data.labels import LANDMARKS, PARTS  # noqa: E402
 from bodyseg_data.machine import torch_threads  # noqa: E402

@@ -9,6 +9,7 @@ import pytest
 from benches.__main__ import main
 from benches.bench import BENCHES
 from benches.bench import Options as BenchOptions
+from benches.landmarks.command import Options as LandmarkOptions
 from benches.model.networks.baselines import with_baselines
 from benches.results.chart import Options as ChartOptions
 from benches.results.everything import PAGES, PROCESSORS, everything
@@ -33,7 +34,8 @@ def options_of(step: Step) -> type:
     program, name = step.words[:2]
     if program == "bodyseg":
         return load_command(COMMANDS[name][0]).Options
-    return {"tools/bench": BenchOptions, "tools/chart": ChartOptions}[program]
+    tools = {"tools/bench": BenchOptions, "tools/chart": ChartOptions, "tools/landmarks": LandmarkOptions}
+    return tools[program]
 
 
 def test_every_declared_command_can_be_read() -> None:

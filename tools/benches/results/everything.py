@@ -79,7 +79,7 @@ def _evaluation(name: str, data: str, *words: str, more: Links = ()) -> Step:
 def _landmarks() -> Iterator[Step]:
     """Landmarks, labels and bodies, before any network."""
     yield _bench("proposal", "--mit", MIT)
-    words = ("bodyseg", "landmarks", "--source", "open", "--meshes", "C-march-060")
+    words = ("tools/landmarks", "--source", "open", "--meshes", "C-march-060")
     files = ("--propose", "results/march.json", "--out", "results/proposal.png")
     yield Step("proposal_picture", "results", (*words, *files), (("results/proposal.png", "proposal.png"),))
     yield _bench("borders", "--views", "12", drawn=True)

@@ -26,6 +26,7 @@ from bodyseg_model.networks import RunFiles
 PROGRAMS: Final = {
     "bodyseg": [sys.executable, "-m", "benches.model.networks.baselines"],  # `bodyseg` that knows rivals of ours, too
     "tools/bench": [sys.executable, "-m", "benches", "bench"],
+    "tools/landmarks": [sys.executable, "-m", "benches", "landmarks"],
     "tools/chart": [sys.executable, "-m", "benches", "chart"],
 }
 """First word of a step -> the program of this checkout. Any other word is a program of the system."""

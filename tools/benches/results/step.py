@@ -85,7 +85,8 @@ class Step:
             return (COMMANDS[name][0].partition(":")[0],)
         if program == "tools/bench":
             return (f"benches.{BENCHES[name].module}",)
-        return ("benches.results.chart",) if program == "tools/chart" else ()
+        drawn = {"tools/chart": "benches.results.chart", "tools/landmarks": "benches.landmarks.command"}
+        return (drawn[program],) if program in drawn else ()
 
 
 class Graph:

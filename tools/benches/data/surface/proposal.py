@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benches.data.surface.areas import part_areas
-from bodyseg_data.bodies import Proposal, open_source, propose
+from benches.landmarks.proposal import Proposal, propose
+from bodyseg_data.bodies import open_source
 from bodyseg_data.core import BadConfig, ProgressCallback, silent
 from bodyseg_data.labels import LANDMARKS, PARTS
 from bodyseg_data.meshes import Mesh, partition, with_pymeshlab

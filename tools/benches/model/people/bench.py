@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from benches.landmarks.fitting_body import fitting_body
 from benches.model.chosen import chosen_network
 from benches.model.people.bodies import annotated_bodies
 from benches.model.people.landmarks import fitted_to, measured, proposed, ways_to_place
 from benches.model.people.scores import VARIANTS, agreement, packed_views, scored
-from bodyseg_data.bodies.fitting_body import fitting_body
 from bodyseg_data.core import ProgressCallback, check_int, silent
 from bodyseg_data.machine import torch_threads
 

@@ -17,11 +17,11 @@ import torch
 from numpy.typing import NDArray
 
 from benches.data.surface.areas import part_areas
+from benches.landmarks.body_fit import fitted_points
+from benches.landmarks.fitting_body import FittingBody
+from benches.landmarks.proposal import NORMAL_REACH_M, FittedBody, fit_body
 from benches.model.people.bodies import Annotated
 from benches.model.people.intervals import interval, summed
-from bodyseg_data.bodies.body_fit import fitted_points
-from bodyseg_data.bodies.fitting_body import FittingBody
-from bodyseg_data.bodies.landmark_proposal import NORMAL_REACH_M, FittedBody, fit_body
 from bodyseg_data.core import BadLandmarks
 from bodyseg_data.labels import LANDMARKS, PARTS
 from bodyseg_data.meshes import Partition, partition

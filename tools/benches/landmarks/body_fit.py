@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.fitting_body import FittingBody, Skin, SurfacePoints, Tensor
+from benches.landmarks.fitting_body import FittingBody, Skin, SurfacePoints, Tensor
 from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk
 
 _ELBOWS_DEG: Final = (12, 75, 130)

@@ -8,20 +8,20 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("anny")
 
-from benches.model.people.landmarks import carried, upright  # noqa: E402
-
-from bodyseg_data.bodies.anny_people import POSTURES  # noqa: E402
-from bodyseg_data.bodies.body_fit import (  # noqa: E402
+from benches.landmarks.body_fit import (  # noqa: E402
     LIMB_POSES,
     Fit,
     fitted_points,
 )
-from bodyseg_data.bodies.fitting_body import (  # noqa: E402
+from benches.landmarks.fitting_body import (  # noqa: E402
     FittingBody,
     SurfacePoints,
     fitting_body,
 )
-from bodyseg_data.bodies.landmark_proposal import POOR_M, FittedBody, gap_m  # noqa: E402
+from benches.landmarks.proposal import POOR_M, FittedBody, gap_m  # noqa: E402
+from benches.model.people.landmarks import carried, upright  # noqa: E402
+
+from bodyseg_data.bodies.anny_people import POSTURES  # noqa: E402
 from bodyseg_data.labels import LANDMARKS  # noqa: E402
 from bodyseg_data.machine import torch_threads  # noqa: E402
 from bodyseg_data.meshes import Mesh  # noqa: E402

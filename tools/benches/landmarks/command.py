@@ -1,4 +1,4 @@
-"""`bodyseg landmarks`: draw the 33 parts of a body from four sides, or propose the landmarks of one that has none."""
+"""`tools/landmarks`: draw the 33 parts of a body from four sides, or propose the landmarks of one that has none."""
 
 from __future__ import annotations
 
@@ -10,18 +10,19 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.landmarks.body_views import HEIGHTS_PX, LabelledBody, draw_body_views
 from bodyseg_data.bodies import SOURCES, BodyRef, BodySource, Units, UpAxis, metres_a_unit, open_source
-from bodyseg_data.commands.options import option
+from bodyseg_data.commands import option
 from bodyseg_data.core import BadConfig
-from bodyseg_data.drawing import HEIGHTS_PX, LabelledBody, check_picture, draw_body_views, save_picture
+from bodyseg_data.drawing import check_picture, save_picture
 from bodyseg_data.files import write_atomically
 from bodyseg_data.labels import LANDMARKS, PARTS
 from bodyseg_data.meshes import Mesh, partition, read_mesh
 
 if TYPE_CHECKING:
-    from bodyseg_data.bodies import Proposal
+    from benches.landmarks.proposal import Proposal
 
-EXAMPLE = "bodyseg landmarks --mesh scan.ply --propose scan.json --out scan.png"
+EXAMPLE = "tools/landmarks --mesh scan.ply --propose scan.json --out scan.png"
 
 _DOUBTFUL_M: Final = 0.03
 _UP: Final = {sign + "xyz"[axis]: (1 if not sign else -1) * np.eye(3)[axis] for sign in ("", "-") for axis in range(3)}
@@ -91,7 +92,7 @@ def _proposed(options: Options, out: Path) -> LabelledBody:
         if not file.parent.is_dir():
             raise BadConfig(f"cannot write {file}: no such folder")
     mesh, title, upward = _to_propose(options)
-    from bodyseg_data.bodies import propose
+    from benches.landmarks.proposal import propose
 
     sys.stderr.write(f"laying the open body over {title}: about half a minute of one processor\n")
     proposal = propose(mesh, [_upright(axis).T for axis in upward])

@@ -15,22 +15,11 @@ from shapes import ball, figure
 torch = pytest.importorskip("torch")
 pytest.importorskip("anny")
 
-from benches.__main__ import main as tools_main  # noqa: E402
+from benches.__main__ import main  # noqa: E402
 from benches.data.surface.proposal import measure, shuffled  # noqa: E402
-
-from bodyseg_data.bodies import (  # noqa: E402
-    Body,
-    Proposal,
-    open_source,
-    propose,
-)
-from bodyseg_data.bodies import landmark_proposal as proposal_module  # noqa: E402
-from bodyseg_data.bodies.anny_people import (  # noqa: E402
-    POSTURES,
-    SUBJECT_A,
-)
-from bodyseg_data.bodies.body_fit import Fit, Matcher, fitted_points, fitted_surface, refine, surface_distance  # noqa: E402
-from bodyseg_data.bodies.fitting_body import (  # noqa: E402  # noqa: E402
+from benches.landmarks import proposal as proposal_module  # noqa: E402
+from benches.landmarks.body_fit import Fit, Matcher, fitted_points, fitted_surface, refine, surface_distance  # noqa: E402
+from benches.landmarks.fitting_body import (  # noqa: E402  # noqa: E402
     FittingBody,
     SurfacePoints,
     farthest,
@@ -38,7 +27,16 @@ from bodyseg_data.bodies.fitting_body import (  # noqa: E402  # noqa: E402
     mean_geodesic,
     sample_surface,
 )
-from bodyseg_data.commands import main  # noqa: E402
+from benches.landmarks.proposal import Proposal, propose  # noqa: E402
+
+from bodyseg_data.bodies import (  # noqa: E402
+    Body,
+    open_source,
+)
+from bodyseg_data.bodies.anny_people import (  # noqa: E402
+    POSTURES,
+    SUBJECT_A,
+)
 from bodyseg_data.core import BadMesh  # noqa: E402
 from bodyseg_data.labels import LANDMARKS  # noqa: E402
 from bodyseg_data.meshes import (  # noqa: E402
@@ -314,7 +312,7 @@ def test_a_source_without_landmarks_can_be_proposed_for(
 
 
 def test_the_picture_faces_the_front(standing: Body) -> None:
-    from bodyseg_data.commands.landmarks import _UP, _facing_front, _upright
+    from benches.landmarks.command import _UP, _facing_front, _upright
 
     for up, axis in _UP.items():
         rotation = _upright(axis)
@@ -377,7 +375,7 @@ def test_a_file_that_is_there_is_not_overwritten(tmp_path: Path, capsys: pytest.
 def test_the_bench_refuses_what_it_has_no_use_for(
     words: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert tools_main(["bench", "proposal", *words]) == 2
+    assert main(["bench", "proposal", *words]) == 2
     assert message in capsys.readouterr().err
 
 

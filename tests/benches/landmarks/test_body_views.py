@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benches.landmarks import body_views as portrait
+from benches.landmarks.body_views import LabelledBody, draw_body_views, draw_parts, draw_side
 from numpy.typing import NDArray
 from shapes import ball
 
-from bodyseg_data.drawing import LabelledBody, draw_body_views
-from bodyseg_data.drawing import body_views as portrait
-from bodyseg_data.drawing.body_views import draw_parts, draw_side
 from bodyseg_data.labels.label_map import COLOURS
 from bodyseg_data.meshes import Mesh, Partition
 from bodyseg_data.meshes.partitioning import find_borders

@@ -15,8 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.anny_people import POSTURES
-from bodyseg_data.bodies.body_fit import (
+from benches.landmarks.body_fit import (
     FINE_REACH_M,
     LIMB_POSES,
     Fit,
@@ -27,7 +26,8 @@ from bodyseg_data.bodies.body_fit import (
     refine,
     surface_distance,
 )
-from bodyseg_data.bodies.fitting_body import FittingBody, SurfacePoints, Tensor, fitting_body, sample_surface
+from benches.landmarks.fitting_body import FittingBody, SurfacePoints, Tensor, fitting_body, sample_surface
+from bodyseg_data.bodies.anny_people import POSTURES
 from bodyseg_data.bodies.motions.curves import about_y
 from bodyseg_data.core import BadMesh
 from bodyseg_data.labels import PART_COUNT

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from bodyseg_data.drawing.style import FAINT, INK, PAPER, THING, draw_legend, font
+from bodyseg_data.drawing import FAINT, INK, PAPER, THING, draw_legend, font
 from bodyseg_data.labels import colour_labels
 from bodyseg_data.meshes import Mesh, Partition
 from bodyseg_data.packing import surface_points
