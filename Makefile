@@ -21,7 +21,7 @@ $(VENV)/.installed: $(VENV)/.demo
 
 demo: $(VENV)/.demo
 	@rm -rf demo
-	@$(BIN)/bodyseg demo --out demo
+	@PYTHONPATH=tools $(BIN)/python -m benches demo --out demo
 
 # Two files of tests at a time, long ones first (tests/conftest.py), each with one thread of PyTorch: twice two threads
 # wait for each other.

@@ -131,7 +131,7 @@ def command_lines(document: Path) -> Iterator[list[str]]:
 TABLE: Final = {**COMMANDS, **BENCH_COMMANDS, **ALL}
 
 WALKED: Final = {
-    "start.md": ["demo"],
+    "start.md": [],
     "your_meshes.md": [],
 }
 """Documents whose command lines run here, and commands among them that take longer and have tests of their own.

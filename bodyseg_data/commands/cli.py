@@ -24,7 +24,6 @@ COMMANDS: Final[Commands] = {
     "join": ("bodyseg_data.commands.join", "join parts that were written side by side to one set"),
     "verify": ("bodyseg_data.commands.verify", "check every byte of a set of shards"),
     "inspect": ("bodyseg_data.commands.inspect", "draw a contact sheet of a set, or count what it holds"),
-    "demo": ("bodyseg_data.commands.demo", "pack a small open set and stream all five variants"),
 }
 """Name -> (place, summary). A place is a module, or "module:Class" where one has several commands. It is imported when
 its command runs, so that no command loads another's imports.

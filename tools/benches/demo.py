@@ -1,4 +1,4 @@
-"""`bodyseg demo`: from bodies to batches in a minute or two, with a picture and figures."""
+"""`tools/demo`: from bodies to batches in a minute or two, with a picture and figures."""
 
 import json
 import sys
@@ -12,8 +12,7 @@ import numpy as np
 from bodyseg_data.artifacts import VARIANTS
 from bodyseg_data.bodies import fill_cache
 from bodyseg_data.commands.inspect import contact_sheet
-from bodyseg_data.commands.options import option
-from bodyseg_data.commands.progress import Progress
+from bodyseg_data.commands import Progress, option
 from bodyseg_data.commands.shard import pack_on
 from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import save_picture
@@ -25,7 +24,7 @@ from bodyseg_data.machine import processors
 from bodyseg_data.packing import PROCESSES, Packing
 from bodyseg_data.samples import ViewGrid
 
-EXAMPLE = "bodyseg demo --out demo"
+EXAMPLE = "tools/demo --out demo"
 
 
 @dataclass(frozen=True)
