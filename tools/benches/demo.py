@@ -11,8 +11,8 @@ import numpy as np
 
 from bodyseg_data.artifacts import VARIANTS
 from bodyseg_data.bodies import fill_cache
-from bodyseg_data.commands.inspect import contact_sheet
 from bodyseg_data.commands import Progress, option
+from bodyseg_data.commands.inspect import contact_sheet
 from bodyseg_data.commands.shard import pack_on
 from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import save_picture
