@@ -28,7 +28,7 @@ NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
 HOMES = {"bodyseg_data": ROOT, "bodyseg_model": ROOT, "benches": ROOT / "tools"}
 """Package -> the folder that holds it."""
 
-ONLY_IN_A_CHECKOUT = ("bench", "chart", "demo", "landmarks")
+ONLY_IN_A_CHECKOUT = ("bench", "card", "chart", "demo", "landmarks")
 
 FILE = re.compile(r"(?<![\w./-])(?:bodyseg_data|bodyseg_model|tools|tests|docs)/(?:[\w./-]*[\w/])?")
 PYTHON_FILE = re.compile(r"(?<![\w./-])[\w/]+\.py\b")

@@ -4,7 +4,6 @@ import contextlib
 import sys
 from dataclasses import dataclass
 
-from bodyseg_data.cards import stale_cards
 from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core import BadConfig, BadShard
@@ -55,9 +54,6 @@ def run(options: Options) -> int:
         faults += 1
     for stray in _strays(store, listed):
         sys.stdout.write(f"{stray}: -: offset 0: not in the manifest\n")
-        faults += 1
-    for line in stale_cards(store, manifest.digest):
-        sys.stdout.write(f"{line}\n")
         faults += 1
     if faults and manifest.index is not None:
         return 1  # notes are in the index, which may be what is damaged

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Protocol
 
-from bodyseg_data.cards import CARD_NAMES
 from bodyseg_data.core import BadConfig, BadShard
 from bodyseg_data.files import naming, sync, write_atomically
 from bodyseg_data.shards import (
@@ -30,6 +29,9 @@ from bodyseg_data.shards import (
     open_file,
     read_manifest,
 )
+
+CARD_NAMES: Final = ("croissant.json", "README.md")
+"""Cards of a set, which are copied with it."""
 
 _BLOCK_BYTES: Final = 4 << 20
 _LARGEST_PAGE: Final = 1 << 24

@@ -13,7 +13,6 @@ COMMANDS: Final[Commands] = {
     "evaluate": ("bodyseg_model.commands.evaluate", "score a network on a set"),
     "export": ("bodyseg_model.commands.export", "write a trained network as two small files"),
     "export-labels": ("bodyseg_model.commands.export_labels", "write labels in formats of other programs"),
-    "card": ("bodyseg_model.commands.sharing:Card", "write the cards of a set or a network beside it"),
     "push": ("bodyseg_model.commands.sharing:Push", "copy a set or a network to an address"),
     "pull": ("bodyseg_model.commands.sharing:Pull", "copy a set or a network from an address"),
     "segment": ("bodyseg_model.commands.segment", "find the parts of people in frames of a sensor"),

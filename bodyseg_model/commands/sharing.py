@@ -1,24 +1,14 @@
-"""`bodyseg card`, `push` and `pull`: write the cards of a set or a network, copy it to an address, or from one."""
+"""`bodyseg push` and `pull`: copy a set or a network to an address, or from one."""
 
 import sys
 from dataclasses import dataclass
-from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import Final
 
-from bodyseg_data.cards import (
-    CARD_NAME,
-    CROISSANT_NAME,
-    UNKNOWN_LICENCE,
-    Publication,
-    croissant_bytes,
-    dataset_card,
-    set_facts,
-)
 from bodyseg_data.commands import Progress, option
 from bodyseg_data.core import BadConfig
-from bodyseg_data.files import parse_json, write_result
-from bodyseg_data.shards import MANIFEST_NAME, LocalFolder, RemoteFolder, Store, open_store, read_manifest
+from bodyseg_data.files import parse_json
+from bodyseg_data.shards import MANIFEST_NAME, LocalFolder, RemoteFolder, Store, open_store
 from bodyseg_data.transfer import (
     Bundle,
     LocalTarget,
@@ -33,37 +23,6 @@ from bodyseg_data.transfer import (
 
 _WEIGHTS: Final = ".safetensors"
 _LARGEST: Final = 1 << 28
-
-
-class Card:
-    """`bodyseg card`."""
-
-    EXAMPLE = 'bodyseg card shards --title "Standing people" --licence CC0-1.0 --author "A. Author"'
-
-    @dataclass(frozen=True)
-    class Options:
-        what: Path = option("folder of a set, folder of a training, or a .safetensors file", positional=True)
-        title: str | None = option("title of the set or network (default: the folder's or file's name)", None)
-        licence: str = option("its licence: an SPDX identifier like CC0-1.0, an address or a sentence", UNKNOWN_LICENCE)
-        author: str = option("who publishes it", "")
-        url: str = option(
-            "http address of the folder that will hold the set; Croissant then names its shards there", ""
-        )
-        date: str | None = option("date of publication, YYYY-MM-DD (default: today)", None)
-
-    @staticmethod
-    def run(options: Options) -> int:
-        """Write the cards and name them."""
-        title = options.title or options.what.absolute().name.removesuffix(".safetensors")
-        publication = Publication(title, _day(options.date), options.licence, options.author, options.url)
-        if (options.what / MANIFEST_NAME).exists():
-            files = _set_cards(options.what, publication)
-        else:
-            files = _network_card(options.what, publication)
-        for path, data in files.items():
-            write_result(path, data)
-            sys.stdout.write(f"wrote {path}\n")
-        return 0
 
 
 class Push:
@@ -121,28 +80,6 @@ class Pull:
         store, bundle = _bundle_at(options.address)
         _copy(bundle, LocalTarget(options.folder, store), "pulling", options.replace)
         return 0
-
-
-def _set_cards(folder: Path, publication: Publication) -> dict[Path, bytes]:
-    facts = set_facts(read_manifest(folder))
-    return {
-        folder / CROISSANT_NAME: croissant_bytes(facts, publication),
-        folder / CARD_NAME: dataset_card(facts, publication).encode(),
-    }
-
-
-def _network_card(path: Path, publication: Publication) -> dict[Path, bytes]:
-    from bodyseg_model.networks import model_card, network_file, page_file
-
-    weights = network_file(path)
-    return {page_file(path): model_card(weights, publication).encode()}
-
-
-def _day(text: str | None) -> date:
-    try:
-        return datetime.now(UTC).date() if text is None else date.fromisoformat(text)
-    except ValueError:
-        raise BadConfig(f"--date must be a day like 2026-01-31, found {text!r}") from None
 
 
 def _bundle_at(address: str) -> tuple[Store, Bundle]:

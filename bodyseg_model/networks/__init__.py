@@ -18,13 +18,14 @@ if TYPE_CHECKING:
         Trained,
         confusion_file,
         load_network,
+        network_file,
+        page_file,
         read_checkpoint,
         save_network,
         trained_network,
         wrapped,
     )
     from bodyseg_model.networks.labelling import label_pixels
-    from bodyseg_model.networks.model_cards import model_card, network_file, page_file
     from bodyseg_model.networks.network import FlipAverage, Network, check_label_map, check_range_images, in_loops
     from bodyseg_model.networks.patch_loops import BITS, nearest
     from bodyseg_model.networks.registry import (

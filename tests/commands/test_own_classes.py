@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benches import __main__ as tools
 from open_sets import CELL_CLASSES, NAMES, STEP_M, write_open_set
 from PIL import Image
 
@@ -77,7 +78,7 @@ def test_inspect_gives_the_ends_of_fields_of_many_values(tmp_path: Path, capsys:
 
 
 def test_cards_tell_of_the_sets_own_classes(folder: Path) -> None:
-    assert main(["card", str(folder / "cells"), "--title", "Cells"]) == 0
+    assert tools.main(["card", str(folder / "cells"), "--title", "Cells"]) == 0
     page, tree = (
         (folder / "cells" / "README.md").read_text(),
         json.loads((folder / "cells" / "croissant.json").read_text()),
@@ -106,7 +107,7 @@ def test_a_network_is_trained_scored_and_exported_with_its_classes(folder: Path)
     assert [part["name"] for part in told["classes"]] == [*NAMES] and len(told["confusion"]) == 12
     assert list(told["subsets"]) == ["all"] and told["subsets"]["all"]["images"] == 4
     assert (figures / "samples.png").exists()
-    assert main(["card", str(folder / "run")]) == 0
+    assert tools.main(["card", str(folder / "run")]) == 0
     page = (folder / "run" / "README.md").read_text()
     assert "Labels the pixels of a range image as robot cell." in page and not words_of_bodies(page)
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benches import __main__ as tools
 from folders import ROOT
 
 from bodyseg_data import RangeImages, example_set
@@ -20,7 +21,6 @@ from bodyseg_data.commands.verify import Options, run
 from bodyseg_data.packing import Packing, pack
 from bodyseg_data.packing.packer import render_run
 from bodyseg_data.shards.sample_codec import decode_sample
-from bodyseg_model.commands import main
 
 MOST_BYTES = 1_600_000
 
@@ -28,7 +28,7 @@ MOST_BYTES = 1_600_000
 def command_of(name: str) -> list[str]:
     """The words after the name of a command that makes the set, as docs/reference/open_bodies.md has it."""
     text = (ROOT / "docs" / "reference" / "open_bodies.md").read_text()
-    (line,) = re.findall(rf"^    bodyseg {name} (.* ?bodyseg_data/example/shards.*)$", text, re.MULTILINE)
+    (line,) = re.findall(rf"^    (?:bodyseg |tools/){name} (.* ?bodyseg_data/example/shards.*)$", text, re.MULTILINE)
     return shlex.split(line)
 
 
@@ -85,6 +85,6 @@ def test_a_body_packed_anew_gives_the_stored_samples(packing: Packing) -> None:
 def test_its_cards_are_made_by_their_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     copy = tmp_path / "shards"
     shutil.copytree(example_set(), copy, ignore=shutil.ignore_patterns("README.md", "croissant.json"))
-    assert main(["card", str(copy), *command_of("card")[1:]]) == 0, capsys.readouterr()
+    assert tools.main(["card", str(copy), *command_of("card")[1:]]) == 0, capsys.readouterr()
     for name in ("README.md", "croissant.json"):
         assert (copy / name).read_bytes() == (example_set() / name).read_bytes()

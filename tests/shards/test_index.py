@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from benches.cards.croissant import croissant
+from benches.cards.facts import Publication, set_facts
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.cards import Publication, set_facts
-from bodyseg_data.cards.croissant import croissant
 from bodyseg_data.commands import main
 from bodyseg_data.core import BadShard
 from bodyseg_data.samples import ViewGrid

@@ -8,6 +8,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from benches import __main__ as tools
 from folders import DOCS
 from servers import TOKEN, web_server
 
@@ -23,9 +24,13 @@ def test_a_set_is_published_and_pulled(small_set: Path, tmp_path: Path, monkeypa
     monkeypatch.chdir(tmp_path)
     shutil.copytree(small_set, "shards")
     first, upload, last = re.fullmatch(r"(.*?)    (hf upload .*?)\n(.*)", TEXT, re.DOTALL).groups()  # type: ignore[union-attr]
-    commands = [[shlex.split(line) for line in re.findall(r"^    bodyseg (.*)$", part, re.M)] for part in (first, last)]
+    commands = [
+        [shlex.split(line) for line in re.findall(r"^    (?:bodyseg |tools/)(.*)$", part, re.M)]
+        for part in (first, last)
+    ]
     assert [[words[0] for words in part] for part in commands] == [["verify", "card"], ["pull", "verify"]]
-    assert all(main(words) == 0 for words in commands[0])
+    verify, card = commands[0]
+    assert main(verify) == 0 and tools.main(card) == 0
     name, folder, place = shlex.split(upload)[2:5]
     assert (name, place) == ("owner/name", ".")
     with web_server(Path(folder)) as hub:

@@ -11,6 +11,7 @@ from bodyseg_data.commands import cli
 COMMANDS: Final[cli.Commands] = {
     "bench": ("benches.bench", "measure speed and accuracy side by side"),
     "chart": ("benches.results.chart", "chart speed against accuracy, one chart a choice"),
+    "card": ("benches.cards.command", "write the cards of a set or a network beside it"),
     "demo": ("benches.demo", "pack a small open set and stream all five variants"),
     "landmarks": ("benches.landmarks.command", "draw the 33 parts of a body, or propose its landmarks"),
     "licences": ("benches.licences", "list the licences of the packages that each extra installs"),

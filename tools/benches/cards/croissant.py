@@ -8,7 +8,7 @@ files, `train-json` the descriptions. Records of a sample share their `key`.
 import json
 from typing import Any, Final
 
-from bodyseg_data.cards.facts import (
+from benches.cards.facts import (
     MEMBERS,
     UNKNOWN_LICENCE,
     Publication,
@@ -22,7 +22,6 @@ from bodyseg_data.labels import PARTS
 from bodyseg_data.samples import Split
 from bodyseg_data.shards import CODECS
 
-CROISSANT_NAME: Final = "croissant.json"
 CROISSANT: Final = "http://mlcommons.org/croissant/1.1"
 
 DIGEST_PREFIX: Final = "sha256:"

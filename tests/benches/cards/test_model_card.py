@@ -7,11 +7,12 @@ from datetime import date
 from pathlib import Path
 
 import pytest
+from benches.__main__ import main
+from benches.cards.facts import Publication
+from benches.cards.model_cards import model_card
 
-from bodyseg_data.cards import Publication
 from bodyseg_data.core import BadConfig
-from bodyseg_model.commands import main
-from bodyseg_model.networks import SHIPPED, confusion_file, model_card
+from bodyseg_model.networks import SHIPPED, confusion_file
 
 PUBLICATION = Publication("Parts of people", date(2026, 1, 31), "Apache-2.0", "A. Author")
 

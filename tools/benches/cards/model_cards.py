@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.cards import UNKNOWN_LICENCE, Publication, bullets, licence_lines, table
-from bodyseg_data.core import BadConfig
-from bodyseg_model.networks.checkpoints import CardWords, RunFiles, confusion_file, read_card
+from benches.cards.dataset_cards import bullets, licence_lines, table
+from benches.cards.facts import UNKNOWN_LICENCE, Publication
+from bodyseg_model.networks import CardWords, confusion_file
+from bodyseg_model.networks.checkpoints import read_card
 
 _SCORES: Final = {
     "average_per_class_accuracy": "average per-class accuracy",
@@ -22,21 +23,6 @@ _LIMITS: Final = (
     "It gives every pixel of a body a label, also pixels of clothes, hair and things that it has never seen.",
     "Measure it on your own sensor before anything depends on it; not for medical use, safety, or recognising people.",
 )
-
-
-def network_file(path: Path) -> Path:
-    """Return the .safetensors file of a training's folder, or the path if it is one. Raises BadConfig."""
-    file = path / RunFiles.NETWORK if path.is_dir() else path
-    if file.suffix != ".safetensors" or not file.is_file():
-        raise BadConfig(
-            f"neither a set of shards nor a trained network: {path} (no manifest.json, no {RunFiles.NETWORK})"
-        )
-    return file
-
-
-def page_file(path: Path) -> Path:
-    """Return the file of the page: README.md of a training's folder, NAME.md beside NAME.safetensors."""
-    return path / "README.md" if path.is_dir() else path.with_suffix(".md")
 
 
 def model_card(weights: Path, publication: Publication) -> str:

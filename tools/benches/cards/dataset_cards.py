@@ -1,15 +1,10 @@
-"""The dataset card of a set, README.md: a YAML header as Hugging Face's hub reads it, and a page for people.
-
-`stale_cards` finds cards that lie beside a set and describe another one.
-"""
+"""The dataset card of a set, README.md: a YAML header as Hugging Face's hub reads it, and a page for people."""
 
 import json
-import re
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from bodyseg_data.cards.croissant import CROISSANT_NAME, DIGEST_PREFIX
-from bodyseg_data.cards.facts import (
+from benches.cards.facts import (
     MEMBERS,
     UNKNOWN_LICENCE,
     Publication,
@@ -21,14 +16,12 @@ from bodyseg_data.cards.facts import (
     terms_text,
 )
 from bodyseg_data.labels import PARTS, Classes
-from bodyseg_data.shards import CODECS, FACING_FROM_RANGE, Store
+from bodyseg_data.shards import CODECS, FACING_FROM_RANGE
 
 _HUB_LICENCES: Final = frozenset(
     {"apache-2.0", "mit", "cc0-1.0", "cc-by-4.0", "cc-by-sa-4.0", "cc-by-nc-4.0", "cc-by-nc-sa-4.0", "cc-by-nd-4.0"}
 )
 """Licences that the hub knows by these names; others are given as `other` with a name."""
-
-CARD_NAME: Final = "README.md"
 
 DIGEST_FIELD: Final = "bodyseg_manifest"
 """Entry of the header: the digest of the manifest that the card describes."""
@@ -38,15 +31,10 @@ _SIZE_CLASSES: Final = (
     (10**8, "10M<n<100M"),
 )  # fmt: skip
 
-CARD_NAMES: Final = (CROISSANT_NAME, CARD_NAME)
-
 _FACING: Final = (
     "found from the range images: on bodies, 0.9 % of these bits differ from those of exact rays, and 0.6 % of the "
     "pixels are lit or dark by mistake"
 )
-
-_LARGEST_CARD: Final = 1 << 28
-_DIGEST_LINE: Final = re.compile(rf"^{DIGEST_FIELD}: ([0-9a-f]{{64}})$", re.MULTILINE)
 
 
 def dataset_card(facts: SetFacts, publication: Publication) -> str:
@@ -177,37 +165,6 @@ def _licences(facts: SetFacts, publication: Publication) -> str:
     by = f", published by {publication.author}" if publication.author else ""
     lines = [f"this set: {stated}{by}, {publication.published.isoformat()}", *terms_text(facts)]
     return bullets(lines)
-
-
-def stale_cards(store: Store, digest: str) -> list[str]:
-    """Return one line for each card of a set that names another digest of a manifest.
-
-    digest: of the set's manifest. A README.md that names none is somebody's own page, and no fault. Raises OSError or
-    Unreachable if a card cannot be read.
-    """
-    lines = []
-    for name in CARD_NAMES:
-        text = store.read_file(name, _LARGEST_CARD)
-        found = None if text is None else _digest_in(name, text.decode("utf-8", "replace"))
-        if found is not None and found != digest:
-            lines.append(
-                f"{name}: card of another set: manifest {found or 'not named'}, that of this set is {digest} "
-                f"(`bodyseg card` writes it anew)"
-            )
-    return lines
-
-
-def _digest_in(name: str, text: str) -> str | None:
-    """The manifest's digest that a card names; without one None for a README.md, "" for a Croissant file."""
-    if name == CARD_NAME:
-        match = _DIGEST_LINE.search(text)
-        return match[1] if match else None
-    try:
-        tree = json.loads(text)
-        identifier = tree.get("identifier") if isinstance(tree, dict) else None
-    except (ValueError, RecursionError):
-        identifier = None
-    return str(identifier or "").removeprefix(DIGEST_PREFIX)
 
 
 def licence_lines(licence: str) -> list[str]:

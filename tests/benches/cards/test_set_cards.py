@@ -11,19 +11,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benches.__main__ import main
+from benches.cards.croissant import croissant
+from benches.cards.dataset_cards import dataset_card, size_class
+from benches.cards.facts import ORIGINS, Publication, SetFacts, origin_of, set_facts
 
 from bodyseg_data import RangeImages
 from bodyseg_data.bodies import SOURCES
-from bodyseg_data.cards import CARD_NAME, CROISSANT_NAME, Publication, dataset_card, set_facts
-from bodyseg_data.cards.croissant import croissant
-from bodyseg_data.cards.dataset_cards import size_class
-from bodyseg_data.cards.facts import ORIGINS, SetFacts, origin_of
 from bodyseg_data.core import BadConfig
 from bodyseg_data.shards import read_manifest
 from bodyseg_data.shards.sample_codec import decode_sample
-from bodyseg_model.commands import main
+from bodyseg_data.transfer.transfers import CARD_NAMES
 
 DAY = date(2026, 1, 31)
+CROISSANT_NAME, CARD_NAME = CARD_NAMES
 
 pytestmark = [
     # mlcroissant leaves files open, and rdflib, by which it parses, calls a class of its own that it calls deprecated.
@@ -207,28 +208,6 @@ def test_sizes_are_those_of_the_hub() -> None:
         "100K<n<1M",
         "n>100M",
     ]
-
-
-def test_verify_accepts_cards_and_reports_those_of_another_set(
-    described: Path, pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["verify", str(described)]) == 0
-    other = tmp_path / "shards"
-    shutil.copytree(pictures, other)
-    (other / CARD_NAME).write_text("# My own page\n")
-    assert main(["verify", str(other)]) == 0
-    for name in (CARD_NAME, CROISSANT_NAME):
-        shutil.copy(described / name, other / name)
-    capsys.readouterr()
-    assert main(["verify", str(other)]) == 1
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.partition(":")[0] for line in lines] == [CROISSANT_NAME, CARD_NAME]
-    assert all("card of another set: manifest " in line for line in lines)
-    for text in ("[]", "no JSON", '{"identifier": 3}'):
-        (other / CROISSANT_NAME).write_text(text)
-        assert main(["verify", str(other)]) == 1
-    assert main(["card", str(other)]) == 0
-    assert main(["verify", str(other)]) == 0
 
 
 def test_bad_arguments_of_card_get_one_line(
