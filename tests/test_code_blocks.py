@@ -45,7 +45,7 @@ NOT_RUN: Final = {
     "from litdata import": "needs LitData; bench loader reads by it",
     "import ray": "needs Ray; the function that it calls runs in the block before",
     "from pyspark": "needs Spark; the function that it calls runs in the block before",
-    "import realsense": "needs a camera; tests/recordings has stand-ins for two",
+    "from live_cameras import realsense": "needs a camera; tests/recordings has stand-ins for two",
 }
 """Text of a block that is not run -> why."""
 

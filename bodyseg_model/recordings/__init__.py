@@ -6,7 +6,7 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_model.recordings.camera_files import FrameCameras
-    from bodyseg_model.recordings.cameras import FrameCamera, frame_camera, other_sensors
+    from bodyseg_model.recordings.cameras import FrameCamera, driver_camera, frame_camera, other_sensors
     from bodyseg_model.recordings.frames import (
         RECORDINGS_HELP,
         UNITS_HELP,
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
         to_metres,
     )
     from bodyseg_model.recordings.label_bags import LabelsOut, labels_out
-    from bodyseg_model.recordings.live import LiveRecording, orbbec, realsense
+    from bodyseg_model.recordings.live import LiveRecording
     from bodyseg_model.recordings.recording import Frame, Pixels, Stamp, evenly_apart
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

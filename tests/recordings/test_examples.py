@@ -20,6 +20,7 @@ def test_every_example_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyrealsense2", FakeRealSense())
+    monkeypatch.syspath_prepend(str(PAGE.parents[1] / "examples"))
     path = write_mcap(tmp_path / "a.mcap", [image(RAMP, "16UC1")])
     known: dict[str, Any] = {
         "arrays": [np.zeros((4, 6), np.uint16)],

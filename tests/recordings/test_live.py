@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import runpy
 import sys
 from collections.abc import Iterator
 from itertools import islice
@@ -10,11 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 from fake_cameras import FakeOrbbec, FakeRealSense
+from folders import DOCS
 from pngs import RAMP
 
-from bodyseg_data.core import BadConfig, MissingLibrary
-from bodyseg_model.recordings import to_metres
-from bodyseg_model.recordings.live import LiveRecording, orbbec, realsense
+from bodyseg_data.core import BadConfig
+from bodyseg_model.recordings import LiveRecording, to_metres
+
+CAMERAS = runpy.run_path(str(DOCS / "examples" / "live_cameras.py"))
+realsense, orbbec = CAMERAS["realsense"], CAMERAS["orbbec"]
 
 
 def test_any_iterable_is_a_recording_and_is_read_as_it_comes() -> None:
@@ -92,8 +96,8 @@ def test_cameras_that_cannot_be_used_are_one_line(monkeypatch: pytest.MonkeyPatc
             pass
         assert not other.running
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
-    with pytest.raises(MissingLibrary, match="this camera needs the package 'pyrealsense2': pip install"), realsense():
+    with pytest.raises(BadConfig, match="this camera needs the package 'pyrealsense2': pip install"), realsense():
         pass
     monkeypatch.setitem(sys.modules, "pyorbbecsdk", None)
-    with pytest.raises(MissingLibrary, match="pip install pyorbbecsdk2"), orbbec():
+    with pytest.raises(BadConfig, match="pip install pyorbbecsdk2"), orbbec():
         pass
