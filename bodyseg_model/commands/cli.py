@@ -17,11 +17,10 @@ COMMANDS: Final[Commands] = {
     "pull": ("bodyseg_model.commands.sharing:Pull", "copy a set or a network from an address"),
     "segment": ("bodyseg_model.commands.segment", "find the parts of people in frames of a sensor"),
     "sensor fit": ("bodyseg_model.commands.sensor", "measure which artifacts a sensor has from its own frames"),
-    "sensor list": (
-        "bodyseg_model.commands.sensor:ListSensors",
-        "list the sensor models that ship with the package",
+    "sensor show": (
+        "bodyseg_model.commands.sensor:ShowSensor",
+        "print a sensor model as TOML, one that ships or a file",
     ),
-    "sensor show": ("bodyseg_model.commands.sensor:ShowSensor", "print a sensor model as TOML"),
     "view": ("bodyseg_model.commands.view", "show a set or a recording in the browser"),
     "stability": ("bodyseg_model.commands.stability", "measure robustness to sensor artifacts"),
 }

@@ -1,4 +1,4 @@
-"""`bodyseg sensor`: measure the artifacts of a sensor from its own frames of people; list and show sensor models."""
+"""`bodyseg sensor`: measure the artifacts of a sensor from its own frames of people; show sensor models."""
 
 import json
 import sys
@@ -132,26 +132,6 @@ def _remarks(fit: SensorFit, camera: FrameCamera) -> list[str]:
     if camera.assumed:
         lines.append(f"camera {camera.origin}: give --focal or --rig if it is another")
     return lines
-
-
-class ListSensors:
-    """`bodyseg sensor list`."""
-
-    EXAMPLE = "bodyseg sensor list"
-
-    @dataclass(frozen=True)
-    class Options:
-        """The command has no options."""
-
-    @staticmethod
-    def run(options: Options) -> int:
-        """Print one line for each sensor: its name, title and artifacts."""
-        models = [load_sensor_model(name) for name in sensor_model_names()]
-        name, title = (max(len(getattr(model, field)) for model in models) for field in ("name", "title"))
-        for model in models:
-            artifacts = ", ".join(artifact.name for artifact in model)
-            sys.stdout.write(f"{model.name:{name}}  {model.title:{title}}  {artifacts}\n")
-        return 0
 
 
 class ShowSensor:
