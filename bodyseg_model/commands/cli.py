@@ -19,7 +19,7 @@ COMMANDS: Final[Commands] = {
     "sensor fit": ("bodyseg_model.commands.sensor", "measure which artifacts a sensor has from its own frames"),
     "sensor show": (
         "bodyseg_model.commands.sensor:ShowSensor",
-        "print a sensor model as TOML, one that ships or a file",
+        "print a sensor model as TOML",
     ),
     "view": ("bodyseg_model.commands.view", "show a set or a recording in the browser"),
     "stability": ("bodyseg_model.commands.stability", "measure robustness to sensor artifacts"),
