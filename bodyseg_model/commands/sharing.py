@@ -40,8 +40,6 @@ class Push:
     @staticmethod
     def run(options: Options) -> int:
         """Copy, and print one line on what was copied."""
-        from bodyseg_model.networks import network_file
-
         if (options.what / MANIFEST_NAME).exists():
             folder = options.what
             bundle = set_bundle(LocalFolder(folder))
@@ -82,6 +80,23 @@ class Pull:
         return 0
 
 
+def network_file(path: Path) -> Path:
+    """Return the .safetensors file of a training's folder, or the path if it is one. Raises BadConfig."""
+    from bodyseg_model.networks import RunFiles
+
+    file = path / RunFiles.NETWORK if path.is_dir() else path
+    if file.suffix != ".safetensors" or not file.is_file():
+        raise BadConfig(
+            f"neither a set of shards nor a trained network: {path} (no manifest.json, no {RunFiles.NETWORK})"
+        )
+    return file
+
+
+def page_file(path: Path) -> Path:
+    """Return the file of the page: README.md of a training's folder, NAME.md beside NAME.safetensors."""
+    return path / "README.md" if path.is_dir() else path.with_suffix(".md")
+
+
 def _bundle_at(address: str) -> tuple[Store, Bundle]:
     """Open the store at an address, and find the set or network there."""
     from bodyseg_model.networks import RunFiles
@@ -106,7 +121,7 @@ def _network_bundle(store: Store, weights: str) -> Bundle:
     weights: name of its .safetensors file in the store. Raises BadConfig for a card that cannot vouch for the weights,
     OSError or Unreachable.
     """
-    from bodyseg_model.networks import CardWords, RunFiles, confusion_file, page_file
+    from bodyseg_model.networks import CardWords, RunFiles, confusion_file
 
     file = Path(weights)
     index = file.with_suffix(".json").name

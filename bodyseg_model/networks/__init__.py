@@ -18,8 +18,6 @@ if TYPE_CHECKING:
         Trained,
         confusion_file,
         load_network,
-        network_file,
-        page_file,
         read_checkpoint,
         save_network,
         trained_network,

@@ -318,21 +318,6 @@ def _last_weights(folder: Path) -> Trained:
     return trained_network(network, card, folder / RunFiles.PLAN)
 
 
-def network_file(path: Path) -> Path:
-    """Return the .safetensors file of a training's folder, or the path if it is one. Raises BadConfig."""
-    file = path / RunFiles.NETWORK if path.is_dir() else path
-    if file.suffix != ".safetensors" or not file.is_file():
-        raise BadConfig(
-            f"neither a set of shards nor a trained network: {path} (no manifest.json, no {RunFiles.NETWORK})"
-        )
-    return file
-
-
-def page_file(path: Path) -> Path:
-    """Return the file of the page: README.md of a training's folder, NAME.md beside NAME.safetensors."""
-    return path / "README.md" if path.is_dir() else path.with_suffix(".md")
-
-
 def confusion_file(path: Path) -> Path:
     """Path of the confusion matrix of a network's scores, beside its weights `path` (.safetensors)."""
     return path.with_suffix(".confusion.json")

@@ -49,7 +49,7 @@ def _set_cards(folder: Path, publication: Publication) -> dict[Path, bytes]:
 
 def _network_card(path: Path, publication: Publication) -> dict[Path, bytes]:
     from benches.cards.model_cards import model_card
-    from bodyseg_model.networks import network_file, page_file
+    from bodyseg_model.commands.sharing import network_file, page_file
 
     weights = network_file(path)
     return {page_file(path): model_card(weights, publication).encode()}
