@@ -207,7 +207,7 @@ def _on_people(network: Network, views: Sequence[_Seen], pictures: list[Shown], 
     if pairs:
         twice = [pair for several in answers.values() for pair in itertools.combinations(several, 2)]
         result["geodesic_mm"] = summary(along_template(*np.array(pairs).T))
-        result["between_views_mm"] = summary(along_template(*np.array(twice).T))
+        result["between_views_mm"] = summary(along_template(*np.array(twice).T)) if twice else None
         result["landmarks"] = len({name for _, name in answers})
     return result
 
