@@ -47,7 +47,7 @@ def test_the_grid_has_a_point_next_to_the_nearest_one() -> None:
     places = place_table()[draw.integers(0, len(template.points), 3000)]
     places += draw.normal(0, 0.02 / UNIT_M, places.shape).astype(np.float32)
     cubes = np.clip((places - grid.first) / grid.side, 0, np.array(grid.numbers.shape) - 1).astype(int)
-    found, best = grid.numbers[tuple(cubes.T)], template.nearest(places * UNIT_M + (0, 0.9, 0))
+    found, best = grid.numbers[tuple(cubes.T)], template.nearest(places.astype(np.float64) * UNIT_M + (0, 0.9, 0))
     away, least = (1000 * UNIT_M * np.linalg.norm(place_table()[each] - places, axis=1) for each in (found, best))
     assert (away - least).mean() < 2 and (away - least).max() < 1000 * np.sqrt(3) * 0.016
     assert (found != NOWHERE).all()
@@ -135,6 +135,6 @@ def test_the_command_writes_an_image_of_points(tmp_path: Path, capsys: pytest.Ca
     with Image.open(tmp_path / "out" / "template" / "one.png") as image:
         written = np.asarray(image)
     labeller = FrameLabeller(Trained(network(), load_network(tmp_path / "network.safetensors").card), KEEP, dense=True)
-    answer = labeller(np.round(1000 * standing()).astype(np.float32) / 1000, LENS)
+    answer = labeller(np.round(1000 * standing()) / np.float32(1000), LENS)
     assert image.mode.startswith("I;16") and np.array_equal(written, answer.template)
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["template"] == "anny 11 mm 1"

@@ -33,7 +33,9 @@ def test_distances_follow_the_surface() -> None:
     hand = int(np.flatnonzero(template.parts == _HAND)[0])
     others = np.arange(0, len(template.points), 97)
     found = along_template(np.full(len(others), hand), others)
-    lines = nearest_sources("unfolded", template.vertices, template.faces.astype(np.int64), template.corners[[hand]])
+    lines = nearest_sources(
+        "unfolded", template.vertices, template.faces.astype(np.int64), template.corners[[hand]].astype(np.int64)
+    )
     true = 1000 * lines.distance[template.corners[others]]
     far = np.isfinite(true) & (true > 200)
     assert far.sum() > 50 and 0.97 < np.median(found[far] / true[far]) < 1.03
