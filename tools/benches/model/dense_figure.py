@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,7 +16,8 @@ from bodyseg_data.bodies import NOWHERE
 from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import INK, PAPER, font, save_picture
 
-_WIDTH: Final = 150
+_HEIGHT: Final = 320
+_LEAST_WIDTH: Final = 96  # of a title
 _GAP: Final = 8
 _HEAD: Final = 30
 _LINES_M: Final = 0.1  # between the dark lines that are drawn across bodies, so that shifts are seen
@@ -32,11 +34,10 @@ def draw_dense(figures: dict[str, Any], path: Path) -> None:
     panels = [panel for shown in figures.pictures for panel in _panels(shown)]
     if not panels:
         raise BadConfig("none of the networks gives points of the template: nothing is to be drawn")
-    height = max(panel.height for _, panel in panels)
-    sheet = Image.new("RGB", (len(panels) * (_WIDTH + _GAP) + _GAP, height + _HEAD + _GAP), PAPER)
+    places = list(itertools.accumulate((max(panel.width, _LEAST_WIDTH) + _GAP for _, panel in panels), initial=_GAP))
+    sheet = Image.new("RGB", (places[-1], _HEIGHT + _HEAD + _GAP), PAPER)
     pen = ImageDraw.Draw(sheet)
-    for number, (title, panel) in enumerate(panels):
-        left = _GAP + number * (_WIDTH + _GAP)
+    for left, (title, panel) in zip(places, panels, strict=False):
         pen.text((left, 6), title, INK, font(15))
         sheet.paste(panel, (left, _HEAD))
     save_picture(sheet, path)
@@ -65,4 +66,4 @@ def _panel(numbers: NDArray[np.uint16]) -> Image.Image:
     table = np.full((NOWHERE + 1, 3), _EMPTY, np.uint8)
     table[: len(points)] = colours
     image = Image.fromarray(table[numbers])
-    return image.resize((_WIDTH, max(1, round(image.height * _WIDTH / image.width))), Image.Resampling.BILINEAR)
+    return image.resize((max(1, round(image.width * _HEIGHT / image.height)), _HEIGHT), Image.Resampling.BILINEAR)
