@@ -111,6 +111,13 @@ BENCHES: Final = {
     "real": Bench("model.real.bench", "figure", "frames, 50", required=("data",), optional=("runs", "flip_average")),
     "motion": Bench("model.motion", required=("data", "runs")),
     "steady": Bench("model.real.steady", None, "frames, 100", required=("data",), optional=("runs", "flip_average")),
+    "dense": Bench(
+        "model.dense",
+        "dense_figure",
+        "views of each body, 6",
+        required=("data",),
+        optional=("runs", "images", "hard", "people"),
+    ),
     "shuffles": Bench("model.shuffles", required=("data",), optional=("seeds", "steps", "images")),
     "harm": Bench("model.harm", required=("data",), optional=("runs", "images")),
     "training": Bench("model.training_speed", required=("data",), optional=("steps",)),
@@ -156,7 +163,7 @@ class Options:
         "on real frames; for architectures and ablation: "
         "folders of runs NAME-SEED; for motion: runs, all of them; for cross_person: a run for "
         "each person; for rooms: runs of a finder; for network, runtimes, "
-        "numerical, sensors, harm, limits, windows, people, joints, real, steady and failures: runs",
+        "numerical, sensors, harm, dense, limits, windows, people, joints, real, steady and failures: runs",
         None,
     )
     seeds: int | None = option("for variants and shuffles: trainings of each variant or order (default 3)", None)
@@ -167,7 +174,7 @@ class Options:
     )
     images: int | None = option(
         "number of test images (default: variants 500, architectures, runtimes and ablation 200, windows 300, "
-        "shuffles 500, harm 100, failures 1000)",
+        "dense 150, shuffles 500, harm 100, failures 1000)",
         None,
     )
     hard: str | None = option(
@@ -188,7 +195,9 @@ class Options:
     )
     only_finished: bool = option("for variants: train nothing, compare what there is", False)
     real: Path | None = option("for variants: folder of recordings of real frames, to test on as well", None)
-    people: Path | None = option("for variants: folder of scanned people with landmarks, to test on as well", None)
+    people: Path | None = option(
+        f"for {_takers('people')}: folder of scanned people with landmarks, to test on as well", None
+    )
     together: int | None = option("for variants: processes that score networks side by side (default 1)", None)
     alone: bool = option("for people: scores alone, no landmarks", False)
     flip_average: bool = option("for people, real and steady: average the answers to images and mirror images", False)

@@ -60,7 +60,7 @@ class Shown(NamedTuple):
 
 
 class Dense(dict[str, Any]):
-    """Figures of `bench_dense`. pictures: images to draw, with the answers of the first network that gives any."""
+    """Figures of `bench_dense`. pictures: images to draw, with the answers of the last network that gives any."""
 
     pictures: list[Shown]
 
@@ -70,7 +70,7 @@ def bench_dense(
     runs: Sequence[Path] = (),
     images: int = 150,
     hard: str | None = None,
-    people: str | None = None,
+    people: Path | None = None,
     views: int = 6,
     progress: ProgressCallback = silent,
 ) -> Dense:
@@ -92,11 +92,13 @@ def bench_dense(
     results = Dense(template=load_template().name, pixels_an_image=_PIXELS, networks={name: {} for name in networks})
     results.pictures = []
     with tempfile.TemporaryDirectory() as folder:
-        bodies = annotated_bodies(Path(people), _POSES) if people else []
+        bodies = annotated_bodies(people, _POSES) if people else []
         tick = counter(progress, len(networks) * (len(opened) * images + len(VARIANTS) * views * len(bodies)))
         seen = _landmark_views(bodies, views, Path(folder)) if bodies else {}
         for name, trained in networks.items():
             rows = results["networks"][name]
+            if trained.network.on_template:
+                results.pictures = []
             for (of_set, variant), shown in opened.items():
                 rows.setdefault(of_set, {})[variant] = _on_set(
                     trained.network, shown, images, of_set, results.pictures, tick
@@ -122,7 +124,7 @@ def _on_set(
             at = np.flatnonzero(body & (true != NOWHERE) & (numbers != NOWHERE))
             at = at[np.linspace(0, len(at) - 1, min(len(at), _PIXELS)).astype(np.intp)]
             pairs.append(np.stack([true.ravel()[at], numbers.ravel()[at]]))
-            if images.variant == "all" and index in chosen[:: -(-len(chosen) // _SHOWN)]:
+            if images.variant == VARIANTS[0] and index in chosen[:: -(-len(chosen) // _SHOWN)]:
                 _keep(pictures, Shown(where, item["range"][0].numpy(), np.where(body, true, NOWHERE), numbers))
         tick()
     found = {"images": len(chosen), "accuracy": round(matrix.average_per_class_accuracy(), 4)}
@@ -205,7 +207,7 @@ def _on_people(network: Network, views: Sequence[_Seen], pictures: list[Shown], 
     if pairs:
         twice = [pair for several in answers.values() for pair in itertools.combinations(several, 2)]
         result["geodesic_mm"] = summary(along_template(*np.array(pairs).T))
-        result["between_views_mm"] = summary(along_template(*np.array(twice).T))
+        result["between_views_mm"] = summary(along_template(*np.array(twice).T)) if twice else None
         result["landmarks"] = len({name for _, name in answers})
     return result
 

@@ -1,0 +1,140 @@
+"""Dense answers: the point of the template that each pixel shows, beside labels that they do not change."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F  # noqa: N812
+from numpy.typing import NDArray
+from PIL import Image
+
+from bodyseg_data import load_template
+from bodyseg_data.bodies import NOWHERE
+from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.rigs import Camera
+from bodyseg_model.commands import main
+from bodyseg_model.networks import FlipAverage, Network, Trained, build, load_network, predict, save_network
+from bodyseg_model.networks.body_map import UNIT_M, place_table, point_grid
+from bodyseg_model.networks.labelling import number_pixels
+from bodyseg_model.networks.registry import predict_dense
+from bodyseg_model.runtimes import on_backend
+from bodyseg_model.segmentation import Background, FrameLabeller, Segmenter
+
+LENS = Camera(60, 80, 100.0, (40.0, 30.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+KEEP = Background("keep")
+TINY = {"patch": 16, "widths": [8], "blocks": [1], "template": True}
+REFUSED = "dense answers need a network with places on the template, computed by torch"
+
+
+def network() -> Network:
+    return build("compact", TINY, 3).eval()
+
+
+def standing() -> NDArray[np.float32]:
+    frame = np.zeros((60, 80), np.float32)
+    frame[10:50, 20:34] = 2 + np.linspace(0, 0.3, 14, dtype=np.float32)
+    return frame
+
+
+def test_the_grid_has_a_point_next_to_the_nearest_one() -> None:
+    template, grid = load_template(), point_grid()
+    draw = np.random.default_rng(2)
+    places = place_table()[draw.integers(0, len(template.points), 3000)]
+    places += draw.normal(0, 0.02 / UNIT_M, places.shape).astype(np.float32)
+    cubes = np.clip((places - grid.first) / grid.side, 0, np.array(grid.numbers.shape) - 1).astype(int)
+    found, best = grid.numbers[tuple(cubes.T)], template.nearest(places.astype(np.float64) * UNIT_M + (0, 0.9, 0))
+    away, least = (1000 * UNIT_M * np.linalg.norm(place_table()[each] - places, axis=1) for each in (found, best))
+    assert (away - least).mean() < 2 and (away - least).max() < 1000 * np.sqrt(3) * 0.016
+    assert (found != NOWHERE).all()
+
+
+def test_pixels_get_the_numbers_of_interpolated_places() -> None:
+    draw = np.random.default_rng(3)
+    places = draw.uniform(-1.2, 1.2, (2, 9, 7, 3)).astype(np.float32)  # beyond the grid, too
+    range_m = np.where(draw.random((2, 34, 28)) < 0.7, 2, 0).astype(np.float32)
+    numbers = np.full(range_m.shape, NOWHERE, np.uint16)
+    number_pixels(places, range_m, 4, numbers)
+    full = F.interpolate(torch.from_numpy(places).permute(0, 3, 1, 2), scale_factor=4, mode="bilinear")
+    grid, at = point_grid(), full.permute(0, 2, 3, 1).numpy()[:, :34]
+    cubes = np.clip((at - grid.first) / grid.side, 0, np.array(grid.numbers.shape) - 1).astype(int)
+    expected = np.where(range_m > 0, grid.numbers[tuple(np.moveaxis(cubes, -1, 0))], NOWHERE)
+    assert (numbers == expected).mean() > 0.999  # sums are rounded in another order
+    assert np.array_equal(numbers == NOWHERE, range_m == 0)
+
+
+def test_labels_are_the_same_bits_beside_points() -> None:
+    frame, plain = standing(), Segmenter(network(), LENS, KEEP)
+    seen, told = plain(frame), Segmenter(network(), LENS, KEEP, dense=True)(frame)
+    assert np.array_equal(seen.labels, told.labels) and np.array_equal(seen.confidence, told.confidence)
+    assert (seen.template == NOWHERE).all() and seen.bodies[0].places is None
+    template = told.template
+    assert template.dtype == np.uint16 and np.array_equal(template == NOWHERE, told.labels == BACKGROUND)
+    ((_, view),) = plain.find(frame).bodies
+    range_m = torch.from_numpy(view.range_m)[None, None]
+    prediction, numbers = predict_dense(network(), range_m)
+    assert torch.equal(prediction.labels, predict(network(), range_m).labels)
+    assert np.array_equal(template[frame > 0], view.back(numbers[0])) and len(np.unique(template)) > 3
+
+
+def test_points_turn_back_with_labels_and_go_where_a_pixel_has_no_label() -> None:
+    frame = standing()
+    upright = Segmenter(network(), LENS, KEEP, dense=True)(frame)
+    sideways = Camera(80, 60, 100.0, (30.0, 40.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    turned = Segmenter(network(), sideways, KEEP, turned=1, dense=True)(np.rot90(frame, 1).copy())
+    assert np.array_equal(np.rot90(turned.template, -1), upright.template)
+    least = float(np.median(upright.confidence[frame > 0]))
+    some = Segmenter(network(), LENS, KEEP, least_confidence=least, dense=True)(frame)
+    kept = upright.confidence >= least
+    assert (
+        np.array_equal(some.template, np.where(kept, upright.template, NOWHERE)) and 0 < kept.sum() < (frame > 0).sum()
+    )
+
+
+def test_a_mirror_image_has_the_mirrored_places() -> None:
+    both = FlipAverage(network())
+    range_m = torch.zeros(1, 1, 64, 48)
+    range_m[..., 8:56, 8:30] = 2 + torch.rand(48, 22, generator=torch.Generator().manual_seed(1))
+    with torch.inference_mode():
+        own, mirrored = (both.scores_and_places(each) for each in (range_m, range_m.flip(3)))
+        assert torch.equal(own[:, :33], both.scores(range_m))
+        alone = network().scores_and_places(range_m)
+    across, other = own[:, 33:34], own[:, 34:]
+    assert torch.allclose(across, -mirrored[:, 33:34].flip(3), atol=1e-5)
+    assert torch.allclose(other, mirrored[:, 34:].flip(3), atol=1e-5) and not torch.allclose(own, alone)
+    quick = on_backend(network(), "torch", "bfloat16")
+    with torch.inference_mode():
+        assert torch.allclose(quick.scores_and_places(range_m).float(), alone, atol=0.05)
+
+
+def test_a_network_without_places_is_refused() -> None:
+    plain = build("compact", {**TINY, "template": False}, 3).eval()
+    for one in (plain, FlipAverage(plain)):
+        with pytest.raises(BadConfig, match=rf"^{REFUSED}: `train --settings '.*'` trains one, found \w+ without$"):
+            Segmenter(one, LENS, KEEP, dense=True)
+        with pytest.raises(BadConfig, match="must have a head of places on the template"):
+            one.scores_and_places(torch.zeros(1, 1, 16, 16))
+    with pytest.raises(BadConfig, match=f"^{REFUSED}"):
+        FrameLabeller(load_network(), KEEP, dense=True)(standing(), LENS)
+
+
+def test_the_command_writes_an_image_of_points(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save_network(tmp_path / "network.safetensors", network(), "compact", {})
+    frames = tmp_path / "frames"
+    frames.mkdir()
+    Image.fromarray(np.round(1000 * standing()).astype(np.uint16)).save(frames / "one.png")
+    words = [str(frames), "--focal", "100", "--background", "keep", "--threads", "1", "--device", "cpu", "--dense"]
+    assert main(["segment", *words, "--out", str(tmp_path / "no")]) == 2
+    assert capsys.readouterr().err.startswith(f"bodyseg segment: {REFUSED}") and not (tmp_path / "no").exists()
+    run = ["--run", str(tmp_path / "network.safetensors"), "--precision", "float32"]
+    assert main(["segment", *words, *run, "--out", str(tmp_path / "out")]) == 0
+    with Image.open(tmp_path / "out" / "template" / "one.png") as image:
+        written = np.asarray(image)
+    labeller = FrameLabeller(Trained(network(), load_network(tmp_path / "network.safetensors").card), KEEP, dense=True)
+    answer = labeller(np.round(1000 * standing()) / np.float32(1000), LENS)
+    assert image.mode.startswith("I;16") and np.array_equal(written, answer.template)
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["template"] == "anny 11 mm 1"
