@@ -46,6 +46,9 @@ BLOCKS: Final = 2
 SEARCH: Final = Path(__file__).with_name("search.json")
 """What this bench measured of `segment` when planes, surfaces and their shapes told people from rooms."""
 
+UNSEEN_FINDER: Final = Path(__file__).with_name("unseen_finder.safetensors")
+"""Weights of a finder that was trained without `HELD_OUT`: the one from which the shipped one was trained further."""
+
 _ROOMS_A_TASK: Final = 20
 _SHOWN: Final = 8, 2
 """Pictures of failures, in made rooms and in the real one."""
@@ -75,10 +78,10 @@ def bench_rooms(
 ) -> Results:
     """Measure all `WAYS` in `views` made rooms, by processes, and in real frames, in this one.
 
-    data: folder of real frames, with the room's; without, made rooms alone. runs: the first is of a finder that was
-    trained without `HELD_OUT`, for the rooms of unseen kinds; all others are for the one that ships.
+    data: folder of real frames, with the room's; without, made rooms alone. runs: the first is the finder for the
+    rooms of unseen kinds, by default `UNSEEN_FINDER`; all others are for the one that ships.
     """
-    run = runs[0] if runs else None
+    run = runs[0] if runs else UNSEEN_FINDER
     numbers = [(of, number) for of, part in SHARES.items() for number in range(round(part * views))]
     tasks = [numbers[first : first + _ROOMS_A_TASK] for first in range(0, len(numbers), _ROOMS_A_TASK)]
     total = len(tasks) + len(WAYS)
@@ -143,7 +146,7 @@ def _finders(run: Path | None) -> dict[str, Finder]:
     return dict(zip(WAYS, found, strict=True))
 
 
-def _measured(rooms: Sequence[tuple[str, int]], run: Path | None) -> tuple[dict[str, Any], list[Failure]]:
+def _measured(rooms: Sequence[tuple[str, int]], run: Path) -> tuple[dict[str, Any], list[Failure]]:
     """Counts of rooms for each way, and the worst failures of the default one. run: as of `bench_rooms`."""
     torch.set_num_threads(1)
     tallies: dict[str, Any] = {name: [] for name in WAYS}
