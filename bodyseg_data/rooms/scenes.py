@@ -286,7 +286,7 @@ class Room:
             before, _, most = self._stand(thing, turn, (middle[0] * share, -middle[2] * share), 0.0, 0.0, None)
             if -middle[2] * (1 - share) > 0.15 and most[2] < -0.4:
                 self._add(before.of(thing), n, name)
-        if not lies and n.between(0, 1) < 0.35:
+        if not lies and n.between(0, 1) < 0.6:
             self._hold(person, vertices, n)
         return True
 

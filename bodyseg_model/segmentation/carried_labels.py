@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -40,6 +41,7 @@ _GATE_M: Final = 0.05  # cells further from the surface they meet do not count
 _NOISES: Final = 3.0  # standard deviations of a cell's ranges that the gate is at least
 _RIGID_STEPS: Final = 5
 _RIGID_CELLS: Final = 800  # suffice for a rigid motion: of more, every second, third ... is used
+_STILL: Final = np.repeat([0.002, 1.0], 3)  # weight of no turn, square metres, and of no shift: a cell's is 1
 _PART_CELLS: Final = 20  # of a part that moves by itself, at least
 _PART_REACH_M: Final = 0.3  # greatest shift of a part beyond the body's own
 _PULL: Final = 0.05  # weight of a part's shift
@@ -129,7 +131,7 @@ class CarriedLabels:
             return np.full(labels.shape, BACKGROUND, np.uint8)
         lens = self._lens(seen[0], camera) if last is None else last.lens
         new, old = self._empty_images(flat.size), None if last is None else last.images
-        cells = [loops.Cells(*loops.cells_of(body, lens, np.float32(_JUMP_M))) for body in seen]
+        cells = [self._cells(body, lens) for body in seen]
         known = []
         for body, own, number in zip(seen, cells, self._pairs(cells), strict=True):
             motion, gain = loops.BodyMotion(_UNMOVED, np.zeros_like(own.points), own.grid), 0.0
@@ -154,6 +156,20 @@ class CarriedLabels:
             camera.focal_px, *camera.centre_px, camera.columns, camera.rows, side, *cells
         )
         return lens
+
+    def _cells(self, body: BodyPixels, lens: CellLens) -> Cells:
+        grid, place, points, labels, noise_m = self._loops.cells_of(body, lens, np.float32(_JUMP_M))
+        around = np.pad(grid.reshape(lens.down, lens.across), 1, constant_values=-1)
+        row, column = np.divmod(place, lens.across)
+        sides = (row + 1, column), (row + 1, column + 2), (row, column + 1), (row + 2, column + 1)
+        beside = np.stack([around[side] for side in sides], axis=1).astype(np.int64)
+        apart = (beside < 0) | (np.abs(points[beside, 2] - points[:, 2:]) >= _JUMP_M)
+        beside = np.where(apart, np.arange(len(place))[:, None], beside)
+        left, right, above, below = points[beside.T]
+        normals = np.cross(right - left, below - above)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+        cells: Cells = self._loops.Cells(grid, points, normals, beside, labels, noise_m)
+        return cells
 
     def _empty_images(self, size: int) -> Images:
         """Memory of a frame's images: that of the frame before the last, where there is one."""
@@ -204,8 +220,7 @@ class CarriedLabels:
             shifts, weights = part_shifts(places, own.labels, earlier)
             some = weights > 0
             (away, same), (away_shifted, same_shifted) = (
-                self._loops.fit_of(each[some], own.labels[some], earlier, lens, gate)
-                for each in (places, places + shifts)
+                self._fit(each[some], own.labels[some], earlier, lens, gate) for each in (places, places + shifts)
             )
             gain = _REMEMBERED * min(max(gain, -_MOST_GAIN), _MOST_GAIN)
             gain += (away - away_shifted) / _FALL_M + (same_shifted - same) / _MORE
@@ -225,9 +240,30 @@ class CarriedLabels:
         shift = np.eye(3, 4)
         shift[:, 3] = _middle(earlier) - _middle(own)
         starts = np.eye(3, 4), shift
-        rigid = min(starts, key=lambda start: self._loops.fit_of(moved(start, some), labels, earlier, lens, gate)[0])
-        self._loops.fit_rigid(some, rigid, earlier, lens, gate, _RIGID_STEPS)
+        rigid = min(starts, key=lambda start: self._fit(moved(start, some), labels, earlier, lens, gate)[0])
+        for _ in range(_RIGID_STEPS):  # of Gauss and Newton (Chen and Medioni 1992), with Tukey's weights
+            places = moved(rigid, some)
+            met = self._loops.cells_met(places, earlier, lens, gate)
+            middle, (seen,) = places.mean(axis=0, dtype=np.float64), np.nonzero(met >= 0)
+            normals, arms = earlier.normals[met[seen]].astype(np.float64), places[seen] - middle
+            away = np.einsum("ij,ij->i", normals, earlier.points[met[seen]] - places[seen])
+            lines = np.hstack([np.cross(arms, normals), normals])
+            weighed = lines * np.square(np.maximum(1 - (away / gate) ** 2, 0.0))[:, None]
+            step = np.linalg.solve(np.einsum("ij,ik->jk", weighed, lines) + np.diag(_STILL), away @ weighed)
+            turn = rotation(step[:3])
+            rigid = turn @ rigid
+            rigid[:, 3] += middle - turn @ middle + step[3:]
         return rigid
+
+    def _fit(self, places: Points, labels: Labels, old: Cells, lens: CellLens, gate: float) -> tuple[float, float]:
+        """Fit of places, float32 [M, 3], metres, to the old cells: the mean difference of range, metres, `gate` where
+        none is met; and the share of those that meet a cell of their own label.
+        """
+        if not len(places):
+            return 0.0, 0.0
+        met = self._loops.cells_met(places, old, lens, gate)
+        away = np.where(met >= 0, np.abs(old.points[met, 2] - places[:, 2]), gate)
+        return float(away.mean(dtype=np.float64)), float(((met >= 0) & (old.labels[met] == labels)).mean())
 
     def _carry(self, body: BodyPixels, *arguments: Any) -> None:
         """Carry evidence to a body's pixels, which do not depend on each other, in several threads if they are many."""
@@ -247,6 +283,14 @@ def nearest_first(reach: int) -> NDArray[np.int64]:
     """
     line = range(-reach, reach + 1)
     return np.array(sorted(itertools.product(line, line), key=lambda step: step[0] ** 2 + step[1] ** 2), np.int64)
+
+
+def rotation(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Matrix [3, 3] of a rotation vector [3], radians (Rodrigues)."""
+    angle = max(float(np.linalg.norm(vector)), 1e-12)
+    cross = np.cross(np.eye(3), vector / angle)
+    matrix: NDArray[np.float64] = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross
+    return matrix
 
 
 def moved(rigid: Rigid, points: Points) -> Points:

@@ -32,8 +32,6 @@ _HALF: Final = np.float32(0.5)
 _UNIT: Final = np.float32(UNIT)
 _NEAREST_M: Final = np.float32(0.1)  # before the camera
 _SHIFT: Final = np.float32(4096)  # makes coordinates positive, so that cutting off decimals rounds down
-_STILL: Final = 1.0  # weight of no shift in a rigid step, against one for every cell
-_STILL_TURN: Final = 0.002  # of no turn, square metres
 _UNMOVED: Final = np.float32(0.005)  # weight of no displacement beyond the body's motion
 _ROUNDS: Final = 2
 _SWEEPS: Final = 4
@@ -118,8 +116,9 @@ class Rule(NamedTuple):
 
 @_kernel
 def cells_of(body: Any, lens: Any, jump: Any) -> Any:
-    """Average a body's pixels in cells; returns the fields of `Cells`. jump: ranges further apart, metres, are of two
-    surfaces. Of large cells, every second, third ... row and column is used.
+    """Average a body's pixels in cells; returns the fields of `Cells` but normals and neighbours, and, second, where in
+    the grid each cell is, int32 [M]. jump: ranges further apart, metres, are of two surfaces. Of large cells, every
+    second, third ... row and column is used.
     """
     count, step, range_m = lens.across * lens.down, max(1, lens.side // 3), body.range_m
     cell_column = np.full(lens.columns, -1, np.int32)  # of the columns that are used
@@ -178,37 +177,7 @@ def cells_of(body: Any, lens: Any, jump: Any) -> Any:
         points[here, 0] = (points[here, 0] / kept[here] + _HALF - lens.x) / lens.focal * z
         points[here, 1] = (points[here, 1] / kept[here] + _HALF - lens.y) / lens.focal * z
         points[here, 2] = z
-    normals, neighbours = linked(grid, place, points, lens, jump)
-    return grid, points, normals, neighbours, labels, noise
-
-
-@_kernel
-def linked(grid: Any, place: Any, points: Any, lens: Any, jump: Any) -> Any:
-    """Normals, float32 [M, 3], and neighbours, int64 [M, 4], of `Cells`. place: int32 [M], where in the grid each cell
-    is. jump: neighbours whose ranges are further apart, metres, are of two surfaces. A normal is the cross product of
-    the differences of neighbours.
-    """
-    normals, neighbours = np.zeros((len(place), 3), np.float32), np.empty((len(place), 4), np.int64)
-    for m in range(len(place)):
-        cell, beside = place[m], neighbours[m]
-        column = cell % lens.across
-        beside[0] = grid[cell - 1] if column > 0 else -1
-        beside[1] = grid[cell + 1] if column < lens.across - 1 else -1
-        beside[2] = grid[cell - lens.across] if cell >= lens.across else -1
-        beside[3] = grid[cell + lens.across] if cell + lens.across < len(grid) else -1
-        for k in range(4):
-            if beside[k] < 0 or abs(points[beside[k], 2] - points[m, 2]) >= jump:
-                beside[k] = m
-        left, right, above, below = beside[0], beside[1], beside[2], beside[3]
-        # One number at a time: a difference of two rows would be a new array for every cell.
-        ax, bx = points[right, 0] - points[left, 0], points[below, 0] - points[above, 0]
-        ay, by = points[right, 1] - points[left, 1], points[below, 1] - points[above, 1]
-        az, bz = points[right, 2] - points[left, 2], points[below, 2] - points[above, 2]
-        x, y, z = ay * bz - by * az, az * bx - bz * ax, ax * by - bx * ay
-        length = math.sqrt(x * x + y * y + z * z)
-        if length > 0:
-            normals[m, 0], normals[m, 1], normals[m, 2] = x / length, y / length, z / length
-    return normals, neighbours
+    return grid, place, points, labels, noise
 
 
 @_kernel
@@ -227,84 +196,12 @@ def cell_at(x: Any, y: Any, z: Any, cells: Any, lens: Any, gate: Any) -> Any:
 
 
 @_kernel
-def fit_of(places: Any, labels: Any, old: Any, lens: Any, gate: Any) -> Any:
-    """Fit of places, float32 [M, 3], metres, to the old cells: the mean difference of range, metres, `gate` where
-    none is met; and the share of those that meet a cell of their own label.
-    """
-    away, same = 0.0, 0
+def cells_met(places: Any, cells: Any, lens: Any, gate: Any) -> Any:
+    """`cell_at` of places, float32 [M, 3], int64 [M]."""
+    found = np.empty(len(places), np.int64)
     for m in range(len(places)):
-        o = cell_at(places[m, 0], places[m, 1], places[m, 2], old, lens, gate)
-        away += abs(old.points[o, 2] - places[m, 2]) if o >= 0 else gate
-        same += o >= 0 and old.labels[o] == labels[m]
-    return away / max(len(places), 1), same / max(len(places), 1)
-
-
-@_kernel
-def fit_rigid(points: Any, motion: Any, old: Any, lens: Any, gate: Any, steps: Any) -> None:
-    """Improve `motion`, float64 [3, 4], in place, by Gauss-Newton steps (Chen and Medioni 1992) on the distances of
-    moved points, float32 [M, 3], metres, to the planes of the old cells they meet; those up to `gate`, metres, count
-    (Tukey's weights).
-    """
-    table, line, mean = np.empty((6, 8)), np.zeros(8), np.empty(3)  # 7 columns are used: whole vectors are added faster
-    places = np.empty((len(points), 3), np.float32)
-    for _ in range(steps):
-        table[:], mean[:] = 0, 0
-        for m in range(len(points)):
-            x, y, z = points[m, 0], points[m, 1], points[m, 2]
-            for i in range(3):
-                places[m, i] = motion[i, 0] * x + motion[i, 1] * y + motion[i, 2] * z + motion[i, 3]
-                mean[i] += places[m, i]
-        mean /= len(points)
-        for m in range(len(points)):
-            x, y, z = places[m, 0], places[m, 1], places[m, 2]
-            o = cell_at(x, y, z, old, lens, gate)
-            if o < 0:
-                continue
-            nx, ny, nz = old.normals[o, 0], old.normals[o, 1], old.normals[o, 2]
-            away = nx * (old.points[o, 0] - x) + ny * (old.points[o, 1] - y) + nz * (old.points[o, 2] - z)
-            weight = max(1 - (away / gate) ** 2, 0.0) ** 2
-            px, py, pz = x - mean[0], y - mean[1], z - mean[2]
-            line[0], line[1], line[2] = py * nz - pz * ny, pz * nx - px * nz, px * ny - py * nx
-            line[3], line[4], line[5], line[6] = nx, ny, nz, away
-            for i in range(6):
-                share = weight * line[i]
-                for j in range(8):
-                    table[i, j] += share * line[j]
-        for i in range(6):
-            table[i, i] += _STILL_TURN if i < 3 else _STILL
-        solve(table)
-        turn = rotation(table[0, 6], table[1, 6], table[2, 6])
-        turned = turn @ motion
-        for i in range(3):
-            middle = turn[i, 0] * mean[0] + turn[i, 1] * mean[1] + turn[i, 2] * mean[2]
-            turned[i, 3] += mean[i] - middle + table[3 + i, 6]
-            for j in range(4):  # not `motion[:] = turned`, whose message on shapes takes five seconds to compile
-                motion[i, j] = turned[i, j]
-
-
-@_kernel
-def solve(table: Any) -> None:
-    """Solve a positive definite system of n rows in place: column n, the right side, becomes the solution."""
-    count = len(table)
-    for i in range(count):
-        for j in range(i + 1, count):
-            share = table[j, i] / table[i, i]
-            for k in range(i, count + 1):
-                table[j, k] -= share * table[i, k]
-    for i in range(count - 1, -1, -1):
-        for j in range(i + 1, count):
-            table[i, count] -= table[i, j] * table[j, count]
-        table[i, count] /= table[i, i]
-
-
-@_kernel
-def rotation(x: Any, y: Any, z: Any) -> Any:
-    """Matrix of a rotation vector, radians, float64 [3, 3] (Rodrigues)."""
-    matrix, angle = np.eye(3), math.sqrt(x * x + y * y + z * z)
-    if angle > 1e-12:
-        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        matrix += math.sin(angle) / angle * cross + (1 - math.cos(angle)) / (angle * angle) * (cross @ cross)
-    return matrix
+        found[m] = cell_at(places[m, 0], places[m, 1], places[m, 2], cells, lens, gate)
+    return found
 
 
 @_kernel

@@ -57,25 +57,18 @@ class LabelledBody:
     person: float | None = None
     places: NDArray[np.uint16] | None = field(default=None, repr=False)
 
-
-@dataclass(frozen=True)
-class Thing:
-    """What the finder takes for a person, and the network that labels people doubts: a thing. pixels, median_range_m,
-    person: as of `LabelledBody`. mean_confidence: of the network's labels.
-    """
-
-    pixels: NDArray[np.intp] = field(repr=False)
-    median_range_m: float
-    person: float
-    mean_confidence: float
+    @property
+    def mean_confidence(self) -> float:
+        """Mean over all its pixels."""
+        return float(self.confidence.mean(dtype=np.float64))
 
 
 @dataclass(frozen=True)
 class Segmentation:
     """Labels of a frame, uint8 [H, W], the network's classes on bodies, 255 elsewhere; its bodies, the largest first;
     and the time of each of `STAGES`, milliseconds. range_m: the frame, float32 [H, W], metres, without lens distortion,
-    0 = nothing measured. camera: of `range_m`. things: what looked like people and is none, without labels. mirrored:
-    the frame shows left for right. label_map: the classes, where they are known.
+    0 = nothing measured. camera: of `range_m`. things: what the finder takes for people and the network doubts, without
+    labels. mirrored: the frame shows left for right. label_map: the classes, where they are known.
     """
 
     labels: NDArray[np.uint8] = field(repr=False)
@@ -83,7 +76,7 @@ class Segmentation:
     milliseconds: dict[str, float]
     range_m: NDArray[np.float32] = field(repr=False)
     camera: Camera = field(repr=False)
-    things: tuple[Thing, ...] = ()
+    things: tuple[LabelledBody, ...] = ()
     mirrored: bool = field(default=False, repr=False)
     label_map: LabelMap | None = field(default=None, repr=False)
 
@@ -161,14 +154,14 @@ def _turned_back(answer: Segmentation, quarters: int) -> Segmentation:
     # At each pixel of the upright frame the pixel of the other.
     labels, range_m = (turned_image(image, -quarters) for image in (answer.labels, answer.range_m))
     place = turned_image(np.arange(labels.size).reshape(labels.shape), quarters).ravel()
-    bodies = []
-    for body in answer.bodies:
-        pixels = place[body.pixels]
-        order = np.argsort(pixels)
+
+    def back(body: LabelledBody) -> LabelledBody:
+        order = np.argsort(pixels := place[body.pixels])
         places = None if body.places is None else body.places[order]
-        bodies.append(replace(body, pixels=pixels[order], confidence=body.confidence[order], places=places))
-    things = tuple(replace(thing, pixels=np.sort(place[thing.pixels])) for thing in answer.things)
-    return replace(answer, labels=labels, bodies=tuple(bodies), things=things, range_m=range_m)
+        return replace(body, pixels=pixels[order], confidence=body.confidence[order], places=places)
+
+    bodies, things = (tuple(map(back, each)) for each in (answer.bodies, answer.things))
+    return replace(answer, labels=labels, bodies=bodies, things=things, range_m=range_m)
 
 
 class Segmenter:
@@ -272,22 +265,19 @@ class Segmenter:
         range_m, watch = found.range_m, Stopwatch(STAGES)
         watch.milliseconds.update(found.milliseconds)
         labels = np.full(range_m.shape, BACKGROUND, np.uint8)
-        bodies: list[LabelledBody] = []
-        things: list[Thing] = []
+        bodies, things = list[LabelledBody](), list[LabelledBody]()
         with watch("network"):
             answers = predict_each(self._network, [view.range_m for _, view in found.bodies], self.dense)
         with watch("back"):
             for ((pixels, person), view), answer in zip(found.bodies, answers, strict=True):
-                view_labels, view_confidence, *numbers = answer
-                confidence = view.back(view_confidence)
-                mean = float(confidence.mean(dtype=np.float64))
-                if person is not None and person * mean < self.doubted_below:
-                    things.append(Thing(pixels, view.median_range_m, person, mean))
-                    continue
-                labels.ravel()[pixels] = view.back(view_labels)
+                own_labels, confidence, *places = map(view.back, answer)
                 seen_as = view.median_range_m, view.turn_rad, view.scale
-                places = view.back(numbers[0]) if numbers else None
-                bodies.append(LabelledBody(pixels, *seen_as, confidence, person, places))
+                body = LabelledBody(pixels, *seen_as, confidence, person, *places)
+                if person is not None and person * body.mean_confidence < self.doubted_below:
+                    things.append(body)
+                    continue
+                labels.ravel()[pixels] = own_labels
+                bodies.append(body)
         if self.video is not None:
             with watch("video"):
                 seen = [(body.pixels, body.confidence) for body in bodies]

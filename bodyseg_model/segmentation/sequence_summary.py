@@ -103,14 +103,7 @@ class SequenceSummary:
                 "labelled": int(np.count_nonzero(labels != BACKGROUND)),
                 "mean_confidence": _rounded(segmentation.mean_confidence),
                 "bodies": [_body(body, range_m.shape[1]) for body in bodies],
-                "things": [
-                    {
-                        **_place(thing.pixels, range_m.shape[1], thing.median_range_m),
-                        "mean_confidence": _rounded(thing.mean_confidence),
-                        "person": _rounded(thing.person),
-                    }
-                    for thing in segmentation.things
-                ],
+                "things": [_body(thing, range_m.shape[1]) for thing in segmentation.things],
                 "flicker": None if change is None else change.to_json(),
                 "ms": {stage: round(milliseconds[stage], 3) for stage in STAGES},
             }
@@ -167,21 +160,15 @@ class SequenceSummary:
 
 
 def _body(body: LabelledBody, columns: int) -> dict[str, Any]:
+    row, column = np.divmod(body.pixels, columns)
     return {
-        **_place(body.pixels, columns, body.median_range_m),
+        "pixels": len(body.pixels),
+        "box": [int(row.min()), int(column.min()), int(row.max()) + 1, int(column.max()) + 1],
+        "range_m": round(body.median_range_m, 4),
         "turn_deg": round(math.degrees(body.turn_rad), 2),
         "scale": round(body.scale, 4),
-        "mean_confidence": _rounded(float(body.confidence.mean(dtype=np.float64))),
+        "mean_confidence": _rounded(body.mean_confidence),
         **({} if body.person is None else {"person": _rounded(body.person)}),
-    }
-
-
-def _place(pixels: NDArray[np.intp], columns: int, range_m: float) -> dict[str, Any]:
-    row, column = np.divmod(pixels, columns)
-    return {
-        "pixels": len(pixels),
-        "box": [int(row.min()), int(column.min()), int(row.max()) + 1, int(column.max()) + 1],
-        "range_m": round(range_m, 4),
     }
 
 

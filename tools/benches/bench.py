@@ -160,10 +160,9 @@ class Options:
     data: str | None = option(f"for {_takers('data')}: folder or address of the set", None, address=True)
     runs: tuple[Path, ...] | None = option(
         "for variants: folder of runs VARIANT-SEED, where missing ones are trained, and folders of others to compare "
-        "on real frames; for architectures and ablation: "
-        "folders of runs NAME-SEED; for motion: runs, all of them; for cross_person: a run for "
-        "each person; for rooms: runs of a finder; for network, runtimes, "
-        "numerical, sensors, harm, dense, limits, windows, people, joints, real, steady and failures: runs",
+        "on real frames; for architectures and ablation: folders of runs NAME-SEED; for motion: runs, all of them; "
+        "for cross_person: a run for each person; for rooms: a finder that never saw the unseen kinds; for network, "
+        "runtimes, numerical, sensors, harm, dense, limits, windows, people, joints, real, steady and failures: runs",
         None,
     )
     seeds: int | None = option("for variants and shuffles: trainings of each variant or order (default 3)", None)

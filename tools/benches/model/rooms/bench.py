@@ -20,7 +20,7 @@ import torch
 from numpy.typing import NDArray
 
 from benches.model.rooms.finders import Finder, Found, network_finder, segment_finder
-from benches.model.rooms.made import HELD_OUT, SEED, SENSORS, SETS, make
+from benches.model.rooms.made import HELD_OUT, SEED, SENSORS, SETS, UNSEEN, make
 from benches.model.rooms.real import ROOM, THRESHOLDS, Marks, real, room_frames
 from benches.model.rooms.tallies import THRESHOLD, by_kind, by_property, by_set, counted, merged
 from bodyseg_data.core import ProgressCallback, silent
@@ -33,7 +33,7 @@ from bodyseg_data.rooms.scenes import RoomPerson
 from bodyseg_model.networks import load_network, predict
 from bodyseg_model.segmentation.finder import shipped_finder
 
-SHARES: Final = {"unseen kinds": 0.5, "all kinds": 0.4, "nobody": 0.1}
+SHARES: Final = {UNSEEN: 0.5, "all kinds": 0.4, "nobody": 0.1}
 """Of all made rooms, those of each set."""
 
 WAYS: Final = ("finder", "finder, every second pixel", "segment, sure or not", "segment")
@@ -45,6 +45,9 @@ BLOCKS: Final = 2
 
 SEARCH: Final = Path(__file__).with_name("search.json")
 """What this bench measured of `segment` when planes, surfaces and their shapes told people from rooms."""
+
+UNSEEN_FINDER: Final = Path(__file__).with_name("unseen_finder.safetensors")
+"""Weights of a finder that was trained without `HELD_OUT`: the one from which the shipped one was trained further."""
 
 _ROOMS_A_TASK: Final = 20
 _SHOWN: Final = 8, 2
@@ -75,10 +78,10 @@ def bench_rooms(
 ) -> Results:
     """Measure all `WAYS` in `views` made rooms, by processes, and in real frames, in this one.
 
-    data: folder of real frames, with the room's; without, made rooms alone. runs: the finder is in the first of them;
-    without, it is the one that ships.
+    data: folder of real frames, with the room's; without, made rooms alone. runs: the first is the finder for the
+    rooms of unseen kinds, by default `UNSEEN_FINDER`; all others are for the one that ships.
     """
-    run = runs[0] if runs else None
+    run = runs[0] if runs else UNSEEN_FINDER
     numbers = [(of, number) for of, part in SHARES.items() for number in range(round(part * views))]
     tasks = [numbers[first : first + _ROOMS_A_TASK] for first in range(0, len(numbers), _ROOMS_A_TASK)]
     total = len(tasks) + len(WAYS)
@@ -94,7 +97,7 @@ def bench_rooms(
     failures = _worst([failure for _, worst in found for failure in worst], _SHOWN[0])
     figures: dict[str, Any] = {name: {"made": by_set(tally)} for name, tally in tallies.items()}
     with torch_threads(1):
-        finders = _finders(run)
+        finders = _finders(None)
         if data is not None:
             for done, (name, finder) in enumerate(finders.items()):
                 figures[name]["real"] = real(finder, Path(data), THRESHOLDS[:1])
@@ -114,7 +117,7 @@ def bench_rooms(
             "compact_ms": times["compact"],
             "ways": figures,
             "before": read_json(SEARCH),
-            "kinds": by_kind([thing for thing in tallies[DEFAULT]["things"] if thing["of"] == "unseen kinds"]),
+            "kinds": by_kind([thing for thing in tallies[DEFAULT]["things"] if thing["of"] == UNSEEN]),
             "properties": by_property(tallies[DEFAULT]),
         },
         failures,
@@ -143,15 +146,15 @@ def _finders(run: Path | None) -> dict[str, Finder]:
     return dict(zip(WAYS, found, strict=True))
 
 
-def _measured(rooms: Sequence[tuple[str, int]], run: Path | None) -> tuple[dict[str, Any], list[Failure]]:
-    """Counts of rooms for each way, and the worst failures of the default one."""
+def _measured(rooms: Sequence[tuple[str, int]], run: Path) -> tuple[dict[str, Any], list[Failure]]:
+    """Counts of rooms for each way, and the worst failures of the default one. run: as of `bench_rooms`."""
     torch.set_num_threads(1)
     tallies: dict[str, Any] = {name: [] for name in WAYS}
     failures = []
     for of, number in rooms:
-        kinds = SETS[of] if of != "unseen kinds" else (HELD_OUT[number % len(HELD_OUT)],)
+        kinds = SETS[of] if of != UNSEEN else (HELD_OUT[number % len(HELD_OUT)],)
         room = make(of, number, () if of == "nobody" else _people, kinds)
-        for name, finder in _finders(run).items():
+        for name, finder in _finders(run if of == UNSEEN else None).items():
             answer = finder(room.range_m, room.camera)
             tallies[name].append(counted(room, answer))
             if name == DEFAULT:

@@ -20,7 +20,8 @@ from bodyseg_data.samples import HELD, Sample, SampleInfo, metres, steps
 HELD_OUT: Final = ("sofa", "bicycle", "wheelchair", "coat_stand", "animal")
 """Kinds of things that no network is trained on."""
 
-SETS: Final = {"unseen kinds": HELD_OUT, "all kinds": tuple(FURNISHINGS), "nobody": tuple(FURNISHINGS)}
+UNSEEN: Final = "unseen kinds"
+SETS: Final = {UNSEEN: HELD_OUT, "all kinds": tuple(FURNISHINGS), "nobody": tuple(FURNISHINGS)}
 """Name -> kinds of things in its rooms; of unseen kinds, each room has one."""
 
 SENSORS: Final = rig_names()
