@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from benches.model.people.bench import POSES
 from benches.model.people.bodies import annotated_bodies
 from benches.model.people.intervals import interval, summed
-from benches.model.people.scores import VARIANTS, Counted, accuracy, counted, gross_errors, packed_views
+from benches.model.people.scores import Counted, accuracy, counted, gross_errors, packed_views
 from bodyseg_data.core import BadConfig, ProgressCallback, check_int, silent
 from bodyseg_model.networks import load_network
 
@@ -25,7 +25,7 @@ from bodyseg_model.networks import load_network
 def bench_cross_person(
     data: str, runs: Sequence[Path], views: int = 6, poses: int = POSES, progress: ProgressCallback = silent
 ) -> dict[str, Any]:
-    """Score each network on the people whose annotations did not place its labels, and on the one whose did.
+    """Score each network in `all` on the people whose annotations did not place its labels, and on the one whose did.
 
     data, views, poses: as of `bench_people`, whose images these are. runs: a network for each person, in the people's
     order. Raises BadConfig for another number of networks, or of one person alone; otherwise as `bench_people`.
@@ -48,19 +48,16 @@ def bench_cross_person(
     with tempfile.TemporaryDirectory() as folder:
         home = Path(folder)
         keys = packed_views(bodies, views, home)
-        rounds = [(variant, number) for variant in VARIANTS for number in range(len(networks))]
-        found: dict[str, dict[str, Counted]] = {variant: {} for variant in VARIANTS}
-        for done, (variant, number) in enumerate(rounds):
+        found: dict[str, Counted] = {}
+        for done, (who, network) in enumerate(zip(people, networks, strict=True)):
 
             def show(images: int, total: int, before: int = done) -> None:
-                progress(before * total + images, len(rounds) * total)
+                progress(before * total + images, len(people) * total)
 
-            found[variant][people[number]] = counted(networks[number], home, keys, variant, show)
-    for variant, by_person in found.items():
-        others = {who: one.of({*people} - {who}) for who, one in by_person.items()}
-        own = {who: one.of({who}) for who, one in by_person.items()}
-        results[variant] = {"cross_person": both_ways(others), "in_sample": both_ways(own)}
-    return results
+            found[who] = counted(network, home, keys, "all", show)
+    others = {who: one.of({*people} - {who}) for who, one in found.items()}
+    own = {who: one.of({who}) for who, one in found.items()}
+    return results | {"cross_person": both_ways(others), "in_sample": both_ways(own)}
 
 
 def both_ways(ways: Mapping[str, Counted]) -> dict[str, Any]:

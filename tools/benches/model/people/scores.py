@@ -77,10 +77,10 @@ class Counted:
 
     def of(self, people: Collection[str]) -> Counted:
         """The images of some people."""
-        counts, errors = (
-            {key: one for key, one in each.items() if key[0] in people} for each in (self.counts, self.errors)
+        return Counted(
+            {key: one for key, one in self.counts.items() if key[0] in people},
+            {key: one for key, one in self.errors.items() if key[0] in people},
         )
-        return Counted(counts, errors)
 
     def to_json(self) -> dict[str, Any]:
         """Scores by person, pose, body and part, and gross errors of all and of each person."""
@@ -144,17 +144,14 @@ def scored(
     other: Path | None = None,
 ) -> dict[str, Any]:
     """Scores of every variant of the packed views; other: as of `counted`."""
-    return {
-        variant: counted(
-            network,
-            folder,
-            bodies,
-            variant,
-            lambda done, total, before=number: progress(before * total + done, len(VARIANTS) * total),
-            other,
-        ).to_json()
-        for number, variant in enumerate(VARIANTS)
-    }
+    results: dict[str, Any] = {}
+    for number, variant in enumerate(VARIANTS):
+
+        def show(done: int, total: int, before: int = number) -> None:
+            progress(before * total + done, len(VARIANTS) * total)
+
+        results[variant] = counted(network, folder, bodies, variant, show, other).to_json()
+    return results
 
 
 def agreement(true: Path, other: Path, bodies: dict[str, Annotated]) -> dict[str, Any]:
