@@ -2,24 +2,40 @@
 
 `placed_by_N.json` in this folder are the open body's landmarks, placed by the annotations of person N alone
 (`landmarks.placed`); `bodyseg shard --landmarks` packs labels by them.
+
+How far annotations wander is measured without any fit: landmarks on one bone keep their distance in all poses.
 """
 
 from __future__ import annotations
 
+import statistics
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benches.model.people.bench import POSES
-from benches.model.people.bodies import annotated_bodies
+from benches.model.people.bodies import Annotated, annotated_bodies
 from benches.model.people.intervals import interval, summed
 from benches.model.people.scores import Counted, accuracy, counted, gross_errors, packed_views
 from bodyseg_data.core import BadConfig, ProgressCallback, check_int, silent
+from bodyseg_data.labels import LANDMARKS
 from bodyseg_model.networks import load_network
+
+BONES: Final = {
+    "skull": ("Sellion", "Nuchale"),
+    "pelvis, front": ("Rt. ASIS", "Lt. ASIS"),
+    "pelvis, back": ("Rt. PSIS", "Lt. PSIS"),
+    "breastbone": ("Suprasternale", "Substernale"),
+    "right forearm": ("Rt. Olecranon", "Rt. Radial Styloid"),
+    "left forearm": ("Lt. Olecranon", "Lt. Radial Styloid"),
+    "right thigh": ("Rt. Trochanterion", "Rt. Femoral Lateral Epicn"),
+    "left thigh": ("Lt. Trochanterion", "Lt. Femoral Lateral Epicn"),
+}
+"""Landmarks at both ends of a bone."""
 
 
 def bench_cross_person(
@@ -44,6 +60,7 @@ def bench_cross_person(
         "bodies": len(bodies),
         "people": len(people),
         "views": views,
+        "bones": wander_mm(bodies),
     }
     with tempfile.TemporaryDirectory() as folder:
         home = Path(folder)
@@ -58,6 +75,22 @@ def bench_cross_person(
     others = {who: one.of({*people} - {who}) for who, one in found.items()}
     own = {who: one.of({who}) for who, one in found.items()}
     return results | {"cross_person": both_ways(others), "in_sample": both_ways(own)}
+
+
+def wander_mm(bodies: Sequence[Annotated]) -> dict[str, dict[str, float]]:
+    """Bone -> person -> standard deviation of the distance between its landmarks over that person's poses, mm.
+
+    Landmarks that wander by as much each, independently, do so by 0.7 of that along the bone, and the border halfway
+    between them by 0.5 of it. People with one pose are left out.
+    """
+    found: dict[str, dict[str, float]] = {}
+    for bone, ends in BONES.items():
+        at = [LANDMARKS.index(name) for name in ends]
+        lengths: dict[str, list[float]] = {}
+        for body in bodies:
+            lengths.setdefault(body.person, []).append(float(np.linalg.norm(np.subtract(*body.points[at]))))
+        found[bone] = {who: round(1000 * statistics.stdev(own), 1) for who, own in lengths.items() if len(own) > 1}
+    return found
 
 
 def both_ways(ways: Mapping[str, Counted]) -> dict[str, Any]:
