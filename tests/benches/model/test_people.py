@@ -38,6 +38,7 @@ from bodyseg_data.meshes import (  # noqa: E402
 )
 
 MOVED = LANDMARKS.index("Rt. Acromion")
+CARD = {"recipe": {"steps": 3, "batch_size": 16, "accumulate": 2}}
 
 
 @pytest.fixture(scope="module")
@@ -234,13 +235,16 @@ def test_networks_are_scored_on_people_who_did_not_place_their_labels(
     two_people: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     networks = {"by-ann": Places(0, 20), "by-bob": Places(0, 12)}
-    monkeypatch.setattr(cross_person, "load_network", lambda path: SimpleNamespace(network=networks[path.name]))
+    monkeypatch.setattr(
+        cross_person, "load_network", lambda path: SimpleNamespace(network=networks[path.name], card=CARD)
+    )
     monkeypatch.setattr(intervals, "_DRAWS", 50)
     steps: list[tuple[int, int]] = []
     found = cross_person.bench_cross_person(
         str(two_people), [Path("by-ann"), Path("by-bob")], 2, 1, lambda done, total: steps.append((done, total))
     )
-    assert found["networks"] == {"ann": "by-ann", "bob": "by-bob"} and steps[-1] == (8, 8)
+    assert found["networks"] == {who: {"run": f"by-{who}", "images": 96} for who in ("ann", "bob")}
+    assert steps[-1] == (8, 8)
     keys = packed_views(annotated_bodies(two_people, 1), 2, tmp_path / "again")
     crossed, own = found["cross_person"], found["in_sample"]
     for who, other, network in (("ann", "bob", networks["by-ann"]), ("bob", "ann", networks["by-bob"])):
@@ -248,6 +252,9 @@ def test_networks_are_scored_on_people_who_did_not_place_their_labels(
         assert crossed["placed_by"][who]["people"] == {other: scores[other]}
         assert own["placed_by"][who]["people"] == {who: scores[who]}
         assert scores["ann"]["gross_errors"] != scores["bob"]["gross_errors"]
+    gain = found["in_sample_gain"]
+    assert gain["points"] == pytest.approx(own["accuracy"] - crossed["accuracy"], abs=2e-4) and gain["points"] != 0
+    assert gain["interval"] is None, "they took one pose"
     for both in (crossed, own):
         ways = [way["accuracy"] for way in both["placed_by"].values()]
         assert both["images"] == 4 and both["accuracy"] == pytest.approx(sum(ways) / 2, abs=1e-4)

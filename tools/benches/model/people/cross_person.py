@@ -8,6 +8,7 @@ How far annotations wander is measured without any fit: landmarks on one bone ke
 
 from __future__ import annotations
 
+import math
 import statistics
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -54,9 +55,12 @@ def bench_cross_person(
             "bench cross_person needs two people or more and --runs, a network trained on the landmarks of each, "
             f"found {len(people)} and {len(runs)}"
         )
-    networks = [load_network(run).network for run in runs]
+    networks = [load_network(run) for run in runs]
     results: dict[str, Any] = {
-        "networks": dict(zip(people, (run.name for run in runs), strict=True)),
+        "networks": {
+            who: {"run": run.name, "images": _images(trained.card.get("recipe", {}))}
+            for who, run, trained in zip(people, runs, networks, strict=True)
+        },
         "bodies": len(bodies),
         "people": len(people),
         "views": views,
@@ -66,15 +70,24 @@ def bench_cross_person(
         home = Path(folder)
         keys = packed_views(bodies, views, home)
         found: dict[str, Counted] = {}
-        for done, (who, network) in enumerate(zip(people, networks, strict=True)):
+        for done, (who, trained) in enumerate(zip(people, networks, strict=True)):
 
             def show(images: int, total: int, before: int = done) -> None:
                 progress(before * total + images, len(people) * total)
 
-            found[who] = counted(network, home, keys, "all", show)
+            found[who] = counted(trained.network, home, keys, "all", show)
     others = {who: one.of({*people} - {who}) for who, one in found.items()}
     own = {who: one.of({who}) for who, one in found.items()}
-    return results | {"cross_person": both_ways(others), "in_sample": both_ways(own)}
+    return results | {
+        "cross_person": both_ways(others),
+        "in_sample": both_ways(own),
+        "in_sample_gain": in_sample_gain(own, others),
+    }
+
+
+def _images(recipe: Mapping[str, Any]) -> int:
+    """Images that a training has shown to its network, by its recipe."""
+    return math.prod(recipe.get(name, 0) for name in ("steps", "batch_size", "accumulate"))
 
 
 def wander_mm(bodies: Sequence[Annotated]) -> dict[str, dict[str, float]]:
@@ -98,10 +111,7 @@ def both_ways(ways: Mapping[str, Counted]) -> dict[str, Any]:
 
     ways: whose annotations placed the labels -> answers of the network that learned them.
     """
-    by_pose = [summed(one.counts, _pose) for one in ways.values()]
-    poses = sorted({pose for one in by_pose for pose in one})
-    nothing = np.zeros((33, 33), np.int64)
-    groups = [np.stack([one.get(pose, nothing) for one in by_pose]) for pose in poses]
+    groups = _by_pose(ways)
     return {
         "images": sum(len(one.counts) for one in ways.values()),
         "accuracy": round(_mean(np.sum(groups, axis=0)), 4),
@@ -109,6 +119,27 @@ def both_ways(ways: Mapping[str, Counted]) -> dict[str, Any]:
         "gross_errors": gross_errors(ways.values()),
         "placed_by": {who: one.to_json() for who, one in ways.items()},
     }
+
+
+def in_sample_gain(own: Mapping[str, Counted], others: Mapping[str, Counted]) -> dict[str, Any]:
+    """Mean accuracy on those who placed the labels, less that on the others, with an interval that draws poses.
+
+    How good networks are, and how hard people, is the same in both means.
+    """
+    groups = [np.stack(both) for both in zip(_by_pose(own), _by_pose(others), strict=True)]
+
+    def gain(counts: NDArray[Any]) -> float:
+        return _mean(counts[0]) - _mean(counts[1])
+
+    return {"points": round(gain(np.sum(groups, axis=0)), 4), "interval": interval(groups, gain)}
+
+
+def _by_pose(ways: Mapping[str, Counted]) -> list[NDArray[np.int64]]:
+    """Counts of each pose, by name, int64 [ways, 33, 33]."""
+    by_pose = [summed(one.counts, _pose) for one in ways.values()]
+    nothing = np.zeros((33, 33), np.int64)
+    poses = sorted({pose for one in by_pose for pose in one})
+    return [np.stack([one.get(pose, nothing) for one in by_pose]) for pose in poses]
 
 
 def _mean(counts: NDArray[Any]) -> float:
