@@ -20,7 +20,7 @@ from benches.landmarks.fitting_body import FittingBody, fitting_body  # noqa: E4
 from benches.landmarks.proposal import FittedBody  # noqa: E402
 from benches.model import chosen  # noqa: E402
 from benches.model.people import bench, cross_person, intervals, landmarks  # noqa: E402
-from benches.model.people.bodies import annotated_bodies  # noqa: E402
+from benches.model.people.bodies import Annotated, annotated_bodies  # noqa: E402
 from benches.model.people.intervals import interval, summed  # noqa: E402
 from benches.model.people.landmarks import placed, ways_to_place  # noqa: E402
 from benches.model.people.scores import accuracy, by_groups, counted, packed_views  # noqa: E402
@@ -38,6 +38,7 @@ from bodyseg_data.meshes import (  # noqa: E402
 )
 
 MOVED = LANDMARKS.index("Rt. Acromion")
+CARD = {"recipe": {"steps": 3, "batch_size": 16, "accumulate": 2}}
 
 
 @pytest.fixture(scope="module")
@@ -229,54 +230,52 @@ def two_people(body: FittingBody, tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_answers_are_right_by_either_of_two_labels(two_people: Path, tmp_path: Path) -> None:
-    bodies = annotated_bodies(two_people, 1)[:1]
-    exchanged = replace(bodies[0], points=bodies[0].points[[1, 0, *range(2, 33)]])
-    keys = packed_views(bodies, 2, tmp_path / "own")
-    packed_views([exchanged], 2, tmp_path / "exchanged")
-    always_0 = Places(0, 10_000)
-    found, same = (
-        counted(always_0, tmp_path / "own", keys, "none", lambda *_: None, tmp_path / name)
-        for name in ("exchanged", "own")
-    )
-    assert len(found.counts) == 2
-    for key, counts in found.counts.items():
-        np.testing.assert_array_equal(same.by_either[key], counts)
-        either = counts.copy()
-        either[1, 1], either[1, 0] = counts[1].sum(), 0  # part 1 is part 0 by the other labels
-        np.testing.assert_array_equal(found.by_either[key], either)
-    whole = np.sum([*found.counts.values()], axis=0)
-    assert whole[1, 0] > 50, "the back of the head is seen"
-    assert found.to_json()["by_either_placement"]["accuracy"] == pytest.approx(
-        2 * found.to_json()["accuracy"], abs=2e-4
-    )
-
-
 @pytest.mark.usefixtures("quick_geodesics")
 def test_networks_are_scored_on_people_who_did_not_place_their_labels(
     two_people: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     networks = {"by-ann": Places(0, 20), "by-bob": Places(0, 12)}
-    monkeypatch.setattr(cross_person, "load_network", lambda path: SimpleNamespace(network=networks[path.name]))
+    monkeypatch.setattr(
+        cross_person, "load_network", lambda path: SimpleNamespace(network=networks[path.name], card=CARD)
+    )
     monkeypatch.setattr(intervals, "_DRAWS", 50)
     steps: list[tuple[int, int]] = []
     found = cross_person.bench_cross_person(
         str(two_people), [Path("by-ann"), Path("by-bob")], 2, 1, lambda done, total: steps.append((done, total))
     )
-    assert found["networks"] == {"ann": "by-ann", "bob": "by-bob"} and steps[-1] == (16, 16)
+    assert found["networks"] == {who: {"run": f"by-{who}", "images": 96} for who in ("ann", "bob")}
+    assert steps[-1] == (8, 8)
     keys = packed_views(annotated_bodies(two_people, 1), 2, tmp_path / "again")
-    for variant in ("all", "none"):
-        crossed, own = found[variant]["cross_person"], found[variant]["in_sample"]
-        for who, other, network in (("ann", "bob", networks["by-ann"]), ("bob", "ann", networks["by-bob"])):
-            scores = counted(network, tmp_path / "again", keys, variant, lambda *_: None).to_json()["people"]
-            assert crossed["placed_by"][who]["people"] == {other: scores[other]}
-            assert own["placed_by"][who]["people"] == {who: scores[who]}
-            assert scores["ann"]["gross_errors"] != scores["bob"]["gross_errors"]
-        for both in (crossed, own):
-            ways = [way["accuracy"] for way in both["placed_by"].values()]
-            assert both["images"] == 4 and both["accuracy"] == pytest.approx(sum(ways) / 2, abs=1e-4)
-            shares = [way["gross_errors"]["beyond_30_mm"] for way in both["placed_by"].values()]
-            assert min(shares) <= both["gross_errors"]["beyond_30_mm"] <= max(shares)
+    crossed, own = found["cross_person"], found["in_sample"]
+    for who, other, network in (("ann", "bob", networks["by-ann"]), ("bob", "ann", networks["by-bob"])):
+        scores = counted(network, tmp_path / "again", keys, "all", lambda *_: None).to_json()["people"]
+        assert crossed["placed_by"][who]["people"] == {other: scores[other]}
+        assert own["placed_by"][who]["people"] == {who: scores[who]}
+        assert scores["ann"]["gross_errors"] != scores["bob"]["gross_errors"]
+    gain = found["in_sample_gain"]
+    assert gain["points"] == pytest.approx(own["accuracy"] - crossed["accuracy"], abs=2e-4) and gain["points"] != 0
+    assert gain["interval"] is None, "they took one pose"
+    for both in (crossed, own):
+        ways = [way["accuracy"] for way in both["placed_by"].values()]
+        assert both["images"] == 4 and both["accuracy"] == pytest.approx(sum(ways) / 2, abs=1e-4)
+        shares = [way["gross_errors"]["beyond_30_mm"] for way in both["placed_by"].values()]
+        assert min(shares) <= both["gross_errors"]["beyond_30_mm"] <= max(shares)
+
+
+def test_landmarks_wander_by_what_the_lengths_of_bones_do() -> None:
+    still = np.random.default_rng(0).normal(size=(33, 3))
+    along = still[LANDMARKS.index("Nuchale")] - still[LANDMARKS.index("Sellion")]
+    along /= np.linalg.norm(along)
+    bodies = []
+    for mm in (-3, 0, 3):
+        points = still.copy()
+        points[LANDMARKS.index("Nuchale")] += mm / 1000 * along
+        bodies.append(
+            Annotated("a", "ann", f"pose {mm}", Path("a.off"), ball(), points + mm)
+        )  # where they stand is all one
+    found = cross_person.wander_mm([*bodies, replace(bodies[0], person="bob")])
+    assert set(found) == set(cross_person.BONES)
+    assert found["skull"] == {"ann": 3.0} and found["breastbone"] == {"ann": 0.0}
 
 
 def test_cross_person_needs_a_network_for_each_of_several_people(two_people: Path) -> None:

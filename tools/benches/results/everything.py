@@ -122,9 +122,9 @@ def _trained() -> Iterator[Step]:
     yield _bench("variants", *full, drawn=True, more=("variants_real.png",), alone=True)
     small = ("--data", KINECT_SET, "--runs", "runs/kinect", "runs/whole", *scored, *on_real)
     yield _bench("variants", *small, to="variants_small", alone=True)
-    for folder in ("paper", "paper_alexnet"):
-        of_paper = ("--data", PAPER, "--runs", f"runs/{folder}", *scored, "--hard", HARD, *on_real)
-        yield _bench("variants", *of_paper, to=f"variants_{folder}", alone=True)
+    for of in ("paper", "paper_alexnet"):
+        of_paper = ("--data", PAPER, "--runs", f"runs/{of}", *scored, "--hard", HARD, *on_real)
+        yield _bench("variants", *of_paper, to=f"variants_{of}", alone=True)
     unlike = (*seeds("runs/kinect/none"), *seeds("runs/kinect/all"))
     yield _bench("harm", "--data", KINECT_SET, "--runs", *unlike, "--images", "60", reads=(SHIPPED,), alone=True)
     fine = ("--data", KINECT_SET, "--runs", "runs/fine", "--seeds", "1", "--images", "60", "--only-finished")

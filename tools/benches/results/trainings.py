@@ -26,24 +26,16 @@ PAPER: Final = "sets/paper"
 
 PLACED_BY: Final = (0, 1)
 """People whose annotations alone place the labels of a training (`bench cross_person`)."""
-_PLACED_FROM: Final = {"wide": ("210", "10"), "open": ("40", "10"), "everyday": ("60", "16")}  # bodies, views of each
+_PLACED_FROM: Final = {"wide": "400", "everyday": "90"}  # bodies; `wide` has those of `open`, too
 
 
 def placed_by(person: int) -> dict[str, tuple[str, ...]]:
     """Sets labelled by one person's landmarks, as `SETS`."""
-    file, round_ = f"tools/benches/model/people/placed_by_{person}.json", ("--azimuths", "36", "--azimuth-span", "360")
+    file = f"tools/benches/model/people/placed_by_{person}.json"
+    around = ("--views", "16", "--azimuths", "36", "--azimuth-span", "360")
     return {
-        f"sets/placed_by_{person}_{source}": (
-            source,
-            "--landmarks",
-            file,
-            "--meshes",
-            bodies,
-            "--views",
-            views,
-            *round_,
-        )
-        for source, (bodies, views) in _PLACED_FROM.items()
+        f"sets/placed_by_{person}_{source}": (source, "--landmarks", file, "--meshes", bodies, *around)
+        for source, bodies in _PLACED_FROM.items()
     }
 
 

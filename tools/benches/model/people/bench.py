@@ -68,12 +68,5 @@ def bench_people(
                 by_name = proposed(pairs)
                 packed_views([by_name[body.name] for body in bodies], views, home / way)
                 results["labels_of_fits"][way] = agreement(home, home / way, keys)
-        other = home / "same_person"
-        results["scores"] = scored(
-            trained.network,
-            home,
-            keys,
-            lambda done, _: progress(steps - images + done, steps),
-            other if other.is_dir() else None,
-        )
+        results["scores"] = scored(trained.network, home, keys, lambda done, _: progress(steps - images + done, steps))
     return results

@@ -2,7 +2,7 @@
 
 shipped: those of the open body as it ships. other people: placed by the annotations of all people but the one measured.
 all people: placed by everybody's. same person: by those of the person measured, in all other poses, each side by
-itself: how much the annotations of one person wander, and how much the fits add to that.
+itself: what carrying landmarks over by fits costs.
 """
 
 from __future__ import annotations

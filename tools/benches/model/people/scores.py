@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -66,30 +66,25 @@ def packed_views(bodies: Sequence[Annotated], views: int, folder: Path, rig: Rig
 class Counted:
     """What a network answered. counts: int64 [33, 33] of each image; errors: its gross errors.
 
-    calibration_error: of all images; None: unknown. by_either: counts by which an answer is right, too, that other
-    labels of the same pixels give; empty without such.
+    calibration_error: of all images; None: unknown.
     """
 
     counts: dict[Key, Counts]
     errors: dict[Key, GrossErrors]
     calibration_error: float | None = None
-    by_either: dict[Key, Counts] = field(default_factory=dict)
 
     def of(self, people: Collection[str]) -> Counted:
         """The images of some people."""
-        counts, errors = (
-            {key: one for key, one in each.items() if key[0] in people} for each in (self.counts, self.errors)
+        return Counted(
+            {key: one for key, one in self.counts.items() if key[0] in people},
+            {key: one for key, one in self.errors.items() if key[0] in people},
         )
-        return Counted(counts, errors)
 
     def to_json(self) -> dict[str, Any]:
         """Scores by person, pose, body and part, and gross errors of all and of each person."""
         found = by_groups(self.counts)
         for person, scores in found["people"].items():
             scores["gross_errors"] = gross_errors([self.of((person,))])
-        if self.by_either:
-            either = by_groups(self.by_either)
-            found["by_either_placement"] = {name: either[name] for name in ("accuracy", "interval")}
         return found | {"calibration_error": self.calibration_error, "gross_errors": gross_errors([self])}
 
 
@@ -102,20 +97,10 @@ def gross_errors(several: Iterable[Counted]) -> dict[str, float] | None:
 
 
 def counted(
-    network: Network,
-    folder: Path,
-    bodies: Mapping[str, Annotated],
-    variant: str,
-    progress: ProgressCallback,
-    other: Path | None = None,
+    network: Network, folder: Path, bodies: Mapping[str, Annotated], variant: str, progress: ProgressCallback
 ) -> Counted:
-    """Count a network's answers to one variant of the packed views. other: a folder of the same views with other labels
-    (`Counted.by_either`).
-    """
-    others = None if other is None else open_images(str(other / "set"), "none")
-    index_of = {} if others is None else {key: index for index, key in enumerate(others.keys)}
+    """Count a network's answers to one variant of the packed views."""
     counts: dict[Key, Counts] = {}
-    by_either: dict[Key, Counts] = {}
     errors: dict[Key, GrossErrors] = {}
 
     def watch(image: PredictedImage, accuracy: float) -> None:
@@ -125,36 +110,25 @@ def counted(
             counts[key], errors[key] = count_pairs(pairs_of(image.labels, image.predicted)), GrossErrors()
             if image.away is not None:
                 errors[key].add(image.away, int(counts[key].trace()))
-            if others is not None:
-                as_other = image.predicted == others.clean(index_of[image.key]).labels
-                answers = np.where(as_other, image.labels, image.predicted)
-                by_either[key] = count_pairs(pairs_of(image.labels, answers))
 
     images = open_images(str(folder / "set"), variant)
     total = evaluate(network, images, progress=progress, watch=watch).total()
     calibration = None if total.confidences is None else _rounded(total.confidences.ece())
-    return Counted(counts, errors, calibration, by_either)
+    return Counted(counts, errors, calibration)
 
 
 def scored(
-    network: Network,
-    folder: Path,
-    bodies: Mapping[str, Annotated],
-    progress: ProgressCallback,
-    other: Path | None = None,
+    network: Network, folder: Path, bodies: Mapping[str, Annotated], progress: ProgressCallback
 ) -> dict[str, Any]:
-    """Scores of every variant of the packed views; other: as of `counted`."""
-    return {
-        variant: counted(
-            network,
-            folder,
-            bodies,
-            variant,
-            lambda done, total, before=number: progress(before * total + done, len(VARIANTS) * total),
-            other,
-        ).to_json()
-        for number, variant in enumerate(VARIANTS)
-    }
+    """Scores of every variant of the packed views."""
+    results: dict[str, Any] = {}
+    for number, variant in enumerate(VARIANTS):
+
+        def show(done: int, total: int, before: int = number) -> None:
+            progress(before * total + done, len(VARIANTS) * total)
+
+        results[variant] = counted(network, folder, bodies, variant, show).to_json()
+    return results
 
 
 def agreement(true: Path, other: Path, bodies: dict[str, Annotated]) -> dict[str, Any]:
