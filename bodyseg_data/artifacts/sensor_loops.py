@@ -62,6 +62,9 @@ def mix(
     size = clean.size
     for point in range(pixels.size):
         pixel = np.int64(pixels[point])
+        before = image[pixel]
+        if before == 0 or np.float64(bits[point] >> np.uint32(16)) >= limit:
+            continue
         column = pixel % columns
         farthest = np.int64(0)
         for side in range(4):
@@ -79,8 +82,7 @@ def mix(
                 value = np.int64(clean[pixel + step])
                 farthest = max(farthest, value if value > 0 else behind)
         gap = farthest - np.int64(clean[pixel])
-        before = image[pixel]
-        if before > 0 and np.float64(bits[point] >> np.uint32(16)) < limit and gap * step_m * 1000 >= jump_mm:
+        if gap * step_m * 1000 >= jump_mm:
             position = np.float64(bits[point] & np.uint32(0xFFFF)) / 65536
             value_f = np.rint(np.float64(before) + gap * position)
             image[pixel] = np.uint16(np.int32(min(max(value_f, _LEAST), _MOST)))

@@ -432,12 +432,11 @@ def resampled(image: LabelledImage, camera: Camera, rig: Rig) -> LabelledImage:
 
 def turned(image: LabelledImage, degrees: float) -> LabelledImage:
     """The image of a camera turned anticlockwise by quarters: its content is turned clockwise."""
-    places, range_m = (
-        np.ascontiguousarray(np.rot90(each, -round(degrees / 90)))
-        for each in (np.arange(image.range_m.size).reshape(image.range_m.shape), image.range_m)
-    )
+    quarters = -round(degrees / 90)
+    range_m = np.ascontiguousarray(np.rot90(image.range_m, quarters))
+    places = np.rot90(np.arange(image.range_m.size).reshape(image.range_m.shape), quarters).ravel()
     pixels = np.flatnonzero(range_m)
-    at = places.ravel()[pixels]
+    at = places[pixels]
     return LabelledImage(range_m, pixels, image.surface.labels.ravel()[at], image.surface, at)
 
 

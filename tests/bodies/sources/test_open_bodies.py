@@ -189,6 +189,18 @@ def test_a_blend_lies_between_its_ends() -> None:
     assert Pose().blend(pose, 1.0) == pose and Pose().blend(pose, 0.0) == Pose()
 
 
+def test_everyday_poses_do_what_they_are_called(source: OpenBodies) -> None:
+    ref = next(ref for ref in source.bodies() if ref.subset == "people")
+    kick, fist, desk = (source.in_pose(ref, name) for name in ("kick", "fist", "desk"))
+    for body in (kick, fist, desk):
+        assert body.mesh.vertices[:, 1].min() == 0 and body.mesh.name == ref.mesh
+    toes, hip = place(kick, "Lt. Digit II"), place(kick, "Lt. Trochanterion")
+    assert toes[2] - hip[2] > 0.5 and toes[1] > 0.7, "the left foot is raised to the front"
+    crown = fist.mesh.vertices[fist.mesh.vertices[:, 0] > -0.1, 1].max()
+    assert place(fist, "Rt. Radial Styloid")[1] > crown > place(fist, "Lt. Radial Styloid")[1] + 0.5
+    assert place(desk, "Rt. Femoral Lateral Epicn")[2] - place(desk, "Rt. Trochanterion")[2] > 0.3, "people sit"
+
+
 def test_mirroring_twice_changes_nothing() -> None:
     pose = Pose(Trunk(3, 4, 5, 6, 7, 8, 9, 10, 11), Arm(flex=3), Arm(flex=4), Leg(knee=5), Leg(knee=6))
     assert pose.mirrored().mirrored() == pose != pose.mirrored()
