@@ -114,6 +114,16 @@ def test_readme_and_card_state_the_accuracy_of_the_network_that_ships(document: 
         assert f"{100 * accuracy:.1f} %" in text, f"{name}.json"
 
 
+@pytest.mark.parametrize("document", ["README.md", "docs/reference/model_card.md"])
+def test_scores_of_people_lead_with_those_who_placed_no_label(document: str) -> None:
+    text = (ROOT / document).read_text(encoding="utf-8")
+    across, ships = (json.loads((RESULTS / f"{name}.json").read_text()) for name in ("cross_person", "people"))
+    leading = f"**{100 * across['cross_person']['accuracy']:.1f} %**"
+    in_sample = f"{100 * ships['scores']['all']['accuracy']:.1f} %"
+    assert text.index("cross-person") < text.index(leading) < text.index(in_sample)
+    assert f"{100 * across['in_sample_gain']['points']:.1f} points" in text
+
+
 def test_the_card_states_the_scores_on_real_people_with_what_they_are_worth() -> None:
     text = " ".join((ROOT / "docs" / "reference" / "model_card.md").read_text(encoding="utf-8").split())
     for ending in ("", "_flip_average"):
