@@ -10,7 +10,6 @@ import pytest
 from bodyseg_data import RangeImages
 from bodyseg_data.artifacts import load_sensor_model
 from bodyseg_data.bodies.sources.open_bodies import OpenBodies
-from bodyseg_data.core import BadConfig
 from bodyseg_data.packing import Packing, pack
 from bodyseg_data.packing.options import evenly_sampled
 from bodyseg_data.rigs import load_rig
@@ -25,9 +24,13 @@ def test_the_shipped_network_is_small_and_says_where_it_is_from() -> None:
     card = trained.card
     assert trained.rig == load_rig()
     artifacts = card["sensor"]["artifacts"]
-    assert [each["artifact"] for each in artifacts] == [*(each.name for each in load_sensor_model()), "losses"]
-    with pytest.raises(BadConfig, match="losses is of version 1, installed is version 2"):
-        assert trained.sensor
+    assert [each["artifact"] for each in artifacts] == [
+        *(each.name for each in load_sensor_model()), "mixed_pixels", "losses"
+    ]  # fmt: skip
+    assert [each.name for each in trained.sensor] == [each["artifact"] for each in artifacts]
+    shares = card["mean_of"]
+    assert len(shares) == 2 and card["pretrained"]["weights_sha256"] == shares[0]["weights_sha256"]
+    assert shares[1]["command"] == card["command"] and shares[1]["commit"] == card["commit"]
     assert {"rig", "sensor", "weights_sha256"} <= card.keys()
     assert card["network"] == "compact"
     assert card["variant"] == "all"
