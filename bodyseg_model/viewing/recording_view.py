@@ -13,12 +13,12 @@ from bodyseg_data.drawing import EMPTY, THING, window_of
 from bodyseg_data.labels import BACKGROUND, colour_labels
 from bodyseg_model.segmentation import (
     STILL_M,
-    Flicker,
     LabelledFrame,
     LabelledRecording,
     Segmentation,
     draw_overlay,
     flicker,
+    flicker_shares,
 )
 from bodyseg_model.viewing.page import Page
 from bodyseg_model.viewing.pictures import (
@@ -143,8 +143,7 @@ class RecordingView:
         if frame.mean_confidence is not None:
             facts.append(f"mean confidence {frame.mean_confidence:.1%}")
         if before is not None:
-            change: Flicker = flicker(before.labels, frame.labels, before.range_m, frame.range_m)
-            shares = change.to_json()
+            shares = flicker_shares(flicker(before.labels, frame.labels, before.range_m, frame.range_m))
             moving, still = (shares[name] for name in ("changed", "still_changed"))
             if moving is not None:
                 facts.append(f"flicker {moving:.1%}" + ("" if still is None else f", where nothing moves {still:.1%}"))
