@@ -18,7 +18,6 @@ from bodyseg_model.segmentation import (
     Segmentation,
     draw_overlay,
     flicker,
-    flicker_shares,
 )
 from bodyseg_model.viewing.page import Page
 from bodyseg_model.viewing.pictures import (
@@ -143,10 +142,10 @@ class RecordingView:
         if frame.mean_confidence is not None:
             facts.append(f"mean confidence {frame.mean_confidence:.1%}")
         if before is not None:
-            shares = flicker_shares(flicker(before.labels, frame.labels, before.range_m, frame.range_m))
-            moving, still = (shares[name] for name in ("changed", "still_changed"))
-            if moving is not None:
-                facts.append(f"flicker {moving:.1%}" + ("" if still is None else f", where nothing moves {still:.1%}"))
+            change = flicker(before.labels, frame.labels, before.range_m, frame.range_m)
+            if change["shared"]:
+                still = change["still"] and f", where nothing moves {change['still_changed'] / change['still']:.1%}"
+                facts.append(f"flicker {change['changed'] / change['shared']:.1%}{still or ''}")
         return tuple(facts)
 
 

@@ -30,12 +30,12 @@ from bodyseg_model.segmentation import (
     draw_overlay,
     find_bodies,
     flicker,
-    flicker_shares,
     pictures,
 )
 from bodyseg_model.segmentation.pictures import MOST_FRAMES
 from bodyseg_model.segmentation.segmenter import STAGES
 from bodyseg_model.segmentation.sequence_summary import STAGES as ALL_STAGES
+from bodyseg_model.segmentation.sequence_summary import flicker_shares
 
 LENS = Camera(60, 80, 100.0, (40.0, 30.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 KEEP = Background("keep")
