@@ -139,7 +139,7 @@ def _keep(pictures: list[Shown], shown: Shown) -> None:
 def _answer(network: Network, range_m: torch.Tensor) -> tuple[Prediction, NDArray[np.uint16] | None]:
     if not network.on_template:
         return predict(network, range_m[None]), None
-    prediction, numbers = predict_dense(network, range_m[None])
+    prediction, numbers = predict_dense(network, range_m[None], by_part=True)
     return prediction, numbers[0]
 
 
