@@ -176,7 +176,8 @@ def predict_each(
         groups.setdefault(image.shape if network.together else number, []).append(number)
     for alike in groups.values():
         together = torch.from_numpy(np.stack([images[number] for number in alike]))[:, None]
-        together, numbers = together.to(device_of(network)), []
+        together = together.to(device_of(network))
+        numbers: list[NDArray[np.uint16]] = []
         if dense:
             prediction, *numbers = predict_dense(network, together, by_part)
         else:
