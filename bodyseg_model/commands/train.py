@@ -98,6 +98,7 @@ class Options:
         "weights to start from: a run's folder or a .safetensors file; for fcn_alexnet also AlexNet's", None
     )
     settings: str = option("settings of the network that differ from its defaults, as JSON", "{}")
+    only_template: bool = option("train the head of places alone: labels stay the same bits; with --pretrained", False)
     precision: Literal["recipe", "float32", "bfloat16"] = option("what layers compute in", "recipe")
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
     threads: int | None = option("threads that compute on the processor (default: all)", None)
@@ -110,6 +111,8 @@ class Options:
 def run(options: Options) -> int:
     """Train to the end."""
     use_threads(options.threads)
+    if options.only_template and options.pretrained is None:
+        raise BadConfig("--only-template trains a head for a network that is trained: give that as --pretrained")
     recipe = recipe_for(
         options.recipe or network_class(options.network).default_recipe,
         steps=options.steps,
@@ -118,6 +121,7 @@ def run(options: Options) -> int:
         learning_rate=options.learning_rate,
         ema=options.ema,
         shuffle=options.shuffle,
+        only_places=options.only_template,
         mirror=False if options.no_mirror else None,
         geometric_augmentation=GeometricAugmentation() if options.no_geometric_augmentation else None,
         bf16={"recipe": None, "float32": False, "bfloat16": True}[options.precision],

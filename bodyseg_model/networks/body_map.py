@@ -32,27 +32,38 @@ def place_table() -> NDArray[np.float32]:
     return found
 
 
-class PointGrid(NamedTuple):
-    """Cubes of space around the template, each with the number of a point: numbers, uint16 [X, Y, Z]; first: place of
-    the corner of cube (0, 0, 0), float32 [3]; side: of a cube, in the unit of places.
+class PointGrids(NamedTuple):
+    """Boxes of cubes of space around the template's parts, each cube with the number of a point of its part.
+
+    numbers: uint16 [N], of all boxes, one after another. first: int64 [G], where each begins; shape: int64 [G, 3], its
+    cubes along each axis; corner: float32 [G, 3], place of its first. side: of a cube, in the unit of places.
     """
 
     numbers: NDArray[np.uint16]
-    first: NDArray[np.float32]
+    first: NDArray[np.int64]
+    shape: NDArray[np.int64]
+    corner: NDArray[np.float32]
     side: np.float32
 
 
 @cache
-def point_grid() -> PointGrid:
+def point_grids(by_part: bool) -> PointGrids:
     """The point nearest to each cube of 8 mm, that of places within it up to so much; those beyond have the outermost
-    cubes'.
+    cubes'. by_part: a grid for each of the 33 parts, in the order of labels; else one for all points.
     """
     from scipy.ndimage import distance_transform_edt
 
     places, side = place_table(), np.float32(_CUBE_M / UNIT_M)
-    first = places.min(axis=0) - _AROUND * side
-    cubes = ((places - first) / side).astype(np.intp)
-    numbers = np.full(cubes.max(axis=0) + _AROUND + 1, NOWHERE, np.uint16)
-    numbers[tuple(cubes.T)] = np.arange(len(places))
-    nearest = distance_transform_edt(numbers == NOWHERE, return_distances=False, return_indices=True)
-    return PointGrid(numbers[tuple(nearest)], first.astype(np.float32), side)
+    parts = load_template().parts if by_part else np.zeros(len(places), np.uint8)
+    boxes, corners = [], []
+    for label in range(int(parts.max()) + 1):
+        own = np.flatnonzero(parts == label)
+        corners.append(places[own].min(axis=0) - _AROUND * side)
+        cubes = ((places[own] - corners[-1]) / side).astype(np.intp)
+        box = np.full(cubes.max(axis=0) + _AROUND + 1, NOWHERE, np.uint16)
+        box[tuple(cubes.T)] = own
+        nearest = distance_transform_edt(box == NOWHERE, return_distances=False, return_indices=True)
+        boxes.append(box[tuple(nearest)])
+    first = np.cumsum([0, *(box.size for box in boxes[:-1])])
+    shape = np.array([box.shape for box in boxes], np.int64)
+    return PointGrids(np.concatenate([box.ravel() for box in boxes]), first, shape, np.array(corners, np.float32), side)

@@ -95,7 +95,10 @@ class Compact(Network):
         self.head = nn.Conv2d(widths[0], self.classes * self._fine**2, 1)
         self.on_template = shape.template
         if shape.template:
-            self.template = nn.Conv2d(widths[0], 3 * self._fine**2, 1)
+            # Not one layer: features that tell parts apart tell places within them by bends alone.
+            channels = widths[0], 256, 128
+            bends = [(nn.Conv2d(*pair, 1), nn.ReLU(inplace=True)) for pair in itertools.pairwise(channels)]
+            self.template = nn.Sequential(*itertools.chain(*bends), nn.Conv2d(channels[-1], 3 * self._fine**2, 1))
         # As the values between layers are laid out: else each convolution lays its weights out anew.
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.machine import compiled, of_each, pieces
-from bodyseg_model.networks.body_map import point_grid
+from bodyseg_model.networks.body_map import point_grids
 
 REACH: Final = np.float32(12.0)
 """A class whose score is less than another's by as much has at most exp(-12), 6e-6, of its probability."""
@@ -67,16 +67,22 @@ def label_pixels(
 
 
 def number_pixels(
-    places: NDArray[np.float32], range_m: NDArray[np.float32], stride: int, numbers: NDArray[np.uint16]
+    places: NDArray[np.float32],
+    range_m: NDArray[np.float32],
+    stride: int,
+    labels: NDArray[np.uint8] | None,
+    numbers: NDArray[np.uint16],
 ) -> None:
     """Write the point of the template at images' measured pixels, uint16 [B, H, W]; others stay as they are.
 
-    places: as scores of `label_pixels`, [B, h, w, 3]. range_m, stride: as there. Raises MissingLibrary without scipy.
+    places: as scores of `label_pixels`, [B, h, w, 3]. range_m, stride: as there. labels: parts, uint8 [B, H, W], whose
+    points alone are taken; None for any. Raises MissingLibrary without scipy.
     """
     down, across = (interpolation(size, stride) for size in range_m.shape[1:])
-    grid = point_grid()
+    grids = point_grids(labels is not None)
+    parts = np.zeros(range_m.shape, np.uint8) if labels is None else labels
     for image in range(len(places)):
-        number_image(places[image], range_m[image], *down, *across, *grid, numbers[image])
+        number_image(places[image], range_m[image], *down, *across, parts[image], *grids, numbers[image])
 
 
 @partial(compiled, feature="labelling in compiled loops")
@@ -87,12 +93,17 @@ def number_image(
     down: Any,
     columns: Any,
     across: Any,
-    grid: Any,
+    parts: Any,
+    points: Any,
     first: Any,
+    shape: Any,
+    corner: Any,
     side: Any,
     numbers: Any,
 ) -> None:
-    """As `number_pixels`, of one image. rows, down, columns, across: neighbours and weights of `interpolation`."""
+    """As `number_pixels`, of one image. rows, down, columns, across: neighbours and weights of `interpolation`; points
+    to side: of `PointGrids`.
+    """
     height, width, _ = places.shape
     for row in range(rows.size):
         top, bottom = places[max(rows[row], 0)], places[min(rows[row] + 1, height - 1)]
@@ -100,14 +111,14 @@ def number_image(
             if range_m[row, column] > 0:
                 left, right = max(columns[column], 0), min(columns[column] + 1, width - 1)
                 a, b, c, d = top[left], top[right], bottom[left], bottom[right]
-                place = 0
+                part, cube = parts[row, column], 0
                 for axis in range(3):
                     above = a[axis] + (b[axis] - a[axis]) * across[column]
                     below = c[axis] + (d[axis] - c[axis]) * across[column]
-                    cube = (above + (below - above) * down[row] - first[axis]) / side
-                    last = grid.shape[axis] - 1
-                    place = place * (last + 1) + int(min(max(cube, _NOTHING), np.float32(last)))
-                numbers[row, column] = grid.ravel()[place]
+                    at = (above + (below - above) * down[row] - corner[part, axis]) / side
+                    size = shape[part, axis]
+                    cube = cube * size + int(min(max(at, _NOTHING), np.float32(size - 1)))
+                numbers[row, column] = points[first[part] + cube]
 
 
 @lru_cache(maxsize=64)

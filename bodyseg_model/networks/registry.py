@@ -101,9 +101,12 @@ def predict(network: Network, range_m: torch.Tensor) -> Prediction:
 
 
 @torch.inference_mode()
-def predict_dense(network: Network, range_m: torch.Tensor) -> tuple[Prediction, NDArray[np.uint16]]:
+def predict_dense(
+    network: Network, range_m: torch.Tensor, by_part: bool = False
+) -> tuple[Prediction, NDArray[np.uint16]]:
     """As `predict`, and the number of the template's point that each pixel shows, uint16 [B, H, W], `NOWHERE` where
-    nothing was measured (`bodyseg_data.load_template`).
+    nothing was measured (`bodyseg_data.load_template`). by_part: classes are the 33 parts, and points are of the
+    label's part: a hand's of the hand, however near a place is to the hip.
 
     Raises BadConfig for a network that knows no places, too; MissingLibrary without numba or scipy.
     """
@@ -118,7 +121,8 @@ def predict_dense(network: Network, range_m: torch.Tensor) -> tuple[Prediction, 
     numbers = np.full(found.labels.shape, NOWHERE, np.uint16)
     if seen:
         loops, metres = import_module(f"{__package__}.labelling"), range_m[:, 0].float().cpu().numpy()
-        loops.number_pixels(seen[0], metres, network.output_stride, numbers)
+        labels = found.labels.cpu().numpy() if by_part else None
+        loops.number_pixels(seen[0], metres, network.output_stride, labels, numbers)
     return found, numbers
 
 
@@ -158,7 +162,7 @@ def _predict_on_processor(
 
 
 def predict_each(
-    network: Network, images: Sequence[NDArray[np.float32]], dense: bool = False
+    network: Network, images: Sequence[NDArray[np.float32]], dense: bool = False, by_part: bool = False
 ) -> list[tuple[NDArray[Any], ...]]:
     """Labels uint8 and confidences float32 of each of some range images [h, w], metres, which may differ in size; and
     if `dense`, points of the template uint16, as `predict_dense` gives them.
@@ -172,9 +176,10 @@ def predict_each(
         groups.setdefault(image.shape if network.together else number, []).append(number)
     for alike in groups.values():
         together = torch.from_numpy(np.stack([images[number] for number in alike]))[:, None]
-        together, numbers = together.to(device_of(network)), []
+        together = together.to(device_of(network))
+        numbers: list[NDArray[np.uint16]] = []
         if dense:
-            prediction, *numbers = predict_dense(network, together)
+            prediction, *numbers = predict_dense(network, together, by_part)
         else:
             prediction = predict(network, together)
         found = [*(each.cpu().numpy() for each in prediction), *numbers]

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     )
     from bodyseg_model.segmentation.pictures import Preview, draw_overlay
     from bodyseg_model.segmentation.segmenter import Segmentation, Segmenter
-    from bodyseg_model.segmentation.sequence_summary import STILL_M, Flicker, SequenceSummary, flicker
+    from bodyseg_model.segmentation.sequence_summary import STILL_M, SequenceSummary, flicker
     from bodyseg_model.segmentation.views import view_body
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -208,7 +208,7 @@ class Segmenter:
         self.background = background or Background()
         self.rig = rig or load_rig()
         self.video = video
-        self._network, self.dense = on_backend(network), dense
+        self._network = on_backend(network)
         if dense and not self._network.on_template:
             raise BadConfig(
                 "dense answers need a network with places on the template, computed by torch: `train --settings "
@@ -220,6 +220,7 @@ class Segmenter:
         if self.finder is not None:
             view_of(self.finder, self._upright)  # now, so that what is no finder is refused
         self.label_map = label_map or (PARTS33 if network.classes == PART_COUNT else None)
+        self._asked = dense, self.label_map == PARTS33
         self.device = device_of(network)
         self._prepared = False
 
@@ -267,7 +268,7 @@ class Segmenter:
         labels = np.full(range_m.shape, BACKGROUND, np.uint8)
         bodies, things = list[LabelledBody](), list[LabelledBody]()
         with watch("network"):
-            answers = predict_each(self._network, [view.range_m for _, view in found.bodies], self.dense)
+            answers = predict_each(self._network, [view.range_m for _, view in found.bodies], *self._asked)
         with watch("back"):
             for ((pixels, person), view), answer in zip(found.bodies, answers, strict=True):
                 own_labels, confidence, *places = map(view.back, answer)
@@ -311,4 +312,4 @@ class Segmenter:
             part_people(room, room > 0, self._upright)
         view_body(np.full_like(room, self.rig.stand_off_m), np.arange(1), self._upright, self.rig, self.mirrored)
         for views in usual_views(self.rig, self._network.together):
-            predict_each(self._network, views, self.dense)
+            predict_each(self._network, views, *self._asked)

@@ -8,8 +8,8 @@ changed are counted separately: few of them change for that reason.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -25,43 +25,31 @@ STILL_M: Final = 0.02
 STAGES: Final = ("read", *SEGMENTER_STAGES, "write")
 
 
-@dataclass(frozen=True)
-class Flicker:
-    """Counts of pixels that have a label in both frames.
-
-    shared: all of them; changed: those whose label changed. still, still_changed: the same of pixels whose range
-    changed by less than `STILL_M`.
-    """
-
-    shared: int = 0
-    changed: int = 0
-    still: int = 0
-    still_changed: int = 0
-
-    def __add__(self, other: Flicker) -> Flicker:
-        return Flicker(*(one + another for one, another in zip(astuple(self), astuple(other), strict=True)))
-
-    def to_json(self) -> dict[str, Any]:
-        """Counts and shares; a share of nothing is null."""
-        return {
-            "shared_pixels": self.shared,
-            "changed": _share(self.changed, self.shared),
-            "still_pixels": self.still,
-            "still_changed": _share(self.still_changed, self.still),
-        }
-
-
 def flicker(
     labels: NDArray[np.uint8],
     next_labels: NDArray[np.uint8],
     range_m: NDArray[np.float32],
     next_range_m: NDArray[np.float32],
-) -> Flicker:
-    """Compare label images uint8 [H, W], 255 where there is no label, and ranges [H, W], metres, of two frames."""
+) -> Counter[str]:
+    """Pixels that have a label in both of two frames, `shared`; of these `changed`, whose label changed; and `still`
+    and `still_changed`, the same of those whose range changed by less than `STILL_M`.
+
+    labels: uint8 [H, W], 255 where there is no label; ranges: [H, W], metres.
+    """
     shared = (labels != BACKGROUND) & (next_labels != BACKGROUND)
-    changed = shared & (labels != next_labels)
-    still = shared & (np.abs(range_m - next_range_m) < STILL_M)
-    return Flicker(*(int(np.count_nonzero(mask)) for mask in (shared, changed, still, still & changed)))
+    changed, still = shared & (labels != next_labels), shared & (np.abs(range_m - next_range_m) < STILL_M)
+    masks = {"shared": shared, "changed": changed, "still": still, "still_changed": still & changed}
+    return Counter({name: int(np.count_nonzero(mask)) for name, mask in masks.items()})
+
+
+def flicker_shares(counts: Counter[str]) -> dict[str, Any]:
+    """Counts and shares of `flicker`, as plain JSON; a share of nothing is null."""
+    return {
+        "shared_pixels": counts["shared"],
+        "changed": _share(counts["changed"], counts["shared"]),
+        "still_pixels": counts["still"],
+        "still_changed": _share(counts["still_changed"], counts["still"]),
+    }
 
 
 def _share(part: int, whole: int) -> float | None:
@@ -73,7 +61,7 @@ class SequenceSummary:
 
     def __init__(self) -> None:
         self._frames: list[dict[str, Any]] = []
-        self._flicker = Flicker()
+        self._flicker = Counter[str]()
         self._last: tuple[int, NDArray[np.uint8], NDArray[np.float32]] | None = None
 
     def add(
@@ -93,7 +81,7 @@ class SequenceSummary:
         change = None
         if self._last is not None and (self._last[0], self._last[1].shape) == (sequence, labels.shape):
             change = flicker(self._last[1], labels, self._last[2], range_m)
-            self._flicker += change
+            self._flicker.update(change)
         self._last = sequence, labels, range_m
         self._frames.append(
             {
@@ -104,7 +92,7 @@ class SequenceSummary:
                 "mean_confidence": _rounded(segmentation.mean_confidence),
                 "bodies": [_body(body, range_m.shape[1]) for body in bodies],
                 "things": [_body(thing, range_m.shape[1]) for thing in segmentation.things],
-                "flicker": None if change is None else change.to_json(),
+                "flicker": None if change is None else flicker_shares(change),
                 "ms": {stage: round(milliseconds[stage], 3) for stage in STAGES},
             }
         )
@@ -154,7 +142,7 @@ class SequenceSummary:
             "labelled": sum(frame["labelled"] for frame in self._frames),
             "mean_confidence": _rounded(self.mean_confidence),
             "ms": {"first_frame_counted": len(self._frames) == 1, **self.milliseconds},
-            "flicker": self._flicker.to_json(),
+            "flicker": flicker_shares(self._flicker),
             "each": self._frames,
         }
 

@@ -170,6 +170,10 @@ class Training:
             _ = images.label_map.mirrored  # raises, and says for which class
         if network.on_template:
             check_template(images)
+        if recipe.only_places:
+            if not network.on_template:
+                raise BadConfig(f"only_places needs a network with places on the template, found {network!r}")
+            network.requires_grad_(False).get_submodule(TEMPLATE).requires_grad_(True)
         self.name, self.images, self.recipe, self.folder = name, images, recipe, folder
         self.processes, self.seed, self.run_options = processes, seed, run_options or RunOptions()
         self.network = network.to(processes.device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -202,7 +206,7 @@ class Training:
         if loader_state is not None:
             data_loader.load_state_dict(loader_state)
         objective = self._objective()
-        self.network.train()
+        self.network.train(not self.recipe.only_places)
         window = MetricsWindow(self.processes, self.network.classes)
         self._loaded = data_loader.stats()
         batches = itertools.chain.from_iterable(itertools.repeat(data_loader))  # epoch after epoch
@@ -291,7 +295,7 @@ class Training:
             scores = validation.scores(
                 self._result().eval(), self.run_options.num_workers, self.run_options.worker_method
             )
-            self.network.train()
+            self.network.train(not self.recipe.only_places)
             accuracy = scores.confusion.average_per_class_accuracy()
             if not math.isnan(accuracy):  # NaN if these images show no body
                 if self._best is None or accuracy > self._best.accuracy:

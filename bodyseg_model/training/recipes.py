@@ -54,7 +54,8 @@ class Recipe:
 
     ema: decay of the exponential moving average of the weights, which is then validated and saved in their place
     (`ema.AveragedNetwork`); 0 for none. shuffle: order of the samples, "global" for a permutation of all or "blocks",
-    which suits far stores (`loader`).
+    which suits far stores (`loader`). only_places: whether only the head of places on the template is trained; all else
+    of the network stays as it is, so that it labels with the same bits.
 
     Raises BadConfig for a value out of range or of another type.
     """
@@ -77,6 +78,7 @@ class Recipe:
     geometric_augmentation: GeometricAugmentation = field(default_factory=GeometricAugmentation)
     ema: float = 0.0
     shuffle: Literal["global", "blocks"] = "global"
+    only_places: bool = False
 
     def __post_init__(self) -> None:
         if self.optimiser not in ("sgd", "adamw"):
@@ -90,8 +92,8 @@ class Recipe:
                 raise BadConfig(f"{name} must be from {least} to {most}, found {getattr(self, name)!r}")
 
     def to_json(self) -> dict[str, Any]:
-        """The recipe as a JSON object; `ema`, `shuffle` and `bust` only where they are not the default."""
-        plain = ("ema", 0), ("shuffle", "global")
+        """The recipe as a JSON object; `ema`, `shuffle`, `only_places` and `bust` only if not the default."""
+        plain = ("ema", 0), ("shuffle", "global"), ("only_places", False)
         tree = {name: value for name, value in dataclasses.asdict(self).items() if (name, value) not in plain}
         if not self.geometric_augmentation.bust:
             del tree["geometric_augmentation"]["bust"]

@@ -13,7 +13,6 @@ from bodyseg_data.drawing import EMPTY, THING, window_of
 from bodyseg_data.labels import BACKGROUND, colour_labels
 from bodyseg_model.segmentation import (
     STILL_M,
-    Flicker,
     LabelledFrame,
     LabelledRecording,
     Segmentation,
@@ -143,11 +142,10 @@ class RecordingView:
         if frame.mean_confidence is not None:
             facts.append(f"mean confidence {frame.mean_confidence:.1%}")
         if before is not None:
-            change: Flicker = flicker(before.labels, frame.labels, before.range_m, frame.range_m)
-            shares = change.to_json()
-            moving, still = (shares[name] for name in ("changed", "still_changed"))
-            if moving is not None:
-                facts.append(f"flicker {moving:.1%}" + ("" if still is None else f", where nothing moves {still:.1%}"))
+            change = flicker(before.labels, frame.labels, before.range_m, frame.range_m)
+            if change["shared"]:
+                still = change["still"] and f", where nothing moves {change['still_changed'] / change['still']:.1%}"
+                facts.append(f"flicker {change['changed'] / change['shared']:.1%}{still or ''}")
         return tuple(facts)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +16,11 @@ from PIL import Image
 from bodyseg_data import load_template
 from bodyseg_data.bodies import NOWHERE
 from bodyseg_data.core import BadConfig
-from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.labels import BACKGROUND, PARTS33
 from bodyseg_data.rigs import Camera
 from bodyseg_model.commands import main
 from bodyseg_model.networks import FlipAverage, Network, Trained, build, load_network, predict, save_network
-from bodyseg_model.networks.body_map import UNIT_M, place_table, point_grid
+from bodyseg_model.networks.body_map import UNIT_M, place_table, point_grids
 from bodyseg_model.networks.labelling import number_pixels
 from bodyseg_model.networks.registry import predict_dense
 from bodyseg_model.runtimes import on_backend
@@ -41,30 +42,47 @@ def standing() -> NDArray[np.float32]:
     return frame
 
 
-def test_the_grid_has_a_point_next_to_the_nearest_one() -> None:
-    template, grid = load_template(), point_grid()
+def cubes(places: NDArray[np.float32], of: NDArray[np.uint8]) -> NDArray[np.uint16]:
+    """Numbers of places [N, 3] in the grid of each one's part, or in the only one."""
+    grids = point_grids(bool(of.any()))
+    found = np.empty(len(places), np.uint16)
+    for number, (place, part) in enumerate(zip(places, of, strict=True)):
+        shape = grids.shape[part]
+        at = np.clip((place - grids.corner[part]) / grids.side, 0, shape - 1).astype(int)
+        found[number] = grids.numbers[grids.first[part] + np.ravel_multi_index(tuple(at), tuple(shape))]
+    return found
+
+
+@pytest.mark.parametrize("by_part", [False, True])
+def test_the_grids_have_a_point_next_to_the_nearest_one(by_part: bool) -> None:
+    template = load_template()
     draw = np.random.default_rng(2)
-    places = place_table()[draw.integers(0, len(template.points), 3000)]
-    places += draw.normal(0, 0.02 / UNIT_M, places.shape).astype(np.float32)
-    cubes = np.clip((places - grid.first) / grid.side, 0, np.array(grid.numbers.shape) - 1).astype(int)
-    found, best = grid.numbers[tuple(cubes.T)], template.nearest(places.astype(np.float64) * UNIT_M + (0, 0.9, 0))
-    away, least = (1000 * UNIT_M * np.linalg.norm(place_table()[each] - places, axis=1) for each in (found, best))
-    assert (away - least).mean() < 2 and (away - least).max() < 1000 * np.sqrt(3) * 0.016
-    assert (found != NOWHERE).all()
+    near = draw.integers(0, len(template.points), 1000)
+    places = place_table()[near] + draw.normal(0, 0.02 / UNIT_M, (1000, 3)).astype(np.float32)
+    of = template.parts[near] if by_part else np.zeros(1000, np.uint8)
+    found, own = cubes(places, of), [template.parts == part if by_part else slice(None) for part in range(33)]
+    away = 1000 * UNIT_M * np.linalg.norm(place_table()[found] - places, axis=1)
+    pairs = zip(places, of, strict=True)
+    least = [np.linalg.norm(place_table()[own[part]] - place, axis=1).min() for place, part in pairs]
+    behind = away - 1000 * UNIT_M * np.array(least)
+    assert behind.mean() < 2 and behind.max() < 1000 * np.sqrt(3) * 0.016
+    assert not by_part or np.array_equal(template.parts[found], of)
 
 
-def test_pixels_get_the_numbers_of_interpolated_places() -> None:
+@pytest.mark.parametrize("by_part", [False, True])
+def test_pixels_get_the_numbers_of_interpolated_places(by_part: bool) -> None:
     draw = np.random.default_rng(3)
-    places = draw.uniform(-1.2, 1.2, (2, 9, 7, 3)).astype(np.float32)  # beyond the grid, too
+    places = draw.uniform(-1.2, 1.2, (2, 9, 7, 3)).astype(np.float32)  # beyond the grids, too
     range_m = np.where(draw.random((2, 34, 28)) < 0.7, 2, 0).astype(np.float32)
+    labels = np.where(range_m > 0, draw.integers(1, 33, range_m.shape), BACKGROUND).astype(np.uint8)
     numbers = np.full(range_m.shape, NOWHERE, np.uint16)
-    number_pixels(places, range_m, 4, numbers)
+    number_pixels(places, range_m, 4, labels if by_part else None, numbers)
     full = F.interpolate(torch.from_numpy(places).permute(0, 3, 1, 2), scale_factor=4, mode="bilinear")
-    grid, at = point_grid(), full.permute(0, 2, 3, 1).numpy()[:, :34]
-    cubes = np.clip((at - grid.first) / grid.side, 0, np.array(grid.numbers.shape) - 1).astype(int)
-    expected = np.where(range_m > 0, grid.numbers[tuple(np.moveaxis(cubes, -1, 0))], NOWHERE)
-    assert (numbers == expected).mean() > 0.999  # sums are rounded in another order
-    assert np.array_equal(numbers == NOWHERE, range_m == 0)
+    seen = range_m > 0
+    of = labels[seen] if by_part else np.zeros(seen.sum(), np.uint8)
+    expected = cubes(full.permute(0, 2, 3, 1).numpy()[:, :34][seen], of)
+    assert (numbers[seen] == expected).mean() > 0.999  # sums are rounded in another order
+    assert (numbers[~seen] == NOWHERE).all()
 
 
 def test_labels_are_the_same_bits_beside_points() -> None:
@@ -76,9 +94,12 @@ def test_labels_are_the_same_bits_beside_points() -> None:
     assert template.dtype == np.uint16 and np.array_equal(template == NOWHERE, told.labels == BACKGROUND)
     ((_, view),) = plain.find(frame).bodies
     range_m = torch.from_numpy(view.range_m)[None, None]
-    prediction, numbers = predict_dense(network(), range_m)
+    prediction, numbers = predict_dense(network(), range_m, by_part=True)
     assert torch.equal(prediction.labels, predict(network(), range_m).labels)
     assert np.array_equal(template[frame > 0], view.back(numbers[0])) and len(np.unique(template)) > 3
+    assert np.array_equal(load_template().parts[template[frame > 0]], told.labels[frame > 0])
+    other = Segmenter(network(), LENS, KEEP, label_map=replace(PARTS33, name="own"), dense=True)(frame)
+    assert np.array_equal(other.labels, told.labels) and not np.array_equal(other.template, template)
 
 
 def test_points_turn_back_with_labels_and_go_where_a_pixel_has_no_label() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,6 @@ from bodyseg_data.labels.label_map import COLOURS
 from bodyseg_data.rigs import Camera
 from bodyseg_model.segmentation import (
     Background,
-    Flicker,
     FrameLabeller,
     Preview,
     Segmenter,
@@ -35,6 +35,7 @@ from bodyseg_model.segmentation import (
 from bodyseg_model.segmentation.pictures import MOST_FRAMES
 from bodyseg_model.segmentation.segmenter import STAGES
 from bodyseg_model.segmentation.sequence_summary import STAGES as ALL_STAGES
+from bodyseg_model.segmentation.sequence_summary import flicker_shares
 
 LENS = Camera(60, 80, 100.0, (40.0, 30.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 KEEP = Background("keep")
@@ -199,10 +200,11 @@ def test_flicker_counts_what_is_in_both_frames() -> None:
     ranges = np.array([[2.0, 2.0, 2.0, 2.0, 0.0, 0.0, 2.0]], np.float32)
     moved = ranges + np.array([[0.0, 0.019, 0.03, 0.0, 0.0, 2.0, 0.5]], np.float32)
     change = flicker(labels, later, ranges, moved)
-    assert change == Flicker(shared=4, changed=2, still=2, still_changed=1)
-    assert change.to_json() == {"shared_pixels": 4, "changed": 0.5, "still_pixels": 2, "still_changed": 0.5}
-    assert (change + Flicker(4, 0, 0, 0)).to_json()["changed"] == 0.25
-    assert Flicker().to_json() == {"shared_pixels": 0, "changed": None, "still_pixels": 0, "still_changed": None}
+    assert change == {"shared": 4, "changed": 2, "still": 2, "still_changed": 1}
+    assert flicker_shares(change) == {"shared_pixels": 4, "changed": 0.5, "still_pixels": 2, "still_changed": 0.5}
+    assert flicker_shares(change + Counter(shared=4))["changed"] == 0.25
+    nothing = {"shared_pixels": 0, "changed": None, "still_pixels": 0, "still_changed": None}
+    assert flicker_shares(Counter()) == nothing
 
 
 def summed(*frames: NDArray[np.float32], axis: int = 0) -> SequenceSummary:

@@ -14,7 +14,7 @@ from benches.results.trainings import (
     BARE,
     BOX,
     BOX_LINKS,
-    DENSE_RUNS,
+    DENSE_RUN,
     DRESSED,
     HARD,
     KINECT_HARD,
@@ -133,8 +133,8 @@ def _trained() -> Iterator[Step]:
     folder = ("--runs", "runs/networks")
     yield _bench("architectures", "--data", OPEN, *folder, "--images", "200", alone=True)
     yield _bench("shuffles", "--data", OPEN)
-    on_template = ("--data", MAPPED, "--hard", MAPPED_HARD, "--people", FAUST, "--runs", *DENSE_RUNS)
-    yield _bench("dense", *on_template, drawn=True)
+    on_template = ("--data", MAPPED, "--hard", MAPPED_HARD, "--people", FAUST, "--runs", DENSE_RUN)
+    yield _bench("dense", *on_template, "--views", "4", "--images", "100", drawn=True)
     smaller = ("--data", OPEN, "--runs", "runs/smaller", "--images", "200", "--forest", "0")
     yield _bench("architectures", *smaller, to="smaller", links=SMALLER_LINKS, alone=True)
     named = ("--data", OPEN, "--runs", "runs/networks/compact-0", "--hard", HARD)

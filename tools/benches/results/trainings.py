@@ -45,7 +45,7 @@ SETS: Final = {
     DRESSED: ("open", "--meshes", "233"),
     BARE: ("bare", "--meshes", "233"),
     READ: ("open", "--meshes", "200", "--views", "54"),
-    MAPPED: ("open", "--template", "--views", "6"),
+    MAPPED: ("open", "--template", "--meshes", "100", "--views", "4"),
     MAPPED_HARD: ("hard", "--template", "--views", "3"),
     KINECT: ("open", "--rig", "kinect_v1", "--meshes", "500", "--views", "12"),
     KINECT_HARD: ("hard", "--rig", "kinect_v1", "--views", "6"),
@@ -86,17 +86,10 @@ _SEEDS_OF_ROWS: Final = {"no_occlusion": SEEDS, "no_noise": SEEDS, "losses": SEE
 _ROWS_OF_NETWORKS: Final = {"half_resolution": "compact_half", "quarter_resolution": "compact_quarter"}
 _SETS_OF_ROWS: Final[dict[Source, str]] = {"": OPEN, "dressed": DRESSED, "bare": BARE}
 
-_DENSE: Final = ("--steps", "3000", "--batch-size", "64", "--ema", "0.999")
-_HEAD: Final = ("--settings", '{"template": true}')
-_TUNED: Final = ("--lr", "0.0005", "--pretrained", BOX, *_HEAD)
-DENSE_RUNS: Final = {
-    "runs/dense/plain-0": (),
-    "runs/dense/head-0": _HEAD,
-    "runs/dense/plain-1": (),
-    "runs/dense/head-1": _HEAD,
-    "runs/dense/tuned-0": _TUNED,
-}
-"""Trainings with and without a head of places on the template, and one from the network that ships -> options."""
+DENSE_RUN: Final = "runs/dense/shipped-0"
+"""A head of places on the template, trained for the network that ships."""
+_DENSE: Final = ("--steps", "600", "--batch-size", "8", "--lr", "0.003", "--ema", "0.99", "--precision", "float32")
+_HEAD: Final = ("--settings", '{"template":true}', "--only-template", "--pretrained", BOX)
 
 Links = tuple[tuple[str, str], ...]
 
@@ -197,9 +190,7 @@ def trainings() -> Iterator[Step]:
         yield _training(f"runs/networks/{name}-{seed}", OPEN, *options, seed=seed)
     for (name, options), seed in itertools.product(SMALLER.items(), range(SEEDS)):
         yield _training(f"runs/smaller/{name}-{seed}", OPEN, *options, seed=seed)
-    for run, options in DENSE_RUNS.items():
-        step = _training(run, MAPPED, *options, seed=int(run[-1]), scale=_DENSE)
-        yield replace(step, links=BOX_LINKS) if BOX in options else step
+    yield replace(_training(DENSE_RUN, MAPPED, *_HEAD, seed=0, scale=_DENSE), links=BOX_LINKS)
     for seed, run in enumerate(REFERENCE_RUNS):
         yield _training(run, OPEN, "--variant", "none", *NETWORKS["fcn_alexnet_8th"], seed=seed)
     for row in ROWS:
