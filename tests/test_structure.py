@@ -219,9 +219,9 @@ def test_no_file_hides_a_name_of_its_door() -> None:
 LARGEST_DOORS = {
     "bodyseg_data.artifacts": 33,  # what a user's own artifact needs, and by what the fit of a sensor measures
     "bodyseg_data.shards": 59,  # a format, its columns and stores, which packing writes, loading reads, transfer copies
-    "bodyseg_model.networks": 33,  # networks and their files, which training writes and everything else reads
+    "bodyseg_model.networks": 35,  # networks and their files, which training writes and everything else reads
     "bodyseg_data.meshes": 36,  # files, repair, checks, landmarks and parts of a mesh, whose one user is bodies
-    "bodyseg_model.segmentation": 24,
+    "bodyseg_model.segmentation": 25,
     "bodyseg_data.machine": 23,
     "bodyseg_data.samples": 28,
     "bodyseg_data.loading": 22,
@@ -281,8 +281,8 @@ def test_rooms_have_no_cellars() -> None:
     assert folders == THIRD_LEVEL
     lines = {name: len(path.read_text().splitlines()) for name, path in wheel.items()}
     assert not {name: count for name, count in lines.items() if count > 520}
-    assert len(wheel) <= 263
-    assert sum(lines.values()) <= 50_850
+    assert len(wheel) <= 253
+    assert sum(lines.values()) <= 48_850
     loose = {entry.name for package in PACKAGES[:2] for entry in (ROOT / package).glob("*.*")}
     assert loose <= {"__init__.py", "__main__.py", "py.typed"}
 

@@ -17,6 +17,7 @@ from benches.results.trainings import (
     DENSE_RUN,
     DRESSED,
     HARD,
+    KINECT_24,
     KINECT_HARD,
     LOSSES_RUNS,
     MAPPED,
@@ -118,7 +119,7 @@ def _shipped() -> Iterator[Step]:
 def _trained() -> Iterator[Step]:
     """Networks that were trained for the comparison."""
     scored, on_real = ("--seeds", "3", "--images", "60", "--only-finished"), ("--real", REAL, "--people", FAUST)
-    full = ("--data", KINECT_SET, "--runs", "runs/full", *scored, "--hard", KINECT_HARD, *on_real)
+    full = ("--data", KINECT_24, "--runs", "runs/full", *scored, "--hard", KINECT_HARD, *on_real)
     yield _bench("variants", *full, drawn=True, more=("variants_real.png",), alone=True)
     small = ("--data", KINECT_SET, "--runs", "runs/kinect", "runs/whole", *scored, *on_real)
     yield _bench("variants", *small, to="variants_small", alone=True)
@@ -127,7 +128,7 @@ def _trained() -> Iterator[Step]:
         yield _bench("variants", *of_paper, to=f"variants_{of}", alone=True)
     unlike = (*seeds("runs/kinect/none"), *seeds("runs/kinect/all"))
     yield _bench("harm", "--data", KINECT_SET, "--runs", *unlike, "--images", "60", reads=(SHIPPED,), alone=True)
-    fine = ("--data", KINECT_SET, "--runs", "runs/fine", "--seeds", "1", "--images", "60", "--only-finished")
+    fine = ("--data", KINECT_24, "--runs", "runs/fine", "--seeds", "1", "--images", "60", "--only-finished")
     yield _bench("variants", *fine, to="variants_fine", alone=True)
     yield _bench("cross_person", "--data", FAUST, "--runs", *PLACED_RUNS)
     folder = ("--runs", "runs/networks")

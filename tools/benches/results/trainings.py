@@ -21,6 +21,7 @@ READ: Final = "sets/open200"
 KINECT: Final = "sets/kinect"
 MAPPED: Final = "sets/open_template"
 MAPPED_HARD: Final = "sets/hard_template"
+KINECT_24: Final = "sets/kinect24"
 KINECT_HARD: Final = "sets/hard_kinect"
 PAPER: Final = "sets/paper"
 
@@ -48,6 +49,7 @@ SETS: Final = {
     MAPPED: ("open", "--template", "--meshes", "100", "--views", "4"),
     MAPPED_HARD: ("hard", "--template", "--views", "3"),
     KINECT: ("open", "--rig", "kinect_v1", "--meshes", "500", "--views", "12"),
+    KINECT_24: ("open", "--rig", "kinect_v1", "--meshes", "250", "--views", "24"),
     KINECT_HARD: ("hard", "--rig", "kinect_v1", "--views", "6"),
     PAPER: ("open", "--meshes", "500", "--views", "12"),
     **placed_by(0),
@@ -172,7 +174,7 @@ def trainings() -> Iterator[Step]:
     either = {name: rows[name] for name in ("none", "all")}
     rows |= {name: ("--sensor", sensor) for name, sensor in SENSOR_RUNS.items()}
     for (name, artifacts), seed in itertools.product(rows.items(), range(SEEDS)):
-        yield _training(f"runs/full/{name}-{seed}", KINECT, *artifacts, seed=seed, scale=_LONG)
+        yield _training(f"runs/full/{name}-{seed}", KINECT_24, *artifacts, seed=seed, scale=_LONG)
     for folder, scale in (("runs/paper", _LONG), ("runs/paper_alexnet", _LONG_ALEXNET)):
         for (name, artifacts), seed in itertools.product(either.items(), range(SEEDS)):
             yield _training(f"{folder}/{name}-{seed}", PAPER, *artifacts, seed=seed, scale=scale)
@@ -182,7 +184,7 @@ def trainings() -> Iterator[Step]:
         start = ("--pretrained", WHOLE_RUNS[seed], *_STARTED)
         yield _training(f"runs/kinect/{name}-{seed}", KINECT, *artifacts, *start, seed=seed, scale=_SMALL)
     for name, variant in zip(FINE_RUNS, ("none", "noise"), strict=True):
-        yield _training(name, KINECT, *_FINE, "--variant", variant, seed=0, scale=_LONG)
+        yield _training(name, KINECT_24, *_FINE, "--variant", variant, seed=0, scale=_LONG)
     long = ("--losses", "0.3", "--ema", "0.999", "--lr", "0.003", "--steps", "5000", "--batch-size", "64")
     for person, run in zip(PLACED_BY, PLACED_RUNS, strict=True):
         yield Step(run, "training", ("bodyseg", "train", "--data", *placed_by(person), "--out", run, *long, *_HOW))
