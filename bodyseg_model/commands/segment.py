@@ -13,7 +13,7 @@ from typing import Any, Final
 from bodyseg_data import load_template
 from bodyseg_data.commands import Progress, option, rate_text
 from bodyseg_data.core import BadConfig
-from bodyseg_data.labels import PART_CLASSES, LabelMap
+from bodyseg_data.labels import PART_CLASSES, TEMPLATE, LabelMap
 from bodyseg_data.machine import hardware, keep_freed_memory
 from bodyseg_data.rigs import Rig, rig_names
 from bodyseg_model.networks import Trained
@@ -30,7 +30,6 @@ from bodyseg_model.runtimes import (
 from bodyseg_model.segmentation import (
     LABELS,
     OVERLAY,
-    PLACES,
     TURNED_HELP,
     UNDISTORTED,
     Background,
@@ -133,7 +132,7 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
     )
     cameras = recording.cameras
     images = [LABELS, *([] if options.no_overlay else [OVERLAY]), *([UNDISTORTED] if cameras.bent else [])]
-    images += [PLACES] if options.dense else []
+    images += [TEMPLATE] if options.dense else []
     shape = cameras.first.camera.rows, cameras.first.camera.columns
     out = OutputFolder(options.out, options.frames, frames, images)
     results = FrameResults(out, labeller.label_map, preview, shape)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadConfig, Stopwatch
 from bodyseg_data.drawing import draw_legend, save_picture
 from bodyseg_data.files import claimed, read_json, sync, write_json, write_result
-from bodyseg_data.labels import LabelMap
+from bodyseg_data.labels import TEMPLATE, LabelMap
 from bodyseg_data.machine import peak_mb
 from bodyseg_model.recordings import Frame
 from bodyseg_model.segmentation.frame_labeller import LabelledFrame
@@ -34,7 +34,7 @@ LEGEND: Final = "legend.png"
 UNFINISHED: Final = "unfinished.json"
 """Frames of a call that has not ended yet, or was cut short; it goes when `SUMMARY` is written."""
 
-LABELS, OVERLAY, UNDISTORTED, PLACES = IMAGES = ("labels", "overlay", "undistorted", "template")
+LABELS, OVERLAY, UNDISTORTED, _ = IMAGES = ("labels", "overlay", "undistorted", TEMPLATE)
 """Folders of images, one a frame."""
 
 MOST_WAITING: Final = 3
@@ -268,8 +268,8 @@ class FrameResults(WriteBehind):
                     self._preview.add(overlay)  # an animation has frames of one size
             if UNDISTORTED in self._out.folders and labelled.stored is not None:
                 images[UNDISTORTED] = labelled.stored
-            if PLACES in self._out.folders:
-                images[PLACES] = labelled.template
+            if TEMPLATE in self._out.folders:
+                images[TEMPLATE] = labelled.template
             for folder, image in images.items():
                 self._out.write(folder, frame.name, encode_picture(image))
         times = {**labelled.milliseconds, **watch.milliseconds}

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 import torch
+from benches.model.rooms.bench import UNSEEN_FINDER
 from small_rig import SMALL
 
 from bodyseg_data.artifacts import Augmentation, Losses, MissingData, Noise, load_sensor_model
@@ -17,7 +18,7 @@ from bodyseg_data.rigs import Rig, load_rig
 from bodyseg_model.commands import cli
 from bodyseg_model.evaluation import RigFit, sensor_warning
 from bodyseg_model.evaluation.reports import FAR_OFF, SIMILAR
-from bodyseg_model.networks import FINDER, Trained, build, load_network, save_network
+from bodyseg_model.networks import Trained, build, load_network, save_network
 
 PAPER = load_rig()
 MODEL = load_sensor_model()
@@ -116,7 +117,7 @@ def test_artifacts_that_are_not_installed_are_told() -> None:
 
 
 def test_cards_whose_artifacts_were_removed_are_read_and_say_so_when_asked() -> None:
-    finder = load_network(FINDER)
+    finder = load_network(UNSEEN_FINDER)
     assert "lateral_noise" in json.dumps(finder.card["sensor"]) and finder.label_map.name == "people"
     line = sensor_warning(finder, Augmentation(PAPER, "all", sensor=MODEL), "set")
     assert line == (

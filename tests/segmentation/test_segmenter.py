@@ -159,7 +159,7 @@ def test_the_examples_of_the_page_run(capsys: pytest.CaptureFixture[str]) -> Non
     blocks = re.findall(r"```python\n(.*?)```", page.read_text(), re.S)
     names: dict[str, Any] = {}
     exec("\n".join(blocks), names)
-    assert len(blocks) == 2 and isinstance(names["label"], FrameLabeller)
+    assert len(blocks) == 3 and isinstance(names["label"], FrameLabeller)
     for answer in (names["result"], names["answer"]):
         assert answer.labels.shape == answer.confidence.shape == (480, 640)
         assert tuple(answer.milliseconds) == ("read", *STAGES)

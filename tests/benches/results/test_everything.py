@@ -196,6 +196,8 @@ def test_a_page_names_what_the_code_of_today_did_not_make(tmp_path: Path, monkey
     assert "c.json" not in first and "other" not in first and last == "111"
     assert without_mark(page) == render_page(template, tmp_path, {"outdated": ""}) == "\n111\n"
     assert outdated(stale, ["c.json"]) == ""
+    of_processors = [f"processors/{name}/network.json" for name in ("one", "two")]
+    assert outdated(dict.fromkeys(of_processors, NEVER), of_processors).count("](") == 1
 
 
 def test_a_result_without_a_record_is_stale(tmp_path: Path) -> None:

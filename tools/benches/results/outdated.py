@@ -18,6 +18,10 @@ NEVER: Final = "never made"
 MARK: Final = "**Not measured by the code of today"
 """Begins the paragraph that names them on a page."""
 
+_FOLDER: Final = "processors/"
+_OF_PROCESSORS: Final = "[those by processor](tables.md#by-processor)"
+"""One link for the many files of that folder."""
+
 _NOWHERE: Final = Path("no work folder")
 
 
@@ -38,12 +42,17 @@ def stale_results(folder: Path) -> dict[str, str]:
 
 def outdated(stale: Mapping[str, str], results: Iterable[str]) -> str:
     """A paragraph that names those of `results` that are stale; "" if none is."""
-    links = {name: f"[{name}]({name})" for name in results if name in stale}
+    links = {
+        name: _OF_PROCESSORS if name.startswith(_FOLDER) else f"[{name}]({name})" for name in results if name in stale
+    }
     if not links:
         return ""
-    unknown = [link for name, link in links.items() if stale[name] == NEVER]
+    known, unknown = (
+        list(dict.fromkeys(link for name, link in links.items() if (stale[name] == NEVER) is never))
+        for never in (False, True)
+    )
     parts = []
-    if known := [link for name, link in links.items() if stale[name] != NEVER]:
+    if known:
         parts.append(f"the code, a command or the data has changed since: {', '.join(known)}")
     if unknown:
         parts.append(f"measured by hand, so that nothing records the code: {', '.join(unknown)}")
