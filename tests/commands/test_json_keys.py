@@ -16,7 +16,7 @@ from PIL import Image
 from small_rig import SMALL
 
 from bodyseg_model.commands import cli, evaluate, segment
-from bodyseg_model.networks import Trained
+from bodyseg_model.networks import Trained, build
 from bodyseg_model.runtimes import backends
 
 PAGE = (ROOT / "docs" / "reference" / "json_keys.md").read_text()
@@ -79,12 +79,16 @@ def test_the_keys_of_a_summary_are_those_documented(tmp_path: Path, monkeypatch:
         (tmp_path / "a.npz", *given, "--keep-things", "--video", "--turned", "180", "--flip-average"),
         (folder, "--skip-unreadable", "1", "--no-overlay"),
         (folder, "--skip-unreadable", "1", "--no-overlay"),
+        (folder, "--skip-unreadable", "1", "--no-overlay", "--dense"),
     )
     trees: list[Any] = []
-    unsure = Trained(Places(0, 5, sure_m=0.1), {"rig": SMALL.to_json(), "least_confidence_of_people": 0.9})
+    rig = {"rig": SMALL.to_json()}
+    unsure = Trained(Places(0, 5, sure_m=0.1), {**rig, "least_confidence_of_people": 0.9})  # a person is a thing
+    dense = Trained(build("compact", {"widths": [8], "blocks": [1], "template": True}, 0).eval(), rig)
     for number, words in enumerate(runs):
-        if number == 2:  # what was a person is a thing
-            monkeypatch.setattr(segment, "load_run", lambda run: unsure)
+        if number >= 2:
+            network = (unsure, dense)[number - 2]
+            monkeypatch.setattr(segment, "load_run", lambda run, network=network: network)
         out = tmp_path / str(number)
         assert cli.main(["segment", *map(str, words), "--out", str(out)]) == 0
         trees.append(json.loads((out / "summary.json").read_text()))

@@ -18,7 +18,6 @@ from bodyseg_data.artifacts import lit_pixels
 from bodyseg_data.commands import cli
 from bodyseg_data.core import BodysegError
 from bodyseg_data.rigs import Camera, Rig
-from bodyseg_model.commands import main as bodyseg_main
 
 CAMERA = Camera(16, 20, 24.0, (10.0, 8.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 PROJECTOR = Camera(24, 30, 36.0, (15.0, 12.0), (0.2, 0.0, 0.0), (0.2, 0.0, 1.0))
@@ -137,9 +136,6 @@ def test_facing_comes_from_bits_from_normals_or_from_the_range_image(tmp_path: P
     assert np.array_equal(one(tmp_path / "bits", facing=bits).faces_projector, bits & measured)
     assert RangeImages(tmp_path / "range").manifest.renderer == "external, facing from range images"
     assert RangeImages(tmp_path / "bits").manifest.renderer == "external"
-    for name, said in (("range", True), ("bits", False)):
-        assert bodyseg_main(["card", str(tmp_path / name), "--licence", "mit"]) == 0
-        assert ("| facing | found from the range images" in (tmp_path / name / "README.md").read_text()) == said
 
 
 def test_two_projectors_several_rigs_planes_and_fields(tmp_path: Path) -> None:
