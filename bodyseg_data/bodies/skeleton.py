@@ -222,19 +222,19 @@ def _levelling(shin: Matrix) -> Matrix:
     angles = _rotation_vector(shin.T @ flat)
     low = np.radians([-_MOST_DORSIFLEXION, -15, -20])
     high = np.radians([_MOST_PLANTARFLEXION, 15, 20])
-    return _from_rotation_vector(np.clip(angles, low, high))
+    return from_rotation_vector(np.clip(angles, low, high))
 
 
 def _bent(forward: float, left: float, turned: float) -> Matrix:
     """Return the rotation that bends to the front, to the left, and turns to the left, in degrees, about one axis."""
-    return _from_rotation_vector(np.radians([forward, turned, -left]))
+    return from_rotation_vector(np.radians([forward, turned, -left]))
 
 
 def _turn(axis: Matrix, degrees: float) -> Matrix:
-    return _from_rotation_vector(np.asarray(axis) * math.radians(degrees))
+    return from_rotation_vector(np.asarray(axis) * math.radians(degrees))
 
 
-def _from_rotation_vector(vector: Matrix) -> Matrix:
+def from_rotation_vector(vector: Matrix) -> Matrix:
     """Return the rotation [3, 3] about a vector [3] by its length in radians (Rodrigues' formula)."""
     angle = float(np.linalg.norm(vector))
     if angle < 1e-12:
@@ -255,7 +255,7 @@ def _rotation_vector(rotation: Matrix) -> Matrix:
 
 
 def _part_of(rotation: Matrix, share: float) -> Matrix:
-    return _from_rotation_vector(share * _rotation_vector(rotation))
+    return from_rotation_vector(share * _rotation_vector(rotation))
 
 
 def _swing_and_twist(rotation: Matrix, axis: Matrix) -> tuple[Matrix, float]:

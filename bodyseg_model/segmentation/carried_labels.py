@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -14,6 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from bodyseg_data.bodies import from_rotation_vector
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import in_threads, pieces
 from bodyseg_data.rigs import Camera
@@ -250,7 +250,7 @@ class CarriedLabels:
             lines = np.hstack([np.cross(arms, normals), normals])
             weighed = lines * np.square(np.maximum(1 - (away / gate) ** 2, 0.0))[:, None]
             step = np.linalg.solve(np.einsum("ij,ik->jk", weighed, lines) + np.diag(_STILL), away @ weighed)
-            turn = rotation(step[:3])
+            turn = from_rotation_vector(step[:3])
             rigid = turn @ rigid
             rigid[:, 3] += middle - turn @ middle + step[3:]
         return rigid
@@ -283,14 +283,6 @@ def nearest_first(reach: int) -> NDArray[np.int64]:
     """
     line = range(-reach, reach + 1)
     return np.array(sorted(itertools.product(line, line), key=lambda step: step[0] ** 2 + step[1] ** 2), np.int64)
-
-
-def rotation(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Matrix [3, 3] of a rotation vector [3], radians (Rodrigues)."""
-    angle = max(float(np.linalg.norm(vector)), 1e-12)
-    cross = np.cross(np.eye(3), vector / angle)
-    matrix: NDArray[np.float64] = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross
-    return matrix
 
 
 def moved(rigid: Rigid, points: Points) -> Points:

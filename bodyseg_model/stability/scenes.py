@@ -28,7 +28,7 @@ from bodyseg_data.artifacts import (
 )
 from bodyseg_data.bodies import Body, BodyRef, open_source
 from bodyseg_data.core import BadConfig, ProgressCallback, generator, silent
-from bodyseg_data.labels import BACKGROUND, PARTS
+from bodyseg_data.labels import BACKGROUND, LANDMARKS
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.meshes import Mesh, Partition
 from bodyseg_data.packing import Sampler, draw_things, in_front, surface_points
@@ -370,7 +370,7 @@ class _PosedBody:
         landmark.
         """
         camera = sensor(_FOCALS_PX[0])
-        border = self.mesh.vertices[self.body.landmarks[[part.landmark for part in PARTS].index(landmark)]]
+        border = self.mesh.vertices[self.body.landmarks[LANDMARKS.index(landmark)]]
         above = _DESK_M * (camera.rows - camera.centre_px[1]) / camera.focal_px
         placed = looking_down(camera, np.add(border, (0, above, 0)), self.azimuth_deg, _DESK_M, 0.0)
         return resampled(self._seen_by(placed, rig), camera, rig)
