@@ -31,8 +31,18 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.files import parse_json
 from bodyseg_data.labels import PARTS33, TEMPLATE, LabelMap, label_map_names
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, ImageSet, OccluderName, WorkerMethod, find_rank
+from bodyseg_data.machine import computes_bfloat16
 from bodyseg_data.samples import ReadSplit
-from bodyseg_model.networks import CardWords, CheckpointName, Network, NetworkName, build, load_network, network_class
+from bodyseg_model.networks import (
+    CardWords,
+    CheckpointName,
+    Network,
+    NetworkName,
+    build,
+    find_device,
+    load_network,
+    network_class,
+)
 from bodyseg_model.training import (
     DEFAULT_EVERY,
     WAITING_ADVICE,
@@ -99,7 +109,9 @@ class Options:
     )
     settings: str = option("settings of the network that differ from its defaults, as JSON", "{}")
     only_template: bool = option("train the head of places alone: labels stay the same bits; with --pretrained", False)
-    precision: Literal["recipe", "float32", "bfloat16"] = option("what layers compute in", "recipe")
+    precision: Literal["recipe", "float32", "bfloat16"] = option(
+        "what layers compute in; recipe: float32 on a processor without instructions for bfloat16", "recipe"
+    )
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
     threads: int | None = option("threads that compute on the processor (default: all)", None)
     num_workers: int = option("workers that load images (0: none, the program itself does)", 2)
@@ -124,7 +136,7 @@ def run(options: Options) -> int:
         only_places=options.only_template,
         mirror=False if options.no_mirror else None,
         geometric_augmentation=GeometricAugmentation() if options.no_geometric_augmentation else None,
-        bf16={"recipe": None, "float32": False, "bfloat16": True}[options.precision],
+        bf16=_bf16(options),
     )
     if options.bust is not None:
         placed = replace(recipe.geometric_augmentation, bust=options.bust)
@@ -161,6 +173,14 @@ def run(options: Options) -> int:
     if validation is not None and first_process:
         _say_end(trained.card, recipe.steps)
     return 0
+
+
+def _bf16(options: Options) -> bool | None:
+    """Whether layers compute in bfloat16, None as the recipe says: a processor that must emulate it takes 8 times as
+    long as in float32.
+    """
+    emulated = find_device(options.device).type == "cpu" and not computes_bfloat16()
+    return {"recipe": False if emulated else None, "float32": False, "bfloat16": True}[options.precision]
 
 
 def _pairs(options: Options) -> list[tuple[str, str]]:

@@ -269,6 +269,20 @@ def test_the_order_of_samples_belongs_to_the_plan(small_set: Path, tmp_path: Pat
         recipe_for("compact", shuffle="block")
 
 
+@pytest.mark.parametrize(
+    ("has_it", "precision", "bf16"),
+    [(True, "recipe", True), (False, "recipe", False), (False, "bfloat16", True), (True, "float32", False)],
+)
+def test_a_processor_that_must_emulate_bfloat16_trains_in_float32(
+    small_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_it: bool, precision: str, bf16: bool
+) -> None:
+    monkeypatch.setattr("bodyseg_model.commands.train.computes_bfloat16", lambda: has_it)
+    words = ["train", "--data", str(small_set), "--settings", json.dumps(TINY), "--num-workers", "0", "--threads", "1"]
+    words += ["--batch-size", "1", "--steps", "1", "--precision", precision, "--device", "cpu"]
+    assert main([*words, "--out", str(tmp_path / "run")]) == 0
+    assert RunFolder(tmp_path / "run").plan()["recipe"]["bf16"] is bf16
+
+
 def test_a_damaged_checkpoint_is_refused(small_set: Path, tmp_path: Path) -> None:
     train(small_set, tmp_path / "run")
     (file,) = (tmp_path / "run").glob("checkpoint-*.safetensors")
