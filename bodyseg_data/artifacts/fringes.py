@@ -9,7 +9,6 @@ import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.constants import FAR
 from bodyseg_data.labels import PART_COUNT
@@ -20,40 +19,36 @@ BEND_M: Final = 0.008
 """Slopes before and behind a pixel that differ by more, over `REACH` pixels, are those of two surfaces."""
 EDGE_M: Final = 0.1
 """A pixel that was this much nearer or farther in another pattern saw another surface."""
+MARGIN: Final = 32
+"""Background around an image, and how far a surface is followed in it, pixels."""
 
-_ZERO, _SIXTH, _QUARTER, _HALF, _ONE, _TWO = map(np.float32, (0, 1 / 6, 0.25, 0.5, 1, 2))
-_LEAST: Final = np.float32(1e-6)
-_EXPONENT: Final = np.int32(23)  # of a float32, behind its mantissa
-_BIAS: Final = np.int32(127)
-_BYTE, _EIGHT = np.uint32(255), np.uint32(8)
-_MIDDLE, _SPREAD = np.float32(255), np.float32(math.sqrt(6 / (256**2 - 1)))
-# Chebyshev fits: of sin(2 pi u) / (u (1/4 - u^2)) in u^2, and of arctan(a) / (2 pi a) in a^2, a <= 1.
-_SINE: Final = tuple(map(np.float32, (25.132734, -64.83462, 67.03803, -38.06363, 12.073663)))
-_ARCTAN: Final = tuple(map(np.float32, (0.15915422, -0.05299679, 0.03112896, -0.01927517, 0.00912444, -0.00213621)))
+_ZERO, _SIXTH, _QUARTER, _HALF, _ONE, _TWO, _THREE = map(np.float32, (0, 1 / 6, 0.25, 0.5, 1, 2, 3))
+_LEAST, _NEVER = np.float32(1e-3), np.float32(np.inf)
+_EXPONENT, _BIAS = map(np.int32, (23, 127))  # of a float32: the bits behind it, and that of 1
+_FAR_MOVED: Final = np.float32(MARGIN)
+_PAIRS, _WORD, _EIGHT, _SIXTEEN = map(np.uint32, (0x00FF00FF, 0xFFFF, 8, 16))
+_MIDDLE, _SPREAD = np.float32(510), np.float32(math.sqrt(3 / 65535))
+# Chebyshev fit of arctan(a) / (2 pi a) in a^2, a <= 1.
+_ARCTAN: Final = tuple(map(np.float32, (0.15915006, -0.05278817, 0.02946005, -0.01460222, 0.00378392)))
 
 
 class Optics(NamedTuple):
     """What is the same for all pixels of an image, float32.
 
     A camera's ray (x, y, 1) times the range z meets the projector's fringe (z a + b) / (z c + d), of which a and c are
-    across * x + down * y + ahead. light: the projector in the camera's frame, metres. See `PhaseShift` for others.
+    the ray's products with those here. light: the projector in the camera's frame, metres. `PhaseShift` has others.
     """
 
     step_m: Any
     slope: Any  # metres of range a pixel times the focal length, of a step over 2 REACH pixels
     bend: Any  # BEND_M in steps
-    across_a: Any
-    down_a: Any
-    ahead_a: Any
+    a: Any
     b: Any
-    across_c: Any
-    down_c: Any
-    ahead_c: Any
+    c: Any
     d: Any
-    light_x: Any
-    light_y: Any
-    light_z: Any
-    square_m2: Any  # squared distance from the projector to the stand-off
+    light: Any
+    light_m2: Any  # squared distance to the projector
+    square_m2: Any  # squared distance from it to the stand-off
     fringes: Any
     focus: Any  # 1 / range of the stand-off before the projector
     blur: Any
@@ -61,17 +56,17 @@ class Optics(NamedTuple):
     ambient: Any
     read: Any  # squared
     threshold: Any
-    share: Any  # 1 / N
-    cosine: Any  # of pi 2 / N
-    sine: Any
-    even: Any  # gamma's harmonics N + 1 and N - 1: sum and difference
-    odd: Any
     random: Any  # sqrt(2 / N)
     period_s: Any  # between patterns
     drift_px: Any  # focal length times that
+    apart: Any  # EDGE_M in steps
+    most: Any  # drift of fringes a pattern, 1 / N, that leaves no modulation
     finest: Any  # when the finest binary pattern is taken, patterns
+    middle: Any  # the same of the mean of all binary ones
     edge: Any
-    found: Any  # normals below are those of jumps that the sensor finds
+    found: Any  # noise below is that of jumps that the sensor finds
+    curve: Any  # brightness of a fringe, a polynomial's factors in squared turns
+    patterns: Any  # of each its shift, its time, and its weights in both sums
 
 
 def pick(condition: Any, first: Any, second: Any) -> Any:
@@ -79,21 +74,18 @@ def pick(condition: Any, first: Any, second: Any) -> Any:
     return np.where(condition, first, second)
 
 
-def sine(turns: Any) -> Any:
-    """The sine of an angle in turns, within 1e-6."""
-    u = turns - np.rint(turns)
-    v = u * u
-    return u * (_QUARTER - v) * (_SINE[0] + v * (_SINE[1] + v * (_SINE[2] + v * (_SINE[3] + v * _SINE[4]))))
+def within(value: Any, most: Any) -> Any:
+    """The value, or the nearer one of `most` and its negative."""
+    return pick(value > most, most, pick(value < -most, -most, value))
 
 
 def angle(x: Any, y: Any) -> Any:
-    """The angle of (x, y) in turns, -1/2 to 1/2, within 1e-6; 0 for (0, 0)."""
+    """The angle of (x, y) in turns, -1/2 to 1/2, within 4e-6; 0 for (0, 0)."""
     wide, high = abs(x), abs(y)
     steep = high > wide
     a = pick(steep, wide, high) / (pick(steep, high, wide) + pick(wide + high > _ZERO, _ZERO, _ONE))
     v = a * a
-    turns = _ARCTAN[0] + v * (_ARCTAN[1] + v * (_ARCTAN[2] + v * (_ARCTAN[3] + v * (_ARCTAN[4] + v * _ARCTAN[5]))))
-    turns = turns * a
+    turns = a * (_ARCTAN[0] + v * (_ARCTAN[1] + v * (_ARCTAN[2] + v * (_ARCTAN[3] + v * _ARCTAN[4]))))
     turns = pick(steep, _QUARTER - turns, turns)
     turns = pick(x < _ZERO, _HALF - turns, turns)
     return pick(y < _ZERO, -turns, turns)
@@ -101,7 +93,8 @@ def angle(x: Any, y: Any) -> Any:
 
 def slope(before: Any, here: Any, after: Any, bend: Any) -> Any:
     """Twice the difference to a neighbour: of both, or of the nearer one at an edge; 0 where neither is a surface."""
-    forward, backward = after - here, here - before
+    forward = pick(after > _ZERO, after, FAR) - here
+    backward = here - pick(before > _ZERO, before, FAR)
     nearer = pick(abs(forward) <= abs(backward), forward, backward)
     one = pick(abs(nearer) < FAR * _HALF, _TWO * nearer, _ZERO)
     return pick(abs(forward - backward) <= bend, forward + backward, one)
@@ -112,84 +105,112 @@ def wave(turns: Any) -> Any:
     return _QUARTER - abs(turns - np.rint(turns))
 
 
-def changes_at(boundary: Any, o: Any) -> Any:
-    """When the one pattern of a Gray code is taken that changes from fringe `boundary` - 1 to it, patterns."""
-    whole = np.int32(boundary)
-    lowest = np.float32(whole & -whole)
-    return o.finest - np.float32((lowest.view(np.int32) >> _EXPONENT) - _BIAS)
+def velocity(z: Any, x: Any, y: Any, look: Any) -> Any:
+    """Of a surface at a range on a ray, m/s."""
+    across, down = look[13] + z * (look[17] - look[18] * y), look[14] + z * (look[18] * x - look[16])
+    return across, down, look[15] + z * (look[16] * y - look[17] * x)
+
+
+def sideways(here: Any, x: Any, y: Any, look: Any, o: Any, time: Any) -> Any:
+    """Whole columns and rows that a surface has moved at the time of a pattern; see `decode` for the arguments."""
+    z = here * o.step_m
+    u, v, s = velocity(z, x, y, look)
+    ratio = o.drift_px / z * time
+    return within(np.rint(ratio * (u - x * s)), _FAR_MOVED), within(np.rint(ratio * (v - y * s)), _FAR_MOVED)
+
+
+def total(patterns: Any, curve: Any, phases: Any, real: Any, imaginary: Any) -> Any:
+    """Sums of the patterns' brightness, in phase and across it; see `add` for the arguments."""
+    for shown in patterns:
+        real, imaginary = add(shown, curve, phases, real, imaginary)
+    return real, imaginary
+
+
+def add(shown: Any, curve: Any, phases: Any, real: Any, imaginary: Any) -> Any:
+    """Both sums with one more pattern; shown, curve: of `Optics`; phases: in the middle of the patterns, its drift a
+    pattern, what each pattern takes from that; brightening a pattern; mean brightness.
+    """
+    phase, drift, bend, gain, blur = phases
+    turns = phase + shown[0] + shown[1] * (drift - shown[1] * bend)
+    u = turns - np.rint(turns)
+    v = u * u
+    fringe = curve[0] + v * (
+        curve[1] + v * (curve[2] + v * (curve[3] + v * (curve[4] + v * (curve[5] + v * curve[6]))))
+    )
+    image = (_ONE + shown[1] * gain) * (blur + fringe)
+    return real + shown[2] * image, imaginary + shown[3] * image
 
 
 def decode(
-    here: Any, left: Any, right: Any, above: Any, below: Any, x: Any, y: Any, look: Any, o: Any, first: Any, bits: Any
-) -> Any:
-    """What the sensor makes of a pixel: (error of its range in steps, 0 if lost else 1, columns and rows a pattern).
+    here: Any, left: Any, right: Any, above: Any, below: Any, then: Any, since: Any, x: Any, y: Any, look: Any, o: Any,
+    bits: Any,
+) -> Any:  # fmt: skip
+    """What the sensor makes of a pixel: error of its range in steps, and whether it is kept.
 
-    here, left, ...: ranges of the pixel and of those REACH beside it, steps, `FAR` for background; x, y: its ray; look:
-    the rows of `PhaseShift.looks` for its label; o: `Optics`; bits: uint32, drawn for it; first: their normal.
+    here, left, ...: ranges of the pixel, of those REACH beside it, and where its surface was in the first pattern and
+    is in the last one, steps, 0 for background; x, y: its ray; look: the rows of `PhaseShift.looks` for its label; o:
+    `Optics`; bits: uint32, drawn for it.
     """
     z = here * o.step_m
-    p, q = x * z, y * z
+    nearness = _ONE / z
     across, down = slope(left, here, right, o.bend) * o.slope, slope(above, here, below, o.bend) * o.slope
     ahead = z + x * across + y * down  # the normal is (-across, -down, ahead), and z its product with the ray
 
-    # Light: cosine of the angle to the projector over its squared distance, 1 for a surface that faces it.
-    to_x, to_y, to_z = o.light_x - p, o.light_y - q, o.light_z - z
-    far = to_x * to_x + to_y * to_y + to_z * to_z
-    faces = z * z + across * o.light_x + down * o.light_y - ahead * o.light_z
-    light = faces * o.square_m2 / (np.sqrt((across * across + down * down + ahead * ahead) * far) * far)
-
-    # The lower bits hardly move the normal: their bytes are another draw, whose sum is of one standard deviation, too.
-    other = (np.float32(np.int32(bits & _BYTE) + np.int32((bits >> _EIGHT) & _BYTE)) - _MIDDLE) * _SPREAD
+    # Motion: its speed along the ray, metres a pattern.
+    u, v, s = velocity(z, x, y, look)
+    speed = (ahead * s - across * u - down * v) * (nearness * o.period_s)
 
     # Cloth.
-    one = wave(look[0] * p + look[1] * q + look[2] * z + look[3])
-    two = wave(look[4] * p + look[5] * q + look[6] * z + look[7])
+    one = wave(z * (look[0] * x + (look[1] * y + look[2])) + look[3])
+    two = wave(z * (look[4] * x + (look[5] * y + look[6])) + look[7])
     albedo = pick(look[8] * one + look[9] * two + look[10] * one * two > _ZERO, look[11], look[12])
 
-    # Fringes.
-    c = o.across_c * x + o.down_c * y + o.ahead_c
-    a = o.across_a * x + o.down_a * y + o.ahead_a
-    w = z * c + o.d
-    turn = a * o.d - o.b * c
-    position = (z * a + o.b) / w
-    away = _ONE / w - o.focus
-    t = o.blur * away * away
-    mean = o.signal * albedo * pick(light > _ZERO, light, _ZERO)
-    amplitude = mean / (_ONE + t * (_ONE + t * (_HALF + t * _SIXTH)))  # exp(-t), to its third power
-    sigma = np.sqrt(o.read + mean + o.ambient * albedo)
+    # Light: cosine of the angle to the projector over its squared distance, 1 for a surface that faces it.
+    along = o.light[0] * x + (o.light[1] * y + o.light[2])
+    away = z * (x * x + (y * y + _ONE)) - along
+    far = z * (away - along) + o.light_m2
+    faces = z * z + across * o.light[0] + down * o.light[1] - ahead * o.light[2]
+    light = faces * o.square_m2 / (np.sqrt((across * across + down * down + ahead * ahead) * far) * far)
+    gain = speed * (z * far - _THREE * away * faces) / (faces * far)
+    mean = o.signal * albedo * light
 
-    # Motion.
-    u = look[13] + look[17] * z - look[18] * q
-    v = look[14] + look[18] * p - look[16] * z
-    s = look[15] + look[16] * q - look[17] * p
-    drift = turn / (w * w) * ((ahead * s - across * u - down * v) / z) * o.period_s  # fringes a pattern
-    drift = pick(drift > o.share, o.share, pick(drift < -o.share, -o.share, drift))
-    half = drift * _HALF
-    low, high = sine(half), sine(half + _QUARTER)
-    top = sine(half / o.share) * o.share
-    turned = low * o.cosine + high * o.sine
-    kept = pick(abs(low) > _LEAST, top / pick(abs(low) > _LEAST, low, _ONE), _ONE)
-    ripple = top / pick(abs(turned) > _LEAST, turned, _ONE)
-    double, many = o.share - _TWO * position, position / o.share
+    # Fringes. Amplitudes are shares of theirs.
+    a, c = o.a[0] * x + (o.a[1] * y + o.a[2]), o.c[0] * x + (o.c[1] * y + o.c[2])
+    w = _ONE / (z * c + o.d)
+    position, curve, scale = (z * a + o.b) * w, c * w, (a * o.d - o.b * c) * w * w
+    lit = (faces > _ZERO) & (position >= _ZERO) & (position < o.fringes)
+    t = o.blur * (w - o.focus) * (w - o.focus)
+    blur = _ONE + t * (_ONE + t * (_HALF + t * _SIXTH))  # exp(t), to its third power
+    share = blur / pick(mean > _LEAST, mean, _LEAST)
+    sigma = np.sqrt(o.read + pick(lit, mean, _ZERO) + o.ambient * albedo) * share
+    drift = within(scale * speed, o.most)
+    bend = drift * curve * speed
+
+    # Noise: sums and differences of four bytes are two draws that do not depend on each other, nearly normal.
+    pairs = np.uint32((bits & _PAIRS) + ((bits >> _EIGHT) & _PAIRS))
+    low, high = np.int32(pairs & _WORD), np.int32(pairs >> _SIXTEEN)
+    first, other = (np.float32(np.int32(low + high)) - _MIDDLE) * _SPREAD, np.float32(np.int32(low - high)) * _SPREAD
     random = o.random * sigma
-    real = amplitude * (kept + ripple * sine(double + _QUARTER) + o.even * sine(many + _QUARTER)) + random * other
-    imaginary = amplitude * (ripple * sine(double) + o.odd * sine(many)) + random * first
+    phases = position - np.rint(position), drift, bend, gain, blur
+    real, imaginary = total(o.patterns, o.curve, phases, random * other, random * first)
 
-    # The count of fringes, by the two boundaries around; each is read when its pattern is taken.
-    error = angle(real, imaginary)
-    read = position + o.edge * sigma / pick(amplitude > _ONE, amplitude, _ONE) * other
-    fringe = np.floor(position)
-    after = fringe + _ONE
-    below_it = (read + drift * changes_at(fringe, o) < fringe) & (fringe > _ZERO)
-    above_it = (read + drift * changes_at(after, o) >= after) & (after < o.fringes)
-    count = fringe - pick(below_it, _ONE, _ZERO) + pick(above_it, _ONE, _ZERO)
-    jump = count - np.floor(position + error)
-    lost = (real * real + imaginary * imaginary < o.threshold * o.threshold) | (light <= _ZERO)
-    lost |= (position < _ZERO) | (position >= o.fringes) | ((jump != _ZERO) & (first < o.found))
-    moved = error + jump
-    metres = moved * w * w / (turn - moved * c * w)
-    sideways = o.drift_px / z
-    return metres / o.step_m, pick(lost, _ZERO, _ONE), sideways * (u - x * s), sideways * (v - y * s)
+    # The count of fringes. Of the one boundary that drift may bring between its pattern and the fringes, the Gray code
+    # has one pattern that changes there.
+    boundary = np.rint(position + drift * o.middle)
+    whole = np.int32(boundary)
+    lowest = np.float32(whole & -whole)
+    time = o.finest - np.float32((lowest.view(np.int32) >> _EXPONENT) - _BIAS)
+    read = position + o.edge * sigma * other + time * (drift - time * bend)
+    count = pick(read < boundary, boundary - _ONE, boundary)
+    count = pick(count < _ZERO, _ZERO, pick(count < o.fringes, count, o.fringes - _ONE))
+
+    phase = angle(real, imaginary)
+    moved = (count - position) + (phase - np.floor(phase))
+    limit = o.threshold * share
+    kept = lit & (real * real + imaginary * imaginary >= limit * limit)
+    kept &= (np.rint(moved) == _ZERO) | (first >= o.found)
+    kept &= (then > _ZERO) & (since > _ZERO) & (abs(then - here) <= o.apart) & (abs(since - here) <= o.apart)
+    return pick(kept, moved / ((scale - moved * curve) * o.step_m), _ZERO), kept
 
 
 # Rigid parts of a body, each (labels, the part before it or -1, where it turns from its middle to that one's, limb).
@@ -205,35 +226,23 @@ _LIMB: Final = np.array([part[3] for part in CHAIN])
 _PART_OF: Final = np.array(
     [next((at for at, part in enumerate(CHAIN) if label in part[0]), -1) for label in range(PART_COUNT + 1)]
 )
+DRAWN: Final = {"clothes": 6 * 12, "motion": 6 * len(CHAIN) + 6}
+"""Purpose -> how many numbers of 32 bits `fill` takes."""
 _LIMB_M: Final = 0.6
 """From the joint of an arm to its end: what turns with the speed of an image over this moves about so fast there."""
 
 _SKIN, _HAIR, _COAT, _TROUSERS, _SHOES, _THINGS = range(6)
-_PELVIS: Final = [7, 8, 11, 12, 23, 24]
+_WORN: Final = np.full(PART_COUNT + 1, _COAT)
+"""Garment of each part; the last one is of what has no part."""
+_WORN[[0, 2, 21, 22]], _WORN[1], _WORN[31:33], _WORN[PART_COUNT] = _SKIN, _HAIR, _SHOES, _THINGS
+_WORN[[7, 8, 11, 12, *range(23, 31)]] = _TROUSERS
 
 
-def _garments() -> NDArray[np.intp]:
-    """Garment of each part, [34]; the last one is of what has no part."""
-    worn = np.full(PART_COUNT + 1, _COAT)
-    for garment, labels in (
-        (_SKIN, [0, 2, 21, 22]),
-        (_HAIR, [1]),
-        (_TROUSERS, [*_PELVIS, *range(25, 31)]),
-        (_SHOES, [31, 32]),
-        (_THINGS, [PART_COUNT]),
-    ):
-        worn[labels] = garment
-    return worn
-
-
-_WORN: Final = _garments()
-
-
-def fill(parts: Any, sums: Any, place: Any, cloth: Any, clothes: Any, motion: Any, tables: Any) -> None:
+def fill(parts: Any, place: Any, cloth: Any, sums: Any, clothes: Any, motion: Any, tables: Any) -> None:
     """Write what `PhaseShift.looks` returns, transposed, into tables. Compiled, too, so it indexes arrays.
 
     place: metres of a step, focal length, centre and stand-off; cloth: its strengths, and speed of hands and feet, m/s;
-    clothes, motion: drawn 32 bits each, [6, 12] and [108].
+    clothes, motion: of `DRAWN`, [6, 12] and [108].
     """
     step_m, focal, centre_x, centre_y, stand_off = place
     coat, darkest, spread, patterned, speed = cloth
@@ -275,23 +284,19 @@ def fill(parts: Any, sums: Any, place: Any, cloth: Any, clothes: Any, motion: An
         else:
             middle[2] = stand_off
 
-    # Velocity at the camera and rotation of each.
+    # Velocity at the camera and rotation of each: those of the part before it, and a turn around where both meet.
     chances, own = motion * 2.0**-31 - 1.0, 6 * len(_LIMB)
     for part in range(count):
         much, before, at = speed * abs(chances[own + _LIMB[part]]), _BEFORE[part], 6 * part
-        most, joint, moves = much / _LIMB_M, middles[part].copy(), 0.4 * much * chances[at + 3 : at + 6]
-        turn = most * chances[at : at + 3]
-        if before >= 0:
-            joint += _SHARE[part] * (middles[before] - joint)
-            moves = moving[before, :3] + cross(moving[before, 3:], joint)
-            turn = moving[before, 3:] + turn
-        moving[part, :3] = moves - cross(turn, joint)
-        moving[part, 3:] = turn
+        joint = middles[part] + _SHARE[part] * (middles[before] - middles[part])
+        turn = much / _LIMB_M * chances[at : at + 3]
+        moving[part] = moving[before]
+        for axis in range(3):
+            one, two = (axis + 1) % 3, (axis + 2) % 3
+            moving[part, axis] -= turn[one] * joint[two] - turn[two] * joint[one]
+            moving[part, 3 + axis] += turn[axis]
+        if before < 0:
+            moving[part, :3] += 0.4 * much * chances[at + 3 : at + 6]
     for label in range(PART_COUNT + 1):
         tables[label, :13] = garments[_WORN[label] if parts else _COAT]
         tables[label, 13:] = moving[_PART_OF[label] if parts else 0]
-
-
-def cross(a: Any, b: Any) -> Any:
-    """The cross product of two vectors [3]."""
-    return np.array((a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]))

@@ -10,7 +10,7 @@ closed forms of `fringes.py`; tests compare them with the simulated patterns.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from statistics import NormalDist
 from typing import ClassVar, Final
 
@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene, bounded
-from bodyseg_data.artifacts.constants import FAR
-from bodyseg_data.artifacts.fringes import BEND_M, CHAIN, EDGE_M, REACH, Optics, decode, fill
-from bodyseg_data.artifacts.noise import as_range, drawn_bits, normals
+from bodyseg_data.artifacts.fringes import BEND_M, DRAWN, EDGE_M, MARGIN, REACH, Optics, decode, fill, sideways
+from bodyseg_data.artifacts.noise import as_range
 from bodyseg_data.artifacts.scratch import BLOCK
 from bodyseg_data.core import BadConfig, Draws
 from bodyseg_data.labels import PART_COUNT
@@ -28,6 +27,7 @@ from bodyseg_data.machine import if_ready, loops
 from bodyseg_data.rigs import Rig
 
 _LOOPS: Final = "bodyseg_data.artifacts.phase_loops"
+OfRig = tuple[Optics, NDArray[np.float32], NDArray[np.float32]]
 
 
 @dataclass(frozen=True)
@@ -51,6 +51,7 @@ class PhaseShift(Artifact):
 
     name = "phase_shift"
     kind = "noise"
+    version = 2
     purposes = ("fringe speed", "ambient light", "coat", "clothes", "motion", "fringe noise")
     drawn: ClassVar[Mapping[str, str]] = {
         "speed_m_s": "limbs {:.1f} m/s",
@@ -94,71 +95,80 @@ class PhaseShift(Artifact):
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         """As `Artifact.apply`. Raises BadConfig for a rig whose camera and projector are at one point."""
-        optics, clean = self.optics(scene.rig, image.drawn["ambient"]), scene.sample.range
-        _, x, y = self._of_rig(scene.rig)
-        looks_of = partial(self.looks, "subset" in scene.sample.info.fields, scene=scene, drawn=image.drawn)
-        edge = np.float32(EDGE_M / scene.step_m)
+        sample, (optics, x, y) = scene.sample, self.optics(scene.rig, image.drawn["ambient"])
+        clean, parts = sample.range, "subset" in sample.info.fields
         times = np.float32(optics.finest + 1 - self.binary_patterns), np.float32((self.phase_patterns - 1) / 2)
         with if_ready:
-            loops(_LOOPS).apply(image.range, scene.sample, x, y, looks_of, optics, draws, edge, times)
+            given = parts, *self._given(scene, image.drawn)
+            loops(_LOOPS).apply(image.range, sample, given, x, y, optics, times, draws)
             return
         pixels = scene.pixels
         rows, columns = np.divmod(pixels, clean.shape[1])
-        labels = np.minimum(scene.sample.labels.reshape(-1)[pixels], PART_COUNT)
-        here = clean.reshape(-1)[pixels]
-        weights = (np.ones_like(here), columns, rows, here)
+        named = sample.labels.reshape(-1)[pixels]
+        labels = np.minimum(named, PART_COUNT)
+        weights = np.ones_like(pixels), columns, rows, clean.reshape(-1)[pixels]
         sums = np.stack([np.bincount(labels, weight, PART_COUNT + 1) for weight in weights]).astype(np.int64)
-        looks = looks_of(sums, draws=draws)
-        bits = draws.pixels("fringe noise", len(pixels), np.uint32)
-        padded = np.pad(clean, REACH).astype(np.float32)
-        padded[padded == 0] = FAR
-        at = [padded[rows + REACH + down, columns + REACH + along] for down, along in _NEIGHBOURS]
-        steps, kept, along, down = decode(
-            at[0], at[1], at[2], at[3], at[4], x[columns], y[rows], tuple(looks[:, labels]), optics, normals(bits), bits
-        )
+        look = tuple(self.looks(parts, sums, scene, image.drawn, draws)[:, labels])
+        padded = np.pad(clean, MARGIN).astype(np.float32)
+        rows_in, columns_in = rows + MARGIN, columns + MARGIN
+        across, along = (0, 0, 0, -REACH, REACH), (0, -REACH, REACH, 0, 0)
+        here, *beside = (padded[rows_in + down, columns_in + right] for down, right in zip(across, along, strict=True))
+        x, y = x[columns], y[rows]
+        # What moves sideways is the same for a row of pixels of one label: that of its middle.
+        begins = np.ones(len(pixels), bool)
+        begins[1:] = (np.diff(pixels) != 1) | (named[1:] != named[:-1]) | (columns[1:] == 0)
+        edges = np.append(np.flatnonzero(begins), len(pixels))
+        middle = ((edges[:-1] + edges[1:] - 1) // 2)[np.cumsum(begins) - 1]
+        seen = []
         for time in times:
-            row, column = rows - np.rint(down * time).astype(np.intp), columns - np.rint(along * time).astype(np.intp)
-            inside = (row >= 0) & (row < clean.shape[0]) & (column >= 0) & (column < clean.shape[1])
-            seen = np.where(inside, clean[np.where(inside, row, 0), np.where(inside, column, 0)], 0)
-            kept *= (seen > 0) & (np.abs(seen.astype(np.float32) - here.astype(np.float32)) <= edge)
+            along, down = sideways(here[middle], x[middle], y, look, optics, time)
+            seen.append(padded[rows_in - down.astype(np.intp), columns_in - along.astype(np.intp)])
+        bits = draws.pixels("fringe noise", len(pixels), np.uint32)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # of what is lost
+            steps, kept = decode(*[here, *beside, *seen, x, y, look, optics, bits])
         ranges = image.range.reshape(-1)
         before = ranges[pixels]
-        ranges[pixels] = np.where((before > 0) & (kept > 0), as_range(before.astype(np.float32) + steps), 0)
+        ranges[pixels] = np.where((before > 0) & kept, as_range(before.astype(np.float32) + steps), 0)
 
-    def optics(self, rig: Rig, ambient: float) -> Optics:
-        """What is the same for all pixels of a rig's image; ambient: other light, a share of `signal_e`."""
-        return self._of_rig(rig)[0]._replace(ambient=np.float32(self.signal_e * ambient))
+    def optics(self, rig: Rig, ambient: float) -> OfRig:
+        """What is the same for all pixels of a rig's image, and the rays of columns and of rows, float32.
+
+        ambient: other light, a share of `signal_e`. Behind the last column is room for a block.
+        """
+        optics, x, y = self._of_rig(rig)
+        return optics._replace(ambient=np.float32(self.signal_e * ambient)), x, y
 
     @lru_cache(maxsize=8)  # noqa: B019 - of an artifact, whose strengths are its identity
-    def _of_rig(self, rig: Rig) -> tuple[Optics, NDArray[np.float32], NDArray[np.float32]]:
-        """Optics in the dark, and the rays of columns and of rows; behind the last column is room for a block."""
+    def _of_rig(self, rig: Rig) -> OfRig:
         rotation, shift = rig.camera_to_projector()
         if not shift.any():
             raise BadConfig(f"rig {rig.name} has no baseline, which phase_shift needs")
-        axis, patterns = int(abs(shift[1]) > abs(shift[0])), self.phase_patterns
+        axis, count, bits = int(abs(shift[1]) > abs(shift[0])), self.phase_patterns, self.binary_patterns
         projector = rig.projector
-        pitch = (projector.columns, projector.rows)[axis] / 2**self.binary_patterns  # of fringes, projector's pixels
+        pitch = (projector.columns, projector.rows)[axis] / 2**bits  # of fringes, projector's pixels
         to_fringe = np.array([0.0, 0.0, projector.centre_px[axis]])
         to_fringe[axis] = projector.focal_px
         to_fringe /= pitch
         stand_off = rotation @ (0, 0, rig.stand_off_m) + shift
-        camera, light = rig.camera, -rotation.T @ shift
-        above, below = _harmonic(self.gamma, patterns + 1), _harmonic(self.gamma, patterns - 1)
+        camera, light, finest = rig.camera, -rotation.T @ shift, -(count + 1) / 2
         # A disc of diameter d dims fringes of period p by 1 - (pi d / p)^2 / 8, as exp(-t) does.
         blur = math.pi**2 / 8 * (self.aperture_mm / 1000 * projector.focal_px / pitch) ** 2
-        found = math.inf if self.jumps_found == 1 else -math.inf
+        found = np.clip(self.jumps_found, 1e-12, 1 - 1e-12)  # noise is never as strong as that
         values = (
             *(rig.range_step_m, camera.focal_px * rig.range_step_m / (2 * REACH), 2 * BEND_M / rig.range_step_m),
-            *(*(to_fringe @ rotation), to_fringe @ shift, *rotation[2], shift[2]),
-            *(*light, stand_off @ stand_off, 2.0**self.binary_patterns, 1 / stand_off[2], blur),
-            *(self.signal_e, 0.0, self.read_noise_e**2, self.threshold_e),
-            *(1 / patterns, math.cos(2 * math.pi / patterns), math.sin(2 * math.pi / patterns)),
-            *(above + below, above - below, math.sqrt(2 / patterns)),
-            *(1 / self.rate_hz, camera.focal_px / self.rate_hz, -(patterns + 1) / 2, self.edge_fringes),
-            NormalDist().inv_cdf(self.jumps_found) if 0 < self.jumps_found < 1 else found,
+            *(to_fringe @ rotation, to_fringe @ shift, rotation[2], shift[2], light, light @ light),
+            *(stand_off @ stand_off, 2.0**bits, 1 / stand_off[2], blur),
+            *(self.signal_e, 0.0, self.read_noise_e**2, self.threshold_e, math.sqrt(2 / count)),
+            *(1 / self.rate_hz, camera.focal_px / self.rate_hz, EDGE_M / rig.range_step_m, 1 / count),
+            *(finest, finest - (bits - 1) / 2, self.edge_fringes, NormalDist().inv_cdf(found)),
         )
+        shift = np.arange(count) / count
+        weights = 2 / count * np.cos(2 * np.pi * shift), -2 / count * np.sin(2 * np.pi * shift)
+        shown = np.stack((shift, count * shift - (count - 1) / 2, *weights), axis=1).astype(np.float32)
         x, y = (slopes.astype(np.float32) for slopes in camera.slopes)
-        return Optics(*map(np.float32, values)), np.pad(x, (0, BLOCK)), y
+        made = [tuple(np.asarray(each, np.float32)) if np.ndim(each) else np.float32(each) for each in values]
+        optics = Optics(*[*made, tuple(_brightness(self.gamma)), tuple(map(tuple, shown))])
+        return optics, np.pad(x, (0, BLOCK)), y
 
     def looks(
         self, parts: bool, sums: NDArray[np.int64], scene: Scene, drawn: Mapping[str, float], draws: Draws
@@ -169,24 +179,26 @@ class PhaseShift(Artifact):
         reflectance where their sum is positive, and elsewhere; velocity at the camera, m/s, and rotation, rad/s, in the
         camera's frame. sums: of pixels, their columns, rows and steps by label, [4, 34]. parts: labels are the 33 ones.
         """
-        camera, tables = scene.rig.camera, np.zeros((PART_COUNT + 1, 19), np.float32)
-        place = scene.step_m, camera.focal_px, *camera.centre_px, scene.rig.stand_off_m
-        cloth = drawn["coat"], self.darkest, self.lightest - self.darkest, self.patterned, drawn["speed_m_s"]
-        clothes = drawn_bits(draws, "clothes", 6 * 12).reshape(6, 12)
-        motion = drawn_bits(draws, "motion", 6 * len(CHAIN) + 6)
-        given = parts, sums, tuple(map(float, place)), tuple(map(float, cloth)), clothes, motion, tables
-        with if_ready:
-            loops(_LOOPS).fill(*given)
-            return tables.T
-        fill(*given)
+        tables = np.zeros((PART_COUNT + 1, 19), np.float32)
+        clothes, motion = (draws.pixels(purpose, count, np.uint32) for purpose, count in DRAWN.items())
+        fill(parts, *self._given(scene, drawn), sums, clothes.reshape(6, 12), motion, tables)
         return tables.T
 
+    def _given(self, scene: Scene, drawn: Mapping[str, float]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Place and cloth of `fill`."""
+        camera = scene.rig.camera
+        place = scene.step_m, camera.focal_px, *camera.centre_px, scene.rig.stand_off_m
+        cloth = drawn["coat"], self.darkest, self.lightest - self.darkest, self.patterned, drawn["speed_m_s"]
+        return tuple(map(float, place)), tuple(map(float, cloth))
 
-_NEIGHBOURS: Final = ((0, 0), (0, -REACH), (0, REACH), (-REACH, 0), (REACH, 0))
 
-
-def _harmonic(gamma: float, order: int) -> float:
-    """A harmonic of (1/2 + cos(phi) / 2)**gamma over the first one (Liu et al., "Gamma model and its analysis for phase
-    measuring profilometry", JOSA A 27, 2010).
+def _brightness(gamma: float) -> NDArray[np.float32]:
+    """A fringe's brightness, (1/2 + cos(2 pi u) / 2)**gamma, less 1 and with a first harmonic of height 1, as a
+    polynomial in u^2 for |u| <= 1/2: its factors, float32 [7].
     """
-    return math.prod((gamma - k) / (gamma + k + 1) for k in range(1, order))
+    phi = 2 * np.pi * (np.arange(4096) + 0.5) / 4096
+    fringe = (0.5 + np.cos(phi) / 2) ** gamma
+    height = 2 * np.mean(fringe * np.cos(phi))
+    squares = (1 - np.cos(phi[:2048])) / 8  # Chebyshev's points, where the fit is best
+    fitted = (0.5 + np.cos(2 * np.pi * np.sqrt(squares)) / 2) ** gamma / height - 1
+    return np.polyfit(squares, fitted, 6)[::-1].astype(np.float32)

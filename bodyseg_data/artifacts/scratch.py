@@ -108,3 +108,13 @@ def copy_unless_same(array: NDArray[Any], to: NDArray[Any]) -> None:
     """Copy an array into another, unless they are the same."""
     if array is not to:
         np.copyto(to, array)
+
+
+def kept_array(name: str, size: int, kind: type[np.generic], use: Any = None) -> NDArray[Any]:
+    """The calling thread's array of that name, [size]; zeros unless it was there before, for the same use."""
+    made, used = getattr(_of_thread, name, (None, None))
+    if made is None or made.size != size or used != use:
+        made = np.zeros(size, kind)
+        setattr(_of_thread, name, (made, use))
+    array: NDArray[Any] = made
+    return array
