@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, symmetric
-from bodyseg_data.core import generator
+from bodyseg_data.core import Draws
 
 PEOPLE: Final = 583
 
@@ -104,7 +104,7 @@ def standing_pose(index: int) -> Pose:
 
 def _draws(index: int, purpose: str, count: int) -> NDArray[np.float64]:
     """Draw numbers in [0, 1) that depend on this person and the purpose alone."""
-    return generator(0, 0, f"open/person-{index:03d}", purpose).random(count)
+    return Draws(0, 0, f"open/person-{index:03d}").generator(purpose).random(count)
 
 
 _HANGING: Final = Arm()

@@ -15,7 +15,7 @@ from bodyseg_data.bodies.anny_model import Posable
 from bodyseg_data.bodies.limb_reaching import Side
 from bodyseg_data.bodies.skeleton import Pose, bone_rotations
 from bodyseg_data.bodies.stances import Places
-from bodyseg_data.core import generator
+from bodyseg_data.core import Draws
 from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.meshes import Solid, load_landmarks, vertex_normals
 
@@ -261,7 +261,7 @@ def long_hair(wearer: Wearer, hair: Hair) -> Solid:
     sheet = _fallen(wearer, hair, roots, wearer.head.turn @ np.array([0.0, -1.0, 0.0]))
     sheet = gaussian_filter(sheet, (1.0, 1.5, 0.0), mode="nearest")
     share = np.linspace(0, 1, len(sheet))[:, None]
-    draws = generator(hair.seed, 0, "open/hair", "strands")
+    draws = Draws(hair.seed, 0, "open/hair").generator("strands")
     waves = gaussian_filter(draws.standard_normal(sheet.shape[:2]), (8.0, 1.0), mode="nearest")
     waves *= _WAVES_M / max(float(waves.std()), 1e-9)
     thick = _HAIR_THICK_M * (1 - 0.5 * share) + np.clip(waves, -_HAIR_THICK_M / 3, _HAIR_THICK_M)

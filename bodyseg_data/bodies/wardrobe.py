@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.outfits import Outfit, cut
-from bodyseg_data.core import generator
+from bodyseg_data.core import Draws
 from bodyseg_data.meshes import face_normals, find_edges
 
 Floats = NDArray[np.float64]
@@ -202,7 +202,7 @@ def fold_patterns(points: Floats, normals: Floats, axes: Floats, areas: Floats, 
     patterns = np.zeros((len(points), len(DIRECTIONS)))
     count = max(1, round(_OVERLAP * areas.sum() / (np.pi * _ACROSS * _ALONG * wave_m**2)))
     for column, angle in enumerate(DIRECTIONS):
-        draws = generator(seed, 0, "open/clothes", f"folds {column}")
+        draws = Draws(seed, 0, "open/clothes").generator(f"folds {column}")
         centres = np.searchsorted(np.cumsum(areas), draws.random(count) * areas.sum())
         waves = wave_m * np.exp(_WAVE_SPREAD * draws.standard_normal(count))
         turns = angle + _WAVE_SPREAD * draws.standard_normal(count)

@@ -14,7 +14,7 @@ from bodyseg_data.artifacts import PAPER_SENSOR, VARIANTS, RangeImage, VariantNa
 from bodyseg_data.commands.options import OCCLUDER_HELP, WHERE_HELP, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.records import check_target
-from bodyseg_data.core import BadConfig, generator
+from bodyseg_data.core import BadConfig, Draws
 from bodyseg_data.drawing import Row, check_picture, draw_sheet, save_picture
 from bodyseg_data.labels import label_map_names
 from bodyseg_data.loading import OccluderName, RangeImages
@@ -98,7 +98,7 @@ def _variants(images: RangeImages, sample: Sample) -> dict[VariantName, RangeIma
 def _pick(number: int, count: int, length: int) -> int:
     """Draw a sample from section `number` of `count`, since even steps would always show the same view."""
     first, end = number * length // count, (number + 1) * length // count
-    return int(generator(0, 0, f"{number} of {count}", "contact sheet").integers(first, end))
+    return int(Draws(0, 0, f"{number} of {count}").generator("contact sheet").integers(first, end))
 
 
 def summarise(images: RangeImages) -> dict[str, Any]:

@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
-import resource
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final
 
 from bodyseg_data.bodies import SOURCES, Units, UpAxis, collapsed
-from bodyseg_data.commands.options import command_line, option
+from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
-from bodyseg_data.commands.records import check_target, provenance
 from bodyseg_data.core import BadConfig, BadMesh, one_line
-from bodyseg_data.files import write_json
-from bodyseg_data.machine import peak_mb, processors
 from bodyseg_data.meshes import GeodesicMethod
 from bodyseg_data.packing import (
     PROCESSES,
@@ -47,7 +41,7 @@ RENDERS: Final = "renders"
 ROOMS: Final = "rooms"
 """The source of made rooms with people."""
 
-_OF_ALL: Final = ("source", "out", "codec", "shard_samples", "workers", "report", "plan")
+_OF_ALL: Final = ("source", "out", "codec", "shard_samples", "workers", "plan")
 _TAKEN: Final = {
     RENDERS: ("path", "layout", "projector"),
     ROOMS: ("rig", "units", "up", "samples", "split", "kinds", "without", "scene"),
@@ -112,7 +106,6 @@ class Options:
     workers: int | None = option("rendering processes (default: one a processor, or all that the cluster has)", None)
     on_error: OnError = option("stop at meshes that cannot be packed, naming all, or skip them", OnFaults.on_error)
     skip_budget: float | None = option("the most meshes to skip: a number, or a share below 1", OnFaults.skip_budget)
-    report: Path | None = option("also write size, time and memory of the packing to this JSON file", None)
     plan: bool = option("print the counts as JSON and render nothing", False)
 
     def packing(self) -> Packing:
@@ -165,11 +158,11 @@ def run(options: Options) -> int:
     _warn_about_missing(packing)
     _warn_about_split(packing)
 
-    def make(progress: Progress, workers_mb: list[float | None]) -> Manifest:
-        return pack_on(options.engine, options.workers, packing, out, progress, on_faults, workers_mb)
+    def make(progress: Progress) -> Manifest:
+        return pack_on(options.engine, options.workers, packing, out, progress, on_faults)
 
     try:
-        return _reported(options, "views", make)
+        return _said(options, "views", make)
     except FaultyMeshes as error:
         sys.stderr.write("".join(f"{one_line(line)}\n" for line in error.lines()))
         skips = options.on_error == "skip"
@@ -181,22 +174,10 @@ def run(options: Options) -> int:
         raise BadMesh(f"{error.problem}, for the reasons above; {hint}") from error
 
 
-def _reported(options: Options, unit: str, make: Callable[[Progress, list[float | None]], Manifest]) -> int:
-    """Make a set, showing progress, and say how large it is and what was left out.
-
-    make: packs; its list gets the most memory of each worker.
-    """
-    if options.report is not None:
-        check_target(options.report, "--report")
-    origin = {} if options.report is None else provenance(command_line("bodyseg shard", options))
-    start = time.perf_counter()
-    workers_mb: list[float | None] = []
+def _said(options: Options, unit: str, make: Callable[[Progress], Manifest]) -> int:
+    """Make a set, showing progress, and say how large it is and what was left out."""
     with Progress("packing", unit) as progress:
-        manifest = make(progress, workers_mb)
-    if options.report is not None:
-        made = manifest.samples() - (progress.before or 0)
-        figures = _figures(options, manifest, made, time.perf_counter() - start, workers_mb)
-        write_json(options.report, origin | figures)
+        manifest = make(progress)
     size = sum(shard.size for shard in manifest.shards)
     sys.stdout.write(
         f"{options.out}: {manifest.samples()} samples in {len(manifest.shards)} shards, {size / 1e6:.1f} MB, "
@@ -235,7 +216,7 @@ def _run_renders(options: Options) -> int:
         return 0
     out = _needed_out(options)
     given = options.codec, options.projector, options.shard_samples, options.workers
-    return _reported(options, "renders", lambda progress, _: pack_renders(source, out, *given, progress.update))
+    return _said(options, "renders", lambda progress: pack_renders(source, out, *given, progress.update))
 
 
 def _run_rooms(options: Options) -> int:
@@ -255,43 +236,13 @@ def _run_rooms(options: Options) -> int:
         return 0
     given = _needed_out(options), load_rig(options.rig), options.samples, options.split, kinds, own
     how = options.codec, options.shard_samples, options.workers
-    return _reported(options, "rooms", lambda progress, _: pack_rooms(*given, *how, progress.update))
+    return _said(options, "rooms", lambda progress: pack_rooms(*given, *how, progress.update))
 
 
 def _needed_out(options: Options) -> Path:
     if options.out is None:
         raise BadConfig("--out is missing: the folder for the shards (or --plan to see the counts only)")
     return options.out
-
-
-def _figures(
-    options: Options, manifest: Manifest, made: int, seconds: float, workers_mb: list[float | None]
-) -> dict[str, Any]:
-    """Return size, time and memory of a packing that made `made` samples; workers' time only if they are local.
-
-    workers_mb: the most memory of each worker of this machine.
-    """
-    here, workers = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
-    local = options.engine == PROCESSES
-    size = sum(shard.size for shard in manifest.shards)
-    return {
-        "samples": manifest.samples(),
-        "splits": {split: manifest.samples(split) for split in SPLITS},
-        "shards": len(manifest.shards),
-        "bytes": size,
-        "bytes_per_sample": round(size / manifest.samples()),
-        "seconds": round(seconds, 1),
-        "samples_made": made,
-        "samples_per_second": round(made / seconds, 1),
-        "workers": options.workers or (processors() if local else None),
-        "processor_seconds": {
-            "writer": round(here.ru_utime + here.ru_stime, 1),
-            "workers": round(workers.ru_utime + workers.ru_stime, 1) if local else None,
-        },
-        "peak_mb": {"writer": peak_mb(), "workers": workers_mb},
-        "notes": sum(len(shard.notes) for shard in manifest.shards),
-        "skipped": len(manifest.skipped),
-    }
 
 
 def _warn_about_missing(packing: Packing) -> None:
@@ -317,18 +268,9 @@ def _warn_about_split(packing: Packing) -> None:
 
 
 def pack_on(
-    engine: str,
-    workers: int | None,
-    packing: Packing,
-    out: Path,
-    progress: Progress,
-    on_faults: OnFaults = STOP,
-    workers_mb: list[float | None] | None = None,
+    engine: str, workers: int | None, packing: Packing, out: Path, progress: Progress, on_faults: OnFaults = STOP
 ) -> Manifest:
-    """Pack on an engine, showing progress, of the check first; see `open_engine` and `pack`.
-
-    workers_mb: gets the most memory of each worker of this machine, MB, as `peak_mb`.
-    """
+    """Pack on an engine, showing progress, of the check first; see `open_engine` and `pack`."""
     title, unit = progress.title, progress.unit
 
     def checked(done: int, total: int) -> None:
@@ -339,12 +281,7 @@ def pack_on(
         progress.begin(title, unit)
         progress.update(done, total)
 
-    others = multiprocessing.active_children()  # of the program that calls this
     with open_engine(engine, workers, packing) as opened:
         if opened.note is not None:
             sys.stderr.write(f"{progress.title}: {opened.note}\n")
-        try:
-            return pack(packing, out, opened.executor, opened.workers, packed, replace(on_faults, progress=checked))
-        finally:
-            if workers_mb is not None:
-                workers_mb += [peak_mb(each.pid) for each in multiprocessing.active_children() if each not in others]
+        return pack(packing, out, opened.executor, opened.workers, packed, replace(on_faults, progress=checked))

@@ -18,6 +18,6 @@ if TYPE_CHECKING:
         one_line,
     )
     from bodyseg_data.core.progress import NotedProgress, ProgressCallback, Stopwatch, counter, silent
-    from bodyseg_data.core.randomness import Draws, chance, check_epoch, check_seed, generator
+    from bodyseg_data.core.randomness import Draws, check_epoch, check_seed
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -31,40 +31,6 @@ def check_epoch(epoch: int) -> int:
     return check_int("an epoch", epoch, 0)
 
 
-def _digest(seed: int, epoch: int, key: str, purpose: str) -> bytes:
-    identity = "\0".join((str(seed), str(epoch), key, purpose))
-    return hashlib.blake2b(identity.encode(), digest_size=16, person=b"bodyseg").digest()
-
-
-def stream(seed: int, epoch: int, key: str, purpose: str) -> Stream:
-    """The stream of one purpose for one sample in one epoch.
-
-    Philox is counter-based (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", 2011): any 128-bit key gives
-    an independent stream at no set-up cost.
-    """
-    return np.frombuffer(_digest(seed, epoch, key, purpose), "<u8").astype(np.uint64)
-
-
-def pixel_draws(stream: Stream, count: int, kind: type[np.uint16] | type[np.uint32]) -> NDArray[Any]:
-    """One draw a pixel, uniform over all values of `kind`, [count]: the raw words, cut up from their low end.
-
-    NumPy guarantees the bits of raw words, as it does not those of its distributions.
-    """
-    each = 8 // np.dtype(kind).itemsize
-    words = np.random.Philox(key=stream).random_raw(-(-count // each)).astype("<u8")
-    return words.view(np.dtype(kind).newbyteorder("<"))[:count].astype(kind)
-
-
-def chance(seed: int, epoch: int, key: str, purpose: str) -> float:
-    """One number for a purpose that draws once a sample, uniform over the multiples of 2**-53 from 0 to below 1."""
-    return (int.from_bytes(_digest(seed, epoch, key, purpose)[:8], "little") >> 11) * 2.0**-53
-
-
-def generator(seed: int, epoch: int, key: str, purpose: str) -> np.random.Generator:
-    """The random generator of one purpose for one sample in one epoch."""
-    return np.random.Generator(np.random.Philox(key=stream(seed, epoch, key, purpose)))
-
-
 @dataclass(frozen=True)
 class Draws:
     """The random numbers of one sample in one epoch: each purpose has its own, whatever else is drawn."""
@@ -73,18 +39,31 @@ class Draws:
     epoch: int
     key: str
 
+    def _digest(self, purpose: str) -> bytes:
+        identity = "\0".join((str(self.seed), str(self.epoch), self.key, purpose))
+        return hashlib.blake2b(identity.encode(), digest_size=16, person=b"bodyseg").digest()
+
     def chance(self, purpose: str) -> float:
-        """One number for the sample; see `chance`."""
-        return chance(self.seed, self.epoch, self.key, purpose)
+        """One number for a purpose that draws once a sample, uniform over the multiples of 2**-53 from 0 to below 1."""
+        return (int.from_bytes(self._digest(purpose)[:8], "little") >> 11) * 2.0**-53
 
     def stream(self, purpose: str) -> Stream:
-        """The stream of a purpose; see `stream`."""
-        return stream(self.seed, self.epoch, self.key, purpose)
+        """The stream of a purpose.
+
+        Philox is counter-based (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", 2011): any 128-bit key
+        gives an independent stream at no set-up cost.
+        """
+        return np.frombuffer(self._digest(purpose), "<u8").astype(np.uint64)
 
     def pixels(self, purpose: str, count: int, kind: type[np.uint16] | type[np.uint32]) -> NDArray[Any]:
-        """One draw a pixel, [count]; see `pixel_draws`."""
-        return pixel_draws(self.stream(purpose), count, kind)
+        """One draw a pixel, uniform over all values of `kind`, [count]: the raw words, cut up from their low end.
+
+        NumPy guarantees the bits of raw words, as it does not those of its distributions.
+        """
+        each = 8 // np.dtype(kind).itemsize
+        words = np.random.Philox(key=self.stream(purpose)).random_raw(-(-count // each)).astype("<u8")
+        return words.view(np.dtype(kind).newbyteorder("<"))[:count].astype(kind)
 
     def generator(self, purpose: str) -> np.random.Generator:
-        """The random generator of a purpose; see `generator`."""
-        return generator(self.seed, self.epoch, self.key, purpose)
+        """The random generator of a purpose."""
+        return np.random.Generator(np.random.Philox(key=self.stream(purpose)))

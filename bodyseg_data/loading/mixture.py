@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bodyseg_data.artifacts import RangeImage
-from bodyseg_data.core import BadConfig, BadShard, chance, check_epoch, check_int, check_seed
+from bodyseg_data.core import BadConfig, BadShard, Draws, check_epoch, check_int, check_seed
 from bodyseg_data.loading.image_set import Request, Requests, SampleDataset, Shuffle, check_index
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.loading.selection import permutation
@@ -204,7 +204,7 @@ class SetStream:
         blocks = shuffle == "blocks"
         order = self.images.order(number, shuffle) if blocks else permutation(length, seed, number)
         sums = np.cumsum(self._units[order])
-        start = int(chance(seed, number, "", "sample weights") * int(sums[-1]))
+        start = int(Draws(seed, number, "").chance("sample weights") * int(sums[-1]))
         found = np.searchsorted(sums, _steps(int(sums[-1]), length, start), side="right")
         at = np.arange(length)
         first = np.r_[True, found[1:] != found[:-1]]

@@ -14,8 +14,8 @@ import socket
 import threading
 import uuid
 import warnings
-from collections.abc import Callable, Iterator
-from concurrent.futures import CancelledError, Executor, Future, InvalidStateError, ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -35,6 +35,11 @@ _SHAPE_BYTES: Final = (
 )  # fmt: skip
 """The packages that a sample's bytes can depend on."""
 
+_BODIES, _BUILT = "bodies", "the first body as built"
+_ADVICE: Final = {
+    _BODIES: "share one folder with the workers, or install the same source on both",
+    _BUILT: "use workers with the same kind of processor",
+}
 _SEEN_BODIES: Final = 8
 
 # A body model, torch's number of threads and OpenGL are a process's, not a thread's.
@@ -42,101 +47,83 @@ _one_at_a_time = threading.RLock()
 
 CONNECT_TIMEOUT_S: Final = 5.0
 """The time that a scheduler may take to answer, and a first worker to appear."""
+_ASK_S: Final = 10.0  # after which it is asked whether the scheduler is still there; a result may take as long to come
 
 
 @dataclass(frozen=True)
 class Expected:
-    """Facts that a worker must share with the process that packs, so that it gives the same bytes.
+    """What a worker must share with the process that packs, so that it gives the same bytes.
 
-    installed: (name, version) pairs. seen: digest of the source's bodies as that process reads them. built: digest of
-    the first of them as its processor computes it. token: tells this packing from an earlier one with the same options,
-    whose files may have changed since.
+    token: tells this packing from an earlier one with the same options, whose files may have changed since. facts: of
+    that process.
     """
 
     packing: Packing
-    installed: tuple[tuple[str, str], ...]
-    seen: str
-    built: str
     token: str
+    facts: Mapping[str, str]
 
 
 def expected(packing: Packing) -> Expected:
     """The facts of this process. Raises BodysegError as opening the source and building a body do."""
+    token = uuid.uuid4().hex
     with _one_at_a_time:
-        forget_sources()
-        return Expected(packing, installed(), _seen(packing), _built(packing), uuid.uuid4().hex)
+        return Expected(packing, token, facts(packing, token))
 
 
-@lru_cache(maxsize=1)
-def installed() -> tuple[tuple[str, str], ...]:
-    """(name, version or "none") of everything in this process that a sample's bytes can depend on."""
-    found = [
-        ("packing version", str(PACKING_VERSION)),
-        ("shadow thresholds", str(SHADOW_THRESHOLDS)),
-        ("processor", platform.machine()),
-        ("python", ".".join(platform.python_version_tuple()[:2])),
-    ]
+def installed() -> dict[str, str]:
+    """Name -> version of everything in this process that a sample's bytes can depend on."""
+    found = {
+        "packing version": str(PACKING_VERSION),
+        "shadow thresholds": str(SHADOW_THRESHOLDS),
+        "processor": platform.machine(),
+        "python": ".".join(platform.python_version_tuple()[:2]),
+    }
     for name in _SHAPE_BYTES:
-        try:
-            version = importlib.metadata.version(name).partition("+")[0]  # which build of torch makes no difference
-        except importlib.metadata.PackageNotFoundError:
-            version = "none"
-        found.append((name, version))
-    return tuple(found)
+        with suppress(importlib.metadata.PackageNotFoundError):
+            found[name] = importlib.metadata.version(name).partition("+")[0]  # any build of torch will do
+    return found
 
 
-def _seen(packing: Packing) -> str:
-    """Digest of all bodies' names and of the files of a few: enough to tell another folder, and quickly read."""
+@lru_cache(maxsize=64)
+def facts(packing: Packing, token: str) -> dict[str, str]:
+    """What is installed, and digests of the source's bodies as this process reads them and as its processor computes
+    the first: of all names and the files of a few, which tells another folder and is quickly read. Raises BodysegError.
+    """
+    forget_sources()
     bodies = packing.bodies()
     few = evenly_sampled(bodies, min(_SEEN_BODIES, len(bodies)))
-    return hashlib.sha256(repr((bodies, [_fingerprint(packing, body) for body in few])).encode()).hexdigest()
+    seen = repr((bodies, [_fingerprint(packing, body) for body in few])).encode()
+    digests = (hashlib.sha256(each).hexdigest()[:16] for each in (seen, _built(packing, bodies)))
+    return installed() | dict(zip((_BODIES, _BUILT), digests, strict=True))
 
 
 def _fingerprint(packing: Packing, body: BodyRef) -> str:
-    try:
+    with suppress(*SKIPPABLE):  # packing reports it, with all others
         return packing.opened().fingerprint([body])
-    except SKIPPABLE:
-        return "at fault"  # packing reports it, with all others
+    return "at fault"
 
 
-def _built(packing: Packing) -> str:
-    """Digest of the first body that can be built, as built: libraries choose instructions by processor, and last bits
-    differ with them.
-    """
-    for ref in packing.bodies():
-        try:
+def _built(packing: Packing, bodies: list[BodyRef]) -> bytes:
+    """The first body that can be built: libraries choose instructions by processor, and last bits differ with them."""
+    for ref in bodies:
+        with suppress(*SKIPPABLE):
             body = packing.opened().build(ref)
-        except SKIPPABLE:
-            continue
-        arrays = (body.mesh.vertices, body.mesh.faces, body.landmarks)
-        return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
-    return "no body can be built"
+            return b"".join(each.tobytes() for each in (body.mesh.vertices, body.mesh.faces, body.landmarks))
+    return b""
 
 
 def fault(wanted: Expected) -> str | None:
     """The reason why this worker would not give the same bytes, or None."""
     with _one_at_a_time:
-        return _fault(wanted)
-
-
-@lru_cache(maxsize=64)
-def _fault(wanted: Expected) -> str | None:
-    for (name, there), (_, here) in zip(wanted.installed, installed(), strict=True):
-        if there != here:
-            return f"has {name} {here}, this machine has {there}: install the same versions on both"
-    forget_sources()
-    packing = wanted.packing
-    try:
-        if _seen(packing) != wanted.seen:
-            if packing.path is None:
-                return f"sees other bodies of the source {packing.source} than this machine: install the same on both"
-            return f"sees other bodies in {packing.path} than this machine: share one folder with the workers"
-        if _built(packing) != wanted.built:
-            return (
-                "builds the first body with other bits than this machine: use workers with the same kind of processor"
-            )
-    except BodysegError as error:
-        return str(error)
+        try:
+            here = facts(wanted.packing, wanted.token)
+        except BodysegError as error:
+            return str(error)
+    for name in wanted.facts | here:
+        own, other = here.get(name, "none"), wanted.facts.get(name, "none")
+        if own != other:
+            advice = _ADVICE.get(name, "install the same versions on both")
+            return f"has {name} {own}, this machine has {other}: {advice}"
     return None
 
 
@@ -164,18 +151,13 @@ def cluster(address: tuple[str, int], workers: int | None, packing: Packing) -> 
         import distributed
     except ImportError as error:
         raise missing_library("packing on a Dask cluster", error, extra="cluster") from error
-    scheduler = f"{address[0]}:{address[1]}"
     with _quiet():
         wanted = expected(packing)
-        client = _connect(distributed, address)
+        client = _connect(distributed, *address)
         try:
-            threads = _workers(client, scheduler)
-            _check_workers(client, wanted, scheduler, list(threads))
-            executor = _Cluster(client, wanted, scheduler)
-            try:
-                yield Engine(executor, workers or len(threads), _note(threads))
-            finally:
-                executor.shutdown(cancel_futures=True)
+            scheduler = f"{address[0]}:{address[1]}"
+            threads = _checked_workers(client, wanted, scheduler)
+            yield Engine(_Cluster(client, wanted, scheduler), workers or len(threads), _note(threads))
         finally:
             with suppress(Exception):  # a scheduler that is gone cannot be told that this client goes
                 client.close(CONNECT_TIMEOUT_S)
@@ -194,8 +176,7 @@ def _quiet() -> Iterator[None]:
         logging.disable(before)
 
 
-def _connect(distributed: Any, address: tuple[str, int]) -> Any:
-    host, port = address
+def _connect(distributed: Any, host: str, port: int) -> Any:
     try:
         # Dask tries for as long as it may, whatever the reason; a plain connection says it at once.
         socket.create_connection((host.strip("[]"), port), CONNECT_TIMEOUT_S).close()
@@ -219,38 +200,25 @@ async def _identify(distributed: Any, address: str) -> str:
     return str(identity["type"])
 
 
-def _workers(client: Any, scheduler: str) -> dict[str, int]:
-    """Address -> threads, of every worker of the cluster."""
+def _checked_workers(client: Any, wanted: Expected, scheduler: str) -> dict[str, int]:
+    """Address -> threads, of every worker of the cluster. Raises BadConfig for none, and one that is no good."""
     try:
         client.wait_for_workers(1, timeout=CONNECT_TIMEOUT_S)
         threads: dict[str, int] = client.nthreads()
     except Exception as error:
-        raise BadConfig(
-            f"the scheduler at {scheduler} has no workers; start some with: dask worker {scheduler} --nthreads 1"
-        ) from error
-    return threads
-
-
-def _check_workers(client: Any, wanted: Expected, scheduler: str, workers: list[str]) -> None:
+        start = f"start some with: dask worker {scheduler} --nthreads 1"
+        raise BadConfig(f"the scheduler at {scheduler} has no workers; {start}") from error
+    cannot = "cannot load bodyseg of this version: install the same versions on both"
     try:
-        client.run_on_scheduler(installed)
+        client.run_on_scheduler(installed)  # jobs pass through it
+        answers = client.run(check, wanted, on_error="return")
     except Exception as error:
-        raise BadConfig(
-            f"the scheduler at {scheduler} cannot load bodyseg of this version, which jobs pass through: "
-            f"install it there, too ({error})"
-        ) from error
-    # A source may fill a cache on first use, which the workers of one machine, or of one shared folder, would all do.
-    machines = {worker.rpartition(":")[0]: worker for worker in workers}
-    for group in (workers[:1], list(machines.values()), workers):
-        try:
-            answers = client.run(check, wanted, workers=group, on_error="return")
-        except Exception as error:
-            raise _lost(scheduler) from error
-        for worker, answer in sorted(answers.items()):
-            if isinstance(answer, Exception):
-                answer = f"cannot load bodyseg of this version: install the same versions on both ({answer})"
-            if answer is not None:
-                raise BadConfig(f"worker {worker} {answer}")
+        raise BadConfig(f"the scheduler at {scheduler} was lost, or {cannot} ({error})") from error
+    for worker, answer in sorted(answers.items()):
+        if answer is not None:
+            problem = f"{cannot} ({answer})" if isinstance(answer, Exception) else answer
+            raise BadConfig(f"worker {worker} {problem}")
+    return threads
 
 
 def _note(threads: dict[str, int]) -> str | None:
@@ -263,68 +231,53 @@ def _note(threads: dict[str, int]) -> str | None:
     )
 
 
-def _lost(scheduler: str) -> BadConfig:
-    return BadConfig(f"the scheduler at {scheduler} was lost: the same command carries on, there or with other workers")
-
-
 class _Cluster(Executor):
-    """Dask's executor, whose futures also end when the scheduler is lost, and whose errors are one line."""
+    """Dask's client as an executor."""
 
     def __init__(self, client: Any, wanted: Expected, scheduler: str) -> None:
-        self._client, self._wanted, self._scheduler = client, wanted, scheduler
-        self._inner = client.get_executor(pure=False)
-        self._waiting: set[Future[Any]] = set()
-        self._over = threading.Event()
-        self._watch = threading.Thread(target=self._watch_scheduler, daemon=True)
-        self._watch.start()
+        self.client, self.scheduler, self._wanted = client, scheduler, wanted
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        if self._over.is_set():
-            raise RuntimeError("cannot schedule new futures after shutdown")
-        if self._client.status != "running":
-            raise _lost(self._scheduler)
+        self.check_scheduler()
         body = next((argument.mesh for argument in args if isinstance(argument, BodyRef)), "?")
-        # Dask's future ends with the one here, and so do the worker's memory and this one's: nothing else holds it.
-        answer: Future[Any] = Future()
-        answer.set_running_or_notify_cancel()
-        self._waiting.add(answer)
-        inner = self._inner.submit(job, self._wanted, fn, args, **kwargs)
-        inner.add_done_callback(lambda done: self._answer(answer, done, body))
-        return answer
+        return _Answer(self, self.client.submit(job, self._wanted, fn, args, **kwargs, pure=False), body)
 
-    def _answer(self, answer: Future[Any], done: Future[Any], body: str) -> None:
-        try:
-            result = done.result()
-        except BaseException as error:
-            result = self._as_one_line(error, body)
-        self._waiting.discard(answer)
-        with suppress(InvalidStateError):  # the scheduler was lost before
-            if isinstance(result, BaseException):
-                answer.set_exception(result)
-            else:
-                answer.set_result(result)
+    def check_scheduler(self, running: bool = True) -> None:
+        """Raise BadConfig if the scheduler is gone. running: False if that is known."""
+        if not running or self.client.status != "running":
+            again = "the same command carries on, there or with other workers"
+            raise BadConfig(f"the scheduler at {self.scheduler} was lost: {again}")
 
-    def _as_one_line(self, error: BaseException, body: str) -> BaseException:
+
+class _Answer(Future[Any]):
+    """A result, whose errors are one line. Nothing else holds Dask's future, with which the cluster forgets it."""
+
+    def __init__(self, cluster: _Cluster, inner: Any, body: str) -> None:
+        super().__init__()
+        self._cluster, self._inner, self._body = cluster, inner, body
+
+    def cancel(self) -> bool:
+        self._inner.cancel()
+        return True
+
+    def result(self, timeout: float | None = None) -> Any:
         from distributed import KilledWorker
 
-        if isinstance(error, KilledWorker):
-            return BadConfig(f"mesh {body}: every worker that rendered it was killed (out of memory?)")
-        if isinstance(error, CancelledError):
-            return _lost(self._scheduler)
-        if isinstance(error, OSError):
-            return BadConfig(f"the cluster at {self._scheduler} could not give mesh {body}: {error}")
-        return error
-
-    def _watch_scheduler(self) -> None:
-        # Dask forgets whoever waits for a result that is on its way when the scheduler goes.
-        while not self._over.wait(0.5):
-            if self._client.status != "running":
-                for answer in self._waiting.copy():
-                    self._waiting.discard(answer)
-                    with suppress(InvalidStateError):
-                        answer.set_exception(_lost(self._scheduler))
-
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        self._over.set()
-        self._watch.join()
-        self._inner.shutdown(wait=wait and not cancel_futures)
+        while True:
+            try:
+                found = self._inner.result(_ASK_S)
+                break
+            except TimeoutError:
+                # Dask forgets whoever waits for a result that is on its way when the scheduler goes.
+                self._cluster.check_scheduler()
+            except CancelledError:
+                self._cluster.check_scheduler(running=False)
+            except KilledWorker as error:
+                killed = "every worker that rendered it was killed (out of memory?)"
+                raise BadConfig(f"mesh {self._body}: {killed}") from error
+            except OSError as error:
+                where = f"the cluster at {self._cluster.scheduler}"
+                raise BadConfig(f"{where} could not give mesh {self._body}: {error}") from error
+        if isinstance(found, BodysegError):
+            raise found
+        return found

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from bodyseg_data.core import BadConfig, chance, check_fields
+from bodyseg_data.core import BadConfig, Draws, check_fields
 
 DISTANCES_CM: Final = (50, 600)
 """Least and greatest distance of a view."""
@@ -185,7 +185,7 @@ def _combined(rows: list[tuple[int, ...]], values: tuple[int, ...]) -> list[tupl
 
 
 def _draw(drawn: Drawn, key: str, purpose: str) -> int:
-    return drawn.low + int(chance(0, 0, key, purpose) * (drawn.high - drawn.low + 1))
+    return drawn.low + int(Draws(0, 0, key).chance(purpose) * (drawn.high - drawn.low + 1))
 
 
 def _check(name: str, choice: Choice) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from bodyseg_data.bodies import NOWHERE
-from bodyseg_data.core import BadConfig, generator
+from bodyseg_data.core import BadConfig, Draws
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import use_compiled
 from bodyseg_model.networks.network import Network, check_range_images
@@ -70,7 +70,7 @@ def build(name: str, settings: Mapping[str, Any] | None = None, seed: int | None
     """
     kind = network_class(name)
     if seed is not None:
-        torch.manual_seed(int(generator(seed, 0, "", "weights").integers(2**62)))
+        torch.manual_seed(int(Draws(seed, 0, "").generator("weights").integers(2**62)))
     try:
         return kind.from_settings(dict(settings or {}))
     except TypeError as error:

@@ -27,7 +27,7 @@ from bodyseg_data.artifacts import (
     shown_with,
 )
 from bodyseg_data.bodies import Body, BodyRef, open_source
-from bodyseg_data.core import BadConfig, ProgressCallback, generator, silent
+from bodyseg_data.core import BadConfig, Draws, ProgressCallback, silent
 from bodyseg_data.labels import BACKGROUND, LANDMARKS
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.meshes import Mesh, Partition
@@ -151,7 +151,7 @@ def corrupted(sample: Sample, condition: SweepPoint, rig: Rig, seed: int) -> NDA
     if condition.sweep in _ARTIFACTS:
         return shown_with(_ARTIFACTS[condition.sweep](condition.strength, rig), sample, rig, seed).range
     if condition.sweep in SHAPES:
-        draws = generator(seed, 0, sample.key, condition.sweep)
+        draws = Draws(seed, 0, sample.key).generator(condition.sweep)
         return sample.range * ~SHAPES[condition.sweep](sample.range, condition.strength, draws)
     if condition.sweep == "depth_steps":
         return _depth_steps(sample, condition.strength, rig.range_step_m)

@@ -11,7 +11,7 @@ from importlib import import_module
 import torch
 
 from bodyseg_data.bodies import NOWHERE
-from bodyseg_data.core import BadConfig, chance, check_fields
+from bodyseg_data.core import BadConfig, Draws, check_fields
 from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap
 from bodyseg_data.machine import if_ready
 from bodyseg_model.networks import in_loops
@@ -53,7 +53,7 @@ class GeometricAugmentation:
         maps, cuts, lowest = [], [], []
         for epoch, key in zip(epochs, keys, strict=True):
             roll, zoom, stretch, cut, side, share = (
-                chance(seed, epoch, key, f"placement {what}")
+                Draws(seed, epoch, key).chance(f"placement {what}")
                 for what in ("roll", "zoom", "stretch", "cut", "side", "share")
             )
             angle = math.radians(self.roll_deg) * (2 * roll - 1)
@@ -61,7 +61,7 @@ class GeometricAugmentation:
             across = down * (1 + self.stretch) ** (2 * stretch - 1)
             maps.append(_source_map(angle, down, across, rows, columns))
             cuts.append(_cut_side(int(4 * side), share / 2, rows, columns) if cut < self.cut else None)
-            bust = self.bust and chance(seed, epoch, key, "placement bust")
+            bust = self.bust and Draws(seed, epoch, key).chance("placement bust")
             lowest.append(0.35 + 0.45 * bust / self.bust if bust < self.bust else 1.0)
         sources = torch.tensor(maps, dtype=torch.float32, device=range_m.device)
         moved, named = _moved(range_m, labels, sources)
@@ -180,5 +180,5 @@ def augmented(
 
 def mirror_draws(seed: int, epochs: list[int], keys: list[str]) -> torch.Tensor:
     """Draw the samples that are mirrored, bool [B], each with a chance of one half. epochs, keys: of the B samples."""
-    drawn = (chance(seed, epoch, key, "mirror") for epoch, key in zip(epochs, keys, strict=True))
+    drawn = (Draws(seed, epoch, key).chance("mirror") for epoch, key in zip(epochs, keys, strict=True))
     return torch.tensor([each < 0.5 for each in drawn], dtype=torch.bool)

@@ -20,7 +20,7 @@ import torch
 from torch import nn
 
 from bodyseg_data import Mixture, RangeImages, load_template, loader
-from bodyseg_data.core import BadConfig, BodysegError, check_int, generator
+from bodyseg_data.core import BadConfig, BodysegError, Draws, check_int
 from bodyseg_data.files import claimed
 from bodyseg_data.labels import PARTS33, TEMPLATE
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, Batch, ImageSet, Loader, WorkerMethod, check_worker_method
@@ -343,7 +343,9 @@ class Training:
     def _one_step(self, objective: nn.Module, batches: Iterator[Batch], window: MetricsWindow) -> None:
         device, recipe = self.processes.device, self.recipe
         set_learning_rate(self.optimiser, recipe.learning_rate_at(self.step))
-        torch.manual_seed(int(generator(self.seed, self.step, "", f"dropout {self.processes.rank}").integers(2**62)))
+        torch.manual_seed(
+            int(Draws(self.seed, self.step, "").generator(f"dropout {self.processes.rank}").integers(2**62))
+        )
         self.optimiser.zero_grad(set_to_none=True)
         for index in range(recipe.accumulate):
             with window.waiting():
@@ -357,7 +359,7 @@ class Training:
             moving = self.seed, epochs, keys, recipe.geometric_augmentation, sides, places
             range_m, labels, places = augmented(range_m, labels, *moving)
             name = f"pixels {index}"
-            offset = torch.from_numpy(generator(self.seed, self.step, "", name).random(2, np.float32))
+            offset = torch.from_numpy(Draws(self.seed, self.step, "").generator(name).random(2, np.float32))
             with (
                 self._gradient_sync(objective, index),
                 torch.autocast(device.type, torch.bfloat16, enabled=recipe.bf16),

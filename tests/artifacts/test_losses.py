@@ -14,14 +14,14 @@ from skimage.measure import label, regionprops
 
 from bodyseg_data.artifacts import SHAPES, Losses
 from bodyseg_data.artifacts.lost_pixels import LONGEST, MOST_PATCHES, MOST_STRIPES
-from bodyseg_data.core import BadConfig, generator
+from bodyseg_data.core import BadConfig, Draws
 from bodyseg_data.rigs import Camera
 
 CAMERA = Camera(120, 90, 140.0, (47.3, 55.9), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def draws(key: str = "k") -> np.random.Generator:
-    return generator(0, 0, key, "losses")
+    return Draws(0, 0, key).generator("losses")
 
 
 def lose(kind: str, image: NDArray[np.uint16], share: float, key: str = "k") -> NDArray[np.bool_]:

@@ -11,19 +11,18 @@ from scipy import stats
 
 from bodyseg_data.artifacts import MissingData
 from bodyseg_data.artifacts.missing_data import kept_pixels, threshold
-from bodyseg_data.core import BadConfig, chance
-from bodyseg_data.core.randomness import pixel_draws, stream
+from bodyseg_data.core import BadConfig, Draws
 
 SIGMAS = 5.0
 SIDE = 400
 
 
 def lost(key: str, rate: float, count: int = SIDE * SIDE) -> NDArray[np.bool_]:
-    return ~kept_pixels(rate, pixel_draws(stream(0, 0, key, "missing data"), count, np.uint16))
+    return ~kept_pixels(rate, Draws(0, 0, key).pixels("missing data", count, np.uint16))
 
 
 def rates(settings: MissingData, count: int) -> list[float]:
-    return [settings.rate(chance(0, 0, f"k{number}", "missing rate")) for number in range(count)]
+    return [settings.rate(Draws(0, 0, f"k{number}").chance("missing rate")) for number in range(count)]
 
 
 @pytest.mark.parametrize("rate", [0.0, 2**-17, 0.05, 1 / 3, 0.5, 1 - 2**-17, 1.0])
@@ -72,7 +71,7 @@ def test_runs_of_lost_pixels_are_as_long_as_chance_makes_them() -> None:
 
 def test_samples_epochs_and_seeds_lose_other_pixels() -> None:
     def of(*identity: Any) -> NDArray[np.bool_]:
-        return kept_pixels(0.5, pixel_draws(stream(*identity, "missing data"), SIDE * SIDE, np.uint16))
+        return kept_pixels(0.5, Draws(*identity).pixels("missing data", SIDE * SIDE, np.uint16))
 
     first = of(0, 0, "a")
     for identity in ((0, 0, "b"), (0, 1, "a"), (1, 0, "a"), (1, 1, "a")):

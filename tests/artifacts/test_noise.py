@@ -19,8 +19,7 @@ from bodyseg_data.artifacts import Augmentation, MissingData, Noise, VariantName
 from bodyseg_data.artifacts.constants import SEGMENTS
 from bodyseg_data.artifacts.missing_data import kept_pixels
 from bodyseg_data.artifacts.noise import add_noise, normals, steps_of
-from bodyseg_data.core import BadConfig, chance
-from bodyseg_data.core.randomness import pixel_draws, stream
+from bodyseg_data.core import BadConfig, Draws
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.rigs import Camera, Rig
 from bodyseg_data.samples import Sample
@@ -34,7 +33,7 @@ CAMERA = Camera(SIDE, SIDE, 300.0, (150.0, 150.0), (0.0, 0.0, 0.0), (0.0, 0.0, 2
 
 
 def noise_of(key: str, count: int) -> NDArray[np.float32]:
-    return normals(pixel_draws(stream(0, 0, key, "noise"), count, np.uint32))
+    return normals(Draws(0, 0, key).pixels("noise", count, np.uint32))
 
 
 def exact(codes: NDArray[np.integer]) -> NDArray[np.float64]:
@@ -94,7 +93,7 @@ def test_tails_hold_what_they_should() -> None:
 def test_rounded_noise_follows_the_exact_law(sigma_mm: float) -> None:
     """Kolmogorov's distance, steps included: P(change <= n) is the normal's at n + 1/2 steps."""
     count = 1_000_000
-    draws = pixel_draws(stream(0, 0, f"law-{sigma_mm}", "noise"), count, np.uint32)
+    draws = Draws(0, 0, f"law-{sigma_mm}").pixels("noise", count, np.uint32)
     change = add_noise(np.full(count, 25_000, np.uint16), steps_of(sigma_mm, 1e-4), draws).astype(int) - 25_000
     values, counts = np.unique(change, return_counts=True)
     expected = stats.norm.cdf((values + 0.5) / float(steps_of(sigma_mm, 1e-4)))
@@ -103,14 +102,14 @@ def test_rounded_noise_follows_the_exact_law(sigma_mm: float) -> None:
 
 
 def test_noise_rounds_to_the_nearest_step() -> None:
-    draws = pixel_draws(stream(0, 0, "round", "noise"), 50_000, np.uint32)
+    draws = Draws(0, 0, "round").pixels("noise", 50_000, np.uint32)
     noisy = add_noise(np.full(50_000, 30_000, np.uint16), np.float32(3), draws)
     assert np.abs(noisy - (30_000 + normals(draws).astype(np.float64) * 3)).max() <= 0.5 + 4e-3  # float32 at 30 000
 
 
 @pytest.mark.parametrize("start", [1, 65_535])
 def test_noise_at_the_ends_of_16_bits_stays_within(start: int) -> None:
-    draws = pixel_draws(stream(0, 0, "k", "noise"), 10_000, np.uint32)
+    draws = Draws(0, 0, "k").pixels("noise", 10_000, np.uint32)
     noisy = add_noise(np.full(10_000, start, np.uint16), np.float32(1000), draws)
     assert noisy.min() >= 1
     assert np.count_nonzero(noisy == start) > 4_000, "half of the draws point outwards and stop at the end"
@@ -131,18 +130,18 @@ def test_sigma_is_in_millimetres_whatever_the_step(step_mm: float) -> None:
     expected = np.sqrt(sigma_mm**2 + step_mm**2 / 12)
     assert np.std(change_mm) == pytest.approx(expected, rel=SIGMAS / np.sqrt(2) / SIDE)
     assert abs(change_mm.mean()) < SIGMAS * expected / SIDE
-    exact = normals(pixel_draws(stream(0, 0, "a", "noise"), SIDE * SIDE, np.uint32)) * sigma_mm
+    exact = normals(Draws(0, 0, "a").pixels("noise", SIDE * SIDE, np.uint32)) * sigma_mm
     assert np.abs(change_mm.ravel() - exact).max() <= step_mm / 2 + 1e-3
 
 
 def test_noise_of_no_strength_changes_nothing() -> None:
     ranges = np.arange(1, 65_536, dtype=np.uint16)
-    draws = pixel_draws(stream(0, 0, "k", "noise"), 65_535, np.uint32)
+    draws = Draws(0, 0, "k").pixels("noise", 65_535, np.uint32)
     assert np.array_equal(add_noise(ranges, np.float32(0), draws), ranges)
 
 
 def test_sigma_is_uniform_from_0_to_100_mm() -> None:
-    drawn = np.sort([Noise().sigma_mm(chance(0, 0, f"k{number}", "sigma")) for number in range(5_000)])
+    drawn = np.sort([Noise().sigma_mm(Draws(0, 0, f"k{number}").chance("sigma")) for number in range(5_000)])
     places = (np.arange(5_000) + 0.5) / 5_000
     assert np.abs(drawn / 100 - places).max() < 2.5 / np.sqrt(5_000)
     assert 0 <= drawn[0] < 100 * 15 / 5_000
@@ -212,7 +211,7 @@ def test_noise_and_missing_data_are_independent() -> None:
     assert abs(correlation(change, lost)) < SIGMAS / SIDE
     assert abs(correlation(np.abs(change), lost)) < SIGMAS / SIDE
     # The noise's words would lose other pixels than the missing data's do: half of them agree by chance.
-    words = pixel_draws(stream(0, 0, "a", "noise"), SIDE * SIDE, np.uint16)
+    words = Draws(0, 0, "a").pixels("noise", SIDE * SIDE, np.uint16)
     assert np.mean(kept_pixels(0.5, words) == ~lost.ravel()) == pytest.approx(0.5, abs=SIGMAS * 0.5 / SIDE)
 
 

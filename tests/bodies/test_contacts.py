@@ -24,7 +24,7 @@ from bodyseg_data.bodies.limb_reaching import (
 from bodyseg_data.bodies.outfits import drawn_outfit
 from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, bone_rotations
 from bodyseg_data.bodies.stances import Places
-from bodyseg_data.core import generator
+from bodyseg_data.core import Draws
 from bodyseg_data.meshes import Mesh, vertex_normals
 
 
@@ -40,7 +40,7 @@ def places() -> Places:
 
 
 def draws() -> np.random.Generator:
-    return generator(0, 0, "tests/contacts", "draws")
+    return Draws(0, 0, "tests/contacts").generator("draws")
 
 
 def test_values_are_drawn_within_their_ranges_and_mostly_in_the_middle() -> None:

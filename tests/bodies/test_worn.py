@@ -17,7 +17,7 @@ from bodyseg_data.bodies.shells import Hair, Shoes, Wearer, bun, hull_radius, lo
 from bodyseg_data.bodies.skeleton import Arm, Leg, Trunk, bone_rotations, symmetric
 from bodyseg_data.bodies.stances import Places
 from bodyseg_data.bodies.worn import Drape, Held, Kind, draped, gripping, held_thing, padded
-from bodyseg_data.core import generator
+from bodyseg_data.core import Draws
 from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.meshes import Mesh, Solid, find_edges, load_landmarks
 
@@ -201,7 +201,7 @@ def test_vertices_amid_edges_move_with_the_scalp() -> None:
 
 
 def test_attire_is_drawn_like_a_crowd_and_keeps_clear_of_hands() -> None:
-    draws = generator(0, 0, "tests/worn", "attire")
+    draws = Draws(0, 0, "tests/worn").generator("attire")
     free = [drawn_attire(draws, ("in the air", "free"), True) for _ in range(600)]
     share = {
         name: np.mean([getattr(one, name) is not None for one in free]) for name in ("drape", "hair", "shoes", "held")

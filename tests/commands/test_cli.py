@@ -3,7 +3,6 @@ from __future__ import annotations
 import importlib
 import inspect
 import json
-import multiprocessing
 import os
 import signal
 import subprocess
@@ -19,12 +18,11 @@ import pytest
 from benches import __main__ as tools
 from benches import bench
 from folders import ROOT
-from people_on_disk import write_by_vertex, write_mesh
 from PIL import Image
 
 import bodyseg_data
 import bodyseg_model
-from bodyseg_data.commands import cli, option, shard, verify
+from bodyseg_data.commands import cli, option, verify
 from bodyseg_data.commands.options import parse
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import load_label_map
@@ -204,10 +202,6 @@ def test_a_checkout_that_was_never_installed_has_a_version(monkeypatch: pytest.M
             ["bench", "render", "--mit", "x"],
             "--mit is for bench partition, reduction, clothes, proposal, found it with",
         ),
-        (
-            ["shard", "--source", "open", "--out", "x", "--report", "none/x.json"],
-            "--report needs a file in a folder that is there",
-        ),
         (["shard", "--source", "mit", "--path", "nowhere", "--plan"], "bodyseg shard: "),
         (["shard", "--source", "open", "--plan", "--rig", "no.toml"], "cannot read the rig file no.toml"),
         (["inspect", "nowhere", "--json"], "bodyseg inspect: no such folder: nowhere"),
@@ -374,28 +368,3 @@ def test_every_bench_has_its_module_and_its_figure() -> None:
         if takes.figure is not None:
             figure = importlib.import_module(f"{home.rpartition('.')[0]}.{takes.figure}")
             assert callable(getattr(figure, f"draw_{name}"))
-
-
-def test_a_report_says_how_it_was_made(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
-) -> None:
-    monkeypatch.setattr(shard, "provenance", lambda command: {"command": command})
-    report, out = tmp_path / "report.json", tmp_path / "shards"
-    for name in ("one", "two"):  # of files, which workers render without loading the body model
-        write_mesh(tmp_path / "people" / f"{name}.ply")
-    write_by_vertex(tmp_path / "people" / "landmarks.json")
-    words = ["--views", "2", "--workers", "1", "--out", str(out), "--report", str(report)]
-    other = multiprocessing.get_context("fork").Process(target=signal.pause)  # no worker of this packing
-    other.start()
-    request.addfinalizer(other.join)
-    request.addfinalizer(other.kill)
-    for made in (4, 0):  # the second time, everything is there
-        assert main(["shard", "--source", "folder", "--path", str(tmp_path / "people"), *words]) == 0
-        figures = json.loads(report.read_text())
-        assert (figures["samples"], figures["samples_made"]) == (4, made)
-        assert figures["bytes"] == sum(tar.stat().st_size for tar in out.glob("*.tar"))
-        assert figures["peak_mb"]["writer"] > 50, "this process alone takes more"
-        assert [peak > 50 for peak in figures["peak_mb"]["workers"]] == [True] * bool(made)
-    assert figures["command"] == (
-        "bodyseg shard --source folder --path people --out shards --views 2 --workers 1 --report report.json"
-    )

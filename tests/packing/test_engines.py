@@ -250,10 +250,14 @@ def test_a_bad_body_is_one_error_whatever_the_cluster(nodes: Nodes, tmp_path: Pa
 def test_workers_that_would_give_other_bytes_are_named(
     nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ours = tuple((name, "0.1" if name == "embreex" else version) for name, version in workers.installed())
     found = workers.expected
+
+    def older(packing: Packing) -> workers.Expected:
+        wanted = found(packing)
+        return replace(wanted, facts={**wanted.facts, "embreex": "0.1"})
+
     with monkeypatch.context() as patch:
-        patch.setattr(cluster, "expected", lambda packing: replace(found(packing), installed=ours))
+        patch.setattr(cluster, "expected", older)
         with (
             pytest.raises(BadConfig, match=r"^worker tcp://127.0.0.1:\d+ has embreex .* has 0\.1: "),
             open_engine(nodes.engine, None, PACKING),
@@ -261,20 +265,25 @@ def test_workers_that_would_give_other_bytes_are_named(
             pass
     monkeypatch.setattr(Figures, "fingerprint", lambda self, bodies: "other")
     with (
-        pytest.raises(BadConfig, match=r"^worker tcp://127.0.0.1:\d+ sees other bodies of .* open "),
+        pytest.raises(BadConfig, match=r"^worker tcp://127.0.0.1:\d+ has bodies \w+, this machine has \w+: share one "),
         open_engine(nodes.engine, None, PACKING),
     ):
         pass
     monkeypatch.setitem(SOURCES, "folder", FiguresEntry(reads="meshes"))
     here = workers.expected(Packing("folder", tmp_path))
     assert workers.fault(here) is None
-    assert workers.fault(replace(here, seen="other")) == (
-        f"sees other bodies in {tmp_path} than this machine: share one folder with the workers"
+    found_here = here.facts["bodies"]
+    assert workers.fault(replace(here, facts={**here.facts, "bodies": "other"})) == (
+        f"has bodies {found_here}, this machine has other: share one folder with the workers, or install the same "
+        "source on both"
     )
-    there = tuple((name, "other" if name == "shadow thresholds" else version) for name, version in here.installed)
-    assert workers.fault(replace(here, installed=there)) == (
+    assert workers.fault(replace(here, facts={**here.facts, "shadow thresholds": "other"})) == (
         "has shadow thresholds ShadowThresholds(surface_gap_m=0.006, edge_m=0.02), this machine has other: "
         "install the same versions on both"
+    )
+    more = {**here.facts, "fresh": "1"}
+    assert workers.fault(replace(here, facts=more)) == (
+        "has fresh none, this machine has 1: install the same versions on both"
     )
 
 
@@ -290,7 +299,7 @@ def test_a_worker_with_another_processor_is_named(nodes: Nodes, monkeypatch: pyt
 
     monkeypatch.setattr(Figures, "build", build)
     with (
-        pytest.raises(BadConfig, match=r"^worker tcp://127.0.0.1:\d+ builds the first body with other bits"),
+        pytest.raises(BadConfig, match=r"^worker tcp://127.0.0.1:\d+ has the first body as built \w+, .* of processor"),
         open_engine(nodes.engine, None, PACKING),
     ):
         pass
@@ -306,9 +315,9 @@ def test_every_package_that_makes_shards_is_compared() -> None:
 def test_a_worker_that_comes_late_is_checked_with_its_first_job() -> None:
     wanted = workers.expected(PACKING)
     assert workers.job(wanted, sum, ((1, 2),)) == 3
-    error = workers.job(replace(wanted, seen="other"), sum, ((1, 2),))
+    error = workers.job(replace(wanted, facts={**wanted.facts, "bodies": "other"}), sum, ((1, 2),))
     assert isinstance(error, BadConfig)
-    assert f"worker {socket.gethostname()} sees other bodies" in str(error)
+    assert f"worker {socket.gethostname()} has bodies " in str(error)
 
 
 def test_a_worker_does_one_thing_at_a_time() -> None:
@@ -387,7 +396,7 @@ def test_nodes_without_bodyseg_are_named(nodes: Nodes, tmp_path: Path, monkeypat
     (tmp_path / "only_here.py").write_text("def check(wanted): pass\ndef installed(): pass\n")
     monkeypatch.syspath_prepend(tmp_path)
     only_here = importlib.import_module("only_here")
-    for name, node in (("check", "worker tcp://.*"), ("installed", "the scheduler at .*")):
+    for name, node in (("check", "worker tcp://.*"), ("installed", "the scheduler at .* was lost, or")):
         with monkeypatch.context() as patch:
             wanted = workers.expected(PACKING)
             patch.setattr(cluster, name, getattr(only_here, name))

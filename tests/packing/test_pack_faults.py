@@ -7,7 +7,6 @@ import os
 import resource
 import tempfile
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from folders import ROOT
 from bodyseg_data.bodies import SOURCES
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import write_json
-from bodyseg_data.packing import STATE_NAME, Packing, pack
+from bodyseg_data.packing import STATE_NAME, Packing
 from bodyseg_data.samples import ViewGrid
 from bodyseg_model.commands import main
 
@@ -222,29 +221,3 @@ def test_charts_are_written_by_the_one_function_that_writes_them_whole() -> None
     folders = [ROOT / name for name in ("bodyseg_data", "bodyseg_model", "tools")]
     files = (path for folder in folders for path in folder.rglob("*.py"))
     assert [path.name for path in files if ".savefig(" in path.read_text()] == ["style.py"]
-
-
-def test_a_report_that_does_not_fit_leaves_the_set_whole(
-    interrupted: Interrupted, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from bodyseg_data.commands import shard
-
-    def packed(engine: str, workers: int | None, asked: Packing, out: Path, *rest: object) -> object:
-        with ThreadPoolExecutor(1) as executor:
-            return pack(SMALL, out, executor, 1)
-
-    monkeypatch.setattr(shard, "pack_on", packed)
-    monkeypatch.setattr(shard, "provenance", lambda command: {})
-    out, report = tmp_path / "out", tmp_path / "report.json"
-    words = ["shard", "--source", "open", "--out", str(out), "--report", str(report)]
-    limit, write = no_file_above(50), shard.write_json
-
-    def limited(path: Path, figures: dict[str, object]) -> None:
-        with limit:
-            write(path, figures)
-
-    monkeypatch.setattr(shard, "write_json", limited)
-    assert main(words) == 2
-    assert capsys.readouterr().err.splitlines()[-1] == f"bodyseg shard: cannot write {report}: File too large"
-    assert contents(out) == interrupted.whole
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]

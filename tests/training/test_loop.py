@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from bodyseg_data import RangeImages, loader
-from bodyseg_data.core import BadConfig, generator
+from bodyseg_data.core import BadConfig, Draws
 from bodyseg_model.commands import main
 from bodyseg_model.evaluation import ConfusionMatrix
 from bodyseg_model.networks import build, load_network, predict
@@ -128,7 +128,7 @@ def test_steps_are_those_of_plain_sgd_on_mean_gradients(small_set: Path, tmp_pat
         losses = []
         for number in range(3):
             batch = next(batches)
-            pixels = torch.from_numpy(generator(0, step, "", f"pixels {number}").random(2, np.float32))
+            pixels = torch.from_numpy(Draws(0, step, "").generator(f"pixels {number}").random(2, np.float32))
             losses.append(objective(batch["range"], batch["labels"], pixels).loss)
         gradients = torch.autograd.grad(torch.stack(losses).mean(), weights)
         with torch.no_grad():

@@ -49,6 +49,7 @@ BENCHES: Final = {
     "partition": Bench("data.surface.partition", "partition_figure", optional=("mit",)),
     "reduction": Bench("data.surface.reduction", "reduction_figure", "views of each body, 4", optional=("mit",)),
     "render": Bench("data.render.bench", "figure", "views in all, 486"),
+    "packing": Bench("data.render.packing", required=("data",), optional=("num_workers",)),
     "scaling": Bench("data.render.scaling", None, "views of each body, 54"),
     "cluster": Bench("data.render.cluster", None, "bodies of 54 views, 40", optional=("num_workers",)),
     "reading": Bench("data.reading.bench", required=("data",)),
@@ -154,10 +155,12 @@ class Options:
     mit: Path | None = option(f"for {_takers('mit')}: folder of MIT frames to measure on as well", None)
     num_workers: tuple[int, ...] | None = option(
         "numbers of workers to measure with (default: loader and open_data 0 2, workers 0 2 4, cluster 1 2 4, "
-        "gpu 0 8 16)",
+        "packing 2, gpu 0 8 16)",
         None,
     )
-    data: str | None = option(f"for {_takers('data')}: folder or address of the set", None, address=True)
+    data: str | None = option(
+        f"for {_takers('data')}: folder or address of the set; for packing the name of a source", None, address=True
+    )
     runs: tuple[Path, ...] | None = option(
         "for variants: folder of runs VARIANT-SEED, where missing ones are trained, and folders of others to compare "
         "on real frames; for architectures and ablation: folders of runs NAME-SEED; for motion: runs, all of them; "

@@ -39,7 +39,7 @@ from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk
 from bodyseg_data.bodies.source import Body, BodyRef, ListedBodies
 from bodyseg_data.bodies.stances import STANCES, Places
 from bodyseg_data.bodies.worn import draped, gripping
-from bodyseg_data.core import BadLandmarks, generator
+from bodyseg_data.core import BadLandmarks, Draws
 from bodyseg_data.machine import missing_library
 from bodyseg_data.meshes import Mesh, PointLandmarks, load_landmark_file, load_landmarks
 from bodyseg_data.samples import split_by_motion, split_by_order
@@ -273,7 +273,7 @@ def _figure(index: int) -> Figure:
 
 def drawn_pose(index: int) -> Pose:
     """Draw the posture of body number `index`: stances take turns, everything else is random."""
-    draws = generator(0, 0, f"wide/{index:03d}", "posture")
+    draws = Draws(0, 0, f"wide/{index:03d}").generator("posture")
     stance = [*WIDE_STANCES.values()][index % len(WIDE_STANCES)]
     trunk = Trunk(**within(stance.trunk, draws))
     if "roll" in stance.trunk:
@@ -316,7 +316,7 @@ class EverydayBodies(MadeBodies):
         self.entry(body)
         if self._latest is None or self._latest[0] != body:
             index = int(body.subject[1:])
-            draws = generator(0, 0, f"everyday/{body.mesh}", "pose")
+            draws = Draws(0, 0, f"everyday/{body.mesh}").generator("pose")
             sampler = ContactSampler(self.model.posable(person(_FIRST_EVERYDAY_PERSON + index)), self._places)
             self._latest = body, sampler.draw(body.pose, draws)
         return self._latest[1]
@@ -363,12 +363,12 @@ class EverydayBodies(MadeBodies):
 
     def attire(self, body: BodyRef) -> Attire:
         """Return what one of `bodies()` wears and holds beyond top and trousers, as drawn. Raises BadConfig."""
-        draws = generator(0, 0, f"everyday/{body.mesh}", "attire")
+        draws = Draws(0, 0, f"everyday/{body.mesh}").generator("attire")
         return drawn_attire(draws, self.drawn(body).contacts, self._outfit(body) is not None)
 
     def _outfit(self, body: BodyRef) -> Outfit | None:
         """Return the top and trousers that are drawn for a body, or None."""
-        draws = generator(0, 0, f"everyday/{body.mesh}", "clothes")
+        draws = Draws(0, 0, f"everyday/{body.mesh}").generator("clothes")
         dressed = draws.random() < _DRESSED
         # A hand on the body would be hidden in loose cloth, which does not know of it.
         close = any(contact.endswith(_ON_CLOTHES) for contact in self.drawn(body).contacts)

@@ -29,7 +29,7 @@ from slow_accuracy import slow_accuracy
 from bodyseg_data import RangeImages
 from bodyseg_data.artifacts import SHAPES
 from bodyseg_data.commands.options import parse
-from bodyseg_data.core import BadConfig, generator
+from bodyseg_data.core import BadConfig, Draws
 from bodyseg_model.commands import train
 from bodyseg_model.networks import build, load_network, save_network
 from bodyseg_model.training.recipes import PRESETS
@@ -208,7 +208,7 @@ def test_exams_change_what_they_say(figures_set: Path) -> None:
         gone = (ours.range == 0) & (usual.range > 0)
         assert np.array_equal(ours.range, np.where(gone, 0, usual.range))
         assert np.array_equal(ours.labels, np.where(gone, 255, usual.labels))
-        lost = SHAPES[kind](clean.range, 0.3, generator(fewer.seed, 0, clean.key, f"lost {kind}"))
+        lost = SHAPES[kind](clean.range, 0.3, Draws(fewer.seed, 0, clean.key).generator(f"lost {kind}"))
         assert abs(lost.sum() - 0.3 * (clean.range > 0).sum()) < 1
         assert np.array_equal(gone, lost & (usual.range > 0)) and gone.any()
         image, labels = np.full_like(ours.range, 7), np.full_like(ours.labels, 7)

@@ -161,10 +161,8 @@ def _speed() -> Iterator[Step]:
     yield _bench("far", alone=True)
     yield _bench("sensor_fit", drawn=True, alone=True)
     yield _bench("reliability")
-    for name, source in (("packing", "open"), ("packing_hard", "hard")):
-        words = ("bodyseg", "shard", "--source", source, "--workers", "2", "--out", f"reported/{source}")
-        report = f"results/{name}.json"
-        yield Step(name, "results", (*words, "--report", report), ((report, f"{name}.json"),), alone=True)
+    for to, source in (("packing", "open"), ("packing_hard", "hard")):
+        yield _bench("packing", "--data", source, to=to, alone=True)
 
 
 def _by_processor() -> Iterator[Step]:

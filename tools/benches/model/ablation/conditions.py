@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from benches.model.variants.scores import AlteredImages, Condition
 from bodyseg_data.artifacts import SHAPES, SensorModel, load_sensor_model
-from bodyseg_data.core import generator
+from bodyseg_data.core import Draws
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.loading import RangeImages
 from bodyseg_model.evaluation.evaluation import fixed_artifacts
@@ -111,7 +111,7 @@ class ConditionImages(AlteredImages):
 
     def _lost(self, shape: str, index: int, epoch: int) -> NDArray[np.bool_]:
         clean = self.clean(index)
-        draws = generator(self.seed, epoch, clean.key, f"lost {shape}")
+        draws = Draws(self.seed, epoch, clean.key).generator(f"lost {shape}")
         return SHAPES[shape](clean.range, self._condition.share, draws)
 
 

@@ -19,7 +19,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, MissingLibrary, ProgressCallback, generator, silent
+from bodyseg_data.core import BadConfig, Draws, MissingLibrary, ProgressCallback, silent
 from bodyseg_data.labels import BACKGROUND, PART_COUNT
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.machine import compiled
@@ -84,7 +84,7 @@ def draw_offsets(scale: ForestScale, seed: int) -> NDArray[np.float32]:
 
     v is the pixel itself in every other pair.
     """
-    draws = generator(seed, 0, "", "forest offsets").uniform(-scale.reach, scale.reach, (scale.candidates, 4))
+    draws = Draws(seed, 0, "").generator("forest offsets").uniform(-scale.reach, scale.reach, (scale.candidates, 4))
     draws[::2, 2:] = 0
     return draws.astype(np.float32)
 
@@ -227,7 +227,7 @@ def fit_forest(
     filled = 0
     for done, index in enumerate(images.order(images.epoch)[: scale.images].tolist(), start=1):
         image = images.image(index)
-        chosen = _spread_over_parts(image.labels, scale.pixels, generator(seed, 0, image.key, "forest pixels"))
+        chosen = _spread_over_parts(image.labels, scale.pixels, Draws(seed, 0, image.key).generator("forest pixels"))
         here = slice(filled, filled + len(chosen))
         features[here] = depth_differences(smoothed(metres(image.range, images.step_m), scale.window), chosen, offsets)
         labels[here] = image.labels.ravel()[chosen]
@@ -239,7 +239,7 @@ def fit_forest(
         max_depth=scale.depth,
         max_features=scale.tried,
         min_samples_leaf=scale.leaf,
-        random_state=int(generator(seed, 0, "", "forest trees").integers(2**31)),
+        random_state=int(Draws(seed, 0, "").generator("forest trees").integers(2**31)),
         n_jobs=1,
     )
     forest.fit(features[:filled], labels[:filled])

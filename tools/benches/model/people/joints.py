@@ -19,7 +19,7 @@ from benches.model.chosen import chosen_network
 from benches.model.people.bodies import annotated_bodies
 from bodyseg_data.bodies import open_source
 from bodyseg_data.bodies.skeleton import bone_rotations
-from bodyseg_data.core import ProgressCallback, generator, silent
+from bodyseg_data.core import Draws, ProgressCallback, silent
 from bodyseg_data.labels import BACKGROUND, LANDMARKS, PART_COUNT, PARTS
 from bodyseg_data.meshes import Mesh, Partition, partition
 from bodyseg_data.rendering import RasterRenderer
@@ -92,14 +92,14 @@ def views_of(
     """
     middle = (person.mesh.vertices.min(axis=0) + person.mesh.vertices.max(axis=0)) / 2
     for number in range(count):
-        draws = generator(seed, 0, person.mesh.name, f"view {number}")
+        draws = Draws(seed, 0, person.mesh.name).generator(f"view {number}")
         camera = load_sensor(("kinect_v1", "kinect_v2")[int(2 * draws.random())]).camera
         axes, away = axes_at(int(draws.uniform(-180, 180)), draws.uniform(-30, 8)), draws.uniform(1.2, 4.2)
         aside, up = draws.uniform(-0.2, 0.2) * away, draws.uniform(-0.4, 0.4)
         placed = PlacedCamera(camera, axes, middle + np.array([0, up, 0]) - away * axes[2] + aside * axes[0])
         seen = RasterRenderer(person.mesh).render(placed)
         body = seen.face >= 0
-        noisy = generator(seed, 0, person.mesh.name, f"noise {number}")
+        noisy = Draws(seed, 0, person.mesh.name).generator(f"noise {number}")
         range_m = _measured(np.where(body, seen.range, np.inf).astype(np.float32), noisy)
         _hide(range_m, body, draws)
         body &= range_m > 0

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from benches.model.border_distance import BorderErrors
 from benches.result_cache import ResultCache, network_identity
 from bodyseg_data.artifacts import VARIANTS, RangeImage, VariantName
-from bodyseg_data.core import generator
+from bodyseg_data.core import Draws
 from bodyseg_data.loading import RangeImages
 from bodyseg_model.evaluation import evaluate, open_images, report
 from bodyseg_model.networks import Network, device_of
@@ -106,7 +106,7 @@ class ReliefImages(AlteredImages):
         if self._flat:
             image[image > 0] = np.median(image[image > 0])
         if self._grain_px:
-            draws = generator(self.seed, epoch, self.clean(index).key, "grain")
+            draws = Draws(self.seed, epoch, self.clean(index).key).generator("grain")
             sides = [-(-side // self._grain_px) for side in image.shape]
             noise = draws.normal(0, GRAIN_MM / 1e3 / self.step_m, sides)
             whole = noise.repeat(self._grain_px, 0).repeat(self._grain_px, 1)[: image.shape[0], : image.shape[1]]
