@@ -135,25 +135,38 @@ class Losses(Artifact):
 
     most: float = bounded(0.0, 0, 1)
 
-    def lost(self, range_image: NDArray[np.uint16], generator: np.random.Generator) -> NDArray[np.bool_]:
-        """Mark the pixels that one image loses, bool [H, W].
-
-        range_image: the clean one, uint16 [H, W], 0 is background. generator: draws the shape, the share and the
-        positions.
-        """
+    def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
+        generator = draws.generator("losses")
         which, share = units(generator, 2)
         shapes = (None, *SHAPES.values())
         shape = shapes[int(which * len(shapes))]
-        if shape is None:
-            return np.zeros(range_image.shape, np.bool_)
-        return shape(range_image, self.most * float(share), generator)
-
-    def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
-        image.range[self.lost(scene.sample.range, draws.generator("losses"))] = 0
+        if shape is not None:
+            image.range[shape(scene.sample.range, self.most * float(share), generator)] = 0
 
 
 @dataclass(frozen=True)
-class PatchLoss(Artifact):
+class _ShareLost(Artifact):
+    """Base of artifacts that lose a share of the body in one shape, drawn once an image, from `low` to `high`."""
+
+    kind = "missing_data"
+
+    low: float = bounded(0.0, 0, 1)
+    high: float = bounded(0.2, 0, 1)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.low > self.high:
+            found = f"low {self.low} and high {self.high}"
+            raise BadConfig(f"shares of lost pixels must satisfy low <= high, found {found}")
+
+    def draw(self, draws: Draws) -> dict[str, float]:
+        """As `Artifact.draw`: the share lost."""
+        share = self.low + (self.high - self.low) * draws.chance(self.purposes[0])
+        return dict.fromkeys(self.drawn, share)
+
+
+@dataclass(frozen=True)
+class PatchLoss(_ShareLost):
     """One to four patches lost whole, as dark cloth and hair are: a share of the body that is drawn once an image.
 
     The share is uniform from `low` to `high`. parts: names of the parts that may be lost, as in `PARTS`; () for all.
@@ -161,24 +174,16 @@ class PatchLoss(Artifact):
     """
 
     name = "patch_loss"
-    kind = "missing_data"
     purposes = ("patch share", "patch loss")
     drawn: ClassVar[Mapping[str, str]] = {"patch_share": "{:.0%} in patches"}
 
-    low: float = bounded(0.0, 0, 1)
-    high: float = bounded(0.2, 0, 1)
     parts: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _check_order(self.low, self.high)
         for part in self.parts:
             if part not in _LABELS:
                 raise BadConfig(f"parts must be landmarks of the 33 parts, found {part!r}")
-
-    def draw(self, draws: Draws) -> dict[str, float]:
-        """As `Artifact.draw`: "patch_share", the share lost."""
-        return {"patch_share": _share(self.low, self.high, draws.chance("patch share"))}
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         clean = scene.sample.range
@@ -189,7 +194,7 @@ class PatchLoss(Artifact):
 
 
 @dataclass(frozen=True)
-class StripeLoss(Artifact):
+class StripeLoss(_ShareLost):
     """Two to twelve parallel stripes lost whole: a share of the body that is drawn once an image, uniform from `low` to
     `high`.
 
@@ -198,21 +203,10 @@ class StripeLoss(Artifact):
     """
 
     name = "stripe_loss"
-    kind = "missing_data"
     purposes = ("stripe share", "stripe loss")
     drawn: ClassVar[Mapping[str, str]] = {"stripe_share": "{:.0%} in stripes"}
 
-    low: float = bounded(0.0, 0, 1)
-    high: float = bounded(0.2, 0, 1)
     along: Literal["rows", "columns"] | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_order(self.low, self.high)
-
-    def draw(self, draws: Draws) -> dict[str, float]:
-        """As `Artifact.draw`: "stripe_share", the share lost."""
-        return {"stripe_share": _share(self.low, self.high, draws.chance("stripe share"))}
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         clean, generator = scene.sample.range, draws.generator("stripe loss")
@@ -254,15 +248,6 @@ def _rounded(share: float, pixels: int) -> int:
     return math.floor(share * pixels + 0.5)
 
 
-def _share(low: float, high: float, chance: float) -> float:
-    return low + (high - low) * chance
-
-
 def _check_share(share: float) -> None:
     if not 0 <= share <= 1:
         raise BadConfig(f"the share of lost pixels must be from 0 to 1, found {share}")
-
-
-def _check_order(low: float, high: float) -> None:
-    if low > high:
-        raise BadConfig(f"shares of lost pixels must satisfy low <= high, found low {low} and high {high}")

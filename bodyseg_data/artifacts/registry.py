@@ -29,11 +29,6 @@ ARTIFACTS: Final[dict[str, type[Artifact]]] = {
 }
 """Name -> class of the artifacts that ship with this package; the first three are those of the paper's Table 1."""
 
-REMOVED: Final = (
-    "axial_noise", "lateral_noise", "stereo_noise", "disparity_rounding", "range_rounding", "grazing_loss", "edge_loss",
-)  # fmt: skip
-"""Names of artifacts that earlier versions had, and that files and cards may still name."""
-
 ENTRY_POINT: Final = "bodyseg.artifacts"
 """Group of the entry points by which an installed package adds artifacts."""
 
@@ -46,10 +41,6 @@ def artifact_class(name: str) -> type[Artifact]:
     if name in ARTIFACTS:
         return ARTIFACTS[name]
     added = {entry.name: entry for entry in metadata.entry_points(group=ENTRY_POINT)}
-    if name not in added and name in REMOVED:
-        raise BadConfig(
-            f"artifact {name} was removed, since networks lose nothing by it (results/variants.md): leave it out"
-        )
     if name not in added:
         raise BadConfig(f"an artifact must be one of {', '.join((*ARTIFACTS, *added))}, found {name!r}")
     return _loaded(added[name])

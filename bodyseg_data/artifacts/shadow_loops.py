@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.occlusion import ShadowTest
-from bodyseg_data.artifacts.scratch import BLOCK, CHUNK, ROOM, constant, scratch_for
+from bodyseg_data.artifacts.scratch import BLOCK, CHUNK, ROOM, constant
 from bodyseg_data.machine import compiled
 from bodyseg_data.samples import FARTHEST_STEPS
 
@@ -343,24 +343,6 @@ def mark_lit(shadow: Any, found: Any, scratch: Any, marks: Any, lit: Any) -> Non
                 marks[point + i] &= np.uint8(floats[at + i])
 
 
-@_kernel
-def lit_image(shadow: Any, scratch: Any, answer: Any) -> None:
-    """Mark the pixels that are lit in `answer`, flat."""
-    runs = find_runs(shadow.camera_range, scratch.changes, scratch.edges)
-    mark_occupied(shadow, scratch)
-    answer[:] = False
-    run, taken, row = np.int64(0), np.int64(0), np.int64(0)
-    pieces = scratch.pieces
-    while run < runs:
-        run, taken, row, found, _ = take_pieces(scratch.edges, runs, run, taken, row, shadow.width, BLOCK, pieces)
-        mark_lit(shadow, found, scratch, scratch.marks, None)
-        for piece in range(np.uint64(found)):
-            first, point = np.uint64(pieces[0, piece]), np.uint64(pieces[3, piece])
-            for i in range(np.uint64(pieces[1, piece])):
-                answer[first + i] = scratch.marks[point + i] != 0
-    forget_occupied(shadow, scratch)
-
-
 def shadow_of(
     test: ShadowTest,
     camera_range: NDArray[np.uint16],
@@ -388,15 +370,3 @@ def shadow_of(
         test.gap_steps,
         test.edge_steps,
     )
-
-
-def lit(
-    test: ShadowTest,
-    camera_range: NDArray[np.uint16],
-    projector_range: NDArray[np.uint16],
-    faces_projector: NDArray[np.bool_],
-) -> NDArray[np.bool_]:
-    shadow = shadow_of(test, camera_range, projector_range, faces_projector)
-    answer = np.empty(camera_range.shape, np.bool_)
-    lit_image(shadow, scratch_for(camera_range.size, *projector_range.shape), answer.ravel())
-    return answer

@@ -7,7 +7,7 @@ process opens its own. Importing this file is quick.
 import hashlib
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Generic, Protocol, TypeVar
 from urllib.parse import quote_from_bytes
@@ -95,15 +95,15 @@ class Body:
 
     landmarks: int64 [N], the vertex of each of the 33 landmarks in the order of `PARTS`; of a scene none. notes:
     repairs of the mesh and the like, one line each, for its owner. pieces: those of the mesh that lie over the body,
-    like a skirt or a held thing. template: float64 [V, 3], metres, where on the template of the body the first vertices
-    lie, all but those of `pieces`; None for bodies of another topology.
+    like a skirt or a held thing. template: called where it is needed, gives where on the template of the body the first
+    vertices lie, all but those of `pieces`, float64 [V, 3], metres; None for bodies of another topology.
     """
 
     mesh: Mesh
     landmarks: NDArray[np.int64]
     notes: tuple[str, ...] = ()
     pieces: tuple[SurfacePiece, ...] = ()
-    template: NDArray[np.float64] | None = None
+    template: Callable[[], NDArray[np.float64]] | None = None
 
     def partition(self, method: GeodesicMethod = "exact") -> Partition:
         """Label every vertex of the mesh, as `partition` does and with its errors."""

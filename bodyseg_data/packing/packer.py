@@ -122,7 +122,8 @@ def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...], plan: s
     parts = built.surface_labels(packing.geodesics)
     renderer = open_renderer(packing.renderer, built.mesh)
     try:
-        options = packing.things, len(classes_from(source)), built.template if packing.template else None
+        places = built.template() if packing.template and built.template is not None else None
+        options = packing.things, len(classes_from(source)), places
         sampler = Sampler(renderer, packing.rig, built.mesh, parts, source.name, body, *options)
         samples = (sampler.take(view) for view in views)
         notes = (*built.notes, *(() if (note := getattr(parts, "note", None)) is None else (note,)))

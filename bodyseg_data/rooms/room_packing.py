@@ -56,16 +56,25 @@ class OwnThings(NamedTuple):
     units: Units = "auto"
     up: UpAxis = "auto"
 
-    def read(self) -> tuple[list[tuple[str, Solid]], str]:
-        """Name and surface of each, its base on y = 0 around x = z = 0; and a digest of the files.
+    def _scenes(self) -> Any:
+        try:
+            return open_source("labelled", self.folder, None, self.units, self.up)
+        except BadConfig as error:
+            raise BadConfig(f"--scene: {error}") from error
+
+    def digest(self) -> str:
+        """Digest of the files. Raises as `surfaces`."""
+        scenes = self._scenes()
+        found: str = scenes.fingerprint(scenes.bodies())
+        return found[:12]
+
+    def surfaces(self) -> list[tuple[str, Solid]]:
+        """Name and surface of each, its base on y = 0 around x = z = 0.
 
         Raises BadConfig for a folder without meshes; BadMesh, naming the file, for one that cannot be read, is smaller
         than 5 cm or larger than 4 m, or has more than 300 000 triangles.
         """
-        try:
-            scenes: Any = open_source("labelled", self.folder, None, self.units, self.up)
-        except BadConfig as error:
-            raise BadConfig(f"--scene: {error}") from error
+        scenes = self._scenes()
         found = []
         for body in scenes.bodies():
             mesh, file = scenes.surface(body), scenes.entry(body).path
@@ -80,7 +89,7 @@ class OwnThings(NamedTuple):
                 raise BadMesh(f"{file}: a thing of rooms may have {_OWN_FACES} triangles, found {len(mesh.faces)}")
             base = (low + high) / 2 * (1, 0, 1) + low * (0, 1, 0)
             found.append((body.mesh, Solid(mesh.vertices - base, mesh.faces)))
-        return found, scenes.fingerprint(scenes.bodies())[:12]
+        return found
 
 
 def pack_rooms(
@@ -99,7 +108,7 @@ def pack_rooms(
 
     split: of all samples, with people of "wide" and "everyday", or for test of "open" and "hard"; the plane "person"
     numbers them from 1. own: further things. workers: processes, one a processor if None. Raises BadConfig, as
-    `OwnThings.read`, and as `ShardWriter`.
+    `OwnThings.surfaces`, and as `ShardWriter`.
     """
     order = sorted(
         range(check_int("samples", samples, 1)),
@@ -108,7 +117,10 @@ def pack_rooms(
     keys = {f"room-{split}-{room:06d}": room for room in order}
     lacking = ", ".join(kind for kind in FURNISHINGS if kind not in kinds)
     source = f"rooms without {lacking}" if lacking else "rooms"
-    source += "" if own is None else f", with things of digest {own.read()[1]}"
+    digest = "" if own is None else own.digest()
+    if own is not None:
+        _things_of(own, digest)  # before anything is written; this process needs them for the first room
+        source += f", with things of digest {digest}"
     with (
         processes(workers if workers is None else check_int("workers", workers, 1)) as engine,
         ShardWriter(
@@ -126,21 +138,22 @@ def pack_rooms(
         ) as writer,
     ):
         progress(sum(key in writer for key in keys), samples)
-        writer.write_all(keys, partial(_made, rig, split, kinds, own, (out / STATE_NAME).absolute()))
+        writer.write_all(keys, partial(_made, rig, split, kinds, own, digest, (out / STATE_NAME).absolute()))
     return read_manifest(out)
 
 
 def _made(
-    rig: Rig, split: Split, kinds: tuple[str, ...], own: OwnThings | None, state: Path, room: int
+    rig: Rig, split: Split, kinds: tuple[str, ...], own: OwnThings | None, digest: str, state: Path, room: int
 ) -> dict[str, Any]:
-    people, things = _shared_people(state, split, room // _BLOCK), () if own is None else _things_of(own)
+    people, things = _shared_people(state, split, room // _BLOCK), () if own is None else _things_of(own, digest)
     made = vars(Room(f"room-{split}-{room:06d}", rig, people, kinds, own=things).render(split))
     return {name: made[name] for name in made if name != "key"}
 
 
 @lru_cache(1)
-def _things_of(own: OwnThings) -> list[tuple[str, Solid]]:
-    return own.read()[0]
+def _things_of(own: OwnThings, _digest: str) -> list[tuple[str, Solid]]:
+    """The things of files with this digest, read once a process."""
+    return own.surfaces()
 
 
 @lru_cache(_AT_ONCE)

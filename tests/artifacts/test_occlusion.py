@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benches.data.occlusion import compiled_default
 from benches.data.occlusion.views import exact_view, exact_views, postures
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -16,9 +17,8 @@ from shadow_reference import lit_by_pixel
 from shapes import ball, figure
 
 from bodyseg_data.artifacts import ShadowTest
-from bodyseg_data.artifacts import shadow_loops as occlusion_compiled
 from bodyseg_data.artifacts.scratch import BLOCK, scratch_for
-from bodyseg_data.artifacts.shadow_loops import bound_pieces, find_extremes, take_pieces
+from bodyseg_data.artifacts.shadow_loops import bound_pieces, find_extremes, shadow_of, take_pieces
 from bodyseg_data.bodies import Body, BodyRef, open_source
 from bodyseg_data.core import BadSample
 from bodyseg_data.meshes import Mesh
@@ -249,7 +249,7 @@ def test_arrays_that_do_not_fit_the_rig_are_refused(which: int, how: str) -> Non
     with pytest.raises(BadSample, match=r"^the (camera range|projector range|facing bit) must be .*, found [^\n]*$"):
         ShadowTest(small_rig()).lit(*arrays)  # type: ignore[arg-type]
     with pytest.raises(BadSample, match=r"^the (camera range|projector range|facing bit) must be .*, found [^\n]*$"):
-        occlusion_compiled.lit(ShadowTest(small_rig()), *arrays)  # type: ignore[arg-type]
+        compiled_default.lit(ShadowTest(small_rig()), *arrays)  # type: ignore[arg-type]
 
 
 def test_a_shadow_test_travels_as_its_rig() -> None:
@@ -267,7 +267,7 @@ def assert_forms_agree(rig: Rig, images: tuple[NDArray[np.uint16], NDArray[np.ui
     np.testing.assert_array_equal(
         lit, lit_by_pixel(*images, test.slopes, test.offsets, (test.gap_steps, test.edge_steps))
     )
-    np.testing.assert_array_equal(lit, occlusion_compiled.lit(test, *images))
+    np.testing.assert_array_equal(lit, compiled_default.lit(test, *images))
     return lit
 
 
@@ -333,7 +333,7 @@ def test_pixels_that_are_skipped_are_lit_for_any_rig(
     test = ShadowTest(rig)
     test.gap_steps, test.edge_steps = np.float32(thresholds[0]), np.float32(thresholds[1])
     images = sparse_images(rig, np.random.default_rng(seed))
-    np.testing.assert_array_equal(test.lit(*images), occlusion_compiled.lit(test, *images))
+    np.testing.assert_array_equal(test.lit(*images), compiled_default.lit(test, *images))
 
 
 @pytest.mark.parametrize("position", [(-0.75, 0.0, 0.0), (0.0, -0.8, 0.1), (0.5, 0.5, -1.0), (0.0, 0.0, 2.6)])
@@ -346,7 +346,7 @@ def test_bodies_of_many_chunks_get_the_same_bits(position: tuple[float, float, f
         images[0][images[0] > 0] = images[0][images[0] > 0] // 4 + 22_000
         images[1][images[1] > 0] = images[1][images[1] > 0] // 4 + 18_000
         lit = test.lit(*images)
-        np.testing.assert_array_equal(lit, occlusion_compiled.lit(test, *images))
+        np.testing.assert_array_equal(lit, compiled_default.lit(test, *images))
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(90, 1500), (700, 1), (90, 129), (3, 4000)])
@@ -360,7 +360,7 @@ def test_projectors_of_any_shape_give_the_same_bits(rows: int, columns: int) -> 
     # Most texels are behind what is seen, and a few before it.
     occluder = draws.choice(np.array([0, 24_999, 20_000], np.uint16), (rows, columns), p=[0.97, 0.028, 0.002])
     lit = test.lit(camera_range, occluder, camera_range > 0)
-    np.testing.assert_array_equal(lit, occlusion_compiled.lit(test, camera_range, occluder, camera_range > 0))
+    np.testing.assert_array_equal(lit, compiled_default.lit(test, camera_range, occluder, camera_range > 0))
     assert 0 < lit.mean() < 0.999
 
 
@@ -376,7 +376,7 @@ def test_boxes_hold_every_texel_that_their_points_read(seed: int) -> None:
     image[:, :30], image[:, 90:], image[:20], image[70:] = 0, 0, 0, 0
     edges = np.flatnonzero(np.diff(image.ravel() > 0, prepend=False, append=False)).astype(np.int32)
     scratch, runs, given_up, pieces_seen = scratch_for(size, 90, 120), len(edges) // 2, 0, 0
-    shadow = occlusion_compiled.shadow_of(test, image, np.zeros_like(image), image > 0)
+    shadow = shadow_of(test, image, np.zeros_like(image), image > 0)
     run, taken, row = np.int64(0), np.int64(0), np.int64(0)
     while run < runs:
         run, taken, row, found, _ = take_pieces(edges, runs, run, taken, row, 120, BLOCK, scratch.pieces)
@@ -408,9 +408,9 @@ def test_texels_in_any_order_and_empty_ones_among_them_give_the_same_bits() -> N
     images[0][images[0] > 0], images[1][images[1] > 0] = 25_000, 20_000
     texels = np.concatenate([np.flatnonzero(images[1]), draws.integers(0, images[1].size, 50)]).astype(np.int32)
     draws.shuffle(texels)
-    shadow = occlusion_compiled.shadow_of(test, *images, texels)
+    shadow = shadow_of(test, *images, texels)
     answer = np.empty(images[0].shape, np.bool_)
-    occlusion_compiled.lit_image(shadow, scratch_for(images[0].size, *images[1].shape), answer.ravel())
+    compiled_default.lit_image(shadow, scratch_for(images[0].size, *images[1].shape), answer.ravel())
     lit = test.lit(*images)
     np.testing.assert_array_equal(answer, lit)
     assert (images[2] & (images[0] > 0) & ~lit).sum() > 0
@@ -431,7 +431,7 @@ def test_fast_plain_and_compiled_form_agree_on_a_rendered_figure() -> None:
     view = exact_view(rig, EmbreeRenderer(mesh), *standing(mesh), View(255, 20))
     assert_forms_agree(rig, view.images(1))
     test = ShadowTest(rig.with_projector_scale(2))
-    np.testing.assert_array_equal(occlusion_compiled.lit(test, *view.images(2)), test.lit(*view.images(2)))
+    np.testing.assert_array_equal(compiled_default.lit(test, *view.images(2)), test.lit(*view.images(2)))
 
 
 def test_the_default_is_within_one_percent_of_exact_shadow_rays() -> None:

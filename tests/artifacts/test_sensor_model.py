@@ -28,7 +28,7 @@ from bodyseg_data.artifacts import (
     sensor_for,
     sensor_model_names,
 )
-from bodyseg_data.artifacts.registry import ENTRY_POINT, REMOVED
+from bodyseg_data.artifacts.registry import ENTRY_POINT
 from bodyseg_data.artifacts.sensor_model import artifacts_from_json, parse_sensor_model
 from bodyseg_data.core import BadConfig, Draws
 
@@ -171,18 +171,6 @@ def test_a_bad_sensor_file_is_one_line(text: str, message: str) -> None:
     with pytest.raises(BadConfig, match=f"^{message}") as refused:
         parse_sensor_model(text, "x")
     assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize("name", REMOVED)
-def test_an_artifact_that_was_removed_is_one_line_that_says_why(name: str) -> None:
-    why = f"artifact {name} was removed, since networks lose nothing by it (results/variants.md): leave it out"
-    file = f"format = 'bodyseg sensor 1'\nname = 'a'\n[[artifacts]]\nartifact = '{name}'\nstrength = 1"
-    with pytest.raises(BadConfig) as refused:
-        parse_sensor_model(file, "mine.toml")
-    assert str(refused.value) == f"sensor mine.toml: {why}"
-    with pytest.raises(BadConfig) as refused:
-        parse_artifacts(f'{{"{name}": {{}}}}', "--artifacts", PAPER)
-    assert str(refused.value) == f"--artifacts: {why}"
 
 
 def test_a_sensor_that_is_not_there_is_one_line(tmp_path: Path, figures_set: Path) -> None:

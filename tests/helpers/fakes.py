@@ -39,7 +39,7 @@ class Figures:
         mesh = Mesh(body.mesh, plain.vertices * (1 + 0.02 * number, 1 - 0.02 * number, 1.0), plain.faces)
         # Equal steps through the vertices of all five pieces: a piece without a landmark would cost most of the time.
         landmarks = np.linspace(0, len(mesh.vertices) - 1, PART_COUNT).astype(np.int64)
-        return Body(mesh, landmarks, template=plain.vertices)
+        return Body(mesh, landmarks, template=lambda: plain.vertices)
 
     def in_pose(self, body: BodyRef, pose: str) -> Body:
         """The figure, in any pose a seventh taller."""

@@ -43,7 +43,7 @@ from plain_views import take_whole_frames
 from shapes import figure
 from test_sampler import REF, RIG, check_against_whole_frames, halves
 from bodyseg_data.artifacts import occlusion
-from bodyseg_data.artifacts import shadow_loops as occlusion_compiled
+from benches.data.occlusion import compiled_default
 from bodyseg_data.rigs.rig import Camera, Rig
 from bodyseg_data.samples.views import View, ViewGrid
 from bodyseg_data.packing import options
@@ -63,7 +63,7 @@ parts = halves(mesh)
 check_against_whole_frames(RIG, mesh, parts, View(215, 60))
 ranges, projected, _, facing = take_whole_frames(RIG, mesh, parts, View(215, 60))
 test = occlusion.ShadowTest(RIG)
-assert (occlusion_compiled.lit(test, ranges, projected, facing) == test.lit(ranges, projected, facing)).all()
+assert (compiled_default.lit(test, ranges, projected, facing) == test.lit(ranges, projected, facing)).all()
 options.open_source = lambda *where: Figures()
 views = ViewGrid(span_deg=360, count=4)
 pack.pack(options.Packing("open", meshes=2, views=views), out, ThreadPoolExecutor(1), 1)

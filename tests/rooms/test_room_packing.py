@@ -15,6 +15,7 @@ from small_rig import SMALL
 
 from bodyseg_data import RangeImages
 from bodyseg_data.bodies import Body, BodyRef
+from bodyseg_data.bodies.sources.labelled import LabelledScenes
 from bodyseg_data.commands.cli import main
 from bodyseg_data.core import BadConfig, BadMesh
 from bodyseg_data.meshes import cuboid, partition
@@ -90,21 +91,27 @@ def box_file(path: Path, size: tuple[float, float, float] = (40, 80, 60)) -> Pat
     return path
 
 
-def test_own_meshes_stand_in_rooms_as_no_body_with_the_same_bytes(tmp_path: Path, built: list[tuple[str, int]]) -> None:
+def test_own_meshes_stand_in_rooms_as_no_body_with_the_same_bytes(
+    tmp_path: Path, built: list[tuple[str, int]], monkeypatch: pytest.MonkeyPatch
+) -> None:
     box_file(tmp_path / "own/press.off")
     own = OwnThings(tmp_path / "own", "cm")
-    ((name, solid),), _ = own.read()
+    ((name, solid),) = own.surfaces()
     assert name == "press"
     np.testing.assert_allclose(solid.vertices.min(axis=0), (-0.2, 0.0, -0.3), atol=1e-12)
     np.testing.assert_allclose(solid.vertices.max(axis=0), (0.2, 0.8, 0.3), atol=1e-12)
+    read, surface = list[str](), LabelledScenes.surface
+    noted = lambda source, body: (read.append(body.mesh), surface(source, body))[1]  # noqa: E731
+    monkeypatch.setattr(LabelledScenes, "surface", noted)
     for workers in (1, 3):
         pack_rooms(tmp_path / str(workers), SMALL, 4, "test", ("stool",), own, shard_samples=3, workers=workers)
+    assert read == ["press"], "a process reads a mesh once"
     pack_rooms(tmp_path / "without", SMALL, 4, "test", ("stool",), shard_samples=3, workers=1)
     assert files(tmp_path / "1") == files(tmp_path / "3")
     shard = next(tmp_path.glob("1/*.tar")).name
     assert files(tmp_path / "1")[shard] != files(tmp_path / "without")[shard]
     box_file(tmp_path / "own/press.off", (41, 80, 60))  # other things are another set
-    assert own.read()[1] not in (tmp_path / "1/manifest.json").read_text()
+    assert own.digest() not in (tmp_path / "1/manifest.json").read_text()
 
 
 def test_own_meshes_that_cannot_stand_in_rooms_are_refused_in_one_line(

@@ -38,8 +38,10 @@ from bodyseg_data.bodies.shells import Wearer
 from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk
 from bodyseg_data.bodies.source import Body, BodyRef, ListedBodies
 from bodyseg_data.bodies.stances import STANCES, Places
+from bodyseg_data.bodies.template import off_skin
 from bodyseg_data.bodies.worn import draped, gripping
 from bodyseg_data.core import BadLandmarks, Draws
+from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.machine import missing_library
 from bodyseg_data.meshes import Mesh, PointLandmarks, load_landmark_file, load_landmarks
 from bodyseg_data.samples import split_by_motion, split_by_order
@@ -62,11 +64,14 @@ class MadeBodies(ListedBodies[Maker]):
         self._model: AnnyModel | None = None
 
     def label_by(self, file: Path) -> None:
-        """Label all bodies by a landmark file of vertices of their mesh. Raises BadLandmarks for any other file."""
+        """Label all bodies by a landmark file of vertices of their skin. Raises BadLandmarks for any other file."""
         read, own = load_landmark_file(file), self.landmarks
         if isinstance(read, PointLandmarks):
             raise BadLandmarks(f"landmarks {file}: the source {self.name!r} needs them by vertex, found coordinates")
         read.check_counts(own.vertex_count, own.face_count, f"bodies of {self.name!r}")
+        for at in np.flatnonzero(off_skin(read.vertices)).tolist():
+            rule = f"{LANDMARKS[at]!r} must lie on the skin, not on an eye or inside the head"
+            raise BadLandmarks(f"landmarks {file}: {rule}, found vertex {read.vertices[at]}")
         self.landmarks = read
 
     def figure(self, body: BodyRef) -> Figure:
@@ -109,7 +114,7 @@ class MadeBodies(ListedBodies[Maker]):
     def _built(self, body: BodyRef, figure: Figure, dressed: bool) -> Body:
         vertices, faces = self.model.surface(figure, dressed)
         landmarks = np.array(self.landmarks.vertices, np.int64)
-        return Body(Mesh(body.mesh, vertices, faces), landmarks, template=self.model.places(figure))
+        return Body(Mesh(body.mesh, vertices, faces), landmarks, template=partial(self.model.places, figure))
 
 
 class OpenBodies(MadeBodies):
@@ -354,7 +359,7 @@ class EverydayBodies(MadeBodies):
         vertices, faces, pieces = joined(vertices, faces, put_on(wearer, attire, cloth))
         landmarks = np.array(self.landmarks.vertices, np.int64)
         mesh = Mesh(body.mesh, standing(vertices), faces)
-        return Body(mesh, landmarks, pieces=pieces, template=self.model.places(figure))
+        return Body(mesh, landmarks, pieces=pieces, template=partial(self.model.places, figure))
 
     def _wearer(self, figure: Figure) -> tuple[Wearer, NDArray[np.float64], NDArray[np.int32]]:
         vertices, faces = self.model.surface(figure, dressed=True)

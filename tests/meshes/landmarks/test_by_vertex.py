@@ -195,6 +195,17 @@ def test_landmarks_of_other_meshes_are_refused_for_open_bodies(tmp_path: Path) -
         open_source("open", landmarks=tmp_path / "absent.json")
 
 
+@pytest.mark.parametrize("place", ["an eye", "the tongue", "the mouth"])
+def test_landmarks_of_open_bodies_lie_on_the_skin(place: str, tmp_path: Path) -> None:
+    shipped, file = load_landmarks("open"), tmp_path / "mine.json"
+    vertex = {"an eye": 13574, "the tongue": 13348, "the mouth": 525}[place]
+    file.write_text(replace(shipped, vertices=(vertex, *shipped.vertices[1:])).to_json())
+    with pytest.raises(BadLandmarks) as refused:
+        open_source("everyday", landmarks=file)
+    rule = "must lie on the skin, not on an eye or inside the head"
+    assert str(refused.value) == f"landmarks {file}: 'Sellion' {rule}, found vertex {vertex}"
+
+
 def test_the_open_body_is_symmetric(standing: Any) -> None:
     mesh, landmarks = standing
     places = mesh.vertices[landmarks]

@@ -133,11 +133,10 @@ class Compiled:
     def __init__(self) -> None:
         self._forms: dict[Method, Mask] = {}
         if find_spec("numba") is not None:
-            from benches.data.occlusion import compiled_nearest
-            from bodyseg_data.artifacts import shadow_loops as occlusion
+            from benches.data.occlusion import compiled_default, compiled_nearest
 
             forms: dict[tuple[str, float], Mask] = {
-                (DEFAULT.family, DEFAULT.bias_mm): lambda test, images: occlusion.lit(test, *images),
+                (DEFAULT.family, DEFAULT.bias_mm): lambda test, images: compiled_default.lit(test, *images),
                 (NEAREST.family, NEAREST.bias_mm): partial(compiled_nearest.lit, bias_mm=NEAREST.bias_mm),
             }
             for method in METHODS:
