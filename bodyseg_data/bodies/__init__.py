@@ -6,7 +6,7 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_data.bodies.alignment import Units, UpAxis, metres_a_unit
-    from bodyseg_data.bodies.anny_model import fill_cache
+    from bodyseg_data.bodies.anny_model import load_anny
     from bodyseg_data.bodies.mesh_bodies import MeshBodies
     from bodyseg_data.bodies.motions.catalogue import FRAMES_PER_SECOND
     from bodyseg_data.bodies.skeleton import from_rotation_vector

@@ -23,7 +23,7 @@ from bodyseg_data.bodies.outfits import Outfit
 from bodyseg_data.bodies.skeleton import Pose, bone_rotations
 from bodyseg_data.bodies.template import load_template
 from bodyseg_data.core import BadConfig, ProgressCallback, silent
-from bodyseg_data.machine import missing_library, torch_threads
+from bodyseg_data.machine import required, torch_threads
 
 if TYPE_CHECKING:
     import torch
@@ -40,30 +40,17 @@ _DECIMALS: Final = 6
 _CROWN_M: Final = 0.06  # generous: the highest and lowest vertices of people differ by far less in height
 
 
-def fill_cache(progress: ProgressCallback) -> None:
-    """Fill Anny's cache if nothing is in it, calling `progress` as `load_anny` does. Raises the same errors."""
-    try:
-        from anny.paths import get_anny_cache_path
-    except ImportError as error:
-        raise missing_library("making bodies", error) from error
-    if not any(get_anny_cache_path().rglob("*.safetensors")):
-        load_anny(progress)
-
-
 def load_anny(progress: ProgressCallback = silent) -> Any:
     """Load Anny's model: two seconds; about twelve the first time on a machine, when its text files are parsed.
 
     progress: called with (parsed, all) while text files are parsed; never called where Anny's cache is filled already.
     Raises MissingLibrary, or BadConfig for its cache.
     """
-    try:
-        from anny import Anny
-    except ImportError as error:
-        raise missing_library("making bodies", error) from error
+    anny = required("anny", "making bodies")
     with torch_threads(1), _cache(), _fast_parsing(progress):
         # The compact basis would halve the time a body takes, but comes from a decomposition whose bits depend on the
         # machine and on its threads. Plain "lbs" skinning needs nothing compiled.
-        return Anny(phenotypes="all", phenotype_blendshapes="original", skinning_method="lbs")
+        return anny.Anny(phenotypes="all", phenotype_blendshapes="original", skinning_method="lbs")
 
 
 @contextmanager

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BadLandmarks
 from bodyseg_data.labels import PARTS33, UNLABELLED, LabelMap
-from bodyseg_data.machine import missing_library
+from bodyseg_data.machine import required
 from bodyseg_data.meshes import Mesh, partition, vertex_normals
 
 NOWHERE: Final = 65535
@@ -104,10 +104,7 @@ def off_skin(vertices: Sequence[int]) -> NDArray[np.bool_]:
     """Mark which of Anny's vertices are of an eye or inside the head, as in the mouth, bool [N]: of another piece than
     the skin, or above the neck and seen from nowhere, as rays in many directions tell. Raises MissingLibrary.
     """
-    try:
-        import trimesh
-    except ImportError as error:
-        raise missing_library("checking landmarks", error) from error
+    trimesh = required("trimesh", "checking landmarks")
     template, chosen = load_template(), np.asarray(vertices)
     mesh = Mesh(template.name, template.vertices, template.faces)
     piece = mesh.pieces()

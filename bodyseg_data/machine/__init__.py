@@ -6,12 +6,13 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_data.machine.host import computes_bfloat16, hardware, keep_freed_memory, peak_mb, processors
-    from bodyseg_data.machine.kernels import compile_ahead, compiled, if_ready, loops, require_numba, use_compiled
+    from bodyseg_data.machine.kernels import compile_ahead, compiled, if_ready, loops, use_compiled
     from bodyseg_data.machine.libraries import (
         SOFTWARE_DRIVER,
         compress,
         missing_library,
         require_libraries,
+        required,
         silence_libtiff,
     )
     from bodyseg_data.machine.threads import in_threads, of_each, pieces, signals_held, torch_threads, wait_briefly

@@ -32,6 +32,7 @@ from typing import Any, Final
 
 from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_data.machine.host import processors
+from bodyseg_data.machine.libraries import required
 
 VARIABLE: Final = "BODYSEG_KERNELS"
 _CHOICES: Final = ("auto", "numpy", "compiled")
@@ -48,7 +49,7 @@ def use_compiled() -> bool:
     if choice == "numpy":
         return False
     try:
-        require_numba(f"{VARIABLE}=compiled")
+        required("numba", f"{VARIABLE}=compiled", "fast")
     except MissingLibrary:  # absent, or there and unfit for the NumPy that is installed
         if choice == "compiled":
             raise
@@ -90,9 +91,9 @@ def loops(module: str) -> Any:
 def compiled(loops: Callable[..., Any], feature: str, extra: str = "fast") -> Any:
     """`loops`, a function of arrays and numbers, as machine code, made at the first call and kept on disk.
 
-    Without fast-math or threads, so with the same bits as Python's. Raises MissingLibrary as `require_numba`.
+    Without fast-math or threads, so with the same bits as Python's. Raises MissingLibrary without Numba.
     """
-    function = require_numba(feature, extra).njit(loops, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
+    function = required("numba", feature, extra).njit(loops, nogil=True, error_model="numpy", no_cfunc_wrapper=True)
     function._cache = _Kept(loops)
     return function
 
@@ -236,16 +237,6 @@ def _locked(file: Path, wait: bool = False) -> Iterator[bool]:
         except (ImportError, OSError) as error:
             free = getattr(error, "errno", None) not in (errno.EACCES, errno.EAGAIN)
         yield free
-
-
-def require_numba(feature: str, extra: str = "fast") -> Any:
-    """Import numba. Raises MissingLibrary, which names the feature and the extra that brings numba."""
-    try:
-        return import_module("numba")
-    except ImportError as error:
-        raise MissingLibrary(
-            f"{feature} needs the package 'numba': pip install 'bodyseg[{extra}]' ({error})"
-        ) from error
 
 
 _given: list[Path] = []  # the one folder to keep code in, if another process has chosen it

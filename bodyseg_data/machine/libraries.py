@@ -33,6 +33,14 @@ _IN_MESSAGE: Final = re.compile(
 )
 
 
+def required(name: str, feature: str, extra: str = "render") -> Any:
+    """Import an optional package's module. Raises MissingLibrary: `feature` needs it, and `extra` installs it."""
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise missing_library(feature, error, extra=extra) from error
+
+
 def missing_library(
     feature: str, error: BaseException, needs: Iterable[str] = (), extra: str = "render"
 ) -> MissingLibrary:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BadMesh
-from bodyseg_data.machine import missing_library
+from bodyseg_data.machine import required
 from bodyseg_data.meshes.mending import find_fans
 from bodyseg_data.meshes.mesh import Edges, face_components, find_edges
 from bodyseg_data.meshes.repairing import SAME_POINT_M
@@ -115,12 +115,9 @@ def _exact(vertices: Floats, faces: Indices, sources: Indices) -> NearestSources
 
 def _window_propagation(vertices: Floats, faces: Indices, sources: Indices) -> tuple[Floats, Indices]:
     """Exact distances and sources, [V]. All vertices must be reachable: pygeodesic reads stray memory for others."""
+    pygeodesic = required("pygeodesic.geodesic", "partitioning a body")
     try:
-        from pygeodesic.geodesic import PyGeodesicAlgorithmExact
-    except ImportError as error:
-        raise missing_library("partitioning a body", error) from error
-    try:
-        distance, source = PyGeodesicAlgorithmExact(vertices, faces.astype(np.int32)).geodesicDistances(sources)
+        distance, source = pygeodesic.PyGeodesicAlgorithmExact(vertices, faces.astype(np.int32)).geodesicDistances(sources)
     except OverflowError:  # what the stray memory held
         distance = source = np.array([np.inf])
     if not np.isfinite(distance).all():

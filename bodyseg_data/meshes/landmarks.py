@@ -42,7 +42,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadConfig, BadLandmarks
 from bodyseg_data.files import Table
 from bodyseg_data.labels import LANDMARKS, PART_COUNT
-from bodyseg_data.machine import missing_library
+from bodyseg_data.machine import required
 from bodyseg_data.meshes.coincident import separate
 from bodyseg_data.meshes.mending import welded
 from bodyseg_data.meshes.mesh import Mesh, face_components, face_normals
@@ -400,11 +400,9 @@ def nearest_corner(
     """
     from scipy.spatial import KDTree
 
-    try:
-        import rtree  # noqa: F401  trimesh imports it late and reports its absence in other words
-        import trimesh
-    except ImportError as error:
-        raise missing_library("measuring distances to a surface", error) from error
+    feature = "measuring distances to a surface"
+    required("rtree", feature)  # trimesh imports it late and reports its absence in other words
+    trimesh = required("trimesh", feature)
     faces = faces[(face_normals(vertices, faces) != 0).any(axis=1)]
     # No point is farther from the surface than from its nearest vertex, so only triangles within that distance of the
     # points' bounding box can be nearest: for eyes in a head a few hundred instead of all.

@@ -5,13 +5,14 @@ Body frame: x to the subject's left, y up, z to the front; metres.
 
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import import_module
 from typing import Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadMesh
-from bodyseg_data.machine import missing_library
+from bodyseg_data.machine import required
 
 HEIGHT_RANGE_M: Final = (0.5, 2.5)
 """A body's largest extent must lie in this range, which catches millimetres, centimetres and inches."""
@@ -86,13 +87,9 @@ def components(count: int, pairs: NDArray[np.integer[Any]]) -> NDArray[np.int32]
 
     Raises MissingLibrary without scipy. Every `Mesh` comes past here, so whoever has one has scipy.
     """
-    try:
-        from scipy.sparse import coo_array
-        from scipy.sparse.csgraph import connected_components
-    except ImportError as error:
-        raise missing_library("checking a mesh", error) from error
-    links = coo_array((np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-    component: NDArray[np.int32] = connected_components(links, directed=False)[1]
+    graphs = required("scipy.sparse.csgraph", "checking a mesh")
+    links = import_module("scipy.sparse").coo_array((np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    component: NDArray[np.int32] = graphs.connected_components(links, directed=False)[1]
     return component
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadMesh
-from bodyseg_data.machine import missing_library
+from bodyseg_data.machine import required
 from bodyseg_data.meshes.mesh import check_arrays
 from bodyseg_data.meshes.mesh_files import (
     LARGEST_BYTES,
@@ -38,10 +38,7 @@ def mesh_content(path: Path) -> MeshContent:
     """
     if not path.name.lower().endswith(SCENE_SUFFIXES):
         return read_mesh_content(path)
-    try:
-        import trimesh
-    except ImportError as error:
-        raise missing_library(f"reading {path.suffix} files", error) from error
+    trimesh = required("trimesh", f"reading {path.suffix} files")
     file_bytes(path, "mesh", LARGEST_BYTES, BadMesh)  # trimesh takes files of any size
     try:
         scene = trimesh.load(path, force="scene", process=False)

@@ -23,7 +23,7 @@ from typing import Any, Final
 
 from bodyseg_data.bodies import BodyRef
 from bodyseg_data.core import BadConfig, BodysegError
-from bodyseg_data.machine import missing_library
+from bodyseg_data.machine import required
 from bodyseg_data.packing.jobs import Engine
 from bodyseg_data.packing.options import PACKING_VERSION, Packing, evenly_sampled, forget_sources
 from bodyseg_data.packing.skipping import SKIPPABLE
@@ -147,10 +147,7 @@ def job(wanted: Expected, function: Callable[..., Any], arguments: tuple[Any, ..
 @contextmanager
 def cluster(address: tuple[str, int], workers: int | None, packing: Packing) -> Iterator[Engine]:
     """The cluster of the scheduler at (host, port); see `open_engine`. Leaving it drops what is queued there."""
-    try:
-        import distributed
-    except ImportError as error:
-        raise missing_library("packing on a Dask cluster", error, extra="cluster") from error
+    distributed = required("distributed", "packing on a Dask cluster", "cluster")
     with _quiet():
         wanted = expected(packing)
         client = _connect(distributed, *address)

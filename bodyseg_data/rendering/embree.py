@@ -3,17 +3,14 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.machine import missing_library
+from bodyseg_data.machine import required
 from bodyseg_data.meshes import Mesh
 from bodyseg_data.rendering.renderer import Outline, Renderer, Surface
 from bodyseg_data.rigs import PlacedCamera
 
-try:
-    from embreex.mesh_construction import TriangleMesh
-    from embreex.rtcore_scene import EmbreeScene
-except ImportError as error:
-    raise missing_library("the embree renderer", error) from error
-
+_FEATURE = "the embree renderer"
+TriangleMesh = required("embreex.mesh_construction", _FEATURE).TriangleMesh
+EmbreeScene = required("embreex.rtcore_scene", _FEATURE).EmbreeScene
 _MISS_DISTANCE = np.float32(1e37)  # the distance that Embree's binding gives for a ray without a hit
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BadSample
 from bodyseg_data.files import refuse_special
-from bodyseg_data.machine import missing_library
+from bodyseg_data.machine import required
 from bodyseg_data.renders.images import MOST_NUMBERS
 from bodyseg_data.renders.set_file import SetFile, read_rows
 from bodyseg_data.renders.source import LABELS, PROJECTOR, RANGE, RenderSource, Stored, by_key
@@ -62,10 +62,7 @@ def _frames(folder: Path) -> dict[str, Path]:
 
 def _datasets(path: Path) -> dict[str, Any]:
     """Arrays of a frame by name, and its attribute maps as JSON. Raises BadSample, naming the file."""
-    try:
-        import h5py
-    except ImportError as error:
-        raise missing_library("reading HDF5 files", error, extra="renders") from error
+    h5py = required("h5py", "reading HDF5 files", "renders")
     found: dict[str, Any] = {}
     try:
         refuse_special(path)

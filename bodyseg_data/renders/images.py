@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadSample, MissingLibrary
 from bodyseg_data.files import refuse_special
-from bodyseg_data.machine import missing_library
+from bodyseg_data.machine import required
 from bodyseg_data.rigs import Camera
 
 SUFFIXES: Final = (".png", ".tif", ".tiff", ".npy", ".npz", ".exr")
@@ -84,15 +84,12 @@ def _read_picture(path: Path) -> NDArray[Any]:
 
 
 def _read_exr(path: Path) -> NDArray[Any]:
-    try:
-        import OpenEXR
-    except ImportError as error:
-        raise missing_library("reading OpenEXR files", error, extra="renders") from error
-    with OpenEXR.File(str(path), header_only=True) as file:
+    open_exr = required("OpenEXR", "reading OpenEXR files", "renders").File
+    with open_exr(str(path), header_only=True) as file:
         (left, top), (right, bottom) = file.header()["dataWindow"]
         if (int(right) - int(left) + 1) * (int(bottom) - int(top) + 1) > MOST_NUMBERS:
             raise ValueError("it has more pixels than an image can")
-    with OpenEXR.File(str(path), separate_channels=True) as file:
+    with open_exr(str(path), separate_channels=True) as file:
         channels = {name: channel.pixels for name, channel in file.channels().items()}
     ends: dict[str, str] = {}
     for name in channels:

@@ -20,7 +20,7 @@ from typing import Any, Final, Protocol
 from urllib.parse import unquote
 
 from bodyseg_data.core import BadConfig, MissingLibrary
-from bodyseg_data.machine import missing_library
+from bodyseg_data.machine import required
 
 _FILESYSTEMS: dict[tuple[int, str, int], Any] = {}
 """Filesystems by process, token and thread, 0 for those that threads share.
@@ -358,10 +358,7 @@ def pinned(url: str, options: Mapping[str, Any], timeout_s: float) -> tuple[str,
     match = _HUB_FOLDER.fullmatch(url)
     if match is None:
         raise BadConfig(f"an address of the hub must be hf://datasets/OWNER/NAME[@REVISION][/FOLDER], found {url}")
-    try:
-        hub = import_module("huggingface_hub")
-    except ImportError as error:
-        raise missing_library("hf:// addresses", error, extra="hub") from error
+    hub = required("huggingface_hub", "hf:// addresses", "hub")
     name, revision, rest = match[1], unquote(match[2] or "main"), dict(options)
     token, endpoint = rest.pop("token", None), rest.pop("endpoint", None) or os.environ.get("HF_ENDPOINT")
     api = hub.HfApi(endpoint=endpoint, token=token)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from bodyseg_data.bodies import NOWHERE
 from bodyseg_data.core import BadConfig, Stopwatch
 from bodyseg_data.labels import BACKGROUND, PART_COUNT, PARTS33, LabelMap
-from bodyseg_data.machine import of_each, require_numba
+from bodyseg_data.machine import of_each, required
 from bodyseg_data.rigs import Camera, Rig, load_rig
 from bodyseg_model.networks import Network, device_of, predict_each
 from bodyseg_model.runtimes import on_backend
@@ -201,7 +201,7 @@ class Segmenter:
             raise BadConfig(f"a confidence must be 0 to 1, found {least_confidence:g}")
         if camera.distortion is not None:
             raise BadConfig(f"frames must be undistorted before they are labelled, found {camera.distortion}")
-        require_numba("labelling frames", extra="segment")
+        required("numba", "labelling frames", "segment")
         compile_views_ahead()
         self.camera, self.mirrored, self.least_confidence = camera, mirrored, least_confidence
         self.turned, self._upright = turned % 4, camera.turned(turned)

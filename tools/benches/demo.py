@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bodyseg_data.artifacts import VARIANTS
-from bodyseg_data.bodies import fill_cache
+from bodyseg_data.bodies import load_anny
 from bodyseg_data.commands import Progress, option
 from bodyseg_data.commands.inspect import contact_sheet
 from bodyseg_data.commands.shard import pack_on
@@ -50,7 +50,7 @@ def run(options: Options) -> int:
     _say(f"    wrote {options.out / 'example.png'}")
     _say(f"2/4 packing {options.meshes} bodies x {options.views} views into {shards}")
     with Progress("    unpacking the body model, once", "files") as progress:
-        fill_cache(progress.update)
+        load_anny(progress.update)
     start = time.monotonic()
     with Progress("    packing", "views") as progress:
         manifest = pack_on(PROCESSES, workers, packing, shards, progress)
