@@ -15,7 +15,7 @@ from bodyseg_data.artifacts.mixed_pixels import MixedPixels
 from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.occlusion import Occlusion
 from bodyseg_data.artifacts.phase_shift import PhaseShift
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, reported
 
 ARTIFACTS: Final[dict[str, type[Artifact]]] = {
     "occlusion": Occlusion,
@@ -65,10 +65,8 @@ def check_artifact_class(kind: Any, where: str) -> type[Artifact]:
 @cache
 def _loaded(entry: metadata.EntryPoint) -> type[Artifact]:
     where = f"entry point {entry.name} = {entry.value!r} of {ENTRY_POINT}"
-    try:
+    with reported(f"{where} cannot be loaded", BadConfig, Exception):  # whatever the user's module raises
         found = entry.load()
-    except Exception as error:  # whatever the user's module raises
-        raise BadConfig(f"{where} cannot be loaded: {error}") from error
     kind = check_artifact_class(found, where)
     if kind.name != entry.name:
         raise BadConfig(f"{where}: the artifact must be called as its entry point, found {kind.name!r}")

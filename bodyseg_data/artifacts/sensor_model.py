@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from bodyseg_data.artifacts.artifact import Artifact
 from bodyseg_data.artifacts.registry import artifact_class, check_artifact_class
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, reported
 from bodyseg_data.files import Table, TomlFiles
 
 SENSOR_FORMAT: Final = "bodyseg sensor 1"
@@ -196,10 +196,8 @@ def artifacts_from_json(tree: Any, where: str, sensor: SensorModel) -> tuple[Art
 
 def parse_artifacts(text: str, where: str, sensor: SensorModel) -> tuple[Artifact, ...]:
     """As `artifacts_from_json`, from JSON text."""
-    try:
+    with reported(f"{where} must be JSON, found {text!r}", BadConfig, ValueError, RecursionError):
         tree = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise BadConfig(f"{where} must be JSON, found {text!r}: {error}") from error
     return artifacts_from_json(tree, where, sensor)
 
 
@@ -228,10 +226,8 @@ def _entry(entry: Mapping[str, Any], where: str) -> Artifact:
 
 
 def _artifact(name: str, strengths: Mapping[str, Any], where: str) -> Artifact:
-    try:
+    with reported(where, BadConfig):
         kind = artifact_class(name)
-    except BadConfig as error:
-        raise BadConfig(f"{where}: {error}") from error
     known = [field.name for field in fields(kind)]
     for strength in strengths:
         if strength not in known:

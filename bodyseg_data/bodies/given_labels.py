@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, BadMesh
+from bodyseg_data.core import BadConfig, BadMesh, reported
 from bodyseg_data.files import read_json, refuse_special
 from bodyseg_data.labels import BACKGROUND, UNLABELLED, Classes, classes_from_json, with_sides
 from bodyseg_data.meshes import MeshContent
@@ -201,14 +201,13 @@ def labels_from_file(path: Path, content: MeshContent, table: Mapping[int, str])
     """
     said = {"faces": "face_labels", "vertices": "vertex_labels"}
     of = next((of for of, name in said.items() if name in path.name.lower()), "")
-    try:
+    what = f"cannot read the labels {path}"
+    with reported(what, BadMesh, OSError, ValueError, EOFError, RecursionError, SyntaxError, TokenError):
         refuse_special(path)
         if path.suffix.lower() == ".npy":
             given: Any = np.load(path, mmap_mode="r", allow_pickle=False)  # takes no memory for a size that it claims
         else:
             given = json.loads(path.read_bytes())
-    except (OSError, ValueError, EOFError, RecursionError, SyntaxError, TokenError) as error:  # of NumPy's headers, too
-        raise BadMesh(f"cannot read the labels {path}: {error}") from error
     if isinstance(given, dict):
         return labels_of_parts(given, content, str(path))
     if isinstance(given, list) and given and all(isinstance(each, str) for each in given):

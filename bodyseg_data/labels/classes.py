@@ -15,7 +15,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, reported
 
 Side = Literal["left", "right", "middle"]
 
@@ -167,10 +167,8 @@ def classes_from_json(tree: Any, where: str) -> Classes:
     for row in rows:
         if not isinstance(row, dict) or "name" not in row or not set(row) <= known:
             raise BadConfig(f"{where}: a class has a name, and may have {', '.join(sorted(known - {'name'}))}")
-    try:
+    with reported(where, BadConfig):
         return Classes(tree["name"], tuple(LabelClass(**row) for row in rows))
-    except BadConfig as error:
-        raise BadConfig(f"{where}: {error}") from error
 
 
 def with_sides(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, reported
 from bodyseg_data.files import Table, TomlFiles
 from bodyseg_data.labels.classes import (
     BACKGROUND,
@@ -371,7 +371,5 @@ def _map(
     for each, members in classes:
         if not isinstance(members, list) or not all(isinstance(member, str) for member in members):
             raise BadConfig(f"{where}: the class {each!r} must be a list of {_listed(of)}, found {members!r}")
-    try:
+    with reported(where, BadConfig):
         return LabelMap(name, tuple((each, tuple(members)) for each, members in classes), of, template)
-    except BadConfig as error:
-        raise BadConfig(f"{where}: {error}") from error

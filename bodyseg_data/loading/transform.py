@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts import RangeImage, box_of
-from bodyseg_data.core import BadConfig, BadSample, BodysegError, Draws
+from bodyseg_data.core import BadConfig, BadSample, BodysegError, Draws, reported
 from bodyseg_data.labels import BACKGROUND, PART_CLASSES, UNLABELLED, Classes
 from bodyseg_data.rigs import Camera
 from bodyseg_data.samples import Sample, SampleInfo, metres
@@ -174,10 +174,8 @@ def transforms_to_json(transforms: Sequence[Transform]) -> list[dict[str, Any]]:
 def _parameters(transform: Transform) -> dict[str, Any]:
     if isinstance(transform, FunctionTransform):
         return {}
-    try:
+    with reported(f"transform {transform.name!r}: a parameter must be plain JSON", BadConfig, TypeError, ValueError):
         found: dict[str, Any] = json.loads(json.dumps(asdict(transform), allow_nan=False))
-    except (TypeError, ValueError) as error:
-        raise BadConfig(f"transform {transform.name!r}: a parameter must be plain JSON: {error}") from error
     return found
 
 

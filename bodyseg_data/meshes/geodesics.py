@@ -117,7 +117,9 @@ def _window_propagation(vertices: Floats, faces: Indices, sources: Indices) -> t
     """Exact distances and sources, [V]. All vertices must be reachable: pygeodesic reads stray memory for others."""
     pygeodesic = required("pygeodesic.geodesic", "partitioning a body")
     try:
-        distance, source = pygeodesic.PyGeodesicAlgorithmExact(vertices, faces.astype(np.int32)).geodesicDistances(sources)
+        distance, source = pygeodesic.PyGeodesicAlgorithmExact(vertices, faces.astype(np.int32)).geodesicDistances(
+            sources
+        )
     except OverflowError:  # what the stray memory held
         distance = source = np.array([np.inf])
     if not np.isfinite(distance).all():

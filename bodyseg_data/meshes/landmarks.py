@@ -39,7 +39,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, BadLandmarks
+from bodyseg_data.core import BadConfig, BadLandmarks, reported
 from bodyseg_data.files import Table
 from bodyseg_data.labels import LANDMARKS, PART_COUNT
 from bodyseg_data.machine import required
@@ -236,10 +236,8 @@ def parse_points(text: str | bytes, source: str) -> PointLandmarks:
 def json_table(text: str | bytes, source: str) -> Table:
     """Parse the JSON object of a landmark file and check its format. Raises BadLandmarks."""
     where = f"landmarks {source}"
-    try:
+    with reported(f"{where} is not JSON", BadLandmarks, ValueError, RecursionError):
         tree = json.loads(text)
-    except (ValueError, RecursionError) as error:  # RecursionError: brackets nested beyond reason
-        raise BadLandmarks(f"{where} is not JSON: {error}") from error
     if not isinstance(tree, dict) or tree.pop("format", None) != LANDMARKS_FORMAT:
         raise BadLandmarks(f"{where}: 'format' must be {LANDMARKS_FORMAT!r}")
     return Table(tree, where)

@@ -88,7 +88,9 @@ def components(count: int, pairs: NDArray[np.integer[Any]]) -> NDArray[np.int32]
     Raises MissingLibrary without scipy. Every `Mesh` comes past here, so whoever has one has scipy.
     """
     graphs = required("scipy.sparse.csgraph", "checking a mesh")
-    links = import_module("scipy.sparse").coo_array((np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    links = import_module("scipy.sparse").coo_array(
+        (np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(count, count)
+    )
     component: NDArray[np.int32] = graphs.connected_components(links, directed=False)[1]
     return component
 

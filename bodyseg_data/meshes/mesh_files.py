@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadMesh, BodysegError
+from bodyseg_data.core import BadMesh, BodysegError, reported
 from bodyseg_data.files import contents
 from bodyseg_data.meshes.mesh import check_arrays
 
@@ -333,11 +333,9 @@ def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32], _Parsed]:
         raise BadMesh(f"a mesh file's name must end in {', '.join(MESH_SUFFIXES)}, found {path}")
     data = file_bytes(path, "mesh", LARGEST_BYTES, BadMesh)
     form = suffix.removesuffix(".gz")[1:]
-    try:
+    with reported(path, BadMesh):
         parsed = {"ply": _read_ply, "obj": _read_obj, "off": _read_off}[form](data)
         vertices, faces = np.array(parsed.vertices, np.float64).reshape(-1, 3), _triangles(parsed.polygons)
-    except BadMesh as error:
-        raise BadMesh(f"{path}: {error}") from None
     check_arrays(str(path), vertices, faces, check_unused=False)
     return vertices, faces.astype(np.int32), parsed
 

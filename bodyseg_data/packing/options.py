@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from bodyseg_data.bodies import SOURCES, BodyRef, BodySource, SourceEntry, Units, UpAxis, open_source
-from bodyseg_data.core import BadConfig, check_fields
+from bodyseg_data.core import BadConfig, check_fields, reported
 from bodyseg_data.labels import PART_CLASSES, Classes
 from bodyseg_data.meshes import GeodesicMethod
 from bodyseg_data.packing.mesh_reduction import check_tolerance
@@ -59,10 +59,8 @@ class Packing:
         check_tolerance(self.tolerance_mm)
         if self.template and self.tolerance_mm:
             raise BadConfig(f"the map of the body is of whole meshes, found a tolerance of {self.tolerance_mm:g} mm")
-        try:
+        with reported(f"rig {self.rig.name}", BadConfig):
             self.rig.check_reach(max(self.views.distances_cm) / 100)
-        except BadConfig as error:
-            raise BadConfig(f"rig {self.rig.name}: {error}") from None
 
     def bodies(self) -> list[BodyRef]:
         """The bodies to pack, in the source's order. Raises BadConfig if the source has fewer than `meshes`."""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts import shadow_tests
-from bodyseg_data.core import BadConfig, BadSample, one_line
+from bodyseg_data.core import BadConfig, BadSample, one_line, reported
 from bodyseg_data.labels import BACKGROUND, UNLABELLED, Classes
 from bodyseg_data.packing.occluders import exact_range, occluder_range
 from bodyseg_data.packing.range_facing import facing_from_normals, facing_from_range
@@ -103,10 +103,8 @@ class SceneLayout:
                 fields[name] = value = float(value)
             if (found := _kind(value, name, scene.key)) != kind:
                 raise BadSample(f"{scene.key}: field {name!r} must be of the kind {kind}, found {value!r}, {found}")
-        try:
+        with reported(scene.key, BadSample):
             return SampleInfo(scene.split, fields).fields
-        except BadSample as error:
-            raise BadSample(f"{scene.key}: {error}") from error
 
     def _planes(self, scene: Render, size: tuple[int, int]) -> dict[str, Images]:
         given = scene.planes
@@ -222,10 +220,8 @@ def plain_value(value: Any) -> Any:
 
 
 def _kind(value: Value, name: str, key: str) -> str:
-    try:
+    with reported(key, BadSample):
         return kind_of(value, name)
-    except BadSample as error:
-        raise BadSample(f"{key}: {error}") from error
 
 
 def _array(given: Any, name: str, key: str) -> Images:

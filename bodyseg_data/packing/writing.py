@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from bodyseg_data.bodies import BodyRef
-from bodyseg_data.core import BadConfig, BadShard, ProgressCallback
+from bodyseg_data.core import BadConfig, BadShard, ProgressCallback, reported
 from bodyseg_data.files import claimed as held_alone
 from bodyseg_data.files import is_leftover, write_atomically
 from bodyseg_data.labels import TEMPLATE
@@ -162,10 +162,8 @@ def digest_of(description: Mapping[str, Any]) -> str:
 @contextlib.contextmanager
 def writing_into(out: Path) -> Iterator[None]:
     """Raise BadConfig, naming the folder of the set, for errors of the disk within the context."""
-    try:
+    with reported(f"cannot write shards in {out}", BadConfig, OSError):
         yield
-    except OSError as error:
-        raise BadConfig(f"cannot write shards in {out}: {error.strerror or error}") from error
 
 
 def check_folder(out: Path) -> None:

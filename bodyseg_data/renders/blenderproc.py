@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, BadSample
+from bodyseg_data.core import BadConfig, BadSample, reported
 from bodyseg_data.files import refuse_special
 from bodyseg_data.machine import required
 from bodyseg_data.renders.images import MOST_NUMBERS
@@ -64,7 +64,7 @@ def _datasets(path: Path) -> dict[str, Any]:
     """Arrays of a frame by name, and its attribute maps as JSON. Raises BadSample, naming the file."""
     h5py = required("h5py", "reading HDF5 files", "renders")
     found: dict[str, Any] = {}
-    try:
+    with reported(f"{path}: cannot be read as HDF5", BadSample, Exception):
         refuse_special(path)
         with h5py.File(path, "r") as file:
             for name in (_DEPTH, _DISTANCE, *_CLASSES, _INSTANCES, _ATTRIBUTES):
@@ -78,8 +78,6 @@ def _datasets(path: Path) -> dict[str, Any]:
             if _ATTRIBUTES in found:
                 text = found[_ATTRIBUTES]
                 found[_ATTRIBUTES] = json.loads(text if isinstance(text, str | bytes) else np.asarray(text).tobytes())
-    except Exception as error:  # HDF5 raises almost anything for damaged files
-        raise BadSample(f"{path}: cannot be read as HDF5: {error}") from error
     for name, array in found.items():
         if name != _ATTRIBUTES and (np.ndim(array) != 2 or array.dtype.kind not in "uif"):
             stereo = ": the images of a stereo pair go into two folders" if np.ndim(array) == 3 else ""

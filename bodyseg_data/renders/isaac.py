@@ -19,7 +19,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, BadSample
+from bodyseg_data.core import BadConfig, BadSample, reported
 from bodyseg_data.files import Table, read_json
 from bodyseg_data.labels import BACKGROUND, classes_of
 from bodyseg_data.renders.images import read_array
@@ -108,11 +108,9 @@ class IsaacRenders(RenderSource):
         position = -between[:, :3].T @ between[:, 3]
         placed = position, position + away * between[2, :3], -between[1, :3]
         vectors = [tuple(round(float(x), 6) + 0.0 for x in vector) for vector in placed]
-        try:
+        with reported(f"{camera} and {projector} are no rig", BadConfig):
             seen = _device(eye, (0.0, 0.0, 0.0), (0.0, 0.0, away))
             return Rig("isaac", away, seen, _device(light, *vectors), self._step_mm)
-        except BadConfig as error:
-            raise BadConfig(f"{camera} and {projector} are no rig: {error}") from None
 
 
 def frames(folder: Path, annotator: str, ending: str) -> dict[str, Path]:

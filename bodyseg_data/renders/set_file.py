@@ -22,7 +22,7 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, BadSample
+from bodyseg_data.core import BadConfig, BadSample, reported
 from bodyseg_data.files import Table, TomlFiles, parse_json, read_bytes
 from bodyseg_data.labels import BACKGROUND, Classes, classes_from_json
 from bodyseg_data.rigs import Rig, load_rig, rig_from_json
@@ -196,10 +196,8 @@ def _rig(value: Any, path: Path) -> Rig:
     tree = {key: each for key, each in value.items() if key != "title"}
     if isinstance(tree.get("camera"), dict):
         tree["camera"] = {"position_m": [0.0, 0.0, 0.0], "aims_at_m": [0.0, 0.0, 1.0], **tree["camera"]}
-    try:
+    with reported(f"{path}, [rig]", BadConfig):
         return rig_from_json({"format": "bodyseg rig 1", "name": "renders", **tree})
-    except BadConfig as error:
-        raise BadConfig(f"{path}, [rig]: {error}") from None
 
 
 @dataclass(frozen=True)
@@ -237,21 +235,17 @@ def read_rows(folder: Path, content: SetFile) -> SampleRows:
     if len(there) > 1:
         raise BadConfig(f"{folder}: a set has one table of samples, found {' and '.join(TABLES)}")
     path, infos, rigs = there[0], dict[str, SampleInfo](), dict[str, str]()
-    try:
+    with reported(f"{path} is not UTF-8", BadConfig, UnicodeDecodeError):
         text = read_bytes(path).decode("utf-8-sig")  # spreadsheets write a mark of byte order
-    except UnicodeDecodeError as error:
-        raise BadConfig(f"{path} is not UTF-8: {error}") from None
     for line, row in _json_rows(text, path) if path.suffix == ".jsonl" else _csv_rows(text, path):
         key, split, rig = row.pop("key", None), row.pop("split", content.split), row.pop("rig", "")
         if not isinstance(key, str) or key in infos or not isinstance(rig, str):
             raise BadConfig(f"{path}, line {line}: 'key' and 'rig' are text, each key once, found {key!r}, {rig!r}")
-        try:
+        with reported(f"{path}, line {line}", BadConfig, BadSample, TypeError, ValueError):
             values = {
                 name: tuple(map(float, v)) if isinstance(v, list) else v for name, v in row.items() if v is not None
             }
             infos[key] = SampleInfo(split, values)
-        except (BadSample, TypeError, ValueError) as error:
-            raise BadConfig(f"{path}, line {line}: {error}") from None
         rigs[key] = rig
     return SampleRows(path, content.split, infos, rigs)
 
@@ -265,10 +259,8 @@ def _json_rows(text: str, path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
 def _csv_rows(text: str, path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
     """Rows of CSV: a column is of whole numbers, numbers, flags or text, an empty cell says nothing."""
     rows = csv.DictReader(io.StringIO(text.lstrip("\r\n")), strict=True)
-    try:
+    with reported(f"{path} is not CSV", BadConfig, csv.Error):
         cells, header = list(rows), rows.fieldnames or []
-    except csv.Error as error:
-        raise BadConfig(f"{path} is not CSV: {error}") from None
     for line, row in enumerate(cells, 2):
         if None in row or None in row.values() or len(row) < len(header):
             raise BadConfig(f"{path}, line {line}: a row has a cell for each of {len(header)} different columns")

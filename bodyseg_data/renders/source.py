@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, BadSample
+from bodyseg_data.core import BadConfig, BadSample, reported
 from bodyseg_data.labels import UNLABELLED, Classes
 from bodyseg_data.renders.images import as_metres, ray_lengths
 from bodyseg_data.renders.set_file import LabelTable, SampleRows, SetFile
@@ -184,10 +184,8 @@ def by_key(paths: Iterable[tuple[str, Path]]) -> dict[str, Path]:
     """Files by their keys. Raises BadConfig, naming the file, for a name that is no key, or two files of one."""
     found: dict[str, Path] = {}
     for key, path in paths:
-        try:
+        with reported(f"{path}: its name gives the key", BadConfig, BadSample):
             check_key(key)
-        except BadSample as error:
-            raise BadConfig(f"{path}: its name gives the key: {error}") from None
         if key in found:
             raise BadConfig(f"{path.parent}: a sample has one file of a kind, found {found[key].name} and {path.name}")
         found[key] = path

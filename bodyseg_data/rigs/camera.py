@@ -19,7 +19,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, check_fields
+from bodyseg_data.core import BadConfig, check_fields, reported
 from bodyseg_data.files import Table
 
 MODEL: Final = "brown_conrady"
@@ -269,10 +269,8 @@ def distortion_from_table(table: Table) -> Distortion:
     names = Distortion.__dataclass_fields__
     coefficients = {name: table.number(name) for name in names if table.has(name)}
     table.finish()
-    try:
+    with reported(table.where, BadConfig):
         return Distortion(**coefficients)
-    except BadConfig as error:
-        raise BadConfig(f"{table.where}: {error}") from None
 
 
 def camera_from_table(table: Table, posed: bool, lens: bool = False) -> Camera:
@@ -294,7 +292,5 @@ def camera_from_table(table: Table, posed: bool, lens: bool = False) -> Camera:
     roll_deg = table.number("roll_deg") if table.has("roll_deg") else 0.0
     distortion = distortion_from_table(table.table("distortion")) if lens and table.has("distortion") else None
     table.finish()
-    try:
+    with reported(table.where, BadConfig):
         return Camera(rows, columns, focal_px, centre, position, aim, up, roll_deg, distortion)
-    except BadConfig as error:
-        raise BadConfig(f"{table.where}: {error}") from None

@@ -19,7 +19,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, check_fields
+from bodyseg_data.core import BadConfig, check_fields, reported
 from bodyseg_data.files import Table, TomlFiles
 from bodyseg_data.rigs.camera import MAX_SIDE, Camera, PlacedCamera, axes_at, camera_from_table, rolled
 from bodyseg_data.samples import View
@@ -229,11 +229,9 @@ def parse_sensor(text: str, where: str) -> Sensor:
         projector = camera_from_table(table.table("projector"), posed=True)
         lighting = stand_off, projector, _range_step_mm(table), _second_projector(table)
     table.finish()
-    try:
+    with reported(f"rig {where}", BadConfig):
         rig = None if lighting is None else Rig(name, lighting[0], camera, *lighting[1:])
         return Sensor(name, title, camera, rig, assumed)
-    except BadConfig as error:
-        raise BadConfig(f"rig {where}: {error}") from None
 
 
 def rig_from_json(tree: Any) -> Rig:

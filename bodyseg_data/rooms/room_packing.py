@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from bodyseg_data.bodies import Units, UpAxis, open_source
-from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh, ProgressCallback, check_int, silent
+from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh, ProgressCallback, check_int, reported, silent
 from bodyseg_data.files import write_atomically
 from bodyseg_data.labels import PART_CLASSES
 from bodyseg_data.meshes import Borders, Mesh, Partition, Solid
@@ -57,10 +57,8 @@ class OwnThings(NamedTuple):
     up: UpAxis = "auto"
 
     def _scenes(self) -> Any:
-        try:
+        with reported("--scene", BadConfig):
             return open_source("labelled", self.folder, None, self.units, self.up)
-        except BadConfig as error:
-            raise BadConfig(f"--scene: {error}") from error
 
     def digest(self) -> str:
         """Digest of the files. Raises as `surfaces`."""

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from bodyseg_data.core import BadConfig, BadSample, BadShard
+from bodyseg_data.core import BadConfig, BadSample, BadShard, reported
 from bodyseg_data.files import claimed, write_atomically
 from bodyseg_data.samples import SampleInfo, check_field_name, kind_of
 from bodyseg_data.shards.codecs import CODECS
@@ -48,11 +48,10 @@ def column_tar(shard: str, name: str) -> str:
 
 def column_names(store: Store) -> list[str]:
     """Names of a set's columns, as columns.json lists them; none where there is no such file. Raises BadShard."""
-    try:
+    what = f"{store.name}/{COLUMNS_NAME} must be an object with the names of 'columns'"
+    with reported(what, BadShard, OSError, ValueError, RecursionError, TypeError, KeyError, BadSample):
         data = store.read_file(COLUMNS_NAME, LARGEST_MANIFEST)
         return [check_field_name(name) for name in json.loads(data)["columns"]] if data is not None else []
-    except (OSError, ValueError, RecursionError, TypeError, KeyError, BadSample) as error:
-        raise BadShard(f"{store.name}/{COLUMNS_NAME} must be an object with the names of 'columns': {error}") from error
 
 
 def read_column(where: Path | Store, manifest: Manifest, name: str) -> Manifest:
@@ -138,12 +137,10 @@ class ColumnWriter:
         self._folder, self._name, self._kind = Path(folder), name, kind
         self._set = read_manifest(self._folder)
         self._is_plane = kind in PLANE_KINDS
-        try:
+        with reported(f"a column is of the kind {' or '.join(PLANE_KINDS)}, or a field", BadConfig, BadShard):
             self._fields = Fields(() if self._is_plane else (((name, kind),),))
             if self._is_plane:
                 check_plane(name, kind, str(folder))
-        except BadShard as error:
-            raise BadConfig(f"a column is of the kind {' or '.join(PLANE_KINDS)}, or a field: {error}") from error
         if name in (*self._set.planes, *self._set.fields.kinds):
             raise BadConfig(f"{folder}: the set itself has {name!r} already")
         if (self._folder / column_file(name)).exists():
@@ -170,19 +167,15 @@ class ColumnWriter:
         shard, held = self._set.shards[at], self._held[at]
         if at in self._records or index in held:
             raise BadSample(f"column {self._name!r}: {key} was written before")
-        try:
+        with reported(key, BadSample):
             held[index] = self._plane(value) if self._is_plane else self._field(value, SampleInfo(shard.split))
-        except BadSample as error:
-            raise BadSample(f"{key}: {error}") from error
         if len(held) < len(shard):
             return
         path = self._folder / column_tar(shard.name, self._name)
-        try:
-            with TarWriter(path, path.with_name(f".{path.name}.part"), shard.split, self._fields) as tar:
-                for number, each in enumerate(shard.keys):
-                    tar.write(each, held.pop(number))
-        except OSError as error:
-            raise BadConfig(f"cannot write {path}: {error.strerror or error}") from error
+        writer = TarWriter(path, path.with_name(f".{path.name}.part"), shard.split, self._fields)
+        with reported(f"cannot write {path}", BadConfig, OSError), writer as tar:
+            for number, each in enumerate(shard.keys):
+                tar.write(each, held.pop(number))
         if tar.record is not None:
             self._records[at] = tar.record
 
@@ -229,10 +222,8 @@ class ColumnWriter:
             )
         planes = {self._name: self._kind} if self._is_plane else {}
         records = [self._records[at] for at in range(len(self._records))]
-        try:
+        with reported(f"cannot write {self._folder}", BadConfig, OSError):
             write_column_manifest(self._folder, self._set, self._name, records, planes, self._fields)
-        except OSError as error:
-            raise BadConfig(f"cannot write {self._folder}: {error.strerror or error}") from error
 
 
 def write_column_manifest(

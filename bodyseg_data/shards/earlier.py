@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadShard
+from bodyseg_data.core import BadShard, reported
 from bodyseg_data.labels import BACKGROUND, LANDMARKS, PART_CLASSES, UNLABELLED
 from bodyseg_data.samples import SampleInfo, Value
 from bodyseg_data.shards.records import BODY_FIELDS, Fields
@@ -62,7 +62,8 @@ def _record_as_current(record: Any) -> Any:
 
 def piece_as_current(data: bytes, where: str) -> bytes:
     """A piece of an index of format 6 as format 7 has it. Raises BadShard, naming `where`, for other bytes."""
-    try:
+    what = f"{where}: {len(data)} bytes are no piece of an index of format 6"
+    with reported(what, BadShard, ValueError, LookupError, TypeError, RecursionError, struct.error):
         count, bodies, views, _ = _PIECE.unpack_from(data)
         widths = [1 if rows <= 1 << 8 else 2 if rows <= 1 << 16 else 4 for rows in (bodies, views)]
         end = _PIECE.size + 4 * (2 * count + 1) + sum(widths) * count
@@ -79,8 +80,6 @@ def piece_as_current(data: bytes, where: str) -> bytes:
             "tails": tails,
             "notes": text["notes"],
         }
-    except (ValueError, KeyError, TypeError, IndexError, RecursionError, struct.error) as error:
-        raise BadShard(f"{where}: {len(data)} bytes are no piece of an index of format 6: {error}") from error
     text_bytes = json.dumps(text, sort_keys=True, separators=(",", ":")).encode()
     head = struct.pack("<5I", count, 2, len(text_bytes), bodies, views)
     return head + data[_PIECE.size : end] + text_bytes

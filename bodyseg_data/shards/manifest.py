@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
-from bodyseg_data.core import BadConfig, BadSample, BadShard
+from bodyseg_data.core import BadConfig, BadSample, BadShard, reported
 from bodyseg_data.files import not_json, write_atomically
 from bodyseg_data.labels import PART_CLASSES, Classes, classes_from_json
 from bodyseg_data.rigs import Rig, rig_from_json
@@ -202,10 +202,8 @@ def read_manifest(
 
 
 def _contents(store: Store, name: str) -> bytes:
-    try:
+    with reported(f"{store.name}/{name} cannot be read", BadShard, OSError):
         data = store.read_file(name, LARGEST_MANIFEST)
-    except OSError as error:
-        raise BadShard(f"{store.name}/{name} cannot be read: {error}") from error
     if data is None:
         hint = "not a set of shards, or its packing has not ended" if name == MANIFEST_NAME else "no such column"
         raise BadShard(f"{store.name} holds no {name}: {hint}")
@@ -223,10 +221,8 @@ def _tree(data: bytes, path: str) -> dict[str, Any]:
         known = ", ".join(map(repr, (*EARLIER_FORMATS, MANIFEST_FORMAT)))
         raise BadShard(f"{path}: 'format' must be one of {known}, found {found!r}")
     stored = tree.pop("digest", None)
-    try:
+    with reported(f"{path} cannot be read", BadShard, RecursionError):  # brackets nested as deeply as can just be read
         computed = _digest(tree)
-    except RecursionError as error:  # brackets nested as deeply as can just be read
-        raise BadShard(f"{path} cannot be read: {error}") from error
     if stored != computed:
         raise BadShard(f"{path}: altered after it was written: stored digest {stored}, computed {computed}")
     return {**tree, "digest": stored}
@@ -279,10 +275,8 @@ def _manifest(tree: dict[str, Any], path: str, store: Store) -> Manifest:
 def _rigs(trees: Any, path: str) -> tuple[Rig, ...]:
     if not isinstance(trees, list) or not 1 <= len(trees) <= MOST_RIGS:
         raise BadShard(f"{path}: 'rigs' must be a list of 1 to {MOST_RIGS}")
-    try:
+    with reported(path, BadShard, BadConfig):
         rigs = tuple(map(rig_from_json, trees))
-    except BadConfig as error:
-        raise BadShard(f"{path}: {error}") from error
     check_rigs(rigs, path)
     return rigs
 

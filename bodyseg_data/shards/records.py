@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Final, NamedTuple, Protocol
 
-from bodyseg_data.core import BadSample, BadShard
+from bodyseg_data.core import BadSample, BadShard, reported
 from bodyseg_data.samples import FIELD_KINDS, SPLITS, SampleInfo, Split, Value, check_field_name, check_key, kind_of
 from bodyseg_data.shards.store import READ_ATTEMPTS, TALLY, Stage, Store
 
@@ -75,10 +75,8 @@ def fields_from_json(tree: Any, where: str) -> Fields:
     pairs = [pair for table in tree for pair in table] if _is_table(tree) else [None]
     if not all(isinstance(pair, list) and list(map(type, pair)) == [str, str] for pair in pairs):
         raise BadShard(f"{where}: 'fields' must be lists of pairs, the name and the kind of a field")
-    try:
+    with reported(where, BadShard):
         return Fields(tuple(tuple((name, kind) for name, kind in table) for table in tree))
-    except BadShard as error:
-        raise BadShard(f"{where}: {error}") from error
 
 
 def _is_table(tree: Any) -> bool:
@@ -169,11 +167,9 @@ def _table(columns: Any, names: tuple[tuple[str, str], ...], where: str) -> tupl
         values = [tuple(value) if isinstance(value, list) else value for value in column]
         if set(map(type, values)) - {FIELD_KINDS[kind], type(None)}:
             raise BadShard(f"{where}: {name!r} must hold {kind} or nothing")
-        try:
+        with reported(where, BadShard, BadSample):
             for value in set(values) - {None}:
                 kind_of(value, name)
-        except BadSample as error:
-            raise BadShard(f"{where}: {error}") from error
         checked.append(values)
     rows = tuple(zip(*checked, strict=True))
     if len(set(rows)) != len(rows):

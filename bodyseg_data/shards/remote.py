@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 from urllib.parse import parse_qsl, unquote, urlsplit
 
-from bodyseg_data.core import BadConfig, BodysegError, MissingLibrary, check_int
+from bodyseg_data.core import BadConfig, BodysegError, MissingLibrary, check_int, reported
 from bodyseg_data.shards.manifest import MANIFEST_NAME
 from bodyseg_data.shards.store import TALLY, LocalFolder, Pieces, Stage, Store
 from bodyseg_data.shards.transport import FileMissing, PermanentFailure, TransientFailure, open_transport, pinned
@@ -80,10 +80,8 @@ class RemoteFolder:
         rest, mark, query = rest.partition("?") if protocol in ("http", "https") else (rest, "", "")
         self._base, self._query = f"{protocol}://{rest.rstrip('/')}", mark + query
         self._retry_policy, self.pieces = retry_policy, Pieces()
-        try:
+        with reported("not an address", BadConfig, ValueError):
             self._secrets = sorted(_secrets(url, options), key=len, reverse=True)
-        except ValueError as error:
-            raise BadConfig(f"not an address: {error}") from None
         self.name = re.sub(r"(?<=://)[^/@]*@", "", self._base)
         if protocol == "hf":  # one commit for all reads, also of other processes
             stall_s = retry_policy.stall_s

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from bodyseg_data.bodies.alignment import Units, UpAxis
 from bodyseg_data.bodies.source import BodySource, MeshOptions
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, reported
 
 
 @dataclass(frozen=True)
@@ -64,10 +64,8 @@ def _added(name: str) -> SourceEntry:
         names = dict.fromkeys((*SOURCES, *entries))
         raise BadConfig(f"the source must be one of {', '.join(names)}, found {name!r}")
     where = f"entry point {name} = {entries[name].value!r} of {ENTRY_POINT}"
-    try:
+    with reported(f"{where} cannot be loaded", BadConfig, Exception):  # whatever the user's module raises
         kind = entries[name].load()
-    except Exception as error:  # whatever the user's module raises
-        raise BadConfig(f"{where} cannot be loaded: {error}") from error
     if not isinstance(kind, type) or not all(callable(getattr(kind, method, None)) for method in _METHODS):
         raise BadConfig(f"{where}: a source must be a class with the methods of BodySource, found {kind!r}")
     if getattr(kind, "name", None) != name:

@@ -22,7 +22,7 @@ from bodyseg_data.bodies.given_labels import ClassTable, NamedCorners, file_labe
 from bodyseg_data.bodies.mesh_bodies import files_below
 from bodyseg_data.bodies.source import DEFAULTS, Body, BodyRef, ListedBodies, MeshOptions
 from bodyseg_data.bodies.sources.folder import body_ref
-from bodyseg_data.core import BadConfig, BadMesh
+from bodyseg_data.core import BadConfig, BadMesh, reported
 from bodyseg_data.files import Table, read_json
 from bodyseg_data.labels import BACKGROUND, Classes, classes_from_json, with_sides
 from bodyseg_data.meshes import METRES, Mesh, MeshContent, SceneMesh, mesh_content, scene_stem, welded
@@ -105,10 +105,8 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
                 files |= set(piece.mesh.parent.glob("*.bin")) if piece.mesh.suffix.lower() == ".gltf" else set()
         for file in sorted(files):
             digest.update(file.name.encode())
-            try:
+            with reported(f"cannot read {file}", BadMesh, OSError):
                 digest.update(hashlib.sha256(file.read_bytes()).digest())
-            except OSError as error:
-                raise BadMesh(f"cannot read {file}: {error.strerror or error}") from error
         return digest.hexdigest()
 
     def check(self, body: BodyRef) -> None:
