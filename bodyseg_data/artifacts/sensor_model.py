@@ -206,7 +206,7 @@ def _model(tree: dict[str, Any], where: str) -> SensorModel:
     artifacts = tree.pop("artifacts", [])
     table = Table(tree, where)
     name = table.text("name")
-    title = table.text("title") if table.has("title") else ""
+    title = table.text("title") if "title" in table else ""
     table.finish()
     if not isinstance(artifacts, list) or not all(isinstance(entry, dict) for entry in artifacts):
         raise BadConfig(f"{where}: 'artifacts' must be tables [[artifacts]]")

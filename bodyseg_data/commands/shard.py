@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -115,24 +116,9 @@ class Options:
             for words, flag in ((self.pitch, "--pitch"), (self.roll, "--roll"), (self.height, "--height"))
         )
         views = ViewGrid(self.distances, self.azimuths, self.azimuth_span, self.views, pitch, roll, height)
-        return Packing(
-            source=self.source,
-            path=None if self.path is None else self.path.absolute(),  # workers may run in another folder
-            landmarks=None if self.landmarks is None else self.landmarks.absolute(),
-            units=self.units,
-            up=self.up,
-            meshes=self.meshes,
-            views=views,
-            rig=load_rig(self.rig),
-            geodesics=self.geodesics,
-            tolerance_mm=self.tolerance_mm,
-            pymeshlab=self.pymeshlab,
-            renderer=self.renderer,
-            codec=self.codec,
-            shard_samples=self.shard_samples,
-            things=self.things,
-            template=self.template,
-        )
+        given: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(Packing)}
+        path, landmarks = (each and each.absolute() for each in (self.path, self.landmarks))  # for workers elsewhere
+        return Packing(**given | {"path": path, "landmarks": landmarks, "views": views, "rig": load_rig(self.rig)})
 
 
 def run(options: Options) -> int:
@@ -271,16 +257,12 @@ def pack_on(
     engine: str, workers: int | None, packing: Packing, out: Path, progress: Progress, on_faults: OnFaults = STOP
 ) -> Manifest:
     """Pack on an engine, showing progress, of the check first; see `open_engine` and `pack`."""
-    title, unit = progress.title, progress.unit
 
-    def checked(done: int, total: int) -> None:
-        progress.begin("checking", "meshes")
-        progress.update(done, total)
-
-    def packed(done: int, total: int) -> None:
+    def shown(title: str, unit: str, done: int, total: int) -> None:
         progress.begin(title, unit)
         progress.update(done, total)
 
+    packed, checked = partial(shown, progress.title, progress.unit), partial(shown, "checking", "meshes")
     with open_engine(engine, workers, packing) as opened:
         if opened.note is not None:
             sys.stderr.write(f"{progress.title}: {opened.note}\n")

@@ -2,6 +2,7 @@
 
 import contextlib
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from bodyseg_data.commands.options import option
@@ -9,6 +10,7 @@ from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core import BadConfig, BadShard
 from bodyseg_data.shards import (
     LocalFolder,
+    Manifest,
     Store,
     column_names,
     find_column_faults,
@@ -37,23 +39,8 @@ def run(options: Options) -> int:
         sys.stdout.write(f"{error}\n")
         return 1
     faults = 0
-    for fault in find_index_faults(store, manifest):
+    for fault in _faults(store, manifest):
         sys.stdout.write(f"{fault}\n")
-        faults += 1
-    with Progress("verifying", "samples") as progress:
-        done, total = 0, manifest.samples()
-        for shard in manifest.shards:
-            for fault in find_faults(store, manifest, shard):
-                sys.stdout.write(f"{fault}\n")
-                faults += 1
-            done += len(shard)
-            progress.update(done, total)
-    listed = {shard.name for shard in manifest.shards}
-    for line in find_column_faults(store, manifest):
-        sys.stdout.write(f"{line}\n")
-        faults += 1
-    for stray in _strays(store, listed):
-        sys.stdout.write(f"{stray}: -: offset 0: not in the manifest\n")
         faults += 1
     if faults and manifest.index is not None:
         return 1  # notes are in the index, which may be what is damaged
@@ -61,17 +48,27 @@ def run(options: Options) -> int:
         sys.stdout.write(f"note: {note}\n")
     if faults:
         return 1
-    size = sum(shard.size for shard in manifest.shards)
-    sys.stdout.write(f"{store.name}: {total} samples in {len(manifest.shards)} shards, {size / 1e6:.1f} MB: no fault\n")
+    size, held = sum(shard.size for shard in manifest.shards), f"{manifest.samples()} samples"
+    sys.stdout.write(f"{store.name}: {held} in {len(manifest.shards)} shards, {size / 1e6:.1f} MB: no fault\n")
     if columns := column_names(store):
         sys.stdout.write(f"columns: {', '.join(columns)}: no fault\n")
     return 0
 
 
-def _strays(store: Store, listed: set[str]) -> list[str]:
-    """List tars of no shard and no column; only a local folder can be listed."""
+def _faults(store: Store, manifest: Manifest) -> Iterator[object]:
+    """Find faults of index, shards and columns, and tars of no shard and no column, which a local folder can list."""
+    yield from find_index_faults(store, manifest)
+    with Progress("verifying", "samples") as progress:
+        done = 0
+        for shard in manifest.shards:
+            yield from find_faults(store, manifest, shard)
+            done += len(shard)
+            progress.update(done, manifest.samples())
+    yield from find_column_faults(store, manifest)
     if not isinstance(store, LocalFolder):
-        return []
+        return
+    listed = {shard.name for shard in manifest.shards}
     with contextlib.suppress(BadShard):  # which was printed
         listed |= {f"{name.removesuffix('.tar')}.{column}.tar" for name in listed for column in column_names(store)}
-    return sorted(path.name for path in store.path.glob("*.tar") if path.name not in listed)
+    for name in sorted(path.name for path in store.path.glob("*.tar") if path.name not in listed):
+        yield f"{name}: -: offset 0: not in the manifest"

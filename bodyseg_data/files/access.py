@@ -17,7 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from bodyseg_data.core import BadConfig, reported
 
@@ -29,6 +29,8 @@ _DOTTED: Final = re.compile(r"""(?:(?<![\w"'-])(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'
 _CHUNK_BYTES: Final = 1 << 20
 _PART: Final = ".part"
 _LOCK: Final = ".lock"
+
+Value = TypeVar("Value")
 
 
 def write_atomically(path: Path, data: bytes | Iterable[bytes], flushed: bool = True) -> None:
@@ -243,19 +245,19 @@ class Table:
             raise BadConfig(f"{self.where}: {key!r} must be a whole number, found {value!r}")
         return int(value)
 
+    def _of(self, kind: type[Value], key: str, what: str, words: str) -> Value:
+        value = self._take(key, what)
+        if not isinstance(value, kind):
+            raise BadConfig(f"{self.where}: {key!r} must be {words}, found {_shown(value)}")
+        return value
+
     def flag(self, key: str) -> bool:
         """Read true or false."""
-        value = self._take(key, "flag")
-        if not isinstance(value, bool):
-            raise BadConfig(f"{self.where}: {key!r} must be true or false, found {_shown(value)}")
-        return value
+        return self._of(bool, key, "flag", "true or false")
 
     def text(self, key: str) -> str:
         """Read a text."""
-        value = self._take(key, "text")
-        if not isinstance(value, str):
-            raise BadConfig(f"{self.where}: {key!r} must be text, found {_shown(value)}")
-        return value
+        return self._of(str, key, "text", "text")
 
     def numbers(self, key: str, count: int) -> Any:
         """Read a list of `count` finite numbers, as a tuple of floats."""
@@ -266,18 +268,11 @@ class Table:
 
     def table(self, key: str) -> Table:
         """Read a table within this one."""
-        value = self._take(key, "table")
-        if not isinstance(value, dict):
-            raise BadConfig(f"{self.where}: {key!r} must be a table, found {_shown(value)}")
-        return Table(value, f"{self.where}, [{key}]")
+        return Table(self._of(dict, key, "table", "a table"), f"{self.where}, [{key}]")
 
     def __iter__(self) -> Iterator[str]:
         """Give the keys that are not read yet."""
         return iter(self._tree)
-
-    def has(self, key: str) -> bool:
-        """True for a key that is there and not read yet."""
-        return key in self._tree
 
     def finish(self) -> None:
         """Raise BadConfig for keys that were not read."""

@@ -97,29 +97,20 @@ class Shares:
                 )
         self.constant_from = knots[-1]
         """The epoch from which on weights stay as they are."""
-        self._reached = (0, self._beginning())
 
     def _weights(self, epoch: int) -> list[float]:
         return [each.at(epoch) for each in self.schedules]
-
-    def _beginning(self) -> tuple[list[int], list[int]]:
-        return [0] * len(self.schedules), [0] * len(self.schedules)
 
     def before(self, epoch: int) -> list[int]:
         """Return the number of samples that each set has given before `epoch`, K numbers.
 
         Takes a step for every epoch up to the last knot of a schedule and one for all epochs after it.
         """
-        reached, (sums, given) = self._reached
-        if reached > epoch:
-            reached, (sums, given) = 0, self._beginning()
-        sums, given = sums.copy(), given.copy()
-        while reached < min(epoch, self.constant_from):
-            self._add(sums, given, reached, 1)
-            reached += 1
-        self._reached = reached, (sums.copy(), given.copy())
-        if epoch > reached:
-            self._add(sums, given, reached, epoch - reached)
+        sums, given = [0] * len(self.schedules), [0] * len(self.schedules)
+        for each in range(min(epoch, self.constant_from)):
+            self._add(sums, given, each, 1)
+        if epoch > self.constant_from:
+            self._add(sums, given, self.constant_from, epoch - self.constant_from)
         return given
 
     def _add(self, sums: list[int], given: list[int], epoch: int, epochs: int) -> None:

@@ -266,7 +266,7 @@ def _by_name(tree: Table, key: str) -> tuple[Table, tuple[str, ...]]:
     table = tree.table(key)
     tree.finish()
     others = [name for name in table if name not in LANDMARKS]
-    missing = [_misspelt(name, others) for name in LANDMARKS if not table.has(name)]
+    missing = [_misspelt(name, others) for name in LANDMARKS if name not in table]
     if missing:
         raise BadLandmarks(f"{tree.where}: landmark {', '.join(missing)} is missing")
     return table, tuple(others)
@@ -384,7 +384,7 @@ def load_landmark_file(path: Path) -> LandmarkSet | PointLandmarks:
     if path.suffix.lower() != ".json":
         raise BadLandmarks(f"a landmark file must be .json, .lnd or .lnd.gz, found {path}")
     data = file_bytes(path, "landmark", LARGEST_BYTES, BadLandmarks)
-    return (parse_points if json_table(data, str(path)).has("points") else parse_landmarks)(data, str(path))
+    return (parse_points if "points" in json_table(data, str(path)) else parse_landmarks)(data, str(path))
 
 
 def nearest_corner(

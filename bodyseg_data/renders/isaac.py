@@ -150,19 +150,19 @@ def _camera(path: Path) -> tuple[tuple[int, int, float], NDArray[np.float64]]:
     camera's, metres. Raises BadConfig, naming file and key.
     """
     table = Table(read_json(path), str(path))
-    if table.has("cameraModel") and (model := table.text("cameraModel")) not in ("pinhole", ""):
+    if "cameraModel" in table and (model := table.text("cameraModel")) not in ("pinhole", ""):
         raise BadConfig(f"{path}: 'cameraModel' must be pinhole, not F-Theta or another fisheye, found {model!r}")
     columns, rows = (int(side) for side in table.numbers("renderProductResolution", 2))
     width = table.numbers("cameraAperture", 2)[0]
     focal_px = table.positive("cameraFocalLength") / width * columns if width > 0 else 0.0
-    if table.has("cameraApertureOffset") and any(table.numbers("cameraApertureOffset", 2)):
+    if "cameraApertureOffset" in table and any(table.numbers("cameraApertureOffset", 2)):
         raise BadConfig(f"{path}: an aperture with an offset is not read: name the rig in set.toml")
     view = np.array(table.numbers("cameraViewTransform", 16)).reshape(4, 4).T  # USD's points are rows
     axes = view[:3, :3]
     if not (np.allclose(axes @ axes.T, np.eye(3), atol=1e-3) and math.isclose(np.linalg.det(axes), 1, abs_tol=1e-2)):
         raise BadConfig(f"{path}: 'cameraViewTransform' must turn and move only, found one that mirrors or scales")
     placed = _TO_OURS @ view
-    placed[:3, 3] *= table.positive("metersPerSceneUnit") if table.has("metersPerSceneUnit") else 1.0
+    placed[:3, 3] *= table.positive("metersPerSceneUnit") if "metersPerSceneUnit" in table else 1.0
     return (rows, columns, focal_px), placed
 
 

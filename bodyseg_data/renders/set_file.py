@@ -124,12 +124,12 @@ def read_set(folder: Path) -> SetFile:
     rows, lists = tree.pop("classes", None), {name: tree.pop(name, None) for name in ("background", "no_range")}
     rigs = _rigs(tree.pop("rig", None), tree.pop("rigs", None), path)
     table = Table(tree, str(path))
-    name = table.text("name") if table.has("name") else "classes"
-    first = table.whole("first_label") if table.has("first_label") else 0
+    name = table.text("name") if "name" in table else "classes"
+    first = table.whole("first_label") if "first_label" in table else 0
     found: dict[str, Any] = {
-        key: table.text(key) for key in ("layout", "along", "split", "camera", "projector") if table.has(key)
+        key: table.text(key) for key in ("layout", "along", "split", "camera", "projector") if key in table
     }
-    found |= {key: table.positive(key) for key in ("unit_m", "stand_off_m", "range_step_mm") if table.has(key)}
+    found |= {key: table.positive(key) for key in ("unit_m", "stand_off_m", "range_step_mm") if key in table}
     table.finish()
     for key, allowed in (("along", get_args(Along)), ("split", SPLITS)):
         if found.get(key, allowed[0]) not in allowed:

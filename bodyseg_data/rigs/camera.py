@@ -267,7 +267,7 @@ def distortion_from_table(table: Table) -> Distortion:
     if model != MODEL:
         raise BadConfig(f"{table.where}: 'model' must be {MODEL!r}, found {model!r}")
     names = Distortion.__dataclass_fields__
-    coefficients = {name: table.number(name) for name in names if table.has(name)}
+    coefficients = {name: table.number(name) for name in names if name in table}
     table.finish()
     with reported(table.where, BadConfig):
         return Distortion(**coefficients)
@@ -279,18 +279,18 @@ def camera_from_table(table: Table, posed: bool, lens: bool = False) -> Camera:
     posed: whether it must say where the device is, else its frame is the rig's. lens: whether it may hold distortion.
     """
     rows, columns = table.whole("rows"), table.whole("columns")
-    if table.has("focal_px"):
+    if "focal_px" in table:
         focal_px = table.positive("focal_px")
     else:
         focal_px = table.positive("focal_length_mm") / table.positive("pixel_pitch_um") * 1000
     # The middle of the image unless a calibration says otherwise.
-    centre = table.numbers("centre_px", 2) if table.has("centre_px") else (columns / 2, rows / 2)
+    centre = table.numbers("centre_px", 2) if "centre_px" in table else (columns / 2, rows / 2)
     position, aim = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
-    if posed or table.has("position_m") or table.has("aims_at_m"):
+    if posed or "position_m" in table or "aims_at_m" in table:
         position, aim = table.numbers("position_m", 3), table.numbers("aims_at_m", 3)
-    up = table.numbers("up", 3) if table.has("up") else _UP
-    roll_deg = table.number("roll_deg") if table.has("roll_deg") else 0.0
-    distortion = distortion_from_table(table.table("distortion")) if lens and table.has("distortion") else None
+    up = table.numbers("up", 3) if "up" in table else _UP
+    roll_deg = table.number("roll_deg") if "roll_deg" in table else 0.0
+    distortion = distortion_from_table(table.table("distortion")) if lens and "distortion" in table else None
     table.finish()
     with reported(table.where, BadConfig):
         return Camera(rows, columns, focal_px, centre, position, aim, up, roll_deg, distortion)

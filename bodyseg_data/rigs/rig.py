@@ -221,8 +221,8 @@ def parse_sensor(text: str, where: str) -> Sensor:
     """Parse a rig file's text, with or without a projector; `where` names its origin in messages. Raises BadConfig."""
     table = Table(_FILES.parse(text, where), f"rig {where}")
     name = table.text("name")
-    title = table.text("title") if table.has("title") else name
-    assumed = table.flag("assumed_for_size") if table.has("assumed_for_size") else False
+    title = table.text("title") if "title" in table else name
+    assumed = table.flag("assumed_for_size") if "assumed_for_size" in table else False
     camera, lighting = camera_from_table(table.table("camera"), posed=False, lens=True), None
     if any(map(table.has, ("projector", "second_projector", "stand_off_m", "range_step_mm"))):
         stand_off = table.number("stand_off_m")
@@ -248,11 +248,11 @@ def rig_from_json(tree: Any) -> Rig:
 
 
 def _range_step_mm(table: Table) -> float:
-    return table.number("range_step_mm") if table.has("range_step_mm") else RANGE_STEP_MM
+    return table.number("range_step_mm") if "range_step_mm" in table else RANGE_STEP_MM
 
 
 def _second_projector(table: Table) -> Camera | None:
-    return camera_from_table(table.table("second_projector"), posed=True) if table.has("second_projector") else None
+    return camera_from_table(table.table("second_projector"), posed=True) if "second_projector" in table else None
 
 
 def _check_name(name: str) -> None:

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 from urllib.parse import unquote
 
 from bodyseg_data.core import BadConfig, MissingLibrary
@@ -103,46 +103,11 @@ class FileMissing(PermanentFailure):
     """The file does not exist."""
 
 
-class Transport(Protocol):
-    """Downloads by one protocol. Methods take full addresses; they raise TransientFailure or PermanentFailure."""
-
-    def chunks(self, address: str, start: int, stop: int, allow_whole_file: bool) -> Iterator[bytes]:
-        """Iterate over bytes `start` to `stop` in order; those before an error are valid.
-
-        allow_whole_file: from a server without byte ranges, skip the bytes before `start` instead of failing.
-        """
-
-    def read_file(self, address: str, limit: int) -> bytes:
-        """Download a whole file of at most `limit` bytes."""
-
-    def size(self, address: str) -> int:
-        """Size of a file, bytes."""
-
-    def put(self, address: str, content: Path | bytes) -> None:
-        """Upload a local file, or some bytes, whole."""
-
-    def remove(self, address: str) -> None:
-        """Remove a file."""
-
-
-def open_transport(address: str, options: Mapping[str, Any], stall_s: float, total_s: float) -> Transport:
-    """Open the transport to a folder's address. Raises MissingLibrary, or the filesystem's own errors for an address or
-    `options` that it does not accept.
-    """
-    protocol = address.partition("://")[0]
-    if protocol in ("http", "https"):
-        return _HttpTransport(Filesystem(address, options), stall_s)
-    if protocol in ("s3", "s3a"):
-        waits = {"connect_timeout": stall_s, "read_timeout": stall_s, "retries": {"total_max_attempts": 1}}
-        options = {**options, "config_kwargs": {**waits, **options.get("config_kwargs", {})}}
-    return _BlockTransport(Filesystem(address, options), total_s)
-
-
-class _HttpTransport:
+class HttpTransport:
     """Streaming through aiohttp, in fsspec's session and thread, that keeps the bytes before a broken connection.
 
     fsspec's own `cat_file` and `open` lose these, and do not check the received range (figures:
-    docs/reference/dependencies.md).
+    docs/reference/dependencies.md). Methods take full addresses; they raise TransientFailure or PermanentFailure.
     """
 
     def __init__(self, filesystem: Filesystem, stall_s: float) -> None:
@@ -150,6 +115,10 @@ class _HttpTransport:
         filesystem.get()
 
     def chunks(self, address: str, start: int, stop: int, allow_whole_file: bool) -> Iterator[bytes]:
+        """Iterate over bytes `start` to `stop` in order; those before an error are valid.
+
+        allow_whole_file: from a server without byte ranges, skip the bytes before `start` instead of failing.
+        """
         with _classified_errors(), self._response(address, start, stop) as (response, chunk, problem):
             position = start
             if response.status != 206:
@@ -280,8 +249,8 @@ def _check_response(response: Any, start: int | None, stop: int | None) -> None:
             raise TransientFailure(f"bytes {start} to {stop} asked for, found Content-Range {found!r}")
 
 
-class _BlockTransport:
-    """Transport through any other filesystem of fsspec."""
+class BlockTransport:
+    """As `HttpTransport`, through any other filesystem of fsspec."""
 
     def __init__(self, filesystem: Filesystem, total_s: float) -> None:
         self._filesystem = filesystem
@@ -325,6 +294,22 @@ class _BlockTransport:
     def remove(self, address: str) -> None:
         with _classified_errors():
             self._filesystem.get().rm_file(address)
+
+
+Transport = HttpTransport | BlockTransport
+
+
+def open_transport(address: str, options: Mapping[str, Any], stall_s: float, total_s: float) -> Transport:
+    """Open the transport to a folder's address. Raises MissingLibrary, or the filesystem's own errors for an address or
+    `options` that it does not accept.
+    """
+    protocol = address.partition("://")[0]
+    if protocol in ("http", "https"):
+        return HttpTransport(Filesystem(address, options), stall_s)
+    if protocol in ("s3", "s3a"):
+        waits = {"connect_timeout": stall_s, "read_timeout": stall_s, "retries": {"total_max_attempts": 1}}
+        options = {**options, "config_kwargs": {**waits, **options.get("config_kwargs", {})}}
+    return BlockTransport(Filesystem(address, options), total_s)
 
 
 @contextmanager

@@ -12,7 +12,7 @@ import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 from bodyseg_data.core import BadConfig, BadShard
 from bodyseg_data.files import naming, sync, write_atomically
@@ -128,28 +128,11 @@ def sha256_of(store: Store, name: str) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-class Target(Protocol):
-    """Receiver of a bundle. All methods raise OSError for local files, Unreachable for a network."""
-
-    @property
-    def store(self) -> Store:
-        """The files that the target holds."""
-
-    def holds(self, file: SharedFile, sizes_only: bool) -> bool:
-        """Return whether the target has a file of this size and, unless `sizes_only`, of this SHA-256."""
-
-    def receive(self, file: SharedFile, report: Report, sizes_only: bool) -> None:
-        """Copy a file from the source and check it. Raises BadShard if its bytes are not those expected."""
-
-    def write(self, name: str, data: bytes) -> None:
-        """Write a small file at once or not at all."""
-
-    def remove(self, name: str) -> None:
-        """Remove a file, which may be missing."""
-
-
 class LocalTarget:
-    """A local folder, made if it is missing. A file is called `.NAME.part` until it is complete and checked."""
+    """A local folder, made if it is missing. A file is called `.NAME.part` until it is complete and checked.
+
+    All methods raise OSError.
+    """
 
     def __init__(self, folder: Path, source: Store) -> None:
         self._folder, self._source = folder, source
@@ -157,6 +140,7 @@ class LocalTarget:
         self.store: Store = LocalFolder(folder)
 
     def holds(self, file: SharedFile, sizes_only: bool) -> bool:
+        """Return whether the target has a file of this size and, unless `sizes_only`, of this SHA-256."""
         path = self._folder / file.name
         if not path.is_file() or path.stat().st_size != file.size:
             return False
@@ -174,7 +158,10 @@ class LocalTarget:
         return self._folder / f".{file.name}.part"
 
     def receive(self, file: SharedFile, report: Report, sizes_only: bool) -> None:
-        """See `Target.receive`: continues a part that an interrupted transfer left. The SHA-256 is always checked."""
+        """Copy a file from the source, after the part that an interrupted transfer left, and check its SHA-256.
+
+        Raises BadShard for other bytes.
+        """
         part = self._part(file)
         if part.is_symlink():
             part.unlink()  # none of a transfer: it would write into another file
@@ -220,20 +207,23 @@ class LocalTarget:
 
 
 class RemoteTarget:
-    """A folder at an address, filled from a local one. Files are sent whole, and again if one was interrupted."""
+    """A folder at an address, filled from a local one. Files are sent whole, and again if one was interrupted.
+
+    Its methods are those of `LocalTarget`, and raise Unreachable, too.
+    """
 
     def __init__(self, remote: RemoteFolder, folder: Path) -> None:
         self._remote, self._folder = remote, folder
         self.store: Store = remote
 
     def holds(self, file: SharedFile, sizes_only: bool) -> bool:
-        """See `Target.holds`; the bytes are read back from the address."""
+        """See `LocalTarget.holds`; the bytes are read back from the address."""
         if self._remote.find_size(file.name) != file.size:
             return False
         return sizes_only or sha256_of(self._remote, file.name) == file.sha256
 
     def receive(self, file: SharedFile, report: Report, sizes_only: bool) -> None:
-        """See `Target.receive`: the local bytes are checked before, those at the address after."""
+        """See `LocalTarget.receive`: the local bytes are checked before, those at the address after."""
         path = self._folder / file.name
         found = sha256_of(LocalFolder(self._folder), file.name)
         if found != file.sha256:
@@ -248,6 +238,9 @@ class RemoteTarget:
 
     def remove(self, name: str) -> None:
         self._remote.remove(name)
+
+
+Target = LocalTarget | RemoteTarget
 
 
 def _altered(name: str, file: SharedFile, found: str) -> str:

@@ -146,11 +146,11 @@ def _intrinsics(tree: Any, where: str) -> Intrinsics:
     fx, fy = table.positive("fx"), table.positive("fy")
     cx, cy = table.number("cx"), table.number("cy")
     size = None
-    if table.has("width") or table.has("height"):
+    if "width" in table or "height" in table:
         columns, rows = table.whole("width"), table.whole("height")
         size = rows, columns
     distortion = None
-    if table.has("distortion"):
+    if "distortion" in table:
         given = tree["distortion"]
         count = 4 if isinstance(given, list) and len(given) == 4 else 5
         coefficients = dict(zip(_COEFFICIENTS, table.numbers("distortion", count), strict=False))

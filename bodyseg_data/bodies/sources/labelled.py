@@ -197,8 +197,8 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
         if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
             raise BadConfig(f"{path}: 'meshes' must be a list of objects, each with a 'mesh'")
         table = Table(tree, str(path))
-        centre = np.array(table.numbers("centre_m", 3)) if table.has("centre_m") else None
-        own = {name: table.text(name) for name in ("subject", "pose", "split") if table.has(name)}
+        centre = np.array(table.numbers("centre_m", 3)) if "centre_m" in table else None
+        own = {name: table.text(name) for name in ("subject", "pose", "split") if name in table}
         table.finish()
         if own.get("split", "train") not in SPLITS:
             raise BadConfig(f"{path}: 'split' must be one of {', '.join(SPLITS)}, found {own['split']!r}")
@@ -209,8 +209,8 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
 
     def _piece(self, row: Table, path: Path) -> _Piece:
         mesh = Path(normpath(path.parent / row.text("mesh")))
-        label = row.text("class") if row.has("class") else None
-        labels: Path | str | None = row.text("labels") if row.has("labels") else None
+        label = row.text("class") if "class" in row else None
+        labels: Path | str | None = row.text("labels") if "labels" in row else None
         if label is not None and labels is not None:
             raise BadConfig(f"{row.where}: a mesh has one 'class' or 'labels', found both")
         if isinstance(labels, str) and labels.lower().endswith((".json", ".npy")):
@@ -218,16 +218,16 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
         elif labels is None and label is None:
             labels = self._labels_of(mesh)
         metres, pose = self._metres, np.eye(4)
-        if row.has("units"):
+        if "units" in row:
             units = row.text("units")
             if units not in METRES:
                 raise BadConfig(f"{row.where}: 'units' must be one of {', '.join(METRES)}, found {units!r}")
             metres = METRES[units]
-        if row.has("pose") and row.has("position_m"):
+        if "pose" in row and "position_m" in row:
             raise BadConfig(f"{row.where}: a mesh has one 'pose' or 'position_m', found both")
-        if row.has("position_m"):
+        if "position_m" in row:
             pose[:3, 3] = row.numbers("position_m", 3)
-        if row.has("pose"):
+        if "pose" in row:
             pose = np.array(row.numbers("pose", 16)).reshape(4, 4)
             if pose[3].tolist() != [0, 0, 0, 1]:
                 raise BadConfig(f"{row.where}: the last row of 'pose' must be 0 0 0 1, found {pose[3].tolist()}")
