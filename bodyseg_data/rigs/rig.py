@@ -224,7 +224,7 @@ def parse_sensor(text: str, where: str) -> Sensor:
     title = table.text("title") if "title" in table else name
     assumed = table.flag("assumed_for_size") if "assumed_for_size" in table else False
     camera, lighting = camera_from_table(table.table("camera"), posed=False, lens=True), None
-    if any(map(table.has, ("projector", "second_projector", "stand_off_m", "range_step_mm"))):
+    if any(key in table for key in ("projector", "second_projector", "stand_off_m", "range_step_mm")):
         stand_off = table.number("stand_off_m")
         projector = camera_from_table(table.table("projector"), posed=True)
         lighting = stand_off, projector, _range_step_mm(table), _second_projector(table)
