@@ -72,11 +72,11 @@ CASES: dict[str, Case] = {
         BadConfig,
         "the source 'open' makes its bodies and reads no files: leave --pymeshlab out",
     ),
-    "pack no mesh": (lambda: Packing("open", meshes=0), BadConfig, "a packing needs at least one mesh, found 0"),
+    "pack no mesh": (lambda: Packing("open", meshes=0), BadConfig, "Packing: meshes must be at least 1, found 0"),
     "pack empty shards": (
         lambda: Packing("open", shard_samples=0),
         BadConfig,
-        "a shard holds at least one sample, found 0",
+        "Packing: shard_samples must be at least 1, found 0",
     ),
     "pack with an unknown renderer": (
         lambda: open_renderer("povray", Mesh("m", POINTS, FACES)),

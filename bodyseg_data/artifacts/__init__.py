@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
-    from bodyseg_data.artifacts.artifact import Artifact, Bounds, RangeImage, Scene
+    from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
     from bodyseg_data.artifacts.cast_shadow import seen_by_projectors
     from bodyseg_data.artifacts.lost_pixels import SHAPES, Losses, box_of
     from bodyseg_data.artifacts.missing_data import MissingData

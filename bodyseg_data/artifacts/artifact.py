@@ -23,30 +23,6 @@ from bodyseg_data.core import Draws, check_fields
 from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import Sample, shape_of
 
-
-@dataclass(frozen=True)
-class Bounds:
-    """Numbers from `low` to `high` that a field may hold; above: without `low` itself."""
-
-    low: float
-    high: float
-    above: bool = False
-
-    def take(self, number: float) -> bool:
-        """Return whether a number lies within. NaN never does."""
-        return (self.low < number if self.above else self.low <= number) and number <= self.high
-
-    def __str__(self) -> str:
-        if self.above:
-            return f"above {self.low:g} and at most {self.high:g}"
-        return f"from {self.low:g} to {self.high:g}"
-
-
-def bounded(default: Any, low: float, high: float, *, above: bool = False) -> Any:
-    """Declare a dataclass's field whose number, or each number of a tuple, lies within `Bounds`; None may stand."""
-    return field(default=default, metadata={"bounds": Bounds(low, high, above)})
-
-
 Kind = Literal["occlusion", "noise", "missing_data"]
 """The three kinds of artifacts of the paper's Table 1: what the projector does not light, ranges that are wrong, pixels
 that are lost. Every artifact is of one kind, and variants name kinds."""

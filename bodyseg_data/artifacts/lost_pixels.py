@@ -14,8 +14,8 @@ from typing import Any, ClassVar, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene, bounded
-from bodyseg_data.core import BadConfig, Draws
+from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
+from bodyseg_data.core import BadConfig, Draws, bounded
 from bodyseg_data.labels import PARTS
 from bodyseg_data.machine import if_ready, loops
 from bodyseg_data.rigs import Rig

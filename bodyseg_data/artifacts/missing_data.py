@@ -7,8 +7,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene, bounded
-from bodyseg_data.core import BadConfig, Draws
+from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
+from bodyseg_data.core import BadConfig, Draws, bounded
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene, bounded
+from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.noise import as_range, drawn_bits
-from bodyseg_data.core import BadConfig, Draws
+from bodyseg_data.core import BadConfig, Draws, bounded
 from bodyseg_data.machine import if_ready, loops
 
 

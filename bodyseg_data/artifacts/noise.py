@@ -10,9 +10,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene, bounded
+from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.constants import FIRST_SEGMENT, OFFSET_MASK, SEGMENT_SHIFT, SEGMENTS
-from bodyseg_data.core import BadConfig, Draws
+from bodyseg_data.core import BadConfig, Draws, bounded
 from bodyseg_data.machine import if_ready, loops
 
 

@@ -17,11 +17,11 @@ from typing import ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene, bounded
+from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.fringes import BEND_M, DRAWN, EDGE_M, MARGIN, REACH, Optics, decode, fill, sideways
 from bodyseg_data.artifacts.noise import as_range
 from bodyseg_data.artifacts.scratch import BLOCK
-from bodyseg_data.core import BadConfig, Draws
+from bodyseg_data.core import BadConfig, Draws, bounded
 from bodyseg_data.labels import PART_COUNT
 from bodyseg_data.machine import if_ready, loops
 from bodyseg_data.rigs import Rig

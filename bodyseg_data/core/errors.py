@@ -4,11 +4,12 @@ Every message is one line: the rule that was broken, the value found, and where.
 status 2; code that uses the library can catch `BodysegError` or one of its subclasses.
 """
 
+import math
 import types
 import typing
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import dataclass, field, fields
 from functools import cache
 from numbers import Integral, Real
 from typing import Any, Final, Literal
@@ -76,6 +77,32 @@ def check_int(name: str, value: Any, least: int) -> int:
     if isinstance(value, bool) or not isinstance(value, Integral) or int(value) < least:
         raise BadConfig(f"{name} must be a whole number of at least {least}, found {value!r}")
     return int(value)
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Finite numbers from `low` to `high` that a field may hold; above: without `low` itself."""
+
+    low: float
+    high: float = math.inf
+    above: bool = False
+
+    def take(self, number: float) -> bool:
+        """Return whether a number lies within. NaN never does."""
+        return (self.low < number if self.above else self.low <= number) and number <= self.high and number < math.inf
+
+    def __str__(self) -> str:
+        if self.high == math.inf:
+            return f"{'above' if self.above else 'at least'} {self.low:g}"
+        return f"{'above' if self.above else 'from'} {self.low:g} {'and at most' if self.above else 'to'} {self.high:g}"
+
+
+def bounded(default: Any, low: float, high: float = math.inf, *, above: bool = False) -> Any:
+    """Declare a dataclass's field whose number, or each number of a tuple, lies within `Bounds`; None may stand.
+
+    default: `dataclasses.MISSING` for a field that must be given.
+    """
+    return field(default=default, metadata={"bounds": Bounds(low, high, above)})
 
 
 def check_fields(options: Any) -> None:

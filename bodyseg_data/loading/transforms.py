@@ -7,15 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import MISSING, dataclass, replace
 from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, check_int
+from bodyseg_data.core import BadConfig, bounded, check_fields
 from bodyseg_data.labels import BACKGROUND, looked_up
-from bodyseg_data.loading.image_set import check_bool
 from bodyseg_data.loading.transform import Box, CameraImage, Transform, ends_of
 from bodyseg_data.rigs import MAX_SIDE
 from bodyseg_data.samples import FARTHEST_STEPS
@@ -28,12 +27,17 @@ def unit(random: np.random.Generator) -> float:
 
 
 Place = Literal["axis", "body", "anywhere"]
-_PLACES: Final = ("axis", "body", "anywhere")
 _FARTHEST: Final = int(FARTHEST_STEPS)
 
 
 @dataclass(frozen=True)
-class Crop(Transform):
+class _Shipped(Transform):
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+@dataclass(frozen=True)
+class Crop(_Shipped):
     """A window of `rows` x `columns` pixels, unscaled; what lies outside of the image is background.
 
     at: "axis" centres it on the optical axis, at which bodies are rendered. "body" centres it on the box of the
@@ -44,14 +48,9 @@ class Crop(Transform):
     """
 
     name = "crop"
-    rows: int
-    columns: int
+    rows: int = bounded(MISSING, 1, MAX_SIDE)
+    columns: int = bounded(MISSING, 1, MAX_SIDE)
     at: Place = "axis"
-
-    def __post_init__(self) -> None:
-        check_size(self.name, self.rows, self.columns)
-        if self.at not in _PLACES:
-            raise BadConfig(f"transform 'crop': at must be one of {', '.join(_PLACES)}, found {self.at!r}")
 
     def shape(self, rows: int, columns: int) -> tuple[int, int]:
         """See `Transform`: the window's."""
@@ -77,7 +76,7 @@ def _anywhere(drawn: float, spare: int) -> int:
 
 
 @dataclass(frozen=True)
-class BodyCrop(Transform):
+class BodyCrop(_Shipped):
     """The smallest window that holds the body with a margin, scaled to `rows` x `columns` pixels.
 
     margin: width of the border around the box of the labelled pixels, as a share of the box's height and width, 0 to 1.
@@ -88,13 +87,9 @@ class BodyCrop(Transform):
     """
 
     name = "body_crop"
-    rows: int
-    columns: int
-    margin: float = 0.1
-
-    def __post_init__(self) -> None:
-        check_size(self.name, self.rows, self.columns)
-        check_number(self.name, "margin", self.margin, 0, 1)
+    rows: int = bounded(MISSING, 1, MAX_SIDE)
+    columns: int = bounded(MISSING, 1, MAX_SIDE)
+    margin: float = bounded(0.1, 0, 1)
 
     def shape(self, rows: int, columns: int) -> tuple[int, int]:
         """See `Transform`: that of the result."""
@@ -118,7 +113,7 @@ class BodyCrop(Transform):
 
 
 @dataclass(frozen=True)
-class Flip(Transform):
+class Flip(_Shipped):
     """The image mirrored, left and right columns exchanged, and so the labels of classes that are mirror images
     (`LabelClass.mirror`).
 
@@ -128,10 +123,7 @@ class Flip(Transform):
     """
 
     name = "flip"
-    share: float = 0.5
-
-    def __post_init__(self) -> None:
-        check_number(self.name, "share", self.share, 0, 1)
+    share: float = bounded(0.5, 0, 1)
 
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
         """See `Transform`."""
@@ -148,7 +140,7 @@ class Flip(Transform):
 
 
 @dataclass(frozen=True)
-class Roll(Transform):
+class Roll(_Shipped):
     """The image as the camera takes it turned about its optical axis; what leaves the image is lost.
 
     largest_deg: largest angle either way, degrees, 0 to 180; the angle is drawn uniformly. Positive angles turn the
@@ -159,10 +151,7 @@ class Roll(Transform):
 
     name = "roll"
     version = 2
-    largest_deg: float = 15.0
-
-    def __post_init__(self) -> None:
-        check_number(self.name, "largest_deg", self.largest_deg, 0, 180)
+    largest_deg: float = bounded(15.0, 0, 180)
 
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
         """See `Transform`."""
@@ -176,7 +165,7 @@ def turned(image: CameraImage, angle_deg: float) -> CameraImage:
 
 
 @dataclass(frozen=True)
-class Zoom(Transform):
+class Zoom(_Shipped):
     """The image magnified about the optical axis; pixels take the value of the nearest one.
 
     largest: largest magnification, 1 to 4; it is drawn from 1 / largest to largest, its logarithm uniformly.
@@ -192,13 +181,8 @@ class Zoom(Transform):
     """
 
     name = "zoom"
-    largest: float = 1.25
+    largest: float = bounded(1.25, 1, 4)
     moves_camera: bool = True
-
-    def __post_init__(self) -> None:
-        check_number(self.name, "largest", self.largest, 1, 4)
-        moves_camera = check_bool("transform 'zoom': moves_camera", self.moves_camera)
-        object.__setattr__(self, "moves_camera", moves_camera)  # NumPy's bool is no JSON
 
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
         """See `Transform`."""
@@ -224,19 +208,6 @@ def _farther(ranges: NDArray[np.uint16], steps: int) -> NDArray[np.uint16]:
     moved: NDArray[np.uint16] = ranges + np.uint16(change) if steps > 0 else ranges - np.uint16(change)
     moved *= (ranges != 0) & (ranges <= _FARTHEST - change if steps > 0 else ranges > change)
     return moved
-
-
-def check_number(transform: str, field: str, value: Any, low: float, high: float) -> None:
-    """Raise BadConfig unless a parameter is a number from `low` to `high`."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        raise BadConfig(f"transform {transform!r}: {field} must be a number from {low:g} to {high:g}, found {value!r}")
-
-
-def check_size(transform: str, rows: Any, columns: Any) -> None:
-    """Raise BadConfig unless rows and columns are whole numbers that the sides of an image may have."""
-    for field, value in (("rows", rows), ("columns", columns)):
-        if check_int(f"transform {transform!r}: {field}", value, 1) > MAX_SIDE:
-            raise BadConfig(f"transform {transform!r}: {field} must be at most {MAX_SIDE}, found {value!r}")
 
 
 def take_grid(

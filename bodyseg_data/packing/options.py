@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from bodyseg_data.bodies import SOURCES, BodyRef, BodySource, SourceEntry, Units, UpAxis, open_source
-from bodyseg_data.core import BadConfig, check_fields, reported
+from bodyseg_data.core import BadConfig, bounded, check_fields, reported
 from bodyseg_data.labels import PART_CLASSES, Classes
 from bodyseg_data.meshes import GeodesicMethod
 from bodyseg_data.packing.mesh_reduction import check_tolerance
@@ -35,12 +35,12 @@ class Packing:
 
     source: str
     path: Path | None = None
-    meshes: int | None = None
+    meshes: int | None = bounded(None, 1)
     views: ViewGrid = field(default_factory=ViewGrid)
     rig: Rig = field(default_factory=load_rig)
     renderer: RendererName = "raster"
     codec: CodecName = "bsi"
-    shard_samples: int = 1080
+    shard_samples: int = bounded(1080, 1)
     landmarks: Path | None = None
     units: Units = "auto"
     up: UpAxis = "auto"
@@ -52,10 +52,6 @@ class Packing:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if self.meshes is not None and self.meshes < 1:
-            raise BadConfig(f"a packing needs at least one mesh, found {self.meshes}")
-        if self.shard_samples < 1:
-            raise BadConfig(f"a shard holds at least one sample, found {self.shard_samples}")
         check_tolerance(self.tolerance_mm)
         if self.template and self.tolerance_mm:
             raise BadConfig(f"the map of the body is of whole meshes, found a tolerance of {self.tolerance_mm:g} mm")

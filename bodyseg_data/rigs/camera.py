@@ -13,13 +13,13 @@ of the camera's frame and r^2 = x^2 + y^2, the lens draws it at
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import MISSING, asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, check_fields, reported
+from bodyseg_data.core import BadConfig, bounded, check_fields, reported
 from bodyseg_data.files import Table
 
 MODEL: Final = "brown_conrady"
@@ -56,30 +56,18 @@ class Camera:
     else here, and all that is rendered, is of the ideal image without it. Raises BadConfig for a value out of range.
     """
 
-    rows: int
-    columns: int
-    focal_px: float
-    centre_px: tuple[float, float]
-    position_m: Vector
-    aims_at_m: Vector
-    up: Vector = _UP
-    roll_deg: float = 0.0
+    rows: int = bounded(MISSING, 1, MAX_SIDE)
+    columns: int = bounded(MISSING, 1, MAX_SIDE)
+    focal_px: float = bounded(MISSING, 0, MAX_FOCAL_PX, above=True)
+    centre_px: tuple[float, float] = bounded(MISSING, -MAX_FOCAL_PX, MAX_FOCAL_PX)
+    position_m: tuple[float, float, float] = bounded(MISSING, -_FAR_M, _FAR_M)
+    aims_at_m: tuple[float, float, float] = bounded(MISSING, -_FAR_M, _FAR_M)
+    up: tuple[float, float, float] = bounded(_UP, -_FAR_M, _FAR_M)
+    roll_deg: float = bounded(0.0, -_MAX_ROLL_DEG, _MAX_ROLL_DEG)
     distortion: Distortion | None = None
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if not (1 <= self.rows <= MAX_SIDE and 1 <= self.columns <= MAX_SIDE):
-            raise BadConfig(f"an image side must be 1 to {MAX_SIDE} pixels, found {self.rows} x {self.columns}")
-        if not 0 < self.focal_px <= MAX_FOCAL_PX:
-            raise BadConfig(f"a focal length must be positive, at most {MAX_FOCAL_PX:g} px, found {self.focal_px:g} px")
-        if not all(abs(number) <= _FAR_M for number in (*self.position_m, *self.aims_at_m)):
-            raise BadConfig(f"camera and aim must lie within {_FAR_M:g} m, found {self.position_m}, {self.aims_at_m}")
-        if not all(abs(number) <= MAX_FOCAL_PX for number in self.centre_px):
-            raise BadConfig(f"a principal point must lie near the image, found {self.centre_px}")
-        if not all(abs(number) <= _FAR_M for number in self.up):
-            raise BadConfig(f"a camera's 'up' must have components of at most {_FAR_M:g}, found {self.up}")
-        if not abs(self.roll_deg) <= _MAX_ROLL_DEG:
-            raise BadConfig(f"a camera's roll must be -180 to 180 degrees, found {self.roll_deg:g}")
         axis = np.subtract(self.aims_at_m, self.position_m)
         if not np.linalg.norm(np.cross(self.up, axis)) >= _LEAST_ACROSS:
             raise BadConfig(f"a camera must not look straight up or down, along its 'up', found {axis.tolist()}")
@@ -210,20 +198,15 @@ class Distortion:
     square.
     """
 
-    k1: float = 0.0
-    k2: float = 0.0
-    p1: float = 0.0
-    p2: float = 0.0
-    k3: float = 0.0
-    aspect: float = 1.0
+    k1: float = bounded(0.0, -_MOST, _MOST)
+    k2: float = bounded(0.0, -_MOST, _MOST)
+    p1: float = bounded(0.0, -_MOST, _MOST)
+    p2: float = bounded(0.0, -_MOST, _MOST)
+    k3: float = bounded(0.0, -_MOST, _MOST)
+    aspect: float = bounded(1.0, 0, _MOST, above=True)
 
     def __post_init__(self) -> None:
         check_fields(self)
-        for name, value in asdict(self).items():
-            if not abs(value) <= _MOST:
-                raise BadConfig(f"a coefficient of distortion must be at most {_MOST:g}, found {name} = {value:g}")
-        if not self.aspect > 0:
-            raise BadConfig(f"the aspect of pixels must be above 0, found {self.aspect:g}")
 
     def apply(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         """Return where the lens draws directions (x, y, 1), at z = 1; all float64 of one shape."""

@@ -19,7 +19,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, check_fields, reported
+from bodyseg_data.core import BadConfig, bounded, check_fields, reported
 from bodyseg_data.files import Table, TomlFiles
 from bodyseg_data.rigs.camera import MAX_SIDE, Camera, PlacedCamera, axes_at, camera_from_table, rolled
 from bodyseg_data.samples import View
@@ -53,7 +53,7 @@ class Rig:
     stand_off_m: float
     camera: Camera
     projector: Camera
-    range_step_mm: float = RANGE_STEP_MM
+    range_step_mm: float = bounded(RANGE_STEP_MM, FINEST_STEP_MM, COARSEST_STEP_MM)
     second_projector: Camera | None = None
 
     def __post_init__(self) -> None:
@@ -65,10 +65,6 @@ class Rig:
             if projector.distortion is not None:
                 raise BadConfig(f"a projector has no lens distortion, found {projector.distortion}")
         self._check_stacking()
-        if not FINEST_STEP_MM <= self.range_step_mm <= COARSEST_STEP_MM:
-            raise BadConfig(
-                f"'range_step_mm' must be {FINEST_STEP_MM:g} to {COARSEST_STEP_MM:g}, found {self.range_step_mm:g}"
-            )
         self.check_reach(self.stand_off_m)
 
     @property

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import random
 import re
 import time
@@ -17,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 from urllib.parse import parse_qsl, unquote, urlsplit
 
-from bodyseg_data.core import BadConfig, BodysegError, MissingLibrary, check_int, reported
+from bodyseg_data.core import BadConfig, BodysegError, MissingLibrary, bounded, check_fields, reported
 from bodyseg_data.shards.manifest import MANIFEST_NAME
 from bodyseg_data.shards.store import TALLY, LocalFolder, Pieces, Stage, Store
 from bodyseg_data.shards.transport import FileMissing, PermanentFailure, TransientFailure, open_transport, pinned
@@ -51,19 +50,14 @@ class RetryPolicy:
     Raises BadConfig.
     """
 
-    tries: int = 6
-    total_s: float = 300.0
-    stall_s: float = 30.0
-    first_wait_s: float = 0.5
-    progress_bytes: int = 1 << 16
+    tries: int = bounded(6, 1)
+    total_s: float = bounded(300.0, 0, above=True)
+    stall_s: float = bounded(30.0, 0, above=True)
+    first_wait_s: float = bounded(0.5, 0, above=True)
+    progress_bytes: int = bounded(1 << 16, 1)
 
     def __post_init__(self) -> None:
-        for name in ("tries", "progress_bytes"):
-            check_int(f"RetryPolicy: {name}", getattr(self, name), 1)
-        for name in ("total_s", "stall_s", "first_wait_s"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
-                raise BadConfig(f"RetryPolicy: {name} must be a positive number of seconds, found {value!r}")
+        check_fields(self)
 
 
 class RemoteFolder:

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final, TypeVar
 
-from bodyseg_data.artifacts import Artifact, Bounds
-from bodyseg_data.core import BadConfig
+from bodyseg_data.artifacts import Artifact
+from bodyseg_data.core import BadConfig, Bounds
 
 _REACH: Final = 3  # A slider without a nearer limit ends at a round number of at least so many times the strength
 _STEPS: Final = 200

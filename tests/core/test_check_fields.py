@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from bodyseg_data.artifacts import Augmentation, Noise, SensorModel, load_sensor_model
-from bodyseg_data.artifacts.artifact import bounded
 from bodyseg_data.artifacts.registry import ARTIFACTS
-from bodyseg_data.core import BadConfig, check_fields
+from bodyseg_data.core import BadConfig, bounded, check_fields
 from bodyseg_data.packing import Packing
 from bodyseg_data.rigs import Distortion, load_rig
 from bodyseg_data.samples import View, ViewGrid

@@ -191,16 +191,16 @@ def test_a_crop_to_the_body_holds_it_with_its_margin() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Flip(1.5), "transform 'flip': share must be a number from 0 to 1, found 1.5"),
-        (lambda: Flip(True), "transform 'flip': share must be a number from 0 to 1, found True"),
-        (lambda: Roll(-1), "transform 'roll': largest_deg must be a number from 0 to 180, found -1"),
-        (lambda: Roll(float("nan")), "transform 'roll': largest_deg must be a number from 0 to 180, found nan"),
-        (lambda: Zoom(0.5), "transform 'zoom': largest must be a number from 1 to 4, found 0.5"),
-        (lambda: Zoom(2.0, 1), "transform 'zoom': moves_camera must be True or False, found 1"),
-        (lambda: Crop(0, 5), "transform 'crop': rows must be a whole number of at least 1, found 0"),
-        (lambda: Crop(5, 9000), "transform 'crop': columns must be at most 8192, found 9000"),
-        (lambda: Crop(5, 5, "head"), "transform 'crop': at must be one of axis, body, anywhere, found 'head'"),
-        (lambda: BodyCrop(5, 5, "wide"), "transform 'body_crop': margin must be a number from 0 to 1, found 'wide'"),
+        (lambda: Flip(1.5), "Flip: share must be from 0 to 1, found 1.5"),
+        (lambda: Flip(True), "Flip: share must be a number, found True"),
+        (lambda: Roll(-1), "Roll: largest_deg must be from 0 to 180, found -1"),
+        (lambda: Roll(float("nan")), "Roll: largest_deg must be from 0 to 180, found nan"),
+        (lambda: Zoom(0.5), "Zoom: largest must be from 1 to 4, found 0.5"),
+        (lambda: Zoom(2.0, 1), "Zoom: moves_camera must be True or False, found 1"),
+        (lambda: Crop(0, 5), "Crop: rows must be from 1 to 8192, found 0"),
+        (lambda: Crop(5, 9000), "Crop: columns must be from 1 to 8192, found 9000"),
+        (lambda: Crop(5, 5, "head"), "Crop: at must be 'axis' or 'body' or 'anywhere', found 'head'"),
+        (lambda: BodyCrop(5, 5, "wide"), "BodyCrop: margin must be a number, found 'wide'"),
     ],
 )
 def test_parameters_out_of_range_are_refused(make: Any, message: str) -> None:

@@ -61,8 +61,8 @@ def test_the_assumed_sensors_have_a_size_of_their_own() -> None:
         ((640, 329), {"rig": "papr"}, "no rig is called 'papr'"),
         ((30, 40), {"focal_px": 5.0, "centre_px": (1.0,)}, "^--centre takes two numbers, x and y, found 1$"),
         ((30, 40), {"centre_px": (1.0, 2.0)}, "^--centre needs --focal$"),
-        ((30, 40), {"focal_px": -5.0}, "a focal length must be positive"),
-        ((30, 40), {"focal_px": float("nan")}, "a focal length must be positive"),
+        ((30, 40), {"focal_px": -5.0}, "focal_px must be above 0"),
+        ((30, 40), {"focal_px": float("nan")}, "focal_px must be above 0"),
     ],
 )
 def test_a_camera_that_cannot_be(shape: tuple[int, int], options: dict[str, Any], message: str) -> None:

@@ -123,7 +123,7 @@ def test_pixels_that_are_nearly_square_are_resampled() -> None:
     assert "aspect" not in Distortion(0.1).to_json()
     with pytest.raises(BadConfig, match="a.json: pixels must be square, found 'fx' 115 and 'fy' 100"):
         Intrinsics(115.0, 100.0, 41.5, 29.5, None, None, "a.json")
-    with pytest.raises(BadConfig, match="the aspect of pixels must be above 0"):
+    with pytest.raises(BadConfig, match="aspect must be above 0"):
         Distortion(aspect=0.0)
 
 

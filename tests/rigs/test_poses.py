@@ -130,12 +130,12 @@ def test_a_device_may_look_straight_down_if_it_says_what_is_up_in_its_image() ->
 @pytest.mark.parametrize(
     ("lines", "message"),
     [
-        ("roll_deg = 181", "a camera's roll must be -180 to 180 degrees, found 181"),
+        ("roll_deg = 181", "Camera: roll_deg must be from -180 to 180, found 181"),
         ("roll_deg = nan", "'roll_deg' must be a finite number"),
         ("up = [0, 0, 1]", r"must not look straight up or down, along its 'up', found \[0.0, 0.0, 2.5\]"),
         ("up = [0, 0, 0]", "along its 'up', found"),
         ("up = [0, 1]", "'up' must be 3 finite numbers"),
-        ("up = [0, 1e200, 0]", "a camera's 'up' must have components of at most 100, found"),
+        ("up = [0, 1e200, 0]", "Camera: up must be from -100 to 100, found"),
     ],
 )
 def test_a_pose_that_is_none_is_refused_in_one_line(lines: str, message: str) -> None:

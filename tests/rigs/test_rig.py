@@ -153,8 +153,12 @@ def test_another_rig_is_another_file(tmp_path: Path) -> None:
         ("bodyseg rig 1", "bodyseg rig 9", "rig x: 'format' must be 'bodyseg rig 1'"),
         ("stand_off_m = 2.5", "stand_off_m = -1.0", "rig x: a rig's stand-off must be positive, found -1.0 m"),
         ("stand_off_m", "standoff", "rig x: number 'stand_off_m' is missing"),
-        ("range_step_mm = 1.0", "range_step_mm = 0.001", "rig x: 'range_step_mm' must be 0.01 to 10, found 0.001"),
-        ("range_step_mm = 1.0", "range_step_mm = 11", "rig x: 'range_step_mm' must be 0.01 to 10, found 11"),
+        (
+            "range_step_mm = 1.0",
+            "range_step_mm = 0.001",
+            "rig x: Rig: range_step_mm must be from 0.01 to 10, found 0.001",
+        ),
+        ("range_step_mm = 1.0", "range_step_mm = 11", "rig x: Rig: range_step_mm must be from 0.01 to 10, found 11"),
         ("range_step_mm = 1.0", "range_step_mm = '1'", "rig x: 'range_step_mm' must be a finite number, found '1'"),
         (
             "range_step_mm = 1.0",

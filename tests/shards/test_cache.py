@@ -127,13 +127,17 @@ def test_cache_options_are_checked(paper_set: Path, memory: str, tmp_path: Path)
     for wrong in (-1, 1.5, True, "10"):
         with pytest.raises(BadConfig, match="cache_bytes must be a whole number of bytes, 0 for no cache, found"):
             RangeImages(memory, cache_bytes=wrong)  # type: ignore[arg-type]  # on purpose
-    for name, wrong in (("tries", 0), ("tries", 1.5), ("progress_bytes", 0), ("progress_bytes", True)):
-        with pytest.raises(BadConfig, match=f"RetryPolicy: {name} must be a whole number of at least 1, found {wrong}"):
-            RetryPolicy(**{name: wrong})
-    for name, wrong in (("total_s", 0), ("stall_s", float("nan")), ("total_s", "5")):
-        with pytest.raises(
-            BadConfig, match=f"RetryPolicy: {name} must be a positive number of seconds, found {wrong!r}"
-        ):
+    for name, wrong, rule in (
+        ("tries", 0, "at least 1"),
+        ("tries", 1.5, "a whole number"),
+        ("progress_bytes", 0, "at least 1"),
+        ("progress_bytes", True, "a whole number"),
+        ("total_s", 0, "above 0"),
+        ("stall_s", float("nan"), "above 0"),
+        ("first_wait_s", float("inf"), "above 0"),
+        ("total_s", "5", "a number"),
+    ):
+        with pytest.raises(BadConfig, match=f"RetryPolicy: {name} must be {rule}, found {wrong!r}"):
             RetryPolicy(**{name: wrong})
 
 

@@ -9,10 +9,9 @@ from typing import Literal
 import pytest
 
 from bodyseg_data.artifacts import Artifact, MissingData, Noise, RangeImage, Scene
-from bodyseg_data.artifacts.artifact import bounded
 from bodyseg_data.artifacts.mixed_pixels import MixedPixels
 from bodyseg_data.artifacts.registry import ARTIFACTS
-from bodyseg_data.core import BadConfig, Draws
+from bodyseg_data.core import BadConfig, Draws, bounded
 from bodyseg_model.viewing.strengths import Slider, moved, sliders_of, value_of
 
 
