@@ -56,8 +56,9 @@ class MissingLibrary(BodysegError):
 
 
 @contextmanager
-def reported(where: object, raises: type[BodysegError], *caught: type[Exception]) -> Iterator[None]:
-    """Raise exceptions of the kinds `caught`, else of that of `raises`, as `raises`, with `where` before their words.
+def reported(where: object, raises: type[Exception], *caught: type[Exception]) -> Iterator[None]:
+    """Raise exceptions of the kinds `caught`, else of that of `raises`, as `raises`, with `where` before their words,
+    unless it is "".
 
     Named as a kind, OSError loses its number and file.
     """
@@ -66,7 +67,7 @@ def reported(where: object, raises: type[BodysegError], *caught: type[Exception]
         yield
     except kinds as error:
         words = error.strerror if isinstance(error, OSError) and OSError in kinds else None
-        raise raises(f"{where}: {words or error}") from error
+        raise raises(f"{where}: {words or error}" if where else str(error)) from error
 
 
 def check_int(name: str, value: Any, least: int) -> int:

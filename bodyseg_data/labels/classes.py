@@ -198,15 +198,6 @@ def looked_up(labels: NDArray[np.uint8], table: NDArray[np.uint8]) -> NDArray[np
     return np.frombuffer(found, np.uint8).reshape(labels.shape)
 
 
-def luma(colours: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Grey of colours as they look without colour, float64 [N], 0 to 255.
-
-    colours: sRGB uint8 [N, 3].
-    """
-    grey: NDArray[np.float64] = colours @ _LUMA
-    return grey
-
-
 def class_colours(sides: Sequence[Side], pairs: Sequence[int]) -> NDArray[np.uint8]:
     """Colours of classes, sRGB uint8 [N, 3].
 

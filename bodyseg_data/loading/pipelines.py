@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from bodyseg_data.core import BadSample
+from bodyseg_data.core import BadSample, reported
 from bodyseg_data.labels import UNLABELLED
 from bodyseg_data.samples import Sample, info_from_json
 from bodyseg_data.shards import CODECS, decode_sample, facing_masks, parse_info
@@ -34,7 +34,7 @@ def decoder() -> Callable[[str, bytes], Any]:
 
 def _decoded(name: str, data: bytes) -> Any:
     member = name.removeprefix(".")
-    try:
+    with reported(member, BadSample, ValueError):
         if member == "json":
             return parse_info(data, member).to_json()
         if member == "bsi":
@@ -43,8 +43,6 @@ def _decoded(name: str, data: bytes) -> Any:
             return {**named, "facing": images.facing}
         if member.startswith("plane.") and member.endswith(".bsp"):
             return CODECS["bsi"].decode_plane(data)
-    except ValueError as error:
-        raise BadSample(f"{member}: {error}") from error
     return None
 
 

@@ -29,7 +29,6 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
@@ -133,7 +132,7 @@ def load_landmarks(name: str) -> LandmarkSet:
 def parse_landmarks(text: str | bytes, source: str) -> LandmarkSet:
     """Parse a landmark set from JSON text; `source` names it in messages. Raises BadLandmarks."""
     tree = json_table(text, source)
-    with _bad_landmarks():
+    with reported("", BadLandmarks, BadConfig):
         topology, counts = tree.text("topology"), (tree.whole("vertex_count"), tree.whole("face_count"))
         table, ignored = _by_name(tree, "landmarks")
         vertices = tuple(table.whole(name) for name in LANDMARKS)
@@ -224,7 +223,7 @@ class PointLandmarks:
 def parse_points(text: str | bytes, source: str) -> PointLandmarks:
     """Parse landmarks by coordinate from JSON text; `source` names it in messages. Raises BadLandmarks."""
     tree = json_table(text, source)
-    with _bad_landmarks():
+    with reported("", BadLandmarks, BadConfig):
         units = tree.text("units")
         table, ignored = _by_name(tree, "points")
         points = [table.numbers(name, 3) for name in LANDMARKS]
@@ -241,15 +240,6 @@ def json_table(text: str | bytes, source: str) -> Table:
     if not isinstance(tree, dict) or tree.pop("format", None) != LANDMARKS_FORMAT:
         raise BadLandmarks(f"{where}: 'format' must be {LANDMARKS_FORMAT!r}")
     return Table(tree, where)
-
-
-@contextmanager
-def _bad_landmarks() -> Iterator[None]:
-    """Turn faults of a table into BadLandmarks."""
-    try:
-        yield
-    except BadConfig as error:
-        raise BadLandmarks(str(error)) from None
 
 
 def _misspelt(name: str, others: list[str]) -> str:

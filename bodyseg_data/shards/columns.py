@@ -61,10 +61,8 @@ def read_column(where: Path | Store, manifest: Manifest, name: str) -> Manifest:
     """
     store, file = store_at(where), column_file(name)
     path = f"{store.name}/{file}"
-    try:
+    with reported("", BadShard, BadSample):
         check_field_name(name)
-    except BadSample as error:
-        raise BadShard(str(error)) from error
     column = read_manifest(store, name=file)
     if column.plan != manifest.digest:
         raise BadShard(f"{path} is a column of another set: digest {column.plan}, here {manifest.digest}")

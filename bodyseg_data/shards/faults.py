@@ -135,11 +135,8 @@ def find_faults(
             while rest := file.read(1 << 20):
                 sha256.update(rest)
                 size += len(rest)
-    except OSError as error:
-        yield Fault(shard.name, "-", 0, f"cannot be read: {error.strerror or error}")
-        return
-    except Unreachable as error:
-        yield Fault(shard.name, "-", 0, f"cannot be read: {error}")
+    except (OSError, Unreachable) as error:
+        yield Fault(shard.name, "-", 0, f"cannot be read: {getattr(error, 'strerror', None) or error}")
         return
     if size != shard.size:
         yield Fault(shard.name, "-", min(size, shard.size), f"{shard.size} bytes expected, found {size}")

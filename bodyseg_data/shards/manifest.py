@@ -245,10 +245,8 @@ def _manifest(tree: dict[str, Any], path: str, store: Store) -> Manifest:
     ):
         if value not in known:
             raise BadShard(f"{path}: {name!r} must be one of {', '.join(known)}, found {value!r}")
-    try:
+    with reported("", BadShard, BadConfig):
         rigs, classes = _rigs(tree["rigs"], path), classes_from_json(tree["classes"], path)
-    except BadConfig as error:
-        raise BadShard(str(error)) from error
     fields = fields_from_json(tree["fields"], path)
     if len(rigs) > 1 and fields.kinds.get(RIG_FIELD) != "int":
         raise BadShard(f"{path}: a set with {len(rigs)} rigs must have the field {RIG_FIELD!r}, a whole number")

@@ -48,10 +48,8 @@ class Fields:
         if len(self.kinds) != sum(map(len, self.tables)):
             raise BadShard("a field of descriptions is named once")
         for name, kind in self.kinds.items():
-            try:
+            with reported("", BadShard, BadSample):
                 check_field_name(name)
-            except BadSample as error:
-                raise BadShard(str(error)) from error
             if kind not in FIELD_KINDS:
                 raise BadShard(f"field {name!r} must be of the kinds {', '.join(FIELD_KINDS)}, found {kind!r}")
 

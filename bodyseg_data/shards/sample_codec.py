@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, BadSample
+from bodyseg_data.core import BadConfig, BadSample, reported
 from bodyseg_data.labels import UNLABELLED
 from bodyseg_data.samples import Occupancy, Sample, SampleInfo, info_from_json
 from bodyseg_data.shards.codecs import CODECS
@@ -49,10 +49,8 @@ def encode_sample(sample: Sample, codec: str = "bsi") -> dict[str, bytes]:
     members = {"json": json.dumps(sample.info.to_json(), sort_keys=True).encode()}
     for name, plane in sample.planes.items():
         members |= {f"{_PLANE}{name}.{ending}": data for ending, data in chosen.encode_plane(plane).items()}
-    try:
+    with reported(sample.key, BadSample, ValueError):
         return members | chosen.encode(sample.range, sample.labels, facing, sample.projector_range)
-    except ValueError as error:
-        raise BadSample(f"{sample.key}: {error}") from error
 
 
 def decode_sample(

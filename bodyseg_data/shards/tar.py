@@ -14,7 +14,7 @@ from typing import IO, Any, Final
 
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadSample, BadShard, one_line
+from bodyseg_data.core import BadSample, BadShard, one_line, reported
 from bodyseg_data.files import sync
 from bodyseg_data.labels import UNLABELLED
 from bodyseg_data.rigs import Rig
@@ -194,10 +194,8 @@ class ShardReader:
             info = sample.info.with_fields(**record.descriptions.info(index, record.split).fields)
             vars(sample).update(info=info)
         elif wanted:
-            try:
+            with reported(location(record, index), BadShard, BadSample):
                 plane = decode_piece(column, sample.key, read_checked(self.store, record, index))
-            except BadSample as error:
-                raise BadShard(f"{location(record, index)}: {error}") from error
             vars(sample).update(planes={**sample.planes, name: plane})
 
     def members(self, shard: int, index: int) -> tuple[str, dict[str, bytes]]:
@@ -217,10 +215,8 @@ def decode_piece(column: Manifest, key: str, data: bytes) -> NDArray[Any]:
     found = [member for member in members if member.startswith(f"plane.{name}.")]
     if len(members) != 1 or not found:
         raise BadSample(f"{key}: a column holds plane.{name} alone, found {', '.join(members) or 'nothing'}")
-    try:
+    with reported(f"{key}: {found[0]}", BadSample, ValueError):
         plane = CODECS[column.codec].decode_plane(members[found[0]])
-    except ValueError as error:
-        raise BadSample(f"{key}: {found[0]}: {error}") from error
     shape = (column.rig.camera.rows, column.rig.camera.columns)
     if plane.dtype.name != kind or plane.shape != shape:
         raise BadSample(f"{key}: plane {name!r} must be {kind} {shape}, found {plane.dtype} {plane.shape}")

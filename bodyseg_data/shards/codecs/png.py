@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.core import reported
 from bodyseg_data.labels import UNLABELLED
 from bodyseg_data.rigs import MAX_SIDE
 from bodyseg_data.shards.codecs.codec import FACING, SECOND_FACING, DecodedImages, OutputArrays
@@ -16,6 +17,7 @@ from bodyseg_data.shards.earlier import split_label_bytes
 
 SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 
+_UNREADABLE: Final = "not a readable PNG"
 _HEADER_BYTES: Final = 25  # of the chunk IHDR: length, name, 13 bytes, checksum
 
 
@@ -94,21 +96,19 @@ def decode_png(data: bytes) -> NDArray[Any]:
 
     Raises ValueError for other files and sides over `MAX_SIDE`.
     """
-    try:
+    with reported(_UNREADABLE, ValueError):
         chunks = read_chunks(data)
         read_header(chunks[0])
         if spare := len(data) - len(SIGNATURE) - sum(len(chunk.whole) for chunk in chunks):
             raise ValueError(f"nothing follows its end, found {spare} bytes")
         check_checksums(chunks)
-    except ValueError as error:
-        raise ValueError(f"not a readable PNG: {error}") from error
     return decode_chunks(chunks)
 
 
 def decode_chunks(chunks: Sequence[Chunk]) -> NDArray[Any]:
     """Decode the chunks of a greyscale PNG, whose checksums have been tested; otherwise as `decode_png`."""
     # Checked before pixels are decoded: Pillow allocates memory, and warns, by the sizes in header and other chunks.
-    try:
+    with reported(_UNREADABLE, ValueError):
         header = read_header(chunks[0])
         names = [chunk.name for chunk in chunks]
         if set(names[1:-1]) != {b"IDAT"}:
@@ -116,17 +116,13 @@ def decode_chunks(chunks: Sequence[Chunk]) -> NDArray[Any]:
         if not (1 <= header.rows <= MAX_SIDE and 1 <= header.columns <= MAX_SIDE):
             found = f"{header.rows} x {header.columns}"
             raise ValueError(f"an image side is 1 to {MAX_SIDE} pixels, found {found}")
-    except ValueError as error:
-        raise ValueError(f"not a readable PNG: {error}") from error
     from PIL import Image
 
-    try:
-        with Image.open(io.BytesIO(SIGNATURE + b"".join(chunk.whole for chunk in chunks)), formats=["PNG"]) as picture:
-            if picture.mode not in ("L", "I;16"):
-                raise ValueError(f"a PNG must be 8- or 16-bit greyscale, found mode {picture.mode}")
-            return np.asarray(picture).copy()
-    except (OSError, SyntaxError) as error:
-        raise ValueError(f"not a readable PNG: {error}") from error
+    whole = io.BytesIO(SIGNATURE + b"".join(chunk.whole for chunk in chunks))
+    with reported(_UNREADABLE, ValueError, OSError, SyntaxError), Image.open(whole, formats=["PNG"]) as picture:
+        if picture.mode not in ("L", "I;16"):
+            raise ValueError(f"a PNG must be 8- or 16-bit greyscale, found mode {picture.mode}")
+        return np.asarray(picture).copy()
 
 
 class PngImages:
