@@ -5,7 +5,7 @@ class in a package of yours with an entry point `bodyseg.artifacts`, or an objec
 
     @dataclass(frozen=True)
     class Rounding(Artifact):
-        name, kind, alters_labels = "rounding", "noise", False
+        name, kind = "rounding", "noise"
         step_mm: float = 1.0
 
         def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None: ...
@@ -77,8 +77,8 @@ class Artifact(Protocol):
     name: of the registry, and of the strengths in JSON. kind: the artifact of Table 1 whose variants have this one.
     version: of the code; goes up when the same strengths and draws give other images. purposes: of its random numbers
     (`Draws`); no other artifact of a sensor may have them. drawn: quantities drawn once an image, name -> caption to
-    format with the value. needs_projector: whether `apply` reads the projector's range. alters_labels: whether a pixel
-    may get another label or none. Strengths out of range raise BadConfig when the object is made.
+    format with the value. needs_projector: whether `apply` reads the projector's range. Strengths out of range raise
+    BadConfig when the object is made.
     """
 
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
@@ -88,7 +88,6 @@ class Artifact(Protocol):
     purposes: ClassVar[tuple[str, ...]] = ()
     drawn: ClassVar[Mapping[str, str]] = {}
     needs_projector: ClassVar[bool] = False
-    alters_labels: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         """Raise BadConfig for a strength of another type than its field's, or out of bounds (`bounded`)."""

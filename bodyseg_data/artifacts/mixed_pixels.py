@@ -26,7 +26,6 @@ class MixedPixels(Artifact):
     name = "mixed_pixels"
     kind = "noise"
     purposes = ("mixed pixels", "mixed share", "mixed background")
-    alters_labels = False
 
     share: float = bounded(0.5, 0, 1)
     background_m: float | None = bounded(None, 0, 100, above=True)

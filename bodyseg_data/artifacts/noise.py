@@ -24,7 +24,6 @@ class Noise(Artifact):
     kind = "noise"
     purposes = ("sigma", "noise")
     drawn: ClassVar[Mapping[str, str]] = {"sigma_mm": "noise {:.0f} mm"}
-    alters_labels = False
 
     low_mm: float = bounded(0.0, 0, 1000)
     high_mm: float = bounded(100.0, 0, 1000)

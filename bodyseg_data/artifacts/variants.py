@@ -109,11 +109,6 @@ class Augmentation:
         """True if samples must hold the projector's range."""
         return any(artifact.needs_projector for artifact in self.applied)
 
-    @cached_property
-    def alters_labels(self) -> bool:
-        """True if images may have other labels than their clean samples, as where pixels are lost."""
-        return any(artifact.alters_labels for artifact in self.applied)
-
     def __call__(self, sample: Sample, epoch: int = 0) -> RangeImage:
         """The sample as the variant shows it, in arrays of its own. Raises as `into`."""
         return self.into(sample, epoch, np.empty(sample.range.shape, np.uint16), np.empty(sample.range.shape, np.uint8))

@@ -57,7 +57,8 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
     """
     wait_briefly()
     words = list(sys.argv[1:] if arguments is None else arguments)
-    name, words = _command_name(commands, words)
+    name = " ".join(words[:2])  # of a group's command
+    name, words = (name, words[2:]) if name in commands else ("".join(words[:1]), words[1:])
     for stream in ("stdout", "stderr"):
         if getattr(sys, stream) is None:  # closed by the parent process
             setattr(sys, stream, Path(os.devnull).open("w"))  # noqa: SIM115  open as long as the process
@@ -110,12 +111,6 @@ def _stop(number: int, frame: Any) -> None:
     for again in (signal.SIGINT, signal.SIGTERM):
         signal.signal(again, signal.SIG_IGN)
     raise _Terminated if number == signal.SIGTERM else KeyboardInterrupt
-
-
-def _command_name(commands: Commands, words: list[str]) -> tuple[str, list[str]]:
-    """The command that a line begins with, of one word or two, and the words after it."""
-    name = " ".join(words[:2])
-    return (name, words[2:]) if name in commands else (words[0] if words else "", words[1:])
 
 
 def _run(program: str, commands: Commands, name: str, words: list[str]) -> int:

@@ -113,11 +113,13 @@ class Selection:
         """Check the options of a user. only, where: one text or several. fields: of the set. Raises BadConfig."""
         if split is not None and split not in READ_SPLITS:
             raise BadConfig(f"the split must be one of {', '.join(READ_SPLITS)} or None, found {split!r}")
-        share = check_val_share(val_share)
+        share = val_share
+        if isinstance(share, bool) or not isinstance(share, int | float | np.number) or not 0 <= share < 1:
+            raise BadConfig(f"val_share must be a number of at least 0 and below 1, found {share!r}")
         if split == "val" and not share:
             raise BadConfig("the split 'val' is a share of train: give val_share, like 0.1")
         conditions = tuple(parse_condition(text, fields) for text in texts_of("where", where))
-        return cls(pattern, split, texts_of("only", only), conditions, share)
+        return cls(pattern, split, texts_of("only", only), conditions, float(share))
 
     @property
     def divides_train(self) -> bool:
@@ -219,13 +221,6 @@ class ChosenSamples:
     def _ends(self) -> list[int]:
         """Number of samples up to the end of each shard."""
         return list(accumulate(self.counts))
-
-
-def check_val_share(share: Any) -> float:
-    """Return `share` as a float. Raises BadConfig unless it is a number of at least 0 and below 1."""
-    if isinstance(share, bool) or not isinstance(share, int | float | np.number) or not 0 <= share < 1:
-        raise BadConfig(f"val_share must be a number of at least 0 and below 1, found {share!r}")
-    return float(share)
 
 
 def mark_val(table: SampleTable, share: float) -> NDArray[np.bool_]:

@@ -159,11 +159,9 @@ def digest_of(description: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
 
 
-@contextlib.contextmanager
-def writing_into(out: Path) -> Iterator[None]:
+def writing_into(out: Path) -> contextlib.AbstractContextManager[None]:
     """Raise BadConfig, naming the folder of the set, for errors of the disk within the context."""
-    with reported(f"cannot write shards in {out}", BadConfig, OSError):
-        yield
+    return reported(f"cannot write shards in {out}", BadConfig, OSError)
 
 
 def check_folder(out: Path) -> None:

@@ -40,7 +40,7 @@ REVERSED = SensorModel("reversed", (Losses(0.4), MissingData((0.25,)), Noise(5.0
 class Rounding(Artifact):
     """Ranges rounded to whole centimetres: an artifact of a user's own."""
 
-    name, kind, alters_labels = "rounding", "noise", False
+    name, kind = "rounding", "noise"
     version = 3
 
     step_mm: float = 10.0
