@@ -293,11 +293,11 @@ def test_an_error_is_this_line(case: str) -> None:
 
 LOADER: dict[str, tuple[dict[str, Any], str]] = {
     "batch of nothing": ({"batch_size": 0}, "batch_size must be a whole number of at least 1, found 0"),
-    "workers below zero": ({"num_workers": -1}, "num_workers must be a whole number of at least 0, found -1"),
-    "nothing ahead": ({"prefetch_factor": 0}, "prefetch_factor must be a whole number of at least 1, found 0"),
+    "workers below zero": ({"num_workers": -1}, "LoaderOptions: num_workers must be at least 0, found -1"),
+    "nothing ahead": ({"prefetch_factor": 0}, "LoaderOptions: prefetch_factor must be at least 1, found 0"),
     "no such start": (
         {"start_method": "thread"},
-        "start_method must be fork, spawn, forkserver or None, found 'thread'",
+        "LoaderOptions: start_method must be 'fork' or 'spawn' or 'forkserver' or None, found 'thread'",
     ),
     "text for yes": ({"shuffle": "no"}, "shuffle must be True, False or 'blocks', found 'no'"),
     "rank alone": ({"rank": 1}, "rank and world_size are given together or not at all, found 1 of None"),

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from PIL import Image
 
-from bodyseg_data.artifacts import PAPER_SENSOR, VARIANTS, RangeImage, VariantName
+from bodyseg_data.artifacts import PAPER_SENSOR, VARIANTS, VariantName
 from bodyseg_data.commands.options import OCCLUDER_HELP, WHERE_HELP, option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.commands.records import check_target
@@ -18,7 +18,7 @@ from bodyseg_data.core import BadConfig, Draws
 from bodyseg_data.drawing import Row, check_picture, draw_sheet, save_picture
 from bodyseg_data.labels import label_map_names
 from bodyseg_data.loading import OccluderName, RangeImages
-from bodyseg_data.samples import SPLITS, ReadSplit, Sample
+from bodyseg_data.samples import SPLITS, ReadSplit
 from bodyseg_data.shards import BODY_FIELDS, column_names, open_store
 
 EXAMPLE = "bodyseg inspect shards --variant all --out sheet.png"
@@ -77,22 +77,17 @@ def run(options: Options) -> int:
 
 
 def contact_sheet(images: RangeImages, rows: int) -> Image.Image:
-    """Draw a sheet of `rows` samples spread over the set, or of all if there are fewer."""
+    """Draw a sheet of `rows` samples spread over the set, or of all if there are fewer, in the variants it can give."""
     count = min(rows, len(images))
     lines = []
     for number in range(count):
         sample = images.clean(_pick(number, count, len(images)))
-        lines.append(Row(sample, images.step_m, _variants(images, sample)))
+        makers = [replace(images.augmentation_of(sample), variant=name) for name in VARIANTS]
+        able = [each for each in makers if sample.projector_range is not None or not each.needs_projector]
+        lines.append(Row(sample, images.step_m, {each.variant: each(sample, images.epoch) for each in able}))
     sources = f"rig {images.manifest.rig.name}, sensor {images.augmentation.sensor.name}"
     title = f"{images.path.rpartition('/')[2]}: {len(images)} samples, {sources}"
     return draw_sheet(lines, images.augmentation.variant, title, images.augmentation.sensor, images.label_map)
-
-
-def _variants(images: RangeImages, sample: Sample) -> dict[VariantName, RangeImage]:
-    """A sample in each variant that the set can give, before its own rig."""
-    makers = [replace(images.augmentation_of(sample), variant=name) for name in VARIANTS]
-    lit = sample.projector_range is not None
-    return {each.variant: each(sample, images.epoch) for each in makers if lit or not each.needs_projector}
 
 
 def _pick(number: int, count: int, length: int) -> int:

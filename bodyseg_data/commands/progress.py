@@ -21,12 +21,11 @@ def rate_text(per_second: float, unit: str) -> str:
 class Progress:
     """Shows the share of a known amount that is done, on standard error, also between updates.
 
-    before: amount done at the first update. interval_s: seconds after which a line is due.
+    interval_s: seconds after which a line is due.
     """
 
     def __init__(self, title: str, unit: str, interval_s: float = 4.5) -> None:
         self.title, self.unit, self._interval_s = title, unit, interval_s
-        self.before: int | None = None
         self._bar: tqdm[None] | None = None
         self._start = time.monotonic()
         self._last = float("-inf")
@@ -44,7 +43,7 @@ class Progress:
         with self._lock:
             if (title, unit) == (self.title, self.unit):
                 return
-            self.title, self.unit, self.before = title, unit, None
+            self.title, self.unit = title, unit
             self._line, self._last = f"{title}: starting", float("-inf")
             if self._bar is not None:
                 self._bar.close()
@@ -53,7 +52,6 @@ class Progress:
     def update(self, done: int, total: int, note: str = "") -> None:
         """Show that `done` of `total` are done. note: text to append."""
         with self._lock:
-            self.before = done if self.before is None else self.before
             if sys.stderr.isatty():
                 if self._bar is None:
                     # The part that an earlier run finished does not count for this run's speed.

@@ -7,14 +7,14 @@ import time
 import weakref
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
-from typing import Any, Final
+from dataclasses import MISSING, dataclass, field
+from typing import Any
 
 import numpy as np
 import torch
 
-from bodyseg_data.core import BadConfig, BodysegError, check_int
-from bodyseg_data.loading.image_set import Batch, BatchOrder, ImageSet, Pass, Request, Shuffle, check_bool
+from bodyseg_data.core import BadConfig, BodysegError, bounded, check_fields
+from bodyseg_data.loading.image_set import Batch, BatchOrder, ImageSet, Pass, Request, Shuffle
 from bodyseg_data.loading.skipping import (
     SKIPPABLE,
     OnError,
@@ -32,7 +32,6 @@ from bodyseg_data.loading.workers import (
     ThreadWorkers,
     WorkerMethod,
     Workers,
-    check_worker_method,
 )
 from bodyseg_data.machine import use_compiled
 from bodyseg_data.samples import metres
@@ -41,28 +40,20 @@ from bodyseg_data.shards import TALLY, LookAhead, Stage
 Fault = tuple[int, BodysegError]
 """(index in the batch, error): returned by a worker and raised in the user's process."""
 
-_START_METHODS: Final = (None, "fork", "spawn", "forkserver")
-
 
 @dataclass(frozen=True)
 class LoaderOptions:
     """Options of a loader that change none of its batches' bits; see `loader`."""
 
-    num_workers: int
-    prefetch_factor: int
     metres: bool
     pin_memory: bool
     worker_method: WorkerMethod
     start_method: StartMethod | None
+    num_workers: int = bounded(MISSING, 0)
+    prefetch_factor: int = bounded(MISSING, 1)
 
     def __post_init__(self) -> None:
-        check_int("num_workers", self.num_workers, 0)
-        check_int("prefetch_factor", self.prefetch_factor, 1)
-        check_bool("metres", self.metres)
-        check_bool("pin_memory", self.pin_memory)
-        check_worker_method(self.worker_method)
-        if self.start_method not in _START_METHODS:
-            raise BadConfig(f"start_method must be fork, spawn, forkserver or None, found {self.start_method!r}")
+        check_fields(self)
         if self.start_method is not None and self.worker_method != "process":
             raise BadConfig(
                 f"start_method is for worker_method='process', found {self.start_method!r} with {self.worker_method!r}"
@@ -333,5 +324,5 @@ def loader(
     order = BatchOrder(images, batch_size, shuffle, drop_last, rank, world_size)
     budget = checked_budget(on_error, skip_budget, len(images))
     ledger = SkipLedger(budget)
-    options = LoaderOptions(num_workers, prefetch_factor, metres, pin_memory, worker_method, start_method)
+    options = LoaderOptions(metres, pin_memory, worker_method, start_method, num_workers, prefetch_factor)
     return Loader(images, order, ledger, options)

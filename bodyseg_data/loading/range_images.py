@@ -121,7 +121,9 @@ class RangeImages(SampleDataset):
     ) -> None:
         seed = check_seed(seed)
         model = load_sensor_model(sensor)
-        store, pattern = open_store(_checked_path(path), storage_options, retry_policy)
+        if not isinstance(path, str | Path) or not str(path).strip() or "\0" in str(path):
+            raise BadConfig(f"path must be that of a set, as text or a Path, found {path!r}")
+        store, pattern = open_store(str(path), storage_options, retry_policy)
         self.path = store.name
         self.manifest = with_kept_index(read_manifest(store), store, cache, cache_bytes)
         classes = self.manifest.classes
@@ -473,9 +475,3 @@ def _in_order(sample: Sample, planes: Mapping[str, np.dtype[Any]]) -> dict[str, 
             found = sample.planes[name].dtype if name in sample.planes else "none"
             raise BadSample(f"{sample.key}: the plane {name!r} must be {kind}, found {found}")
     return {name: sample.planes[name] for name in planes}
-
-
-def _checked_path(path: str | Path) -> str:
-    if not isinstance(path, str | Path) or not str(path).strip() or "\0" in str(path):
-        raise BadConfig(f"path must be that of a set, as text or a Path, found {path!r}")
-    return str(path)

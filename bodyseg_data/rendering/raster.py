@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.machine import compiled
-from bodyseg_data.rendering.renderer import Renderer, Surface, Triangles
+from bodyseg_data.meshes import Mesh, Solid
+from bodyseg_data.rendering.renderer import Renderer, Surface
 from bodyseg_data.rigs import PlacedCamera
 
 _NEAR_M: Final = 1e-3  # a triangle nearer to the camera's plane is tested at every pixel
@@ -26,7 +27,7 @@ _NARROW_PX: Final = 12  # up to which all pixels of a row are tested
 class RasterRenderer(Renderer):
     """Renderer of one mesh that draws all its triangles for every camera."""
 
-    def __init__(self, mesh: Triangles) -> None:
+    def __init__(self, mesh: Mesh | Solid) -> None:
         self._vertices, self._faces = mesh.vertices, mesh.faces
 
     def render(self, camera: PlacedCamera) -> Surface:

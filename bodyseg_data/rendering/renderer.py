@@ -52,16 +52,6 @@ class Surface:
     face: NDArray[np.int32]
 
 
-class Triangles(Protocol):
-    """Triangles in a body's frame. vertices: float64 [V, 3], metres. faces: int32 [F, 3], vertex indices."""
-
-    @property
-    def vertices(self) -> NDArray[np.float64]: ...
-
-    @property
-    def faces(self) -> NDArray[np.int32]: ...
-
-
 class Renderer(Protocol):
     """Renderer of one mesh. Rays go through pixel centres; no smoothing, no sampling within a pixel."""
 

@@ -7,8 +7,6 @@ the frame of the device that sees it (distance along the optical axis), not the 
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 import re
 from dataclasses import asdict, dataclass, replace
@@ -161,11 +159,6 @@ class Rig:
         else:
             tree["second_projector"] = self.second_projector.to_json()
         return tree
-
-    @property
-    def digest(self) -> str:
-        """A short hash of everything that shapes an image."""
-        return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()[:16]
 
 
 @dataclass(frozen=True)

@@ -70,15 +70,12 @@ class Fields:
 
 def fields_from_json(tree: Any, where: str) -> Fields:
     """Parse and check what `Fields.to_json` gave. Raises BadShard, naming `where`."""
-    pairs = [pair for table in tree for pair in table] if _is_table(tree) else [None]
+    is_table = isinstance(tree, list) and all(isinstance(each, list) and each for each in tree)
+    pairs = [pair for table in tree for pair in table] if is_table else [None]
     if not all(isinstance(pair, list) and list(map(type, pair)) == [str, str] for pair in pairs):
         raise BadShard(f"{where}: 'fields' must be lists of pairs, the name and the kind of a field")
     with reported(where, BadShard):
         return Fields(tuple(tuple((name, kind) for name, kind in table) for table in tree))
-
-
-def _is_table(tree: Any) -> bool:
-    return isinstance(tree, list) and all(isinstance(each, list) and each for each in tree)
 
 
 BODY_FIELDS: Final = Fields(

@@ -258,7 +258,7 @@ def test_bad_options_are_refused(figures_set: Path) -> None:
         ({"on_error": "skip", "skip_budget": True}, "a share from 0 to 1, found True"),
         ({"prefetch_factor": 0}, "prefetch_factor .*found 0"),
         ({"start_method": "thread"}, "start_method .*found 'thread'"),
-        ({"worker_method": "fibre"}, "^worker_method must be process or thread, found 'fibre'$"),
+        ({"worker_method": "fibre"}, "worker_method must be 'process' or 'thread', found 'fibre'$"),
         (
             {"worker_method": "thread", "start_method": "fork"},
             "^start_method is for worker_method='process', found 'fork'",
