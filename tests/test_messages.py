@@ -17,7 +17,6 @@ from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh, BadSample, Bodys
 from bodyseg_data.meshes import LandmarkSet, Mesh, load_landmarks, partition, read_mesh
 from bodyseg_data.meshes.geodesics import check_method
 from bodyseg_data.packing import Packing, check_engine
-from bodyseg_data.packing.mesh_reduction import check_tolerance
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rigs import Camera, load_rig
 from bodyseg_data.rigs.rig import parse_rig
@@ -99,9 +98,9 @@ CASES: dict[str, Case] = {
         "the engine must be processes or dask://HOST:PORT, found 'dask'",
     ),
     "reduce meshes by less than nothing": (
-        lambda: check_tolerance(-1.0),
+        lambda: Packing("open", tolerance_mm=-1.0),
         BadConfig,
-        "the tolerance of a mesh's ranges must be 0 mm or more, found -1 mm",
+        "Packing: tolerance_mm must be at least 0, found -1.0",
     ),
     "pack more meshes than there are": (
         lambda: Packing("open", meshes=3000).bodies(),

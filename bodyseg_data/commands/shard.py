@@ -264,6 +264,4 @@ def pack_on(
 
     packed, checked = partial(shown, progress.title, progress.unit), partial(shown, "checking", "meshes")
     with open_engine(engine, workers, packing) as opened:
-        if opened.note is not None:
-            sys.stderr.write(f"{progress.title}: {opened.note}\n")
         return pack(packing, out, opened.executor, opened.workers, packed, replace(on_faults, progress=checked))

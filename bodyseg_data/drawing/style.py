@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_data.core import BadConfig
 from bodyseg_data.files import write_result
 from bodyseg_data.labels import PARTS33, LabelMap
+from bodyseg_data.machine import required
 
 PAPER: Final = (250, 250, 247)
 INK: Final = (32, 34, 40)
@@ -89,13 +90,8 @@ def save_picture(picture: Image.Image, path: Path) -> None:
 
 def new_chart(width: float, height: float) -> Any:
     """Open an empty matplotlib figure, size in inches, without a display. Raises MissingLibrary without matplotlib."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingLibrary(f"charts need the package 'matplotlib': pip install matplotlib ({error})") from error
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = required("matplotlib.figure", "a chart", "bench").Figure(figsize=(width, height), layout="constrained")
+    required("matplotlib.backends.backend_agg", "a chart", "bench").FigureCanvasAgg(figure)
     return figure
 
 

@@ -291,10 +291,8 @@ def _triangles(polygons: Any) -> Faces:
         if len(corners) < 3:
             raise BadMesh(f"a face needs three corners, found {len(corners)} at face {number}")
         triangles += [(corners[0], corners[i], corners[i + 1]) for i in range(1, len(corners) - 1)]
-    try:
+    with reported("a corner is no vertex", BadMesh, OverflowError):
         return np.array(triangles, np.int64).reshape(-1, 3)
-    except OverflowError as error:
-        raise BadMesh(f"a corner is no vertex: {error}") from error
 
 
 def read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

@@ -153,8 +153,8 @@ def cluster(address: tuple[str, int], workers: int | None, packing: Packing) -> 
         client = _connect(distributed, *address)
         try:
             scheduler = f"{address[0]}:{address[1]}"
-            threads = _checked_workers(client, wanted, scheduler)
-            yield Engine(_Cluster(client, wanted, scheduler), workers or len(threads), _note(threads))
+            found = _checked_workers(client, wanted, scheduler)
+            yield Engine(_Cluster(client, wanted, scheduler), workers or found)
         finally:
             with suppress(Exception):  # a scheduler that is gone cannot be told that this client goes
                 client.close(CONNECT_TIMEOUT_S)
@@ -197,11 +197,10 @@ async def _identify(distributed: Any, address: str) -> str:
     return str(identity["type"])
 
 
-def _checked_workers(client: Any, wanted: Expected, scheduler: str) -> dict[str, int]:
-    """Address -> threads, of every worker of the cluster. Raises BadConfig for none, and one that is no good."""
+def _checked_workers(client: Any, wanted: Expected, scheduler: str) -> int:
+    """Number of workers of the cluster. Raises BadConfig for none, and one that is no good."""
     try:
         client.wait_for_workers(1, timeout=CONNECT_TIMEOUT_S)
-        threads: dict[str, int] = client.nthreads()
     except Exception as error:
         start = f"start some with: dask worker {scheduler} --nthreads 1"
         raise BadConfig(f"the scheduler at {scheduler} has no workers; {start}") from error
@@ -215,17 +214,7 @@ def _checked_workers(client: Any, wanted: Expected, scheduler: str) -> dict[str,
         if answer is not None:
             problem = f"{cannot} ({answer})" if isinstance(answer, Exception) else answer
             raise BadConfig(f"worker {worker} {problem}")
-    return threads
-
-
-def _note(threads: dict[str, int]) -> str | None:
-    many = sorted(worker for worker, count in threads.items() if count > 1)
-    if not many:
-        return None
-    return (
-        f"{len(many)} of {len(threads)} workers have several threads and use one of them "
-        f"({many[0]} has {threads[many[0]]}): start one worker a core, with --nthreads 1"
-    )
+    return len(answers)
 
 
 class _Cluster(Executor):

@@ -19,11 +19,10 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Engine:
-    """An executor of jobs. workers: how many to keep busy. note: one line for the user, or None."""
+    """An executor of jobs. workers: how many to keep busy."""
 
     executor: Executor
     workers: int
-    note: str | None = None
 
 
 def ordered(jobs: Iterable[Callable[[], Future[Result]]], workers: int) -> Generator[Result, None, None]:

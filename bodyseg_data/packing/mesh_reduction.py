@@ -59,12 +59,6 @@ class Reduction:
     note: str | None = None
 
 
-def check_tolerance(tolerance_mm: float | None) -> None:
-    """Raise BadConfig unless `reduced_body` can take it."""
-    if tolerance_mm is not None and not (math.isfinite(tolerance_mm) and tolerance_mm >= 0):
-        raise BadConfig(f"the tolerance of a mesh's ranges must be 0 mm or more, found {tolerance_mm:g} mm")
-
-
 def reduced_body(
     body: Body,
     tolerance_mm: float | None,

@@ -10,7 +10,6 @@ from bodyseg_data.bodies import SOURCES, BodyRef, BodySource, SourceEntry, Units
 from bodyseg_data.core import BadConfig, bounded, check_fields, reported
 from bodyseg_data.labels import PART_CLASSES, Classes
 from bodyseg_data.meshes import GeodesicMethod
-from bodyseg_data.packing.mesh_reduction import check_tolerance
 from bodyseg_data.packing.sampler import body_key
 from bodyseg_data.packing.things import ThingsPlace
 from bodyseg_data.rendering import RendererName
@@ -45,14 +44,13 @@ class Packing:
     units: Units = "auto"
     up: UpAxis = "auto"
     geodesics: GeodesicMethod = "exact"
-    tolerance_mm: float | None = None
+    tolerance_mm: float | None = bounded(None, 0)
     pymeshlab: bool = False
     things: ThingsPlace = "none"
     template: bool = False
 
     def __post_init__(self) -> None:
         check_fields(self)
-        check_tolerance(self.tolerance_mm)
         if self.template and self.tolerance_mm:
             raise BadConfig(f"the map of the body is of whole meshes, found a tolerance of {self.tolerance_mm:g} mm")
         with reported(f"rig {self.rig.name}", BadConfig):

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts import shadow_tests
-from bodyseg_data.core import BadConfig, BadSample, one_line, reported
+from bodyseg_data.core import BadConfig, BadSample, reported
 from bodyseg_data.labels import BACKGROUND, UNLABELLED, Classes
 from bodyseg_data.packing.occluders import exact_range, occluder_range
 from bodyseg_data.packing.range_facing import facing_from_normals, facing_from_range
@@ -226,11 +226,9 @@ def _kind(value: Value, name: str, key: str) -> str:
 
 def _array(given: Any, name: str, key: str) -> Images:
     """An argument as a NumPy array, which may share its memory. Raises BadSample."""
-    try:
+    with reported(f"{key}: {name} must be an array", BadSample, TypeError, ValueError, RuntimeError):
         # A tensor of torch, without importing it.
         return np.asarray(given.detach().cpu().numpy() if hasattr(given, "detach") else given)
-    except (TypeError, ValueError, RuntimeError) as error:
-        raise BadSample(f"{key}: {name} must be an array: {one_line(str(error))}") from error
 
 
 def _ranges(given: Any, name: str, shape: tuple[int, ...], rig: Rig, key: str) -> Images:

@@ -21,7 +21,7 @@ from typing import Any, Final, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadSample, BadShard
+from bodyseg_data.core import BadSample, BadShard, reported
 from bodyseg_data.files import write_atomically
 from bodyseg_data.samples import MOST_FIELDS, Split, check_key
 from bodyseg_data.shards.earlier import EARLIER_FIELDS, piece_as_current
@@ -390,10 +390,8 @@ def _divided_keys(record: ShardRecord) -> tuple[list[str], list[str]]:
 
 
 def _checked_text(data: bytes, where: str) -> dict[str, Any]:
-    try:
+    with reported(f"{where}: the index's text cannot be read", BadShard, ValueError, RecursionError):
         text = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise BadShard(f"{where}: the index's text cannot be read: {error}") from error
     if not isinstance(text, dict) or set(text) != _TEXT_FIELDS:
         raise BadShard(f"{where}: the index's text must have the fields {sorted(_TEXT_FIELDS)}")
     for field in ("stems", "tails"):

@@ -105,19 +105,15 @@ def _planes(
         name = member.removeprefix(_PLANE).partition(".")[0]
         if names is not None and name not in names:
             continue
-        try:
+        with reported(f"{key}: {member}", BadSample, ValueError):
             found[name] = codec.decode_plane(data)
-        except ValueError as error:
-            raise BadSample(f"{key}: {member}: {error}") from error
     return found
 
 
 def parse_info(description: bytes, key: str) -> SampleInfo:
     """Parse a sample's member `json`. Raises BadSample, naming the key."""
-    try:
+    with reported(f"{key}: json", BadSample, ValueError, RecursionError):
         return completed(info_from_json(json.loads(description), key))
-    except (ValueError, RecursionError) as error:
-        raise BadSample(f"{key}: json: {error}") from error
 
 
 class _IntoArrays(Sample):

@@ -200,8 +200,6 @@ def test_a_cluster_packs_the_same_bytes(nodes: Nodes, tmp_path: Path, figures_se
     engine = pack_on(nodes, tmp_path / "shards")
     assert contents(tmp_path / "shards") == contents(figures_set)
     assert engine.workers == 2
-    assert engine.note is not None
-    assert "1 of 2 workers have several threads and use one of them" in engine.note
     assert nodes.tasks() == 0
     assert not [thread for thread in set(threading.enumerate()) - before if not thread.daemon]
 

@@ -22,10 +22,9 @@ from bodyseg_data.bodies import Body
 from bodyseg_data.core import BadConfig, BadMesh, MissingLibrary
 from bodyseg_data.machine import libraries
 from bodyseg_data.meshes import Mesh, SceneMesh, find_edges, partition
-from bodyseg_data.packing import mesh_reduction
+from bodyseg_data.packing import Packing, mesh_reduction
 from bodyseg_data.packing.mesh_reduction import (
     Reduction,
-    check_tolerance,
     edges_collapsed,
     probe_cameras,
     range_error,
@@ -279,8 +278,8 @@ def test_the_tolerance_must_be_positive(tolerance_m: float) -> None:
 
 @pytest.mark.parametrize("tolerance_mm", [-1.0, np.nan, np.inf])
 def test_a_packing_takes_no_such_tolerance(tolerance_mm: float) -> None:
-    with pytest.raises(BadConfig, match="must be 0 mm or more, found"):
-        check_tolerance(tolerance_mm)
+    with pytest.raises(BadConfig, match="tolerance_mm must be at least 0, found"):
+        Packing("open", tolerance_mm=tolerance_mm)
 
 
 def test_small_meshes_are_reduced_only_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -151,10 +151,8 @@ class PngImages:
             if member == "projector.png" and not projector:
                 continue
             dtype = np.uint16 if member in ("range.png", "projector.png") else np.uint8
-            try:
+            with reported(member, ValueError):
                 images[member] = decode_png(members[member])
-            except ValueError as error:
-                raise ValueError(f"{member}: {error}") from error
             if images[member].dtype != dtype:
                 raise ValueError(f"{member}: must be {dtype.__name__}, found {images[member].dtype}")
         labels, facing = self._labels(images)
