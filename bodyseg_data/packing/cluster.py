@@ -119,7 +119,7 @@ def fault(wanted: Expected) -> str | None:
             here = facts(wanted.packing, wanted.token)
         except BodysegError as error:
             return str(error)
-    for name in wanted.facts | here:
+    for name in {**wanted.facts, **here}:
         own, other = here.get(name, "none"), wanted.facts.get(name, "none")
         if own != other:
             advice = _ADVICE.get(name, "install the same versions on both")

@@ -18,7 +18,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.anny_model import BODY_FROM_ANNY, load_anny
+from bodyseg_data.bodies import load_anny
+from bodyseg_data.bodies.anny_model import BODY_FROM_ANNY
 from bodyseg_data.bodies.anny_people import person
 from bodyseg_data.bodies.limb_reaching import farthest
 from bodyseg_data.bodies.skeleton import Pose, bone_rotations
