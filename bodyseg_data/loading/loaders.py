@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from bodyseg_data.core import BadConfig, BodysegError, bounded, check_fields
-from bodyseg_data.loading.image_set import Batch, BatchOrder, ImageSet, Pass, Request, Shuffle
+from bodyseg_data.loading.image_set import Batch, BatchOrder, ImageSet, Pass, Request, Shuffle, check_bool
 from bodyseg_data.loading.skipping import (
     SKIPPABLE,
     OnError,
@@ -324,5 +324,6 @@ def loader(
     order = BatchOrder(images, batch_size, shuffle, drop_last, rank, world_size)
     budget = checked_budget(on_error, skip_budget, len(images))
     ledger = SkipLedger(budget)
-    options = LoaderOptions(metres, pin_memory, worker_method, start_method, num_workers, prefetch_factor)
+    flags = check_bool("metres", metres), check_bool("pin_memory", pin_memory)
+    options = LoaderOptions(*flags, worker_method, start_method, num_workers, prefetch_factor)
     return Loader(images, order, ledger, options)

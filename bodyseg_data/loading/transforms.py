@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, bounded, check_fields
 from bodyseg_data.labels import BACKGROUND, looked_up
+from bodyseg_data.loading.image_set import check_bool
 from bodyseg_data.loading.transform import Box, CameraImage, Transform, ends_of
 from bodyseg_data.rigs import MAX_SIDE
 from bodyseg_data.samples import FARTHEST_STEPS
@@ -183,6 +184,11 @@ class Zoom(_Shipped):
     name = "zoom"
     largest: float = bounded(1.25, 1, 4)
     moves_camera: bool = True
+
+    def __post_init__(self) -> None:
+        moves_camera = check_bool("Zoom: moves_camera", self.moves_camera)
+        object.__setattr__(self, "moves_camera", moves_camera)  # NumPy's bool is no JSON
+        super().__post_init__()
 
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
         """See `Transform`."""

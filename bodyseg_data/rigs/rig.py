@@ -62,7 +62,11 @@ class Rig:
         for projector in self.projectors:
             if projector.distortion is not None:
                 raise BadConfig(f"a projector has no lens distortion, found {projector.distortion}")
-        self._check_stacking()
+        if len({projector.columns for projector in self.projectors}) > 1:
+            found = " and ".join(str(projector.columns) for projector in self.projectors)
+            raise BadConfig(f"the images of two projectors must have equally many columns, found {found}")
+        if (rows := self.projector_shape[0]) > MAX_SIDE:
+            raise BadConfig(f"the images of two projectors must have at most {MAX_SIDE} rows together, found {rows}")
         self.check_reach(self.stand_off_m)
 
     @property
@@ -85,14 +89,6 @@ class Rig:
         if self.second_projector is None:
             return (self,)
         return tuple(replace(self, projector=projector, second_projector=None) for projector in self.projectors)
-
-    def _check_stacking(self) -> None:
-        """Raise BadConfig unless the projectors' images can be stored as one."""
-        if len({projector.columns for projector in self.projectors}) > 1:
-            found = " and ".join(str(projector.columns) for projector in self.projectors)
-            raise BadConfig(f"the images of two projectors must have equally many columns, found {found}")
-        if (rows := self.projector_shape[0]) > MAX_SIDE:
-            raise BadConfig(f"the images of two projectors must have at most {MAX_SIDE} rows together, found {rows}")
 
     def check_reach(self, distance_m: float) -> None:
         """Raise BadConfig unless 16 bits hold the ranges of a body that far away on the camera's axis, metres.

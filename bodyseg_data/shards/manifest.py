@@ -239,12 +239,9 @@ def _manifest(tree: dict[str, Any], path: str, store: Store) -> Manifest:
     for name, value in texts.items():
         if not isinstance(value, str):
             raise BadShard(f"{path}: {name!r} must be text, found {value!r}")
-    for name, value, known in (
-        ("codec", tree["codec"], tuple(CODECS)),
-        ("projector", tree["projector"], PROJECTOR_KINDS),
-    ):
-        if value not in known:
-            raise BadShard(f"{path}: {name!r} must be one of {', '.join(known)}, found {value!r}")
+    for name, known in (("codec", tuple(CODECS)), ("projector", PROJECTOR_KINDS)):
+        if tree[name] not in known:
+            raise BadShard(f"{path}: {name!r} must be one of {', '.join(known)}, found {tree[name]!r}")
     with reported("", BadShard, BadConfig):
         rigs, classes = _rigs(tree["rigs"], path), classes_from_json(tree["classes"], path)
     fields = fields_from_json(tree["fields"], path)
