@@ -211,17 +211,19 @@ def draw_things(
     camera: PlacedCamera,
     seen: Surface,
     step_m: float,
+    hidden: tuple[float, float] = (LEAST_HIDDEN, MOST_HIDDEN),
+    attempts: int = ATTEMPTS,
     projectors: Sequence[tuple[PlacedCamera, Surface]] = (),
 ) -> Things:
-    """Draw the things of a sample, which hide at most `MOST_HIDDEN` of the body's pixels.
+    """Draw the things of a sample, which hide at most `hidden[1]` of the body's pixels.
 
-    seen: what `camera` sees of the body alone. step_m: of the rig. Up to `ATTEMPTS` draws are made until the things
-    before the body hide at least `LEAST_HIDDEN` of it; if none does, the one that hides most of it counts. projectors:
-    each with what it sees of the body alone; one of them, too, must have no more than `MOST_HIDDEN` of it hidden.
+    seen: what `camera` sees of the body alone. step_m: of the rig. Up to `attempts` draws are made until the things
+    before the body hide at least `hidden[0]` of it; if none does, the one that hides most of it counts. projectors:
+    each with what it sees of the body alone; one of them, too, must have no more than `hidden[1]` of it hidden.
     """
     room = _Room(mesh, view, camera)
     best = Things(together([]), step_m)
-    for attempt in range(ATTEMPTS):
+    for attempt in range(attempts):
         numbers = Numbers(Draws(0, 0, key), f"things {attempt}")
         solids = []
         if place in ("before", "both"):
@@ -230,10 +232,10 @@ def draw_things(
             solids += [room.behind(numbers) for _ in range(numbers.whole(1, 4))]
         found = Things(together(solids), step_m)
         share = _hidden_share(found, camera, seen)
-        better = share <= MOST_HIDDEN and (share > best.hidden or not len(best.solid.faces))
-        if better and (not projectors or min(_hidden_share(found, *each) for each in projectors) <= MOST_HIDDEN):
+        better = share <= hidden[1] and (share > best.hidden or not len(best.solid.faces))
+        if better and (not projectors or min(_hidden_share(found, *each) for each in projectors) <= hidden[1]):
             best = Things(found.solid, step_m, share)
-        if best.hidden >= LEAST_HIDDEN or (place == "behind" and len(best.solid.faces)):
+        if best.hidden >= hidden[0] or (place == "behind" and len(best.solid.faces)):
             break
     return best
 

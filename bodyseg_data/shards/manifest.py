@@ -247,12 +247,11 @@ def _manifest(tree: dict[str, Any], path: str, store: Store) -> Manifest:
     fields = fields_from_json(tree["fields"], path)
     if len(rigs) > 1 and fields.kinds.get(RIG_FIELD) != "int":
         raise BadShard(f"{path}: a set with {len(rigs)} rigs must have the field {RIG_FIELD!r}, a whole number")
-    indexed = isinstance(tree["shards"], dict)
-    shards: Sequence[ShardRecord] = (
-        IndexedShards(table_from_json(tree["shards"], path), fields, store)
-        if indexed
-        else _records(tree["shards"], fields, path)
-    )
+    shards: Sequence[ShardRecord]
+    if isinstance(tree["shards"], dict):
+        shards = IndexedShards(table_from_json(tree["shards"], path), fields, store)
+    else:
+        shards = _records(tree["shards"], fields, path)
     return Manifest(
         rigs=rigs,
         classes=classes,
