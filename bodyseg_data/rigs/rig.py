@@ -86,8 +86,6 @@ class Rig:
 
     def by_projector(self) -> tuple[Rig, ...]:
         """A rig with one projector for each of this rig's, in order."""
-        if self.second_projector is None:
-            return (self,)
         return tuple(replace(self, projector=projector, second_projector=None) for projector in self.projectors)
 
     def check_reach(self, distance_m: float) -> None:
