@@ -8,14 +8,14 @@ import time
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from bodyseg_data import load_template
 from bodyseg_data.commands import Progress, option, rate_text
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import PART_CLASSES, TEMPLATE, LabelMap
 from bodyseg_data.machine import hardware, keep_freed_memory
-from bodyseg_data.rigs import Rig, rig_names
+from bodyseg_data.rigs import rig_names
 from bodyseg_model.networks import Trained
 from bodyseg_model.recordings import RECORDINGS_HELP, UNITS_HELP, LabelsOut, find_frames, labels_out, metres_a_step
 from bodyseg_model.runtimes import (
@@ -47,7 +47,7 @@ from bodyseg_model.training import use_threads
 
 EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"
 
-_OF_THE_CARD: Final = ("network", "variant", "seed", "steps", "data", "sensor", "weights_sha256")
+_OF_THE_CARD: Final = ("network", "variant", "seed", "steps", "data", "sensor", "weights_sha256")  # identify it
 _NEAR: Final = 0.7  # of the stand-off; docs/results/segment.md has the accuracy by distance
 _SURE: Final = 0.8  # mean confidence; below it, other turns of frames are tried
 _SHADOW_FRAMES: Final = 8  # whose shadows tell whether a recording is mirrored
@@ -150,9 +150,9 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
         ):
             done = 0
             for labelled in coming:
-                frame, bodies = frames[labelled.number], [body.pixels for body in labelled.bodies]
+                frame = frames[labelled.number]
                 if labelled.own_camera is None:
-                    shadows.add(labelled.number, frame.name, labelled.range_m, bodies)
+                    shadows.add(labelled)
                 if messages is not None:
                     points = labelled.points() if options.points else None
                     messages.add(frame, labelled.labels, labelled.stamp, points)
@@ -164,7 +164,10 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
     per_second = (len(frames) - len(recording.skipped)) / seconds
     results.finish(
         {
-            "network": {"file": "shipped" if options.run is None else str(options.run), **_facts(trained)},
+            "network": {
+                "file": "shipped" if options.run is None else str(options.run),
+                **{name: trained.card[name] for name in _OF_THE_CARD if name in trained.card},
+            },
             "labels": labeller.label_map.to_json(),
             **({"template": load_template().name} if options.dense else {}),
             **recording.to_json(),
@@ -197,11 +200,6 @@ def _background(options: Options, trained: Trained) -> Background:
     return Background(mode, **given)
 
 
-def _facts(trained: Trained) -> dict[str, Any]:
-    """Entries of the network's card that identify it, and how it was trained."""
-    return {name: trained.card[name] for name in _OF_THE_CARD if name in trained.card}
-
-
 def _remarks(
     options: Options,
     recording: LabelledRecording,
@@ -232,9 +230,11 @@ def _remarks(
             f"{summary.things / frames:.2g} things a frame that look like people got no label, as the network doubts "
             "them: --keep-things labels them, too"
         )
+    # Where nobody was found, 0 if the network doubted things, and 1 if it saw none.
+    sure = summary.mean_confidence or float(not summary.things)
     if options.turned == "auto":
         lines.append(f"--turned auto: {recording.turned_deg}")
-    elif options.turned is None and background != "frame" and _confidence(summary) < _SURE:
+    elif options.turned is None and background != "frame" and sure < _SURE:
         turned = recording.surer_turn_deg()
         if turned is not None:
             lines.append(f"the network is surer of people when frames are turned: give --turned {turned} if they are")
@@ -249,20 +249,10 @@ def _remarks(
             f"the projector's shadows lie on the {camera.projector_side if mirrored else 'other'} side of bodies, so "
             f"frames are probably {shown} --mirrored"
         )
-    return lines + _too_near(summary, recording.labeller.rig)
-
-
-def _confidence(summary: SequenceSummary) -> float:
-    """Mean confidence of people; where nobody was found, 0 if the network doubted things, and 1 if it saw none."""
-    return summary.mean_confidence or float(not summary.things)
-
-
-def _too_near(summary: SequenceSummary, rig: Rig) -> list[str]:
-    """A line where most bodies are much nearer than those trained on: their perspective cannot be resampled."""
-    range_m = summary.median_range_m
-    if range_m is None or range_m >= _NEAR * rig.stand_off_m:
-        return []
-    return [
-        f"bodies are {range_m:.2g} m away, the network was trained for {rig.stand_off_m:.2g} m (rig {rig.name}): "
-        "so near, labels are less accurate"
-    ]
+    range_m, rig = summary.median_range_m, recording.labeller.rig
+    if range_m is not None and range_m < _NEAR * rig.stand_off_m:  # so near, perspective cannot be resampled
+        lines.append(
+            f"bodies are {range_m:.2g} m away, the network was trained for {rig.stand_off_m:.2g} m (rig {rig.name}): "
+            "so near, labels are less accurate"
+        )
+    return lines

@@ -10,16 +10,15 @@ from bodyseg_data.commands import Progress, check_target, option
 from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import check_picture, save_picture
 from bodyseg_data.files import write_result
-from bodyseg_data.rigs import rig_names
+from bodyseg_data.rigs import load_rig, rig_names
 from bodyseg_model.recordings import (
     RECORDINGS_HELP,
     UNITS_HELP,
     Frame,
     FrameCamera,
+    FrameCameras,
     Skipping,
     find_frames,
-    first_readable,
-    frame_camera,
     metres_a_step,
 )
 from bodyseg_model.segmentation import TURNED_HELP, Background, BackgroundMode, FrameLabeller, Turned
@@ -61,7 +60,7 @@ def run(options: Options) -> int:
     SensorModel(options.name)  # a bad name is told before the measurement
     step_m, background = None if options.units is None else metres_a_step(options.units), _background(options)
     files, skipping = find_frames(options.frames, options.topic, step_m), Skipping(options.skip_unreadable)
-    camera = _camera(options, first_readable(files, skipping))
+    camera = FrameCameras(files, options.rig, options.focal, options.centre, load_rig(), skipping).first
     quarters = _quarters(options, files, background, camera)
     recording = read_recording(files, camera.camera, background, options.nearer_than, skipping, quarters)
     with Progress("measuring", "steps") as progress:
@@ -70,7 +69,9 @@ def run(options: Options) -> int:
     if options.json:
         sys.stdout.write(json.dumps({**fit.to_json(), "sensor": model.to_json()}, indent=1) + "\n")
     else:
-        sys.stdout.write(_table(fit))
+        artifact, verdict = (max(len(vars(each)[name]) for each in fit.findings) for name in ("artifact", "verdict"))
+        for each in fit.findings:
+            sys.stdout.write(f"{each.artifact:{artifact}}  {each.verdict:{verdict}}  {each.reason}\n")
     if options.out is not None:
         write_result(options.out, model.to_toml(fit.comments()).encode())
         sys.stderr.write(f"wrote {options.out}\n")
@@ -80,15 +81,6 @@ def run(options: Options) -> int:
     skipped = [f"skipped {frame['error']}" for frame in skipping.skipped]
     sys.stderr.write("".join(f"{line}\n" for line in (*_remarks(fit, camera), *skipped)))
     return 0
-
-
-def _camera(options: Options, first: Frame) -> FrameCamera:
-    """The camera that options give, or else the recording's own, or else one told by the size of the first frame."""
-    rows, columns = first.read().shape
-    given = options.rig is not None or options.focal is not None or bool(options.centre)
-    if first.camera is not None and not given:
-        return first.camera.frame_camera((rows, columns))
-    return frame_camera((rows, columns), first.where, options.rig, options.focal, options.centre)
 
 
 def _quarters(options: Options, files: list[Frame], background: Background, camera: FrameCamera) -> int:
@@ -116,13 +108,6 @@ def _background(options: Options) -> Background:
     if given and options.background == "keep":
         raise BadConfig("--near and --far limit what is kept: they contradict --background keep")
     return Background(options.background, **given)
-
-
-def _table(fit: SensorFit) -> str:
-    artifact = max(len(finding.artifact) for finding in fit.findings)
-    verdict = max(len(finding.verdict) for finding in fit.findings)
-    lines = [f"{each.artifact:{artifact}}  {each.verdict:{verdict}}  {each.reason}" for each in fit.findings]
-    return "".join(f"{line}\n" for line in lines)
 
 
 def _remarks(fit: SensorFit, camera: FrameCamera) -> list[str]:

@@ -76,7 +76,10 @@ def run(options: Options) -> int:
         **facts,
         "device": str(device),
         "threads": torch.get_num_threads(),
-        "networks": {each.name: _origin(each) for each in runs},
+        "networks": {
+            each.name: {name: each.trained.card.get(name) for name in ("command", "commit", "hardware")}
+            for each in runs
+        },
         **_images(options, runs, groups, sweeps, reference),
     }
     figures["seconds"] = round(time.perf_counter() - start, 1)
@@ -133,10 +136,6 @@ def _describe(images: RangeImages) -> dict[str, Any]:
         "samples_of_split": len(images),
         "digest": images.identity()["set"],
     }
-
-
-def _origin(run: Run) -> dict[str, Any]:
-    return {name: run.trained.card.get(name) for name in ("command", "commit", "hardware")}
 
 
 def _remarks(groups: list[Group], reference: Group | None) -> str:

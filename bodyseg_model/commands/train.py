@@ -52,7 +52,7 @@ from bodyseg_model.training import (
     Report,
     RunOptions,
     Validation,
-    open_data,
+    mixed,
     recipe_for,
     train,
     use_threads,
@@ -144,13 +144,8 @@ def run(options: Options) -> int:
     run_options = RunOptions(options.log_every, options.checkpoint_every, options.num_workers, options.worker_method)
     validation = _validation(options)
     planes = (TEMPLATE,) if _settings(options).get(TEMPLATE) else ()
-    images = open_data(
-        _pairs(options),
-        options.weights,
-        options.samples,
-        options.seed,
-        lambda pair: _open(options, *pair, "train", planes),
-    )
+    sets = [_open(options, *pair, "train", planes) for pair in _pairs(options)]
+    images = mixed(sets, options.weights, options.samples, options.seed)
     network = _network(options, images.label_map)
     pretrained = None if options.pretrained is None else _pretrained(options.pretrained, network, options, images)
     first_process = find_rank()[0] == 0
@@ -171,7 +166,11 @@ def run(options: Options) -> int:
             facts=provenance(command_line("bodyseg train", options)),
         )
     if validation is not None and first_process:
-        _say_end(trained.card, recipe.steps)
+        card, steps = trained.card, recipe.steps
+        step, last = card["step"], card["last_step"]
+        ended = f"ended early, after step {last} of {steps}" if last < steps else f"ended after step {steps}"
+        score = f": validation per class {card['val_accuracy']:.1%}" if "val_accuracy" in card else ""
+        sys.stderr.write(f"{ended}; the network has the weights of step {step}{score}\n")
     return 0
 
 
@@ -223,14 +222,6 @@ def _validation(options: Options) -> Validation | None:
         options.patience,
         options.keep or "best",
     )
-
-
-def _say_end(card: dict[str, Any], steps: int) -> None:
-    """Say whether a validated training ended early, and which step the network's weights are of."""
-    step, last = card["step"], card["last_step"]
-    ended = f"ended early, after step {last} of {steps}" if last < steps else f"ended after step {steps}"
-    score = f": validation per class {card['val_accuracy']:.1%}" if "val_accuracy" in card else ""
-    sys.stderr.write(f"{ended}; the network has the weights of step {step}{score}\n")
 
 
 def _sensor(options: Options, name: str) -> SensorModel:

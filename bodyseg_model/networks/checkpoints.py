@@ -19,7 +19,7 @@ from torch import nn
 from torch.nn.modules.module import register_module_parameter_registration_hook
 
 from bodyseg_data.artifacts import SensorModel, load_sensor_model, sensor_model_from_json
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, reported
 from bodyseg_data.files import read_bytes, read_json, write_json, write_result
 from bodyseg_data.labels import PARTS33, LabelClass, LabelMap, classes_of, label_map_from_json, whole_map
 from bodyseg_data.rigs import Rig, load_rig, rig_from_json
@@ -245,11 +245,9 @@ def trained_network(network: Network, card: dict[str, Any], where: Path) -> Trai
     Raises BadConfig, naming the file, for other classes than the network's, or an entry that is no rig.
     """
     trained = Trained(network.eval(), card)
-    try:  # here, where the file is known
+    with reported(str(where), BadConfig):  # here, where the file is known
         check_label_map(network, trained.label_map)
         _ = trained.rig
-    except BadConfig as error:
-        raise BadConfig(f"{where}: {error}") from error
     return trained
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
@@ -34,21 +34,17 @@ class CompactSettings:
     where on the template of the body each point lies (`Network.scores_and_places`). classes: see `Network`.
     """
 
-    patch: int = 16
+    patch: Literal[2, 4, 8, 16] = 16
     widths: tuple[int, ...] = (96, 128, 144)
     blocks: tuple[int, ...] = (2, 2, 1)
     context: bool = True
-    shrink: int = 1
+    shrink: Literal[1, 2, 4] = 1
     focal_px: float = 0.0
     template: bool = False
     classes: int = PART_COUNT
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if self.patch not in (2, 4, 8, 16):
-            raise BadConfig(f"patch must be 2, 4, 8 or 16, found {self.patch!r}")
-        if self.shrink not in (1, 2, 4):
-            raise BadConfig(f"shrink must be 1, 2 or 4, found {self.shrink!r}")
         if self.focal_px and not (1 <= self.focal_px <= 1e6 and self.shrink == 1):
             raise BadConfig(
                 f"focal_px must be 0, or 1 to 1e6 with a shrink of 1, found {self.focal_px!r} and {self.shrink!r}"

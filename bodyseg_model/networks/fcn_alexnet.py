@@ -7,14 +7,13 @@ Fig. 4 leaves two things open. It gives upfeat a stride of 16, but the strides b
 and a bilinear kernel of 63 = 2 * 32 - 1 belongs to 32: upfeat has a stride of 32 here. And it does not state the
 padding: as in Caffe's FCN-AlexNet, conv1 is padded by 100, so that images of any size get scores, which are cropped.
 
-Training may start from AlexNet's published weights, in a file that the user has: `import_alexnet` reads the weights of
+Training may start from AlexNet's published weights, in a file that the user has: `load_pretrained` reads the weights of
 `bvlcalexnet-12.onnx` of the ONNX model zoo; its graph is not run.
 """
 
 from __future__ import annotations
 
 import re
-from importlib import import_module
 from pathlib import Path
 from typing import ClassVar, Final
 
@@ -26,7 +25,7 @@ from torch import nn
 
 from bodyseg_data.core import BadConfig, one_line
 from bodyseg_data.labels import PART_COUNT
-from bodyseg_data.machine import missing_library
+from bodyseg_data.machine import required
 from bodyseg_model.networks.checkpoints import read_bytes
 from bodyseg_model.networks.network import Network, check_range_images
 
@@ -119,8 +118,20 @@ class FcnAlexnet(Network):
         return scores
 
     def load_pretrained(self, path: Path) -> None:
-        """Fill conv1 to conv7 from a file of AlexNet's weights; see `import_alexnet`. Raises BadConfig."""
-        import_alexnet(self, path)
+        """Fill conv1 to conv7 from the AlexNet in the .onnx file `path`.
+
+        conv1 becomes the mean of its three channels, for a range image has one; fc6 becomes the 6 x 6 convolution and
+        fc7 the 1 x 1 convolution that give the same numbers (section 3.5). Raises BadConfig, naming file and layer, and
+        MissingLibrary without onnx; then the network is as it was.
+        """
+        arrays = read_alexnet(path)
+        with torch.no_grad():
+            for name, (weight, bias) in arrays.items():
+                layer = self.get_submodule(_LAYER.get(name, name))
+                kept = weight.mean(axis=1, keepdims=True, dtype=np.float64) if name == "conv1" else weight
+                target = layer.get_parameter("weight")
+                target.copy_(torch.from_numpy(kept.astype(np.float32)).reshape(target.shape))
+                layer.get_parameter("bias").copy_(torch.from_numpy(bias.astype(np.float32)))
 
     def _upsampled(self, x: torch.Tensor, rows: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
         """Output of upfeat for x at some rows and columns of the image, [B, 16, h, w].
@@ -147,32 +158,11 @@ def bilinear_filters(channels: int, stride: int) -> torch.Tensor:
     return filters
 
 
-def import_alexnet(network: nn.Module, path: Path) -> None:
-    """Fill conv1 to conv7 of `network`, a `FcnAlexnet`, from the AlexNet in the .onnx file `path`.
-
-    conv1 becomes the mean of its three channels, for a range image has one; fc6 becomes the 6 x 6 convolution and fc7
-    the 1 x 1 convolution that give the same numbers (section 3.5). Raises BadConfig, naming file and layer, and
-    MissingLibrary without onnx; then the network is as it was.
-    """
-    arrays = read_alexnet(path)
-    with torch.no_grad():
-        for name, (weight, bias) in arrays.items():
-            layer = network.get_submodule(_LAYER.get(name, name))
-            kept = weight.mean(axis=1, keepdims=True, dtype=np.float64) if name == "conv1" else weight
-            target = layer.get_parameter("weight")
-            target.copy_(torch.from_numpy(kept.astype(np.float32)).reshape(target.shape))
-            layer.get_parameter("bias").copy_(torch.from_numpy(bias.astype(np.float32)))
-
-
 def read_alexnet(path: Path) -> Arrays:
     """Weight and bias of each layer in `SHAPES`, float32. Raises BadConfig, naming file and layer, MissingLibrary."""
     if path.suffix != ".onnx":
         raise BadConfig(f"AlexNet's weights come as .onnx, found {path}")
-    try:
-        onnx = import_module("onnx")
-        numbers = import_module("onnx.numpy_helper")
-    except ImportError as error:
-        raise missing_library("reading AlexNet's weights", error, extra="onnx") from error
+    onnx, numbers = (required(module, "reading AlexNet's weights", "onnx") for module in ("onnx", "onnx.numpy_helper"))
     data = read_bytes(path)
     found: dict[str, NDArray[np.float32]] = {}
     try:

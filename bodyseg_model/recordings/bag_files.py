@@ -15,7 +15,6 @@ import zlib
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator
 from functools import partial
-from importlib import import_module
 from itertools import accumulate, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final
@@ -32,9 +31,9 @@ from bodyseg_model.recordings.bag_messages import (
     Encoding,
     Topic,
     as_times,
+    bag_library,
     bag_recording,
     decompressed,
-    missing,
 )
 
 if TYPE_CHECKING:
@@ -196,11 +195,8 @@ def _mcap_record(file: BinaryIO, offset: int, kind: int) -> bytes:
 
 def _mcap_parsed(kind: str, data: bytes) -> Any:
     """Parse the content of a record of a class of `mcap.records`. Raises MissingLibrary."""
-    try:
-        records, streams = import_module("mcap.records"), import_module("mcap.data_stream")
-    except ImportError as error:
-        raise missing(error) from error
-    return getattr(records, kind).read(streams.ReadDataStream(io.BytesIO(data)))
+    stream = bag_library("mcap.data_stream").ReadDataStream(io.BytesIO(data))
+    return getattr(bag_library("mcap.records"), kind).read(stream)
 
 
 def _mcap_chunk(file: BinaryIO, offset: int, most: int) -> bytes:
@@ -266,13 +262,10 @@ class _Ros1Bag:
     """Messages of a ROS 1 bag by its index; one chunk of it at a time is in memory."""
 
     def __init__(self, path: Path) -> None:
-        try:
-            from rosbags.rosbag1 import Reader
-        except ImportError as error:
-            raise missing(error) from error
+        reader = bag_library("rosbags.rosbag1").Reader
         self._stream: tuple[Topic, int, Iterator[Any]] | None = None
         self._connections: dict[str, list[Connection]] = {}
-        self._reader = Reader(path)
+        self._reader = reader(path)
         try:
             self._reader.open()
             for position, chunk in self._reader.chunks.items():

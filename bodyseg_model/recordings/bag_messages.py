@@ -16,7 +16,7 @@ import struct
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final, Literal, Protocol
 
@@ -24,8 +24,8 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, MissingLibrary
-from bodyseg_data.machine import missing_library
+from bodyseg_data.core import BadConfig, reported
+from bodyseg_data.machine import required
 from bodyseg_model.recordings.cameras import Intrinsics, driver_camera
 from bodyseg_model.recordings.frames import parse_frame
 from bodyseg_model.recordings.recording import Frame, FrameSource, Stamp, check_pixels, stored_recording
@@ -177,9 +177,8 @@ def _listed(topics: list[Topic]) -> str:
     return (", ".join(names[:_LONGEST_LIST]) or "none") + more
 
 
-def missing(error: ImportError) -> MissingLibrary:
-    """Return the line for a package that reading bags needs."""
-    return missing_library("reading and writing bags", error, extra="recordings")
+bag_library = partial(required, feature="reading and writing bags", extra="recordings")
+"""Imports a module that bags need. Raises MissingLibrary."""
 
 
 def as_times(times_ns: Sequence[int] | NDArray[np.int64]) -> NDArray[np.int64]:
@@ -192,11 +191,9 @@ def as_times(times_ns: Sequence[int] | NDArray[np.int64]) -> NDArray[np.int64]:
 @cache
 def typestore(encoding: Encoding) -> Typestore:
     """Return the message types of ROS 1 Noetic or ROS 2 Humble. Raises MissingLibrary."""
-    try:
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise missing(error) from error
-    return get_typestore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_HUMBLE)
+    types = bag_library("rosbags.typesys")
+    store: Typestore = types.get_typestore(types.Stores.ROS1_NOETIC if encoding == "ros1" else types.Stores.ROS2_HUMBLE)
+    return store
 
 
 def decode(bag: Bag, topic: Topic, index: int) -> Any:
@@ -223,11 +220,7 @@ def decompressed(data: bytes, most: int = sys.maxsize) -> bytes:
     if data.startswith(_BZ2):
         stream: IO[bytes] = bz2.BZ2File(io.BytesIO(data))
     elif data.startswith(_LZ4):
-        try:
-            from lz4.frame import LZ4FrameFile  # type: ignore[import-untyped]
-        except ImportError as error:
-            raise missing(error) from error
-        stream = LZ4FrameFile(io.BytesIO(data))
+        stream = bag_library("lz4.frame").LZ4FrameFile(io.BytesIO(data))
     elif data.startswith(_ZSTD):
         stream = zstandard.ZstdDecompressor().stream_reader(data)
     else:
@@ -318,10 +311,8 @@ def camera_beside(bag: Bag, topic: Topic, where: str) -> Intrinsics | None:
         return None
     named = f"{where}: {info.name}"
     for index in range(min(len(info.times_ns), _MOST_INFOS)):
-        try:
+        with reported(named, BadConfig):
             message = decode(bag, info, index)
-        except BadConfig as error:
-            raise BadConfig(f"{named}: {error}") from error
         camera = camera_of(message, named, rectified=bool(parts) and parts[-1].startswith("image_rect"))
         if camera is not None:
             return camera

@@ -8,11 +8,11 @@
 
 import os
 from collections.abc import Sequence
-from functools import cached_property
-from pathlib import Path, PurePath
+from functools import cache
+from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, reported
 from bodyseg_data.files import Table, parse_json, read_bytes
 from bodyseg_data.rigs import Distortion, Rig
 from bodyseg_model.recordings.cameras import FrameCamera, Intrinsics, frame_camera
@@ -33,14 +33,18 @@ def cameras_beside(frames: Sequence[Frame]) -> list[Intrinsics | None]:
     name without any of fx, fy, cx and cy is not taken for a camera. Raises BadConfig, naming the file, for one that is
     damaged, incomplete or out of range.
     """
-    homes: dict[Path, _Home] = {}
-    found = []
-    for frame in frames:
-        folder = frame.path.parent
-        if folder not in homes:
-            homes[folder] = _Home(folder)
-        found.append(frame.camera or homes[folder].camera(frame.path.name))
-    return found
+    shared = cache(_shared)  # files are read once
+
+    @cache
+    def camera_of(path: Path) -> Intrinsics | None:
+        own_file = path.with_suffix(".json")
+        own = _tree(own_file)
+        if own is not None and any(name in own for name in _NEEDED):
+            return _intrinsics(own, str(own_file))
+        default, named = shared(path.with_name(CAMERAS))
+        return named.get(path.stem, default)
+
+    return [frame.camera or camera_of(frame.path) for frame in frames]
 
 
 class FrameCameras:
@@ -97,41 +101,19 @@ def _shape(frame: Frame) -> tuple[int, int]:
     return rows, columns
 
 
-class _Home:
-    """JSON files in a folder."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._known: dict[str, Intrinsics | None] = {}  # many frames of one recording share a name
-
-    def camera(self, name: str) -> Intrinsics | None:
-        """The camera of a file, by its name from here."""
-        if name not in self._known:
-            self._known[name] = self._read(name)
-        return self._known[name]
-
-    def _read(self, name: str) -> Intrinsics | None:
-        own_file = (self._path / name).with_suffix(".json")
-        own = _tree(own_file)
-        if own is not None and any(name in own for name in _NEEDED):
-            return _intrinsics(own, str(own_file))
-        default, named = self._shared
-        return named.get(PurePath(name).stem, default)
-
-    @cached_property
-    def _shared(self) -> tuple[Intrinsics | None, dict[str, Intrinsics]]:
-        where = self._path / CAMERAS
-        tree = _tree(where)
-        if tree is None:
-            return None, {}
-        unknown = sorted(tree.keys() - {"default", "frames"})
-        frames = tree.get("frames", {})
-        if unknown or not isinstance(frames, dict) or not tree:
-            raise BadConfig(f"{where} must hold 'frames', cameras by the frames' names, and 'default', or one of them")
-        default = _intrinsics(tree["default"], f"{where}, default") if "default" in tree else None
-        return default, {
-            name.removesuffix(".png"): _intrinsics(camera, f"{where}, {name}") for name, camera in frames.items()
-        }
+def _shared(where: Path) -> tuple[Intrinsics | None, dict[str, Intrinsics]]:
+    """The default camera of a file `CAMERAS`, and those of frames by their names; none without such a file."""
+    tree = _tree(where)
+    if tree is None:
+        return None, {}
+    unknown = sorted(tree.keys() - {"default", "frames"})
+    frames = tree.get("frames", {})
+    if unknown or not isinstance(frames, dict) or not tree:
+        raise BadConfig(f"{where} must hold 'frames', cameras by the frames' names, and 'default', or one of them")
+    default = _intrinsics(tree["default"], f"{where}, default") if "default" in tree else None
+    return default, {
+        name.removesuffix(".png"): _intrinsics(camera, f"{where}, {name}") for name, camera in frames.items()
+    }
 
 
 def _tree(path: Path) -> dict[str, Any] | None:
@@ -154,9 +136,7 @@ def _intrinsics(tree: Any, where: str) -> Intrinsics:
         given = tree["distortion"]
         count = 4 if isinstance(given, list) and len(given) == 4 else 5
         coefficients = dict(zip(_COEFFICIENTS, table.numbers("distortion", count), strict=False))
-        try:
+        with reported(where, BadConfig):
             distortion = Distortion(**coefficients) if any(coefficients.values()) else None
-        except BadConfig as error:
-            raise BadConfig(f"{where}: {error}") from None
     table.finish()
     return Intrinsics(fx, fy, cx, cy, distortion, size, where)

@@ -14,7 +14,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, reported
 from bodyseg_data.rigs import MAX_FOCAL_PX, PAPER, Camera, Distortion, Rig, Sensor, load_sensor, rig_names
 
 _SQUARE: Final = 0.01
@@ -174,10 +174,8 @@ class Intrinsics:
         focal_px = math.sqrt(self.fx * self.fy)
         check_intrinsics(focal_px, (self.cx + 0.5, self.cy + 0.5), shape, self.where)
         centre, pose = (self.cx + 0.5, self.cy + 0.5), ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-        try:
+        with reported(self.where, BadConfig):
             camera = Camera(*shape, focal_px, centre, *pose, distortion=self.lens)
-        except BadConfig as error:
-            raise BadConfig(f"{self.where}: {error}") from None
         return FrameCamera(camera, f"file {self.where}")
 
 

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, check_int
+from bodyseg_data.core import BadConfig, check_int, reported
 from bodyseg_data.files import refuse_special
 from bodyseg_data.shards import SIGNATURE, check_checksums, decode_chunks, read_chunks, read_header
 from bodyseg_model.recordings.formats import SUFFIXES, find_format
@@ -96,12 +96,11 @@ def to_metres(frame: NDArray[np.uint16], step_m: float) -> NDArray[np.float32]:
 
 def png_file(path: Path, time_s: float | None = None, step_m: float = MILLIMETRE) -> Frame:
     """Return the frame in a PNG file, whose content is not read yet. Raises BadConfig for a file that is not there."""
-    try:
+    with reported(f"cannot read {path}", BadConfig, OSError):
         refuse_special(path)
         size = path.stat().st_size
-    except OSError as error:
-        raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error
-    _check_size(size, str(path))
+    if size > _LARGEST_FILE:
+        raise BadConfig(f"a frame must have at most {_LARGEST_FILE} bytes, found {size} in {path}")
     return Frame(path.stem, str(path), path, None, PngSource(path, size), ("",), 0, time_s, step_m)
 
 
@@ -111,11 +110,9 @@ def _folder(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame,
     Of images beside each other, as 7-Scenes, ScanNet and others have them, those of depth: by their names ("000.depth",
     "depth_0") where some have such a name, or the folder called depth where there is nothing else to read.
     """
-    try:
+    with reported(f"cannot read {path}", BadConfig, OSError):
         files = [file for file in path.iterdir() if not file.name.startswith(".") and not file.is_dir()]
-    except OSError as error:
-        raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error
-    if pngs := _of_depth([file for file in files if _is_frame(file.name)]):
+    if pngs := _of_depth([file for file in files if file.suffix.lower() == ".png"]):
         return _pngs([png_file(file) for file in pngs], path, topic, step_m)
     if (found := find_format(path)) is not None:
         return found.open(path, topic, step_m)
@@ -135,15 +132,6 @@ def _of_depth(files: list[Path]) -> list[Path]:
     """Files whose names say depth, if a quarter or more have such names; else all."""
     depth = [file for file in files if _DEPTH_NAME.search(file.stem.lower())]
     return depth if 4 * len(depth) >= len(files) else files
-
-
-def _check_size(size: int, where: str) -> None:
-    if size > _LARGEST_FILE:
-        raise BadConfig(f"a frame must have at most {_LARGEST_FILE} bytes, found {size} in {where}")
-
-
-def _is_frame(name: str) -> bool:
-    return name.lower().endswith(".png") and not name.startswith(".")
 
 
 def natural_key(name: str) -> list[tuple[int, str]]:
@@ -258,11 +246,8 @@ class PngSource(FrameSource):
     size: int
 
     def read(self, index: int) -> NDArray[np.uint16]:
-        try:
-            with self.path.open("rb") as file:
-                data = file.read(self.size)
-        except OSError as error:
-            raise BadConfig(f"the file cannot be read: {error.strerror or error}") from error
+        with reported("the file cannot be read", BadConfig, OSError), self.path.open("rb") as file:
+            data = file.read(self.size)
         if len(data) != self.size:
             raise BadConfig(f"the file must still have the {self.size} bytes it had, found {len(data)}")
         return parse_frame(data)

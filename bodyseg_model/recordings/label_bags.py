@@ -6,15 +6,15 @@ import contextlib
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, reported
 from bodyseg_data.files import part_beside
 from bodyseg_data.labels import BACKGROUND, LabelMap
-from bodyseg_model.recordings.bag_messages import IMAGE, missing, typestore
+from bodyseg_model.recordings.bag_messages import IMAGE, bag_library, typestore
 from bodyseg_model.recordings.recording import Frame, Stamp
 
 TOPIC: Final = "/bodyseg/labels"
@@ -43,16 +43,18 @@ def labels_out(path: Path, label_map: LabelMap, frames_per_second: float) -> Ite
     """
     if path.suffix.lower() != _SUFFIX:
         raise BadConfig(f"labels are written into an .mcap file, found {path}")
-    try:
-        out = _McapOut(path, part_beside(path))
+    part = part_beside(path)
+    with reported(f"cannot write {path}", BadConfig, OSError):
         try:
-            yield LabelsOut(out, label_map, frames_per_second)
-            out.finish(legend(label_map))
-        except BaseException:
-            out.abandon()
-            raise
-    except OSError as error:
-        raise BadConfig(f"cannot write {path}: {error.strerror or error}") from error
+            with part.open("wb") as file:
+                writer = bag_library("mcap.writer").Writer(file)
+                writer.start("ros2")
+                yield LabelsOut(writer, frames_per_second)
+                writer.add_metadata(LEGEND, legend(label_map))
+                writer.finish()
+            part.replace(path)
+        finally:
+            part.unlink(missing_ok=True)
 
 
 def legend(label_map: LabelMap) -> dict[str, str]:
@@ -93,12 +95,12 @@ def cloud_fields(records: NDArray[np.void], xyz: str | None = None) -> dict[str,
 
 class LabelsOut:
     """Writer of label images, one a frame: sensor_msgs/msg/Image of encoding mono8 on `TOPIC`; of points, where they
-    are given: `CLOUD` on `POINTS_TOPIC`.
+    are given: `CLOUD` on `POINTS_TOPIC`. writer: the package mcap's, of an open file.
     """
 
-    def __init__(self, out: _McapOut, label_map: LabelMap, frames_per_second: float) -> None:
-        self._out, self._rate, self._count = out, frames_per_second, 0
-        self._types = typestore("cdr").types
+    def __init__(self, writer: Any, frames_per_second: float) -> None:
+        self._writer, self._rate, self._count = writer, frames_per_second, 0
+        self._types, self._channels = typestore("cdr").types, dict[str, int]()
 
     def add(
         self,
@@ -134,36 +136,9 @@ class LabelsOut:
             cloud["fields"] = [kinds["sensor_msgs/msg/PointField"](**each) for each in cloud["fields"]]
             messages.append((POINTS_TOPIC, CLOUD, kinds[CLOUD](header=header, **cloud)))
         for topic, kind, message in messages:
-            self._out.write(topic, kind, max(time_ns, 0), bytes(typestore("cdr").serialize_cdr(message, kind)))
-
-
-class _McapOut:
-    """An MCAP file, written beside its place."""
-
-    def __init__(self, path: Path, part: Path) -> None:
-        try:
-            from mcap.writer import Writer
-        except ImportError as error:
-            raise missing(error) from error
-        self._path, self._part = path, part
-        self._file: IO[bytes] = part.open("wb")
-        self._writer: Any = Writer(self._file)
-        self._writer.start("ros2")
-        self._channels: dict[str, int] = {}
-
-    def write(self, topic: str, kind: str, time_ns: int, data: bytes) -> None:
-        if topic not in self._channels:
-            text, _ = typestore("cdr").generate_msgdef(kind, ros_version=2)
-            schema = self._writer.register_schema(kind, "ros2msg", text.encode())
-            self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
-        self._writer.add_message(self._channels[topic], time_ns, data, time_ns)
-
-    def finish(self, metadata: dict[str, str]) -> None:
-        self._writer.add_metadata(LEGEND, metadata)
-        self._writer.finish()
-        self._file.close()
-        self._part.replace(self._path)
-
-    def abandon(self) -> None:
-        self._file.close()
-        self._part.unlink(missing_ok=True)
+            if topic not in self._channels:
+                text, _ = typestore("cdr").generate_msgdef(kind, ros_version=2)
+                schema = self._writer.register_schema(kind, "ros2msg", text.encode())
+                self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
+            data, at = bytes(typestore("cdr").serialize_cdr(message, kind)), max(time_ns, 0)
+            self._writer.add_message(self._channels[topic], at, data, at)

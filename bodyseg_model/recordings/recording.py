@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, reported
 from bodyseg_model.recordings.cameras import Intrinsics
 
 MILLIMETRE: Final = 1e-3
@@ -97,17 +97,13 @@ class Frame:
 
     def read(self) -> Pixels:
         """Read the frame's pixels, uint16 [H, W], in steps. Raises BadConfig, naming the frame."""
-        try:
+        with reported(self.where, BadConfig):
             return in_steps(self.source.read(self.index), self.float_m)
-        except BadConfig as error:
-            raise BadConfig(f"{self.where}: {error}") from error
 
     def stamp(self) -> Stamp | None:
         """Read the time and coordinate frame of its message; None where frames are no messages. Raises BadConfig."""
-        try:
+        with reported(self.where, BadConfig):
             return self.source.stamp(self.index)
-        except BadConfig as error:
-            raise BadConfig(f"{self.where}: {error}") from error
 
 
 def evenly_apart(total: int, count: int) -> list[int]:

@@ -12,7 +12,6 @@ import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import cache
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, get_args
 
@@ -23,7 +22,7 @@ from torch import nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from bodyseg_data.core import BadConfig
-from bodyseg_data.machine import computes_bfloat16, missing_library
+from bodyseg_data.machine import computes_bfloat16, required
 from bodyseg_model.networks import (
     CheckpointName,
     FlipAverage,
@@ -65,10 +64,7 @@ class Runtime(ABC):
     @classmethod
     def loaded(cls) -> Any:
         """The library's module. Raises MissingLibrary if it is not installed."""
-        try:
-            return import_module(cls.library)
-        except ImportError as error:
-            raise missing_library(f"the backend {cls.library}", error, extra=cls.extra) from error
+        return required(cls.library, f"the backend {cls.library}", cls.extra)
 
 
 class OnnxRuntime(Runtime):

@@ -9,7 +9,7 @@ import json
 import warnings
 from contextlib import redirect_stdout
 from dataclasses import asdict, dataclass, field
-from importlib import import_module
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,7 +20,7 @@ from torch import nn
 from bodyseg_data.core import BadConfig, check_fields
 from bodyseg_data.files import read_bytes, write_result
 from bodyseg_data.labels import BACKGROUND
-from bodyseg_data.machine import missing_library
+from bodyseg_data.machine import required
 from bodyseg_model.networks import Network, Trained, check_network
 
 FORMAT: Final = "bodyseg onnx 1"
@@ -117,12 +117,7 @@ def scores_part(model: Any) -> Any:
         ) from error
 
 
-def import_onnx() -> Any:
-    """The package onnx. Raises MissingLibrary."""
-    try:
-        return import_module("onnx")
-    except ImportError as error:
-        raise missing_library("the format ONNX", error, extra="onnx") from error
+import_onnx = partial(required, "onnx", "the format ONNX", "onnx")
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -17,9 +17,6 @@ from bodyseg_data.bodies import from_rotation_vector
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import in_threads, pieces
 from bodyseg_data.rigs import Camera
-
-if TYPE_CHECKING:
-    from bodyseg_model.segmentation.carried_loops import BodyMotion, BodyPixels, CellLens, Cells, Images, Rule
 
 Labels = NDArray[np.uint8]
 SeenBody = tuple[NDArray[np.intp], NDArray[np.float32]]
@@ -82,6 +79,72 @@ class Carrying:
     cell_m: float = 0.02
 
 
+class CellLens(NamedTuple):
+    """Numbers of a camera, and the cells of its image: focal length and principal point (x, y) in pixels; columns and
+    rows of the image; the side of a cell, pixels; columns and rows of cells.
+    """
+
+    focal: float
+    x: float
+    y: float
+    columns: int
+    rows: int
+    side: int
+    across: int
+    down: int
+
+
+class Images(NamedTuple):
+    """Images of a frame, flat: ranges, float32 [H * W], metres, 0 off the bodies; slots of evidence, uint32 [H * W,
+    carried_loops.SLOTS]; the label shown, uint8 [H * W].
+    """
+
+    range_m: NDArray[np.float32]
+    slots: NDArray[np.uint32]
+    shown: NDArray[np.uint8]
+
+
+class BodyPixels(NamedTuple):
+    """A body in a new frame: its pixels, int64 [N], ascending, and its confidence at them, float32 [N]; the frame's
+    ranges, float32 [H * W], metres, and labels, uint8 [H * W].
+    """
+
+    pixels: NDArray[np.intp]
+    confidence: NDArray[np.float32]
+    range_m: NDArray[np.float32]
+    labels: NDArray[np.uint8]
+
+
+class Cells(NamedTuple):
+    """M cells of a body, in reading order. grid: int32 [down * across], a cell's number, -1 where the body has none.
+    points: float32 [M, 3], metres, the mean of one surface. normals: float32 [M, 3], of unit length, 0 where neighbours
+    lack. neighbours: int64 [M, 4], left, right, above, below, a cell itself where it has none. labels: uint8 [M], of
+    one pixel of the cell. noise_m: median deviation of ranges within a cell, metres.
+    """
+
+    grid: NDArray[np.int32]
+    points: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    neighbours: NDArray[np.int64]
+    labels: NDArray[np.uint8]
+    noise_m: float
+
+
+class Rule(NamedTuple):
+    """Rule by which evidence is carried; see `Carrying`. steps: int64 [S, 2], rows and columns to the pixels at which a
+    point is sought, (0, 0) first; reach: the largest of them. tolerance_m: metres. keep, border_keep: of 1024.
+    border: pixels. margin: in 1 / carried_loops.UNIT.
+    """
+
+    steps: NDArray[np.int64]
+    reach: int
+    tolerance_m: np.float32
+    keep: np.uint32
+    border_keep: np.uint32
+    border: int
+    margin: np.uint32
+
+
 @dataclass(frozen=True)
 class _LastFrame:
     """The frame before: its camera, lens and images; the cells of its bodies, and the gain of shifting the parts of
@@ -124,38 +187,35 @@ class CarriedLabels:
         """
         if self._last is not None and self._last.camera != camera:
             self.restart()
-        last, loops = self._last, self._loops
+        last = self._last
         flat, named = np.ascontiguousarray(range_m).ravel(), np.ascontiguousarray(labels).ravel()
-        seen = [loops.BodyPixels(*body, flat, named) for body in bodies if len(body[0])]
+        seen = [BodyPixels(*body, flat, named) for body in bodies if len(body[0])]
         if last is None and not seen:  # nobody was seen yet
             return np.full(labels.shape, BACKGROUND, np.uint8)
         lens = self._lens(seen[0], camera) if last is None else last.lens
-        new, old = self._empty_images(flat.size), None if last is None else last.images
+        new = self._empty_images(flat.size)
         cells = [self._cells(body, lens) for body in seen]
         known = []
         for body, own, number in zip(seen, cells, self._pairs(cells), strict=True):
-            motion, gain = loops.BodyMotion(_UNMOVED, np.zeros_like(own.points), own.grid), 0.0
-            if last is None or old is None or number is None:
-                self._carry(body, lens, motion, new, self._rule(_NOWHERE), new)
-            else:
+            rigid, field, gain = _UNMOVED, np.zeros_like(own.points), 0.0
+            old, rule = new, self._rule(_NOWHERE)
+            if last is not None and number is not None:
                 earlier, gain = last.bodies[number]
                 if self.carrying.motion != "still":
-                    motion, gain = self._motion(own, earlier, gain, lens)
+                    rigid, field, gain = self._motion(own, earlier, gain, lens)
                 noise = float(np.hypot(own.noise_m, earlier.noise_m))
                 rule = self._rule(max(self.carrying.tolerance_m, self.carrying.noises * noise), gain > _BENDS)
-                self._carry(body, lens, motion, old, rule, new)
+                old = last.images
+            self._carry(body, lens, rigid, field, own.grid, old, rule, new)
             known.append((own, gain))
-        self._spare, self._last = old, _LastFrame(camera, lens, new, known)
+        self._spare, self._last = None if last is None else last.images, _LastFrame(camera, lens, new, known)
         return new.shown.reshape(labels.shape).copy()
 
     def _lens(self, body: BodyPixels, camera: Camera) -> CellLens:
         """The camera's numbers, and cells of the size that `carrying.cell_m` has at the body's range."""
         side = max(1, round(self.carrying.cell_m * camera.focal_px / float(np.median(body.range_m[body.pixels]))))
         cells = -(-camera.columns // side), -(-camera.rows // side)
-        lens: CellLens = self._loops.CellLens(
-            camera.focal_px, *camera.centre_px, camera.columns, camera.rows, side, *cells
-        )
-        return lens
+        return CellLens(camera.focal_px, *camera.centre_px, camera.columns, camera.rows, side, *cells)
 
     def _cells(self, body: BodyPixels, lens: CellLens) -> Cells:
         grid, place, points, labels, noise_m = self._loops.cells_of(body, lens, np.float32(_JUMP_M))
@@ -168,12 +228,11 @@ class CarriedLabels:
         left, right, above, below = points[beside.T]
         normals = np.cross(right - left, below - above)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-        cells: Cells = self._loops.Cells(grid, points, normals, beside, labels, noise_m)
-        return cells
+        return Cells(grid, points, normals, beside, labels, noise_m)
 
     def _empty_images(self, size: int) -> Images:
         """Memory of a frame's images: that of the frame before the last, where there is one."""
-        images: Images = self._spare or self._loops.Images(
+        images = self._spare or Images(
             np.empty(size, np.float32), np.empty((size, self._loops.SLOTS), np.uint32), np.empty(size, np.uint8)
         )
         images.range_m.fill(0)
@@ -188,9 +247,9 @@ class CarriedLabels:
             away = {
                 number: float(np.linalg.norm(_middle(own) - _middle(earlier))) for number, (earlier, _) in left.items()
             }
-            nearest = min(away, key=lambda number: (away[number], number), default=None)
-            found.append(nearest if nearest is not None and away[nearest] <= SAME_BODY_M else None)
-            left.pop(-1 if found[-1] is None else found[-1], None)
+            near = {number: metres for number, metres in away.items() if metres <= SAME_BODY_M}
+            found.append(min(near, key=near.__getitem__, default=None))
+            left = {number: kept for number, kept in left.items() if number != found[-1]}
         return found
 
     def _rule(self, tolerance_m: float, bends: bool = False) -> Rule:
@@ -201,12 +260,10 @@ class CarriedLabels:
             keep, share, border, margin = given.bending_keep, given.border_share, given.border, 0.0
         kept, border_kept = (np.uint32(round(1024 * part)) for part in (keep, share * keep))
         least, tolerance = np.uint32(round(margin * self._loops.UNIT)), np.float32(tolerance_m)
-        steps = nearest_first(given.reach)
-        rule: Rule = self._loops.Rule(steps, given.reach, tolerance, kept, border_kept, border, least)
-        return rule
+        return Rule(nearest_first(given.reach), given.reach, tolerance, kept, border_kept, border, least)
 
-    def _motion(self, own: Cells, earlier: Cells, gain: float, lens: CellLens) -> tuple[BodyMotion, float]:
-        """Motion of a body back to the frame before, and the gain of shifting its parts, summed up.
+    def _motion(self, own: Cells, earlier: Cells, gain: float, lens: CellLens) -> tuple[Points, Points, float]:
+        """Motion of a body back to the frame before (`carry`), and the gain of shifting its parts, summed up.
 
         A rigid motion, and displacements that fit the surface smoothly. These start from the shifts of parts if ranges
         and labels fit better with them over the last frames: else the body is rigid, and of one that turns, the middles
@@ -228,8 +285,7 @@ class CarriedLabels:
                 shifts[:], weights[:] = 0, 0
             faith = np.float32(1 / (1 + (noise / _FAITH_NOISE_M) ** 2))
             field = self._loops.smooth_field(places, own, shifts, weights, earlier, lens, np.float32(gate), faith)
-        motion: BodyMotion = self._loops.BodyMotion(rigid.astype(np.float32), field, own.grid)
-        return motion, gain
+        return rigid.astype(np.float32), field, gain
 
     def _rigid(self, own: Cells, earlier: Cells, lens: CellLens, gate: float) -> Rigid:
         """Rigid motion of a body back to the frame before, sought from no motion or the shift of its middle, whichever

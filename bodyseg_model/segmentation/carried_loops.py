@@ -1,4 +1,5 @@
-"""Loops of labels that are carried from frame to frame, compiled with numba: a body's cells, its motion, its evidence.
+"""Loops of labels that are carried from frame to frame, compiled with numba: a body's cells, its motion, its evidence,
+by the types of `carried_labels.py`.
 
 A pixel has three slots of evidence, uint32: weight << 8 | label, in units of 1 / `UNIT`. The first slot is the label
 shown, the others contend for its place. All arithmetic on evidence is of whole numbers.
@@ -8,10 +9,9 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import compiled
@@ -36,82 +36,6 @@ _UNMOVED: Final = np.float32(0.005)  # weight of no displacement beyond the body
 _ROUNDS: Final = 2
 _SWEEPS: Final = 4
 _LEAST_FOR_NOISE: Final = 6  # pixels of a cell whose ranges say how noisy the frame is
-
-
-class CellLens(NamedTuple):
-    """Numbers of a camera, and the cells of its image: focal length and principal point (x, y) in pixels; columns and
-    rows of the image; the side of a cell, pixels; columns and rows of cells.
-    """
-
-    focal: float
-    x: float
-    y: float
-    columns: int
-    rows: int
-    side: int
-    across: int
-    down: int
-
-
-class Images(NamedTuple):
-    """Images of a frame, flat: ranges, float32 [H * W], metres, 0 off the bodies; slots of evidence, uint32 [H * W,
-    `SLOTS`]; the label shown, uint8 [H * W].
-    """
-
-    range_m: NDArray[np.float32]
-    slots: NDArray[np.uint32]
-    shown: NDArray[np.uint8]
-
-
-class BodyPixels(NamedTuple):
-    """A body in a new frame: its pixels, int64 [N], ascending, and its confidence at them, float32 [N]; the frame's
-    ranges, float32 [H * W], metres, and labels, uint8 [H * W].
-    """
-
-    pixels: NDArray[np.intp]
-    confidence: NDArray[np.float32]
-    range_m: NDArray[np.float32]
-    labels: NDArray[np.uint8]
-
-
-class Cells(NamedTuple):
-    """M cells of a body, in reading order. grid: int32 [down * across], a cell's number, -1 where the body has none.
-    points: float32 [M, 3], metres, the mean of one surface. normals: float32 [M, 3], of unit length, 0 where neighbours
-    lack. neighbours: int64 [M, 4], left, right, above, below, a cell itself where it has none. labels: uint8 [M], of
-    one pixel of the cell. noise_m: median deviation of ranges within a cell, metres.
-    """
-
-    grid: NDArray[np.int32]
-    points: NDArray[np.float32]
-    normals: NDArray[np.float32]
-    neighbours: NDArray[np.int64]
-    labels: NDArray[np.uint8]
-    noise_m: float
-
-
-class BodyMotion(NamedTuple):
-    """Motion of a body from its new frame back to the one before. rigid: float32 [3, 4], rotation and, last,
-    translation, metres. field: float32 [M, 3], further displacements of its cells, metres. grid: that of `Cells`.
-    """
-
-    rigid: NDArray[np.float32]
-    field: NDArray[np.float32]
-    grid: NDArray[np.int32]
-
-
-class Rule(NamedTuple):
-    """Rule by which evidence is carried; see `Carrying`. steps: int64 [S, 2], rows and columns to the pixels at which a
-    point is sought, (0, 0) first; reach: the largest of them. tolerance_m: metres. keep, border_keep: of 1024.
-    border: pixels. margin: in 1 / `UNIT`.
-    """
-
-    steps: NDArray[np.int64]
-    reach: int
-    tolerance_m: np.float32
-    keep: np.uint32
-    border_keep: np.uint32
-    border: int
-    margin: np.uint32
 
 
 @_kernel
@@ -280,24 +204,25 @@ def nearest(row: Any, column: Any, z: Any, old_range: Any, lens: Any, tolerance:
 
 
 @_kernel
-def carry(body: Any, lens: Any, motion: Any, old: Any, rule: Any, new: Any) -> None:
+def carry(body: Any, lens: Any, rigid: Any, field: Any, grid: Any, old: Any, rule: Any, new: Any) -> None:
     """Carry evidence to a body's pixels, add the new frame's, and show the labels that have most.
 
-    A pixel's point is sought at the pixel that `motion` (`BodyMotion`) takes it to, and at those around it, the nearest
-    first, where the old range agrees within `rule.tolerance_m`; not found, evidence starts anew. The old weights are
-    multiplied by `keep`; or by `border_keep` if another label than the new frame's is shown there, and the new one up
-    to `border` pixels beside it: a border has moved, or its place is uncertain. The label
-    shown changes if another has more evidence by more than `margin`. `new` (`Images`) is written at the body's pixels.
+    rigid: float32 [3, 4], the body's motion back to the old frame; field: float32 [M, 3], further displacements of its
+    cells, metres; grid: theirs. A pixel's point is sought at the pixel that both take it to, and at those around it,
+    the nearest first, where the old range agrees within `rule.tolerance_m`; not found, evidence starts anew. The old
+    weights are multiplied by `keep`; or by `border_keep` if another label than the new frame's is shown there, and the
+    new one up to `border` pixels beside it: a border has moved, or its place is uncertain. The label shown changes if
+    another has more evidence by more than `margin`. `new` (`Images`) is written at the body's pixels.
     """
     x_of, cell_of = np.empty(lens.columns, np.float32), np.empty(lens.columns, np.int32)
     focal, cx, cy = np.float32(lens.focal), np.float32(lens.x), np.float32(lens.y)
     for at in range(lens.columns):
         x_of[at], cell_of[at] = (np.float32(at) + _HALF - cx) / focal, at // lens.side
     range_m, labels, pixels, confidence = body.range_m, body.labels, body.pixels, body.confidence
-    old_range, tolerance, index, field = old.range_m, rule.tolerance_m, motion.grid, motion.field
-    a, b, c, d = motion.rigid[0]
-    e, f, g, h = motion.rigid[1]
-    i, j, k, l = motion.rigid[2]  # noqa: E741
+    old_range, tolerance = old.range_m, rule.tolerance_m
+    a, b, c, d = rigid[0]
+    e, f, g, h = rigid[1]
+    i, j, k, l = rigid[2]  # noqa: E741
     first, beyond, line, y_of = np.int64(0), np.int64(0), np.int64(0), np.float32(0)
     for n in range(len(pixels)):
         pixel = pixels[n]
@@ -307,7 +232,7 @@ def carry(body: Any, lens: Any, motion: Any, old: Any, rule: Any, new: Any) -> N
             y_of = (np.float32(v) + _HALF - cy) / focal
         p, u = np.uint64(pixel), np.uint64(pixel - first)  # int64 would be tested for counting from the end
         z, label = range_m[p], np.uint32(labels[p])
-        x, y, cell = x_of[u] * z, y_of * z, index[np.uint64(line + cell_of[u])]
+        x, y, cell = x_of[u] * z, y_of * z, grid[np.uint64(line + cell_of[u])]
         px, py, pz = a * x + b * y + c * z + d, e * x + f * y + g * z + h, i * x + j * y + k * z + l
         if cell >= 0:
             m = np.uint64(cell)

@@ -8,7 +8,7 @@ several people, each of whom gets what is nearest along the surface; small piece
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from importlib import import_module
 from typing import Any, Final, Literal, NamedTuple
 
@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig
-from bodyseg_data.machine import missing_library
+from bodyseg_data.machine import required
 from bodyseg_data.rigs import Camera
 from bodyseg_model.networks import FINDER, Network, Trained, check_network, device_of, load_network
 
@@ -151,7 +151,7 @@ class FinderView:
         with torch.inference_mode():
             scores = self._network.scores(image[None, None].to(device_of(self._network)))[0].float().cpu().numpy()
         found, odds = np.zeros(seen.shape, np.float32), scores[_PERSON] - scores[1 - _PERSON]
-        loops, images = import_module("bodyseg_model.segmentation.pixel_loops"), _scipy().ndimage
+        loops, images = import_module("bodyseg_model.segmentation.pixel_loops"), _scipy("scipy.ndimage")
         odds[images.maximum_filter(odds, _RAISED_CELLS) >= _SURE] += _RAISED
         likelier = images.uniform_filter((odds > 0).astype(np.float32), 2 * loops.AROUND + 1)
         loops.spread_odds(odds, np.abs(likelier - 0.5) > 0.49, image.numpy(), self._network.output_stride, found)
@@ -298,7 +298,7 @@ def _neighbours(line: Pixels, place: Pixels, z: Floats, step: float) -> Pixels:
 def _pieces(samples: _Samples) -> tuple[Pixels, Mask]:
     """The piece of every sample, from 0, int [N], where each is of one person; and which were parted from others."""
     graph = _graph(np.ones(samples.edges.shape[1]), samples)
-    count, piece = _scipy().sparse.csgraph.connected_components(graph, directed=False)
+    count, piece = _scipy("scipy.sparse.csgraph").connected_components(graph, directed=False)
     piece, cut = piece.astype(np.intp), [False] * count
     for number in np.flatnonzero(np.bincount(piece, samples.area_m2) >= 2 * _OWN_M2):
         own = np.flatnonzero(piece == number)
@@ -311,7 +311,7 @@ def _pieces(samples: _Samples) -> tuple[Pixels, Mask]:
 
 def _graph(lengths: Floats, samples: _Samples) -> Any:
     size = len(samples.rows)
-    return _scipy().sparse.coo_array((lengths, tuple(samples.edges)), shape=(size, size)).tocsr()
+    return _scipy("scipy.sparse").coo_array((lengths, tuple(samples.edges)), shape=(size, size)).tocsr()
 
 
 def _nearest_heads(samples: _Samples) -> Pixels:
@@ -328,7 +328,7 @@ def _nearest_heads(samples: _Samples) -> Pixels:
         return whose
     steps = np.diff(samples.points[samples.edges], axis=0)[0]
     lengths = np.linalg.norm(steps, axis=1) + _ACROSS_EDGES * np.maximum(np.abs(steps[:, 2]) - edge_m, 0)
-    graph, dijkstra = _graph(lengths, samples), _scipy().sparse.csgraph.dijkstra
+    graph, dijkstra = _graph(lengths, samples), _scipy("scipy.sparse.csgraph").dijkstra
     while len(heads) > 1:
         _, _, source = dijkstra(graph, directed=False, indices=heads, min_only=True, return_predecessors=True)
         for number, head in enumerate(heads):
@@ -346,7 +346,7 @@ def _heads(samples: _Samples, edge_m: float) -> list[int]:
     From the top downwards, surfaces begin, grow and meet; a head is one that is wide enough where it meets another that
     began higher, or that never meets another and has nothing of the piece above it.
     """
-    label, thin = _scipy().ndimage.label, max(1, int(samples.a_metre * _COARSE_M))
+    label, thin = _scipy("scipy.ndimage").label, max(1, int(samples.a_metre * _COARSE_M))
     kept = (samples.rows % thin == 0) & (samples.columns % thin == 0)
     a_metre, numbers = samples.a_metre / thin, np.flatnonzero(kept)
     rows, columns = ((each[kept] - each.min()) // thin for each in (samples.rows, samples.columns))
@@ -421,11 +421,4 @@ def _one_above_other(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -
     )
 
 
-@cache
-def _scipy() -> Any:
-    try:
-        import scipy.ndimage
-        import scipy.sparse.csgraph
-    except ModuleNotFoundError as error:
-        raise missing_library("finding people", error, extra="segment") from error
-    return scipy
+_scipy = partial(required, feature="finding people", extra="segment")

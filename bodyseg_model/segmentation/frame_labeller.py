@@ -13,7 +13,7 @@ from typing import Any, Final, Literal, TypeVar, cast, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, Stopwatch
+from bodyseg_data.core import BadConfig, Stopwatch, reported
 from bodyseg_data.labels import PART_CLASSES
 from bodyseg_data.rigs import Camera
 from bodyseg_model.networks import CardWords, Trained, device_of, load_network
@@ -117,7 +117,7 @@ class FrameLabeller:
         self.label_map, self.rig = self.trained.label_map, self.trained.rig
         of_parts = self.label_map.of == PART_CLASSES
         self.background = background or Background("people" if of_parts else "frame")
-        self.mirrored, self.least_confidence, self.dense = mirrored, least_confidence, dense
+        self.mirrored, self.least_confidence = mirrored, least_confidence
         self.video = CarriedLabels() if video else None
         self._finder: Trained | None = None
         if self.background.mode == "people":
@@ -126,7 +126,19 @@ class FrameLabeller:
         self._doubted_below = 0.0 if keep_things else least_confidence_of_people(self.trained.card)
         self._turned, self._judged = turned, 0
         self._looked_at, self._confidence = 0, np.zeros(4)  # of each turn, the sum over judged frames
-        self._segmenters = lru_cache(maxsize=_KEPT)(partial(self._new_segmenter, video=self.video))
+        self._segmenter = partial(
+            Segmenter,
+            self.trained.network,
+            background=self.background,
+            mirrored=mirrored,
+            least_confidence=least_confidence,
+            rig=self.rig,
+            doubted_below=self._doubted_below,
+            label_map=self.label_map,
+            finder=None if self._finder is None else self._finder.network,
+            dense=dense,
+        )
+        self._segmenters = lru_cache(maxsize=_KEPT)(self._new_segmenter)
 
     def __repr__(self) -> str:
         return f"FrameLabeller({self.trained!r}, {self.background}, for rig {self.rig.name})"
@@ -149,10 +161,6 @@ class FrameLabeller:
         """Mean confidence of the network at each turn of the frames it has judged, float64 [4]; 0 for none."""
         return self._confidence / max(self._judged, 1)
 
-    @property
-    def _undecided(self) -> bool:
-        return self.tells_turn and self._judged < _JUDGED and self._looked_at < _MOST_LOOKED_AT
-
     def _judge(self, range_m: NDArray[np.float32], camera: Camera) -> None:
         """Note how sure the network is of the person that it is surest of in a frame, turned each way.
 
@@ -161,31 +169,16 @@ class FrameLabeller:
         """
         surest = np.zeros(4)
         for quarters in range(4):
-            answer = self._new_segmenter(camera, quarters, None)[1](range_m)
+            answer = self._segmenter(camera, turned=quarters)(range_m)
             surest[quarters] = max((float(body.confidence.mean()) for body in answer.bodies), default=0.0)
         self._looked_at += 1
         if surest.max() >= _PERSON:
             self._judged += 1
             self._confidence += surest
 
-    def _new_segmenter(
-        self, camera: Camera, quarters: int, video: CarriedLabels | None
-    ) -> tuple[Undistortion | None, Segmenter]:
+    def _new_segmenter(self, camera: Camera, quarters: int) -> tuple[Undistortion | None, Segmenter]:
         lens = None if camera.distortion is None else Undistortion(camera)
-        return lens, Segmenter(
-            self.trained.network,
-            camera if lens is None else lens.camera,
-            self.background,
-            self.mirrored,
-            self.least_confidence,
-            self.rig,
-            self._doubted_below,
-            video,
-            quarters,
-            self.label_map,
-            None if self._finder is None else self._finder.network,
-            self.dense,
-        )
+        return lens, self._segmenter(camera if lens is None else lens.camera, turned=quarters, video=self.video)
 
     def __call__(self, range_m: NDArray[np.float32], camera: Camera) -> LabelledFrame:
         """Label one frame, float32 [H, W], metres along the optical axis, 0 = nothing measured.
@@ -237,11 +230,11 @@ class FrameLabeller:
 
     def _find_in_array(self, number: int, range_m: NDArray[np.float32], camera: Camera, where: str = "") -> Found:
         watch = Stopwatch((_READ,))
-        with _naming_frame(where):
+        with reported(where, BadConfig):
             with watch(_READ):
                 lens, segmenter = self.of(camera)
                 ideal = range_m if lens is None else lens(range_m)
-            if self._undecided and ideal.shape == (camera.rows, camera.columns):
+            if self.tells_turn and self._judged < _JUDGED and self._looked_at < _MOST_LOOKED_AT:
                 self._judge(ideal, segmenter.camera)
                 _, segmenter = self.of(camera)
             found = segmenter.find(ideal)
@@ -270,7 +263,11 @@ class FrameLabeller:
         frames = [each for each in given if not isinstance(each, (str, Path))]
         if paths:
             frames += find_frames(paths, topic, step_m)
-        return LabelledRecording(self, frames, rig, focal_px, centre_px, Skipping(skip_unreadable))
+        if not frames:
+            raise BadConfig("a recording must hold a frame, found none")
+        skipping = Skipping(skip_unreadable)
+        cameras = FrameCameras(frames, rig, focal_px, centre_px, self.rig, skipping)
+        return LabelledRecording(self, frames, cameras, skipping)
 
     def to_json(self) -> dict[str, Any]:
         """Settings that labels depend on besides network and frames, as plain JSON."""
@@ -292,23 +289,13 @@ class FrameLabeller:
 class LabelledRecording:
     """The frames of recordings, read and labelled when they are asked for: all in order by iteration, any by `label`.
 
-    frames: all of them. cameras: of each. `FrameLabeller.recording` makes it. Raises BadConfig if there is no frame.
+    frames: all of them, at least one. cameras: of each. `FrameLabeller.recording` makes it.
     """
 
     def __init__(
-        self,
-        labeller: FrameLabeller,
-        frames: Sequence[Frame],
-        rig: str | None,
-        focal_px: float | None,
-        centre_px: tuple[float, ...],
-        skipping: Skipping,
+        self, labeller: FrameLabeller, frames: Sequence[Frame], cameras: FrameCameras, skipping: Skipping
     ) -> None:
-        if not frames:
-            raise BadConfig("a recording must hold a frame, found none")
-        self.labeller, self.frames = labeller, frames
-        self.cameras = FrameCameras(frames, rig, focal_px, centre_px, labeller.rig, skipping)
-        self._skipping = skipping
+        self.labeller, self.frames, self.cameras, self._skipping = labeller, frames, cameras, skipping
         labeller.of(self.cameras.first.camera)  # now, so that options that cannot be are refused
         if labeller.tells_turn:
             labeller.look_at(self)
@@ -366,7 +353,7 @@ class LabelledRecording:
     def undistorted(self, frame: Frame, pixels: Pixels) -> tuple[Pixels, Segmenter, FrameCamera]:
         """A frame's pixels without distortion, the segmenter for them, and the camera. Raises BadConfig, naming it."""
         camera = self.cameras.of(frame, (pixels.shape[0], pixels.shape[1]))
-        with _naming_frame(frame.where):
+        with reported(frame.where, BadConfig):
             lens, segmenter = self.labeller.of(camera.camera)
             return pixels if lens is None else lens(pixels), segmenter, camera
 
@@ -383,7 +370,7 @@ class LabelledRecording:
             range_m = to_metres(pixels, frame.step_m)
         if prepare:
             segmenter.prepare()
-        with _naming_frame(frame.where):
+        with reported(frame.where, BadConfig):
             found = segmenter.find(range_m)
         return partial(
             _label_found,
@@ -413,20 +400,11 @@ class LabelledRecording:
         }
 
 
-@contextlib.contextmanager
-def _naming_frame(where: str) -> Iterator[None]:
-    """Put the name of a frame, if it has one, before the text of a BadConfig that the block raises."""
-    try:
-        yield
-    except BadConfig as error:
-        raise BadConfig(f"{where}: {error}" if where else str(error)) from error
-
-
 def _label_found(
     where: str, segmenter: Segmenter, found: FoundBodies, read_ms: float, **of_frame: Any
 ) -> LabelledFrame:
     """Label the bodies of a frame. of_frame: other fields of the answer. Raises BadConfig, naming it."""
-    with _naming_frame(where):
+    with reported(where, BadConfig):
         answer = segmenter.label(found)
     times = {_READ: read_ms, **answer.milliseconds}
     fields = {**vars(answer), **of_frame, "milliseconds": times}

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig
-from bodyseg_data.labels import LANDMARKS, PART_COUNT, PARTS33, LabelMap
-from bodyseg_model.segmentation.persons import NUMBERS, FrameLabels, Records, SurfacePixels, parts_of
+from bodyseg_data.labels import LANDMARKS, PART_COUNT, PARTS33
+from bodyseg_model.segmentation.persons import NUMBERS, Records, SurfacePixels
 
 JOINTS: Final = (
     "head",
@@ -63,17 +63,17 @@ def code_of(part: int, other: int | None = None) -> int:
     return low * NUMBERS + high
 
 
-def feature_points(answer: FrameLabels, codes: NDArray[np.int64]) -> Floats:
+def feature_points(answer: Any, codes: NDArray[np.int64]) -> Floats:
     """Centroids of features of every person, float64 [people, F, 3], metres, in the camera's frame; NaN of those that
     too few pixels show.
 
-    codes: int64 [F], of `code_of`, each once.
+    answer: a `Segmentation`. codes: int64 [F], of `code_of`, each once.
     """
     seen, columns = SurfacePixels(answer), answer.labels.shape[1]
     number = np.full(NUMBERS * NUMBERS, -1, np.int64)
     number[codes] = np.arange(len(codes))
     found = np.full((len(answer.bodies), len(codes), 3), np.nan)
-    parts = parts_of(seen, (0.0, 0.0, 0.0))
+    parts = seen.parts()
     place = number[parts["part"].astype(np.int64) * (NUMBERS + 1)]
     known = (place >= 0) & (parts["pixels"] >= LEAST_PIXELS)
     found[parts["person"][known].astype(np.int64) - 1, place[known]] = parts["centroid_m"][known]
@@ -164,12 +164,12 @@ def shipped_joint_map() -> JointMap:
     return joint_map_from_json(json.loads((resources.files("bodyseg_model") / "weights" / FILE).read_text()))
 
 
-def found_joints(answer: FrameLabels, label_map: LabelMap | None) -> Records:
-    """The joints of all people, `JOINT` [people, 15]. Raises BadConfig for a network of other classes than the 33
-    parts: their borders are not where joints are.
+def found_joints(answer: Any) -> Records:
+    """The joints of all people of a `Segmentation`, `JOINT` [people, 15]. Raises BadConfig for a network of other
+    classes than the 33 parts: their borders are not where joints are.
     """
-    if label_map != PARTS33:
-        found = "others" if label_map is None else f"labels {label_map.name!r}"
+    if answer.label_map != PARTS33:
+        found = "others" if answer.label_map is None else f"labels {answer.label_map.name!r}"
         raise BadConfig(f"joints are found from the {PART_COUNT} parts alone, found {found}")
     joints = np.zeros((len(answer.bodies), len(JOINTS)), JOINT)
     if len(joints):

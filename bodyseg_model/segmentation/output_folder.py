@@ -8,6 +8,7 @@ import contextlib
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -15,7 +16,7 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, Stopwatch
+from bodyseg_data.core import BadConfig, Stopwatch, reported
 from bodyseg_data.drawing import draw_legend, save_picture
 from bodyseg_data.files import claimed, read_json, sync, write_json, write_result
 from bodyseg_data.labels import TEMPLATE, LabelMap
@@ -59,9 +60,19 @@ class OutputFolder:
         self, path: Path, inputs: Sequence[Path], frames: Sequence[Frame], folders: Sequence[str] = IMAGES[:2]
     ) -> None:
         self.path, self.folders = path, tuple(folders)
-        self._frames = [_entry(frame) for frame in frames]
+        self._frames = [
+            {"name": frame.name, "file": frame.where, "path_id": frame.path_id}
+            | ({} if frame.time_s is None else {"time_s": frame.time_s})
+            for frame in frames
+        ]
         self._earlier: list[dict[str, Any]] = []
-        _check_apart(path, inputs)
+        place = path.resolve()
+        for each in inputs:
+            full = each.resolve()
+            if full.is_relative_to(place) or (full.is_dir() and place.is_relative_to(full)):
+                raise BadConfig(
+                    f"--out must lie outside the frames' folders and hold no frames, found {path} and {each}"
+                )
         self._look()
 
     @contextlib.contextmanager
@@ -74,7 +85,9 @@ class OutputFolder:
             yield
 
     def _look(self) -> None:
-        path, held = self.path, _entries(self.path)
+        path, held = self.path, list[str]()
+        with reported(f"cannot write {path}", BadConfig, OSError), contextlib.suppress(FileNotFoundError):
+            held = sorted(entry.name for entry in path.iterdir() if not entry.name.startswith("."))
         if held:
             self._earlier = _earlier_frames(path, held)
             same = {frame["path_id"] for frame in self._frames}
@@ -89,21 +102,16 @@ class OutputFolder:
         """Make the folders. An earlier summary goes first, so that a summary is always of all results; then images of
         the earlier call that this one does not replace, and its preview and legend. Raises BadConfig.
         """
-        try:
-            for folder in self.folders:
-                (self.path / folder).mkdir(parents=True, exist_ok=True)
+        with reported(f"cannot write {self.path}", BadConfig, OSError):
+            kept = {self.image(folder, frame["name"]) for folder in self.folders for frame in self._frames}
+            for folder in {image.parent for image in kept}:
+                folder.mkdir(parents=True, exist_ok=True)
             write_json(self.path / UNFINISHED, {"format": FORMAT, "each": self._frames})
             for name in (SUMMARY, PREVIEW, LEGEND):
                 (self.path / name).unlink(missing_ok=True)
-            kept = {self.image(folder, frame["name"]) for folder in self.folders for frame in self._frames}
             for frame in self._earlier:
                 for stale in self._images(frame["name"]) - kept:
                     stale.unlink(missing_ok=True)
-            for frame in self._frames:
-                for folder in self.folders:
-                    self.image(folder, frame["name"]).parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise BadConfig(f"cannot write {self.path}: {error.strerror or error}") from error
 
     def _images(self, name: str) -> set[Path]:
         """Paths of all images that a call may have written of a frame."""
@@ -113,13 +121,6 @@ class OutputFolder:
         """Path of a frame's image in one of `IMAGES`."""
         return self.path / folder / f"{name}.png"
 
-    def write(self, folder: str, name: str, image: bytes) -> None:
-        """Write a frame's image in one of `IMAGES`, whole or not at all. Raises BadConfig, naming it.
-
-        The disk is waited for at the end, in `finish`: four times a frame would keep a slow one from real time.
-        """
-        write_result(self.image(folder, name), image, flushed=False)
-
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Write the summary once the disk holds all images: `each` has an entry for every frame, in order, but those of
         the names in `skipped`. Raises BadConfig.
@@ -127,37 +128,12 @@ class OutputFolder:
         skipped = {frame["name"] for frame in summary.get("skipped", ())}
         frames = [frame for frame in self._frames if frame["name"] not in skipped]
         each = [{**frame, **entry} for frame, entry in zip(frames, summary["each"], strict=True)]
-        try:
+        with reported(f"cannot write {self.path}", BadConfig, OSError):
             images = [self.image(folder, frame["name"]) for folder in self.folders for frame in frames]
             for path in (*images, *dict.fromkeys(image.parent for image in images)):
                 sync(path)
             write_json(self.path / SUMMARY, {"format": FORMAT, **summary, "each": each})
             (self.path / UNFINISHED).unlink(missing_ok=True)
-        except OSError as error:
-            raise BadConfig(f"cannot write {self.path}: {error.strerror or error}") from error
-
-
-def _entry(frame: Frame) -> dict[str, Any]:
-    time = {} if frame.time_s is None else {"time_s": frame.time_s}
-    return {"name": frame.name, "file": frame.where, "path_id": frame.path_id, **time}
-
-
-def _check_apart(out: Path, inputs: Sequence[Path]) -> None:
-    place = out.resolve()
-    for path in inputs:
-        full = path.resolve()
-        if full.is_relative_to(place) or (full.is_dir() and place.is_relative_to(full)):
-            raise BadConfig(f"--out must lie outside the frames' folders and hold no frames, found {out} and {path}")
-
-
-def _entries(out: Path) -> list[str]:
-    """Names of a folder's entries, hidden ones aside; none if it does not exist. Raises BadConfig for a file."""
-    try:
-        return sorted(entry.name for entry in out.iterdir() if not entry.name.startswith("."))
-    except FileNotFoundError:
-        return []
-    except OSError as error:
-        raise BadConfig(f"cannot write {out}: {error.strerror or error}") from error
 
 
 def _earlier_frames(out: Path, held: Sequence[str]) -> list[dict[str, Any]]:
@@ -250,14 +226,9 @@ class FrameResults(WriteBehind):
 
         Raises BadConfig for an earlier frame whose files could not be written, naming the file.
         """
+        self.then(partial(self._write, labelled, frame, done))
 
-        def write() -> None:
-            self._write(labelled, frame)
-            done()
-
-        self.then(write)
-
-    def _write(self, labelled: LabelledFrame, frame: Frame) -> None:
+    def _write(self, labelled: LabelledFrame, frame: Frame, done: Job) -> None:
         watch = Stopwatch((_WRITE,))
         with watch(_WRITE):
             images: dict[str, NDArray[Any]] = {LABELS: labelled.labels}
@@ -270,11 +241,13 @@ class FrameResults(WriteBehind):
                 images[UNDISTORTED] = labelled.stored
             if TEMPLATE in self._out.folders:
                 images[TEMPLATE] = labelled.template
+            # The disk is waited for at the end: four times a frame would keep a slow one from real time.
             for folder, image in images.items():
-                self._out.write(folder, frame.name, encode_picture(image))
+                write_result(self._out.image(folder, frame.name), encode_picture(image), flushed=False)
         times = {**labelled.milliseconds, **watch.milliseconds}
         camera = None if labelled.own_camera is None else labelled.own_camera.to_json()
-        self.summary.add(labelled.range_m, labelled, times, frame.sequence, camera)
+        self.summary.add(labelled, times, frame.sequence, camera)
+        done()
 
     def finish(self, facts: Mapping[str, Any]) -> None:
         """Write preview, legend and summary, with `facts` of the call. Raises BadConfig."""

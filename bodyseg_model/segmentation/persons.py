@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND
-from bodyseg_data.rigs import Camera
 
 POINT: Final = np.dtype(
     [("x", "f4"), ("y", "f4"), ("z", "f4"), ("label", "u1"), ("person", "u2"), ("confidence", "f4")], align=True
@@ -47,21 +46,6 @@ NUMBERS: Final = 1 << 8
 Records = NDArray[np.void]
 
 
-class FrameLabels(Protocol):
-    """Labels of a frame as `Segmentation` has them."""
-
-    @property
-    def labels(self) -> NDArray[np.uint8]: ...
-    @property
-    def bodies(self) -> Sequence[Any]: ...
-    @property
-    def range_m(self) -> NDArray[np.float32]: ...
-    @property
-    def camera(self) -> Camera: ...
-    @property
-    def mirrored(self) -> bool: ...
-
-
 class SurfacePixels:
     """The pixels of people that have a range, each person's in reading order, and their runs: pixels of one part, side
     by side in a row, which are far fewer.
@@ -71,7 +55,7 @@ class SurfacePixels:
     down: float32 [W] and [H], x and y at z = 1. begin: int64 [R], the first pixel of each run.
     """
 
-    def __init__(self, answer: FrameLabels) -> None:
+    def __init__(self, answer: Any) -> None:
         bodies, columns = answer.bodies, answer.labels.shape[1]
         pixels: NDArray[np.intp] = np.concatenate([np.zeros(0, np.intp), *(body.pixels for body in bodies)])
         person: NDArray[np.uint16] = np.repeat(
@@ -98,57 +82,49 @@ class SurfacePixels:
         begins[1:] = (np.diff(self.keys) != 0) | (np.diff(narrow) != 1) | (self.column[1:] == 0)
         self.begin = np.flatnonzero(begins)
 
+    def points(self) -> Records:
+        """One `POINT` each, [N], those without a label too: whoever keeps away from people needs them."""
+        points = np.zeros(len(self.pixels), POINT)
+        for name in POINT.names or ():
+            points[name] = getattr(self, name)
+        return points
 
-def labelled_points(answer: FrameLabels) -> Records:
-    """The points of all people, `POINT` [N], those without a label too: whoever keeps away from people needs them."""
-    seen = SurfacePixels(answer)
-    points = np.zeros(len(seen.pixels), POINT)
-    for name in POINT.names or ():
-        points[name] = getattr(seen, name)
-    return points
+    def parts(self, near_m: Sequence[float] = (0.0, 0.0, 0.0)) -> Records:
+        """Each part of each person, `PART` [N], by person and part; what no pixel shows is left out, as is no label.
 
+        near_m: the point, in the camera's frame, to which the nearest point is sought: the camera itself, or a gripper.
+        Raises BadConfig for a point that is not three finite numbers.
+        """
+        if len(near_m) != 3 or not all(map(math.isfinite, near_m)):
+            raise BadConfig(f"a point must have three finite coordinates, metres, found {near_m}")
+        if not len(self.pixels):
+            return np.zeros(0, PART)
+        begin, end = self.begin, np.append(self.begin[1:], len(self.pixels))
+        found, of = np.unique(self.keys[begin], return_inverse=True)
+        order = np.argsort(of, kind="stable")  # by part, each part's in reading order
+        runs = np.bincount(of)
+        first = np.cumsum(runs) - runs
 
-def measured_parts(answer: FrameLabels, near_m: Sequence[float] = (0.0, 0.0, 0.0)) -> Records:
-    """Each part of each person, `PART` [N], by person and part; what no pixel shows is left out, as is no label.
+        def sums(values: NDArray[Any]) -> NDArray[np.float64]:
+            return np.bincount(of, np.add.reduceat(values, begin, dtype=np.float64)).astype(np.float64, copy=False)
 
-    near_m: the point, in the camera's frame, to which the nearest point is sought: the camera itself, or a gripper.
-    Raises BadConfig for a point that is not three finite numbers.
-    """
-    if len(near_m) != 3 or not all(map(math.isfinite, near_m)):
-        raise BadConfig(f"a point must have three finite coordinates, metres, found {near_m}")
-    return parts_of(SurfacePixels(answer), near_m)
-
-
-def parts_of(seen: SurfacePixels, near_m: Sequence[float]) -> Records:
-    """As `measured_parts`, of pixels."""
-    if not len(seen.pixels):
-        return np.zeros(0, PART)
-    begin, end = seen.begin, np.append(seen.begin[1:], len(seen.pixels))
-    found, of = np.unique(seen.keys[begin], return_inverse=True)
-    order = np.argsort(of, kind="stable")  # by part, each part's in reading order
-    runs = np.bincount(of)
-    first = np.cumsum(runs) - runs
-
-    def sums(values: NDArray[Any]) -> NDArray[np.float64]:
-        return np.bincount(of, np.add.reduceat(values, begin, dtype=np.float64)).astype(np.float64, copy=False)
-
-    parts = np.zeros(len(found), PART)
-    parts["person"], parts["part"] = np.divmod(found, NUMBERS)
-    parts["pixels"] = count = np.bincount(of, end - begin)
-    parts["confidence"] = sums(seen.confidence) / count
-    last = order[first + runs - 1]
-    parts["rows"] = np.stack([seen.row[begin[order[first]]], seen.row[begin[last]] + 1], axis=1)
-    left, right = seen.column[begin[order]], seen.column[end[order] - 1] + 1
-    parts["columns"] = np.stack([np.minimum.reduceat(left, first), np.maximum.reduceat(right, first)], axis=1)
-    points, squares = (seen.x, seen.y, seen.z), np.zeros(len(seen.z), np.float32)
-    for axis, (along, to) in enumerate(zip(points, near_m, strict=True)):
-        parts["centroid_m"][:, axis] = sums(along) / count
-        squares += np.square(along - np.float32(to) if to else along)
-    least = np.minimum.reduceat(squares, begin)[order]
-    nearest = np.minimum.reduceat(least, first)
-    has = np.flatnonzero(least == np.repeat(nearest, runs))
-    winners = order[has[np.searchsorted(has, first)]]
-    at = [start + squares[start:stop].argmin() for start, stop in zip(begin[winners], end[winners], strict=True)]
-    parts["nearest_m"], parts["distance_m"] = np.stack([along[at] for along in points], axis=1), np.sqrt(nearest)
-    labelled: Records = parts[parts["part"] != BACKGROUND]
-    return labelled
+        parts = np.zeros(len(found), PART)
+        parts["person"], parts["part"] = np.divmod(found, NUMBERS)
+        parts["pixels"] = count = np.bincount(of, end - begin)
+        parts["confidence"] = sums(self.confidence) / count
+        last = order[first + runs - 1]
+        parts["rows"] = np.stack([self.row[begin[order[first]]], self.row[begin[last]] + 1], axis=1)
+        left, right = self.column[begin[order]], self.column[end[order] - 1] + 1
+        parts["columns"] = np.stack([np.minimum.reduceat(left, first), np.maximum.reduceat(right, first)], axis=1)
+        points, squares = (self.x, self.y, self.z), np.zeros(len(self.z), np.float32)
+        for axis, (along, to) in enumerate(zip(points, near_m, strict=True)):
+            parts["centroid_m"][:, axis] = sums(along) / count
+            squares += np.square(along - np.float32(to) if to else along)
+        least = np.minimum.reduceat(squares, begin)[order]
+        nearest = np.minimum.reduceat(least, first)
+        has = np.flatnonzero(least == np.repeat(nearest, runs))
+        winners = order[has[np.searchsorted(has, first)]]
+        at = [start + squares[start:stop].argmin() for start, stop in zip(begin[winners], end[winners], strict=True)]
+        parts["nearest_m"], parts["distance_m"] = np.stack([along[at] for along in points], axis=1), np.sqrt(nearest)
+        labelled: Records = parts[parts["part"] != BACKGROUND]
+        return labelled

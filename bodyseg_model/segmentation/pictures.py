@@ -12,7 +12,7 @@ import zlib
 from collections.abc import Sequence
 from functools import lru_cache
 from importlib import import_module
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +28,7 @@ _ROOM_GREYS: Final = (96, 44)
 _UNKNOWN_GREYS: Final = (235, 140)
 _DARKEST: Final = 0.55
 _LEVELS: Final = 6
-SHADES: Final = 128
-"""Of a colour: more than the bytes between its lightest and its darkest."""
-
+_SHADES: Final = 128  # of a colour: more than the bytes between its lightest and its darkest
 _ENDS: Final = (0.02, 0.98)
 _SAMPLED: Final = 4096  # ranges of a body or of the room that say how near and far it reaches
 _PREVIEW_SIDE: Final = 320
@@ -65,42 +63,34 @@ def draw_overlay(
     loops, table = import_module("bodyseg_model.segmentation.pixel_loops"), _table(label_map)
     flat, label = np.ascontiguousarray(range_m).ravel(), np.ascontiguousarray(labels).ravel()
     picture = np.empty((flat.size, 3), np.uint8)
-    loops.paint_room(flat, _shading(flat[:: flat.size // _SAMPLED | 1]), table, picture)
+    loops.paint_room(flat, *_shading(flat[:: flat.size // _SAMPLED | 1]), table, picture)
     for pixels in bodies:
         shading = _shading(flat[pixels[:: len(pixels) // _SAMPLED | 1]])
-        loops.paint_body(flat, label, pixels, shading, len(label_map), table, picture)
+        loops.paint_body(flat, label, pixels, *shading, table, picture)
     return picture.reshape(*range_m.shape, 3)
-
-
-class Shading(NamedTuple):
-    """The range that gets the first shade, and shades a metre; float32. shades: of every colour."""
-
-    near: np.float32
-    scale: np.float32
-    shades: int
 
 
 @lru_cache(maxsize=4)
 def _table(label_map: LabelMap) -> NDArray[np.uint8]:
-    """The colours of an overlay: of the room, of every class and of no class, each in `SHADES` from near to far; then
-    that of pixels that were not measured; uint8 [N, 3].
+    """The colours of an overlay, each in shades from near to far, uint8 [C + 3, S, 3]: of the room, of every class, of
+    no class, and of what was not measured.
     """
-    depth = np.linspace(0, 1, SHADES)
+    depth = np.linspace(0, 1, _SHADES)
     room, unknown = (
         np.interp(depth, (0, 1), greys)[:, None].repeat(3, axis=1) for greys in (_ROOM_GREYS, _UNKNOWN_GREYS)
     )
-    parts = (label_map.colours[:, None] * np.interp(depth, (0, 1), (1, _DARKEST))[:, None]).reshape(-1, 3)
-    return np.concatenate([room, parts, unknown, [EMPTY]]).astype(np.uint8)
+    parts = label_map.colours[:, None] * np.interp(depth, (0, 1), (1, _DARKEST))[:, None]
+    return np.stack([room, *parts, unknown, np.tile(EMPTY, (_SHADES, 1))]).astype(np.uint8)
 
 
-def _shading(some: Floats) -> Shading:
-    """The shading for some ranges of a body or of the room.
+def _shading(some: Floats) -> tuple[np.float32, np.float32]:
+    """The range, metres, that gets the first shade, and shades a metre, for some ranges of a body or of the room.
 
     The first and the last shade are at quantiles, `_ENDS`, so that outliers do not matter.
     """
     some = np.sort(some[(some > 0) & (some < np.inf)])
     near, far = (float(some[min(int(share * len(some)), len(some) - 1)]) if len(some) else share for share in _ENDS)
-    return Shading(np.float32(near), np.float32((SHADES - 1) / max(far - near, 1e-3)), SHADES)
+    return np.float32(near), np.float32((_SHADES - 1) / max(far - near, 1e-3))
 
 
 class Preview:

@@ -3,8 +3,8 @@
 For views: pixels: ascending flat indices of the frame; rows, columns: int [N], of these; mapping: a `Turn`. All ranges
 are finite and in front of the view, so that no point is outside the box that is computed.
 
-For overlays: flat: ranges of a frame, float32 [N], metres; shading: `pictures.Shading`; table: uint8 [M, 3],
-`pictures._table`; picture: sRGB uint8 [N, 3].
+For overlays: flat: ranges of a frame, float32 [N], metres; near, scale: `pictures._shading`; table: uint8
+[C + 3, S, 3], `pictures._table`; picture: sRGB uint8 [N, 3].
 """
 
 from __future__ import annotations
@@ -74,27 +74,6 @@ def spread_odds(odds: Any, agreed: Any, range_m: Any, stride: Any, found: Any) -
 
 
 # Views.
-
-
-@_kernel
-def list_pixels(flat: Any, pixels: Any, width: Any, centre: Any, rows: Any, columns: Any, depths: Any) -> Any:
-    """Write rows, columns and ranges of pixels, int [N] twice and float64 [N].
-
-    Returns the least and greatest of their distances from the optical axis, to the right, times the focal length, and
-    their first and last column. centre: column of the principal point.
-    """
-    row, row_end = 0, width
-    least, greatest, first, last = np.inf, -np.inf, width, -1
-    for i in range(pixels.size):
-        pixel = pixels[i]
-        while pixel >= row_end:
-            row += 1
-            row_end += width
-        rows[i], columns[i], depths[i] = row, pixel - row_end + width, np.float64(flat[pixel])
-        side = (np.float64(columns[i]) + 0.5 - centre) * depths[i]
-        least, greatest = min(least, side), max(greatest, side)
-        first, last = min(first, columns[i]), max(last, columns[i])
-    return least, greatest, first, last
 
 
 @_kernel
@@ -171,28 +150,27 @@ def fill_lost(down: Any, across: Any, start: Any, ranges: Any, box: Any, corner:
 
 
 @_overlay_kernel
-def _shade(range_m: Any, shading: Any) -> Any:
-    last = np.float32(shading.shades - 1)
-    return np.intp(min(max((range_m - shading.near) * shading.scale + np.float32(0.5), np.float32(0)), last))
+def _shade(range_m: Any, near: Any, scale: Any, shades: Any) -> Any:
+    return np.intp(min(max((range_m - near) * scale + np.float32(0.5), np.float32(0)), np.float32(shades - 1)))
 
 
 @_overlay_kernel
-def paint_room(flat: Any, shading: Any, table: Any, picture: Any) -> None:
-    """Paint the room: its measured pixels in the first shades of the table, others in the last."""
-    nothing = table.shape[0] - 1
+def paint_room(flat: Any, near: Any, scale: Any, table: Any, picture: Any) -> None:
+    """Paint the room: its measured pixels in the shades of the table's first row, others in its last."""
+    last, shades = table.shape[0] - 1, table.shape[1]
     for i in range(flat.size):
-        colour = _shade(flat[i], shading) if 0 < flat[i] < np.inf else nothing
+        row, shade = (0, _shade(flat[i], near, scale, shades)) if 0 < flat[i] < np.inf else (last, 0)
         for channel in range(3):
-            picture[i, channel] = table[colour, channel]
+            picture[i, channel] = table[row, shade, channel]
 
 
 @_overlay_kernel
-def paint_body(flat: Any, labels: Any, pixels: Any, shading: Any, classes: Any, table: Any, picture: Any) -> None:
-    """Paint a body's measured pixels in the shades of their labels, uint8 [N]; all labels from `classes` on alike."""
+def paint_body(flat: Any, labels: Any, pixels: Any, near: Any, scale: Any, table: Any, picture: Any) -> None:
+    """Paint a body's measured pixels in the shades of their labels, uint8 [N]; those of no class in the row after."""
+    classes, shades = table.shape[0] - 3, table.shape[1]
     for i in range(pixels.size):
         pixel = pixels[i]
         if 0 < flat[pixel] < np.inf:
-            group = min(np.intp(labels[pixel]), classes)
-            colour = (1 + group) * shading.shades + _shade(flat[pixel], shading)
+            row, shade = 1 + min(np.intp(labels[pixel]), classes), _shade(flat[pixel], near, scale, shades)
             for channel in range(3):
-                picture[pixel, channel] = table[colour, channel]
+                picture[pixel, channel] = table[row, shade, channel]

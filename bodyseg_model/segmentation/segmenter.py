@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Final
@@ -21,8 +21,15 @@ from bodyseg_model.runtimes import on_backend
 from bodyseg_model.segmentation.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.finder import Background, Found, find_bodies, part_people, shipped_finder, view_of
 from bodyseg_model.segmentation.joints import found_joints
-from bodyseg_model.segmentation.persons import Records, labelled_points, measured_parts
-from bodyseg_model.segmentation.views import BodyView, compile_views_ahead, usual_views, view_body, view_frame
+from bodyseg_model.segmentation.persons import Records, SurfacePixels
+from bodyseg_model.segmentation.views import (
+    BodyView,
+    check_size,
+    compile_views_ahead,
+    usual_views,
+    view_body,
+    view_frame,
+)
 
 STAGES: Final = ("find", "resample", "network", "back", "video")
 
@@ -95,42 +102,42 @@ class Segmentation:
     @property
     def confidence(self) -> NDArray[np.float32]:
         """Confidence of every pixel, float32 [H, W], 0 to 1; 0 where there is no body."""
-        image = np.zeros(self.labels.shape, np.float32)
-        for body in self.bodies:
-            image.ravel()[body.pixels] = body.confidence
-        return image
+        return self._image(np.float32(0), [body.confidence for body in self.bodies])
 
     @property
     def persons(self) -> NDArray[np.uint16]:
         """The person that each pixel shows, uint16 [H, W], from 1, in the order of `bodies`; 0 where there is none."""
-        image = np.zeros(self.labels.shape, np.uint16)
-        for number, body in enumerate(self.bodies, start=1):
-            image.ravel()[body.pixels] = number
-        return image
+        return self._image(np.uint16(0), range(1, len(self.bodies) + 1))
 
     @property
     def template(self) -> NDArray[np.uint16]:
         """The point of the body's template that each pixel shows, uint16 [H, W] (`bodyseg_data.load_template`); 65535
         where there is no label, and everywhere unless the segmenter is dense.
         """
-        image = np.full(self.labels.shape, NOWHERE, np.uint16)
-        for body in self.bodies:
-            if body.places is not None:
-                image.ravel()[body.pixels] = body.places
+        image = self._image(
+            np.uint16(NOWHERE), [NOWHERE if body.places is None else body.places for body in self.bodies]
+        )
         image[self.labels == BACKGROUND] = NOWHERE
         return image
 
+    def _image(self, nothing: Any, of_bodies: Iterable[Any]) -> NDArray[Any]:
+        """An image [H, W], of the type of `nothing`, which stands beside bodies, of one value or [N] for each body."""
+        image = np.full(self.labels.shape, nothing)
+        for body, values in zip(self.bodies, of_bodies, strict=True):
+            image.ravel()[body.pixels] = values
+        return image
+
     def points(self) -> Records:
-        """The points of all people, with label, person and confidence, `POINT` [N] (`labelled_points`)."""
-        return labelled_points(self)
+        """The points of all people, with label, person and confidence, `POINT` [N] (`SurfacePixels`)."""
+        return SurfacePixels(self).points()
 
     def parts(self, near_m: Sequence[float] = (0.0, 0.0, 0.0)) -> Records:
-        """Pixels, box, centroid, nearest point and confidence of each person's parts, `PART` [N] (`measured_parts`)."""
-        return measured_parts(self, near_m)
+        """Pixels, box, centroid, nearest point and confidence of each person's parts, `PART` [N] (`SurfacePixels`)."""
+        return SurfacePixels(self).parts(near_m)
 
     def joints(self) -> Records:
         """The 15 joints of every person, `JOINT` [people, 15] (`found_joints`)."""
-        return found_joints(self, self.label_map)
+        return found_joints(self)
 
 
 @dataclass(frozen=True)
@@ -168,18 +175,16 @@ class Segmenter:
     """Labels the frames of one camera, each independently or, with `video`, steadied by those before it.
 
     network: in evaluation mode, on any backend (`on_backend`); frames are moved to its device. camera: that took the
-    frames, which must be without lens distortion (`Undistortion`). background: rule for removing the background, by
-    default `Background()`. mirrored: True if frames show left for right, as those of some drivers do. least_confidence:
-    pixels of less get no label. rig: that the network was trained for, by default the paper's. doubted_below: of the
-    people that the finder finds, in the background mode "people", those whose mean probability times the mean
-    confidence of their labels is less are things (`least_confidence_of_people`). finder: the network that finds people
-    in that mode, by default the one that ships. video: carries evidence from frame to frame of a recording, whose
-    frames must then come in order (`CarriedLabels`); None to label each alone. turned: right angles by which the camera
-    was mounted turned clockwise, as seen from behind it: frames are turned clockwise by as many before they are
-    labelled, and labels back. label_map: the network's classes; by default the 33 parts for a network of 33. dense:
-    also tell where on the template of the body each pixel lies (`Segmentation.template`). Raises BadConfig for a
-    confidence outside 0 to 1, a camera with distortion, a network that is no finder, or knows no places and is to be
-    dense; MissingLibrary without numba.
+    frames, which must be without lens distortion (`Undistortion`). background, mirrored, least_confidence, finder: as
+    of `FrameLabeller`, the background by default `Background()`. rig: that the network was trained for, by default the
+    paper's. doubted_below: of the people that the finder finds, in the background mode "people", those whose mean
+    probability times the mean confidence of their labels is less are things (`least_confidence_of_people`). video:
+    carries evidence from frame to frame of a recording, whose frames must then come in order (`CarriedLabels`); None to
+    label each alone. turned: right angles by which the camera was mounted turned clockwise, as seen from behind it.
+    label_map: the network's classes; by default the 33 parts for a network of 33. dense: also tell where on the
+    template of the body each pixel lies (`Segmentation.template`). Raises BadConfig for a confidence outside 0 to 1, a
+    camera with distortion, a network that is no finder, or knows no places and is to be dense; MissingLibrary without
+    numba.
     """
 
     def __init__(
@@ -242,11 +247,7 @@ class Segmenter:
         frame while this one's are labelled. Raises BadConfig for a frame of another size than the camera's, or a
         body too large for a view.
         """
-        if range_m.shape != (self.camera.rows, self.camera.columns):
-            raise BadConfig(
-                f"a frame must have the camera's size, {self.camera.rows} x {self.camera.columns}, "
-                f"found {' x '.join(map(str, range_m.shape))}"
-            )
+        check_size(range_m.shape, self.camera)
         watch, camera = Stopwatch(STAGES), self._upright
         with watch("find"):
             range_m = turned_image(range_m, self.turned)

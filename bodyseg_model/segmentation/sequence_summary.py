@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_model.segmentation.segmenter import STAGES as SEGMENTER_STAGES
@@ -25,19 +24,13 @@ STILL_M: Final = 0.02
 STAGES: Final = ("read", *SEGMENTER_STAGES, "write")
 
 
-def flicker(
-    labels: NDArray[np.uint8],
-    next_labels: NDArray[np.uint8],
-    range_m: NDArray[np.float32],
-    next_range_m: NDArray[np.float32],
-) -> Counter[str]:
+def flicker(before: Segmentation, after: Segmentation) -> Counter[str]:
     """Pixels that have a label in both of two frames, `shared`; of these `changed`, whose label changed; and `still`
     and `still_changed`, the same of those whose range changed by less than `STILL_M`.
-
-    labels: uint8 [H, W], 255 where there is no label; ranges: [H, W], metres.
     """
-    shared = (labels != BACKGROUND) & (next_labels != BACKGROUND)
-    changed, still = shared & (labels != next_labels), shared & (np.abs(range_m - next_range_m) < STILL_M)
+    shared = (before.labels != BACKGROUND) & (after.labels != BACKGROUND)
+    changed = shared & (before.labels != after.labels)
+    still = shared & (np.abs(before.range_m - after.range_m) < STILL_M)
     masks = {"shared": shared, "changed": changed, "still": still, "still_changed": still & changed}
     return Counter({name: int(np.count_nonzero(mask)) for name, mask in masks.items()})
 
@@ -62,27 +55,26 @@ class SequenceSummary:
     def __init__(self) -> None:
         self._frames: list[dict[str, Any]] = []
         self._flicker = Counter[str]()
-        self._last: tuple[int, NDArray[np.uint8], NDArray[np.float32]] | None = None
+        self._last: tuple[int, Segmentation] | None = None
 
     def add(
         self,
-        range_m: NDArray[np.float32],
         segmentation: Segmentation,
         milliseconds: Mapping[str, float],
         sequence: int = 0,
         camera: Mapping[str, Any] | None = None,
     ) -> None:
-        """Add one frame, float32 [H, W], metres.
+        """Add one frame.
 
         milliseconds: of all `STAGES`. sequence: number of its recording; flicker is counted within one, between frames
         of one size. camera: of this frame alone, where it has one.
         """
         labels, bodies = segmentation.labels, segmentation.bodies
         change = None
-        if self._last is not None and (self._last[0], self._last[1].shape) == (sequence, labels.shape):
-            change = flicker(self._last[1], labels, self._last[2], range_m)
+        if self._last is not None and (self._last[0], self._last[1].labels.shape) == (sequence, labels.shape):
+            change = flicker(self._last[1], segmentation)
             self._flicker.update(change)
-        self._last = sequence, labels, range_m
+        self._last = sequence, segmentation
         self._frames.append(
             {
                 **({} if camera is None else {"camera": dict(camera)}),
@@ -90,8 +82,8 @@ class SequenceSummary:
                 "pixels": segmentation.pixels,
                 "labelled": int(np.count_nonzero(labels != BACKGROUND)),
                 "mean_confidence": _rounded(segmentation.mean_confidence),
-                "bodies": [_body(body, range_m.shape[1]) for body in bodies],
-                "things": [_body(thing, range_m.shape[1]) for thing in segmentation.things],
+                "bodies": [_body(body, labels.shape[1]) for body in bodies],
+                "things": [_body(thing, labels.shape[1]) for thing in segmentation.things],
                 "flicker": None if change is None else flicker_shares(change),
                 "ms": {stage: round(milliseconds[stage], 3) for stage in STAGES},
             }

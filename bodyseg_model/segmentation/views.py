@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig
 from bodyseg_data.machine import compile_ahead
-from bodyseg_data.rigs import Camera, Rig, load_rig
+from bodyseg_data.rigs import Camera, Distortion, Rig, load_rig
 from bodyseg_data.samples import FARTHEST_STEPS
 
 LARGEST_SIDE: Final = 2048
@@ -93,15 +93,14 @@ def view_body(
     or if it would be larger than `LARGEST_SIDE`; MissingLibrary without numba.
     """
     loops = _loops()
-    flat, depths = np.ascontiguousarray(range_m).ravel(), np.empty(len(pixels))
-    rows, columns = np.empty_like(pixels), np.empty_like(pixels)
-    centre = float(camera.centre_px[0])
-    least, greatest, first, last = loops.list_pixels(flat, pixels, range_m.shape[1], centre, rows, columns, depths)
+    rows, columns = np.divmod(pixels, range_m.shape[1])
+    depths, across = range_m.ravel()[pixels].astype(np.float64), columns + 0.5 - camera.centre_px[0]
     turn = turn_rad
     if turn is None:
-        turn = math.atan2((least + greatest) / 2, _median(depths) * camera.focal_px)
+        sides = across * depths
+        turn = math.atan2((sides.min() + sides.max()) / 2, _median(depths) * camera.focal_px)
     sine, cosine = math.sin(turn), math.cos(turn)
-    depths *= (columns + 0.5 - centre) / camera.focal_px * sine + cosine
+    depths *= across / camera.focal_px * sine + cosine
     seen = (depths > 0) & (depths < np.inf)
     if not seen.all():  # a loop below writes where these ranges say
         raise BadConfig(f"a body's ranges must be finite and in front of its view, found {depths[~seen][0]:g} m")
@@ -125,9 +124,9 @@ def view_body(
     corner = (top + bottom - height) // 2, (left + right - width) // 2
 
     # Only the body's boxes in frame and view are computed: most pixels of both are empty.
-    begin = int(rows[0]) - 1, first - 1
-    own = np.zeros((int(rows[-1]) - begin[0] + 2, last - begin[1] + 2))  # a border of empty pixels
-    own[rows - begin[0], columns - begin[1]] = depths
+    begin = int(rows[0]) - 1, int(columns.min()) - 1
+    own = np.zeros((int(rows[-1]) - begin[0] + 2, int(columns.max()) - begin[1] + 2))  # a border of empty pixels
+    own.ravel()[(rows - begin[0]) * own.shape[1] + (columns - begin[1])] = depths
     box, view_pixels = np.zeros((bottom - top, right - left)), np.empty(len(pixels), np.intp)
     loops.pick_ranges(own, begin, mapping, (top, left), box)
     loops.fill_lost(down, across, (top, left), depths, box, corner, width, view_pixels)
@@ -156,6 +155,15 @@ def usual_views(rig: Rig, together: bool) -> Iterator[list[NDArray[np.float32]]]
         view[: rows // 4] = rig.stand_off_m
         most = USUAL_PEOPLE if together and width == columns else 1
         yield from ([view] * several for several in range(1, most + 1))
+
+
+def check_size(shape: tuple[int, ...], camera: Camera) -> None:
+    """Raise BadConfig for a frame of another shape than the camera's."""
+    if shape != (camera.rows, camera.columns):
+        raise BadConfig(
+            f"a frame must have the camera's size, {camera.rows} x {camera.columns}, "
+            f"found {' x '.join(map(str, shape))}"
+        )
 
 
 def _in_steps(trained: int, needed: int) -> int:
@@ -210,16 +218,13 @@ class Undistortion:
     lies outside the frame. Values are never interpolated: between a body and the wall behind it there is no surface.
     A range along the optical axis is the same in both frames.
 
-    camera: the camera without distortion, of equal size, focal length and principal point. Raises BadConfig for a
-    camera that has no distortion.
+    camera: the camera without distortion, of equal size, focal length and principal point.
     """
 
     def __init__(self, camera: Camera) -> None:
-        if camera.distortion is None:
-            raise BadConfig("frames of a camera without lens distortion need no undistortion")
         self.camera = replace(camera, distortion=None)
         x, y, _ = np.moveaxis(self.camera.pixel_rays(), -1, 0)
-        across, down = camera.distortion.apply(x, y)
+        across, down = (camera.distortion or Distortion()).apply(x, y)
         column = np.floor(across * camera.focal_px + camera.centre_px[0])
         row = np.floor(down * camera.focal_px + camera.centre_px[1])
         inside = (row >= 0) & (row < camera.rows) & (column >= 0) & (column < camera.columns)
@@ -228,11 +233,7 @@ class Undistortion:
 
     def __call__(self, frame: NDArray[Any]) -> NDArray[Any]:
         """The frame [H, W], of any dtype, without distortion. Raises BadConfig for a frame of another size."""
-        if frame.shape != self._source.shape:
-            rows, columns = self._source.shape
-            raise BadConfig(
-                f"a frame must have the camera's size, {rows} x {columns}, found {' x '.join(map(str, frame.shape))}"
-            )
+        check_size(frame.shape, self.camera)
         ideal = frame.ravel().take(self._source)
         ideal.ravel()[self._outside] = 0
         return ideal

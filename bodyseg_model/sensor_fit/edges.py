@@ -1,7 +1,6 @@
 """Edges before a farther surface: mixed (flying) pixels, and the projector's shadow, by its side and width."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -9,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_model.recordings import FrameCamera, evenly_apart
+from bodyseg_model.segmentation import LabelledFrame
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Estimate, Finding, rounded
 from bodyseg_model.sensor_fit.recording import MarkedFrame, MarkedRecording
 
@@ -129,13 +129,11 @@ class ShadowFrames:
         self._chosen = {*evenly_apart(frames, most)}
         self._kept: list[MarkedFrame] = []
 
-    def add(self, number: int, name: str, range_m: NDArray[np.float32], bodies: Sequence[NDArray[np.intp]]) -> None:
-        """Look at frame `number`, from 0: ranges [H, W], metres, and each body's pixels, flat indices."""
-        if number in self._chosen:
-            body = np.zeros(range_m.shape, np.bool_)
-            for pixels in bodies:
-                body.ravel()[pixels] = True
-            self._kept.append(MarkedFrame(name, np.zeros(range_m.shape, np.uint16), range_m, body & (range_m > 0)))
+    def add(self, frame: LabelledFrame) -> None:
+        """Look at a frame of the recording."""
+        if frame.number in self._chosen:
+            range_m, body = frame.range_m, (frame.persons > 0) & (frame.range_m > 0)
+            self._kept.append(MarkedFrame(np.zeros(range_m.shape, np.uint16), range_m, body))
 
     def mirrored(self, camera: FrameCamera) -> bool | None:
         """As `probably_mirrored`, of the frames kept; None without a projector beside the camera."""

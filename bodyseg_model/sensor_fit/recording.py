@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts import box_of
 from bodyseg_data.core import BadConfig
-from bodyseg_data.machine import missing_library
+from bodyseg_data.machine import required
 from bodyseg_data.rigs import Camera
 from bodyseg_model.recordings import Frame, Skipping, evenly_apart, to_metres
 from bodyseg_model.segmentation import Background, find_bodies
@@ -23,15 +23,6 @@ Floats = NDArray[np.float64]
 _POWERS: Final = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 _RADII: Final = (3, 8)
 _SLOPE_ERROR: Final = 0.04  # wanted of a fitted slope, as its tangent
-
-
-def require_libraries_of_fit() -> None:
-    """Raise MissingLibrary unless SciPy and scikit-image, which all of this room needs, are installed."""
-    try:
-        import scipy  # noqa: F401
-        import skimage  # noqa: F401
-    except ImportError as error:
-        raise missing_library("bodyseg sensor fit", error, extra="sensor") from error
 
 
 def dilated(mask: Mask, radius: int) -> Mask:
@@ -131,7 +122,6 @@ class MarkedFrame:
     body: bool [H, W], measured pixels of people; room: all other measured pixels.
     """
 
-    name: str
     stored: NDArray[np.uint16]
     range_m: NDArray[np.float32]
     body: Mask
@@ -210,7 +200,8 @@ def read_recording(
     BadConfig for frames that cannot be read, that are not the camera's, of different units, or none of which shows a
     body; MissingLibrary without the extra `sensor`.
     """
-    require_libraries_of_fit()
+    for library in ("scipy", "skimage"):  # which all of this room needs
+        required(library, "bodyseg sensor fit", "sensor")
     skipping = skipping or Skipping()
     step_m = files[0].step_m
     chosen, pairs = chosen_frames(len(files))
@@ -233,7 +224,7 @@ def read_recording(
             )
         range_m = to_metres(stored, step_m)
         body = _body(range_m, camera, background, nearer_than_m, quarters)
-        frames.append(MarkedFrame(files[index].name, stored, range_m, body))
+        frames.append(MarkedFrame(stored, range_m, body))
     if not any(frame.body.any() for frame in frames):
         raise BadConfig(
             "no frame shows a body: are --units, --near, --far or --nearer-than right, and the camera's focal length, "

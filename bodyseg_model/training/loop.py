@@ -10,10 +10,10 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, Literal, TypeVar
+from typing import Any, Final, Literal
 
 import numpy as np
 import torch
@@ -56,8 +56,6 @@ from bodyseg_model.training.validation import WAITING_ADVICE, Metrics, MetricsWi
 class Diverged(BodysegError):
     """A training's loss is no longer a number."""
 
-
-_Address = TypeVar("_Address")
 
 _OPTIMISER: Final = "optimiser."  # prefix of the optimiser's tensors in a checkpoint
 
@@ -141,11 +139,8 @@ class RunOptions:
 class Training:
     """One training, from its first step or its last checkpoint to its end.
 
-    network: with its initial weights; name: its key in `registry.NETWORKS`. seed: of mirroring, geometric augmentation,
-    dropout and the pixels that the loss selects; order and artifacts have the images' own. validation: on images held
-    out, by the first process alone while the others wait. pretrained: file and SHA-256 of the weights that the network
-    starts from (`CardWords.PRETRAINED`). Raises BadConfig for batches that cannot be divided evenly between the
-    processes, or a network of other classes than the images.
+    network: with its initial weights; name: its key in `registry.NETWORKS`. validation: by the first process alone
+    while the others wait. All else is as of `train`, which also says what raises BadConfig.
     """
 
     def __init__(
@@ -192,10 +187,8 @@ class Training:
     def run(self, resume: bool, report: Report, facts: Mapping[str, Any]) -> None:
         """Train to the end and write the network with its card, which also holds `facts`.
 
-        A KeyboardInterrupt ends the training after the step that runs, with a checkpoint; a second one ends it at once.
-
         report: called with metrics every `log_every` steps and after each validation, in the first process only. Raises
-        BadConfig for a folder of another plan, Diverged for a loss that is not finite, and as the loader.
+        as `train`.
         """
         loader_state = self._begin(resume)
         batch = self.recipe.batch_size // self.processes.world_size
@@ -221,11 +214,11 @@ class Training:
                     window = self._logged(window, data_loader, report, facts)
                     last = self.step == self.recipe.steps or self._ended
                     if self.processes.first and (self.step % self.run_options.checkpoint_every == 0 or last):
-                        self.folder.keep(self._checkpoint(data_loader))
+                        self._checkpoint(data_loader).write(self.folder.path)
                     whole = True
         except KeyboardInterrupt:
             if whole and self.step and self.processes.first:
-                self.folder.keep(self._checkpoint(data_loader))
+                self._checkpoint(data_loader).write(self.folder.path)
             raise
         if self.processes.first:
             self._save(facts)
@@ -397,22 +390,14 @@ def check_template(images: ImageSet) -> None:
             )
 
 
-def open_data(
-    addresses: Sequence[_Address],
-    weights: Sequence[float],
-    samples: int | None,
-    seed: int,
-    open_set: Callable[[_Address], RangeImages],
-) -> ImageSet:
-    """Return the one set that `addresses` name, or a mixture of several.
+def mixed(sets: Sequence[RangeImages], weights: Sequence[float], samples: int | None, seed: int) -> ImageSet:
+    """Return the one set, or a `Mixture` of several, whose samples and seed are those given.
 
-    weights: of the sets in a mixture; none for the numbers of their samples, so that all samples come equally often.
-    samples: in an epoch of a mixture, None for the sum of the sets' lengths. seed: of the order in which sets are
-    mixed. open_set: opens one set. Raises BadConfig for another number of weights than of sets, and as `Mixture`.
+    weights: of the sets; none for the numbers of their samples, so that all samples come equally often. Raises
+    BadConfig for another number of weights than of sets, and as `Mixture`.
     """
-    if weights and len(weights) != len(addresses):
-        raise BadConfig(f"--weights needs a number for each of {len(addresses)} sets in --data, found {len(weights)}")
-    sets = [open_set(address) for address in addresses]
+    if weights and len(weights) != len(sets):
+        raise BadConfig(f"--weights needs a number for each of {len(sets)} sets in --data, found {len(weights)}")
     if len(sets) == 1 and samples is None:
         return sets[0]
     parts = zip(sets, weights or [len(images) for images in sets], strict=True)

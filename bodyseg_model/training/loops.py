@@ -1,5 +1,5 @@
-"""Loops of a training, compiled: images moved and mirrored, and scores interpolated; the bits of the same in PyTorch's
-operations, which GPUs need (`augmentation`, `loss`).
+"""Loops of a training, compiled: images moved, and scores interpolated; the bits of the same in PyTorch's operations,
+which GPUs need (`augmentation`, `loss`).
 """
 
 from __future__ import annotations
@@ -18,32 +18,11 @@ _kernel = partial(compiled, feature="training in compiled loops")
 
 
 @_kernel
-def mirror_images(range_m: Any, labels: Any, chosen: Any, table: Any, moved: Any, named: Any) -> None:
-    """Mirror the images that are `chosen`, bool [B], and copy the others.
-
-    range_m: float32 [B, H, W]; labels: uint8 [B, H, W]; moved, named: of the same shapes, written. table: uint8 [256],
-    label of each label.
-    """
-    images, rows, columns = range_m.shape
-    for image in range(images):
-        for row in range(rows):
-            metres, parts = range_m[image, row], labels[image, row]
-            to, name = moved[image, row], named[image, row]
-            if chosen[image]:
-                for column in range(columns):
-                    to[column] = metres[columns - 1 - column]
-                    name[column] = table[parts[columns - 1 - column]]
-            else:
-                for column in range(columns):
-                    to[column] = metres[column]
-                    name[column] = parts[column]
-
-
-@_kernel
 def move_images(range_m: Any, labels: Any, down: Any, across: Any, moved: Any, named: Any) -> None:
     """Take every pixel from the one nearest to row down[0][column] + down[1][row], and column likewise.
 
-    down, across: pairs of float32 [B, W] and [B, H]. Images as of `mirror_images`.
+    down, across: pairs of float32 [B, W] and [B, H]. range_m: float32 [B, H, W]; labels: uint8 [B, H, W]; moved, named:
+    of the same shapes, written.
     """
     images, rows, columns = range_m.shape
     row_by_column, row_by_row = down

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, reported
 from bodyseg_data.files import is_leftover, make_folder, read_json, write_json
 from bodyseg_data.labels import PARTS33
 from bodyseg_data.loading import ImageSet, first_difference
@@ -175,17 +175,11 @@ class RunFolder:
             raise BadConfig(f"{card} must hold the step and the val_accuracy of a validation")
         return Best(step, accuracy)
 
-    def keep(self, checkpoint: Checkpoint) -> None:
-        """Write a checkpoint, and delete the one before when this one is complete. Raises BadConfig."""
-        checkpoint.write(self.path)
-
     def log(self, metrics: Mapping[str, Any]) -> None:
         """Append a line of metrics. Raises BadConfig."""
-        try:
-            with (self.path / "log.jsonl").open("a") as file:
-                file.write(json.dumps(metrics) + "\n")
-        except OSError as error:
-            raise BadConfig(f"cannot write {self.path / 'log.jsonl'}: {error.strerror or error}") from error
+        file = self.path / "log.jsonl"
+        with reported(f"cannot write {file}", BadConfig, OSError), file.open("a") as log:
+            log.write(json.dumps(metrics) + "\n")
 
     def forget_after(self, step: int) -> None:
         """Drop lines of the log after `step`, which a resumed training repeats, and a line that a kill cut short."""

@@ -10,29 +10,18 @@ import copy
 import dataclasses
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import torch
 from torch import nn
 
-from bodyseg_data.core import BadConfig, check_fields
+from bodyseg_data.core import BadConfig, bounded, check_fields
 from bodyseg_model.networks import Network
 from bodyseg_model.training.augmentation import GeometricAugmentation
 
-_BOUNDS: Final = (
-    ("learning_rate", 1e-9, 10),
-    ("layer_decay", 1e-6, 1),
-    ("momentum", 0, 0.9999),
-    ("weight_decay", 0, 1),
-    ("warmup", 0, 1),
-    ("clip", 0, 1e6),
-    ("balance", 0, 1),
-    ("ema", 0, 0.999999),
-)
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Recipe:
     """All hyperparameters of a training; with data, network and seed they determine its result.
 
@@ -60,36 +49,28 @@ class Recipe:
     Raises BadConfig for a value out of range or of another type.
     """
 
-    steps: int
-    batch_size: int
-    accumulate: int
+    steps: int = bounded(MISSING, 1)
+    batch_size: int = bounded(MISSING, 1)
+    accumulate: int = bounded(MISSING, 1)
     optimiser: Literal["sgd", "adamw"]
-    learning_rate: float
-    layer_decay: float
-    momentum: float
-    weight_decay: float
-    warmup: float
+    learning_rate: float = bounded(MISSING, 1e-9, 10)
+    layer_decay: float = bounded(MISSING, 1e-6, 1)
+    momentum: float = bounded(MISSING, 0, 0.9999)
+    weight_decay: float = bounded(MISSING, 0, 1)
+    warmup: float = bounded(MISSING, 0, 1)
     cosine: bool
-    clip: float
+    clip: float = bounded(MISSING, 0, 1e6)
     mirror: bool
-    balance: float
+    balance: float = bounded(MISSING, 0, 1)
     bf16: bool
-    loss_stride: int
+    loss_stride: int = bounded(MISSING, 1)
     geometric_augmentation: GeometricAugmentation = field(default_factory=GeometricAugmentation)
-    ema: float = 0.0
+    ema: float = bounded(0.0, 0, 0.999999)
     shuffle: Literal["global", "blocks"] = "global"
     only_places: bool = False
 
     def __post_init__(self) -> None:
-        if self.optimiser not in ("sgd", "adamw"):
-            raise BadConfig(f"the optimiser must be sgd or adamw, found {self.optimiser!r}")
         check_fields(self)
-        for name in ("steps", "batch_size", "accumulate", "loss_stride"):
-            if not 1 <= getattr(self, name) <= 10**9:
-                raise BadConfig(f"{name} must be at least 1, found {getattr(self, name)!r}")
-        for name, least, most in _BOUNDS:
-            if not least <= getattr(self, name) <= most:  # also refuses NaN
-                raise BadConfig(f"{name} must be from {least} to {most}, found {getattr(self, name)!r}")
 
     def to_json(self) -> dict[str, Any]:
         """The recipe as a JSON object; `ema`, `shuffle`, `only_places` and `bust` only if not the default."""
@@ -207,17 +188,10 @@ def optimiser_tensors(optimiser: torch.optim.Optimizer) -> dict[str, torch.Tenso
 
 
 def fill_optimiser(optimiser: torch.optim.Optimizer, tensors: Mapping[str, torch.Tensor]) -> None:
-    """Restore the state that `optimiser_tensors` gave. Raises BadConfig if it belongs to other weights."""
-    weights = [weight for group in optimiser.param_groups for weight in group["params"]]
+    """Restore the state that `optimiser_tensors` gave of an optimiser of the same weights."""
     states: dict[int, dict[str, torch.Tensor]] = {}
     for name, value in tensors.items():
         number, _, kind = name.partition(".")
-        if not number.isdecimal() or int(number) >= len(weights):
-            raise BadConfig(f"the state of an optimiser of {len(weights)} weights cannot have the entry {name!r}")
-        if value.ndim and value.shape != weights[int(number)].shape:
-            raise BadConfig(
-                f"{name!r} must have the shape {list(weights[int(number)].shape)}, found {list(value.shape)}"
-            )
         states.setdefault(int(number), {})[kind] = value
     optimiser.load_state_dict({**optimiser.state_dict(), "state": states})
 

@@ -142,7 +142,7 @@ class RecordingView:
         if frame.mean_confidence is not None:
             facts.append(f"mean confidence {frame.mean_confidence:.1%}")
         if before is not None:
-            change = flicker(before.labels, frame.labels, before.range_m, frame.range_m)
+            change = flicker(before, frame)
             if change["shared"]:
                 still = change["still"] and f", where nothing moves {change['still_changed'] / change['still']:.1%}"
                 facts.append(f"flicker {change['changed'] / change['shared']:.1%}{still or ''}")
@@ -168,10 +168,7 @@ def changes_of(frame: LabelledFrame, before: LabelledFrame | None) -> NDArray[np
 
 def body_range(frame: LabelledFrame) -> NDArray[np.float32]:
     """Range of the bodies alone, metres, float32 [H, W], 0 elsewhere."""
-    found = np.zeros_like(frame.range_m)
-    for body in frame.bodies:
-        found.ravel()[body.pixels] = frame.range_m.ravel()[body.pixels]
-    return found
+    return np.where(frame.persons > 0, frame.range_m, np.float32(0))
 
 
 def _room_points(frame: LabelledFrame, body_m: NDArray[np.float32]) -> Points:

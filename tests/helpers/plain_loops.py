@@ -16,21 +16,6 @@ class PlainViewLoops:
     """The functions of `view_loops`, with the same bits."""
 
     @staticmethod
-    def list_pixels(
-        flat: Floats,
-        pixels: Indices,
-        width: int,
-        centre: float,
-        rows: Indices,
-        columns: Indices,
-        depths: Doubles,
-    ) -> tuple[float, float, int, int]:
-        np.divmod(pixels, width, out=(rows, columns))
-        depths[:] = flat[pixels]
-        sides = (columns + 0.5 - centre) * depths
-        return float(sides.min()), float(sides.max()), int(columns.min()), int(columns.max())
-
-    @staticmethod
     def map_to_view(
         rows: Indices, columns: Indices, mapping: Turn, down: Doubles, across: Doubles
     ) -> tuple[float, float, float, float]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from numpy_alexnet import figure_4
 
 from bodyseg_data.core import BadConfig
-from bodyseg_model.networks.fcn_alexnet import SHAPES, FcnAlexnet, bilinear_filters, import_alexnet
+from bodyseg_model.networks.fcn_alexnet import SHAPES, FcnAlexnet, bilinear_filters
 
 LAYERS = {
     "conv1.weight": (96, 1, 11, 11),
@@ -190,7 +190,7 @@ def test_alexnet_is_imported_weight_by_weight(tmp_path: Path) -> None:
     path.write_bytes(onnx_file(alexnet))
     state = network.state_dict()
     new = {key: value.clone() for key, value in state.items() if key[:5] in ("conv8", "upfea", "score")}
-    import_alexnet(network, path)
+    network.load_pretrained(path)
     got = {key: value.numpy() for key, value in network.state_dict().items()}
     for layer, weight, bias in alexnet:
         kept = {"fc6": "conv6", "fc7": "conv7"}.get(layer, layer)
@@ -233,13 +233,13 @@ def test_what_is_not_alexnet_is_refused(network: FcnAlexnet, tmp_path: Path, nam
     (tmp_path / name).write_bytes(data)
     before = network.conv1.weight.clone()
     with pytest.raises(BadConfig, match=said):
-        import_alexnet(network, tmp_path / name)
+        network.load_pretrained(tmp_path / name)
     assert torch.equal(network.conv1.weight, before)
 
 
 def test_a_file_that_is_not_there_is_named(network: FcnAlexnet, tmp_path: Path) -> None:
     with pytest.raises(BadConfig, match=r"cannot read .*a\.onnx: No such file"):
-        import_alexnet(network, tmp_path / "a.onnx")
+        network.load_pretrained(tmp_path / "a.onnx")
 
 
 def test_two_small_matrices_are_upfeat(network: FcnAlexnet) -> None:

@@ -14,8 +14,8 @@ from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import torch_threads
 from bodyseg_data.rigs import Camera
 from bodyseg_model.segmentation import CarriedLabels, carried_labels
-from bodyseg_model.segmentation.carried_labels import Carrying, nearest_first, part_shifts
-from bodyseg_model.segmentation.carried_loops import SLOTS, UNIT, CellLens, Cells, nearest
+from bodyseg_model.segmentation.carried_labels import Carrying, CellLens, Cells, nearest_first, part_shifts
+from bodyseg_model.segmentation.carried_loops import SLOTS, UNIT, nearest
 
 LENS = Camera(120, 160, 200.0, (80.0, 60.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 FINE = Camera(480, 640, 800.0, (320.0, 240.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))

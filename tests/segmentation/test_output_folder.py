@@ -12,6 +12,7 @@ import pytest
 from pngs import png
 
 from bodyseg_data.core import BadConfig
+from bodyseg_data.files import write_result
 from bodyseg_model.commands import main
 from bodyseg_model.recordings import find_frames
 from bodyseg_model.segmentation import OutputFolder
@@ -49,7 +50,7 @@ def filled(out: Path, *inputs: Path, folders: tuple[str, ...] = IMAGES[:2], done
 def write_images(place: OutputFolder) -> None:
     for folder in place.folders:
         for name in ("1", "2"):
-            place.write(folder, name, f"{folder} {name}".encode())
+            write_result(place.image(folder, name), f"{folder} {name}".encode())
 
 
 def files(out: Path) -> list[str]:

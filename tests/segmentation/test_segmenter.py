@@ -7,6 +7,7 @@ import re
 import sys
 from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -199,7 +200,8 @@ def test_flicker_counts_what_is_in_both_frames() -> None:
     later = np.array([[1, 2, 2, none, none, 5, 5]], np.uint8)
     ranges = np.array([[2.0, 2.0, 2.0, 2.0, 0.0, 0.0, 2.0]], np.float32)
     moved = ranges + np.array([[0.0, 0.019, 0.03, 0.0, 0.0, 2.0, 0.5]], np.float32)
-    change = flicker(labels, later, ranges, moved)
+    frames: list[Any] = [SimpleNamespace(labels=labels, range_m=ranges), SimpleNamespace(labels=later, range_m=moved)]
+    change = flicker(*frames)
     assert change == {"shared": 4, "changed": 2, "still": 2, "still_changed": 1}
     assert flicker_shares(change) == {"shared_pixels": 4, "changed": 0.5, "still_pixels": 2, "still_changed": 0.5}
     assert flicker_shares(change + Counter(shared=4))["changed"] == 0.25
@@ -213,7 +215,7 @@ def summed(*frames: NDArray[np.float32], axis: int = 0) -> SequenceSummary:
     for number, frame in enumerate(frames):
         result = segmenter(frame)
         times = {stage: float(100 if number == 0 else number) for stage in ALL_STAGES}
-        summary.add(frame, result, times)
+        summary.add(result, times)
     return summary
 
 
@@ -294,7 +296,7 @@ def test_overlays_have_the_colours_of_their_table() -> None:
         near, far = (some[some > 0][int(share * (some > 0).sum())] for share in (0.02, 0.98))
         depth = np.clip((flat[pixels] - near) * np.float32(127 / float(far - near)) + np.float32(0.5), 0, 127)
         row = 0 if group is None else 1 + np.minimum(group, 33).astype(int)
-        expected.append(np.where(flat[pixels, None] > 0, table[row * 128 + depth.astype(int)], table[-1]))
+        expected.append(np.where(flat[pixels, None] > 0, table[row, depth.astype(int)], table[-1, 0]))
     whole = expected[0]
     for pixels, colours in zip(bodies, expected[1:], strict=True):
         whole[pixels] = colours

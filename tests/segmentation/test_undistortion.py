@@ -90,8 +90,6 @@ def test_a_frame_of_another_size_is_refused(shape: Any) -> None:
 
 def test_a_camera_is_either_without_distortion_or_undistorted_first() -> None:
     places = Places(axis=0, step=20)
-    with pytest.raises(BadConfig, match="without lens distortion need no undistortion$"):
-        Undistortion(IDEAL)
     with pytest.raises(BadConfig, match="^frames must be undistorted .*, found Distortion"):
         Segmenter(places, camera("barrel"))
     undistort = Undistortion(camera("barrel"))

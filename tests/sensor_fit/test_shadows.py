@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -48,7 +50,8 @@ def test_a_few_frames_of_a_recording_tell(mirrored: bool) -> None:
     recording = flipped(recording) if mirrored else recording
     frames = ShadowFrames(len(recording.frames), 2)
     for number, frame in enumerate(recording.frames):
-        frames.add(number, frame.name, frame.range_m, [np.flatnonzero(frame.body)])
+        labelled: Any = SimpleNamespace(number=number, range_m=frame.range_m, persons=frame.body.astype(np.uint16))
+        frames.add(labelled)
     assert frames.mirrored(CAMERA) is mirrored
     assert frames.mirrored(FrameCamera(RIG.camera, "given")) is None
     assert ShadowFrames(3, 2).mirrored(CAMERA) is None

@@ -14,7 +14,7 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import load_label_map
 from bodyseg_model.commands import main
 from bodyseg_model.networks import build, load_network
-from bodyseg_model.training import Metrics, RunFolder, RunOptions, Training, open_data, recipe_for
+from bodyseg_model.training import Metrics, RunFolder, RunOptions, Training, mixed, recipe_for
 from bodyseg_model.training.augmentation import mirror_draws
 from bodyseg_model.training.distributed import ProcessGroup
 
@@ -28,10 +28,7 @@ def words(data: list[Path], out: Path, *more: str) -> list[str]:
 
 
 def opened(small_set: Path, names: list[str], *options: Any) -> Any:
-    def open_set(name: str) -> RangeImages:
-        return RangeImages(small_set, "all", "train", only=[name])
-
-    return open_data(names, *options, 3, open_set)
+    return mixed([RangeImages(small_set, "all", "train", only=[name]) for name in names], *options, 3)
 
 
 def test_one_set_is_read_as_before(small_set: Path) -> None:

@@ -84,13 +84,6 @@ def test_an_optimisers_memory_goes_back_where_it_came_from(name: str) -> None:
         assert torch.equal(one, two)
 
 
-@pytest.mark.parametrize("name", ["exp_avg", "x.exp_avg", "99.exp_avg", "0.exp_avg"])
-def test_another_optimisers_memory_is_refused(name: str) -> None:
-    optimiser = make_optimiser(build("compact", {"patch": 16, "widths": [4], "blocks": [0]}), PRESETS["compact"])
-    with pytest.raises(BadConfig, match="cannot have the entry|must have the shape"):
-        fill_optimiser(optimiser, {name: torch.zeros(7)})
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -98,8 +91,8 @@ def test_another_optimisers_memory_is_refused(name: str) -> None:
         ({"momentum": 1.0}, "momentum must be from 0 to 0.9999, found 1.0"),
         ({"learning_rate": float("inf")}, "learning_rate must be from 1e-09 to 10, found inf"),
         ({"balance": -1}, "balance must be from 0 to 1, found -1"),
-        ({"optimiser": "lion"}, "the optimiser must be sgd or adamw, found 'lion'"),
-        ({"optimiser": ["sgd"]}, "the optimiser must be sgd or adamw, found ['sgd']"),
+        ({"optimiser": "lion"}, "optimiser must be 'sgd' or 'adamw', found 'lion'"),
+        ({"optimiser": ["sgd"]}, "optimiser must be 'sgd' or 'adamw', found ['sgd']"),
         ({"steps": "many"}, "Recipe: steps must be a whole number, found 'many'"),
         ({"geometric_augmentation": {}}, "geometric_augmentation must be of class GeometricAugmentation, found {}"),
     ],

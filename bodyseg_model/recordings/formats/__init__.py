@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Final
 
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, reported
 from bodyseg_data.files import refuse_special
 from bodyseg_model.recordings.recording import Frame
 
@@ -61,12 +61,10 @@ def find_format(path: Path) -> Format | None:
     """
     if path.is_dir():
         return next((each for each in FORMATS.values() if each.entry and (path / each.entry).is_file()), None)
-    try:
+    with reported(f"cannot read {path}", BadConfig, OSError):
         refuse_special(path)
         with path.open("rb") as file:
             start = file.read(_LONGEST_MAGIC)
-    except OSError as error:
-        raise BadConfig(f"cannot read {path}: {error.strerror or error}") from error
     by_content = (each for each in FORMATS.values() if start.startswith(each.magic))
     by_suffix = (each for each in FORMATS.values() if path.suffix.lower() in each.suffixes)
     return next(by_content, None) or next(by_suffix, None)

@@ -16,7 +16,7 @@ from typing import IO, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, reported
 from bodyseg_model.recordings.frames import natural_key
 from bodyseg_model.recordings.recording import ArrayFrames, Frame, FrameSource, check_pixels, stored_recording
 
@@ -224,13 +224,10 @@ def _check(shape: tuple[int, ...], kind: np.dtype[Any], where: str, step_m: floa
     if kind == np.uint8 and step_m is None:
         raise BadConfig(f"{where}: of 8 bits, most images are pictures: say by --units what a step is, found {kind}")
     if len(sides) == 3 and 1 < sides[-1] <= 4 < sides[1]:
-        raise BadConfig(f"{where}: frames must be H x W or N x H x W, found {_text(shape)}: is the last side colours?")
-    try:
+        raise BadConfig(
+            f"{where}: frames must be H x W or N x H x W, found {' x '.join(map(str, shape))}: is the last side "
+            "colours?"
+        )
+    with reported(where, BadConfig):
         check_pixels(sides[1:] if len(sides) == 3 else sides, kind)
-    except BadConfig as error:
-        raise BadConfig(f"{where}: {error}") from error
     return sides
-
-
-def _text(shape: tuple[int, ...]) -> str:
-    return " x ".join(map(str, shape))

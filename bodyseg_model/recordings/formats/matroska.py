@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig
-from bodyseg_data.machine import missing_library
+from bodyseg_data.machine import required
 from bodyseg_model.recordings.cameras import Intrinsics, driver_camera
 from bodyseg_model.recordings.recording import LARGEST_SIDE, Frame, FrameSource, stored_recording
 
@@ -86,14 +86,10 @@ class _Frames(FrameSource):
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[InputContainer]:
-    try:
-        import av
-        import av.error
-    except ImportError as error:
-        raise missing_library("reading .mkv files", error, extra="recordings") from error
+    av, errors = (required(module, "reading .mkv files", "recordings") for module in ("av", "av.error"))
     try:
         container = av.open(str(path), format="matroska")
-    except (av.error.FFmpegError, OSError, ValueError) as error:
+    except (errors.FFmpegError, OSError, ValueError) as error:
         raise BadConfig(f"{path} must be a Matroska file: {error}") from error
     with container:
         yield container

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, TiffImagePlugin
 
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, reported
 from bodyseg_data.machine import silence_libtiff
 from bodyseg_model.recordings.recording import LARGEST_SIDE, MOST_FRAMES, Frame, FrameSource, stored_recording
 
@@ -32,10 +32,8 @@ def open_tiff(path: Path, topic: str | None, step_m: float | None) -> tuple[Fram
     if topic is not None:
         raise BadConfig(f"--topic is for recordings that hold several, found a TIFF: {path}")
     pages = _Pages(path)
-    try:
+    with reported(str(path), BadConfig):
         floating = pages.read(0).dtype.kind == "f"
-    except BadConfig as error:
-        raise BadConfig(f"{path}: {error}") from error
     return stored_recording(path, pages, len(pages.starts), floating, step_m)
 
 

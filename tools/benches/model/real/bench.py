@@ -141,7 +141,7 @@ def settled(frames: Sequence[Frame]) -> tuple[ProjectorShadow | None, bool]:
     for frame in evenly_spaced(frames, _SHADOW_FRAMES):
         body = np.zeros(frame.range_m.shape, np.bool_)
         body.ravel()[frame.pixels] = True
-        chosen.append(MarkedFrame(frame.name, np.zeros(body.shape, np.uint16), frame.range_m, body))
+        chosen.append(MarkedFrame(np.zeros(body.shape, np.uint16), frame.range_m, body))
     shadow = measure_shadow(MarkedRecording(tuple(chosen), camera, step_m=0.001))
     sensor = next((one for one in assumed_sensors() if _same_size(one.camera, camera)), None)
     side = None if sensor is None else FrameCamera(sensor.camera, sensor.name, rig=sensor.rig).projector_side

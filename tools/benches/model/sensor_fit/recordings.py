@@ -76,7 +76,7 @@ class Scenes:
             stored = augmentation(sample, number).range
             range_m = stored.astype(np.float32) * np.float32(rig.range_step_m)
             body = (range_m > 0) & (range_m < wall_m - _BETWEEN_M)
-            frames.append(MarkedFrame(str(number), stored, range_m, body))
+            frames.append(MarkedFrame(stored, range_m, body))
         pairs = tuple((index, index + 1) for index in range(scene.frames - 1))
         return MarkedRecording(tuple(frames), rig.camera, rig.range_step_m, pairs)
 
