@@ -93,7 +93,10 @@ def run(options: Options) -> int:
     _check(options)
     trained = load_run(options.run, options.checkpoint)
     trained = put_on_backend(trained, options.backend, options.precision, options.flip_average)
-    _say_step(trained)
+    step, recipe = trained.card.get("step"), trained.card.get("recipe")
+    steps = recipe.get("steps") if isinstance(recipe, dict) else None
+    if isinstance(step, int) and step != steps:
+        sys.stderr.write(f"the network's weights are those after step {step} of {steps}\n")
     to_device(trained.network, options.device)
     sets = _open(options, trained.label_map if options.labels is None else options.labels)
     _check_fit(options, trained, sets)
@@ -126,14 +129,6 @@ def run(options: Options) -> int:
             save_picture(drawn, written[-1])
     sys.stderr.write(f"{headline(scores)}\nwrote {', '.join(map(str, written))}\n")
     return 0
-
-
-def _say_step(trained: Trained) -> None:
-    """Say which step of its training a network's weights are of, unless it is the last."""
-    step, recipe = trained.card.get("step"), trained.card.get("recipe")
-    steps = recipe.get("steps") if isinstance(recipe, dict) else None
-    if isinstance(step, int) and step != steps:
-        sys.stderr.write(f"the network's weights are those after step {step} of {steps}\n")
 
 
 def _check(options: Options) -> None:

@@ -27,7 +27,11 @@ class Options:
 
 def run(options: Options) -> int:
     """Write the network, its filters in 16 bits, and the card; and the ONNX file."""
-    _check(options)
+    if options.out is None and options.onnx is None:
+        raise BadConfig("give the file to write: --out FILE.safetensors or --onnx FILE.onnx")
+    for name, path, suffix in (("out", options.out, ".safetensors"), ("onnx", options.onnx, SUFFIX)):
+        if path is not None and path.suffix != suffix:
+            raise BadConfig(f"--{name} must be a {suffix} file, found {path}")
     trained = load_network(options.run)
     scores = {} if options.scores is None else {"scores": read_json(options.scores)}
     confusion = scores.get("scores", {}).pop("confusion", None)
@@ -41,11 +45,3 @@ def run(options: Options) -> int:
             write_json(confusion_file(options.out), {"confusion": confusion})
         sys.stderr.write(f"wrote {options.out}, {options.out.stat().st_size / 1e6:.1f} MB\n")
     return 0
-
-
-def _check(options: Options) -> None:
-    if options.out is None and options.onnx is None:
-        raise BadConfig("give the file to write: --out FILE.safetensors or --onnx FILE.onnx")
-    for name, path, suffix in (("out", options.out, ".safetensors"), ("onnx", options.onnx, SUFFIX)):
-        if path is not None and path.suffix != suffix:
-            raise BadConfig(f"--{name} must be a {suffix} file, found {path}")

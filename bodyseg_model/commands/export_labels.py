@@ -227,12 +227,6 @@ def compressed(counts: NDArray[np.int64]) -> str:
     return text.decode()
 
 
-def _wider(label_map: LabelMap, label: int) -> str:
-    """What a class is a part of, as the set says; else "person" for body parts, or the name of the set's classes."""
-    own = {label_map.of.entries[member].within for member in label_map.members[label]}
-    return (own.pop() if len(own) == 1 else None) or ("person" if label_map.of == PART_CLASSES else label_map.of.name)
-
-
 def _path(folder: Path, name: str) -> Path:
     """A path within the export's folder, whose own folder is made. Raises BadConfig for one that leads out of it."""
     path = folder / name
@@ -282,10 +276,12 @@ def _coco(folder: Path, label_map: LabelMap, images: Images, options: Options, p
             file.writelines(f"{',' * (written + at > 0)}\n{json.dumps(entry)}" for at, entry in enumerate(entries))
             written += len(entries)
         kind = {"isthing": int(things)} if panoptic else {}
-        names = enumerate(label_map.names)
-        wider = ({"id": at + 1, "name": name, "supercategory": _wider(label_map, at)} for at, name in names)
-        categories = json.dumps([{**each, **kind} for each in wider])
-        file.write(f'],\n"categories": {categories},\n"images": {json.dumps(told_images)}}}\n')
+        categories, whole = [], "person" if label_map.of == PART_CLASSES else label_map.of.name
+        for at, name in enumerate(label_map.names):
+            own = {label_map.of.entries[member].within for member in label_map.members[at]}  # what it is a part of
+            wider = (own.pop() if len(own) == 1 else None) or whole
+            categories.append({"id": at + 1, "name": name, "supercategory": wider, **kind})
+        file.write(f'],\n"categories": {json.dumps(categories)},\n"images": {json.dumps(told_images)}}}\n')
 
 
 def _indexed(folder: Path, label_map: LabelMap, images: Images, options: Options) -> None:

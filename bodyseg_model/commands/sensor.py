@@ -22,7 +22,7 @@ from bodyseg_model.recordings import (
     metres_a_step,
 )
 from bodyseg_model.segmentation import TURNED_HELP, Background, BackgroundMode, FrameLabeller, Turned
-from bodyseg_model.sensor_fit import SensorFit, draw_comparison, fit_sensor, read_recording
+from bodyseg_model.sensor_fit import draw_comparison, fit_sensor, read_recording
 
 EXAMPLE = "bodyseg sensor fit recording/ --focal 525 --nearer-than 1.2 --out sensor.toml"
 
@@ -78,8 +78,11 @@ def run(options: Options) -> int:
     if options.picture is not None:
         save_picture(draw_comparison(recording, model), options.picture)
         sys.stderr.write(f"wrote {options.picture}\n")
-    skipped = [f"skipped {frame['error']}" for frame in skipping.skipped]
-    sys.stderr.write("".join(f"{line}\n" for line in (*_remarks(fit, camera), *skipped)))
+    if fit.mirrored:
+        sys.stderr.write("frames are probably mirrored: give --mirrored to bodyseg segment\n")
+    if camera.assumed:
+        sys.stderr.write(f"camera {camera.origin}: give --focal or --rig if it is another\n")
+    sys.stderr.write("".join(f"skipped {frame['error']}\n" for frame in skipping.skipped))
     return 0
 
 
@@ -108,15 +111,6 @@ def _background(options: Options) -> Background:
     if given and options.background == "keep":
         raise BadConfig("--near and --far limit what is kept: they contradict --background keep")
     return Background(options.background, **given)
-
-
-def _remarks(fit: SensorFit, camera: FrameCamera) -> list[str]:
-    lines = []
-    if fit.mirrored:
-        lines.append("frames are probably mirrored: give --mirrored to bodyseg segment")
-    if camera.assumed:
-        lines.append(f"camera {camera.origin}: give --focal or --rig if it is another")
-    return lines
 
 
 class ShowSensor:

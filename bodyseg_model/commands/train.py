@@ -293,13 +293,16 @@ def reporting(folder: Path, steps: int, log_every: int) -> Iterator[Report]:
         first = max(0, metrics.step - log_every) if first is None else first
         done = metrics.step - first
         left = (time.monotonic() - start) / max(1, done) * (steps - metrics.step)
+        validated = ""
+        if metrics.val_accuracy is not None:
+            validated = f", validation per class {metrics.val_accuracy:.1%} (best in step {metrics.val_best_step})"
         progress.update(
             metrics.step,
             steps,
             f"loss {metrics.loss:.3f}, right {metrics.pixel_accuracy:.1%}, per class {metrics.accuracy:.1%}, "
             f"{rate_text(metrics.images_per_second, 'images')}, waited {metrics.data_wait:.0%}"
             f"{'' if metrics.waited_for is None else f' for {metrics.waited_for}'}"
-            f"{_validation_text(metrics)}, {left:.0f} s left",
+            f"{validated}, {left:.0f} s left",
         )
         if new_board is not None:
             board = board or new_board(str(folder / "tensorboard"))  # not earlier: a refused training leaves nothing
@@ -316,12 +319,6 @@ def reporting(folder: Path, steps: int, log_every: int) -> Iterator[Report]:
         if waits and sum(waits.values()) > _WAIT_ADVISED:
             stage = max(waits, key=waits.__getitem__)
             sys.stderr.write(f"waited mostly for {stage}; what may help: {WAITING_ADVICE[stage]}\n")
-
-
-def _validation_text(metrics: Metrics) -> str:
-    if metrics.val_accuracy is None:
-        return ""
-    return f", validation per class {metrics.val_accuracy:.1%} (best in step {metrics.val_best_step})"
 
 
 def _tensorboard() -> Any:

@@ -66,7 +66,13 @@ def run(options: Options) -> int:
         raise BadConfig(f"--save must be a folder that is there, found {options.save}")
     trained = load_network(options.run)
     trained.network.to(find_device(options.device))
-    view = _set_view(options, trained) if kind == "set" else _recording_view(options, trained)
+    if kind == "set":
+        chosen = options.split, options.only, options.where, options.val_share, options.seed, options.labels
+        view: SetView | RecordingView = SetView(options.source[0], None, *chosen)
+        if options.run is not None or view.images.manifest.classes == trained.label_map.of:  # the shipped one's
+            view = SetView(options.source[0], trained, *chosen)
+    else:
+        view = _recording_view(options, trained)
     index = view.first_index() if isinstance(view, SetView) else 0
     first = Shown(index, options.variant, sensor=load_sensor_model(options.sensor))
     page, recording = Page(options.host, options.port, "bodyseg view", options.save, options.allow_host), None
@@ -115,13 +121,6 @@ def check_options(options: Options, kind: str) -> None:
     for field in fields(options):
         if field.metadata["help"].startswith(f"{other}: ") and getattr(options, field.name) != field.default:
             raise BadConfig(f"--{field.name.replace('_', '-')} is for {other}, found it with a {kind}")
-
-
-def _set_view(options: Options, trained: Trained) -> SetView:
-    chosen = options.split, options.only, options.where, options.val_share, options.seed, options.labels
-    view = SetView(options.source[0], None, *chosen)
-    shipped_fits = view.images.manifest.classes == trained.label_map.of
-    return SetView(options.source[0], trained, *chosen) if options.run is not None or shipped_fits else view
 
 
 def _recording_view(options: Options, trained: Trained) -> RecordingView:

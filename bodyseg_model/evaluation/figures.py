@@ -58,7 +58,7 @@ def draw_parts(figures: Tree) -> Any:
     upper, lower = figure.subplots(2, 1, height_ratios=(len(groups) + 0.6, len(parts) + 0.6), sharex=True)
     _bars(
         upper,
-        [f"{name}  (images: {_thousands(group['images'])})" for name, group in groups.items()],
+        [f"{name}  (images: {format(group['images'], ',').replace(',', ' ')})" for name, group in groups.items()],
         [group["average_per_class_accuracy"] for group in groups.values()],
         [(group["over_images"]["mean"], group["over_images"]["sd"]) for group in groups.values()],
     )
@@ -231,10 +231,6 @@ def _plain(axis: Any, grid: str) -> None:
 
 def _percent(share: float | None) -> str:
     return "–" if share is None else f"{100 * share:.1f} %"
-
-
-def _thousands(number: int) -> str:
-    return f"{number:,}".replace(",", " ")
 
 
 _THRESHOLD: Final = f"{100 * PAPERS_THRESHOLD:.0f} %"

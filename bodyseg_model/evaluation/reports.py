@@ -75,7 +75,9 @@ def summary(scores: Scores) -> Tree:
         },
         "pixel_accuracy": _share(matrix.pixel_accuracy()),
         "mean_iou": _share(matrix.mean_iou()),
-        "swaps": {kind.replace("/", "_"): _share_of(kinds[kind], pixels) for kind in SWAPS if kind in kinds},
+        "swaps": {
+            kind.replace("/", "_"): _share(kinds[kind] / (pixels or math.nan)) for kind in SWAPS if kind in kinds
+        },
     }
     if scores.confidences is not None:
         found["gross_errors"] = scores.gross_errors.to_json()
@@ -130,10 +132,6 @@ def _shares(record: ConfidentPixels | Reliability) -> Tree:
 def subset_order(subset: str) -> tuple[bool, str]:
     """Sort key: the paper's subsets first, in its order, which is alphabetical; then others."""
     return subset not in PAPERS_SUBSETS, subset
-
-
-def _share_of(count: int, pixels: int) -> float | None:
-    return round(count / pixels, _DECIMALS) if pixels else None
 
 
 def _share(value: float) -> float | None:

@@ -75,10 +75,8 @@ class FrameCameras:
         if other is not None:
             self.common = frame_camera(_shape(other), other.where, rig, focal_px, centre_px, trained)
         self.first = self.of(first, _shape(first))
-        lenses = [own.lens for own in self._own.values()]
-        if self.common is not None:
-            lenses.append(self.common.camera.distortion)
-        self.bent = any(lens is not None for lens in lenses)
+        common = None if self.common is None else self.common.camera.distortion
+        self.bent = any(lens is not None for lens in (common, *(own.lens for own in self._own.values())))
 
     def of(self, frame: Frame, shape: tuple[int, int]) -> FrameCamera:
         """The camera of a frame of `shape` (rows, columns). Raises BadConfig as `Intrinsics.frame_camera`."""

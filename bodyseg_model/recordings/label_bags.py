@@ -28,8 +28,6 @@ CLOUD: Final = "sensor_msgs/msg/PointCloud2"
 LEGEND: Final = "bodyseg.labels"
 """Name of the metadata that say which number is which part."""
 
-_SUFFIX: Final = ".mcap"
-
 # Of sensor_msgs/msg/PointField.
 _DATATYPES: Final = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 
@@ -41,7 +39,7 @@ def labels_out(path: Path, label_map: LabelMap, frames_per_second: float) -> Ite
     path: an .mcap file. frames_per_second: of frames without times.
     Raises BadConfig for another path or one that cannot be written, MissingLibrary.
     """
-    if path.suffix.lower() != _SUFFIX:
+    if path.suffix.lower() != ".mcap":
         raise BadConfig(f"labels are written into an .mcap file, found {path}")
     part = part_beside(path)
     with reported(f"cannot write {path}", BadConfig, OSError):

@@ -17,6 +17,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
 from torch import nn
 
+from bodyseg_data.artifacts import Bounds
 from bodyseg_data.core import BadConfig, check_fields
 from bodyseg_data.files import read_bytes, write_result
 from bodyseg_data.labels import BACKGROUND
@@ -125,12 +126,10 @@ class GraphFacts:
     """Properties of a graph's network; see `Network`."""
 
     classes: int
-    output_stride: int
+    output_stride: int = field(metadata={"bounds": Bounds(1, 64)})
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if not 1 <= self.output_stride <= 64:
-            raise BadConfig(f"output_stride must be 1 to 64, found {self.output_stride}")
 
 
 @dataclass(frozen=True)

@@ -174,6 +174,7 @@ class Training:
         self.network = network.to(processes.device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.optimiser = make_optimiser(self.network, recipe)
         self.averaged = AveragedNetwork(self.network, recipe.ema) if recipe.ema and processes.first else None
+        self.result = self.network if self.averaged is None else self.averaged.network  # that is validated and saved
         self.validation, self.pretrained = validation, pretrained
         self.step = 0
         self._best: Best | None = None
@@ -275,25 +276,20 @@ class Training:
         tensors |= {f"{_OPTIMISER}{name}": tensor for name, tensor in optimiser_tensors(self.optimiser).items()}
         return Checkpoint(self.step, data_loader.state_dict(), tensors)
 
-    def _result(self) -> Network:
-        """The network that is validated and saved: the averaged one where there is one."""
-        return self.network if self.averaged is None else self.averaged.network
-
     def _validated(self, metrics: Metrics, facts: Mapping[str, Any]) -> Metrics:
         """Validate; returns the metrics with those of the validation, and keeps the weights if they are the best."""
         validation = self.validation
         if validation is None:
             return metrics
         if self.processes.first:
-            scores = validation.scores(
-                self._result().eval(), self.run_options.num_workers, self.run_options.worker_method
-            )
+            workers, method = self.run_options.num_workers, self.run_options.worker_method
+            scores = validation.scores(self.result.eval(), workers, method)
             self.network.train(not self.recipe.only_places)
             accuracy = scores.confusion.average_per_class_accuracy()
             if not math.isnan(accuracy):  # NaN if these images show no body
                 if self._best is None or accuracy > self._best.accuracy:
                     self._best = Best(self.step, accuracy)
-                    save_network(self.folder.best_network, self._result(), self.name, self._card(facts, self.step))
+                    save_network(self.folder.best_network, self.result, self.name, self._card(facts, self.step))
                 metrics = replace(
                     metrics,
                     val_accuracy=round(accuracy, 5),
@@ -309,7 +305,7 @@ class Training:
         self._ended = self.processes.from_first(validation.exhausted(self.step, best_step))
 
     def _save(self, facts: Mapping[str, Any]) -> None:
-        step, network = self.step, self._result()
+        step, network = self.step, self.result
         if self.validation is not None and self.validation.keep == "best" and self._best is not None:
             step, network = self._best.step, load_network(self.folder.path, "best").network
         save_network(self.folder.network, network, self.name, self._card(facts, step))
@@ -341,7 +337,7 @@ class Training:
         )
         self.optimiser.zero_grad(set_to_none=True)
         for index in range(recipe.accumulate):
-            with window.waiting():
+            with window.watch("data"):
                 batch = next(batches)
             range_m = batch["range"].to(device, non_blocking=True)
             labels = batch["labels"].to(device, non_blocking=True)

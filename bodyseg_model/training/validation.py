@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import torch
 
-from bodyseg_data.core import BadConfig, check_int
+from bodyseg_data.core import BadConfig, Stopwatch, check_int
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, RangeImages, WorkerMethod
 from bodyseg_model.evaluation import ConfusionMatrix, Evaluation, Scores, evaluate
 from bodyseg_model.networks import CheckpointName, Network
@@ -63,7 +62,10 @@ Report = Callable[[Metrics], None]
 
 
 class MetricsWindow:
-    """Sums over the steps between two lines of the log; classes: number of classes that the network tells apart."""
+    """Sums over the steps between two lines of the log; classes: number of classes that the network tells apart.
+
+    watch: its stage "data" is waiting for data.
+    """
 
     def __init__(self, processes: ProcessGroup, classes: int) -> None:
         self._processes, self._classes = processes, classes
@@ -71,15 +73,8 @@ class MetricsWindow:
         self._counts = torch.zeros(classes, classes, dtype=torch.int64, device=processes.device)
         self._off_mm: torch.Tensor | None = None
         self._turns = self._images = 0
-        self._waited = 0.0
+        self.watch = Stopwatch(("data",))
         self._start = time.perf_counter()
-
-    @contextlib.contextmanager
-    def waiting(self) -> Iterator[None]:
-        """Count the time that the context lasts as waiting for data."""
-        start = time.perf_counter()
-        yield
-        self._waited += time.perf_counter() - start
 
     def add(self, loss: torch.Tensor, counts: torch.Tensor, images: int, off_mm: torch.Tensor | None = None) -> None:
         """Add the loss, the confusion matrix and the error of places, if any, of a batch of `images` images."""
@@ -106,7 +101,7 @@ class MetricsWindow:
             round(float(right), 5),
             rate,
             round(self._images * self._processes.world_size / seconds, 2),
-            round(self._waited / seconds, 4),
+            round(self.watch.milliseconds["data"] / 1000 / seconds, 4),
             off_mm=off_mm,
         )
 

@@ -451,6 +451,27 @@ class Page:
             self.warn(f"no picture was saved: {error}")
 
 
+class Controls:
+    """What a page shows of a view, as its controls say. shown: a frozen dataclass, which `view.draw` takes."""
+
+    def __init__(self, page: Page, view: Any, shown: Any) -> None:
+        self.page, self.view, self.shown = page, view, shown
+        self._lock = threading.RLock()
+
+    def draw(self) -> Drawing:
+        """Draw what the controls say. Raises as the view's `draw`."""
+        with self._lock:
+            view, shown = self.view, self.shown
+        drawing: Drawing = view.draw(shown)
+        return drawing
+
+    def change(self, **changes: Any) -> None:
+        """Change what is shown, by the fields of `shown`, and draw it."""
+        with self._lock:
+            self.shown = dataclasses.replace(self.shown, **changes)
+        self.page.request()
+
+
 def aimed_at(drawing: Drawing) -> NDArray[np.float32]:
     """Points that a window is turned to, float32 [N, 3]: those of bodies, or all if there is no body."""
     return drawing.points.xyz[: drawing.bodies or None]

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final, Literal, get_args
 
@@ -19,7 +19,7 @@ from bodyseg_model.segmentation import (
     draw_overlay,
     flicker,
 )
-from bodyseg_model.viewing.page import Page
+from bodyseg_model.viewing.page import Controls, Page
 from bodyseg_model.viewing.pictures import (
     CONFIDENCE_LEGEND,
     Drawing,
@@ -185,14 +185,13 @@ def _counted(found: Segmentation) -> str:
     return f"{people} {'person' if people == 1 else 'people'}, {things} thing{'' if things == 1 else 's'}"
 
 
-class RecordingPage:
+class RecordingPage(Controls):
     """Puts a recording on a page and keeps what its controls say. While it plays, no frame is left out: a frame that
     takes longer than its time delays the next one.
     """
 
     def __init__(self, page: Page, view: RecordingView) -> None:
-        self.page, self.view, self.shown = page, view, ShownFrame()
-        self._lock = threading.RLock()
+        super().__init__(page, view, ShownFrame())
         self._playing, self._closed = threading.Event(), threading.Event()
         gui = page.server.gui
         with gui.add_folder("Frames"):
@@ -223,18 +222,6 @@ class RecordingPage:
         page.start(self.draw)
         self._player = threading.Thread(target=self._run, name="player", daemon=True)
         self._player.start()
-
-    def draw(self) -> Drawing:
-        """Draw what the controls say. Raises as `RecordingView.draw`."""
-        with self._lock:
-            shown = self.shown
-        return self.view.draw(shown)
-
-    def change(self, **changes: Any) -> None:
-        """Change what is shown, by the fields of `ShownFrame`, and draw it."""
-        with self._lock:
-            self.shown = replace(self.shown, **changes)
-        self.page.request()
 
     def go_on(self, frames: int) -> None:
         """Show the frame so many after this one; the first one follows the last."""

@@ -5,21 +5,17 @@ from __future__ import annotations
 import shlex
 import threading
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from bodyseg_data.artifacts import PAIRS, VARIANTS, Artifact, SensorModel, load_sensor_model, sensor_model_names
 from bodyseg_data.core import BadConfig, BodysegError
 from bodyseg_data.samples import READ_SPLITS, SPLITS, ReadSplit
-from bodyseg_model.viewing.page import Page
-from bodyseg_model.viewing.pictures import Drawing
+from bodyseg_model.viewing.page import Controls, Page
 from bodyseg_model.viewing.set_view import COLOURINGS, SetView, Shown
 from bodyseg_model.viewing.strengths import Slider, moved, sliders_of, value_of
 
 if TYPE_CHECKING:
     import viser
-
-    from bodyseg_model.viewing.page import Page
 
 
 _KINDS: Final = {"occlusion": "occ", "noise": "noise", "missing_data": "md"}
@@ -122,12 +118,11 @@ class SensorControls:
 _BOTH: Final = "train and test"
 
 
-class SetPage:
+class SetPage(Controls):
     """Puts a set on a page and keeps what its controls say. first: what is shown first."""
 
     def __init__(self, page: Page, view: SetView, first: Shown) -> None:
-        self.page, self.view, self.shown = page, view, first
-        self._lock = threading.RLock()
+        super().__init__(page, view, first)
         self._sensors = {name: load_sensor_model(name) for name in sensor_model_names()} | {
             first.sensor.name: first.sensor
         }
@@ -140,18 +135,6 @@ class SetPage:
         with gui.add_folder("Sensor: strengths of its artifacts"):
             self._add_sensor_controls()
         page.start(self.draw)
-
-    def draw(self) -> Drawing:
-        """Draw what the controls say. Raises as `SetView.draw`."""
-        with self._lock:
-            view, shown = self.view, self.shown
-        return view.draw(shown)
-
-    def change(self, **changes: Any) -> None:
-        """Change what is shown, by the fields of `Shown`, and draw it."""
-        with self._lock:
-            self.shown = replace(self.shown, **changes)
-        self.page.request()
 
     def choose(self, split: str, where: str, only: str) -> None:
         """Show other samples of the set, from the first on; where it refuses, say so and keep what is shown.

@@ -235,13 +235,14 @@ class SetView:
         sample, made, layers = images.sample, images.variants, images.layers
         layout, window = self.layout_of(sample)
         span, projector = span_of(sample.range), sample.projector_range
+        near, far = (each * self.rig.range_step_m for each in span)
 
         def reduced(image: NDArray[Any]) -> NDArray[Any]:
             return layout.reduced(image[window] if image.shape == sample.range.shape else image)
 
         small = layers.picked(reduced)
         stored = [
-            Panel("stored range", colour_range(reduced(sample.range), *span), self._in_metres(span)),
+            Panel("stored range", colour_range(reduced(sample.range), *span), f"{near:.2f} to {far:.2f} m"),
             Panel(f"labels, {shown.variant}", self._colours("parts", small), _pixels(layers.range)),
         ]
         if projector is not None:
@@ -281,10 +282,6 @@ class SetView:
             facts.append(f"network: {_share_right(layers.kinds):.1%} of pixels right; {wrong}")
             facts += [] if self.warning is None else [self.warning]
         return tuple(facts)
-
-    def _in_metres(self, span: tuple[float, float]) -> str:
-        near, far = (each * self.rig.range_step_m for each in span)
-        return f"{near:.2f} to {far:.2f} m"
 
 
 def _share_right(kinds: NDArray[np.uint8]) -> float:

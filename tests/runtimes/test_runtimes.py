@@ -306,7 +306,10 @@ def test_graphs_that_lie_are_one_line(tmp_path: Path) -> None:
         (graph_of(plain), r"scores must be \[1, 50, 34, 33\], found \[1, 1, 200, 136\]"),
         (graph_of(loop, inputs=on), "plain operators, no loops, branches or functions, found some"),
         (graph_of(plain, opset=19), "opset must be at most 18, found 19"),
-        (graph_of(plain, facts=json.dumps({"classes": 33, "output_stride": 10**9})), "output_stride must be 1 to 64"),
+        (
+            graph_of(plain, facts=json.dumps({"classes": 33, "output_stride": 10**9})),
+            "output_stride must be from 1 to 64",
+        ),
         (graph_of(plain, facts="[" * 100_000), "its metadata must describe the graph"),
     ):
         (tmp_path / "a.onnx").write_bytes(data)
