@@ -8,7 +8,7 @@ import io
 import json
 import warnings
 from contextlib import redirect_stdout
-from dataclasses import asdict, dataclass, field
+from dataclasses import MISSING, asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -17,8 +17,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
 from torch import nn
 
-from bodyseg_data.artifacts import Bounds
-from bodyseg_data.core import BadConfig, check_fields
+from bodyseg_data.core import BadConfig, bounded, check_fields
 from bodyseg_data.files import read_bytes, write_result
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import required
@@ -126,7 +125,7 @@ class GraphFacts:
     """Properties of a graph's network; see `Network`."""
 
     classes: int
-    output_stride: int = field(metadata={"bounds": Bounds(1, 64)})
+    output_stride: int = bounded(MISSING, 1, 64)
 
     def __post_init__(self) -> None:
         check_fields(self)
