@@ -10,7 +10,7 @@ from typing import Any, Final
 import torch
 
 from bodyseg_data.commands import WHERE_HELP, Progress, command_line, last_name, option, provenance
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, check_int
 from bodyseg_data.drawing import new_chart
 from bodyseg_data.files import make_folder, write_json
 from bodyseg_data.labels import PART_CLASSES
@@ -57,8 +57,7 @@ class Options:
 
 def run(options: Options) -> int:
     """Measure the sweeps, write stability.json, then draw."""
-    if options.images < 1:
-        raise BadConfig(f"--images must be at least 1, found {options.images}")
+    check_int("--images", options.images, 1)
     use_threads(options.threads)
     sweeps = chosen(options.sweeps, options.hard is not None)
     device = find_device(options.device)

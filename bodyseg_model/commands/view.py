@@ -66,10 +66,11 @@ def run(options: Options) -> int:
         raise BadConfig(f"--save must be a folder that is there, found {options.save}")
     trained = load_network(options.run)
     trained.network.to(find_device(options.device))
+    view: SetView | RecordingView
     if kind == "set":
         chosen = options.split, options.only, options.where, options.val_share, options.seed, options.labels
-        view: SetView | RecordingView = SetView(options.source[0], None, *chosen)
-        if options.run is not None or view.images.manifest.classes == trained.label_map.of:  # the shipped one's
+        view = plain = SetView(options.source[0], None, *chosen)
+        if options.run is not None or plain.images.manifest.classes == trained.label_map.of:  # the shipped one's
             view = SetView(options.source[0], trained, *chosen)
     else:
         view = _recording_view(options, trained)

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
         UNITS_HELP,
         Skipping,
         find_frames,
-        first_readable,
         metres_a_step,
         open_recording,
         to_metres,

@@ -154,7 +154,10 @@ def result_names(frames: Sequence[Frame]) -> list[str]:
     stems = [frame.member or frame.path.stem for frame in frames]
     names = stems
     if len(set(stems)) < len(stems):
-        homes = [_home(frame) for frame in frames]
+        folders = [frame.path.parent.resolve().parts[1:] for frame in frames]
+        # A recording of several frames counts as a folder of its name.
+        inner = [() if frame.member is None else (frame.path.stem,) for frame in frames]
+        homes = [(*above, *own) for above, own in zip(folders, inner, strict=True)]
         depth, deepest = 1, max(map(len, homes))
         while depth < deepest and len({home[-depth:] for home in homes}) < len(set(homes)):
             depth += 1
@@ -170,12 +173,6 @@ def result_names(frames: Sequence[Frame]) -> list[str]:
             raise BadConfig(f"two frames must not have one name, as their results would: {first[name]}, {frame.where}")
         first[name] = frame.where
     return names
-
-
-def _home(frame: Frame) -> tuple[str, ...]:
-    """The folders of a frame from the root, a recording of several counted as one of its name."""
-    folders = frame.path.parent.resolve().parts[1:]
-    return folders if frame.member is None else (*folders, frame.path.stem)
 
 
 class Skipping:

@@ -60,7 +60,7 @@ class OutputFolder:
         self, path: Path, inputs: Sequence[Path], frames: Sequence[Frame], folders: Sequence[str] = IMAGES[:2]
     ) -> None:
         self.path, self.folders = path, tuple(folders)
-        self._frames = [
+        self._frames: list[dict[str, Any]] = [
             {"name": frame.name, "file": frame.where, "path_id": frame.path_id}
             | ({} if frame.time_s is None else {"time_s": frame.time_s})
             for frame in frames

@@ -141,8 +141,7 @@ def encode_picture(image: NDArray[Any]) -> bytes:
     filtered[:, 1:] = big_endian.view(np.uint8).reshape(rows, -1)
     header = struct.pack(">IIBBBBB", columns, rows, 8 * image.dtype.itemsize, _COLOUR[image.ndim], 0, 0, 0)
     chunks = (b"IHDR", header), (b"IDAT", compress(filtered.data, _LEVEL)), (b"IEND", b"")
-    return SIGNATURE + b"".join(_chunk(name, data) for name, data in chunks)
-
-
-def _chunk(name: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(data, zlib.crc32(name)))
+    return SIGNATURE + b"".join(
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(data, zlib.crc32(name)))
+        for name, data in chunks
+    )

@@ -226,12 +226,11 @@ class Segmenter:
             view_of(self.finder, self._upright)  # now, so that what is no finder is refused
         self.label_map = label_map or (PARTS33 if network.classes == PART_COUNT else None)
         self._asked = dense, self.label_map == PARTS33
-        self.device = device_of(network)
         self._prepared = False
 
     def __repr__(self) -> str:
         camera = f"{self.camera.rows} x {self.camera.columns} pixels, focal length {self.camera.focal_px:g} px"
-        return f"Segmenter({type(self._network).__name__} on {self.device}, {camera}, {self.background})"
+        return f"Segmenter({type(self._network).__name__} on {device_of(self._network)}, {camera}, {self.background})"
 
     def __call__(self, range_m: NDArray[np.float32]) -> Segmentation:
         """Label one frame, [H, W], metres along the optical axis, 0 = nothing measured.

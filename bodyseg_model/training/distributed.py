@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 import torch.distributed
 
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import check_int
 from bodyseg_data.loading import find_rank
 from bodyseg_model.networks import find_device
 
@@ -61,8 +61,5 @@ def joined_process_group(device: str | None = None) -> Iterator[ProcessGroup]:
 
 def use_threads(count: int | None) -> None:
     """Set the number of threads in which torch computes; None leaves it. Raises BadConfig for less than one."""
-    if count is None:
-        return
-    if count < 1:
-        raise BadConfig(f"--threads must be at least 1, found {count}")
-    torch.set_num_threads(count)
+    if count is not None:
+        torch.set_num_threads(check_int("--threads", count, 1))

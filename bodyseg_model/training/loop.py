@@ -30,6 +30,7 @@ from bodyseg_model.networks import (
     Checkpoint,
     Network,
     NetworkName,
+    RunFiles,
     Trained,
     build,
     check_label_map,
@@ -289,7 +290,8 @@ class Training:
             if not math.isnan(accuracy):  # NaN if these images show no body
                 if self._best is None or accuracy > self._best.accuracy:
                     self._best = Best(self.step, accuracy)
-                    save_network(self.folder.best_network, self.result, self.name, self._card(facts, self.step))
+                    best = self.folder.path / RunFiles.BEST
+                    save_network(best, self.result, self.name, self._card(facts, self.step))
                 metrics = replace(
                     metrics,
                     val_accuracy=round(accuracy, 5),

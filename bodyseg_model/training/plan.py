@@ -110,11 +110,6 @@ class RunFolder:
         """Path of the trained network."""
         return self.path / RunFiles.NETWORK
 
-    @property
-    def best_network(self) -> Path:
-        """Path of the weights of the best validation."""
-        return self.path / RunFiles.BEST
-
     def begin(self, plan: Mapping[str, Any], resume: bool) -> Checkpoint | None:
         """Open the folder for the training that `plan` describes; returns its last checkpoint if it has one.
 
@@ -167,7 +162,7 @@ class RunFolder:
 
     def best(self) -> Best | None:
         """The best validation, None before the first. Raises BadConfig if its card is damaged."""
-        card = self.best_network.with_suffix(".json")
+        card = (self.path / RunFiles.BEST).with_suffix(".json")
         if not card.exists():
             return None
         step, accuracy = (read_json(card).get(name) for name in ("step", "val_accuracy"))

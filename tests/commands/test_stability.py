@@ -175,7 +175,7 @@ def test_without_a_reference_there_is_no_mce(
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        ({"images": 0}, "--images must be at least 1, found 0"),
+        ({"images": 0}, "--images must be a whole number of at least 1, found 0"),
         ({"sweeps": ("rain",)}, "a sweep must be one of"),
         ({"hard": None}, "needs a set of hard poses"),
     ],

@@ -367,7 +367,7 @@ def test_several_sets_are_one_evaluation_unless_they_share_samples(
         (["--run", "nowhere.safetensors"], "cannot read nowhere.json"),
         (["--images", "0"], "--images must be at least 1, found 0"),
         (["--frames", "-1"], "--frames must be at least 0, found -1"),
-        (["--threads", "0"], "--threads must be at least 1, found 0"),
+        (["--threads", "0"], "--threads must be a whole number of at least 1, found 0"),
         (["--batch-size", "0"], "batch_size must be a whole number of at least 1, found 0"),
         (["--device", "abacus"], "cannot compute on the device 'abacus'"),
         (["--variant", "none", "--noise-mm", "5"], "a strength of noise is for a variant that has noise"),

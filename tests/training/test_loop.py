@@ -329,7 +329,7 @@ def test_weights_of_parts_come_from_clean_samples(small_set: Path) -> None:
         (["--artifacts", "[]"], "--artifacts must be strengths by artifact"),
         (["--variant", "md", "--noise-mm", "5"], "a strength of noise is for a variant that has noise, found variant"),
         (["--losses", "0.2", "--artifacts", '{"losses": {}}'], "an artifact may be given once, found losses twice"),
-        (["--threads", "0"], "--threads must be at least 1, found 0"),
+        (["--threads", "0"], "--threads must be a whole number of at least 1, found 0"),
         (["--device", "cuda:77"], "cannot compute on the device 'cuda:77'"),
         (["--pretrained", "x.onnx"], "Compact starts from a run's folder or a .safetensors file, found x.onnx"),
         (["--log-every", "0"], "log_every must be a whole number of at least 1, found 0"),
