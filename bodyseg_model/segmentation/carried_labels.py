@@ -171,11 +171,10 @@ class CarriedLabels:
         self.carrying = carrying or Carrying()
         self._loops = import_module(f"{__package__}.carried_loops")
         self._last: _LastFrame | None = None
-        self._spare: Images | None = None
 
     def restart(self) -> None:
         """Forget all frames, as at the start of a recording."""
-        self._last = self._spare = None
+        self._last = None
 
     def __call__(
         self, range_m: NDArray[np.float32], labels: Labels, bodies: Sequence[SeenBody], camera: Camera
@@ -193,7 +192,8 @@ class CarriedLabels:
         if last is None and not seen:  # nobody was seen yet
             return np.full(labels.shape, BACKGROUND, np.uint8)
         lens = self._lens(seen[0], camera) if last is None else last.lens
-        new = self._empty_images(flat.size)
+        slots = np.empty((flat.size, self._loops.SLOTS), np.uint32)
+        new = Images(np.zeros(flat.size, np.float32), slots, np.full(flat.size, BACKGROUND, np.uint8))
         cells = [self._cells(body, lens) for body in seen]
         known = []
         for body, own, number in zip(seen, cells, self._pairs(cells), strict=True):
@@ -208,7 +208,7 @@ class CarriedLabels:
                 old = last.images
             self._carry(body, lens, rigid, field, own.grid, old, rule, new)
             known.append((own, gain))
-        self._spare, self._last = None if last is None else last.images, _LastFrame(camera, lens, new, known)
+        self._last = _LastFrame(camera, lens, new, known)
         return new.shown.reshape(labels.shape).copy()
 
     def _lens(self, body: BodyPixels, camera: Camera) -> CellLens:
@@ -229,15 +229,6 @@ class CarriedLabels:
         normals = np.cross(right - left, below - above)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
         return Cells(grid, points, normals, beside, labels, noise_m)
-
-    def _empty_images(self, size: int) -> Images:
-        """Memory of a frame's images: that of the frame before the last, where there is one."""
-        images = self._spare or Images(
-            np.empty(size, np.float32), np.empty((size, self._loops.SLOTS), np.uint32), np.empty(size, np.uint8)
-        )
-        images.range_m.fill(0)
-        images.shown.fill(BACKGROUND)
-        return images
 
     def _pairs(self, cells: Sequence[Cells]) -> list[int | None]:
         """For every body its number in the last frame: the nearest that is left; None for a new one."""
