@@ -6,7 +6,7 @@ from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
     from bodyseg_model.sensor_fit.edges import ShadowFrames
-    from bodyseg_model.sensor_fit.fit import SensorFit, draw_comparison, fit_sensor
+    from bodyseg_model.sensor_fit.fit import draw_comparison, fit_sensor
     from bodyseg_model.sensor_fit.recording import read_recording
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

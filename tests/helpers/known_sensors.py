@@ -13,8 +13,9 @@ from fakes import Figures
 from bodyseg_data.artifacts import Artifact, SensorModel
 from bodyseg_data.rigs import Rig, load_rig
 from bodyseg_model.recordings import FrameCamera
-from bodyseg_model.sensor_fit import SensorFit, fit_sensor
+from bodyseg_model.sensor_fit import fit_sensor
 from bodyseg_model.sensor_fit.finding import Finding
+from bodyseg_model.sensor_fit.fit import SensorFit
 from bodyseg_model.sensor_fit.recording import MarkedRecording
 
 
