@@ -97,7 +97,8 @@ def view_body(
     depths, across = range_m.ravel()[pixels].astype(np.float64), columns + 0.5 - camera.centre_px[0]
     turn = turn_rad
     if turn is None:
-        sides = across * depths
+        with np.errstate(invalid="ignore"):  # what is no range is refused below
+            sides = across * depths
         turn = math.atan2((sides.min() + sides.max()) / 2, _median(depths) * camera.focal_px)
     sine, cosine = math.sin(turn), math.cos(turn)
     depths *= across / camera.focal_px * sine + cosine

@@ -50,7 +50,7 @@ def filled(out: Path, *inputs: Path, folders: tuple[str, ...] = IMAGES[:2], done
 def write_images(place: OutputFolder) -> None:
     for folder in place.folders:
         for name in ("1", "2"):
-            write_result(place.image(folder, name), f"{folder} {name}".encode())
+            write_result(place.image(folder, name), f"{folder} {name}".encode(), flushed=False)
 
 
 def files(out: Path) -> list[str]:
