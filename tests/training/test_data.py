@@ -27,8 +27,8 @@ def words(data: list[Path], out: Path, *more: str) -> list[str]:
     return [*given, "--batch-size", "2", "--num-workers", "0", "--log-every", "1", "--threads", "1", *more]
 
 
-def opened(small_set: Path, names: list[str], *options: Any) -> Any:
-    return mixed([RangeImages(small_set, "all", "train", only=[name]) for name in names], *options, 3)
+def opened(small_set: Path, names: list[str], weights: tuple[float, ...], samples: int | None) -> Any:
+    return mixed([RangeImages(small_set, "all", "train", only=[name]) for name in names], weights, samples, 3)
 
 
 def test_one_set_is_read_as_before(small_set: Path) -> None:
