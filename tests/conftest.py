@@ -51,7 +51,7 @@ hypothesis.settings.register_profile(
 hypothesis.settings.load_profile("untimed")
 
 _LONG_FILES: Final = (
-    "bodies/test_landmark_fitting.py",
+    "benches/landmarks/test_landmark_fitting.py",
     "packing/test_engines.py",
     "loading/test_loader_faults.py",
     "benches/model/test_real.py",
