@@ -84,10 +84,10 @@ def _bars(axis: Any, names: list[str], values: list[float | None], spreads: list
     axis.barh(positions, [value or 0 for value in values], color=_PALE, edgecolor=_DARK, linewidth=0.6, height=0.74)
     for y, value in zip(positions, values, strict=True):
         axis.text(1.015, y, "not shown" if value is None else f"{100 * value:.1f} %", va="center", fontsize=9)
-    mean, spread = np.array(spreads, np.float64).T  # NaN for null
-    spread = np.nan_to_num(spread)
-    axis.hlines(positions, np.maximum(mean - spread, 0), np.minimum(mean + spread, 1), color="black", linewidth=1.1)
-    axis.plot(mean, positions, "o", color="black", markersize=3.6)
+    known = np.array([(y, mean, spread or 0) for y, (mean, spread) in enumerate(spreads) if mean is not None])
+    places, means, around = known.reshape(-1, 3).T
+    axis.hlines(places, np.maximum(means - around, 0), np.minimum(means + around, 1), color="black", linewidth=1.1)
+    axis.plot(means, places, "o", color="black", markersize=3.6)
     axis.set_yticks(positions, names, fontsize=9)
     axis.set_ylim(len(names) - 0.4, -0.6)
     axis.set_xlim(0, 1)
