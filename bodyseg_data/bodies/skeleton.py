@@ -197,7 +197,7 @@ def arm_rotations(arm: Arm) -> dict[str, Matrix]:
 
 def finger_rotations(arm: Arm) -> dict[str, Matrix]:
     """Return rotations [3, 3] of the fingers' bones of a left hand, by name without the side."""
-    rotations = {}
+    rotations: dict[str, Matrix] = {}
     for fingers, bends in (((1,), (10, 25, 45)), ((2, 3, 4, 5), (62, 75, 45))):
         for joint, most in enumerate(bends, 1):
             names = [f"finger{finger}-{joint}" for finger in fingers]
