@@ -16,6 +16,7 @@ import checked_arrays  # noqa: F401  # checks the arrays of all that is imported
 import hypothesis
 import pytest
 import shared_anny  # noqa: F401  # before anything imports what loads the body model
+import shared_distances  # noqa: F401
 from fakes import FiguresEntry
 from folders import SHARED_DATA, TESTS
 from kernel_forms import FORMS, computed_by
@@ -50,7 +51,7 @@ hypothesis.settings.register_profile(
 hypothesis.settings.load_profile("untimed")
 
 _LONG_FILES: Final = (
-    "bodies/test_landmark_fitting.py",
+    "benches/landmarks/test_landmark_fitting.py",
     "packing/test_engines.py",
     "loading/test_loader_faults.py",
     "benches/model/test_real.py",

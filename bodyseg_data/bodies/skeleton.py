@@ -140,18 +140,23 @@ _MOST_PLANTARFLEXION: Final = 50
 
 def bone_rotations(pose: Pose) -> dict[str, Matrix]:
     """Return rotations [3, 3] by bone name, body frame; other bones keep the reference pose."""
-    trunk = pose.trunk
-    root = root_rotation(trunk)
-    rotations = {"root": root}
+    rotations = trunk_rotations(pose.trunk)
+    root = rotations["root"]
+    # A right limb is a left limb seen in a mirror, and so is the pelvis that it hangs from.
+    rotations |= _named(_left(pose.left_arm, pose.left_leg, root), "L")
+    right = _left(pose.right_arm, pose.right_leg, _MIRROR @ root @ _MIRROR)
+    return rotations | _named({bone: _MIRROR @ rotation @ _MIRROR for bone, rotation in right.items()}, "R")
+
+
+def trunk_rotations(trunk: Trunk) -> dict[str, Matrix]:
+    """Return rotations [3, 3] of the bones of pelvis, spine, neck and head, by name."""
+    rotations = {"root": root_rotation(trunk)}
     for shares, whole in (
         (_SPINE, _bent(trunk.bend, trunk.side, trunk.twist)),
         (_NECK, _bent(trunk.nod, trunk.tilt, trunk.look)),
     ):
         rotations |= {bone: _part_of(whole, share) for bone, share in shares.items()}
-    # A right limb is a left limb seen in a mirror, and so is the pelvis that it hangs from.
-    rotations |= _named(_left(pose.left_arm, pose.left_leg, root), "L")
-    right = _left(pose.right_arm, pose.right_leg, _MIRROR @ root @ _MIRROR)
-    return rotations | _named({bone: _MIRROR @ rotation @ _MIRROR for bone, rotation in right.items()}, "R")
+    return rotations
 
 
 def root_rotation(trunk: Trunk) -> Matrix:
@@ -192,12 +197,11 @@ def arm_rotations(arm: Arm) -> dict[str, Matrix]:
 
 def finger_rotations(arm: Arm) -> dict[str, Matrix]:
     """Return rotations [3, 3] of the fingers' bones of a left hand, by name without the side."""
-    rotations = {}
-    for finger in (2, 3, 4, 5):
-        for joint, most in ((1, 62), (2, 75), (3, 45)):
-            rotations[f"finger{finger}-{joint}"] = _turn(KNUCKLES, most * arm.fist)
-    for joint, most in ((1, 10), (2, 25), (3, 45)):
-        rotations[f"finger1-{joint}"] = _turn(KNUCKLES, most * arm.fist)
+    rotations: dict[str, Matrix] = {}
+    for fingers, bends in (((1,), (10, 25, 45)), ((2, 3, 4, 5), (62, 75, 45))):
+        for joint, most in enumerate(bends, 1):
+            names = [f"finger{finger}-{joint}" for finger in fingers]
+            rotations |= dict.fromkeys(names, _turn(KNUCKLES, most * arm.fist))
     return rotations
 
 
@@ -209,7 +213,7 @@ def leg_rotations(leg: Leg, root: Matrix) -> dict[str, Matrix]:
     knee = _turn(_X, leg.knee)
     foot = _part_of(_levelling(root @ whole @ knee), leg.planted) @ _turn(_X, leg.ankle)
     rotations = {"upperleg01": swing @ half, "upperleg02": half, "lowerleg01": knee, "foot": foot}
-    return rotations | {f"toe{toe}-1": _turn(_X, -leg.toes) for toe in (1, 2, 3, 4, 5)}
+    return rotations | dict.fromkeys([f"toe{toe}-1" for toe in (1, 2, 3, 4, 5)], _turn(_X, -leg.toes))
 
 
 def _levelling(shin: Matrix) -> Matrix:

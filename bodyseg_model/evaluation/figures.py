@@ -82,12 +82,12 @@ def draw_parts(figures: Tree) -> Any:
 def _bars(axis: Any, names: list[str], values: list[float | None], spreads: list[tuple[Any, Any]]) -> None:
     positions = np.arange(len(names))
     axis.barh(positions, [value or 0 for value in values], color=_PALE, edgecolor=_DARK, linewidth=0.6, height=0.74)
-    for y, value, (mean, deviation) in zip(positions, values, spreads, strict=True):
+    for y, value in zip(positions, values, strict=True):
         axis.text(1.015, y, "not shown" if value is None else f"{100 * value:.1f} %", va="center", fontsize=9)
-        if mean is not None:
-            spread = deviation or 0
-            axis.plot([max(mean - spread, 0), min(mean + spread, 1)], [y, y], color="black", linewidth=1.1)
-            axis.plot(mean, y, "o", color="black", markersize=3.6)
+    known = np.array([(y, mean, spread or 0) for y, (mean, spread) in enumerate(spreads) if mean is not None])
+    places, means, around = known.reshape(-1, 3).T
+    axis.hlines(places, np.maximum(means - around, 0), np.minimum(means + around, 1), color="black", linewidth=1.1)
+    axis.plot(means, places, "o", color="black", markersize=3.6)
     axis.set_yticks(positions, names, fontsize=9)
     axis.set_ylim(len(names) - 0.4, -0.6)
     axis.set_xlim(0, 1)
@@ -144,11 +144,13 @@ def _label_map(figures: Tree) -> LabelMap:
 
 def _outline(axis: Any, mask: NDArray[np.bool_], style: Tree) -> None:
     """Draw a line around each region of cells in `mask`."""
+    from matplotlib.collections import LineCollection
+
     padded = np.pad(mask, 1)
-    for row, column in np.argwhere(padded[1:, 1:-1] != padded[:-1, 1:-1]):
-        axis.plot([column - 0.5, column + 0.5], [row - 0.5, row - 0.5], zorder=4, **style)
-    for row, column in np.argwhere(padded[1:-1, 1:] != padded[1:-1, :-1]):
-        axis.plot([column - 0.5, column - 0.5], [row - 0.5, row + 0.5], zorder=4, **style)
+    level, upright = padded[1:, 1:-1] != padded[:-1, 1:-1], padded[1:-1, 1:] != padded[1:-1, :-1]
+    lines = [[(column - 0.5, row - 0.5), (column + 0.5, row - 0.5)] for row, column in np.argwhere(level)]
+    lines += [[(column - 0.5, row - 0.5), (column - 0.5, row + 0.5)] for row, column in np.argwhere(upright)]
+    axis.add_collection(LineCollection(lines, zorder=4, capstyle="projecting", **style))
 
 
 def draw_confidence(figures: Tree) -> Any:

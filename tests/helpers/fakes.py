@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,12 @@ from shapes import figure
 from bodyseg_data.bodies import Body, BodyRef, BodySource, SourceEntry
 from bodyseg_data.labels import PART_COUNT
 from bodyseg_data.meshes import Mesh
+
+
+@cache
+def stretched(name: str, across: float, upwards: float) -> Mesh:
+    """The figure, wider and taller by these factors."""
+    return Mesh(name, figure(name).vertices * (across, upwards, 1.0), figure(name).faces)
 
 
 class Figures:
@@ -35,11 +42,10 @@ class Figures:
 
     def build(self, body: BodyRef) -> Body:
         number = [known.mesh for known in self.bodies()].index(body.mesh)
-        plain = figure(body.mesh)
-        mesh = Mesh(body.mesh, plain.vertices * (1 + 0.02 * number, 1 - 0.02 * number, 1.0), plain.faces)
+        mesh = stretched(body.mesh, 1 + 0.02 * number, 1 - 0.02 * number)
         # Equal steps through the vertices of all five pieces: a piece without a landmark would cost most of the time.
         landmarks = np.linspace(0, len(mesh.vertices) - 1, PART_COUNT).astype(np.int64)
-        return Body(mesh, landmarks, template=lambda: plain.vertices)
+        return Body(mesh, landmarks, template=lambda: figure(body.mesh).vertices)
 
     def in_pose(self, body: BodyRef, pose: str) -> Body:
         """The figure, in any pose a seventh taller."""

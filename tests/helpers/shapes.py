@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ def ball(
     return Mesh(name, vertices + centre, faces)
 
 
+@cache
 def figure(name: str = "figure") -> Mesh:
     """A plain upright figure of five separate closed parts, 1.7 m tall: trunk, head, an arm held in front, two legs."""
     parts = [

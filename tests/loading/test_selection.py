@@ -56,13 +56,11 @@ def shard_of(described: list[SampleInfo], number: int = 0) -> ShardRecord:
 @cache
 def planned(source: str, shard_samples: int = 1080, views: int = 2) -> Manifest:
     """The manifest of a whole source with few views of a body, without its shards."""
-    grid = ViewGrid(count=views)
+    grid = [asdict(view) for view in ViewGrid(count=views)]
     described: dict[str, list[SampleInfo]] = {"train": [], "test": []}
     for body in open_source(source).bodies():
-        for view in grid:
-            fields = {name: getattr(body, name) for name in ("subset", "subject", "mesh", "pose")}
-            info = body_info(source=source, split=body.split, **fields, **asdict(view))
-            described[body.split].append(info)
+        fields = {name: getattr(body, name) for name in ("subset", "subject", "mesh", "pose")}
+        described[body.split] += [body_info(source=source, split=body.split, **fields, **view) for view in grid]
     shards = [
         shard_of(split[first : first + shard_samples], number)
         for split in described.values()

@@ -207,13 +207,14 @@ _TEXTUAL: Final = ast.parse("from __future__ import annotations").body[0]
 def _read(text: bytes, package: str) -> _Read:
     """Read a module of `package`, once in a process whichever tree it is in. Raises SyntaxError or ValueError."""
     tree = ast.parse(text)
-    _drop_docstrings(tree)
+    nodes = list(ast.walk(tree))  # once: it takes as long as parsing
+    dropped = _drop_docstrings(nodes)
     if tree.body and not any(isinstance(node, ast.ImportFrom) and node.module == "__future__" for node in tree.body):
         tree.body.insert(0, _TEXTUAL)  # how annotations are kept changes no result
-    door = _door(tree)
+    door = _door(tree, nodes)
     if door:  # which names it has changes no result
         return _Read("", frozenset(), frozenset(), frozenset(), door)
-    nodes = list(ast.walk(tree))
+    nodes = [node for node in nodes if node not in dropped]
     return _Read(
         syntax=_hash(ast.dump(tree).encode()),
         imported=frozenset(_imported(nodes, package)),
@@ -223,9 +224,9 @@ def _read(text: bytes, package: str) -> _Read:
     )
 
 
-def _door(tree: ast.Module) -> dict[str, str]:
+def _door(tree: ast.Module, nodes: Sequence[ast.AST]) -> dict[str, str]:
     """Name -> full name of what a package imports when it is used: what it tells type checkers beside `lazy_door`."""
-    if not any(_called(node) == "lazy_door" for node in ast.walk(tree)):
+    if not any(_called(node) == "lazy_door" for node in nodes):
         return {}
     guarded = [each for node in tree.body if isinstance(node, ast.If) for each in node.body]
     imports = [each for each in guarded if isinstance(each, ast.ImportFrom)]
@@ -255,12 +256,16 @@ def _hash(data: bytes) -> str:
     return hashlib.blake2b(data, digest_size=16).hexdigest()
 
 
-def _drop_docstrings(tree: ast.AST) -> None:
-    """Remove every statement that is only a string, in place."""
-    for node in ast.walk(tree):
+def _drop_docstrings(nodes: Sequence[ast.AST]) -> set[ast.AST]:
+    """Remove every statement that is only a string from the blocks of its tree, in place; returns what went."""
+    dropped: set[ast.AST] = set()
+    for node in nodes:
         for block in (getattr(node, name, None) for name in ("body", "orelse", "finalbody")):
             if isinstance(block, list):
-                block[:] = [each for each in block if not isinstance(each, ast.Expr) or _text(each.value) is None]
+                strings = [each for each in block if isinstance(each, ast.Expr) and _text(each.value) is not None]
+                dropped.update(strings, (each.value for each in strings))
+                block[:] = [each for each in block if each not in dropped]
+    return dropped
 
 
 def _text(node: ast.AST) -> str | None:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -18,7 +19,7 @@ from bodyseg_data.bodies.motions.curves import (
     standing,
     wander,
 )
-from bodyseg_data.bodies.skeleton import KNUCKLES, Arm, Leg, Matrix, Pose, Trunk, bone_rotations
+from bodyseg_data.bodies.skeleton import KNUCKLES, Arm, Leg, Matrix, Pose, Trunk, arm_rotations, trunk_rotations
 
 ARM_C: Final[tuple[tuple[str, Triple], ...]] = (
     ("spine05", (0, 0, 0)),
@@ -130,6 +131,7 @@ def _with_sway(pose: Pose, time: float) -> Pose:
     return replace(pose, trunk=trunk)
 
 
+@cache
 def _spot(build: Build) -> Vector:
     """Return the middle between the wrists while the hands are on the floor, [3], metres."""
     arm = _levelled(_ON_FLOOR, 1)
@@ -146,11 +148,11 @@ def _hands(pose: Pose) -> Vector:
 
 def _wrist(pose: Pose) -> tuple[Matrix, Vector]:
     """Return the left wrist's rotation in the world, [3, 3], and its offset from the pelvis, [3], metres."""
-    rotations = bone_rotations(pose)
+    rotations = trunk_rotations(pose.trunk) | arm_rotations(pose.left_arm)
     turned, position = rotations["root"], np.zeros(3)
     for bone, offset in ARM_C:
         position = position + turned @ offset
-        turned = turned @ rotations[bone]
+        turned = turned @ rotations[bone.removesuffix(".L")]
     return turned, position
 
 

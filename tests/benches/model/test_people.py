@@ -20,12 +20,14 @@ from benches.landmarks.fitting_body import FittingBody, fitting_body  # noqa: E4
 from benches.landmarks.proposal import FittedBody  # noqa: E402
 from benches.model import chosen  # noqa: E402
 from benches.model.people import bench, cross_person, intervals, landmarks  # noqa: E402
+from benches.model.people import scores as view_scores  # noqa: E402
 from benches.model.people.bodies import Annotated, annotated_bodies  # noqa: E402
 from benches.model.people.intervals import interval, summed  # noqa: E402
 from benches.model.people.landmarks import placed, ways_to_place  # noqa: E402
 from benches.model.people.scores import accuracy, by_groups, counted, packed_views  # noqa: E402
 from label_networks import Places  # noqa: E402
 from shapes import ball  # noqa: E402
+from small_rig import SMALL  # noqa: E402
 
 from bodyseg_data.bodies.anny_people import POSTURES  # noqa: E402
 from bodyseg_data.core import BadConfig, BadLandmarks  # noqa: E402
@@ -39,6 +41,12 @@ from bodyseg_data.meshes import (  # noqa: E402
 
 MOVED = LANDMARKS.index("Rt. Acromion")
 CARD = {"recipe": {"steps": 3, "batch_size": 16, "accumulate": 2}}
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Views of a sixteenth of the paper's pixels."""
+    monkeypatch.setattr(view_scores, "load_rig", lambda: SMALL)
 
 
 @pytest.fixture(scope="module")

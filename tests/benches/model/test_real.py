@@ -58,7 +58,7 @@ SEEN = ("Sellion", "Nuchale", "Rt. Acromion", "Lt. Acromion", "Substernale")
 PLACES = ((0.0, -0.3, -0.1), (0.0, -0.25, 0.15), (0.2, -0.1, 0.0), (-0.2, -0.1, 0.0), (0.0, 0.0, -0.16))
 NUMBERS = np.array([LANDMARKS.index(name) for name in SEEN])
 UNSEEN = (0.0, 0.42, 0.0)
-VOXEL_M = 0.006
+VOXEL_M = 0.0075
 
 
 def made_body() -> Mesh:

@@ -78,10 +78,11 @@ def record(folder: Path, rig: Path, frames: int) -> None:
     source = open_source("open")
     scenes = Scenes(source.build(source.bodies()[0]), placed)
     folder.mkdir()
-    for frame in scenes.record(Scene(frames, wall=True), load_sensor_model(SENSOR)).frames:
+    recording = scenes.record(Scene(frames, wall=True), load_sensor_model(SENSOR))
+    for number, frame in enumerate(recording.frames):
         buffer = io.BytesIO()
         Image.fromarray(frame.stored).save(buffer, "PNG")
-        (folder / f"{int(frame.name):04d}.png").write_bytes(buffer.getvalue())
+        (folder / f"{number:04d}.png").write_bytes(buffer.getvalue())
     scenes.close()
 
 
