@@ -122,7 +122,8 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
         turned=options.turned,
         dense=options.dense,
     )
-    preview = None if options.no_overlay else Preview(options.fps, labeller.label_map)
+    animation = Preview(options.fps, labeller.label_map)  # checks the rate, which labels without times have, too
+    preview = None if options.no_overlay else animation
     recording = labeller.recording(
         frames,
         rig=options.rig,

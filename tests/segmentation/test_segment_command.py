@@ -378,6 +378,7 @@ def test_a_body_that_no_view_can_hold_is_named(tmp_path: Path, capsys: pytest.Ca
     [
         (["--units", "inch"], "a unit must be a length"),
         (["--fps", "0"], "a preview shows 0.1 to 50 frames per second, found 0"),
+        (["--fps", "nan", "--no-overlay"], "a preview shows 0.1 to 50 frames per second, found nan"),
         (["--confidence", "70"], "a confidence must be 0 to 1, found 70"),
         (
             ["--near", "3", "--far", "2"],
