@@ -283,8 +283,8 @@ def test_a_plan_counts_without_rendering() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"meshes": 0}, "at least one mesh, found 0"),
-        ({"shard_samples": 0}, "at least one sample, found 0"),
+        ({"meshes": 0}, "meshes must be at least 1, found 0"),
+        ({"shard_samples": 0}, "shard_samples must be at least 1, found 0"),
         ({"renderer": "povray"}, "renderer .*found 'povray'"),
         ({"codec": "jpg"}, "codec .*found 'jpg'"),
     ],
