@@ -153,11 +153,12 @@ def test_candidates_are_others_one_in_five_for_testing() -> None:
 
 def test_crossed_arms_hold_each_other_and_raised_hands_are_above_the_shoulders() -> None:
     candidates = CandidateBodies()
-    by_pose = {ref.pose: ref for ref in reversed(candidates.bodies())}
-    contacts = candidates.drawn(by_pose["sitting_with_crossed_arms"]).contacts
+    by_name = {ref.mesh: ref for ref in candidates.bodies()}
+    crossed, ref = by_name["candidates-1075"], by_name["candidates-1079"]
+    contacts = candidates.drawn(crossed).contacts
     places = [contact.partition(" on ")[2] for contact in contacts]
     assert any(place in ("upper arm", "elbow", "forearm", "shoulder") for place in places), contacts
-    ref = by_pose["raised_knee_with_raised_arms"]
+    assert (crossed.pose, ref.pose) == ("arms_crossed", "raised_knee_with_raised_arms")
     assert candidates.drawn(ref).contacts == ("in the air", "in the air")
     vertices = candidates.build(ref, dressed=False).mesh.vertices
     at = Places(posable(2))

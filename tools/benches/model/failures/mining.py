@@ -37,7 +37,7 @@ ARMS_OF_TRAINING: Final = ("mined", "uniform")
 BINS_DEG: Final = (30.0, 40.0)
 """Borders between bins of novelty."""
 SCORED_VIEWS: Final = 3
-STEPS: Final = 120
+STEPS: Final = 40
 _LOSSES: Final = Losses(0.3)  # as the network that ships was trained
 _HANDS: Final = [number for number, part in enumerate(LANDMARKS) if part[4:] == ARMS["hand"]]
 _CROSSED: Final = next(iter(POSE_KINDS))
@@ -141,8 +141,7 @@ def scored(data: str, poses: Poses, progress: ProgressCallback = silent) -> list
 def chosen(candidates: Sequence[Candidate]) -> dict[str, list[str]]:
     """Choose a third of the candidates whose skin is not too deep in itself, for either arm of the comparison.
 
-    "mined": as many of each bin of novelty, as far as it has them, the worst first; "uniform": any. Raises BadConfig if
-    there are none.
+    "mined": the worst third of each bin of novelty; "uniform": any. Raises BadConfig if there are none.
     """
     fit = sorted((each for each in candidates if each.deepest_m <= DEEPEST_M), key=lambda each: each.accuracy)
     count = len(fit) // 3
@@ -151,9 +150,8 @@ def chosen(candidates: Sequence[Candidate]) -> dict[str, list[str]]:
     by_bin: dict[int, list[Candidate]] = defaultdict(list)
     for each in fit:
         by_bin[bin_of(each.degrees)].append(each)
-    mined: list[str] = []
-    while len(mined) < count:
-        mined += [waiting.pop(0).name for waiting in by_bin.values() if waiting]
+    ranks = {each.name: (rank + 0.5) / len(within) for within in by_bin.values() for rank, each in enumerate(within)}
+    mined = sorted(ranks, key=lambda name: ranks[name])
     draws = generator(0, 0, "mining", "uniform").permutation(len(fit))[:count]
     return {"mined": mined[:count], "uniform": [fit[index].name for index in draws]}
 
