@@ -178,7 +178,7 @@ class Options:
     seeds: int | None = option("for variants and shuffles: trainings of each variant or order (default 3)", None)
     steps: int | None = option(
         "steps of each training, for variants (default: that of the runs that exist, else the recipe's), shuffles "
-        "(240), mining (40), training (60) and gpu (80)",
+        "(240), mining (80), training (60) and gpu (80)",
         None,
     )
     images: int | None = option(

@@ -37,7 +37,7 @@ ARMS_OF_TRAINING: Final = ("mined", "uniform")
 BINS_DEG: Final = (30.0, 40.0)
 """Borders between bins of novelty."""
 SCORED_VIEWS: Final = 3
-STEPS: Final = 40
+STEPS: Final = 80
 _LOSSES: Final = Losses(0.3)  # as the network that ships was trained
 _HANDS: Final = [number for number, part in enumerate(LANDMARKS) if part[4:] == ARMS["hand"]]
 _CROSSED: Final = next(iter(POSE_KINDS))
