@@ -90,8 +90,11 @@ def test_both_trainings_and_their_scores(figures_set: Path, tmp_path: Path, monk
     images = RangeImages(str(figures_set), "all", None)
     names = sorted({images.clean(index).info.mesh for index in range(len(images))})
     monkeypatch.setattr(mining, "Poses", lambda: KnownBodies(names))
-    shipped = Trained(build("compact", TINY, 0), {})
-    monkeypatch.setattr(mining, "load_network", lambda path: shipped if path is SHIPPED else load_network(path))
+
+    def loaded(path: Path) -> Trained:
+        return Trained(build("compact", TINY, 0).eval(), {}) if path is SHIPPED else load_network(path)
+
+    monkeypatch.setattr(mining, "load_network", loaded)
     found = bench_mining(str(figures_set), [tmp_path], str(figures_set), str(figures_set), steps=1, images=5)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mined-0", "uniform-0"]
     assert found["candidates"] == sum(each["bodies"]["all"] for each in found["bins"]) >= 3
@@ -100,7 +103,7 @@ def test_both_trainings_and_their_scores(figures_set: Path, tmp_path: Path, monk
         *("shipped", "mined", "mean of shipped and mined", "uniform", "mean of shipped and uniform")
     ]
     test_images = RangeImages(str(figures_set), "all", "test")
-    total = evaluate(shipped.network, test_images, 5, confidences=False).total().confusion
+    total = evaluate(loaded(SHIPPED).network, test_images, 5, confidences=False).total().confusion
     for scores in found["networks"]["shipped"].values():
         assert scores["accuracy"] == pytest.approx(total.average_per_class_accuracy(), abs=1e-4)
     trained = load_network(tmp_path / "mined-0")
