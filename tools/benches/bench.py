@@ -128,7 +128,7 @@ BENCHES: Final = {
         "model.failures.mining",
         None,
         required=("data", "runs", "ordinary"),
-        optional=("hard", "steps", "images"),
+        optional=("hard", "seeds", "steps", "images"),
     ),
 }
 """Name -> bench. Modules are imported when their bench runs."""
@@ -175,7 +175,9 @@ class Options:
         "runtimes, numerical, sensors, harm, dense, limits, windows, people, joints, real, steady and failures: runs",
         None,
     )
-    seeds: int | None = option("for variants and shuffles: trainings of each variant or order (default 3)", None)
+    seeds: int | None = option(
+        "for variants, shuffles and mining: trainings of each variant, order or choice (default 3; mining 1)", None
+    )
     steps: int | None = option(
         "steps of each training, for variants (default: that of the runs that exist, else the recipe's), shuffles "
         "(240), mining (80), training (60) and gpu (80)",

@@ -100,7 +100,7 @@ def test_both_trainings_and_their_scores(figures_set: Path, tmp_path: Path, monk
     assert found["candidates"] == sum(each["bodies"]["all"] for each in found["bins"]) >= 3
     assert len(found["chosen"]["mined"]) == len(found["chosen"]["uniform"]) == found["candidates"] // 3
     assert [*found["networks"]] == [
-        *("shipped", "mined", "mean of shipped and mined", "uniform", "mean of shipped and uniform")
+        *("shipped", "mined-0", "mean of shipped and mined-0", "uniform-0", "mean of shipped and uniform-0")
     ]
     test_images = RangeImages(str(figures_set), "all", "test")
     total = evaluate(loaded(SHIPPED).network, test_images, 5, confidences=False).total().confusion

@@ -5,6 +5,7 @@ docs/results/failures.md says how to read the results.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -61,6 +62,7 @@ def bench_mining(
     runs: Sequence[Path],
     ordinary: str,
     hard: str | None = None,
+    seeds: int = 1,
     steps: int = STEPS,
     images: int = 400,
     progress: ProgressCallback = silent,
@@ -68,23 +70,24 @@ def bench_mining(
     """Choose candidates, train the network that ships further on them, and score it on poses that were never chosen.
 
     data: set of the source `candidates`; a third of its training bodies is chosen, for "mined" the worst of each bin of
-    novelty, for "uniform" any. runs: its first folder gets a training of each, where it is missing, with as many images
-    of the training split of `ordinary`; "mean" of either: with the weights that ship, half and half. hard: set of the
-    source `hard`. steps: of each training. images: test images of each set, the first of the permutation. Novelty is
-    measured to the training poses of `wide`, those of `open` among them. Raises BadConfig for a set of another source,
-    or without bodies that can be chosen; otherwise as `RangeImages` and training.
+    novelty, for "uniform" any. runs: its first folder gets a training of each choice and seed, where it is missing,
+    with as many images of the training split of `ordinary`; "mean": with the weights that ship, half and half. hard:
+    set of the source `hard`. seeds: trainings of each choice. steps: of each training. images: test images of each set,
+    the first of the permutation. Novelty is measured to the training poses of `wide`, those of `open` among them.
+    Raises BadConfig for a set of another source, or without bodies that can be chosen; otherwise as `RangeImages` and
+    training.
     """
     check_int("the number of steps", steps, 1)
     poses = Poses()
     candidates = scored(data, poses, progress)
     lists = chosen(candidates)
     networks: dict[str, Network] = {"shipped": load_network(SHIPPED).network}
-    for arm in ARMS_OF_TRAINING:
-        folder = runs[0] / f"{arm}-0"
+    for seed, arm in itertools.product(range(check_int("the number of seeds", seeds, 1)), ARMS_OF_TRAINING):
+        folder = runs[0] / f"{arm}-{seed}"
         if not RunFolder(folder).network.exists():
-            trained_further(data, ordinary, lists[arm], folder, steps)
-        networks[arm] = load_network(folder).network
-        networks[f"mean of shipped and {arm}"] = mean_of(networks["shipped"], load_network(folder).network)
+            trained_further(data, ordinary, lists[arm], folder, steps, seed)
+        networks[folder.name] = load_network(folder).network
+        networks[f"mean of shipped and {folder.name}"] = mean_of(networks["shipped"], load_network(folder).network)
     sets = {"candidates": data, "ordinary": ordinary} | ({} if hard is None else {"hard": hard})
     return {
         "candidates": len(candidates),
@@ -183,19 +186,19 @@ def recipe(steps: int) -> Recipe:
     )
 
 
-def trained_further(data: str, ordinary: str, names: Iterable[str], folder: Path, steps: int) -> None:
+def trained_further(data: str, ordinary: str, names: Iterable[str], folder: Path, steps: int, seed: int = 0) -> None:
     """Train the network that ships on chosen candidates and as many ordinary images; carries on where it stopped."""
     sensor = sensor_for("all", load_sensor_model("paper"), [_LOSSES])
     patterns = [f"*-{name}-*" for name in sorted(names)]
     parts = [
-        RangeImages(data, "all", "train", sensor=sensor, only=patterns),
-        RangeImages(ordinary, "all", "train", sensor=sensor),
+        RangeImages(data, "all", "train", seed, sensor=sensor, only=patterns),
+        RangeImages(ordinary, "all", "train", seed, sensor=sensor),
     ]
-    images = Mixture([(part, 1.0) for part in parts], steps * recipe(steps).batch_size, 0)
+    images = Mixture([(part, 1.0) for part in parts], steps * recipe(steps).batch_size, seed)
     options = RunOptions(log_every=10, checkpoint_every=20, num_workers=0)
     facts = provenance(f"tools/bench mining --data {last_name(data)} --ordinary {last_name(ordinary)}")
     network = load_network(SHIPPED).network
-    train(images, folder, network, recipe(steps), resume=True, run_options=options, facts=facts)
+    train(images, folder, network, recipe(steps), seed=seed, resume=True, run_options=options, facts=facts)
 
 
 def mean_of(one: Network, other: Network) -> Network:
