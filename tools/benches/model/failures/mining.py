@@ -25,7 +25,7 @@ from bodyseg_data.bodies.contact_poses import DEEPEST_M
 from bodyseg_data.bodies.sources.hard import HardBodies
 from bodyseg_data.bodies.sources.open_bodies import CandidateBodies, WideBodies
 from bodyseg_data.commands import last_name, provenance
-from bodyseg_data.core import BadConfig, ProgressCallback, check_int, generator, silent
+from bodyseg_data.core import BadConfig, Draws, ProgressCallback, check_int, silent
 from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.samples import split_key
@@ -155,7 +155,7 @@ def chosen(candidates: Sequence[Candidate]) -> dict[str, list[str]]:
         by_bin[bin_of(each.degrees)].append(each)
     ranks = {each.name: (rank + 0.5) / len(within) for within in by_bin.values() for rank, each in enumerate(within)}
     mined = sorted(ranks, key=lambda name: ranks[name])
-    draws = generator(0, 0, "mining", "uniform").permutation(len(fit))[:count]
+    draws = Draws(0, 0, "mining").generator("uniform").permutation(len(fit))[:count]
     return {"mined": mined[:count], "uniform": [fit[index].name for index in draws]}
 
 
