@@ -48,8 +48,8 @@ CASES: dict[str, Case] = {
     "open an unknown source": (
         lambda: open_source("cinema"),
         BadConfig,
-        "the source must be one of open, bare, wide, everyday, hard, scape, mit, caesar, folder, labelled, paper, "
-        "found 'cinema'",
+        "the source must be one of open, bare, wide, everyday, candidates, hard, scape, mit, caesar, folder, labelled, "
+        "paper, found 'cinema'",
     ),
     "open a source of files without its folder": (
         lambda: open_source("mit"),

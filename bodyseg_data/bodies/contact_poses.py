@@ -33,7 +33,7 @@ from bodyseg_data.bodies.limb_reaching import (
     within,
 )
 from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, bone_rotations
-from bodyseg_data.bodies.stances import STANCES, LegTask, Places, Stance
+from bodyseg_data.bodies.stances import CANDIDATE_STANCES, LegTask, Places, Stance
 from bodyseg_data.meshes import vertex_normals
 
 Floats = NDArray[np.float64]
@@ -63,6 +63,11 @@ _ACROSS: Final = {
 _BY: Final = {
     "palm": 0.36, "fingertips": 0.22, "back of the hand": 0.09, "knuckles": 0.07, "inner forearm": 0.2, "elbow": 0.06,
 }  # fmt: skip
+_BY_CROSSED: Final = {"palm": 0.4, "fingertips": 0.2, "inner forearm": 0.4}
+_FOLDED: Final = {"chest": 0.4, "belly": 0.3, "waist": 0.15, "shoulder": 0.15}
+_CROSSED: Final = {"upper arm": 0.4, "elbow": 0.2, "forearm": 0.25, "shoulder": 0.15}
+"""Places of the first and of the second one of two crossed arms."""
+
 _FISTS: Final = {"palm": (0.0, 0.45), "fingertips": (0.0, 0.4), "back of the hand": (0.0, 1.0), "knuckles": (0.9, 1.0)}
 
 _PRESETS: Final[dict[str, Arm]] = {
@@ -140,9 +145,11 @@ class ArmTask:
         return replace(preset, **angles, fist=self.fist)
 
 
-def drawn_kind(body: ArmSurroundings, floor_hands: float, draws: np.random.Generator) -> str:
-    """Draw what kind of task an arm has. floor_hands: chance of the floor."""
-    if draws.random() < floor_hands:
+def drawn_kind(body: ArmSurroundings, stance: Stance, draws: np.random.Generator) -> str:
+    """Draw what kind of task an arm has."""
+    if stance.arms:
+        return stance.arms
+    if draws.random() < stance.floor_hands:
         return "floor"
     if body.seat and draws.random() < _SEAT:
         return "seat"
@@ -159,6 +166,11 @@ def drawn_task(kind: str, body: ArmSurroundings, draws: np.random.Generator) -> 
     if kind == "free":
         relaxed = Arm(**within(_RELAXED, draws))
         return ArmTask("free", [], uniform(draws, 0, 0.6), (relaxed,))
+    if kind == "across":
+        by, on = (chosen(weights, draws) for weights in (_BY_CROSSED, _CROSSED if body.other_placed else _FOLDED))
+        return _touching(body, by, on, other(body.side), draws)
+    if kind == "raised":
+        return _in_the_air(body, draws, (0.25, 0.7), (-0.15, 0.45))
     return {"floor": _on_floor, "seat": _on_seat, "air": _in_the_air, "touch": _on_body}[kind](body, draws)
 
 
@@ -203,9 +215,14 @@ def _on_seat(body: ArmSurroundings, draws: np.random.Generator) -> ArmTask:
     return ArmTask("palm on the seat", [goal], uniform(draws, 0, 0.4), ranges=ARM | {"wrist": LOADED_WRIST})
 
 
-def _in_the_air(body: ArmSurroundings, draws: np.random.Generator) -> ArmTask:
+def _in_the_air(
+    body: ArmSurroundings,
+    draws: np.random.Generator,
+    up: tuple[float, float] = (-0.3, 0.6),
+    ahead: tuple[float, float] = (0.08, 0.6),
+) -> ArmTask:
     sign = 1 if body.side == "L" else -1
-    reach = [sign * uniform(draws, -0.25, 0.55), uniform(draws, -0.3, 0.6), uniform(draws, 0.08, 0.6)]
+    reach = [sign * uniform(draws, -0.25, 0.55), uniform(draws, *up), uniform(draws, *ahead)]
     own = body.places.on("palm", body.side)
     goal = Goal(int(own[len(own) // 2]), body.chest + body.chest_turn @ reach, ALL_AXES)
     return ArmTask("in the air", [goal], uniform(draws, 0, 1))
@@ -246,7 +263,7 @@ class ContactSampler:
         """Draw a pose. Of many rejected ones, in the end, the one with the least depth is returned."""
         best: DrawnContact | None = None
         for attempt in range(1, _ATTEMPTS + 1):
-            found = self._attempt(STANCES[stance], draws)
+            found = self._attempt(CANDIDATE_STANCES[stance], draws)
             if found is None:
                 continue
             pose, contacts, deepest = found
@@ -404,7 +421,7 @@ class ContactSampler:
             seat=stance.seat,
             other_placed=other_task is not None,
         )
-        if other_task is not None and draws.random() < _ALIKE:
+        if other_task is not None and stance.arms != "across" and draws.random() < _ALIKE:
             same = pose.right_arm if side == "L" else pose.left_arm  # angles are those of a left arm for both
             reach = Reach(limb, base, self._normals, [], obstacles, floor)
             reached = reach(same, ARM | {"wrist": LOADED_WRIST})
@@ -413,7 +430,7 @@ class ContactSampler:
         kind = ""
         for index in range(_ARM_TRIES):
             if index % _SAME_KIND == 0:
-                kind = drawn_kind(body, stance.floor_hands, draws)
+                kind = drawn_kind(body, stance, draws)
             task = drawn_task(kind, body, draws)
             reach = Reach(limb, base, self._normals, task.goals, obstacles, floor)
             start = min((task.begun(preset, draws) for preset in task.presets), key=reach.miss_m)

@@ -1,7 +1,7 @@
 """Stances: ranges of the trunk, what each leg does, and the places on a person's skin that contacts name."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -137,7 +137,7 @@ class Stance:
 
     pelvis: height of the pelvis above the floor, as a share of that in upright standing; None for people whose trunk
     lies or sits on the floor. balanced: feet are placed below the trunk's centre. floor_hands: chance of an arm to be
-    put on the floor. seat: there is a seat, on which hands can be put.
+    put on the floor. seat: there is a seat, on which hands can be put. arms: kind of the arms' tasks; "" for any.
     """
 
     trunk: Ranges
@@ -146,6 +146,7 @@ class Stance:
     balanced: bool = True
     floor_hands: float = 0
     seat: bool = False
+    arms: str = ""
 
 
 _HEAD: Final[Ranges] = {"nod": (-25, 32), "tilt": (-18, 18), "look": (-45, 45)}
@@ -332,3 +333,14 @@ STANCES: Final[dict[str, Stance]] = {
     ),
 }  # fmt: skip
 """Stances by name, which take turns."""
+
+CANDIDATE_STANCES: Final[dict[str, Stance]] = STANCES | {
+    "arms_crossed": replace(STANCES["standing"], arms="across"),
+    "sitting_with_crossed_arms": replace(STANCES["sitting_on_a_chair"], arms="across"),
+    "lying_with_crossed_arms": replace(STANCES["lying_on_the_back"], arms="across"),
+    "lying_with_raised_arms": replace(STANCES["lying_on_the_front"], arms="raised"),
+    "raised_knee_with_raised_arms": replace(
+        STANCES["on_one_leg"], legs=((_RAISED_KNEE, _UNDER), (_KICK, _UNDER)), arms="raised"
+    ),
+}
+"""Those of candidates for a training, among which the worst are looked for."""

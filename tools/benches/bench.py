@@ -124,6 +124,12 @@ BENCHES: Final = {
     "training": Bench("model.training_speed", required=("data",), optional=("steps",)),
     "gpu": Bench("model.gpu", None, "samples of a pass, 2000", required=("data",), optional=("num_workers", "steps")),
     "failures": Bench("model.failures.bench", "figure", required=("data",), optional=("runs", "images", "hard")),
+    "mining": Bench(
+        "model.failures.mining",
+        None,
+        required=("data", "runs", "ordinary"),
+        optional=("hard", "seeds", "steps", "images"),
+    ),
 }
 """Name -> bench. Modules are imported when their bench runs."""
 
@@ -164,23 +170,31 @@ class Options:
     runs: tuple[Path, ...] | None = option(
         "for variants: folder of runs VARIANT-SEED, where missing ones are trained, and folders of others to compare "
         "on real frames; for architectures and ablation: folders of runs NAME-SEED; for motion: runs, all of them; "
-        "for cross_person: a run for each person; for rooms: a finder that never saw the unseen kinds; for network, "
+        "for cross_person: a run for each person; for mining: folder of the trainings, which are made where they are "
+        "missing; for rooms: a finder that never saw the unseen kinds; for network, "
         "runtimes, numerical, sensors, harm, dense, limits, windows, people, joints, real, steady and failures: runs",
         None,
     )
-    seeds: int | None = option("for variants and shuffles: trainings of each variant or order (default 3)", None)
+    seeds: int | None = option(
+        "for variants, shuffles and mining: trainings of each variant, order or choice (default 3; mining 1)", None
+    )
     steps: int | None = option(
         "steps of each training, for variants (default: that of the runs that exist, else the recipe's), shuffles "
-        "(240), training (60) and gpu (80)",
+        "(240), mining (80), training (60) and gpu (80)",
         None,
     )
     images: int | None = option(
         "number of test images (default: variants 500, architectures, runtimes and ablation 200, windows 300, "
-        "dense 150, shuffles 500, harm 100, failures 1000)",
+        "dense 150, shuffles 500, harm 100, mining 400, failures 1000)",
         None,
     )
     hard: str | None = option(
         f"for {_takers('hard')}: folder or address of a set of the source `hard`, to test on as well",
+        None,
+        address=True,
+    )
+    ordinary: str | None = option(
+        f"for {_takers('ordinary')}: folder or address of a set whose images are trained on beside those of --data",
         None,
         address=True,
     )

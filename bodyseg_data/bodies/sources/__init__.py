@@ -39,6 +39,7 @@ SOURCES: Final[dict[str, SourceEntry]] = {
     "bare": SourceEntry("open_bodies.BareBodies"),
     "wide": SourceEntry("open_bodies.WideBodies"),
     "everyday": SourceEntry("open_bodies.EverydayBodies"),
+    "candidates": SourceEntry("open_bodies.CandidateBodies"),
     "hard": SourceEntry("hard.HardBodies"),
     "scape": SourceEntry("paper.ScapeBodies", reads="mesh000.ply to mesh071.ply"),
     "mit": SourceEntry("paper.MitBodies", reads="I_crane and the other sequences"),

@@ -1,4 +1,4 @@
-"""The default bodies, made from the open model Anny: sources `open`, `bare`, `wide` and `everyday`.
+"""The default bodies, made from the open model Anny: sources `open`, `bare`, `wide`, `everyday` and `candidates`.
 
 Anny (PyPI, Apache-2.0) carries its mesh data in the package, so nothing is downloaded. The first use on a machine
 parses that data for about 12 seconds and keeps the result in ~/.cache/anny (or ANNY_CACHE_DIR); later ones take two.
@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Final, Literal, NamedTuple
+from typing import ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,14 +37,14 @@ from bodyseg_data.bodies.outfits import OUTFITS, Outfit, drawn_outfit
 from bodyseg_data.bodies.shells import Wearer
 from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk
 from bodyseg_data.bodies.source import Body, BodyRef, ListedBodies
-from bodyseg_data.bodies.stances import STANCES, Places
+from bodyseg_data.bodies.stances import CANDIDATE_STANCES, STANCES, Places
 from bodyseg_data.bodies.template import off_skin
 from bodyseg_data.bodies.worn import draped, gripping
 from bodyseg_data.core import BadLandmarks, Draws
 from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.machine import missing_library
 from bodyseg_data.meshes import Mesh, PointLandmarks, load_landmark_file, load_landmarks
-from bodyseg_data.samples import split_by_motion, split_by_order
+from bodyseg_data.samples import Split, split_by_motion, split_by_order
 
 Maker = Callable[[], Figure]
 Listed = Iterator[tuple[BodyRef, Maker]]
@@ -290,6 +290,7 @@ def drawn_pose(index: int) -> Pose:
 
 
 EVERYDAY: Final = 1040
+CANDIDATES: Final = 90
 
 POSES_VERSION: Final = 1
 """Raised whenever a change of the sampler changes a pose, so that packed sets are told from each other."""
@@ -312,8 +313,13 @@ _ON_CLOTHES: Final = tuple(
 class EverydayBodies(MadeBodies):
     """Subset "everyday": 1 040 people, all for training, each in another pose; stances take turns."""
 
+    _NAME: ClassVar = "everyday"
+    _NUMBERS: ClassVar = range(EVERYDAY)
+    _STANCES: ClassVar = tuple(STANCES)
+    _TESTED: ClassVar = range(0)
+
     def __init__(self) -> None:
-        super().__init__("everyday", dict(self._listed()))
+        super().__init__(self._NAME, dict(self._listed()))
         self._latest: tuple[BodyRef, DrawnContact] | None = None
 
     def drawn(self, body: BodyRef) -> DrawnContact:
@@ -336,9 +342,10 @@ class EverydayBodies(MadeBodies):
         return hashlib.sha256(repr((self.shaping(), POSES_VERSION, CLOTHES_VERSION, names)).encode()).hexdigest()
 
     def _listed(self) -> Listed:
-        for index in range(EVERYDAY):
-            stance = [*STANCES][index % len(STANCES)]
-            ref = BodyRef("everyday", f"E{index:04d}", f"everyday-{index:04d}", stance, "train")
+        for index in self._NUMBERS:
+            name, stance = f"{self._NAME}-{index:04d}", self._STANCES[index % len(self._STANCES)]
+            split: Split = "test" if index in self._TESTED else "train"
+            ref = BodyRef(self._NAME, f"{self._NAME[0].upper()}{index:04d}", name, stance, split)
             yield ref, partial(self._figure, ref, index)
 
     def build(self, body: BodyRef, dressed: bool = True) -> Body:
@@ -386,3 +393,15 @@ class EverydayBodies(MadeBodies):
         if attire.held is not None:
             pose = gripping(pose, attire.held)
         return Figure(person(_FIRST_EVERYDAY_PERSON + index), pose, outfit=outfit)
+
+
+class CandidateBodies(EverydayBodies):
+    """Subset "candidates": 90 more people in the poses of `CANDIDATE_STANCES`, one in five for testing.
+
+    `bench mining` finds those of them that a network labels worst, to train it further.
+    """
+
+    _NAME = "candidates"
+    _NUMBERS = range(EVERYDAY, EVERYDAY + CANDIDATES)
+    _STANCES = tuple(CANDIDATE_STANCES)
+    _TESTED = range(EVERYDAY, EVERYDAY + CANDIDATES, 5)

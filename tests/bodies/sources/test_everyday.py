@@ -15,8 +15,8 @@ from bodyseg_data.bodies.contact_poses import DEEPEST_M, DrawnContact
 from bodyseg_data.bodies.limb_reaching import ARM, CROSSED_TWIST, LEG, LOADED_WRIST, Limb, PosedSkin
 from bodyseg_data.bodies.skeleton import bone_rotations
 from bodyseg_data.bodies.sources.hard import HardBodies
-from bodyseg_data.bodies.sources.open_bodies import EVERYDAY, EverydayBodies, WideBodies
-from bodyseg_data.bodies.stances import STANCES, Places
+from bodyseg_data.bodies.sources.open_bodies import CANDIDATES, EVERYDAY, CandidateBodies, EverydayBodies, WideBodies
+from bodyseg_data.bodies.stances import CANDIDATE_STANCES, STANCES, Places
 from bodyseg_data.core import BadConfig
 from bodyseg_data.meshes import vertex_normals
 
@@ -138,3 +138,29 @@ def test_what_people_wear_is_drawn_from_their_names_and_goes_into_the_mesh() -> 
     assert built.mesh.vertices[:, 1].min() == 0
     again = source().build(ref).mesh
     assert again.vertices.tobytes() == built.mesh.vertices.tobytes() and (again.faces == built.mesh.faces).all()
+
+
+def test_candidates_are_others_one_in_five_for_testing() -> None:
+    bodies = open_source("candidates").bodies()
+    assert len(bodies) == CANDIDATES == len({ref.mesh for ref in bodies})
+    assert {(ref.subset, ref.split) for ref in bodies} == {("candidates", "train"), ("candidates", "test")}
+    assert Counter(ref.split for ref in bodies)["test"] == -(-CANDIDATES // 5)
+    assert not {int(ref.subject[1:]) for ref in bodies} & {int(ref.subject[1:]) for ref in source().bodies()}
+    counts = Counter(ref.pose for ref in bodies)
+    assert [*CANDIDATE_STANCES][: len(STANCES)] == [*STANCES] and set(counts) == set(CANDIDATE_STANCES)
+    assert set(counts.values()) == {CANDIDATES // len(CANDIDATE_STANCES)}
+
+
+def test_crossed_arms_hold_each_other_and_raised_hands_are_above_the_shoulders() -> None:
+    candidates = CandidateBodies()
+    by_name = {ref.mesh: ref for ref in candidates.bodies()}
+    crossed, ref = by_name["candidates-1075"], by_name["candidates-1079"]
+    contacts = candidates.drawn(crossed).contacts
+    places = [contact.partition(" on ")[2] for contact in contacts]
+    assert any(place in ("upper arm", "elbow", "forearm", "shoulder") for place in places), contacts
+    assert (crossed.pose, ref.pose) == ("arms_crossed", "raised_knee_with_raised_arms")
+    assert candidates.drawn(ref).contacts == ("in the air", "in the air")
+    vertices = candidates.build(ref, dressed=False).mesh.vertices
+    at = Places(posable(2))
+    shoulder = min(vertices[at.on("shoulder", side), 1].mean() for side in "LR")
+    assert min(vertices[at.on("palm", side), 1].mean() for side in "LR") > shoulder

@@ -81,6 +81,11 @@ ORIGINS: Final[dict[str, Origin]] = {
         _MADE_TERMS,
         made=True,
     ),
+    "candidates": Origin(
+        "made with the body model Anny: people as those of `everyday`, also with crossed or raised arms",
+        _MADE_TERMS,
+        made=True,
+    ),
     "hard": Origin(
         "made with the body model Anny, for testing: lying, kneeling, curled up and sitting people",
         _MADE_TERMS,

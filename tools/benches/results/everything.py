@@ -14,6 +14,7 @@ from benches.results.trainings import (
     BARE,
     BOX,
     BOX_LINKS,
+    CANDIDATES,
     DENSE_RUN,
     DRESSED,
     HARD,
@@ -24,6 +25,7 @@ from benches.results.trainings import (
     MAPPED_HARD,
     NETWORK_RUNS,
     OPEN,
+    ORDINARY,
     PAPER,
     PLACED_RUNS,
     READ,
@@ -114,6 +116,8 @@ def _shipped() -> Iterator[Step]:
     yield _bench("gpu", "--data", OPEN, reads=shipped, alone=True, gpu=True)
     failures = ("--data", OPEN, "--images", "1000", "--hard", HARD)
     yield _bench("failures", *failures, drawn=True, more=("failures_hard.png",), reads=shipped)
+    mining = ("--data", CANDIDATES, "--runs", "runs/mining", "--ordinary", ORDINARY, "--hard", HARD, "--seeds", "2")
+    yield _bench("mining", *mining, reads=shipped)
 
 
 def _trained() -> Iterator[Step]:

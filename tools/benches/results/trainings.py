@@ -19,6 +19,8 @@ DRESSED: Final = "sets/dressed233"
 BARE: Final = "sets/bare233"
 READ: Final = "sets/open200"
 KINECT: Final = "sets/kinect"
+CANDIDATES: Final = "sets/candidates"
+ORDINARY: Final = "sets/wide80"
 MAPPED: Final = "sets/open_template"
 MAPPED_HARD: Final = "sets/hard_template"
 KINECT_24: Final = "sets/kinect24"
@@ -52,6 +54,8 @@ SETS: Final = {
     KINECT_24: ("open", "--rig", "kinect_v1", "--meshes", "250", "--views", "24"),
     KINECT_HARD: ("hard", "--rig", "kinect_v1", "--views", "6"),
     PAPER: ("open", "--meshes", "500", "--views", "12"),
+    CANDIDATES: ("candidates",),
+    ORDINARY: ("wide", "--meshes", "80"),
     **placed_by(0),
     **placed_by(1),
 }
