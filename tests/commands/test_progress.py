@@ -34,7 +34,6 @@ def test_a_quick_command_says_only_that_it_is_done(capsys: pytest.CaptureFixture
         progress.update(0, 2)
         progress.update(1, 2)
         progress.update(2, 2, "all there")
-        assert progress.before == 0
     assert capsys.readouterr().err.splitlines() == [
         "packing: 0 of 2 views, 0 s",
         "packing: 2 of 2 views, 0 s: all there",
@@ -68,5 +67,4 @@ def test_other_work_begins_its_own_lines(capsys: pytest.CaptureFixture[str]) -> 
         progress.update(2, 3)
         progress.begin("packing", "views")
         progress.update(5, 9)
-        assert progress.before == 5
     assert capsys.readouterr().err.splitlines() == ["checking: 1 of 3 meshes, 0 s", "packing: 5 of 9 views, 0 s"]
