@@ -5,7 +5,6 @@ Body frame: x to the subject's left, y up, z to the front; metres.
 
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import import_module
 from typing import Any, ClassVar, Final
 
 import numpy as np
@@ -87,10 +86,8 @@ def components(count: int, pairs: NDArray[np.integer[Any]]) -> NDArray[np.int32]
 
     Raises MissingLibrary without scipy. Every `Mesh` comes past here, so whoever has one has scipy.
     """
-    graphs = required("scipy.sparse.csgraph", "checking a mesh")
-    links = import_module("scipy.sparse").coo_array(
-        (np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(count, count)
-    )
+    sparse, graphs = (required(name, "checking a mesh") for name in ("scipy.sparse", "scipy.sparse.csgraph"))
+    links = sparse.coo_array((np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     component: NDArray[np.int32] = graphs.connected_components(links, directed=False)[1]
     return component
 

@@ -18,7 +18,7 @@ from bodyseg_data.rigs import Camera
 from bodyseg_model.networks import build
 from bodyseg_model.runtimes import on_backend
 from bodyseg_model.segmentation import Background, find_bodies
-from bodyseg_model.segmentation.finder import FinderView, _scipy, part_people
+from bodyseg_model.segmentation.finder import FinderView, part_people
 from bodyseg_model.segmentation.pixel_loops import spread_odds
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -245,11 +245,11 @@ def test_any_pixels_are_parted_each_once(shape: tuple[int, int], seed: int, shar
 
 
 def test_finding_needs_scipy(monkeypatch: pytest.MonkeyPatch) -> None:
-    _scipy.cache_clear()
+    for name in [name for name in sys.modules if name.partition(".")[0] == "scipy"]:
+        monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "scipy", None)
     with pytest.raises(MissingLibrary, match=r"^finding people needs the package 'scipy': pip install 'bodyseg\[seg"):
         parted(person(0.0, 2.5))
-    _scipy.cache_clear()
 
 
 # Frames.
