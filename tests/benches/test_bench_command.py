@@ -40,7 +40,7 @@ def test_figures_that_do_not_fit_on_the_disk_are_one_line_and_leave_nothing(
         (["codec", "--alone"], "--alone is for bench people, found it with bench codec"),
         (
             ["render", "--num-workers", "2"],
-            "--num-workers is for bench packing, cluster, far, loader, open_data, workers, gpu, found it with bench render",
+            "--num-workers is for bench packing, cluster, far, loader, open_data, workers, gpu, found it",
         ),
         (["partition", "--views", "3"], "bench partition measures whole bodies: leave --views out"),
         (["codec", "--results", "x", "--json", "x.json"], "--results names both files: leave --json and --figure out"),
