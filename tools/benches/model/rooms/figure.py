@@ -52,17 +52,18 @@ def all_ways(figures: dict[str, Any]) -> dict[str, Any]:
 
 
 def _chart(axis: Any, title: str, points: list[tuple[str, float, dict[str, float | None]]]) -> None:
-    widest = max((ms for _, ms, _ in points), default=0.0)
+    names = []
     for number, (name, ms, shares) in enumerate(sorted(points, key=lambda point: point[1])):
         heights = {kind: 100 * (shares[kind] or 0.0) for kind in _COLOURS}
         axis.plot([ms, ms], list(heights.values()), color="#d8d8de", zorder=1)
         for kind, height in heights.items():
             axis.plot(ms, height, "o", color=_COLOURS[kind], label="_" if number else kind)
-        # In turns above and below, since ways of about the same time would write over each other.
-        farther = 12 * (number // 2)
-        height, shift = (min(heights.values()), -14 - farther) if number % 2 else (max(heights.values()), 7 + farther)
-        side = "left" if ms < widest / 2 else "right"
-        axis.annotate(name, (ms, height), (0, shift), textcoords="offset points", ha=side, fontsize=8)
+        # Numbers left and right in turns, since some ways take about the same time, for whose names there is no room.
+        side, shift = ("left", 5) if number % 2 else ("right", -5)
+        place = {"textcoords": "offset points", "ha": side, "va": "center", "fontsize": 8}
+        axis.annotate(str(number + 1), (ms, max(heights.values())), (shift, 0), **place)
+        names.append(f"{number + 1}  {name}")
+    axis.text(0.4, 0.62, "\n".join(names), transform=axis.transAxes, va="top", fontsize=8, linespacing=1.4)
     axis.set_title(f"{title}: % of pixels", loc="left", fontsize=10)
     axis.set_xlabel("processor time, ms a frame of 640 x 480")
     axis.set_ylim(-8, 112)
@@ -71,4 +72,4 @@ def _chart(axis: Any, title: str, points: list[tuple[str, float, dict[str, float
     axis.grid(color="#e4e4e8", linewidth=0.8)
     axis.spines[["top", "right"]].set_visible(False)
     if points:
-        axis.legend(frameon=False, loc="center")
+        axis.legend(frameon=False, loc="lower left")
