@@ -50,7 +50,10 @@ def run(options: Options) -> int:
     _say(f"    wrote {options.out / 'example.png'}")
     _say(f"2/4 packing {options.meshes} bodies x {options.views} views into {shards}")
     with Progress("    unpacking the body model, once", "files") as progress:
-        load_anny(progress.update)
+        from anny.paths import get_anny_cache_path
+
+        if not any(get_anny_cache_path().rglob("*.safetensors")):  # else loading the model would do nothing
+            load_anny(progress.update)
     start = time.monotonic()
     with Progress("    packing", "views") as progress:
         manifest = pack_on(PROCESSES, workers, packing, shards, progress)

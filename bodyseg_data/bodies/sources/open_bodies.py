@@ -404,4 +404,4 @@ class CandidateBodies(EverydayBodies):
     _NAME = "candidates"
     _NUMBERS = range(EVERYDAY, EVERYDAY + CANDIDATES)
     _STANCES = tuple(CANDIDATE_STANCES)
-    _TESTED = range(EVERYDAY, EVERYDAY + CANDIDATES, 5)
+    _TESTED = _NUMBERS[::5]

@@ -6,7 +6,6 @@ A label byte holds facing, too, so that others need no fourth image.
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -17,7 +16,7 @@ import zstandard
 from numpy.typing import NDArray
 
 from bodyseg_data.labels import BACKGROUND, UNLABELLED
-from bodyseg_data.machine import missing_library
+from bodyseg_data.machine import required
 from bodyseg_data.shards.codecs.png import decode_png, encode_png
 from bodyseg_data.shards.codecs.residuals import Box, bounding_box, unzigzag, zigzag
 
@@ -108,10 +107,7 @@ def baselines() -> list[Baseline]:
     """All other ways that are measured: the front's, and those that are widely used. Raises MissingLibrary without
     imagecodecs.
     """
-    try:
-        library: Any = importlib.import_module("imagecodecs")
-    except ImportError as error:
-        raise missing_library("bench codec", error, extra="bench") from error
+    library = required("imagecodecs", "bench codec", "bench")
 
     def whole(encode: Callable[[Image], bytes], decode: Callable[[bytes], Image]) -> Cropped:
         return Cropped(lambda crop: bytes(encode(crop)), lambda data, box, kind: decode(data))

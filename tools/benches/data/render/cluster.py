@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from bodyseg_data.core import ProgressCallback, silent
-from bodyseg_data.machine import missing_library, processors
+from bodyseg_data.machine import processors, required
 from bodyseg_data.packing import Packing, open_engine, pack
 from bodyseg_data.packing.packer import render_run
 from bodyseg_data.samples import ViewGrid
@@ -126,10 +126,7 @@ def at_scale(costs: Costs) -> dict[str, float] | None:
 @contextmanager
 def _nodes(workers: int) -> Iterator[Any]:
     """A cluster on this machine, whose scheduler is a thread of this process."""
-    try:
-        import distributed
-    except ImportError as error:
-        raise missing_library("bench cluster", error, extra="cluster") from error
+    distributed = required("distributed", "bench cluster", "cluster")
     options: dict[str, Any] = {
         "n_workers": workers,
         "threads_per_worker": 1,

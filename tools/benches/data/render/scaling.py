@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from bodyseg_data.bodies import BodyRef
 from bodyseg_data.core import ProgressCallback, silent
-from bodyseg_data.machine import missing_library
+from bodyseg_data.machine import required
 from bodyseg_data.packing import Packing, open_engine, pack
 from bodyseg_data.packing.packer import render_run
 from bodyseg_data.packing.sampler import sample_key
@@ -96,10 +96,7 @@ def stand_in(sizes: tuple[tuple[int, ...], ...]) -> Rendered:
 
 def _fetch(packing: Packing, rendered: Rendered) -> float:
     """Seconds of processor time a view, of client and scheduler."""
-    try:
-        import distributed
-    except ImportError as error:
-        raise missing_library("bench scaling", error, extra="cluster") from error
+    distributed = required("distributed", "bench scaling", "cluster")
     sizes = tuple(tuple(map(len, members.values())) for _, members in rendered.samples)
     with (
         distributed.LocalCluster(**CLUSTER) as nodes,

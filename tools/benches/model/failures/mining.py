@@ -9,6 +9,7 @@ import itertools
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -17,7 +18,7 @@ import torch
 from numpy.typing import NDArray
 
 from benches.model.failures.poses import POSE_KINDS, KnownPoses, kind_of_pose
-from benches.model.failures.study import ARMS
+from benches.model.failures.study import ARMS, accuracy, rounded
 from bodyseg_data import Mixture
 from bodyseg_data.artifacts import Losses, load_sensor_model, sensor_for
 from bodyseg_data.bodies import BodyRef
@@ -32,7 +33,7 @@ from bodyseg_data.samples import split_key
 from bodyseg_model.evaluation import ConfusionMatrix, count_pairs, evaluate, pairs_of
 from bodyseg_model.evaluation.evaluation import PredictedImage
 from bodyseg_model.networks import SHIPPED, Network, load_network
-from bodyseg_model.training import GeometricAugmentation, Recipe, RunFolder, RunOptions, recipe_for, train
+from bodyseg_model.training import Recipe, RunFolder, RunOptions, recipe_for, train
 
 ARMS_OF_TRAINING: Final = ("mined", "uniform")
 BINS_DEG: Final = (30.0, 40.0)
@@ -180,10 +181,8 @@ def told(candidates: Sequence[Candidate], lists: Mapping[str, Sequence[str]], nu
 
 def recipe(steps: int) -> Recipe:
     """The recipe of both trainings: that of `compact` at a low learning rate."""
-    placed = GeometricAugmentation(roll_deg=10, zoom=0.15, stretch=0.1, cut=0.3, bust=0.25)
-    return recipe_for(
-        "compact", steps=steps, batch_size=32, learning_rate=3e-4, bf16=False, geometric_augmentation=placed
-    )
+    low = recipe_for("compact", steps=steps, batch_size=32, learning_rate=3e-4, bf16=False)
+    return replace(low, geometric_augmentation=replace(low.geometric_augmentation, bust=0.25))
 
 
 def trained_further(data: str, ordinary: str, names: Iterable[str], folder: Path, steps: int, seed: int = 0) -> None:
@@ -247,17 +246,3 @@ def tested(network: Network, images: RangeImages, poses: Poses, count: int) -> d
         "poses": groups(lambda _, pose: pose),
         "hands_of_crossed_arms": rounded(accuracy(np.sum(crossed, axis=0), _HANDS)) if crossed else None,
     }
-
-
-def accuracy(counts: Counts, parts: Sequence[int] = ()) -> float:
-    """Average per-class accuracy of counts [33, 33] over all parts, or some; NaN if none of them is shown."""
-    matrix = ConfusionMatrix()
-    matrix.counts = counts
-    values = matrix.per_class_accuracy()
-    values = values[list(parts)] if parts else values
-    return float(np.nanmean(values)) if not np.isnan(values).all() else math.nan
-
-
-def rounded(value: float) -> float | None:
-    """To four digits, None for NaN."""
-    return None if math.isnan(value) else round(value, 4)

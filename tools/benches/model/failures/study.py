@@ -99,9 +99,9 @@ class FailureCounts:
             self._segments[nearest.segment.partition(".")[0]] += int(wrong.sum())
         cause[~wrong] = BACKGROUND
         facts = _facts(clean.info) | {
-            "sigma_mm": _rounded(shown.drawn.get("sigma_mm"), 1),
+            "sigma_mm": rounded(shown.drawn.get("sigma_mm"), 1),
             "missing_rate": shown.drawn.get("missing_rate"),
-            "new_pose_deg": _rounded(nearest.degrees, 1),
+            "new_pose_deg": rounded(nearest.degrees, 1),
             "new_segment": nearest.segment or None,
             "nearest_training_pose": nearest.pose or None,
             "wrong": round(float(wrong.mean()), 4),
@@ -134,8 +134,8 @@ class FailureCounts:
         return {
             "images": self.images,
             "pixels": total.pixels,
-            "pixel_accuracy": _rounded(total.pixel_accuracy(), 4),
-            "accuracy": _accuracy(total.counts),
+            "pixel_accuracy": rounded(total.pixel_accuracy(), 4),
+            "accuracy": rounded(accuracy(total.counts)),
             "causes": [self._cause(number) for number in range(len(CAUSES))],
             "worst": [
                 {
@@ -176,7 +176,7 @@ class FailureCounts:
         }
         mended = total - claimed
         mended[np.diag_indices(len(mended))] += claimed.sum(axis=1)
-        answer["accuracy_if_right"] = _accuracy(mended)
+        answer["accuracy_if_right"] = rounded(accuracy(mended))
         if cause.about == "a mistake":  # it holds where something is wrong, so it cannot be compared with elsewhere
             return answer | {"lift": None, "excess": None, "accuracy_elsewhere": None}
         elsewhere = total - held
@@ -186,7 +186,7 @@ class FailureCounts:
         return answer | {
             "lift": None if there is None or not overall else round(there / overall, 3),
             "excess": None if excess is None or not wrong else round(excess / wrong, 4),
-            "accuracy_elsewhere": _accuracy(elsewhere),
+            "accuracy_elsewhere": rounded(accuracy(elsewhere)),
         }
 
     def _by_newness(self, poses: Collection[str]) -> Tree:
@@ -201,7 +201,7 @@ class FailureCounts:
                 found[f"{step}-{step + 10}" if step < _STEPS_DEG[-1] else f"above-{step}"] = {
                     "pixels": _ratio(matrix.pixels, self._total.pixels),
                     "wrong": round(1 - matrix.pixel_accuracy(), 4),
-                    "accuracy": _accuracy(matrix.counts),
+                    "accuracy": rounded(accuracy(matrix.counts)),
                 }
         return found
 
@@ -212,10 +212,10 @@ class FailureCounts:
             matrix.counts += self._poses[pose].counts
         return {
             "images": sum(self._views[pose] for pose in poses),
-            "wrong": _rounded(1 - matrix.pixel_accuracy(), 4),
-            "accuracy": _accuracy(matrix.counts),
+            "wrong": rounded(1 - matrix.pixel_accuracy(), 4),
+            "accuracy": rounded(accuracy(matrix.counts)),
             "arms": {
-                name: _accuracy(matrix.counts, [n for n, part in enumerate(LANDMARKS) if part[4:] == landmark])
+                name: rounded(accuracy(matrix.counts, [n for n, part in enumerate(LANDMARKS) if part[4:] == landmark]))
                 for name, landmark in ARMS.items()
             },
         }
@@ -247,14 +247,14 @@ def _step(degrees: float) -> int:
     return -1 if math.isnan(degrees) else min(int(degrees) // 10 * 10, _STEPS_DEG[-1])
 
 
-def _accuracy(counts: NDArray[np.int64], parts: Sequence[int] = ()) -> float | None:
-    """Average per-class accuracy over all parts, or over some; None if none of them is shown."""
+def accuracy(counts: NDArray[np.int64], parts: Sequence[int] = ()) -> float:
+    """Average per-class accuracy of counts [33, 33] over all parts, or over some; NaN if none of them is shown."""
     matrix = ConfusionMatrix()
     matrix.counts = counts
     values = matrix.per_class_accuracy()
     values = values[list(parts)] if parts else values
     shown = values[~np.isnan(values)]
-    return round(float(shown.mean()), 4) if shown.size else None
+    return float(shown.mean()) if shown.size else math.nan
 
 
 def _wrong(counts: NDArray[np.int64]) -> int:
@@ -265,5 +265,6 @@ def _ratio(part: int, whole: int) -> float | None:
     return round(part / whole, 6) if whole else None
 
 
-def _rounded(value: float | None, digits: int) -> float | None:
+def rounded(value: float | None, digits: int = 4) -> float | None:
+    """Return a value rounded; None stands for NaN."""
     return None if value is None or math.isnan(value) else round(value, digits)
