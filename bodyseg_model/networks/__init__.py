@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from bodyseg_model.networks.body_map import UNIT_M, place_table
     from bodyseg_model.networks.checkpoints import (
         FINDER,
+        LARGE,
         SHIPPED,
         CardWords,
         Checkpoint,

@@ -34,6 +34,9 @@ CheckpointName = Literal["best", "last"]
 SHIPPED: Final = Path(__file__).parents[1] / "weights" / "compact.safetensors"
 """Of the network that labels bodies."""
 
+LARGE: Final = SHIPPED.with_name("large.safetensors")
+"""Of a wider one, more accurate and slower, which `load_network` knows by its name."""
+
 FINDER: Final = SHIPPED.with_name("finder.safetensors")
 """Of the network that finds people in rooms, whose classes are those of the label map "people"."""
 
@@ -154,7 +157,8 @@ def half_weights(network: Network) -> dict[str, torch.Tensor]:
 def load_network(path: Path | str | None = None, checkpoint: CheckpointName | None = None) -> Trained:
     """Load the network of a run's folder, or of a .safetensors file with its .json beside it, onto the processor.
 
-    path: None for the compact network that ships with the package.
+    path: None for the compact network that ships with the package, "large" for the wider one, where no file has that
+    name.
 
     checkpoint: of a run's folder: "best" for the weights of its best validation, "last" for those of its last
     checkpoint. None takes the network that the training ended with, or the last checkpoint of one that has not ended.
@@ -164,6 +168,8 @@ def load_network(path: Path | str | None = None, checkpoint: CheckpointName | No
     SHA-256 than the card's, or a rig that is none. A card without rig, sensor or SHA-256 is valid.
     """
     path = SHIPPED if path is None else Path(path)
+    if path == Path(LARGE.stem) and not path.exists():
+        path = LARGE
     if checkpoint is not None and not path.is_dir():
         raise BadConfig(f"checkpoint {checkpoint!r} is one of a run's folder, found {path}")
     if checkpoint == "last" or (checkpoint is None and path.is_dir() and _unfinished(path)):

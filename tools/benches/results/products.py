@@ -6,15 +6,19 @@ import hashlib
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
+from typing import Final
 
 from benches.result_cache import json_digest
-from benches.results.step import FINDER, RESULTS, SHIPPED, Places, Step
+from benches.results.step import FINDER, LARGE, RESULTS, SHIPPED, Places, Step
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import read_json
 from bodyseg_data.shards import MANIFEST_NAME
 from bodyseg_model.networks import FINDER as FINDER_FILE
+from bodyseg_model.networks import LARGE as LARGE_FILE
 from bodyseg_model.networks import SHIPPED as SHIPPED_FILE
 from bodyseg_model.networks import RunFiles
+
+_FILES: Final = {SHIPPED: SHIPPED_FILE, FINDER: FINDER_FILE, LARGE: LARGE_FILE}
 
 
 class Products:
@@ -43,10 +47,8 @@ class Products:
 
     def external(self, name: str) -> str | None:
         """Digest of a product that no step makes; None if it is missing."""
-        if name == SHIPPED:
-            return self._network(SHIPPED_FILE)
-        if name == FINDER:
-            return self._network(FINDER_FILE)
+        if name in _FILES:
+            return self._network(_FILES[name])
         found = self._contents([self._places.path(name)])
         return None if not found else json_digest(found)
 

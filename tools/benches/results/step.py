@@ -19,7 +19,9 @@ DATA: Final = "data"
 TOOLS: Final = "tools"
 SHIPPED: Final = "shipped"
 FINDER: Final = "finder"
-"""Name of the network that ships, where a step reads it."""
+LARGE: Final = "large"
+NETWORKS: Final = (SHIPPED, FINDER, LARGE)
+"""Names of the networks that ship, where a step reads them."""
 
 
 @dataclass(frozen=True)
@@ -108,9 +110,7 @@ class Graph:
             self._inputs[step.name] = tuple(read)
             unmade = dict.fromkeys(word for word in _read_by(step) if word not in makers)
             self._external[step.name] = tuple(
-                word
-                for word in unmade
-                if word.startswith((f"{DATA}/", f"{RESULTS}/", f"{TOOLS}/")) or word in (SHIPPED, FINDER)
+                word for word in unmade if word.startswith((f"{DATA}/", f"{RESULTS}/", f"{TOOLS}/")) or word in NETWORKS
             )
             for product in _products(step):
                 if product in makers:
@@ -129,7 +129,7 @@ class Graph:
         return self._inputs[step.name]
 
     def external(self, step: Step) -> tuple[str, ...]:
-        """Files that it reads and no step makes: `SHIPPED`, `FINDER`, DATA/..., docs/results/... or tools/..."""
+        """Files that it reads and no step makes: of `NETWORKS`, DATA/..., docs/results/... or tools/..."""
         return self._external[step.name]
 
     def with_inputs(self, names: Iterable[str]) -> set[str]:

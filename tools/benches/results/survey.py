@@ -11,7 +11,7 @@ from benches.charts.processors import folder_name
 from benches.result_cache import code_digest, json_digest
 from benches.results.products import Products
 from benches.results.records import Record, Records, record_of
-from benches.results.step import FINDER, SHIPPED, Graph, Places, Step
+from benches.results.step import NETWORKS, Graph, Places, Step
 from bodyseg_data.core import BadConfig
 from bodyseg_data.machine import hardware
 
@@ -137,7 +137,7 @@ class Survey:
         """The first thing without which a step cannot run; "" if there is all."""
         for name in self._graph.external(step):
             if self.products.external(name) is None:
-                return f"{name if name in (SHIPPED, FINDER) else self._places.path(name)} is not there"
+                return f"{name if name in NETWORKS else self._places.path(name)} is not there"
         if step.gpu and not _has_gpu():
             return "needs a GPU"
         if step.processor and step.processor != folder_name(hardware()):
