@@ -105,7 +105,8 @@ def run(options: Options) -> int:
 def _segment(options: Options, claim: contextlib.ExitStack) -> int:
     keep_freed_memory()
     use_threads(options.threads)
-    step_m, trained = None if options.units is None else metres_a_step(options.units), load_run(options.run)
+    step_m = None if options.units is None else metres_a_step(options.units)
+    trained = load_run(options.run, dense=options.dense)
     background = _background(options, trained)
     frames = find_frames(options.frames, options.topic, step_m)
     labeller = FrameLabeller(

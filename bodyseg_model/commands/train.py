@@ -265,8 +265,7 @@ def _pretrained(path: Path, network: Network, options: Options, images: ImageSet
         return _entry(path, trained.card[CardWords.WEIGHTS_SHA256])
     for name in sorted((network.settings.keys() | trained.network.settings.keys()) - {TEMPLATE}):
         _check_alike(path, f"setting {name}", network.settings.get(name), trained.network.settings.get(name))
-    read = trained.network.state_dict()
-    network.load_state_dict({name: read.get(name, weights) for name, weights in network.state_dict().items()})
+    network.load_state_dict(trained.network.state_dict())
     return _entry(path, trained.card[CardWords.WEIGHTS_SHA256])
 
 

@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from bodyseg_model.networks.body_map import UNIT_M, place_table
     from bodyseg_model.networks.checkpoints import (
         FINDER,
-        LARGE,
         SHIPPED,
         CardWords,
         Checkpoint,

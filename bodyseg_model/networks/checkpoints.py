@@ -154,7 +154,9 @@ def half_weights(network: Network) -> dict[str, torch.Tensor]:
     return {name: weight.half() if weight.ndim > 1 else weight for name, weight in network.state_dict().items()}
 
 
-def load_network(path: Path | str | None = None, checkpoint: CheckpointName | None = None) -> Trained:
+def load_network(
+    path: Path | str | None = None, checkpoint: CheckpointName | None = None, *, dense: bool = False
+) -> Trained:
     """Load the network of a run's folder, or of a .safetensors file with its .json beside it, onto the processor.
 
     path: None for the compact network that ships with the package, "large" for the wider one, where no file has that
@@ -162,7 +164,9 @@ def load_network(path: Path | str | None = None, checkpoint: CheckpointName | No
 
     checkpoint: of a run's folder: "best" for the weights of its best validation, "last" for those of its last
     checkpoint. None takes the network that the training ended with, or the last checkpoint of one that has not ended.
-    The card's `step` says which step the weights are of, its `weights_sha256` which file they were read from.
+    dense: with the head of places on the template, which networks that ship have in a file of its own; others have it
+    if they were trained with one. The card's `step` says which step the weights are of, its `weights_sha256` which file
+    they were read from.
 
     Raises BadConfig, naming the file, for what is missing, damaged or does not fit the card: with weights of another
     SHA-256 than the card's, or a rig that is none. A card without rig, sensor or SHA-256 is valid.
@@ -180,14 +184,29 @@ def load_network(path: Path | str | None = None, checkpoint: CheckpointName | No
     if file.suffix != ".safetensors":
         raise BadConfig(f"a network is a run's folder or a .safetensors file, found {path}")
     card = read_card(file)
-    data, expected = read_bytes(file), card.get(CardWords.WEIGHTS_SHA256)
-    digest = hashlib.sha256(data).hexdigest()
-    if expected not in (None, digest):
-        raise BadConfig(f"{file} is damaged or not the file of its card: SHA-256 {digest}, expected {expected}")
-    tensors = _parse(data, file)
+    tensors, digest = _read_weights(file, card)
+    if dense and file in (SHIPPED, LARGE):
+        head = places_of(file)
+        card_of_head = read_card(head)
+        tensors |= _read_weights(head, card_of_head)[0]
+        card = {**card, "settings": card_of_head["settings"]}
     network = _build(card, file.with_suffix(".json"), tensors)
     fill(network, tensors, file)
     return trained_network(network, {**card, CardWords.WEIGHTS_SHA256: digest}, file.with_suffix(".json"))
+
+
+def places_of(file: Path) -> Path:
+    """File of the head of places of a network that ships; the settings in its card are those of both together."""
+    return file.with_stem(f"{file.stem}_places")
+
+
+def _read_weights(file: Path, facts: Mapping[str, Any]) -> tuple[dict[str, torch.Tensor], str]:
+    """Tensors of a file and its SHA-256. Raises BadConfig unless that is the one that `facts` name, if they do."""
+    data, expected = read_bytes(file), facts.get(CardWords.WEIGHTS_SHA256)
+    digest = hashlib.sha256(data).hexdigest()
+    if expected not in (None, digest):
+        raise BadConfig(f"{file} is damaged or not the file of its card: SHA-256 {digest}, expected {expected}")
+    return _parse(data, file), digest
 
 
 def wrapped(

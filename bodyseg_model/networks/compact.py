@@ -22,7 +22,6 @@ from bodyseg_data.core import BadConfig, check_fields
 from bodyseg_data.labels import PART_COUNT
 from bodyseg_model.networks.network import MEASURES, Network, check_range_images, metric_patches, patches_of
 
-
 _SCALE_OF_SECOND: Final = ".second.1.weight"
 """How the name of the weight ends that multiplies what a residual block adds."""
 
@@ -116,12 +115,13 @@ class Compact(Network):
 
     @torch.no_grad()
     def take_narrower(self, narrower: Network) -> bool:
-        """As `Network.take_narrower`, of one that has fewer channels or residual blocks at some levels.
+        """As `Network.take_narrower`, of one with fewer channels or residual blocks at some levels.
 
         What was there sees itself alone. New channels see all and are seen by nobody: what they say enters by training,
         from 0 on, and a new block adds 0 to its shortcut (after Chen et al., "Net2Net", 2016, which doubles channels).
+        A head of places that only one of both has stays as it is, or is left out.
         """
-        own, theirs = dict(self.settings), dict(narrower.settings)
+        own, theirs = ({**network.settings, "template": False} for network in (self, narrower))
         shapes = [(own.pop(name), theirs.pop(name, ())) for name in ("widths", "blocks")]
         wider = all(len(wide) == len(narrow) and all(map(operator.ge, wide, narrow)) for wide, narrow in shapes)
         if own != theirs or not wider:

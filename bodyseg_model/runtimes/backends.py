@@ -247,15 +247,15 @@ def put_on_backend(
     return Trained(FlipAverage(network, trained.label_map) if flip_average else network, trained.card)
 
 
-def load_run(path: Path | None = None, checkpoint: CheckpointName | None = None) -> Trained:
+def load_run(path: Path | None = None, checkpoint: CheckpointName | None = None, *, dense: bool = False) -> Trained:
     """Load a run's folder or a .safetensors file (`load_network`), or an .onnx file, for the runtime `OF_FILES`.
 
-    path: None for the network that ships with the package.
+    path: None for the network that ships with the package. dense: as of `load_network`.
 
     Raises BadConfig and MissingLibrary, naming the file, as `load_network` and `read_onnx`.
     """
     if path is None or path.suffix != SUFFIX or path.is_dir():
-        return load_network(path, checkpoint)
+        return load_network(path, checkpoint, dense=dense)
     if checkpoint is not None:
         raise BadConfig(f"checkpoint {checkpoint!r} is one of a run's folder, found {path}")
     model = read_onnx(path)

@@ -112,7 +112,7 @@ class FrameLabeller:
     ) -> None:
         if turned is not None and str(turned) not in get_args(Turned):
             raise BadConfig(f"turned must be one of {', '.join(get_args(Turned))}, found {turned!r}")
-        self.trained = put_on_backend(trained or load_network(), backend, precision, flip_average)
+        self.trained = put_on_backend(trained or load_network(dense=dense), backend, precision, flip_average)
         to_device(self.trained.network, device)
         self.label_map, self.rig = self.trained.label_map, self.trained.rig
         of_parts = self.label_map.of == PART_CLASSES

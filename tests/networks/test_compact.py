@@ -97,13 +97,16 @@ def test_settings_make_the_same_network_again() -> None:
         assert torch.equal(made(figure(20, 20)), again.eval()(figure(20, 20)))
 
 
-@pytest.mark.parametrize("more", [{"widths": (10, 9)}, {"blocks": (2, 3)}, {"widths": (7, 16), "blocks": (1, 2)}, {}])
+@pytest.mark.parametrize(
+    "more", [{"widths": (10, 9)}, {"blocks": (2, 3)}, {"widths": (7, 16), "blocks": (1, 2)}, {"template": True}, {}]
+)
 def test_a_wider_network_begins_with_the_scores_of_a_narrower_one(more: dict[str, Any]) -> None:
     narrow, wide = network(), network(replace(SMALL, **more)).requires_grad_()
     assert wide.take_narrower(narrow)
     torch.testing.assert_close(wide.scores(figure(40, 24)), narrow.scores(figure(40, 24)), atol=1e-5, rtol=1e-5)
     # What is new has a gradient at once: it learns.
-    wide.scores(figure(40, 24)).square().mean().backward()
+    answer = wide.scores_and_places if wide.on_template else wide.scores
+    answer(figure(40, 24)).square().mean().backward()
     assert all(weight.grad is not None for weight in wide.parameters())
     if "widths" in more:
         assert wide.head.weight.grad is not None

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import shutil
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numpy as np
 import pytest
+import torch
 
-from bodyseg_data import RangeImages
+from bodyseg_data import RangeImages, load_template
 from bodyseg_data.artifacts import load_sensor_model
 from bodyseg_data.bodies.sources.open_bodies import OpenBodies
+from bodyseg_data.core import BadConfig
 from bodyseg_data.packing import Packing, pack
 from bodyseg_data.packing.options import evenly_sampled
 from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import ViewGrid
 from bodyseg_model.evaluation import evaluate
-from bodyseg_model.networks import SHIPPED, load_network
+from bodyseg_model.networks import SHIPPED, checkpoints, load_network, predict
+from bodyseg_model.networks.checkpoints import places_of
+from bodyseg_model.networks.registry import predict_dense
 
 
 def test_the_shipped_network_is_small_and_says_where_it_is_from() -> None:
@@ -37,6 +43,32 @@ def test_the_shipped_network_is_small_and_says_where_it_is_from() -> None:
     for name in ("command", "commit", "hardware", "recipe", "data", "scores"):
         assert card[name], name
     assert card["scores"]["average_per_class_accuracy"] > 0.8
+
+
+def test_the_head_of_places_that_ships_changes_no_label() -> None:
+    plain, dense = load_network(), load_network(dense=True)
+    assert dense.network.on_template and not plain.network.on_template
+    rows, columns = np.mgrid[:640, :329]
+    range_m = np.where(np.hypot((rows - 320) / 280, (columns - 164) / 90) < 1, 2.5, 0).astype(np.float32)
+    image = torch.from_numpy(range_m)[None, None]
+    labels = predict(plain.network, image)
+    found, numbers = predict_dense(dense.network, image)
+    assert torch.equal(labels.labels, found.labels) and torch.equal(labels.confidence, found.confidence)
+    assert ((numbers[0] < len(load_template().points)) == (range_m > 0)).all()
+
+
+def test_a_damaged_head_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    copied = tmp_path / SHIPPED.name
+    for file in (SHIPPED, places_of(SHIPPED)):
+        for suffix in (".safetensors", ".json"):
+            shutil.copy(file.with_suffix(suffix), tmp_path)
+    monkeypatch.setattr(checkpoints, "SHIPPED", copied)
+    assert load_network(dense=True).network.on_template
+    head = places_of(copied)
+    head.write_bytes(head.read_bytes()[:-1] + b"x")
+    with pytest.raises(BadConfig, match="compact_places.safetensors is damaged"):
+        load_network(dense=True)
+    assert not load_network().network.on_template
 
 
 def test_the_shipped_network_knows_people_it_never_saw(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

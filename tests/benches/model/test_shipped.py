@@ -13,7 +13,8 @@ torch = pytest.importorskip("torch")
 from benches.model.networks import shipped  # noqa: E402
 from small_training import TINY  # noqa: E402
 
-from bodyseg_model.networks import FINDER, LARGE, SHIPPED, Trained, build, load_network  # noqa: E402
+from bodyseg_model.networks import FINDER, SHIPPED, Trained, build, load_network  # noqa: E402
+from bodyseg_model.networks.checkpoints import LARGE  # noqa: E402
 
 
 @pytest.fixture

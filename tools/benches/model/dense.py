@@ -35,7 +35,7 @@ from bodyseg_data.meshes import vertex_normals
 from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import View, split_key
 from bodyseg_model.evaluation import ConfusionMatrix
-from bodyseg_model.networks import Network, predict
+from bodyseg_model.networks import Network, load_network, predict
 from bodyseg_model.networks.registry import Prediction, predict_dense
 
 VARIANTS: Final = ("all", "none")
@@ -84,7 +84,7 @@ def bench_dense(
     as `load_network` and `pack`.
     """
     check_int("the number of test images", images, 1)
-    networks = dict(chosen_network([run]) for run in runs) if runs else dict([chosen_network()])
+    networks = dict(chosen_network([run]) for run in runs) if runs else {"shipped": load_network(dense=True)}
     sets = {name: address for name, address in (("open", data), ("hard", hard)) if address is not None}
     opened = {
         (name, variant): RangeImages(address, variant, "test", planes=[TEMPLATE])

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from benches.results.step import FINDER, LARGE, RESULTS, SHIPPED, Graph, Step
+from benches.results.step import FINDER, LARGE, PLACES, RESULTS, SHIPPED, Graph, Step
 from benches.results.trainings import (
     ABLATION_LINKS,
     ALEXNET_RUNS,
@@ -15,7 +15,6 @@ from benches.results.trainings import (
     BOX,
     BOX_LINKS,
     CANDIDATES,
-    DENSE_RUN,
     DRESSED,
     HARD,
     KINECT_24,
@@ -140,8 +139,8 @@ def _trained() -> Iterator[Step]:
     folder = ("--runs", "runs/networks")
     yield _bench("architectures", "--data", OPEN, *folder, "--images", "200", alone=True)
     yield _bench("shuffles", "--data", OPEN)
-    on_template = ("--data", MAPPED, "--hard", MAPPED_HARD, "--people", FAUST, "--runs", DENSE_RUN)
-    yield _bench("dense", *on_template, "--views", "4", "--images", "100", drawn=True)
+    on_template = ("--data", MAPPED, "--hard", MAPPED_HARD, "--people", FAUST)
+    yield _bench("dense", *on_template, "--views", "4", "--images", "100", drawn=True, reads=(SHIPPED, PLACES))
     smaller = ("--data", OPEN, "--runs", "runs/smaller", "--images", "200", "--forest", "0")
     yield _bench("architectures", *smaller, to="smaller", links=SMALLER_LINKS, alone=True)
     named = ("--data", OPEN, "--runs", "runs/networks/compact-0", "--hard", HARD)

@@ -20,7 +20,8 @@ TOOLS: Final = "tools"
 SHIPPED: Final = "shipped"
 FINDER: Final = "finder"
 LARGE: Final = "large"
-NETWORKS: Final = (SHIPPED, FINDER, LARGE)
+PLACES: Final = "places"
+NETWORKS: Final = (SHIPPED, FINDER, LARGE, PLACES)
 """Names of the networks that ship, where a step reads them."""
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Final
 
 from benches.model.ablation.rows import ROWS, Source
@@ -27,17 +26,21 @@ KINECT_24: Final = "sets/kinect24"
 KINECT_HARD: Final = "sets/hard_kinect"
 PAPER: Final = "sets/paper"
 
+WIDE: Final = "sets/wide24"
+EVERYDAY: Final = "sets/everyday24"
+
+_ROUND: Final = ("--views", "24", "--azimuths", "36", "--azimuth-span", "360")
+
 PLACED_BY: Final = (0, 1)
 """People whose annotations alone place the labels of a training (`bench cross_person`)."""
-_PLACED_FROM: Final = {"wide": "400", "everyday": "90"}  # bodies; `wide` has those of `open`, too
+_PLACED_FROM: Final = {"wide": "100", "everyday": "50"}  # bodies; `wide` has those of `open`, too
 
 
 def placed_by(person: int) -> dict[str, tuple[str, ...]]:
     """Sets labelled by one person's landmarks, as `SETS`."""
     file = f"tools/benches/model/people/placed_by_{person}.json"
-    around = ("--views", "16", "--azimuths", "36", "--azimuth-span", "360")
     return {
-        f"sets/placed_by_{person}_{source}": (source, "--landmarks", file, "--meshes", bodies, *around)
+        f"sets/placed_by_{person}_{source}": (source, "--landmarks", file, "--meshes", bodies, *_ROUND)
         for source, bodies in _PLACED_FROM.items()
     }
 
@@ -56,6 +59,14 @@ SETS: Final = {
     PAPER: ("open", "--meshes", "500", "--views", "12"),
     CANDIDATES: ("candidates",),
     ORDINARY: ("wide", "--meshes", "80"),
+    WIDE: (
+        *("wide", "--template", "--meshes", "200", *_ROUND, "--distances", "175", "215", "255", "295", "345"),
+        *("--pitch=-15..5", "--roll=-8..8"),
+    ),
+    EVERYDAY: (
+        *("everyday", "--template", "--meshes", "120", *_ROUND, "--distances", "155", "215", "255", "295", "375"),
+        *("--pitch=-40..10", "--roll=-12..12"),
+    ),
     **placed_by(0),
     **placed_by(1),
 }
@@ -91,11 +102,6 @@ SMALLER: Final = {"compact_tiny": _TINY}
 _SEEDS_OF_ROWS: Final = {"no_occlusion": SEEDS, "no_noise": SEEDS, "losses": SEEDS}
 _ROWS_OF_NETWORKS: Final = {"half_resolution": "compact_half", "quarter_resolution": "compact_quarter"}
 _SETS_OF_ROWS: Final[dict[Source, str]] = {"": OPEN, "dressed": DRESSED, "bare": BARE}
-
-DENSE_RUN: Final = "runs/dense/shipped-0"
-"""A head of places on the template, trained for the network that ships."""
-_DENSE: Final = ("--steps", "600", "--batch-size", "8", "--lr", "0.003", "--ema", "0.99", "--precision", "float32")
-_HEAD: Final = ("--settings", '{"template":true}', "--only-template", "--pretrained", BOX)
 
 Links = tuple[tuple[str, str], ...]
 
@@ -189,14 +195,13 @@ def trainings() -> Iterator[Step]:
         yield _training(f"runs/kinect/{name}-{seed}", KINECT, *artifacts, *start, seed=seed, scale=_SMALL)
     for name, variant in zip(FINE_RUNS, ("none", "noise"), strict=True):
         yield _training(name, KINECT_24, *_FINE, "--variant", variant, seed=0, scale=_LONG)
-    long = ("--losses", "0.3", "--ema", "0.999", "--lr", "0.003", "--steps", "5000", "--batch-size", "64")
+    long = ("--losses", "0.3", "--ema", "0.999", "--lr", "0.003", "--steps", "1500", "--batch-size", "64")
     for person, run in zip(PLACED_BY, PLACED_RUNS, strict=True):
         yield Step(run, "training", ("bodyseg", "train", "--data", *placed_by(person), "--out", run, *long, *_HOW))
     for (name, options), seed in itertools.product([("compact", ()), *NETWORKS.items()], range(SEEDS)):
         yield _training(f"runs/networks/{name}-{seed}", OPEN, *options, seed=seed)
     for (name, options), seed in itertools.product(SMALLER.items(), range(SEEDS)):
         yield _training(f"runs/smaller/{name}-{seed}", OPEN, *options, seed=seed)
-    yield replace(_training(DENSE_RUN, MAPPED, *_HEAD, seed=0, scale=_DENSE), links=BOX_LINKS)
     for seed, run in enumerate(REFERENCE_RUNS):
         yield _training(run, OPEN, "--variant", "none", *NETWORKS["fcn_alexnet_8th"], seed=seed)
     for row in ROWS:

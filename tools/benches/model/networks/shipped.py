@@ -24,7 +24,8 @@ from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.machine import processors
 from bodyseg_model.evaluation import GrossErrors, count_pairs, evaluate, open_images, pairs_of
 from bodyseg_model.evaluation.evaluation import PredictedImage
-from bodyseg_model.networks import LARGE, SHIPPED, FlipAverage, Network, load_network
+from bodyseg_model.networks import SHIPPED, FlipAverage, Network, load_network
+from bodyseg_model.networks.checkpoints import LARGE
 
 FLIP: Final = ", flip average"
 UNSURE: Final = ", flip average where unsure"
