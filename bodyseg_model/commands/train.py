@@ -248,8 +248,8 @@ def _settings(options: Options) -> dict[str, Any]:
 def _pretrained(path: Path, network: Network, options: Options, images: ImageSet) -> dict[str, Any]:
     """Fill a network from a trained one, or from published weights; returns the entry of its card that names the file.
 
-    Of two networks one of which has a head of places on the template, only this is drawn anew, or left out. A `compact`
-    may start from a narrower one. Raises BadConfig for a trained one of another network, other classes or settings.
+    Of two networks one of which has a head of places on the template, only this is drawn anew, or left out. Raises
+    BadConfig for a trained one of another network, other classes or other settings.
     """
     if not path.is_dir() and path.suffix != ".safetensors":
         network.load_pretrained(path)
@@ -261,11 +261,10 @@ def _pretrained(path: Path, network: Network, options: Options, images: ImageSet
     if ours.difference(theirs) is not None:
         found = repr(theirs.name) if theirs.name != ours.name else "other classes of that name"
         raise BadConfig(f"--pretrained {path} must have the labels {ours.name!r} of this training, found {found}")
-    if network.take_narrower(trained.network):
-        return _entry(path, trained.card[CardWords.WEIGHTS_SHA256])
     for name in sorted((network.settings.keys() | trained.network.settings.keys()) - {TEMPLATE}):
         _check_alike(path, f"setting {name}", network.settings.get(name), trained.network.settings.get(name))
-    network.load_state_dict(trained.network.state_dict())
+    read = trained.network.state_dict()
+    network.load_state_dict({name: read.get(name, weights) for name, weights in network.state_dict().items()})
     return _entry(path, trained.card[CardWords.WEIGHTS_SHA256])
 
 

@@ -34,8 +34,8 @@ CheckpointName = Literal["best", "last"]
 SHIPPED: Final = Path(__file__).parents[1] / "weights" / "compact.safetensors"
 """Of the network that labels bodies."""
 
-LARGE: Final = SHIPPED.with_name("large.safetensors")
-"""Of a wider one, more accurate and slower, which `load_network` knows by its name."""
+PLACES: Final = SHIPPED.with_name("compact_places.safetensors")
+"""Of its head of places; the settings in the card are those of both together."""
 
 FINDER: Final = SHIPPED.with_name("finder.safetensors")
 """Of the network that finds people in rooms, whose classes are those of the label map "people"."""
@@ -159,21 +159,18 @@ def load_network(
 ) -> Trained:
     """Load the network of a run's folder, or of a .safetensors file with its .json beside it, onto the processor.
 
-    path: None for the compact network that ships with the package, "large" for the wider one, where no file has that
-    name.
+    path: None for the compact network that ships with the package.
 
     checkpoint: of a run's folder: "best" for the weights of its best validation, "last" for those of its last
     checkpoint. None takes the network that the training ended with, or the last checkpoint of one that has not ended.
-    dense: with the head of places on the template, which networks that ship have in a file of its own; others have it
-    if they were trained with one. The card's `step` says which step the weights are of, its `weights_sha256` which file
-    they were read from.
+    dense: with the head of places on the template, which that one has in a file of its own; others have it if they were
+    trained with one. The card's `step` says which step the weights are of, its `weights_sha256` which file they were
+    read from.
 
     Raises BadConfig, naming the file, for what is missing, damaged or does not fit the card: with weights of another
     SHA-256 than the card's, or a rig that is none. A card without rig, sensor or SHA-256 is valid.
     """
     path = SHIPPED if path is None else Path(path)
-    if path == Path(LARGE.stem) and not path.exists():
-        path = LARGE
     if checkpoint is not None and not path.is_dir():
         raise BadConfig(f"checkpoint {checkpoint!r} is one of a run's folder, found {path}")
     if checkpoint == "last" or (checkpoint is None and path.is_dir() and _unfinished(path)):
@@ -185,19 +182,13 @@ def load_network(
         raise BadConfig(f"a network is a run's folder or a .safetensors file, found {path}")
     card = read_card(file)
     tensors, digest = _read_weights(file, card)
-    if dense and file in (SHIPPED, LARGE):
-        head = places_of(file)
-        card_of_head = read_card(head)
-        tensors |= _read_weights(head, card_of_head)[0]
-        card = {**card, "settings": card_of_head["settings"]}
+    if dense and file == SHIPPED:
+        of_head = read_card(PLACES)
+        tensors |= _read_weights(PLACES, of_head)[0]
+        card = {**card, "settings": of_head["settings"]}
     network = _build(card, file.with_suffix(".json"), tensors)
     fill(network, tensors, file)
     return trained_network(network, {**card, CardWords.WEIGHTS_SHA256: digest}, file.with_suffix(".json"))
-
-
-def places_of(file: Path) -> Path:
-    """File of the head of places of a network that ships; the settings in its card are those of both together."""
-    return file.with_stem(f"{file.stem}_places")
 
 
 def _read_weights(file: Path, facts: Mapping[str, Any]) -> tuple[dict[str, torch.Tensor], str]:

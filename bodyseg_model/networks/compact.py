@@ -9,10 +9,9 @@ interpolated.
 from __future__ import annotations
 
 import itertools
-import operator
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
-from typing import Any, Final, Literal, Self
+from typing import Any, Literal, Self
 
 import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
@@ -21,9 +20,6 @@ from torch import nn
 from bodyseg_data.core import BadConfig, check_fields
 from bodyseg_data.labels import PART_COUNT
 from bodyseg_model.networks.network import MEASURES, Network, check_range_images, metric_patches, patches_of
-
-_SCALE_OF_SECOND: Final = ".second.1.weight"
-"""How the name of the weight ends that multiplies what a residual block adds."""
 
 
 @dataclass(frozen=True)
@@ -112,30 +108,6 @@ class Compact(Network):
             name: tuple(value) if isinstance(value, list) else value for name, value in settings.items()
         }
         return cls(CompactSettings(**shape))
-
-    @torch.no_grad()
-    def take_narrower(self, narrower: Network) -> bool:
-        """As `Network.take_narrower`, of one with fewer channels or residual blocks at some levels.
-
-        What was there sees itself alone. New channels see all and are seen by nobody: what they say enters by training,
-        from 0 on, and a new block adds 0 to its shortcut (after Chen et al., "Net2Net", 2016, which doubles channels).
-        A head of places that only one of both has stays as it is, or is left out.
-        """
-        own, theirs = ({**network.settings, "template": False} for network in (self, narrower))
-        shapes = [(own.pop(name), theirs.pop(name, ())) for name in ("widths", "blocks")]
-        wider = all(len(wide) == len(narrow) and all(map(operator.ge, wide, narrow)) for wide, narrow in shapes)
-        if own != theirs or not wider:
-            return False
-        read = narrower.state_dict()
-        for name, weights in self.state_dict().items():
-            if name in read:
-                found = read[name]
-                if weights.ndim > 1:
-                    weights[: len(found), found.shape[1] :] = 0
-                weights[tuple(map(slice, found.shape))] = found
-            elif name.endswith(_SCALE_OF_SECOND):
-                weights.zero_()
-        return True
 
     def scores(self, range_m: torch.Tensor) -> torch.Tensor:
         """Compute scores of every fourth pixel each way; see `Network.scores`."""

@@ -101,13 +101,6 @@ class Network(nn.Module, ABC):
         """Fill layers from a file of published weights. By default a network reads none: raises BadConfig."""
         raise BadConfig(f"{type(self).__name__} starts from a run's folder or a .safetensors file, found {path}")
 
-    def take_narrower(self, narrower: Network) -> bool:
-        """Take over the weights of a narrower network of this kind, so that scores stay the same but for rounding.
-
-        False if it is none, or weights of no narrower one can be used, as by default.
-        """
-        return False
-
     def extra_repr(self) -> str:
         """Settings, for `repr`."""
         return ", ".join(f"{name}={value!r}" for name, value in self.settings.items())

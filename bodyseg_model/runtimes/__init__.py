@@ -10,7 +10,6 @@ if TYPE_CHECKING:
         FLIP_HELP,
         PRECISION_HELP,
         QUICK_PRECISION_HELP,
-        RUN_HELP,
         BackendName,
         Precision,
         backend_of,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -95,33 +94,6 @@ def test_settings_make_the_same_network_again() -> None:
     again.load_state_dict(made.state_dict())
     with torch.no_grad():
         assert torch.equal(made(figure(20, 20)), again.eval()(figure(20, 20)))
-
-
-@pytest.mark.parametrize(
-    "more", [{"widths": (10, 9)}, {"blocks": (2, 3)}, {"widths": (7, 16), "blocks": (1, 2)}, {"template": True}, {}]
-)
-def test_a_wider_network_begins_with_the_scores_of_a_narrower_one(more: dict[str, Any]) -> None:
-    narrow, wide = network(), network(replace(SMALL, **more)).requires_grad_()
-    assert wide.take_narrower(narrow)
-    torch.testing.assert_close(wide.scores(figure(40, 24)), narrow.scores(figure(40, 24)), atol=1e-5, rtol=1e-5)
-    # What is new has a gradient at once: it learns.
-    answer = wide.scores_and_places if wide.on_template else wide.scores
-    answer(figure(40, 24)).square().mean().backward()
-    assert all(weight.grad is not None for weight in wide.parameters())
-    if "widths" in more:
-        assert wide.head.weight.grad is not None
-        assert wide.head.weight.grad[:, 6:].abs().max() > 0
-
-
-@pytest.mark.parametrize(
-    "other",
-    [{"widths": (5, 9)}, {"blocks": (0, 1)}, {"widths": (6, 8, 8), "blocks": (1, 1, 1)}, {"patch": 16}, {"classes": 4}],
-)
-def test_weights_of_a_network_that_is_not_narrower_are_left(other: dict[str, Any]) -> None:
-    wide = network(replace(SMALL, **other))
-    before = {name: weights.clone() for name, weights in wide.state_dict().items()}
-    assert not wide.take_narrower(network())
-    assert all(torch.equal(before[name], weights) for name, weights in wide.state_dict().items())
 
 
 def test_weights_belong_to_a_seed() -> None:

@@ -20,7 +20,6 @@ from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import ViewGrid
 from bodyseg_model.evaluation import evaluate
 from bodyseg_model.networks import SHIPPED, checkpoints, load_network, predict
-from bodyseg_model.networks.checkpoints import places_of
 from bodyseg_model.networks.registry import predict_dense
 
 
@@ -59,12 +58,13 @@ def test_the_head_of_places_that_ships_changes_no_label() -> None:
 
 def test_a_damaged_head_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     copied = tmp_path / SHIPPED.name
-    for file in (SHIPPED, places_of(SHIPPED)):
+    for file in (SHIPPED, checkpoints.PLACES):
         for suffix in (".safetensors", ".json"):
             shutil.copy(file.with_suffix(suffix), tmp_path)
+    head = tmp_path / checkpoints.PLACES.name
     monkeypatch.setattr(checkpoints, "SHIPPED", copied)
+    monkeypatch.setattr(checkpoints, "PLACES", head)
     assert load_network(dense=True).network.on_template
-    head = places_of(copied)
     head.write_bytes(head.read_bytes()[:-1] + b"x")
     with pytest.raises(BadConfig, match="compact_places.safetensors is damaged"):
         load_network(dense=True)

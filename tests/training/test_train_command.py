@@ -129,19 +129,6 @@ def test_a_training_starts_from_the_weights_of_another(
     assert (parameters(other)["head.weight"] - before["head.weight"]).abs().max() > 0.01
 
 
-def test_a_training_of_a_wider_network_starts_from_a_narrower_one(
-    small_set: Path, tmp_path: Path, earlier: Path
-) -> None:
-    narrow = load_network(earlier)
-    wider = json.dumps({**TINY, "widths": [width + 3 for width in TINY["widths"]]})
-    more = ["--steps", "1", "--lr", "1e-9", "--settings", wider, "--pretrained", str(earlier)]
-    assert main(command(small_set, tmp_path / "wide", *more)) == 0
-    wide = load_network(tmp_path / "wide")
-    for name, weight in parameters(narrow).items():
-        found = parameters(wide)[name][tuple(map(slice, weight.shape))]
-        torch.testing.assert_close(found, weight, atol=1e-7, rtol=0)
-
-
 def test_published_weights_are_named_with_their_digest(
     small_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from benches.results.step import FINDER, LARGE, PLACES, RESULTS, SHIPPED, Graph, Step
+from benches.results.step import FINDER, PLACES, RESULTS, SHIPPED, Graph, Step
 from benches.results.trainings import (
     ABLATION_LINKS,
     ALEXNET_RUNS,
@@ -103,8 +103,6 @@ def _shipped() -> Iterator[Step]:
     yield _evaluation("compact_hard_flip_average", HARD, flip)
     yield _bench("people", "--data", FAUST, reads=shipped)
     yield _bench("people", "--data", FAUST, "--alone", flip, to="people_flip_average", reads=shipped)
-    both = ("--data", OPEN, "--hard", HARD, "--people", FAUST, "--images", "1000")
-    yield _bench("shipped", *both, reads=(*shipped, LARGE))
     yield _bench("real", "--data", KINECT, "--views", "24", drawn=True, reads=shipped)
     yield _bench("real", "--data", KINECT, "--views", "24", flip, to="real_flip_average", reads=shipped)
     yield _bench("steady", "--data", KINECT, reads=shipped)

@@ -19,9 +19,8 @@ DATA: Final = "data"
 TOOLS: Final = "tools"
 SHIPPED: Final = "shipped"
 FINDER: Final = "finder"
-LARGE: Final = "large"
 PLACES: Final = "places"
-NETWORKS: Final = (SHIPPED, FINDER, LARGE, PLACES)
+NETWORKS: Final = (SHIPPED, FINDER, PLACES)
 """Names of the networks that ship, where a step reads them."""
 
 

@@ -26,9 +26,6 @@ KINECT_24: Final = "sets/kinect24"
 KINECT_HARD: Final = "sets/hard_kinect"
 PAPER: Final = "sets/paper"
 
-WIDE: Final = "sets/wide24"
-EVERYDAY: Final = "sets/everyday24"
-
 _ROUND: Final = ("--views", "24", "--azimuths", "36", "--azimuth-span", "360")
 
 PLACED_BY: Final = (0, 1)
@@ -59,14 +56,6 @@ SETS: Final = {
     PAPER: ("open", "--meshes", "500", "--views", "12"),
     CANDIDATES: ("candidates",),
     ORDINARY: ("wide", "--meshes", "80"),
-    WIDE: (
-        *("wide", "--template", "--meshes", "200", *_ROUND, "--distances", "175", "215", "255", "295", "345"),
-        *("--pitch=-15..5", "--roll=-8..8"),
-    ),
-    EVERYDAY: (
-        *("everyday", "--template", "--meshes", "120", *_ROUND, "--distances", "155", "215", "255", "295", "375"),
-        *("--pitch=-40..10", "--roll=-12..12"),
-    ),
     **placed_by(0),
     **placed_by(1),
 }
