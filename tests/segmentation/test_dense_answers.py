@@ -143,13 +143,20 @@ def test_a_network_without_places_is_refused() -> None:
         FrameLabeller(load_network(), KEEP, dense=True)(standing(), LENS)
 
 
+def test_the_network_that_ships_knows_places() -> None:
+    answer = FrameLabeller(background=KEEP, dense=True)(standing(), LENS)
+    assert ((answer.template != NOWHERE) == (answer.labels != BACKGROUND)).all() and answer.pixels
+    assert np.array_equal(FrameLabeller(background=KEEP)(standing(), LENS).labels, answer.labels)
+
+
 def test_the_command_writes_an_image_of_points(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     save_network(tmp_path / "network.safetensors", network(), "compact", {})
     frames = tmp_path / "frames"
     frames.mkdir()
     Image.fromarray(np.round(1000 * standing()).astype(np.uint16)).save(frames / "one.png")
     words = [str(frames), "--focal", "100", "--background", "keep", "--threads", "1", "--device", "cpu", "--dense"]
-    assert main(["segment", *words, "--out", str(tmp_path / "no")]) == 2
+    save_network(tmp_path / "plain.safetensors", build("compact", {**TINY, "template": False}, 3), "compact", {})
+    assert main(["segment", *words, "--run", str(tmp_path / "plain.safetensors"), "--out", str(tmp_path / "no")]) == 2
     assert capsys.readouterr().err.startswith(f"bodyseg segment: {REFUSED}") and not (tmp_path / "no").exists()
     run = ["--run", str(tmp_path / "network.safetensors"), "--precision", "float32"]
     assert main(["segment", *words, *run, "--out", str(tmp_path / "out")]) == 0
