@@ -184,7 +184,7 @@ def trainings() -> Iterator[Step]:
         yield _training(f"runs/kinect/{name}-{seed}", KINECT, *artifacts, *start, seed=seed, scale=_SMALL)
     for name, variant in zip(FINE_RUNS, ("none", "noise"), strict=True):
         yield _training(name, KINECT_24, *_FINE, "--variant", variant, seed=0, scale=_LONG)
-    long = ("--losses", "0.3", "--ema", "0.999", "--lr", "0.003", "--steps", "1500", "--batch-size", "64")
+    long = ("--losses", "0.3", "--ema", "0.999", "--lr", "0.003", "--steps", "1000", "--batch-size", "64")
     for person, run in zip(PLACED_BY, PLACED_RUNS, strict=True):
         yield Step(run, "training", ("bodyseg", "train", "--data", *placed_by(person), "--out", run, *long, *_HOW))
     for (name, options), seed in itertools.product([("compact", ()), *NETWORKS.items()], range(SEEDS)):
