@@ -40,7 +40,9 @@ STACK = np.stack([standing(2 * number) for number in range(7, 12)])
 def network(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     places = Places(axis=0, step=20)
     monkeypatch.setattr(
-        segment, "load_run", lambda run: load_run(run) if run else Trained(places, {"network": "places", "seed": 3})
+        segment,
+        "load_run",
+        lambda run, dense=False: load_run(run) if run else Trained(places, {"network": "places", "seed": 3}),
     )
     before = torch.get_num_threads()
     torch.set_num_threads(1)

@@ -86,7 +86,9 @@ def test_bodies_nearer_than_those_trained_on_are_told(
     steps: int, told: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        segment, "load_run", lambda run: load_run(run) if run else Trained(Places(0, 10), {"rig": SMALL.to_json()})
+        segment,
+        "load_run",
+        lambda run, dense=False: load_run(run) if run else Trained(Places(0, 10), {"rig": SMALL.to_json()}),
     )
     frame = np.zeros((160, 82), np.uint16)
     frame[20:140, 20:60] = steps

@@ -91,7 +91,7 @@ def test_the_bench_runs_every_way_and_draws(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, near_is_person: None
 ) -> None:
     trained = Trained(Places(axis=0, step=5), {"network": "places", "rig": SMALL.to_json()})
-    monkeypatch.setattr(segment, "load_run", lambda run: load_run(run) if run else trained)
+    monkeypatch.setattr(segment, "load_run", lambda run, dense=False: load_run(run) if run else trained)
     monkeypatch.setattr(bench, "load_network", lambda: trained)
     monkeypatch.setattr(bench, "made_rooms", lambda camera, count: [made(camera)] * count)
     ways_by_torch = {name: way for name, way in WAYS.items() if "backend" not in way.options}
