@@ -31,6 +31,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_open_set(found / "cells")
     write_open_set(found / "dark", projector="none")
     options = ["--steps", "2", "--batch-size", "4", "--num-workers", "0", "--settings", SETTINGS, "--device", "cpu"]
+    # In bfloat16, with AMX, PyTorch 2.13 at times gives a layer of stride 2 that sees one cell a gradient of nan.
+    options += ["--precision", "float32"]
     assert main(["train", "--data", str(found / "cells"), "--out", str(found / "run"), *options]) == 0
     return found
 
