@@ -21,7 +21,8 @@ from bodyseg_model.segmentation import FrameLabeller
 from bodyseg_model.training.loss import class_pixels
 from bodyseg_model.viewing.set_view import SetView, Shown
 
-SETTINGS = json.dumps({"widths": [8, 8, 8], "blocks": [1, 1, 1]})
+# Two levels: in bfloat16, with AMX, PyTorch 2.13 at times gives a layer of stride 2 that sees one cell nan as gradient.
+SETTINGS = json.dumps({"widths": [8, 8], "blocks": [1, 1]})
 
 
 @pytest.fixture(scope="module")
@@ -31,8 +32,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_open_set(found / "cells")
     write_open_set(found / "dark", projector="none")
     options = ["--steps", "2", "--batch-size", "4", "--num-workers", "0", "--settings", SETTINGS, "--device", "cpu"]
-    # In bfloat16, with AMX, PyTorch 2.13 at times gives a layer of stride 2 that sees one cell a gradient of nan.
-    options += ["--precision", "float32"]
     assert main(["train", "--data", str(found / "cells"), "--out", str(found / "run"), *options]) == 0
     return found
 
