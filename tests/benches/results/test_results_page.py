@@ -10,6 +10,7 @@ from benches.charts.choice import Choice
 from benches.charts.choices import CHOICES
 from benches.charts.processors import by_processor, figures_of, panels_of
 from benches.charts.report import described
+from benches.charts.scales import thousands
 from benches.results.everything import PAGES
 from benches.results.outdated import without_mark
 from benches.results.page import render_page, sources_of
@@ -121,7 +122,7 @@ def test_scores_of_people_lead_with_those_who_placed_no_label(document: str) -> 
     leading = f"**{100 * across['cross_person']['accuracy']:.1f} %**"
     in_sample = f"{100 * ships['scores']['all']['accuracy']:.1f} %"
     assert text.index("cross-person") < text.index(leading) < text.index(in_sample)
-    assert f"{abs(100 * across['in_sample_gain']['points']):.1f} points" in text
+    assert f"{thousands(100 * across['in_sample_gain']['points'], 1)} points" in text
 
 
 def test_the_card_states_the_scores_on_real_people_with_what_they_are_worth() -> None:

@@ -26,8 +26,6 @@ KINECT_24: Final = "sets/kinect24"
 KINECT_HARD: Final = "sets/hard_kinect"
 PAPER: Final = "sets/paper"
 
-_ROUND: Final = ("--views", "24", "--azimuths", "36", "--azimuth-span", "360")
-
 PLACED_BY: Final = (0, 1)
 """People whose annotations alone place the labels of a training (`bench cross_person`)."""
 _PLACED_FROM: Final = {"wide": "100", "everyday": "50"}  # bodies; `wide` has those of `open`, too
@@ -36,8 +34,9 @@ _PLACED_FROM: Final = {"wide": "100", "everyday": "50"}  # bodies; `wide` has th
 def placed_by(person: int) -> dict[str, tuple[str, ...]]:
     """Sets labelled by one person's landmarks, as `SETS`."""
     file = f"tools/benches/model/people/placed_by_{person}.json"
+    around = ("--views", "24", "--azimuths", "36", "--azimuth-span", "360")
     return {
-        f"sets/placed_by_{person}_{source}": (source, "--landmarks", file, "--meshes", bodies, *_ROUND)
+        f"sets/placed_by_{person}_{source}": (source, "--landmarks", file, "--meshes", bodies, *around)
         for source, bodies in _PLACED_FROM.items()
     }
 
