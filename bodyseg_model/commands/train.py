@@ -48,6 +48,7 @@ from bodyseg_model.training import (
     WAITING_ADVICE,
     GeometricAugmentation,
     Metrics,
+    OptimiserName,
     RecipeName,
     Report,
     RunOptions,
@@ -91,6 +92,7 @@ class Options:
     batch_size: int | None = option("images that go through the network together (default: the recipe's)", None)
     accumulate: int | None = option("such batches a step (default: the recipe's)", None)
     learning_rate: float | None = option("learning rate of the last layer (default: the recipe's)", None, flag="lr")
+    optimiser: OptimiserName | None = option("how weights follow gradients (default: the recipe's)", None)
     no_geometric_augmentation: bool = option("leave bodies where they are: turn, zoom and cut none", False)
     bust: float | None = option("share of the images that show only the upper part of the body", None)
     ema: float | None = option("decay of averaged weights, like 0.999, which are validated and saved", None)
@@ -131,6 +133,7 @@ def run(options: Options) -> int:
         batch_size=options.batch_size,
         accumulate=options.accumulate,
         learning_rate=options.learning_rate,
+        optimiser=options.optimiser,
         ema=options.ema,
         shuffle=options.shuffle,
         only_places=options.only_template,

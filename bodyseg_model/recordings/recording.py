@@ -2,7 +2,7 @@
 
 import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -27,6 +27,9 @@ MOST_FRAMES: Final = 1 << 20  # of one file: ten hours at 30 a second
 _MOST_STEPS: Final = 65535
 
 Pixels = NDArray[np.uint16]
+
+Timed = NDArray[Any] | tuple[float | None, NDArray[Any]]
+"""Pixels of a frame [H, W], or its time in seconds and its pixels."""
 
 
 @dataclass(frozen=True)
@@ -104,6 +107,27 @@ class Frame:
         """Read the time and coordinate frame of its message; None where frames are no messages. Raises BadConfig."""
         with reported(self.where, BadConfig):
             return self.source.stamp(self.index)
+
+
+@dataclass(frozen=True, eq=False)
+class LiveRecording:
+    """A recording of arrays that `arrays` yields: uint16 in steps of `step_m` metres, or floating point in metres.
+
+    Nothing is kept: a frame lives as long as its caller holds it. where: name in messages and of frames.
+    """
+
+    arrays: Iterable[Timed]
+    camera: Intrinsics | None = None
+    step_m: float = MILLIMETRE
+    where: str = "live"
+
+    def __iter__(self) -> Iterator[Frame]:
+        for index, item in enumerate(self.arrays):
+            time_s, pixels = item if isinstance(item, tuple) else (None, item)
+            step_m = FLOAT_STEP_M if pixels.dtype.kind == "f" else self.step_m
+            name = f"{self.where}-{index:06d}"
+            held, within = ArrayFrames(pixels[np.newaxis]), ("", index)
+            yield Frame(name, name, Path(self.where), str(index), held, within, 0, time_s, step_m, self.camera)
 
 
 def evenly_apart(total: int, count: int) -> list[int]:

@@ -1,7 +1,7 @@
 """Training: images and a recipe -> a network. A killed training resumes with the same bits.
 
 Seed and step number determine all that a step does: its images (their order belongs to seed and epoch), which of them
-are mirrored, the pixels that the loss selects, and dropout. So a checkpoint needs weights, the optimiser's state and
+are mirrored, the pixels that the loss selects, and dropout. So a checkpoint needs weights, the optimisers' state and
 the loader's state, and no state of a random generator.
 """
 
@@ -41,16 +41,9 @@ from bodyseg_model.networks import (
 from bodyseg_model.training.augmentation import augmented, signed_numbers
 from bodyseg_model.training.distributed import ProcessGroup, joined_process_group
 from bodyseg_model.training.loss import NetworkWithLoss, class_pixels, part_weights
+from bodyseg_model.training.optimisers import fill_optimisers, make_optimisers, optimiser_tensors, set_learning_rate
 from bodyseg_model.training.plan import Best, RunFolder, training_plan
-from bodyseg_model.training.recipes import (
-    AveragedNetwork,
-    Recipe,
-    fill_optimiser,
-    make_optimiser,
-    optimiser_tensors,
-    recipe_for,
-    set_learning_rate,
-)
+from bodyseg_model.training.recipes import AveragedNetwork, Recipe, recipe_for
 from bodyseg_model.training.validation import WAITING_ADVICE, Metrics, MetricsWindow, Report, Validation
 
 
@@ -58,7 +51,7 @@ class Diverged(BodysegError):
     """A training's loss is no longer a number."""
 
 
-_OPTIMISER: Final = "optimiser."  # prefix of the optimiser's tensors in a checkpoint
+_OPTIMISER: Final = "optimiser."  # prefix of the optimisers' tensors in a checkpoint
 
 
 def train(
@@ -173,7 +166,7 @@ class Training:
         self.name, self.images, self.recipe, self.folder = name, images, recipe, folder
         self.processes, self.seed, self.run_options = processes, seed, run_options or RunOptions()
         self.network = network.to(processes.device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self.optimiser = make_optimiser(self.network, recipe)
+        self.optimisers = make_optimisers(self.network, recipe)
         self.averaged = AveragedNetwork(self.network, recipe.ema) if recipe.ema and processes.first else None
         self.result = self.network if self.averaged is None else self.averaged.network  # that is validated and saved
         self.validation, self.pretrained = validation, pretrained
@@ -234,7 +227,7 @@ class Training:
         due = self.validation is not None and self.validation.due(self.step, self.recipe.steps)
         if self.step % self.run_options.log_every and self.step < self.recipe.steps and not due:
             return window
-        metrics = window.metrics(self.step, self.optimiser.param_groups[-1]["lr"])
+        metrics = window.metrics(self.step, self.optimisers[-1].param_groups[-1]["lr"])
         now = data_loader.stats()
         if metrics.data_wait >= _WAIT_NAMED:
             slowest = max(WAITING_ADVICE, key=lambda stage: now[stage] - self._loaded[stage])
@@ -261,7 +254,7 @@ class Training:
                 self.averaged.network.load_state_dict(checkpoint.part(Checkpoint.AVERAGED))
         except RuntimeError as error:
             raise BadConfig(f"{self.folder.path}: the checkpoint must be of this network: {error}") from error
-        fill_optimiser(self.optimiser, checkpoint.part(_OPTIMISER))
+        fill_optimisers(self.optimisers, checkpoint.part(_OPTIMISER))
         self.step = checkpoint.step
         if self.validation is not None:
             self._best = self.folder.best() if self.processes.first else None
@@ -274,7 +267,7 @@ class Training:
             tensors |= {
                 f"{Checkpoint.AVERAGED}{name}": tensor for name, tensor in self.averaged.network.state_dict().items()
             }
-        tensors |= {f"{_OPTIMISER}{name}": tensor for name, tensor in optimiser_tensors(self.optimiser).items()}
+        tensors |= {f"{_OPTIMISER}{name}": tensor for name, tensor in optimiser_tensors(self.optimisers).items()}
         return Checkpoint(self.step, data_loader.state_dict(), tensors)
 
     def _validated(self, metrics: Metrics, facts: Mapping[str, Any]) -> Metrics:
@@ -333,11 +326,12 @@ class Training:
 
     def _one_step(self, objective: nn.Module, batches: Iterator[Batch], window: MetricsWindow) -> None:
         device, recipe = self.processes.device, self.recipe
-        set_learning_rate(self.optimiser, recipe.learning_rate_at(self.step))
+        set_learning_rate(self.optimisers, recipe.learning_rate_at(self.step))
         torch.manual_seed(
             int(Draws(self.seed, self.step, "").generator(f"dropout {self.processes.rank}").integers(2**62))
         )
-        self.optimiser.zero_grad(set_to_none=True)
+        for optimiser in self.optimisers:
+            optimiser.zero_grad(set_to_none=True)
         for index in range(recipe.accumulate):
             with window.watch("data"):
                 batch = next(batches)
@@ -364,7 +358,8 @@ class Training:
             window.add(loss, counts, len(batch["key"]), off_mm)
         if recipe.clip:
             nn.utils.clip_grad_norm_(self.network.parameters(), recipe.clip)
-        self.optimiser.step()
+        for optimiser in self.optimisers:
+            optimiser.step()
         if self.averaged is not None:
             self.averaged.update(self.network, self.step)
         self.step += 1

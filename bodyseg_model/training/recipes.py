@@ -1,7 +1,5 @@
-"""Recipes: all hyperparameters of a training in one frozen dataclass, with a preset for each kind of network.
-
-A recipe's optimiser, its state as tensors with names, and the exponential moving average (EMA) of a network's weights
-over the steps of a training.
+"""Recipes: all hyperparameters of a training in one frozen dataclass, with a preset for each kind of network; and the
+exponential moving average (EMA) of a network's weights over the steps of a training.
 """
 
 from __future__ import annotations
@@ -9,16 +7,16 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import torch
-from torch import nn
 
 from bodyseg_data.core import BadConfig, bounded, check_fields
 from bodyseg_model.networks import Network
 from bodyseg_model.training.augmentation import GeometricAugmentation
+
+OptimiserName = Literal["sgd", "adamw", "muon"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +24,8 @@ class Recipe:
     """All hyperparameters of a training; with data, network and seed they determine its result.
 
     steps: updates of the weights. batch_size: images in one pass through the network, over all processes. accumulate:
-    batches whose gradients are added up for one step. optimiser: "sgd" (with `momentum`) or "adamw".
+    batches whose gradients are added up for one step. optimiser: "sgd" (with `momentum`), "adamw", or
+    "muon" (`optimisers.Muon`).
 
     learning_rate: of the last layer, at its largest. layer_decay: learning rate of the deepest layer, the first that
     the image passes, as a share of the last layer's; the layers between have shares in geometric progression, and 1
@@ -52,7 +51,7 @@ class Recipe:
     steps: int = bounded(MISSING, 1)
     batch_size: int = bounded(MISSING, 1)
     accumulate: int = bounded(MISSING, 1)
-    optimiser: Literal["sgd", "adamw"]
+    optimiser: OptimiserName
     learning_rate: float = bounded(MISSING, 1e-9, 10)
     layer_decay: float = bounded(MISSING, 1e-6, 1)
     momentum: float = bounded(MISSING, 0, 0.9999)
@@ -94,7 +93,7 @@ _COMPACT: Final = Recipe(
     steps=10_000,
     batch_size=16,
     accumulate=1,
-    optimiser="adamw",
+    optimiser="muon",
     learning_rate=2e-3,
     layer_decay=1.0,
     momentum=0.9,
@@ -147,53 +146,6 @@ def recipe_for(name: str, **changes: Any) -> Recipe:
     if name not in PRESETS:
         raise BadConfig(f"the recipe must be one of {', '.join(PRESETS)}, found {name!r}")
     return dataclasses.replace(PRESETS[name], **{field: value for field, value in changes.items() if value is not None})
-
-
-def make_optimiser(network: nn.Module, recipe: Recipe) -> torch.optim.Optimizer:
-    """Make a recipe's optimiser, with one or two parameter groups a layer, deepest first.
-
-    A group's `share` is its learning rate as a share of the last layer's (`Recipe.layer_decay`). With adamw biases and
-    the scales of normalisation have no weight decay, as is usual; with sgd all weights have it, as in Caffe.
-    """
-    # Trainable weights in the order of construction, which is that of the data flow.
-    by_module = ([w for w in each.parameters(recurse=False) if w.requires_grad] for each in network.modules())
-    layers = [weights for weights in by_module if weights]
-    groups: list[dict[str, Any]] = []
-    for at, weights in enumerate(layers):
-        share = recipe.layer_decay ** (1 - at / max(1, len(layers) - 1))
-        plain = [weight for weight in weights if weight.ndim > 1 or recipe.optimiser == "sgd"]
-        kept = [weight for weight in weights if weight.ndim <= 1 and recipe.optimiser != "sgd"]
-        for chosen, decay in ((plain, recipe.weight_decay), (kept, 0.0)):
-            if chosen:
-                groups.append({"params": chosen, "weight_decay": decay, "share": share})
-    if recipe.optimiser == "sgd":
-        return torch.optim.SGD(groups, recipe.learning_rate, recipe.momentum)
-    return torch.optim.AdamW(groups, recipe.learning_rate)
-
-
-def set_learning_rate(optimiser: torch.optim.Optimizer, rate: float) -> None:
-    """Set the last layer's learning rate, and the other layers' by their shares."""
-    for group in optimiser.param_groups:
-        group["lr"] = rate * group["share"]
-
-
-def optimiser_tensors(optimiser: torch.optim.Optimizer) -> dict[str, torch.Tensor]:
-    """State tensors of an optimiser, named "index of the weight.name"."""
-    return {
-        f"{number}.{name}": value
-        for number, entries in optimiser.state_dict()["state"].items()
-        for name, value in entries.items()
-        if isinstance(value, torch.Tensor)
-    }
-
-
-def fill_optimiser(optimiser: torch.optim.Optimizer, tensors: Mapping[str, torch.Tensor]) -> None:
-    """Restore the state that `optimiser_tensors` gave of an optimiser of the same weights."""
-    states: dict[int, dict[str, torch.Tensor]] = {}
-    for name, value in tensors.items():
-        number, _, kind = name.partition(".")
-        states.setdefault(int(number), {})[kind] = value
-    optimiser.load_state_dict({**optimiser.state_dict(), "state": states})
 
 
 class AveragedNetwork:

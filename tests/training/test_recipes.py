@@ -6,7 +6,7 @@ import dataclasses
 import itertools
 import json
 import math
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 import torch
@@ -15,7 +15,15 @@ from benches.model.chosen import recipe_from_json
 from bodyseg_data.core import BadConfig
 from bodyseg_model.networks import build
 from bodyseg_model.training import recipe_for
-from bodyseg_model.training.recipes import PRESETS, fill_optimiser, make_optimiser, optimiser_tensors, set_learning_rate
+from bodyseg_model.training.optimisers import (
+    Muon,
+    fill_optimisers,
+    make_optimisers,
+    optimiser_tensors,
+    orthogonal,
+    set_learning_rate,
+)
+from bodyseg_model.training.recipes import PRESETS
 
 
 def test_the_papers_recipe_is_its_networks_own() -> None:
@@ -28,8 +36,8 @@ def test_the_papers_recipe_is_its_networks_own() -> None:
 
 def test_the_papers_rates_rise_from_layer_to_layer() -> None:
     network = build("fcn_alexnet", {"width": 1 / 16})
-    optimiser = make_optimiser(network, PRESETS["fcn_alexnet"])
-    set_learning_rate(optimiser, 1e-2)
+    (optimiser,) = make_optimisers(network, PRESETS["fcn_alexnet"])
+    set_learning_rate([optimiser], 1e-2)
     rates = [group["lr"] for group in optimiser.param_groups]
     assert rates[0] == pytest.approx(1e-4)
     assert rates[-1] == pytest.approx(1e-2)
@@ -42,13 +50,49 @@ def test_the_papers_rates_rise_from_layer_to_layer() -> None:
     assert all(group["momentum"] == 0.99 and group["weight_decay"] == 5e-4 for group in optimiser.param_groups)
 
 
-def test_with_adamw_only_the_weights_of_convolutions_decay() -> None:
+@pytest.mark.parametrize("name", ["adamw", "muon"])
+def test_only_the_weights_of_convolutions_decay(name: Literal["adamw", "muon"]) -> None:
     network = build("compact", {"patch": 16, "widths": [4], "blocks": [1]})
-    optimiser = make_optimiser(network, PRESETS["compact"])
-    for group in optimiser.param_groups:
+    groups = [
+        group for each in make_optimisers(network, recipe_for("compact", optimiser=name)) for group in each.param_groups
+    ]
+    for group in groups:
         for weight in group["params"]:
             assert (group["weight_decay"] > 0) == (weight.ndim > 1)
-    assert sum(len(group["params"]) for group in optimiser.param_groups) == len(list(network.parameters()))
+    assert sum(len(group["params"]) for group in groups) == len(list(network.parameters()))
+
+
+def test_muon_has_all_convolutions_but_the_last_layers() -> None:
+    network = build("compact", {"patch": 16, "widths": [4, 8], "blocks": [1, 1]})
+    muon, adamw = make_optimisers(network, PRESETS["compact"])
+    held = {id(weight) for group in muon.param_groups for weight in group["params"]}
+    convolutions = {name for name, weight in network.named_parameters() if weight.ndim == 4}
+    assert {name for name, weight in network.named_parameters() if id(weight) in held} == convolutions - {"head.weight"}
+    assert adamw.param_groups[-1]["params"] == [network.get_parameter("head.bias")]
+
+
+@pytest.mark.parametrize("shape", [(8, 40), (40, 8), (12, 12)])
+def test_an_orthogonal_matrix_keeps_its_directions(shape: tuple[int, int]) -> None:
+    generator = torch.Generator().manual_seed(1)
+    matrix = torch.randn(*shape, generator=generator) * torch.logspace(0, -1, shape[1])
+    left, values, right = torch.linalg.svd(matrix, full_matrices=False)
+    found = left.T @ orthogonal(matrix) @ right.T
+    assert torch.allclose(found, found.diag().diag(), atol=1e-4)
+    clear = values > values.norm() / 100
+    assert clear.sum() >= len(values) // 2
+    assert found.diag()[clear].min() > 0.6
+    assert found.diag().max() < 1.3
+    assert torch.equal(orthogonal(torch.zeros(3, 5)), torch.zeros(3, 5))
+
+
+def test_muons_update_is_as_large_as_adamws_however_large_the_gradient() -> None:
+    for scale in (1e-4, 1e4):
+        weight = torch.nn.Parameter(torch.zeros(16, 8, 3, 3))
+        muon = Muon([{"params": [weight]}], 0.01, bf16=False)
+        weight.grad = scale * torch.randn(weight.shape, generator=torch.Generator().manual_seed(0))
+        muon.step()
+        assert weight.detach().square().mean().sqrt().item() == pytest.approx(0.2 * 0.01, rel=0.2)
+        assert (weight * weight.grad).sum() < 0
 
 
 def test_rates_rise_then_fall() -> None:
@@ -66,18 +110,19 @@ def test_an_optimisers_memory_goes_back_where_it_came_from(name: str) -> None:
     settings = {"width": 1 / 16} if name == "fcn_alexnet" else {"patch": 16, "widths": [4], "blocks": [1]}
     networks = [build(name, settings), build(name, settings)]
     networks[1].load_state_dict(networks[0].state_dict())
-    optimisers = [make_optimiser(network, PRESETS[name]) for network in networks]
+    optimisers = [make_optimisers(network, PRESETS[name]) for network in networks]
 
     def step(which: int) -> None:
         torch.manual_seed(0)
         for weight in networks[which].parameters():
             weight.grad = torch.randn(weight.shape) if weight.requires_grad else None
-        optimisers[which].step()
+        for optimiser in optimisers[which]:
+            optimiser.step()
 
     step(0)
     networks[1].load_state_dict(networks[0].state_dict())
     memory = {name: value.clone() for name, value in optimiser_tensors(optimisers[0]).items()}
-    fill_optimiser(optimisers[1], memory)
+    fill_optimisers(optimisers[1], memory)
     step(0)
     step(1)
     for one, two in zip(networks[0].parameters(), networks[1].parameters(), strict=True):
@@ -91,8 +136,8 @@ def test_an_optimisers_memory_goes_back_where_it_came_from(name: str) -> None:
         ({"momentum": 1.0}, "momentum must be from 0 to 0.9999, found 1.0"),
         ({"learning_rate": float("inf")}, "learning_rate must be from 1e-09 to 10, found inf"),
         ({"balance": -1}, "balance must be from 0 to 1, found -1"),
-        ({"optimiser": "lion"}, "optimiser must be 'sgd' or 'adamw', found 'lion'"),
-        ({"optimiser": ["sgd"]}, "optimiser must be 'sgd' or 'adamw', found ['sgd']"),
+        ({"optimiser": "lion"}, "optimiser must be 'sgd' or 'adamw' or 'muon', found 'lion'"),
+        ({"optimiser": ["sgd"]}, "optimiser must be 'sgd' or 'adamw' or 'muon', found ['sgd']"),
         ({"steps": "many"}, "Recipe: steps must be a whole number, found 'many'"),
         ({"geometric_augmentation": {}}, "geometric_augmentation must be of class GeometricAugmentation, found {}"),
     ],
