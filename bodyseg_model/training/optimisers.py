@@ -12,7 +12,7 @@ from torch import nn
 from bodyseg_model.training.recipes import Recipe
 
 _MUON_RATE: Final = 3.0
-"""Muon's learning rate as a multiple of the recipe's, by trials (docs/decisions/0050)."""
+"""Muon's learning rate as a multiple of the recipe's, by trials (docs/decisions/0051)."""
 _MOMENTUM: Final = 0.95
 _QUINTIC: Final = 3.4445, -4.7750, 2.0315
 _ROUNDS: Final = 5
@@ -23,7 +23,7 @@ Optimisers = Sequence[torch.optim.Optimizer]
 class Muon(torch.optim.Optimizer):
     """Momentum whose every update is an orthogonal matrix (Jordan et al., "Muon: an optimizer for hidden layers in
     neural networks", 2024): all directions of a layer's weights move alike, not just the few that gradients are large
-    in. So a network learns from a third of the images.
+    in.
 
     Weights [O, I, h, w] are taken as a matrix of O rows. An update has a root mean square of 0.2 of the learning rate,
     as AdamW's has (Liu et al., "Muon is scalable for LLM training", 2025).
@@ -43,7 +43,9 @@ class Muon(torch.optim.Optimizer):
             for weight in group["params"]:
                 if weight.grad is None:
                     continue
-                mean = self.state[weight].setdefault("mean", torch.zeros_like(weight))
+                if not self.state[weight]:
+                    self.state[weight]["mean"] = torch.zeros_like(weight)
+                mean = self.state[weight]["mean"]
                 mean.lerp_(weight.grad, 1 - _MOMENTUM)
                 update = orthogonal(weight.grad.lerp(mean, _MOMENTUM).flatten(1).to(self._type))
                 size = group["lr"] * 0.2 * math.sqrt(max(update.shape))
