@@ -11,8 +11,6 @@ from torch import nn
 
 from bodyseg_model.training.recipes import Recipe
 
-_MUON_RATE: Final = 3.0
-"""Muon's learning rate as a multiple of the recipe's, by trials (docs/decisions/0051)."""
 _MOMENTUM: Final = 0.95
 _QUINTIC: Final = 3.4445, -4.7750, 2.0315
 _ROUNDS: Final = 5
@@ -69,7 +67,7 @@ def orthogonal(matrix: torch.Tensor) -> torch.Tensor:
 def make_optimisers(network: nn.Module, recipe: Recipe) -> Optimisers:
     """Make a recipe's optimisers, with one or two parameter groups a layer, deepest first, the last layer's last.
 
-    A group's `share` is its learning rate as a share of the recipe's (`Recipe.layer_decay`). With sgd all weights
+    A group's `share` is its learning rate as a share of the last layer's (`Recipe.layer_decay`). With sgd all weights
     decay, as in Caffe; else biases and the scales of normalisation do not, as is usual. Muon has all layers' matrices
     but the last layer's, AdamW the others.
     """
@@ -85,7 +83,7 @@ def make_optimisers(network: nn.Module, recipe: Recipe) -> Optimisers:
         by_muon = recipe.optimiser == "muon" and weights is not layers[-1]
         if plain:
             group = {"params": plain, "weight_decay": recipe.weight_decay, "share": share}
-            (matrices if by_muon else others).append(group | ({"share": _MUON_RATE * share} if by_muon else {}))
+            (matrices if by_muon else others).append(group)
         if kept:
             others.append({"params": kept, "weight_decay": 0.0, "share": share})
     if recipe.optimiser == "sgd":
