@@ -140,11 +140,11 @@ def test_steps_are_those_of_plain_sgd_on_mean_gradients(small_set: Path, tmp_pat
         torch.testing.assert_close(found[name], weight, atol=2e-5, rtol=1e-3, msg=lambda text, name=name: name + text)
 
 
-@pytest.mark.parametrize(("optimiser", "shuffle"), [("sgd", "global"), ("adamw", "blocks")])
+@pytest.mark.parametrize(("optimiser", "shuffle"), [("sgd", "global"), ("adamw", "blocks"), ("muon", "global")])
 def test_a_training_carries_on_with_the_same_bits(
     small_set: Path, tmp_path: Path, optimiser: Any, shuffle: Any
 ) -> None:
-    recipe = dataclasses.replace(SGD, optimiser=optimiser, bf16=optimiser == "adamw", shuffle=shuffle)
+    recipe = dataclasses.replace(SGD, optimiser=optimiser, bf16=optimiser != "sgd", shuffle=shuffle)
     train(small_set, tmp_path / "whole", recipe)
     cut = tmp_path / "cut"
 
