@@ -39,6 +39,7 @@ from bodyseg_model.runtimes import (
     BACKEND_HELP,
     FLIP_HELP,
     PRECISION_HELP,
+    RUN_HELP,
     BackendName,
     Precision,
     backend_of,
@@ -57,7 +58,7 @@ _FORMAT: Final = "bodyseg evaluation 1"
 class Options:
     data: tuple[str, ...] = option("folders or addresses of sets of shards", address=True)
     json: Path = option("write the scores to this file")
-    run: Path | None = option("a training's folder, a .safetensors or .onnx file (default: the one that ships)", None)
+    run: Path | None = option(RUN_HELP, None)
     backend: BackendName | None = option(BACKEND_HELP, None)
     precision: Precision | None = option(PRECISION_HELP, None)
     flip_average: bool = option(FLIP_HELP, False)

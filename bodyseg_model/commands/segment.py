@@ -22,6 +22,7 @@ from bodyseg_model.runtimes import (
     BACKEND_HELP,
     FLIP_HELP,
     QUICK_PRECISION_HELP,
+    RUN_HELP,
     BackendName,
     Precision,
     load_run,
@@ -61,7 +62,7 @@ class Options:
     out: Path = option("folder for labels, overlays, preview.gif, legend.png and summary.json")
     labels_out: Path | None = option("also write labels with their frames' times into this .mcap file", None)
     points: bool = option("with --labels-out: also write the points of people, with label and confidence", False)
-    run: Path | None = option("a training's folder, a .safetensors or .onnx file (default: the one that ships)", None)
+    run: Path | None = option(RUN_HELP, None)
     backend: BackendName | None = option(BACKEND_HELP, None)
     precision: Precision | None = option(QUICK_PRECISION_HELP, None)
     flip_average: bool = option(FLIP_HELP, False)

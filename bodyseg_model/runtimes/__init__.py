@@ -10,6 +10,7 @@ if TYPE_CHECKING:
         FLIP_HELP,
         PRECISION_HELP,
         QUICK_PRECISION_HELP,
+        RUN_HELP,
         BackendName,
         Precision,
         backend_of,

@@ -330,8 +330,7 @@ class Training:
         torch.manual_seed(
             int(Draws(self.seed, self.step, "").generator(f"dropout {self.processes.rank}").integers(2**62))
         )
-        for optimiser in self.optimisers:
-            optimiser.zero_grad(set_to_none=True)
+        self.network.zero_grad()
         for index in range(recipe.accumulate):
             with window.watch("data"):
                 batch = next(batches)
