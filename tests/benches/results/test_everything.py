@@ -77,17 +77,8 @@ def test_what_a_processor_decides_is_measured_on_that_processor(
 def test_the_fifteen_trainings_and_three_seeds_of_every_network_are_declared() -> None:
     graph = everything()
     names = [name for name, step in graph.steps.items() if step.kind == "training"]
-    assert sum(name.startswith("runs/kinect/") for name in names) == SEEDS * (5 + len(SENSOR_RUNS))
     assert sum(name.startswith("runs/full/") for name in names) == SEEDS * (5 + len(SENSOR_RUNS))
-    for folder in (
-        "runs/full",
-        "runs/paper",
-        "runs/paper_alexnet",
-        "runs/kinect",
-        "runs/whole",
-        "runs/networks",
-        "runs/alexnet",
-    ):
+    for folder in ("runs/full", "runs/paper", "runs/paper_alexnet", "runs/networks", "runs/alexnet"):
         of_folder = [name.rpartition("-")[0] for name in names if name.startswith(f"{folder}/")]
         assert {of_folder.count(name) for name in of_folder} == {SEEDS}
 

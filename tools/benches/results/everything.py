@@ -16,8 +16,8 @@ from benches.results.trainings import (
     BOX_LINKS,
     CANDIDATES,
     DRESSED,
+    FULL_RUNS,
     HARD,
-    KINECT_24,
     KINECT_HARD,
     LOSSES_RUNS,
     MAPPED,
@@ -31,7 +31,6 @@ from benches.results.trainings import (
     REFERENCE_RUNS,
     SENSOR_RUNS,
     SMALLER_LINKS,
-    VARIANT_RUNS,
     Links,
     seeds,
     sets,
@@ -122,16 +121,14 @@ def _shipped() -> Iterator[Step]:
 def _trained() -> Iterator[Step]:
     """Networks that were trained for the comparison."""
     scored, on_real = ("--seeds", "3", "--images", "60", "--only-finished"), ("--real", REAL, "--people", FAUST)
-    full = ("--data", KINECT_24, "--runs", "runs/full", *scored, "--hard", KINECT_HARD, *on_real)
+    full = ("--data", KINECT_SET, "--runs", "runs/full", *scored, "--hard", KINECT_HARD, *on_real)
     yield _bench("variants", *full, drawn=True, more=("variants_real.png",), alone=True)
-    small = ("--data", KINECT_SET, "--runs", "runs/kinect", "runs/whole", *scored, *on_real)
-    yield _bench("variants", *small, to="variants_small", alone=True)
     for of in ("paper", "paper_alexnet"):
         of_paper = ("--data", PAPER, "--runs", f"runs/{of}", *scored, "--hard", HARD, *on_real)
         yield _bench("variants", *of_paper, to=f"variants_{of}", alone=True)
-    unlike = (*seeds("runs/kinect/none"), *seeds("runs/kinect/all"))
+    unlike = (*seeds("runs/full/none"), *seeds("runs/full/all"))
     yield _bench("harm", "--data", KINECT_SET, "--runs", *unlike, "--images", "60", reads=(SHIPPED,), alone=True)
-    fine = ("--data", KINECT_24, "--runs", "runs/fine", "--seeds", "1", "--images", "60", "--only-finished")
+    fine = ("--data", KINECT_SET, "--runs", "runs/fine", "--seeds", "2", "--images", "60", "--only-finished")
     yield _bench("variants", *fine, to="variants_fine", alone=True)
     yield _bench("cross_person", "--data", FAUST, "--runs", *PLACED_RUNS)
     folder = ("--runs", "runs/networks")
@@ -192,15 +189,15 @@ def _stability() -> Iterator[Step]:
         ("numerical_fcn_alexnet", "runs/networks/fcn_alexnet_8th-0"),
     ):
         yield _bench("numerical", "--data", OPEN, "--views", "25", "--runs", run, to=to)
-    yield _stability_of("stability", VARIANT_RUNS, data=KINECT_SET)
+    yield _stability_of("stability", FULL_RUNS, data=KINECT_SET)
     lost = ("noise", "missing", "patches", "stripes", "mixed", "speed", "clothes", "ambient")
     few = ("--sweeps", *lost, "--images", "20", "--threads", "1")
-    compared = (*VARIANT_RUNS, *itertools.chain(*(seeds(f"runs/kinect/{row}") for row in SENSOR_RUNS)))
+    compared = (*FULL_RUNS, *itertools.chain(*(seeds(f"runs/full/{row}") for row in SENSOR_RUNS)))
     yield _stability_of("variants_stability", compared, sweeps=few, data=KINECT_SET, drawn=True)
     yield _stability_of("stability_fcn_alexnet", ALEXNET_RUNS)
     yield _stability_of("stability_networks", (*seeds("runs/networks/compact"), BOX, *LOSSES_RUNS), BOX_LINKS)
     yield _stability_of("stability_architectures", NETWORK_RUNS)
-    moving = (("stability_motion", KINECT_SET, VARIANT_RUNS), ("stability_fcn_alexnet_motion", OPEN, ALEXNET_RUNS))
+    moving = (("stability_motion", KINECT_SET, FULL_RUNS), ("stability_fcn_alexnet_motion", OPEN, ALEXNET_RUNS))
     for to, data, runs in moving:
         yield _bench("motion", "--data", data, "--runs", *runs, to=to)
     hidden = ("--sweeps", "hidden", "hidden_shown", "--images", "14", "--threads", "1")

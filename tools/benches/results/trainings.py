@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Final
 
 from benches.model.ablation.rows import ROWS, Source
@@ -22,7 +23,6 @@ CANDIDATES: Final = "sets/candidates"
 ORDINARY: Final = "sets/wide80"
 MAPPED: Final = "sets/open_template"
 MAPPED_HARD: Final = "sets/hard_template"
-KINECT_24: Final = "sets/kinect24"
 KINECT_HARD: Final = "sets/hard_kinect"
 PAPER: Final = "sets/paper"
 
@@ -49,10 +49,9 @@ SETS: Final = {
     READ: ("open", "--meshes", "200", "--views", "54"),
     MAPPED: ("open", "--template", "--meshes", "100", "--views", "4"),
     MAPPED_HARD: ("hard", "--template", "--views", "3"),
-    KINECT: ("open", "--rig", "kinect_v1", "--meshes", "500", "--views", "12"),
-    KINECT_24: ("open", "--rig", "kinect_v1", "--meshes", "250", "--views", "24"),
+    KINECT: ("open", "--rig", "kinect_v1", "--meshes", "250", "--views", "12"),
     KINECT_HARD: ("hard", "--rig", "kinect_v1", "--views", "6"),
-    PAPER: ("open", "--meshes", "500", "--views", "12"),
+    PAPER: ("open", "--meshes", "250", "--views", "12"),
     CANDIDATES: ("candidates",),
     ORDINARY: ("wide", "--meshes", "80"),
     **placed_by(0),
@@ -61,11 +60,10 @@ SETS: Final = {
 """Folder -> source, and further options of `bodyseg shard`."""
 
 _SHORT: Final = ("--steps", "1400", "--batch-size", "8")
-_COMPARED: Final = ("--batch-size", "8", "--precision", "float32")
 _STILL: Final = "--no-geometric-augmentation"
 _HOW: Final = ("--threads", "1", "--num-workers", "1", "--checkpoint-every", "250", "--log-every", "50", "--resume")
 
-_ALEXNET: Final = ("--network", "fcn_alexnet", "--recipe", "compact", "--lr", "0.0005")
+_ALEXNET: Final = ("--network", "fcn_alexnet", "--recipe", "compact")
 
 NETWORKS: Final = {
     "compact_half": ("--settings", '{"shrink":2,"patch":8}'),
@@ -94,9 +92,6 @@ _SETS_OF_ROWS: Final[dict[Source, str]] = {"": OPEN, "dressed": DRESSED, "bare":
 Links = tuple[tuple[str, str], ...]
 
 
-_SMALL: Final = (*_COMPARED, *_TINY)
-
-
 def seeds(name: str) -> tuple[str, ...]:
     """NAME-0, NAME-1 ..."""
     return tuple(f"{name}-{seed}" for seed in range(SEEDS))
@@ -114,21 +109,13 @@ PAPER_RUNS: Final = (*seeds("runs/paper/none"), *seeds("runs/paper/all"))
 ALEXNET_4TH_RUNS: Final = (*seeds("runs/paper_alexnet/none"), *seeds("runs/paper_alexnet/all"))
 """The paper's network, a quarter of its width, of the paper's rig."""
 
-_LONG: Final = ("--steps", "1500", "--batch-size", "32", "--bust", "0.5")
-"""48 000 images from random weights, half of them upper bodies, as most real frames show: the artifacts alone differ
+_LONG: Final = ("--steps", "1000", "--batch-size", "32", "--bust", "0.5")
+"""32 000 images from random weights, half of them upper bodies, as most real frames show: the artifacts alone differ
 from the first step on, and so long a training needs no start that others share.
 """
-_LONG_ALEXNET: Final = (*_ALEXNET, "--settings", '{"width":0.25}', "--steps", "750", *_LONG[2:])
+_ALEXNET_4TH: Final = (*_ALEXNET, "--settings", '{"width":0.25}')
 
-VARIANT_RUNS: Final = tuple(itertools.chain(*(seeds(f"runs/kinect/{variant}") for variant in VARIANTS)))
-"""As `FULL_RUNS`, of half a million weights, which a processor trains."""
-
-WHOLE_RUNS: Final = seeds("runs/whole/none")
-"""Trainings on whole bodies without artifacts, from which those of `VARIANT_RUNS` start."""
-
-_STARTED: Final = ("--steps", "900", "--bust", "0.5")
-
-FINE_RUNS: Final = ("runs/fine/none-0", "runs/fine/noise-0")
+FINE_RUNS: Final = tuple(f"runs/fine/{variant}-{seed}" for seed in range(2) for variant in ("none", "noise"))
 _FINE: Final = ("--settings", '{"patch":4,"widths":[16,32,56,72,80],"blocks":[0,1,1,1,1]}')
 """Trainings of a network whose first layer sees 4 x 4 pixels."""
 
@@ -172,17 +159,13 @@ def trainings() -> Iterator[Step]:
     either = {name: rows[name] for name in ("none", "all")}
     rows |= {name: ("--sensor", sensor) for name, sensor in SENSOR_RUNS.items()}
     for (name, artifacts), seed in itertools.product(rows.items(), range(SEEDS)):
-        yield _training(f"runs/full/{name}-{seed}", KINECT_24, *artifacts, seed=seed, scale=_LONG)
-    for folder, scale in (("runs/paper", _LONG), ("runs/paper_alexnet", _LONG_ALEXNET)):
+        yield _training(f"runs/full/{name}-{seed}", KINECT, *artifacts, seed=seed, scale=_LONG)
+    for folder, network in (("runs/paper", ()), ("runs/paper_alexnet", _ALEXNET_4TH)):
         for (name, artifacts), seed in itertools.product(either.items(), range(SEEDS)):
-            yield _training(f"{folder}/{name}-{seed}", PAPER, *artifacts, seed=seed, scale=scale)
-    for seed, run in enumerate(WHOLE_RUNS):
-        yield _training(run, KINECT, "--variant", "none", "--steps", "1200", seed=seed, scale=_SMALL)
-    for seed, (name, artifacts) in itertools.product(range(SEEDS), rows.items()):
-        start = ("--pretrained", WHOLE_RUNS[seed], *_STARTED)
-        yield _training(f"runs/kinect/{name}-{seed}", KINECT, *artifacts, *start, seed=seed, scale=_SMALL)
-    for name, variant in zip(FINE_RUNS, ("none", "noise"), strict=True):
-        yield _training(name, KINECT_24, *_FINE, "--variant", variant, seed=0, scale=_LONG)
+            yield _training(f"{folder}/{name}-{seed}", PAPER, *artifacts, *network, seed=seed, scale=_LONG)
+    for run in FINE_RUNS:
+        variant, _, seed = Path(run).name.partition("-")
+        yield _training(run, KINECT, "--variant", variant, *_FINE, seed=int(seed), scale=_LONG)
     long = ("--losses", "0.3", "--ema", "0.999", "--lr", "0.003", "--steps", "1000", "--batch-size", "64")
     for person, run in zip(PLACED_BY, PLACED_RUNS, strict=True):
         yield Step(run, "training", ("bodyseg", "train", "--data", *placed_by(person), "--out", run, *long, *_HOW))
