@@ -164,8 +164,8 @@ def trainings() -> Iterator[Step]:
         for (name, artifacts), seed in itertools.product(either.items(), range(SEEDS)):
             yield _training(f"{folder}/{name}-{seed}", PAPER, *artifacts, *network, seed=seed, scale=_LONG)
     for run in FINE_RUNS:
-        variant, _, seed = Path(run).name.partition("-")
-        yield _training(run, KINECT, "--variant", variant, *_FINE, seed=int(seed), scale=_LONG)
+        variant, _, number = Path(run).name.partition("-")
+        yield _training(run, KINECT, "--variant", variant, *_FINE, seed=int(number), scale=_LONG)
     long = ("--losses", "0.3", "--ema", "0.999", "--lr", "0.003", "--steps", "1000", "--batch-size", "64")
     for person, run in zip(PLACED_BY, PLACED_RUNS, strict=True):
         yield Step(run, "training", ("bodyseg", "train", "--data", *placed_by(person), "--out", run, *long, *_HOW))
