@@ -103,12 +103,6 @@ SENSOR_RUNS: Final = {"sensor": "kinect_v1", "phase_shift": "paper_phase_shift"}
 FULL_RUNS: Final = tuple(itertools.chain(*(seeds(f"runs/full/{variant}") for variant in VARIANTS)))
 """Fifteen trainings of the whole `compact`: five variants, three seeds, of a rig of which there are real frames."""
 
-PAPER_RUNS: Final = (*seeds("runs/paper/none"), *seeds("runs/paper/all"))
-"""The same network and recipe, of the paper's rig."""
-
-ALEXNET_4TH_RUNS: Final = (*seeds("runs/paper_alexnet/none"), *seeds("runs/paper_alexnet/all"))
-"""The paper's network, a quarter of its width, of the paper's rig."""
-
 _LONG: Final = ("--steps", "1000", "--batch-size", "32", "--bust", "0.5")
 """32 000 images from random weights, half of them upper bodies, as most real frames show: the artifacts alone differ
 from the first step on, and so long a training needs no start that others share.
