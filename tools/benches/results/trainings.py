@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Final
 
 from benches.model.ablation.rows import ROWS, Source
@@ -107,11 +106,9 @@ _LONG: Final = ("--steps", "1000", "--batch-size", "32", "--bust", "0.5")
 """32 000 images from random weights, half of them upper bodies, as most real frames show: the artifacts alone differ
 from the first step on, and so long a training needs no start that others share.
 """
-_ALEXNET_4TH: Final = (*_ALEXNET, "--settings", '{"width":0.25}')
 
-FINE_RUNS: Final = tuple(f"runs/fine/{variant}-{seed}" for seed in range(2) for variant in ("none", "noise"))
 _FINE: Final = ("--settings", '{"patch":4,"widths":[16,32,56,72,80],"blocks":[0,1,1,1,1]}')
-"""Trainings of a network whose first layer sees 4 x 4 pixels."""
+"""Of a network whose first layer sees 4 x 4 pixels."""
 
 REFERENCE_RUNS: Final = seeds("runs/alexnet/fcn_alexnet_8th_none")
 """The networks that mCE compares with."""
@@ -154,12 +151,11 @@ def trainings() -> Iterator[Step]:
     rows |= {name: ("--sensor", sensor) for name, sensor in SENSOR_RUNS.items()}
     for (name, artifacts), seed in itertools.product(rows.items(), range(SEEDS)):
         yield _training(f"runs/full/{name}-{seed}", KINECT, *artifacts, seed=seed, scale=_LONG)
-    for folder, network in (("runs/paper", ()), ("runs/paper_alexnet", _ALEXNET_4TH)):
+    for folder, network in (("runs/paper", ()), ("runs/paper_alexnet", NETWORKS["fcn_alexnet_4th"])):
         for (name, artifacts), seed in itertools.product(either.items(), range(SEEDS)):
             yield _training(f"{folder}/{name}-{seed}", PAPER, *artifacts, *network, seed=seed, scale=_LONG)
-    for run in FINE_RUNS:
-        variant, _, number = Path(run).name.partition("-")
-        yield _training(run, KINECT, "--variant", variant, *_FINE, seed=int(number), scale=_LONG)
+    for variant, seed in itertools.product(("none", "noise"), range(2)):
+        yield _training(f"runs/fine/{variant}-{seed}", KINECT, *rows[variant], *_FINE, seed=seed, scale=_LONG)
     long = ("--losses", "0.3", "--ema", "0.999", "--lr", "0.003", "--steps", "1000", "--batch-size", "64")
     for person, run in zip(PLACED_BY, PLACED_RUNS, strict=True):
         yield Step(run, "training", ("bodyseg", "train", "--data", *placed_by(person), "--out", run, *long, *_HOW))
