@@ -369,25 +369,35 @@ def test_finished_trainings_are_compared_with_others_of_their_recipe(
     card = json.loads((folder / "sensor-0" / "network.json").read_text())
     card["data"]["artifacts"] = artifacts_to_json([Noise(40, 40)])
     (folder / "sensor-0" / "network.json").write_text(json.dumps(card))
+    shutil.copytree(folder / "sensor-0", folder / "mixture-0")
+    parts = [card["data"], {**card["data"], "artifacts": artifacts_to_json([MissingData((0.5,))])}]
+    (folder / "mixture-0" / "network.json").write_text(json.dumps(card | {"data": {"mixture": parts}}))
     shutil.copytree(one_run / "noise-0", tmp_path / "paper" / "noise-0")
     found = bench_variants(
         str(figures_set), (folder, tmp_path / "paper"), images=IMAGES, only_finished=True, hard=str(figures_set)
     )
-    assert list(found["table"]) == ["none", "all", "sensor"]
+    assert list(found["table"]) == ["none", "all", "mixture", "sensor"]
+    assert {*found["table"]["mixture"]} == {*found["table"]["sensor"]}  # no images show a mixture's artifacts alone
     assert found["missing"] == ["occ-0", "noise-0", "md-0", *(f"{name}-{seed}" for seed in (1, 2) for name in VARIANTS)]
     assert found["table"]["all"]["hard"] == found["table"]["all"]["all"]  # the same images here
     model = load_network(folder / "none-0").network
     noisy = RangeImages(figures_set, "all", "test", 0, sensor=SensorModel("x", (Noise(40, 40),)))
     assert found["table"]["none"]["sensor"]["mean"] == slow_accuracy(model, noisy, IMAGES)
-    assert {*found["loader"]} == {*VARIANTS, "sensor"} and found["loader"]["sensor"]["ms"] > 0
-    assert [row["name"] for row in found["networks"]] == ["none-0", "all-0", "sensor-0", "noise-0"]
+    ms = {row: each["ms"] for row, each in found["loader"].items()}
+    assert {*ms} == {*VARIANTS, "sensor", "mixture", "mixture, 1", "mixture, 2"} and ms["sensor"] > 0
+    assert ms["mixture"] == pytest.approx((ms["mixture, 1"] + ms["mixture, 2"]) / 2, abs=1e-4)
+    assert [row["name"] for row in found["networks"]] == ["none-0", "all-0", "mixture-0", "sensor-0", "noise-0"]
     assert {(each["row"], each["verdict"]) for each in found["verdicts"]} == {
-        ("all", "undecided: one seed"),
-        ("sensor", "undecided: one seed"),
+        (row, "undecided: one seed") for row in ("all", "mixture", "sensor")
     }
     card = json.loads((folder / "sensor-0" / "network.json").read_text())
     (folder / "sensor-0" / "network.json").write_text(json.dumps(card | {"recipe": {}}))
     with pytest.raises(BadConfig, match="differ in variant and seed alone: recipe of .*sensor-0 is {}, expected"):
+        bench_variants(str(figures_set), (folder, tmp_path / "paper"), only_finished=True)
+    (folder / "sensor-0" / "network.json").write_text(json.dumps(card))
+    parts[1]["set"] = "another"
+    (folder / "mixture-0" / "network.json").write_text(json.dumps(card | {"data": {"mixture": parts}}))
+    with pytest.raises(BadConfig, match="differ in variant and seed alone: set of .*mixture-0 is "):
         bench_variants(str(figures_set), (folder, tmp_path / "paper"), only_finished=True)
 
 

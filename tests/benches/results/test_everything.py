@@ -18,7 +18,7 @@ from benches.results.page import render_page, sources_of
 from benches.results.records import Records
 from benches.results.running import duration
 from benches.results.step import Graph, Places, Step
-from benches.results.trainings import SEEDS, SENSOR_RUNS
+from benches.results.trainings import OTHER_RUNS, SEEDS
 from folders import ROOT
 from made_steps import Workshop, a_result, a_set, a_training
 
@@ -77,7 +77,7 @@ def test_what_a_processor_decides_is_measured_on_that_processor(
 def test_the_fifteen_trainings_and_three_seeds_of_every_network_are_declared() -> None:
     graph = everything()
     names = [name for name, step in graph.steps.items() if step.kind == "training"]
-    assert sum(name.startswith("runs/full/") for name in names) == SEEDS * (5 + len(SENSOR_RUNS))
+    assert sum(name.startswith("runs/full/") for name in names) == SEEDS * (5 + len(OTHER_RUNS))
     for folder in ("runs/full", "runs/paper", "runs/paper_alexnet", "runs/networks", "runs/alexnet"):
         of_folder = [name.rpartition("-")[0] for name in names if name.startswith(f"{folder}/")]
         assert {of_folder.count(name) for name in of_folder} == {SEEDS}

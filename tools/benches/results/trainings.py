@@ -96,8 +96,17 @@ def seeds(name: str) -> tuple[str, ...]:
     return tuple(f"{name}-{seed}" for seed in range(SEEDS))
 
 
-SENSOR_RUNS: Final = {"sensor": "kinect_v1", "phase_shift": "paper_phase_shift"}
-"""Trainings beside the five variants -> their sensor file."""
+FITTED: Final = "tools/benches/model/variants/kinect_v1_fitted.toml"
+"""What `bodyseg sensor fit` makes of the real Kinect's frames."""
+
+OTHER_RUNS: Final = {
+    "sensor": ("--sensor", "kinect_v1"),
+    "phase_shift": ("--sensor", "paper_phase_shift"),
+    "fitted": ("--sensor", FITTED),
+    "losses": ("--losses", "0.3"),
+    "mixture": ("--sensor", "paper", "kinect_v1", "realsense_d435", "azure_kinect"),
+}
+"""Trainings beside the five variants -> their options."""
 
 FULL_RUNS: Final = tuple(itertools.chain(*(seeds(f"runs/full/{variant}") for variant in VARIANTS)))
 """Fifteen trainings of the whole `compact`: five variants, three seeds, of a rig of which there are real frames."""
@@ -148,7 +157,7 @@ def trainings() -> Iterator[Step]:
     """Steps that train, in an order in which the results that need few trainings come first."""
     rows: dict[str, tuple[str, str]] = {variant: ("--variant", variant) for variant in VARIANTS}
     either = {name: rows[name] for name in ("none", "all")}
-    rows |= {name: ("--sensor", sensor) for name, sensor in SENSOR_RUNS.items()}
+    rows |= OTHER_RUNS
     for (name, artifacts), seed in itertools.product(rows.items(), range(SEEDS)):
         yield _training(f"runs/full/{name}-{seed}", KINECT, *artifacts, seed=seed, scale=_LONG)
     for folder, network in (("runs/paper", ()), ("runs/paper_alexnet", NETWORKS["fcn_alexnet_4th"])):

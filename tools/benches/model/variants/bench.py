@@ -15,6 +15,7 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import mean
 from typing import Any, Final
 
 import torch
@@ -123,12 +124,14 @@ class _Work:
         self.recordings, self.progress = recordings, progress
         self.everything = [*trainings, *others]
         self.rendered = [run for run in self.everything if not run.elsewhere]
-        self.sensors = {run.row: run.sensor for run in self.rendered if run.variant is None}
+        self.sensors = {run.row: run.sensors for run in self.rendered if run.variant is None}
         self.evaluator = Evaluator(data, images)
         self.manifest = self.evaluator.images(TABLE["none"]).manifest
         self.test_images = min(images, len(self.evaluator.images(TABLE["none"])))
         self.more: list[AblationCondition] = [
-            AblationCondition("all", label=row, sensor=sensor) for row, sensor in self.sensors.items()
+            AblationCondition("all", label=row, sensor=sensors[0])
+            for row, sensors in self.sensors.items()
+            if len(sensors) == 1
         ]
 
     def __repr__(self) -> str:
@@ -150,10 +153,18 @@ class _Work:
         return {**variants, **swept, **{condition.name: condition for condition in self.more}}
 
     def ms(self) -> Tree:
-        """Processor time of a sample in the loader, by row."""
+        """Processor time of a sample in the loader, by row; of a mixture, that of `<row>, <part>`, too."""
         ways = {str(variant): RangeImages(self.data, variant, "train") for variant in VARIANTS}
-        ways |= {name: RangeImages(self.data, "all", "train", sensor=each) for name, each in self.sensors.items()}
-        return loading_ms(ways)
+        parts = {
+            row: {row if len(sensors) == 1 else f"{row}, {number}": each for number, each in enumerate(sensors, 1)}
+            for row, sensors in self.sensors.items()
+        }
+        for each in parts.values():
+            ways |= {name: RangeImages(self.data, "all", "train", sensor=sensor) for name, sensor in each.items()}
+        found = loading_ms(ways)
+        for row, each in parts.items():
+            found.setdefault(row, {"ms": round(mean(found[name]["ms"] for name in each), 4)})
+        return found
 
 
 def _score_rendered(data: str, images: int, runs: Sequence[Run], conditions: Sequence[Condition]) -> None:
@@ -259,7 +270,7 @@ def _measured(work: _Work, together: int) -> dict[str, Any]:
             }
             for row, each in measures.items()
         },
-        "differences": {base: differences(measures, base) for base in ("none", "all")},
+        "differences": {base: differences(measures, base) for base in ("none", "all", "sensor")},
         "loader": loading,
         "rule": RULE,
         "verdicts": verdicts(measures, {row: each["ms"] for row, each in loading.items()}),

@@ -47,10 +47,13 @@ class Run:
         return self.path.name
 
     @property
-    def sensor(self) -> SensorModel:
-        """The artifacts that a finished training was given, by its card. Raises BadConfig."""
-        artifacts = (read_json(self.path / "network.json").get("data") or {}).get("artifacts", [])
-        return sensor_model_from_json({"name": self.path.name, "artifacts": artifacts}, str(self.path))
+    def sensors(self) -> tuple[SensorModel, ...]:
+        """The artifacts that a finished training was given, by its card: of a mixture, each of its parts. Raises
+        BadConfig.
+        """
+        made = (part.get("artifacts", []) for part in _parts(read_json(self.path / "network.json")))
+        named = ({"name": self.path.name, "artifacts": artifacts} for artifacts in made)
+        return tuple(sensor_model_from_json(each, str(self.path)) for each in named)
 
     @property
     def finished(self) -> bool:
@@ -124,7 +127,7 @@ def common_plan(runs: list[Run], data: str, steps: int | None) -> Plan:
     else:
         shared = Plan(NETWORK, recipe_for(NETWORK, steps=steps), build(NETWORK).settings, identity)
     for run, plan in there:
-        found = {**plan, "set": (plan.get("data") or {}).get("set")}
+        found = {**plan, "set": " and ".join(sorted({str(part.get("set")) for part in _parts(plan)}))}
         for name, wanted in shared.of(run).items():
             if found.get(name) != wanted:
                 raise BadConfig(
@@ -132,6 +135,12 @@ def common_plan(runs: list[Run], data: str, steps: int | None) -> Plan:
                     f"{found.get(name)!r}, expected {wanted!r}"
                 )
     return shared
+
+
+def _parts(card: dict[str, Any]) -> list[dict[str, Any]]:
+    """Identities of the images that a card or plan names, more than one of a mixture."""
+    data = card.get("data") or {}
+    return list(data.get("mixture", [data]))
 
 
 def origin(folder: Path) -> dict[str, Any]:

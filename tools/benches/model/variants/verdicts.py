@@ -34,8 +34,15 @@ _HARMED: Final[Mapping[str, Sequence[str]]] = {
     "noise": ("noise", "all", "noise of 40 mm"),
     "md": ("md", "all", "half missing"),
     "all": ("occ", "noise", "md", "all", "noise of 40 mm", "half missing"),
+    "mixture": ("all", "sensor"),
 }
 """Row -> rendered test images that have its harm; those of any other row: `all`, and its own artifacts."""
+_BASES: Final[Mapping[str, Sequence[str]]] = {
+    **dict.fromkeys(("occ", "noise", "md", "all"), ("none",)),
+    "phase_shift": ("none", "all", "md"),
+    "fitted": ("none", "all", "sensor"),
+}
+"""Row -> rows that it is compared with; any other with `none` and `all`."""
 _NO_TEST: Final = ("all", "noise of 40 mm", "half missing", "hard", "flat")
 """Have every harm, or one that no sensor has: being worse there is nobody's loss elsewhere."""
 
@@ -77,14 +84,14 @@ def differences(scores: Scores, base: str) -> dict[str, dict[str, Tree]]:
 
 
 def verdicts(scores: Scores, ms: Mapping[str, float]) -> list[Tree]:
-    """A verdict by `RULE` on every row against `none`, and on rows of further artifacts against `all` and, of missing
-    data from causes, `md`. ms: row -> processor time of a sample in the loader.
+    """A verdict by `RULE` on every row against `none`, and on rows of further artifacts against what they replace.
+
+    ms: row -> processor time of a sample in the loader.
     """
-    against = {base: differences(scores, base) for base in ("none", "all", "md")}
+    against = {base: differences(scores, base) for base in ("none", "all", "md", "sensor")}
     found = []
     for row in (row for row in scores if row != "none"):
-        bases = ["none"] if row in _HARMED else ["none", "all", *(["md"] if row == "phase_shift" else [])]
-        for base in bases:
+        for base in _BASES.get(row, ("none", "all")):
             if row in against[base] and "/" not in row:
                 cost = round(ms[row] - ms[base], 3) if row in ms and base in ms else None
                 found.append(_verdict(row, base, against[base][row]) | {"ms_a_sample": cost})
