@@ -44,12 +44,12 @@ test-rivals: install
 	tools/install_rivals
 	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder tests/benches tests/networks
 
-# Types take longest, by one processor: all else is checked beside them.
+# Types take longest, by two processes: all else is checked beside them.
 check: install
 	@$(MAKE) --no-print-directory --jobs 2 check-types check-rules
 
 check-types:
-	$(BIN)/mypy
+	$(BIN)/mypy --num-workers 2
 
 check-rules:
 	$(BIN)/ruff check .

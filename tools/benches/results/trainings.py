@@ -155,7 +155,7 @@ def sets() -> Iterator[Step]:
 
 def trainings() -> Iterator[Step]:
     """Steps that train, in an order in which the results that need few trainings come first."""
-    rows: dict[str, tuple[str, str]] = {variant: ("--variant", variant) for variant in VARIANTS}
+    rows: dict[str, tuple[str, ...]] = {variant: ("--variant", variant) for variant in VARIANTS}
     either = {name: rows[name] for name in ("none", "all")}
     rows |= OTHER_RUNS
     for (name, artifacts), seed in itertools.product(rows.items(), range(SEEDS)):
