@@ -144,6 +144,7 @@ class Runner:
         tops = f"{DATA}/", RESULTS, f"{TOOLS}/"
         named = [str(self._places.path(word)) if word.startswith(tops) else word for word in words]
         origin = provenance(step.command)
+        facts = {name: origin[name] for name in ("commit", "hardware")}
         with log.open("ab") as file:
             before = file.tell()
             try:
@@ -157,9 +158,8 @@ class Runner:
                 )
             except OSError as error:
                 raise BadConfig(f"cannot run {program}: {error.strerror or error}") from error
+            self._running.append(_Running(step, process, inputs, facts, log, before))  # at once: an interrupt ends it
         self._say(f"begun   {step.name}")
-        facts = {name: origin[name] for name in ("commit", "hardware")}
-        self._running.append(_Running(step, process, inputs, facts, log, before))
 
     def _wait(self) -> None:
         """Wait until a step has ended, and keep what it made."""
