@@ -49,7 +49,7 @@ check: install
 	@$(MAKE) --no-print-directory --jobs 2 check-types check-rules
 
 check-types:
-	$(BIN)/mypy --num-workers 2
+	$(BIN)/mypy
 
 check-rules:
 	$(BIN)/ruff check .

@@ -192,7 +192,7 @@ def _stability() -> Iterator[Step]:
     yield _stability_of("stability", FULL_RUNS, data=KINECT_SET)
     lost = ("noise", "missing", "patches", "stripes", "mixed", "speed", "clothes", "ambient")
     few = ("--sweeps", *lost, "--images", "20", "--threads", "1")
-    others = (row for row in OTHER_RUNS if row != "mixture")  # of the sensors that are compared here, and more
+    others = (row for row in OTHER_RUNS if row != "mixture")  # has no harm of its own
     compared = (*FULL_RUNS, *itertools.chain(*(seeds(f"runs/full/{row}") for row in others)))
     yield _stability_of("variants_stability", compared, sweeps=few, data=KINECT_SET, drawn=True)
     yield _stability_of("stability_fcn_alexnet", ALEXNET_RUNS)

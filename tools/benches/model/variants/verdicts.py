@@ -37,12 +37,13 @@ _HARMED: Final[Mapping[str, Sequence[str]]] = {
     "mixture": ("all", "sensor"),
 }
 """Row -> rendered test images that have its harm; those of any other row: `all`, and its own artifacts."""
+_USUAL_BASES: Final = ("none", "all")
 _BASES: Final[Mapping[str, Sequence[str]]] = {
     **dict.fromkeys(("occ", "noise", "md", "all"), ("none",)),
     "phase_shift": ("none", "all", "md"),
     "fitted": ("none", "all", "sensor"),
 }
-"""Row -> rows that it is compared with; any other with `none` and `all`."""
+"""Row -> rows that it is compared with; any other with the usual ones."""
 _NO_TEST: Final = ("all", "noise of 40 mm", "half missing", "hard", "flat")
 """Have every harm, or one that no sensor has: being worse there is nobody's loss elsewhere."""
 
@@ -88,10 +89,10 @@ def verdicts(scores: Scores, ms: Mapping[str, float]) -> list[Tree]:
 
     ms: row -> processor time of a sample in the loader.
     """
-    against = {base: differences(scores, base) for base in ("none", "all", "md", "sensor")}
+    against = {base: differences(scores, base) for base in {*_USUAL_BASES}.union(*_BASES.values())}
     found = []
     for row in (row for row in scores if row != "none"):
-        for base in _BASES.get(row, ("none", "all")):
+        for base in _BASES.get(row, _USUAL_BASES):
             if row in against[base] and "/" not in row:
                 cost = round(ms[row] - ms[base], 3) if row in ms and base in ms else None
                 found.append(_verdict(row, base, against[base][row]) | {"ms_a_sample": cost})
