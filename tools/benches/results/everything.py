@@ -19,7 +19,6 @@ from benches.results.trainings import (
     FULL_RUNS,
     HARD,
     KINECT_HARD,
-    LOSSES_RUNS,
     MAPPED,
     MAPPED_HARD,
     NETWORK_RUNS,
@@ -27,6 +26,7 @@ from benches.results.trainings import (
     ORDINARY,
     OTHER_RUNS,
     PAPER,
+    PAPER_RUNS,
     PLACED_RUNS,
     READ,
     REFERENCE_RUNS,
@@ -120,15 +120,15 @@ def _shipped() -> Iterator[Step]:
 
 def _trained() -> Iterator[Step]:
     """Networks that were trained for the comparison."""
-    scored, on_real = ("--seeds", "3", "--images", "60", "--only-finished"), ("--real", REAL, "--people", FAUST)
-    full = ("--data", KINECT_SET, "--runs", "runs/full", *scored, "--hard", KINECT_HARD, *on_real)
+    scored, on_real = ("--images", "60", "--only-finished"), ("--real", REAL, "--people", FAUST)
+    full = ("--data", KINECT_SET, "--runs", "runs/full", "--seeds", "3", *scored, "--hard", KINECT_HARD, *on_real)
     yield _bench("variants", *full, drawn=True, more=("variants_real.png",), alone=True)
-    for of in ("paper", "paper_alexnet"):
-        of_paper = ("--data", PAPER, "--runs", f"runs/{of}", *scored, "--hard", HARD, *on_real)
+    for of, count in (("paper", "3"), ("paper_alexnet", "2")):
+        of_paper = ("--data", PAPER, "--runs", f"runs/{of}", "--seeds", count, *scored, "--hard", HARD, *on_real)
         yield _bench("variants", *of_paper, to=f"variants_{of}", alone=True)
     unlike = (*seeds("runs/full/none"), *seeds("runs/full/all"))
     yield _bench("harm", "--data", KINECT_SET, "--runs", *unlike, "--images", "60", reads=(SHIPPED,), alone=True)
-    fine = ("--data", KINECT_SET, "--runs", "runs/fine", "--seeds", "2", "--images", "60", "--only-finished")
+    fine = ("--data", KINECT_SET, "--runs", "runs/fine", "--seeds", "2", *scored)
     yield _bench("variants", *fine, to="variants_fine", alone=True)
     yield _bench("cross_person", "--data", FAUST, "--runs", *PLACED_RUNS)
     folder = ("--runs", "runs/networks")
@@ -185,22 +185,19 @@ def _by_processor() -> Iterator[Step]:
 def _stability() -> Iterator[Step]:
     """Robustness: accuracy under rising severity, in motion, in other arithmetic."""
     for to, run in (
-        ("numerical", "runs/networks/compact-0"),
-        ("numerical_fcn_alexnet", "runs/networks/fcn_alexnet_8th-0"),
+        ("numerical", "runs/paper/all-0"),
+        ("numerical_fcn_alexnet", "runs/paper_alexnet/all-0"),
     ):
-        yield _bench("numerical", "--data", OPEN, "--views", "25", "--runs", run, to=to)
-    yield _stability_of("stability", FULL_RUNS, data=KINECT_SET)
+        yield _bench("numerical", "--data", PAPER, "--views", "25", "--runs", run, to=to)
+    either = (*PAPER_RUNS, *ALEXNET_RUNS)
+    yield _stability_of("stability", (*either, BOX), BOX_LINKS, data=PAPER, reference=ALEXNET_RUNS[:1])
+    yield _bench("motion", "--data", PAPER, "--runs", *either, to="stability_motion")
     lost = ("noise", "missing", "patches", "stripes", "mixed", "speed", "clothes", "ambient")
     few = ("--sweeps", *lost, "--images", "20", "--threads", "1")
     others = (row for row in OTHER_RUNS if row != "mixture")  # has no harm of its own
     compared = (*FULL_RUNS, *itertools.chain(*(seeds(f"runs/full/{row}") for row in others)))
     yield _stability_of("variants_stability", compared, sweeps=few, data=KINECT_SET, drawn=True)
-    yield _stability_of("stability_fcn_alexnet", ALEXNET_RUNS)
-    yield _stability_of("stability_networks", (*seeds("runs/networks/compact"), BOX, *LOSSES_RUNS), BOX_LINKS)
-    yield _stability_of("stability_architectures", NETWORK_RUNS)
-    moving = (("stability_motion", KINECT_SET, FULL_RUNS), ("stability_fcn_alexnet_motion", OPEN, ALEXNET_RUNS))
-    for to, data, runs in moving:
-        yield _bench("motion", "--data", data, "--runs", *runs, to=to)
+    yield _stability_of("stability_architectures", NETWORK_RUNS, reference=REFERENCE_RUNS)
     hidden = ("--sweeps", "hidden", "hidden_shown", "--images", "14", "--threads", "1")
     yield _stability_of("stability_hidden", (BOX,), BOX_LINKS, sweeps=hidden)
     harmful = ("patches", "stripes", "crop_above", "crop_below", "tilt", "turned", "desk", "kick", "fist", "mixed")
@@ -215,11 +212,12 @@ def _stability_of(
     sweeps: tuple[str, ...] = _ALL_SWEEPS,
     data: str = OPEN,
     drawn: bool = False,
+    reference: tuple[str, ...] = (),
 ) -> Step:
-    """A step of `bodyseg stability`; on all sweeps with a picture, and of `OPEN` beside the networks of reference."""
+    """A step of `bodyseg stability`; with networks of reference beside hard poses, and with a picture."""
     out = f"stability/{name}"
-    drawn = drawn or sweeps == _ALL_SWEEPS
-    compared = ("--reference", *REFERENCE_RUNS, "--hard", HARD) if sweeps == _ALL_SWEEPS and data == OPEN else ()
+    drawn = drawn or bool(reference)
+    compared = ("--reference", *reference, "--hard", HARD) if reference else ()
     words = ("bodyseg", "stability", "--run", *runs, "--data", data, "--out", out, *compared, *sweeps)
     results = [(f"{out}/stability.{kind}", f"{name}.{kind}") for kind in ("json", *(("png",) if drawn else ()))]
     return Step(name, "results", words, tuple(results), links)

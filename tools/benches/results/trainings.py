@@ -122,14 +122,16 @@ _FINE: Final = ("--settings", '{"patch":4,"widths":[16,32,56,72,80],"blocks":[0,
 REFERENCE_RUNS: Final = seeds("runs/alexnet/fcn_alexnet_8th_none")
 """The networks that mCE compares with."""
 
-ALEXNET_RUNS: Final = (*REFERENCE_RUNS, *seeds("runs/networks/fcn_alexnet_8th"))
-"""The paper's network, an eighth of its width, on `none` and on `all`."""
+PAPER_RUNS: Final = (*seeds("runs/paper/none"), *seeds("runs/paper/all"))
+"""Trainings of the whole `compact` for the paper's rig."""
+
+ALEXNET_RUNS: Final = ("runs/paper_alexnet/none-0", "runs/paper_alexnet/all-0")
+"""The same of the paper's network, a quarter of its width."""
 
 PLACED_RUNS: Final = tuple(f"runs/placed_by-{person}" for person in PLACED_BY)
 """Trainings on the labels of `PLACED_BY`."""
 
 NETWORK_RUNS: Final = tuple(itertools.chain(*(seeds(f"runs/networks/{name}") for name in ("compact", *NETWORKS))))
-LOSSES_RUNS: Final = seeds("runs/ablation/losses")
 
 SMALLER_LINKS: Final[Links] = (
     *zip(seeds("runs/smaller/compact"), seeds("runs/networks/compact"), strict=True),
@@ -160,8 +162,8 @@ def trainings() -> Iterator[Step]:
     rows |= OTHER_RUNS
     for (name, artifacts), seed in itertools.product(rows.items(), range(SEEDS)):
         yield _training(f"runs/full/{name}-{seed}", KINECT, *artifacts, seed=seed, scale=_LONG)
-    for folder, network in (("runs/paper", ()), ("runs/paper_alexnet", NETWORKS["fcn_alexnet_4th"])):
-        for (name, artifacts), seed in itertools.product(either.items(), range(SEEDS)):
+    for folder, network, count in (("runs/paper", (), SEEDS), ("runs/paper_alexnet", NETWORKS["fcn_alexnet_4th"], 2)):
+        for (name, artifacts), seed in itertools.product(either.items(), range(count)):
             yield _training(f"{folder}/{name}-{seed}", PAPER, *artifacts, *network, seed=seed, scale=_LONG)
     for variant, seed in itertools.product(("none", "noise"), range(2)):
         yield _training(f"runs/fine/{variant}-{seed}", KINECT, *rows[variant], *_FINE, seed=seed, scale=_LONG)
