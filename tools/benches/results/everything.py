@@ -184,10 +184,7 @@ def _by_processor() -> Iterator[Step]:
 
 def _stability() -> Iterator[Step]:
     """Robustness: accuracy under rising severity, in motion, in other arithmetic."""
-    for to, run in (
-        ("numerical", "runs/paper/all-0"),
-        ("numerical_fcn_alexnet", "runs/paper_alexnet/all-0"),
-    ):
+    for to, run in (("numerical", "runs/paper/all-0"), ("numerical_fcn_alexnet", "runs/paper_alexnet/all-0")):
         yield _bench("numerical", "--data", PAPER, "--views", "25", "--runs", run, to=to)
     either = (*PAPER_RUNS, *ALEXNET_RUNS)
     yield _stability_of("stability", (*either, BOX), BOX_LINKS, data=PAPER, reference=ALEXNET_RUNS[:1])
@@ -216,11 +213,11 @@ def _stability_of(
 ) -> Step:
     """A step of `bodyseg stability`; with networks of reference beside hard poses, and with a picture."""
     out = f"stability/{name}"
-    drawn = drawn or bool(reference)
     compared = ("--reference", *reference, "--hard", HARD) if reference else ()
     words = ("bodyseg", "stability", "--run", *runs, "--data", data, "--out", out, *compared, *sweeps)
-    results = [(f"{out}/stability.{kind}", f"{name}.{kind}") for kind in ("json", *(("png",) if drawn else ()))]
-    return Step(name, "results", words, tuple(results), links)
+    kinds = ("json", "png") if drawn or reference else ("json",)
+    results = tuple((f"{out}/stability.{kind}", f"{name}.{kind}") for kind in kinds)
+    return Step(name, "results", words, results, links)
 
 
 def _page(results: list[str]) -> Step:
