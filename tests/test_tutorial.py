@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 import pytest
-from benches.model.tutorial import prepare, read_tutorial, smaller
+from benches.model import tutorial as bench
+from benches.model.tutorial import read_tutorial, smaller
 from pngs import pixels
 
 from bodyseg_data.labels import BACKGROUND
@@ -48,19 +50,25 @@ def test_the_tutorial_runs_from_a_recording_to_labels(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     tutorial = read_tutorial()
-    prepare(tmp_path, replace(tutorial, files={RIG: coarser(tutorial.files[RIG])}), 2)
     monkeypatch.chdir(tmp_path)
-    for command in tutorial.commands:
+
+    def run(command: Sequence[str], folder: Path) -> float:
         assert bodyseg_main(smaller(command, SIZES)) == 0, (command, capfd.readouterr().err)
+        return 1.0
+
+    monkeypatch.setattr(bench, "run_as_typed", run)
+    found = bench.followed(replace(tutorial, files={RIG: coarser(tutorial.files[RIG])}), tmp_path, 2)
+    assert [each["command"] for each in found["commands"]] == [" ".join(words) for words in tutorial.commands]
+    assert found["frames"] == found["frames_with_one_person"] == 2 and 0 < found["average_per_class_accuracy"] < 1
     card = json.loads((tmp_path / "my_network.json").read_text())
     assert (card["rig"]["name"], card["sensor"]["name"]) == ("my_rig", "my_sensor")
     for out in ("labelled", "labelled_again"):
         assert len(list((tmp_path / out / "overlay").glob("*.png"))) == 2
-    run, exported = (pixels(tmp_path / out / "labels" / "0000.png") for out in ("labelled", "labelled_again"))
-    named = run != BACKGROUND
+    labels, exported = (pixels(tmp_path / out / "labels" / "0000.png") for out in ("labelled", "labelled_again"))
+    named = labels != BACKGROUND
     np.testing.assert_array_equal(exported != BACKGROUND, named)
     # Weights are exported in 16 bits; of a network that has hardly learned anything many pixels are near ties.
-    assert named.sum() > 500 and (run != exported).sum() < 0.01 * named.sum()
+    assert named.sum() > 500 and (labels != exported).sum() < 0.01 * named.sum()
 
 
 def test_the_tutorial_has_every_step_of_the_way() -> None:

@@ -17,7 +17,7 @@ _OF_THE_FILE = ("format", "network", "settings", CardWords.WEIGHTS_SHA256)
 
 @dataclass(frozen=True)
 class Options:
-    run: Path | None = option("a training's folder, or a .safetensors file (default: the network that ships)", None)
+    run: Path | None = option("'large', a training's folder or a .safetensors file (default: compact)", None)
     out: Path | None = option("the .safetensors file to write; its card goes beside it as .json", None)
     onnx: Path | None = option("the .onnx file to write: range images -> labels and confidences", None)
     scores: Path | None = option(

@@ -107,7 +107,8 @@ class Options:
     seed: int = option("of weights, order, artifacts and all other draws", 0)
     resume: bool = option("carry on from the folder's last checkpoint", False)
     pretrained: Path | None = option(
-        "weights to start from: a run's folder or a .safetensors file; for fcn_alexnet also AlexNet's", None
+        "weights to start from: compact, large, a run's folder, a .safetensors file; for fcn_alexnet also AlexNet's",
+        None,
     )
     settings: str = option("settings of the network that differ from its defaults, as JSON", "{}")
     only_template: bool = option("train the head of places alone: labels stay the same bits; with --pretrained", False)
@@ -254,7 +255,7 @@ def _pretrained(path: Path, network: Network, options: Options, images: ImageSet
     Of two networks one of which has a head of places on the template, only this is drawn anew, or left out. Raises
     BadConfig for a trained one of another network, other classes or other settings.
     """
-    if not path.is_dir() and path.suffix != ".safetensors":
+    if not path.is_dir() and path.suffix not in ("", ".safetensors"):
         network.load_pretrained(path)
         with path.open("rb") as file:
             return _entry(path, hashlib.file_digest(file, "sha256").hexdigest())

@@ -30,7 +30,7 @@ class Options:
     source: tuple[str, ...] = option(
         "folder or address of a set of shards; or frames as `segment` reads them", positional=True, address=True
     )
-    run: Path | None = option("a training's folder, or a .safetensors file (default: the network that ships)", None)
+    run: Path | None = option("'large', a training's folder or a .safetensors file (default: compact)", None)
     host: str = option("serve on this address; any but loopback lets other machines in", LOOPBACK)
     allow_host: tuple[str, ...] = option("serve also under these hosts' names, such as a proxy's", ())
     port: int = option("serve on this port, or the next free one", 8080)

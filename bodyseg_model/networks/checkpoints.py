@@ -32,7 +32,13 @@ _CHECKPOINT: Final = "checkpoint.json"
 CheckpointName = Literal["best", "last"]
 
 SHIPPED: Final = Path(__file__).parents[1] / "weights" / "compact.safetensors"
-"""Of the network that labels bodies."""
+"""Of the quick network that labels bodies."""
+
+LARGE: Final = SHIPPED.with_name("large.safetensors")
+"""Of a more accurate one, which takes twice as long."""
+
+_NAMED: Final = {file.stem: file for file in (SHIPPED, LARGE)}
+"""Name -> file, for those who name a network that ships instead of a path."""
 
 PLACES: Final = SHIPPED.with_name("compact_places.safetensors")
 """Of its head of places; the settings in the card are those of both together."""
@@ -159,18 +165,19 @@ def load_network(
 ) -> Trained:
     """Load the network of a run's folder, or of a .safetensors file with its .json beside it, onto the processor.
 
-    path: None for the compact network that ships with the package.
+    path: or "compact" or "large", where there is no such path, for one that ships with the package. None for `compact`.
 
     checkpoint: of a run's folder: "best" for the weights of its best validation, "last" for those of its last
     checkpoint. None takes the network that the training ended with, or the last checkpoint of one that has not ended.
-    dense: with the head of places on the template, which that one has in a file of its own; others have it if they were
-    trained with one. The card's `step` says which step the weights are of, its `weights_sha256` which file they were
-    read from.
+    dense: with the head of places on the template, which the `compact` that ships has in a file of its own; others have
+    it if they were trained with one. The card's `step` says which step the weights are of, its `weights_sha256` which
+    file they were read from.
 
     Raises BadConfig, naming the file, for what is missing, damaged or does not fit the card: with weights of another
     SHA-256 than the card's, or a rig that is none. A card without rig, sensor or SHA-256 is valid.
     """
     path = SHIPPED if path is None else Path(path)
+    path = path if path.exists() else _NAMED.get(str(path), path)
     if checkpoint is not None and not path.is_dir():
         raise BadConfig(f"checkpoint {checkpoint!r} is one of a run's folder, found {path}")
     if checkpoint == "last" or (checkpoint is None and path.is_dir() and _unfinished(path)):
@@ -179,7 +186,7 @@ def load_network(
     if checkpoint == "best" and not file.exists():
         raise BadConfig(f"{path} has no best checkpoint: it is kept by a training that is validated (--val-share)")
     if file.suffix != ".safetensors":
-        raise BadConfig(f"a network is a run's folder or a .safetensors file, found {path}")
+        raise BadConfig(f"a network is {' or '.join(_NAMED)}, a run's folder or a .safetensors file, found {path}")
     card = read_card(file)
     tensors, digest = _read_weights(file, card)
     if dense and file == SHIPPED:

@@ -176,7 +176,7 @@ OF_FILES: Final = "onnxruntime"
 RUNTIMES: Final[dict[str, type[Runtime]]] = {"onnxruntime": OnnxRuntime, "openvino": OpenVino}
 """Name -> class, which imports its library when it is used."""
 
-RUN_HELP: Final = "a training's folder, a .safetensors or .onnx file (default: the one that ships)"
+RUN_HELP: Final = "'large', a training's folder, a .safetensors or .onnx file (default: compact)"
 BACKEND_HELP: Final = (
     "what computes the network (default: torch; of an .onnx file, onnxruntime); on a processor, openvino takes 0.7 to "
     "0.8 times as long as torch, in bfloat16 0.4 to 0.6 times"

@@ -32,6 +32,10 @@ def _network(family: str, cpu_ms: float, gpu_ms: float | None, mean: float, defa
     return facts | {"cpu_ms": cpu_ms, "gpu_ms": gpu_ms, "accuracy_all": accuracy}
 
 
+def _shipped(ms: float, accuracy: float) -> dict[str, Any]:
+    return {"ms": {"float32": ms}} | {test: {"accuracy": accuracy} for test in ("people", "hard", "open")}
+
+
 RENDERERS = {
     "renderers": {
         "raster": {"ms_per_view": 5.0, "range_error_mm": 0.0001, "worst_mm": 0.2, "silhouette_error": 0.0},
@@ -112,6 +116,7 @@ _FIGURES: dict[str, dict[str, Any]] = {
             "forest": _network("forest", 90.0, None, 0.55),
         }
     },
+    "shipped": {"networks": {"compact": _shipped(20.0, 0.87), "large": _shipped(45.0, 0.89)}},
     "variants": {
         "loader": {"none": {"ms": 0.9}, "md": {"ms": 1.2}, "all": {"ms": 1.6}, "occ": {"ms": 1.1}},
         "real": {

@@ -43,7 +43,7 @@ def test_bad_targets_get_one_line(run: Path, tmp_path: Path, capsys: pytest.Capt
         (["--out", str(tmp_path / "x.pth")], "--out must be a .safetensors file"),
         (["--out", str(tmp_path / "absent" / "x.safetensors")], "cannot write"),
         (["--out", str(tmp_path / "x.safetensors"), "--scores", str(tmp_path / "bad.json")], "must hold a JSON object"),
-        (["--out", str(tmp_path / "x.safetensors"), "--run", str(tmp_path / "no")], "a network is a run's folder"),
+        (["--out", str(tmp_path / "x.safetensors"), "--run", str(tmp_path / "no")], "a network is compact or large"),
     ):
         assert main(["export", "--run", str(run), *words]) == 2
         said = capsys.readouterr().err

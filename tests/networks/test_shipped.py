@@ -16,11 +16,12 @@ from bodyseg_data.bodies.sources.open_bodies import OpenBodies
 from bodyseg_data.core import BadConfig
 from bodyseg_data.packing import Packing, pack
 from bodyseg_data.packing.options import evenly_sampled
-from bodyseg_data.rigs import load_rig
+from bodyseg_data.rigs import Camera, load_rig
 from bodyseg_data.samples import ViewGrid
 from bodyseg_model.evaluation import evaluate
 from bodyseg_model.networks import SHIPPED, checkpoints, load_network, predict
 from bodyseg_model.networks.registry import predict_dense
+from bodyseg_model.segmentation import Segmenter
 
 
 def test_the_shipped_network_is_small_and_says_where_it_is_from() -> None:
@@ -42,6 +43,37 @@ def test_the_shipped_network_is_small_and_says_where_it_is_from() -> None:
     for name in ("command", "commit", "hardware", "recipe", "data", "scores"):
         assert card[name], name
     assert card["scores"]["average_per_class_accuracy"] > 0.8
+
+
+def test_the_large_network_says_where_it_is_from_and_how_good_it_is() -> None:
+    assert checkpoints.LARGE.stat().st_size <= 8_000_000
+    large, compact = load_network("large").card, load_network("compact").card
+    assert compact == load_network().card
+    for name in ("rig", "sensor", "variant", "network"):
+        assert large[name] == compact[name], name
+    assert large["pretrained"] is None and large["recipe"]["optimiser"] == "muon"
+    for name in ("command", "commit", "hardware", "data", "least_confidence_of_people"):
+        assert large[name], name
+    scores = [card["scores"]["average_per_class_accuracy"] for card in (compact, large)]
+    assert scores[0] < scores[1]
+
+
+def test_what_lies_under_the_name_of_a_network_that_ships_comes_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert load_network("large").card == load_network(checkpoints.LARGE).card
+    with pytest.raises(BadConfig, match="runs/large"):
+        load_network("runs/large")
+    (tmp_path / "large").mkdir()
+    with pytest.raises(BadConfig, match="large/network"):
+        load_network("large")
+
+
+def test_only_compact_ships_with_places() -> None:
+    camera = Camera(60, 80, 100.0, (40.0, 30.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    with pytest.raises(BadConfig, match="that of `compact` ships"):
+        Segmenter(load_network("large", dense=True).network, camera, dense=True)
 
 
 def test_the_head_of_places_that_ships_changes_no_label() -> None:

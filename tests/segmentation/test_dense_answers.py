@@ -135,7 +135,10 @@ def test_a_mirror_image_has_the_mirrored_places() -> None:
 def test_a_network_without_places_is_refused() -> None:
     plain = build("compact", {**TINY, "template": False}, 3).eval()
     for one in (plain, FlipAverage(plain)):
-        with pytest.raises(BadConfig, match=rf"^{REFUSED}: `train --settings '.*'` trains one, found \w+ without$"):
+        with pytest.raises(
+            BadConfig,
+            match=rf"^{REFUSED}: that of `compact` ships, `train --settings '.*'` trains one, found \w+ without$",
+        ):
             Segmenter(one, LENS, KEEP, dense=True)
         with pytest.raises(BadConfig, match="must have a head of places on the template"):
             one.scores_and_places(torch.zeros(1, 1, 16, 16))

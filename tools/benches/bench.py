@@ -71,6 +71,7 @@ BENCHES: Final = {
         optional=("seeds", "steps", "images", "only_finished", "real", "hard", "people", "together"),
     ),
     "network": Bench("model.networks.network", "network_figure", "typical frames, 12", optional=("runs", "scores")),
+    "shipped": Bench("model.networks.shipped", required=("data", "hard", "people"), optional=("images",)),
     "runtimes": Bench(
         "model.networks.runtimes",
         "runtimes_figure",

@@ -193,6 +193,21 @@ def _networks(figures: Field) -> tuple[Panel, ...]:
     return tuple(panels)
 
 
+_TESTED_ON: Final = {"people": "scans of two real people", "hard": "hard poses", "open": "open bodies in motion"}
+"""Test -> title of a panel."""
+
+
+def _shipped(figures: Field) -> tuple[Panel, ...]:
+    panels = []
+    for test, title in _TESTED_ON.items():
+        points = []
+        for name, row in figures["networks"].items().items():
+            x, y = row["ms"]["float32"].number(above=0), row[test]["accuracy"].number()
+            points.append(Point(name, x, y, name, named=True))
+        panels.append(Panel(title, tuple(points), "compact"))
+    return tuple(panels)
+
+
 _ON_REAL_FRAMES: Final = {
     "kinect_v1, accuracy": "right labels, Kinect v1",
     "kinect_v1, same": "agreement of views, Kinect v1",
@@ -238,6 +253,16 @@ _SMALLER_NETWORKS: Final = replace(
 )
 
 CHOICES: Final = (
+    Choice(
+        "shipped",
+        "shipped",
+        "Which of the networks that ship?",
+        "Plain, with the flip average, and with it for the half of the images that are less sure; float32.",
+        Axis("ms an image, labels", "time"),
+        Axis("average per-class accuracy, %", "accuracy", more_is_better=True, factor=100),
+        _shipped,
+        shared="",
+    ),
     Choice(
         "renderer",
         "render",

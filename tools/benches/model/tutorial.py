@@ -107,19 +107,23 @@ def run_as_typed(words: Sequence[str], folder: Path) -> float:
 def bench_tutorial(views: int = 20, progress: ProgressCallback = silent) -> dict[str, Any]:
     """Run the tutorial at its own size; views: frames of the recording. Raises BadConfig."""
     check_int("--views", views, 2)
-    tutorial, seconds = read_tutorial(), []
     with tempfile.TemporaryDirectory() as home:
-        folder = Path(home)
-        prepare(folder, tutorial, views)
-        for number, words in enumerate(tutorial.commands):
-            seconds.append({"command": " ".join(words), "seconds": round(run_as_typed(words, folder), 1)})
-            progress(number + 1, len(tutorial.commands))
-        scores = json.loads((folder / "scores.json").read_text())
-        summary = json.loads((folder / "labelled" / "summary.json").read_text())
+        return followed(read_tutorial(), Path(home), views, progress)
+
+
+def followed(tutorial: Tutorial, folder: Path, frames: int, progress: ProgressCallback = silent) -> dict[str, Any]:
+    """Follow a tutorial in a folder, with a recording of so many frames: seconds of its commands, what they end in."""
+    prepare(folder, tutorial, frames)
+    seconds = []
+    for number, words in enumerate(tutorial.commands):
+        seconds.append({"command": " ".join(words), "seconds": round(run_as_typed(words, folder), 1)})
+        progress(number + 1, len(tutorial.commands))
+    scores = json.loads((folder / "scores.json").read_text())
+    summary = json.loads((folder / "labelled" / "summary.json").read_text())
     return {
         "sensor": SENSOR,
-        "frames": views,
+        "frames": frames,
         "commands": seconds,
         "average_per_class_accuracy": scores["average_per_class_accuracy"],
-        "frames_with_one_person": sum(len(frame["bodies"]) == 1 for frame in summary["frames"]),
+        "frames_with_one_person": sum(len(frame["bodies"]) == 1 for frame in summary["each"]),
     }

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from benches.results.step import FINDER, PLACES, RESULTS, SHIPPED, Graph, Step
+from benches.results.step import FINDER, LARGE, PLACES, RESULTS, SHIPPED, Graph, Step
 from benches.results.trainings import (
     ABLATION_LINKS,
     ALEXNET_RUNS,
@@ -102,10 +102,16 @@ def _shipped() -> Iterator[Step]:
     yield _evaluation("compact_hard_flip_average", HARD, flip)
     yield _bench("people", "--data", FAUST, reads=shipped)
     yield _bench("people", "--data", FAUST, "--alone", flip, to="people_flip_average", reads=shipped)
+    both = ("--data", OPEN, "--hard", HARD, "--people", FAUST, "--images", "1000")
+    yield _bench("shipped", *both, reads=(*shipped, LARGE))
     yield _bench("real", "--data", KINECT, "--views", "24", drawn=True, reads=shipped)
     yield _bench("real", "--data", KINECT, "--views", "24", flip, to="real_flip_average", reads=shipped)
     yield _bench("steady", "--data", KINECT, reads=shipped)
     yield _bench("steady", "--data", KINECT, flip, to="steady_flip_average", reads=shipped)
+    large = ("--runs", LARGE)
+    yield _bench("people", "--data", FAUST, "--alone", *large, to="people_large")
+    yield _bench("real", "--data", KINECT, "--views", "24", *large, to="real_large")
+    yield _bench("limits", "--views", "200", *large, to="limits_large", reads=(FINDER,))
     yield _bench("sensors", "--views", "2", drawn=True, reads=shipped)
     yield _bench("joints", "--data", FAUST, reads=shipped)
     yield _bench("limits", "--views", "200", reads=(*shipped, FINDER))

@@ -9,16 +9,17 @@ from pathlib import Path
 from typing import Final
 
 from benches.result_cache import json_digest
-from benches.results.step import FINDER, PLACES, RESULTS, SHIPPED, Places, Step
+from benches.results.step import FINDER, LARGE, PLACES, RESULTS, SHIPPED, Places, Step
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import read_json
 from bodyseg_data.shards import MANIFEST_NAME
 from bodyseg_model.networks import FINDER as FINDER_FILE
 from bodyseg_model.networks import SHIPPED as SHIPPED_FILE
 from bodyseg_model.networks import RunFiles
+from bodyseg_model.networks.checkpoints import LARGE as LARGE_FILE
 from bodyseg_model.networks.checkpoints import PLACES as PLACES_FILE
 
-_FILES: Final = {SHIPPED: SHIPPED_FILE, FINDER: FINDER_FILE, PLACES: PLACES_FILE}
+_FILES: Final = {SHIPPED: SHIPPED_FILE, FINDER: FINDER_FILE, LARGE: LARGE_FILE, PLACES: PLACES_FILE}
 
 
 class Products:

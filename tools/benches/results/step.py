@@ -19,8 +19,9 @@ DATA: Final = "data"
 TOOLS: Final = "tools"
 SHIPPED: Final = "shipped"
 FINDER: Final = "finder"
+LARGE: Final = "large"
 PLACES: Final = "places"
-NETWORKS: Final = (SHIPPED, FINDER, PLACES)
+NETWORKS: Final = (SHIPPED, FINDER, LARGE, PLACES)
 """Names of the networks that ship, where a step reads them."""
 
 
