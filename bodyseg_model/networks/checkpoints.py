@@ -35,7 +35,7 @@ SHIPPED: Final = Path(__file__).parents[1] / "weights" / "compact.safetensors"
 """Of the quick network that labels bodies."""
 
 LARGE: Final = SHIPPED.with_name("large.safetensors")
-"""Of a more accurate one, which takes twice as long."""
+"""Of a more accurate one, which takes longer."""
 
 _NAMED: Final = {file.stem: file for file in (SHIPPED, LARGE)}
 """Name -> file, for those who name a network that ships instead of a path."""

@@ -125,6 +125,25 @@ def test_scores_of_people_lead_with_those_who_placed_no_label(document: str) -> 
     assert f"{thousands(100 * across['in_sample_gain']['points'], 1)} points" in text
 
 
+def test_the_card_states_the_scores_of_the_large_network() -> None:
+    text = (ROOT / "docs" / "reference" / "model_card.md").read_text(encoding="utf-8")
+    of_both, people, real = (
+        json.loads((RESULTS / f"{name}.json").read_text()) for name in ("shipped", "people_large", "real_large")
+    )
+    large, compact = (of_both["networks"][name] for name in ("large", "compact"))
+    scores = {
+        "open test set": large["open"]["accuracy"],
+        "hard": large["hard"]["accuracy"],
+        "scans of two": people["scores"]["all"]["accuracy"],
+        "frames of a Kinect": real["scores"]["accuracy"],
+        "one place": real["agreement"]["same"],
+    }
+    for start, score in scores.items():
+        (row,) = [line for line in text.splitlines() if line.startswith(f"| {start}")]
+        assert row.rpartition(" | ")[2].startswith(f"{100 * score:.1f} %")
+    assert f"{large['ms']['float32'] / compact['ms']['float32']:.1f} times the time" in text
+
+
 def test_the_card_states_the_scores_on_real_people_with_what_they_are_worth() -> None:
     text = " ".join((ROOT / "docs" / "reference" / "model_card.md").read_text(encoding="utf-8").split())
     for ending in ("", "_flip_average"):
