@@ -38,6 +38,7 @@ from bodyseg_model.networks import (
     CheckpointName,
     Network,
     NetworkName,
+    Trained,
     build,
     find_device,
     load_network,
@@ -60,6 +61,9 @@ from bodyseg_model.training import (
 )
 
 _WAIT_ADVISED: Final = 0.2  # share of a training's waiting from which on there is advice
+_CLASSES: Final = "classes"
+_OF_HEADS: Final = {_CLASSES, TEMPLATE}
+"""Settings in which a network may differ from the one that it starts from."""
 
 EXAMPLE = "bodyseg train --data shards --variant all --network compact --out runs/all-0"
 
@@ -150,8 +154,9 @@ def run(options: Options) -> int:
     planes = (TEMPLATE,) if _settings(options).get(TEMPLATE) else ()
     sets = [_open(options, *pair, "train", planes) for pair in _pairs(options)]
     images = mixed(sets, options.weights, options.samples, options.seed)
-    network = _network(options, images.label_map)
-    pretrained = None if options.pretrained is None else _pretrained(options.pretrained, network, options, images)
+    start = _start(options)
+    network = _network(options, images.label_map, start)
+    pretrained = _pretrained(options, network, start, images)
     first_process = find_rank()[0] == 0
     with contextlib.ExitStack() as stack:
         report = stack.enter_context(reporting(options.out, recipe.steps, options.log_every)) if first_process else None
@@ -240,36 +245,56 @@ def _sensor(options: Options, name: str) -> SensorModel:
     return sensor_for(options.variant, sensor, given)
 
 
-def _network(options: Options, label_map: LabelMap) -> Network:
-    classes = {} if label_map == PARTS33 else {"classes": len(label_map)}
-    return build(options.network, {**classes, **_settings(options)}, options.seed)
+def _start(options: Options) -> Trained | None:
+    """The trained network that the training starts from; None for random or published weights. Raises BadConfig for one
+    of another kind.
+    """
+    path = options.pretrained
+    if path is None or not (path.is_dir() or path.suffix in ("", ".safetensors")):
+        return None
+    start = load_network(path)
+    _check_alike(path, "network", options.network, start.card["network"])
+    return start
+
+
+def _network(options: Options, label_map: LabelMap, start: Trained | None) -> Network:
+    """A new network for these classes, with the settings of the one it starts from where none are given."""
+    theirs = {} if start is None else {**start.network.settings}
+    settings = {name: value for name, value in theirs.items() if name not in _OF_HEADS}
+    classes = {} if label_map == PARTS33 else {_CLASSES: len(label_map)}
+    return build(options.network, {**settings, **classes, **_settings(options)}, options.seed)
 
 
 def _settings(options: Options) -> dict[str, Any]:
     return parse_json(options.settings.encode(), "--settings")
 
 
-def _pretrained(path: Path, network: Network, options: Options, images: ImageSet) -> dict[str, Any]:
-    """Fill a network from a trained one, or from published weights; returns the entry of its card that names the file.
+def _pretrained(options: Options, network: Network, start: Trained | None, images: ImageSet) -> dict[str, Any] | None:
+    """Fill a network from a trained one, or from published weights; returns the entry of its card that names the file,
+    None for random weights.
 
-    Of two networks one of which has a head of places on the template, only this is drawn anew, or left out. Raises
-    BadConfig for a trained one of another network, other classes or other settings.
+    The last layer for other classes, and a head of places on the template that the trained one lacks, keep their random
+    weights. Raises BadConfig for one of other settings, or of other classes where the head of places alone is trained.
     """
-    if not path.is_dir() and path.suffix not in ("", ".safetensors"):
+    path = options.pretrained
+    if path is None:
+        return None
+    if start is None:
         network.load_pretrained(path)
         with path.open("rb") as file:
             return _entry(path, hashlib.file_digest(file, "sha256").hexdigest())
-    trained = load_network(path)
-    _check_alike(path, "network", options.network, trained.card["network"])
-    ours, theirs = images.label_map, trained.label_map
-    if ours.difference(theirs) is not None:
-        found = repr(theirs.name) if theirs.name != ours.name else "other classes of that name"
-        raise BadConfig(f"--pretrained {path} must have the labels {ours.name!r} of this training, found {found}")
-    for name in sorted((network.settings.keys() | trained.network.settings.keys()) - {TEMPLATE}):
-        _check_alike(path, f"setting {name}", network.settings.get(name), trained.network.settings.get(name))
-    read = trained.network.state_dict()
-    network.load_state_dict({name: read.get(name, weights) for name, weights in network.state_dict().items()})
-    return _entry(path, trained.card[CardWords.WEIGHTS_SHA256])
+    for name in sorted((network.settings.keys() | start.network.settings.keys()) - _OF_HEADS):
+        _check_alike(path, f"setting {name}", network.settings.get(name), start.network.settings.get(name))
+    new, read = network.state_dict(), start.network.state_dict()
+    fit = {name: read[name] for name, weights in new.items() if name in read and read[name].shape == weights.shape}
+    network.load_state_dict({**new, **fit})
+    if (theirs := start.label_map).difference(images.label_map) is not None:
+        if options.only_template:
+            raise BadConfig(f"--only-template needs the labels of --pretrained {path}, {theirs.name!r}")
+        anew = ", ".join(name for name in new if name not in fit)
+        does = f"{anew} begin at random" if anew else "as many, so that all weights are kept"
+        sys.stderr.write(f"{path} has other classes, {theirs.name!r}: {does}\n")
+    return _entry(path, start.card[CardWords.WEIGHTS_SHA256])
 
 
 def _check_alike(path: Path, what: str, ours: object, theirs: object) -> None:

@@ -134,6 +134,8 @@ def test_the_command_trains_places_and_starts_from_networks_without(
     alone = [*of_set, "--settings", settings, "--only-template", "--out", str(tmp_path / "alone")]
     assert main(alone) == 2
     assert "--only-template trains a head for a network that is trained" in capsys.readouterr().err
+    assert main([*alone, "--pretrained", str(tmp_path / "plain"), "--labels", "limbs14"]) == 2
+    assert f"needs the labels of --pretrained {tmp_path / 'plain'}, 'parts33'" in capsys.readouterr().err
     assert main([*alone, "--pretrained", str(tmp_path / "plain"), "--val-share", "0.3", "--val-every", "1"]) == 0
     trained = load_network(tmp_path / "alone").network.state_dict()
     assert all(torch.equal(trained[name], weights) for name, weights in first.state_dict().items())

@@ -152,8 +152,6 @@ def test_published_weights_are_named_with_their_digest(
             ["--network", "fcn_alexnet", "--settings", "{}"],
             "the network 'fcn_alexnet' of this training, found 'compact'",
         ),
-        (["--labels", "limbs14"], "the labels 'limbs14' of this training, found 'parts33'"),
-        (["--labels", "MAP"], "the labels 'parts33' of this training, found other classes of that name"),
         (
             ["--settings", '{"patch": 8, "widths": [8], "blocks": [1]}'],
             "the setting patch 8 of this training, found 16",
@@ -163,12 +161,39 @@ def test_published_weights_are_named_with_their_digest(
 def test_weights_of_another_network_are_refused(
     small_set: Path, tmp_path: Path, earlier: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str
 ) -> None:
-    (tmp_path / "MAP.toml").write_text('format = "bodyseg labels 1"\nname = "parts33"\n[classes]\nhead = ["Sellion"]\n')
-    words = [str(tmp_path / "MAP.toml") if word == "MAP" else word for word in words]
     capsys.readouterr()
     assert main(command(small_set, tmp_path / "run", *words, "--pretrained", str(earlier))) == 2
     assert capsys.readouterr().err == f"bodyseg train: --pretrained {earlier} must have {message}\n"
     assert not (tmp_path / "run").exists()
+
+
+def test_a_training_of_other_classes_keeps_all_but_the_last_layer(
+    small_set: Path, tmp_path: Path, earlier: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    few = tmp_path / "few.toml"
+    few.write_text('format = "bodyseg labels 1"\nname = "parts33"\n[classes]\nhead = ["Sellion"]\n')
+    for labels, last in ((str(few), 1), ("limbs14", 14)):
+        capsys.readouterr()
+        out = tmp_path / f"of{last}"
+        more = ["--steps", "1", "--lr", "1e-9", "--seed", "6", "--labels", labels, "--pretrained", str(earlier)]
+        assert main(command(small_set, out, *more)) == 0
+        told = f"{earlier} has other classes, 'parts33': head.weight, head.bias begin at random\n"
+        assert told in capsys.readouterr().err
+        assert load_network(out).network.classes == last
+        before, after = (parameters(load_network(run)) for run in (earlier, out))
+        for name in after.keys() - {"head.weight", "head.bias"}:
+            torch.testing.assert_close(after[name], before[name], atol=1e-7, rtol=0)
+
+
+def test_settings_are_those_of_the_network_that_a_training_starts_from(
+    small_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wider = '{"patch": 8, "widths": [6, 8], "blocks": [1, 1]}'
+    assert main(command(small_set, tmp_path / "wide", "--steps", "1", "--settings", wider)) == 0
+    again = [word for word in command(small_set, tmp_path / "again", "--steps", "1") if word != "--settings"]
+    again.remove(json.dumps(TINY))
+    assert main([*again, "--pretrained", str(tmp_path / "wide")]) == 0
+    assert load_network(tmp_path / "again").network.settings == load_network(tmp_path / "wide").network.settings
 
 
 def test_a_resumed_training_keeps_the_name_of_the_weights_that_it_started_from(
