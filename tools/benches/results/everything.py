@@ -205,7 +205,7 @@ def _stability() -> Iterator[Step]:
     yield _stability_of("stability_hidden", (BOX,), BOX_LINKS, sweeps=hidden)
     harmful = ("patches", "stripes", "crop_above", "crop_below", "tilt", "turned", "desk", "kick", "fist", "mixed")
     harms = ("--sweeps", *harmful, "--images", "20", "--threads", "1")
-    yield _stability_of("stability_shipped", (BOX,), BOX_LINKS, sweeps=harms, drawn=True)
+    yield _stability_of("stability_shipped", ("compact", LARGE), sweeps=harms, drawn=True, reads=(SHIPPED,))
 
 
 def _stability_of(
@@ -216,6 +216,7 @@ def _stability_of(
     data: str = OPEN,
     drawn: bool = False,
     reference: tuple[str, ...] = (),
+    reads: tuple[str, ...] = (),
 ) -> Step:
     """A step of `bodyseg stability`; with networks of reference beside hard poses, and with a picture."""
     out = f"stability/{name}"
@@ -223,7 +224,7 @@ def _stability_of(
     words = ("bodyseg", "stability", "--run", *runs, "--data", data, "--out", out, *compared, *sweeps)
     kinds = ("json", "png") if drawn or reference else ("json",)
     results = tuple((f"{out}/stability.{kind}", f"{name}.{kind}") for kind in kinds)
-    return Step(name, "results", words, results, links)
+    return Step(name, "results", words, results, links, reads)
 
 
 def _page(results: list[str]) -> Step:
