@@ -259,7 +259,7 @@ def _start(options: Options) -> Trained | None:
 
 def _network(options: Options, label_map: LabelMap, start: Trained | None) -> Network:
     """A new network for these classes, with the settings of the one it starts from where none are given."""
-    theirs = {} if start is None else {**start.network.settings}
+    theirs = {} if start is None else start.network.settings
     settings = {name: value for name, value in theirs.items() if name not in _OF_HEADS}
     classes = {} if label_map == PARTS33 else {_CLASSES: len(label_map)}
     return build(options.network, {**settings, **classes, **_settings(options)}, options.seed)

@@ -185,9 +185,7 @@ def test_a_training_of_other_classes_keeps_all_but_the_last_layer(
             torch.testing.assert_close(after[name], before[name], atol=1e-7, rtol=0)
 
 
-def test_settings_are_those_of_the_network_that_a_training_starts_from(
-    small_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_settings_are_those_of_the_network_that_a_training_starts_from(small_set: Path, tmp_path: Path) -> None:
     wider = '{"patch": 8, "widths": [6, 8], "blocks": [1, 1]}'
     assert main(command(small_set, tmp_path / "wide", "--steps", "1", "--settings", wider)) == 0
     again = [word for word in command(small_set, tmp_path / "again", "--steps", "1") if word != "--settings"]

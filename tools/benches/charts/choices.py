@@ -252,17 +252,19 @@ _SMALLER_NETWORKS: Final = replace(
     results="smaller",
 )
 
+_SHIPPED: Final = replace(
+    _NETWORKS,
+    name="shipped",
+    bench="shipped",
+    title="Which of the networks that ship?",
+    note="Plain, with the flip average, and with it for the half of the images that are less sure; float32.",
+    x=Axis("ms an image, labels", "time"),
+    read=_shipped,
+    shared="",
+)
+
 CHOICES: Final = (
-    Choice(
-        "shipped",
-        "shipped",
-        "Which of the networks that ship?",
-        "Plain, with the flip average, and with it for the half of the images that are less sure; float32.",
-        Axis("ms an image, labels", "time"),
-        Axis("average per-class accuracy, %", "accuracy", more_is_better=True, factor=100),
-        _shipped,
-        shared="",
-    ),
+    _SHIPPED,
     Choice(
         "renderer",
         "render",

@@ -9,7 +9,7 @@ import statistics
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, get_args
 
 import numpy as np
 import torch
@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from benches.model.chosen import parameters
 from benches.model.networks.network_frames import as_batch, typical_frames
-from benches.model.networks.network_times import BUDGET_S, MOST_ROUNDS, Cell, summary, time_cell
+from benches.model.networks.network_times import BUDGET_S, MOST_ROUNDS, Cell, Precision, summary, time_cell
 from benches.model.people.bodies import annotated_bodies
-from benches.model.people.scores import accuracy, packed_views
+from benches.model.people.scores import accuracy, answer_to, packed_views, together
 from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.machine import processors
-from bodyseg_model.evaluation import GrossErrors, count_pairs, evaluate, open_images, pairs_of
+from bodyseg_model.evaluation import GrossErrors, evaluate, open_images
 from bodyseg_model.evaluation.evaluation import PredictedImage
 from bodyseg_model.networks import SHIPPED, FlipAverage, Network, load_network
 from bodyseg_model.networks.checkpoints import LARGE
@@ -62,22 +62,23 @@ def bench_shipped(
         for done, (name, network) in enumerate(networks.items()):
             answers[name] = {test: _answers(network, path, images) for test, path in sets.items()}
             progress(done + 1, len(networks) + 1)
-    times = {precision: _times(networks, precision) for precision in ("float32", "bfloat16")}
+    times = _times(networks)
+    ms = {name: {precision: found[name]["ms"] for precision, found in times.items()} for name in networks}
     rows: dict[str, Any] = {}
     for name, network in plain.items():
         least = statistics.median(one.confidence for one in answers[name]["open"])
-        both, flipped = answers[name], answers[name + FLIP]
-        chosen = {test: where_unsure(both[test], flipped[test], least) for test in sets}
-        shares = {test: statistics.fmean(one.confidence < least for one in both[test]) for test in sets}
+        once, twice = answers[name], answers[name + FLIP]
+        chosen = {test: where_unsure(once[test], twice[test], least) for test in sets}
+        shares = {test: statistics.fmean(one.confidence < least for one in once[test]) for test in sets}
         facts = {"parameters": parameters(network)}
-        rows[name] = {"default": name == SHIPPED.stem, **facts, "ms": _ms(times, name), **_scores(both)}
-        ms = {
-            kind: round(one + shares["people"] * (two - one), 3)
-            for kind, one, two in zip(times, _ms(times, name).values(), _ms(times, name + FLIP).values(), strict=True)
+        rows[name] = {"default": name == SHIPPED.stem, **facts, "ms": ms[name], **_scores(once)}
+        between = {
+            precision: round(one + shares["people"] * (ms[name + FLIP][precision] - one), 3)
+            for precision, one in ms[name].items()
         }
         averaged = {test: round(share, 4) for test, share in shares.items()}
-        rows[name + UNSURE] = {"default": False, **facts, "ms": ms, **_scores(chosen), "averaged": averaged}
-        rows[name + FLIP] = {"default": False, **facts, "ms": _ms(times, name + FLIP), **_scores(flipped)}
+        rows[name + UNSURE] = {"default": False, **facts, "ms": between, **_scores(chosen), "averaged": averaged}
+        rows[name + FLIP] = {"default": False, **facts, "ms": ms[name + FLIP], **_scores(twice)}
     return {"networks": rows, "times": times, "images": {test: len(one) for test, one in answers[SHIPPED.stem].items()}}
 
 
@@ -85,10 +86,7 @@ def _answers(network: Network, path: str, count: int | None) -> list[Answer]:
     found: list[Answer] = []
 
     def watch(image: PredictedImage, _: float) -> None:
-        counts, errors = count_pairs(pairs_of(image.labels, image.predicted)), GrossErrors()
-        if image.away is not None:
-            errors.add(image.away, int(counts.trace()))
-        found.append(Answer(counts, errors, float(image.confidence[image.range_m > 0].mean())))
+        found.append(Answer(*answer_to(image), float(image.confidence[image.range_m > 0].mean())))
 
     evaluate(network, open_images(path, "all"), count, watch=watch)
     return found
@@ -103,20 +101,18 @@ def _scores(by_test: Mapping[str, Sequence[Answer]]) -> dict[str, Any]:
     """Average per-class accuracy and gross errors of each test."""
     found = {}
     for test, answers in by_test.items():
-        errors = GrossErrors()
-        for one in answers:
-            errors.merge(one.errors)
         counts = np.sum([one.counts for one in answers], axis=0)
-        found[test] = {"accuracy": round(accuracy(counts), 4), "gross_errors": errors.to_json()}
+        errors = together(one.errors for one in answers)
+        found[test] = {"accuracy": round(accuracy(counts), 4), "gross_errors": errors}
     return found
 
 
-def _times(networks: Mapping[str, Network], precision: Any) -> dict[str, Any]:
+def _times(networks: Mapping[str, Network]) -> dict[str, dict[str, Any]]:
+    """Precision -> network -> its times."""
     batches = [as_batch(frame, 1, torch.device("cpu")) for frame in typical_frames(_FRAMES)]
-    cell = Cell("typical", "labels", "cpu", processors(), precision)
     quick = {name: on_backend(network) for name, network in networks.items()}
-    return summary(time_cell(cell, quick, batches, MOST_ROUNDS, BUDGET_S), SHIPPED.stem)
-
-
-def _ms(times: Mapping[str, Any], name: str) -> dict[str, float]:
-    return {precision: found[name]["ms"] for precision, found in times.items()}
+    found = {}
+    for precision in get_args(Precision):
+        cell = Cell("typical", "labels", "cpu", processors(), precision)
+        found[precision] = summary(time_cell(cell, quick, batches, MOST_ROUNDS, BUDGET_S), SHIPPED.stem)
+    return found

@@ -90,10 +90,23 @@ class Counted:
 
 def gross_errors(several: Iterable[Counted]) -> dict[str, float] | None:
     """Gross errors of all images together, as `GrossErrors.to_json`."""
+    return together(one for counted in several for one in counted.errors.values())
+
+
+def together(several: Iterable[GrossErrors]) -> dict[str, float] | None:
+    """Gross errors of images, of all together, as `GrossErrors.to_json`."""
     total = GrossErrors()
-    for errors in (one for counted in several for one in counted.errors.values()):
+    for errors in several:
         total.merge(errors)
     return total.to_json()
+
+
+def answer_to(image: PredictedImage) -> tuple[Counts, GrossErrors]:
+    """True and predicted parts of an image's pixels, int64 [33, 33], and its gross errors, if its surface is known."""
+    counts, errors = count_pairs(pairs_of(image.labels, image.predicted)), GrossErrors()
+    if image.away is not None:
+        errors.add(image.away, int(counts.trace()))
+    return counts, errors
 
 
 def counted(
@@ -107,9 +120,7 @@ def counted(
         if not math.isnan(accuracy):
             body = bodies[split_key(image.key)[0]]
             key = body.person, body.pose, image.key
-            counts[key], errors[key] = count_pairs(pairs_of(image.labels, image.predicted)), GrossErrors()
-            if image.away is not None:
-                errors[key].add(image.away, int(counts[key].trace()))
+            counts[key], errors[key] = answer_to(image)
 
     images = open_images(str(folder / "set"), variant)
     total = evaluate(network, images, progress=progress, watch=watch).total()
