@@ -1,6 +1,7 @@
-"""The transforms that ship: crop, crop to the body, horizontal flip, roll and zoom of the camera.
+"""The transforms that ship: crop, crop to the body, horizontal flip, roll and zoom of the camera, remnants of a wall.
 
-A pixel takes its value from the nearest one of the image as it was, so that none lies between two surfaces.
+Of a moved image, a pixel takes its value from the nearest one of the image as it was, so that none lies between two
+surfaces.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ def unit(random: np.random.Generator) -> float:
 
 Place = Literal["axis", "body", "anywhere"]
 _FARTHEST: Final = int(FARTHEST_STEPS)
+_CELL: Final = 4  # side of the squares of pixels that are remnants or not
 
 
 @dataclass(frozen=True)
@@ -214,6 +216,125 @@ def _farther(ranges: NDArray[np.uint16], steps: int) -> NDArray[np.uint16]:
     moved: NDArray[np.uint16] = ranges + np.uint16(change) if steps > 0 else ranges - np.uint16(change)
     moved *= (ranges != 0) & (ranges <= _FARTHEST - change if steps > 0 else ranges > change)
     return moved
+
+
+@dataclass(frozen=True)
+class Remnants(_Shipped):
+    """Remnants of a wall behind the body, as the removal of a background leaves them in; they have no label.
+
+    share: of the images that get any. nearest_m, farthest_m: the wall, a tilted plane, is so far behind the body's
+    median range, as drawn, but nowhere before its outline. widest_m: remnants reach up to so far from the outline; how
+    far is drawn for each image, and from place to place, so that much of an outline has none. Over up to 4 cm the range
+    rises from the outline's to the wall's, as sensors see it that match windows of several pixels. Remnants have the
+    body's noise and lose as many pixels. Raises BadConfig for a share or a distance out of range.
+    """
+
+    name = "remnants"
+    share: float = bounded(0.4, 0, 1)
+    nearest_m: float = bounded(0.05, 0, 10)
+    farthest_m: float = bounded(0.8, 0, 10)
+    widest_m: float = bounded(0.25, 0, 2)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.nearest_m > self.farthest_m:
+            raise BadConfig(
+                "remnants must satisfy nearest_m <= farthest_m, "
+                f"found nearest_m {self.nearest_m}, farthest_m {self.farthest_m}"
+            )
+
+    def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
+        """See `Transform`."""
+        box = ends_of(image.range)
+        if unit(random) >= self.share or box is None:
+            return image
+        middle = float(np.median(image.range[image.range > 0]))
+        a_metre = image.focal_px / (middle * image.step_m)  # pixels
+        reach, bias, width, gap = (
+            low + (high - low) * unit(random)
+            for low, high in ((0.2, 1.0), (-0.7, 0.9), (0.0, 0.04), (self.nearest_m, self.farthest_m))
+        )
+        reach *= self.widest_m * a_metre
+        (rows, top), (columns, left) = (
+            _in_cells(*ends, side, math.ceil(reach))
+            for ends, side in zip((box[:2], box[2:]), image.range.shape, strict=True)
+        )
+        if not rows or not columns:
+            return image
+        window = np.s_[top : top + rows * _CELL, left : left + columns * _CELL]
+        ranges = image.range[window]
+        in_cells = ranges.reshape(rows, _CELL, columns, _CELL)
+        counts = np.count_nonzero(in_cells, axis=(1, 3))
+        body = counts > 0
+        own = np.where(body, in_cells.sum(axis=(1, 3)) / np.maximum(counts, 1), np.inf)
+        outline, away = _spread(own, math.ceil(reach / _CELL))
+        left_in = away * _CELL < reach * np.clip((_smooth(rows, columns, a_metre, random) + bias) / 2, 0, 1)
+        left_in &= (away > 0) | ~_inside(body)
+        down, across = (
+            (np.arange(size) - size / 2) * (_CELL / a_metre / image.step_m) * most * (2 * unit(random) - 1)
+            for size, most in ((rows, 0.2), (columns, 0.5))
+        )
+        behind = np.maximum(middle + gap / image.step_m + np.add.outer(down, across) - outline, 0.03 / image.step_m)
+        wall = outline + behind * np.clip(away * _CELL / max(width * a_metre, 1e-3), 0, 1)
+        both = (ranges[:, 1:] > 0) & (ranges[:, :-1] > 0)
+        apart = np.abs(np.diff(ranges.astype(np.int32), axis=1))[both]
+        deviation = float(np.median(apart)) / 0.954 if len(apart) else 0.0  # of normal noise, from pairs of pixels
+        words = random.bit_generator.random_raw((ranges.size + 1) // 2).view(np.uint16).reshape(-1, 2)
+        noise, kept = (words[: ranges.size, of].reshape(ranges.shape) / 65536 for of in (0, 1))
+        seen = np.count_nonzero(ranges) / max(1, int(body.sum()) * _CELL**2)
+        added = _of_pixels(left_in) & (ranges == 0) & (kept < (seen if seen < 0.8 else 1.0))
+        found = np.clip(np.rint(_of_pixels(wall) + deviation * math.sqrt(12) * (noise - 0.5)), 1, _FARTHEST)
+        ranges[added] = found[added]
+        return image
+
+
+def _in_cells(first: int, end: int, side: int, more: int) -> tuple[int, int]:
+    """Number of whole cells, and first pixel, of an axis of `side` pixels around a box with `more` on each side."""
+    begin = max(0, first - more)
+    return (min(side, end + more) - begin) // _CELL, begin
+
+
+def _of_pixels(cells: NDArray[Any]) -> NDArray[Any]:
+    return cells.repeat(_CELL, axis=0).repeat(_CELL, axis=1)
+
+
+def _around(cells: NDArray[Any], value: float, corners: bool) -> list[NDArray[Any]]:
+    """The cells [h, w] beside each, `value` outside; with `corners`, eight of them, else four."""
+    rows, columns = cells.shape
+    padded = np.pad(cells, 1, constant_values=value)
+    every = [(down, across) for down in range(3) for across in range(3) if corners or (down + across) % 2]
+    return [padded[down : down + rows, across : across + columns] for down, across in every]
+
+
+def _inside(body: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Cells of a body with eight of it around."""
+    inside: NDArray[np.bool_] = np.logical_and.reduce(_around(body, 1, corners=True))
+    return inside
+
+
+def _spread(own: NDArray[np.float64], rings: int) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """The range of the nearest cell that has one, not inf, and how many cells away that is, [h, w] each; where it is
+    more than `rings`, 0 and one more.
+    """
+    found, away = own.copy(), np.where(own < np.inf, 0, rings + 1)
+    for ring in range(1, rings + 1):
+        nearest = np.minimum.reduce(_around(found, np.inf, corners=ring % 2 == 0))
+        new = (found == np.inf) & (nearest < np.inf)
+        found[new], away[new] = nearest[new], ring
+    return np.where(found < np.inf, found, 0.0), away
+
+
+def _smooth(rows: int, columns: int, a_metre: float, random: np.random.Generator) -> NDArray[np.float64]:
+    """A random field over cells, [rows, columns], of mean 0 and deviation about 1, smooth over 0.1 to 0.25 m."""
+    wave = (0.1 + 0.15 * unit(random)) * a_metre / _CELL
+    (row, down), (column, across) = (np.divmod(np.arange(size) / wave, 1) for size in (rows, columns))
+    size = int(row[-1]) + 2, int(column[-1]) + 2
+    lattice = random.bit_generator.random_raw(size[0] * size[1]).reshape(size) / 2**64 - 0.5
+    row, down, across = row.astype(np.intp), down[:, None], across[None]
+    by_row = lattice[row] * (1 - down) + lattice[row + 1] * down
+    column = column.astype(np.intp)
+    field: NDArray[np.float64] = by_row[:, column] * (1 - across) + by_row[:, column + 1] * across
+    return 5.0 * field
 
 
 def take_grid(

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from bodyseg_data import RangeImages
+from bodyseg_data import RangeImages, Remnants
 from bodyseg_data.artifacts import (
     PAPER_SENSOR,
     Artifact,
@@ -99,6 +99,7 @@ class Options:
     optimiser: OptimiserName | None = option("how weights follow gradients (default: the recipe's)", None)
     no_geometric_augmentation: bool = option("leave bodies where they are: turn, zoom and cut none", False)
     bust: float | None = option("share of the images that show only the upper part of the body", None)
+    remnants: float = option("share of the images with remnants of a wall beside the body, as masks leave them", 0.0)
     ema: float | None = option("decay of averaged weights, like 0.999, which are validated and saved", None)
     shuffle: Literal["global", "blocks"] = option("order of samples; blocks read a far store in few pieces", "global")
     val_share: float | None = option(
@@ -209,6 +210,7 @@ def _open(options: Options, address: str, sensor: str, split: ReadSplit, planes:
         labels=options.labels,
         occluder=options.occluder,
         planes=planes,
+        transform=[Remnants(options.remnants)] if split == "train" and options.remnants else [],
     )
 
 

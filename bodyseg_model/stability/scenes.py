@@ -29,7 +29,7 @@ from bodyseg_data.artifacts import (
 from bodyseg_data.bodies import Body, BodyRef, open_source
 from bodyseg_data.core import BadConfig, Draws, ProgressCallback, silent
 from bodyseg_data.labels import BACKGROUND, LANDMARKS
-from bodyseg_data.loading import RangeImages
+from bodyseg_data.loading import CameraImage, RangeImages, Remnants
 from bodyseg_data.meshes import Mesh, Partition
 from bodyseg_data.packing import Sampler, draw_things, in_front, surface_points
 from bodyseg_data.rendering import Renderer, Surface, open_renderer
@@ -113,6 +113,7 @@ SWEEPS: Final = {
     "kick": Sweep("A kick towards the camera", "0: the set's, 1: a kick", (0, 1), "rendered", counts=False),
     "fist": Sweep("A fist above the head", "0: the set's, 1: a fist", (0, 1), "rendered", counts=False),
     "mixed": Sweep("Mixed pixels before a wall", "share of edges", (0.0, 0.1, 0.25, 0.5, 1.0), counts=False),
+    "remnants": Sweep("Remnants of a wall beside the body", "width, m", (0.0, 0.05, 0.1, 0.2, 0.4), counts=False),
     "speed": Sweep("Moving limbs, shifted fringes", "hands and feet, m/s", (0.0, 0.5, 1.0, 2.0, 4.0), counts=False),
     "clothes": Sweep("Dark clothes, shifted fringes", "reflectance", (0.8, 0.2, 0.1, 0.05, 0.03, 0.02), counts=False),
     "ambient": Sweep("Other light, shifted fringes", "share of the projector's", (0.0, 1.0, 4.0, 16.0), counts=False),
@@ -143,8 +144,9 @@ def chosen(names: tuple[str, ...], hard: bool) -> dict[str, Sweep]:
 def corrupted(sample: Sample, condition: SweepPoint, rig: Rig, seed: int) -> NDArray[np.uint16]:
     """The range image of a stored sample under a condition of a "stored" sweep, uint16 [H, W], in the rig's steps.
 
-    Pixels that the corruption removes are 0. Draws depend on seed and sample alone, so a greater strength removes the
-    pixels of a smaller one, and more. An unchanged image is returned as it is, not copied.
+    Pixels that the corruption removes are 0; those that it adds have no label. Draws depend on seed and sample alone,
+    so a greater strength removes the pixels of a smaller one, and more. An unchanged image is returned as it is, not
+    copied.
     """
     if condition == CLEAN["stored"]:
         return sample.range
@@ -155,6 +157,10 @@ def corrupted(sample: Sample, condition: SweepPoint, rig: Rig, seed: int) -> NDA
         return sample.range * ~SHAPES[condition.sweep](sample.range, condition.strength, draws)
     if condition.sweep == "depth_steps":
         return _depth_steps(sample, condition.strength, rig.range_step_m)
+    if condition.sweep == "remnants":
+        camera, draws = (rig.camera.focal_px, rig.camera.centre_px), Draws(seed, 0, sample.key).generator("remnants")
+        image = CameraImage(sample.key, sample.range.copy(), sample.labels, {}, rig.range_step_m, *camera, sample)
+        return Remnants(1.0, widest_m=condition.strength)(image, draws).range
     return _CROPS[condition.sweep](sample, condition.strength)
 
 

@@ -13,7 +13,7 @@ from camera_images import camera_image
 
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND, PARTS
-from bodyseg_data.loading import BodyCrop, CameraImage, Crop, Flip, Roll, Transform, Zoom
+from bodyseg_data.loading import BodyCrop, CameraImage, Crop, Flip, Remnants, Roll, Transform, Zoom
 from bodyseg_data.loading.transform import transforms_to_json
 from bodyseg_data.loading.transforms import magnified, turned
 
@@ -46,7 +46,7 @@ def test_every_transform_keeps_the_rules_of_samples(transform: Transform) -> Non
             assert np.isin(found.range, before.range).all(), "no range lies between two surfaces"
 
 
-@pytest.mark.parametrize("transform", ALL, ids=repr)
+@pytest.mark.parametrize("transform", [*ALL, Remnants(1.0)], ids=repr)
 def test_every_transform_takes_an_image_of_nothing(transform: Transform) -> None:
     empty = camera_image()
     empty = replace(empty, range=np.zeros_like(empty.range), labels=np.full_like(empty.labels, BACKGROUND))
@@ -188,9 +188,59 @@ def test_a_crop_to_the_body_holds_it_with_its_margin() -> None:
     assert set(np.unique(around.labels)) <= set(np.unique(image.labels))
 
 
+def body_before_a_wall(seed: int, lost: float = 0.0, noise_steps: float = 0.0) -> tuple[CameraImage, CameraImage]:
+    """A disk 2.5 m away, 0.1 m in radius, as it is and with remnants of a wall 0.2 to 0.3 m behind."""
+    image, random = camera_image(240, 200), np.random.default_rng(seed)
+    down, across = np.mgrid[:240, :200]
+    disk = np.hypot(down - 120, across - 100) < 0.1 * 500 / 2.5
+    ranges = np.rint(25_000 + noise_steps * random.standard_normal(disk.shape)) * (random.random(disk.shape) >= lost)
+    ranges = np.where(disk, ranges, 0).astype(np.uint16)
+    image = replace(image, range=ranges, labels=np.where(ranges > 0, 4, BACKGROUND).astype(np.uint8))
+    copy = replace(image, range=ranges.copy(), labels=image.labels.copy())
+    return image, Remnants(1.0, nearest_m=0.2, farthest_m=0.3)(copy, drawn(seed))
+
+
+def test_remnants_lie_beside_the_body_behind_its_outline_without_labels() -> None:
+    wide = []
+    for seed in range(20):
+        image, found = body_before_a_wall(seed)
+        body, added = image.range > 0, (found.range > 0) & (image.range == 0)
+        assert np.array_equal(found.range[body], image.range[body]) and np.array_equal(found.labels, image.labels)
+        down, across = np.nonzero(added)
+        away_m = (np.hypot(down - 120, across - 100) - 20) * 2.5 / 500
+        behind_m = (found.range[added].astype(float) - 25_000) * 1e-4
+        assert (behind_m >= 0).all() and (away_m < 0.25 * 1.3).all()
+        flat = behind_m[away_m > 0.08]
+        assert ((flat > 0.2 - 0.15) & (flat < 0.3 + 0.15)).all(), "a plane, tilted, about the wall"
+        wide.append(away_m.max(initial=0.0))
+    assert max(wide) > 0.15 and min(wide) < 0.1, "of every width"
+
+
+def test_remnants_have_the_noise_of_the_body_and_lose_as_much() -> None:
+    _, plain = body_before_a_wall(3)
+    _, found = body_before_a_wall(3, lost=0.5, noise_steps=100)
+    every = (plain.range > 0) & (plain.labels == BACKGROUND)
+    kept = every & (found.range > 0)
+    assert 0.4 < np.count_nonzero(kept) / np.count_nonzero(every) < 0.6
+    off = found.range[kept].astype(float) - plain.range[kept]
+    assert off.std() == pytest.approx(100, rel=0.15) and abs(off.mean()) < 20
+
+
+def test_the_share_of_images_with_remnants_is_that_asked_for() -> None:
+    (image, _), random, altered = body_before_a_wall(0), drawn(), 0
+    for _ in range(300):
+        copy = replace(image, range=image.range.copy())
+        altered += not np.array_equal(Remnants(0.3)(copy, random).range, image.range)
+    assert 30 < altered <= 90 + 4 * math.sqrt(300 * 0.3 * 0.7), "some images draw remnants nowhere"
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
+        (
+            lambda: Remnants(nearest_m=2.0),
+            "remnants must satisfy nearest_m <= farthest_m, found nearest_m 2.0, farthest_m 0.8",
+        ),
         (lambda: Flip(1.5), "Flip: share must be from 0 to 1, found 1.5"),
         (lambda: Flip(True), "Flip: share must be a number, found True"),
         (lambda: Roll(-1), "Roll: largest_deg must be from 0 to 180, found -1"),

@@ -15,7 +15,8 @@ from bodyseg_data.samples import Sample
 from bodyseg_model.stability import SWEEPS, chosen
 from bodyseg_model.stability.scenes import CLEAN, DEPTHS_M, SweepPoint, corrupted
 
-STORED = [name for name, sweep in SWEEPS.items() if sweep.origin == "stored" and name not in ("hard", "turned")]
+OTHERS = "hard", "turned", "remnants"
+STORED = [name for name, sweep in SWEEPS.items() if sweep.origin == "stored" and name not in OTHERS]
 SHARES = ("missing", "patches", "stripes")
 
 
@@ -114,6 +115,16 @@ def test_fringes_lose_and_err_more_where_their_cause_is_stronger(sample: Sample,
         assert left[-1] < 0.9 * np.count_nonzero(sample.range) and sorted(left, reverse=True) == left
     errors = [error for _, error in left_and_error_mm("ambient")]
     assert errors[-1] > 1.5 * errors[0] and sorted(errors) == errors
+
+
+def test_remnants_are_added_beside_the_body_farther_away_the_wider(sample: Sample, rig: Rig) -> None:
+    added = []
+    for strength in SWEEPS["remnants"].strengths[1:]:
+        image = corrupted(sample, SweepPoint("remnants", strength), rig, 0)
+        np.testing.assert_array_equal(image, corrupted(sample, SweepPoint("remnants", strength), rig, 0))
+        np.testing.assert_array_equal(image[sample.range > 0], sample.range[sample.range > 0])
+        added.append(np.count_nonzero(image[sample.range == 0]))
+    assert sorted(added) == added and added[0] > 0
 
 
 def test_few_bits_leave_few_depths(sample: Sample, rig: Rig) -> None:
