@@ -101,10 +101,7 @@ class ShadowTest:
         return projection
 
     def lit(
-        self,
-        camera_range: NDArray[np.uint16],
-        projector_range: NDArray[np.uint16],
-        faces_projector: NDArray[np.bool_],
+        self, camera_range: NDArray[np.uint16], projector_range: NDArray[np.uint16], faces_projector: NDArray[np.bool_]
     ) -> NDArray[np.bool_]:
         """Mark the camera pixels that see a surface which the projector lights, bool [H, W]; False on background.
 

@@ -220,12 +220,7 @@ def labels_from_file(path: Path, content: MeshContent, table: Mapping[int, str])
     return labels_of_numbers(given, content, table, str(path), of)
 
 
-def file_labels(
-    content: MeshContent,
-    wanted: str | None,
-    table: ClassTable,
-    where: str,
-) -> NamedCorners:
+def file_labels(content: MeshContent, wanted: str | None, table: ClassTable, where: str) -> NamedCorners:
     """Labels that stand in the mesh's own file.
 
     wanted: "groups", "objects", "materials", "nodes", "colours", or "property NAME"; None: the first that is there of

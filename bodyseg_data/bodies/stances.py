@@ -205,8 +205,7 @@ _FEET_CROSSED: Final = LegTask(
 )  # fmt: skip
 
 _STRETCHED: Final = LegTask(
-    {"flex": (60, 95), "abduct": (-2, 30), "twist": (0, 35), "knee": (0, 25), "ankle": (0, 30)} | _FREE,
-    floor=("foot",),
+    {"flex": (60, 95), "abduct": (-2, 30), "twist": (0, 35), "knee": (0, 25), "ankle": (0, 30)} | _FREE, floor=("foot",)
 )
 _KNEE_UP: Final = LegTask(
     {"flex": (85, 128), "abduct": (-4, 20), "twist": (-5, 20), "knee": (70, 132), "ankle": (0, 40)} | _FREE,

@@ -44,9 +44,7 @@ _REGIONS: Final = ("parts33", "bones", "landmarks")
 
 
 def colour_labels(
-    labels: NDArray[np.uint8],
-    background: tuple[int, int, int] = (24, 26, 32),
-    colours: NDArray[np.uint8] = COLOURS,
+    labels: NDArray[np.uint8], background: tuple[int, int, int] = (24, 26, 32), colours: NDArray[np.uint8] = COLOURS
 ) -> NDArray[np.uint8]:
     """Draw a label image: uint8 [H, W] -> sRGB uint8 [H, W, 3]; `background` where a label has no colour.
 

@@ -15,14 +15,7 @@ import torch
 
 from bodyseg_data.core import BadConfig, BodysegError, bounded, check_fields
 from bodyseg_data.loading.image_set import Batch, BatchOrder, ImageSet, Pass, Request, Shuffle, check_bool
-from bodyseg_data.loading.skipping import (
-    SKIPPABLE,
-    OnError,
-    SkipLedger,
-    Skipped,
-    checked_budget,
-    with_text,
-)
+from bodyseg_data.loading.skipping import SKIPPABLE, OnError, SkipLedger, Skipped, checked_budget, with_text
 from bodyseg_data.loading.slots import Slots
 from bodyseg_data.loading.workers import (
     DEFAULT_WORKER_METHOD,

@@ -242,11 +242,7 @@ def _checked_units(sample_weights: ArrayLike, images: RangeImages) -> NDArray[np
 Part = tuple[RangeImages, Weight] | tuple[RangeImages, Weight, ArrayLike]
 """(images, weight) or (images, weight, sample weights) of one set of a mixture."""
 
-_AGREEING: Final = {
-    "shape": "images of one size",
-    "step_m": "one step of range",
-    "planes": "the same planes",
-}
+_AGREEING: Final = {"shape": "images of one size", "step_m": "one step of range", "planes": "the same planes"}
 
 
 class Mixture(SampleDataset):

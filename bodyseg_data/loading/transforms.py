@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, bounded, check_fields
 from bodyseg_data.labels import BACKGROUND, looked_up
-from bodyseg_data.loading.image_set import check_bool
 from bodyseg_data.loading.transform import Box, CameraImage, Transform, ends_of
 from bodyseg_data.rigs import MAX_SIDE
 from bodyseg_data.samples import FARTHEST_STEPS
@@ -169,53 +168,27 @@ def turned(image: CameraImage, angle_deg: float) -> CameraImage:
 
 @dataclass(frozen=True)
 class Zoom(_Shipped):
-    """The image magnified about the optical axis; pixels take the value of the nearest one.
+    """The image magnified about the optical axis, as by another focal length: ranges stay, and pixels take the value of
+    the nearest one.
 
-    largest: largest magnification, 1 to 4; it is drawn from 1 / largest to largest, its logarithm uniformly.
-
-    moves_camera: True moves the camera along its axis to or from a body at distance d: magnification m takes it to
-    d / m, and every range changes by d / m - d, rounded to steps, so that the body keeps its size and its depth. The
-    whole image is magnified as the body's centre is, which leaves out that nearer parts grow more: a point p metres in
-    front of the centre would grow by (d - p) / (d / m - p) instead of m. d is that of the view, so all variants of a
-    sample get the same. False changes the focal length: ranges stay, and the magnification is exact.
-
-    Noise and lost pixels are magnified with the image, not drawn for the new distance. Raises BadConfig for a
-    magnification out of range.
+    largest: largest magnification, 1 to 4; it is drawn from 1 / largest to largest, its logarithm uniformly. Noise and
+    lost pixels are magnified with the image. Raises BadConfig for a magnification out of range.
     """
 
     name = "zoom"
+    version = 2
     largest: float = bounded(1.25, 1, 4)
-    moves_camera: bool = True
-
-    def __post_init__(self) -> None:
-        moves_camera = check_bool("Zoom: moves_camera", self.moves_camera)
-        object.__setattr__(self, "moves_camera", moves_camera)  # NumPy's bool is no JSON
-        super().__post_init__()
 
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
         """See `Transform`."""
-        return magnified(image, self.largest ** (2 * unit(random) - 1), self.moves_camera)
+        return magnified(image, self.largest ** (2 * unit(random) - 1))
 
 
-def magnified(image: CameraImage, by: float, moves_camera: bool) -> CameraImage:
-    """The image magnified about the optical axis, by a camera that moves or by its focal length; see `Zoom`."""
+def magnified(image: CameraImage, by: float) -> CameraImage:
+    """The image magnified about the optical axis by its focal length."""
     (height, width), (x, y) = image.range.shape, image.centre_px
     rows, columns = (np.arange(height) + 0.5 - y) / by + y, (np.arange(width) + 0.5 - x) / by + x
-    if not moves_camera:
-        return take_grid(image, rows, columns, focal_px=image.focal_px * by)
-    found, view = take_grid(image, rows, columns), image.info.view
-    if view is None:
-        raise BadConfig("a camera moves by its view's distance, which the set does not tell: use moves_camera=False")
-    distance_m = view.distance_cm / 100
-    return replace(found, range=_farther(found.range, round((distance_m / by - distance_m) / image.step_m)))
-
-
-def _farther(ranges: NDArray[np.uint16], steps: int) -> NDArray[np.uint16]:
-    """Ranges with `steps` added, which may be negative; 0 stays 0, and so becomes what 16 bits do not hold."""
-    change = min(abs(steps), _FARTHEST)
-    moved: NDArray[np.uint16] = ranges + np.uint16(change) if steps > 0 else ranges - np.uint16(change)
-    moved *= (ranges != 0) & (ranges <= _FARTHEST - change if steps > 0 else ranges > change)
-    return moved
+    return take_grid(image, rows, columns, focal_px=image.focal_px * by)
 
 
 @dataclass(frozen=True)

@@ -24,13 +24,7 @@ from bodyseg_data.core import BadConfig, BadSample, BodysegError, ProgressCallba
 from bodyseg_data.files import make_folder, write_atomically
 from bodyseg_data.labels import Classes, LabelClass, classes_of
 from bodyseg_data.packing.options import PACKING_VERSION
-from bodyseg_data.packing.scene_layout import (
-    SceneLayout,
-    facing_of,
-    fields_of,
-    learned_fields,
-    learned_planes,
-)
+from bodyseg_data.packing.scene_layout import SceneLayout, facing_of, fields_of, learned_fields, learned_planes
 from bodyseg_data.packing.writing import claimed, digest_of, finished_shards, record_shard, writing_into
 from bodyseg_data.renders import ProjectorRanges, Render
 from bodyseg_data.rigs import Rig, load_rig

@@ -107,10 +107,7 @@ def machine(numbers: Numbers) -> Solid:
     """A machine: a foot, a column, and two to four boxes, held out to the sides or to the front."""
     height, foot = numbers.between(0.9, 1.8), numbers.between(0.35, 0.7)
     thick = numbers.between(0.08, 0.3)
-    pieces = [
-        cuboid((foot, 0.12, foot), (0.0, 0.06, 0.0)),
-        cuboid((thick, height, thick), (0.0, height / 2, 0.0)),
-    ]
+    pieces = [cuboid((foot, 0.12, foot), (0.0, 0.06, 0.0)), cuboid((thick, height, thick), (0.0, height / 2, 0.0))]
     for _ in range(numbers.whole(2, 4)):
         size = numbers.between(0.15, 0.6), numbers.between(0.08, 0.4), numbers.between(0.1, 0.4)
         out, above = numbers.between(-0.3, 0.3), numbers.between(0.3, 1.0) * height

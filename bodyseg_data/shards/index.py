@@ -261,12 +261,7 @@ def encode_piece(record: ShardRecord) -> bytes:
     described = record.descriptions
     counts = [*map(len, described.tables)]
     stems, tails = _divided_keys(record)
-    text = {
-        "tables": described.to_json()["tables"],
-        "stems": stems,
-        "tails": tails,
-        "notes": record.notes,
-    }
+    text = {"tables": described.to_json()["tables"], "stems": stems, "tails": tails, "notes": record.notes}
     text_bytes = json.dumps(text, sort_keys=True, separators=(",", ":")).encode()
     blocks = np.array([*record.offsets, record.offsets[-1] + record.lengths[-1]], np.int64) // BLOCK
     data = b"".join(

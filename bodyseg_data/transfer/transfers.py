@@ -270,11 +270,7 @@ class Outcome:
 
 
 def transfer(
-    bundle: Bundle,
-    target: Target,
-    report: Callable[[int], None],
-    replace: bool = False,
-    sizes_only: bool = False,
+    bundle: Bundle, target: Target, report: Callable[[int], None], replace: bool = False, sizes_only: bool = False
 ) -> Outcome:
     """Copy a bundle to a target. Interrupted at any point, it leaves a target that the same call completes.
 

@@ -17,10 +17,7 @@ COMMANDS: Final[Commands] = {
     "pull": ("bodyseg_model.commands.sharing:Pull", "copy a set or a network from an address"),
     "segment": ("bodyseg_model.commands.segment", "find the parts of people in frames of a sensor"),
     "sensor fit": ("bodyseg_model.commands.sensor", "measure which artifacts a sensor has from its own frames"),
-    "sensor show": (
-        "bodyseg_model.commands.sensor:ShowSensor",
-        "print a sensor model as TOML",
-    ),
+    "sensor show": ("bodyseg_model.commands.sensor:ShowSensor", "print a sensor model as TOML"),
     "view": ("bodyseg_model.commands.view", "show a set or a recording in the browser"),
     "stability": ("bodyseg_model.commands.stability", "measure robustness to sensor artifacts"),
 }

@@ -204,11 +204,7 @@ def _background(options: Options, trained: Trained) -> Background:
 
 
 def _remarks(
-    options: Options,
-    recording: LabelledRecording,
-    summary: SequenceSummary,
-    shadows: ShadowFrames,
-    per_second: float,
+    options: Options, recording: LabelledRecording, summary: SequenceSummary, shadows: ShadowFrames, per_second: float
 ) -> list[str]:
     """Lines for standard error: the results, and warnings about what looks wrong."""
     frames, camera = len(recording) - len(recording.skipped), recording.cameras.common or recording.cameras.first

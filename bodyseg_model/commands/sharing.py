@@ -140,11 +140,7 @@ def _copy(bundle: Bundle, target: Target, title: str, replace: bool, sizes_only:
     with Progress(title, "MB") as progress:
         total = round(bundle.size / 1e6)
         outcome = transfer(
-            bundle,
-            target,
-            lambda done: progress.update(min(round(done / 1e6), total), total),
-            replace,
-            sizes_only,
+            bundle, target, lambda done: progress.update(min(round(done / 1e6), total), total), replace, sizes_only
         )
     files = "1 file" if outcome.files == 1 else f"{outcome.files} files"
     sys.stdout.write(

@@ -171,15 +171,7 @@ def open_images(
     given = [*artifacts, *fixed_artifacts(noise_mm, missing)]
     model = sensor_for(variant, load_sensor_model(sensor), given)
     return RangeImages(
-        path,
-        variant,
-        split,
-        seed,
-        sensor=model,
-        where=where,
-        val_share=val_share,
-        labels=labels,
-        occluder=occluder,
+        path, variant, split, seed, sensor=model, where=where, val_share=val_share, labels=labels, occluder=occluder
     )
 
 

@@ -132,15 +132,7 @@ def interpolation(size: int, stride: int) -> Axis:
 
 @partial(compiled, feature="labelling in compiled loops")
 def label_rows(
-    scores: Any,
-    range_m: Any,
-    stride: Any,
-    down: Any,
-    across: Any,
-    first: Any,
-    last: Any,
-    labels: Any,
-    confidence: Any,
+    scores: Any, range_m: Any, stride: Any, down: Any, across: Any, first: Any, last: Any, labels: Any, confidence: Any
 ) -> None:
     """As `label_pixels`, of one image, from one row of squares between scores to before another; square 0 is before
     all.

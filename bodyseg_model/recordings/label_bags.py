@@ -101,11 +101,7 @@ class LabelsOut:
         self._types, self._channels = typestore("cdr").types, dict[str, int]()
 
     def add(
-        self,
-        frame: Frame,
-        labels: NDArray[np.uint8],
-        of_message: Stamp | None,
-        points: NDArray[np.void] | None = None,
+        self, frame: Frame, labels: NDArray[np.uint8], of_message: Stamp | None, points: NDArray[np.void] | None = None
     ) -> None:
         """Write the labels of a frame, uint8 [H, W], with time and coordinate frame of its message, `frame.stamp()`.
 

@@ -252,11 +252,7 @@ class Scenes:
     """
 
     def __init__(
-        self,
-        images: RangeImages,
-        count: int,
-        hard: RangeImages | None = None,
-        progress: ProgressCallback = silent,
+        self, images: RangeImages, count: int, hard: RangeImages | None = None, progress: ProgressCallback = silent
     ) -> None:
         self.images, self.hard = images, hard
         self.rig, self.seed = images.manifest.rig, images.seed

@@ -292,10 +292,7 @@ def score(network: Network, images: Sequence[LabelledImage]) -> Score:
 
 
 def evaluate_conditions(
-    runs: Sequence[Run],
-    conditions: Sequence[SweepPoint],
-    scenes: Scenes,
-    progress: NotedProgress = silent,
+    runs: Sequence[Run], conditions: Sequence[SweepPoint], scenes: Scenes, progress: NotedProgress = silent
 ) -> Found:
     """Score every network under every condition.
 

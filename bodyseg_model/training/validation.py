@@ -161,12 +161,7 @@ class Validation:
         for images in self.images:
             found.merge(
                 evaluate(
-                    network,
-                    images,
-                    self.count,
-                    confidences=False,
-                    num_workers=num_workers,
-                    worker_method=worker_method,
+                    network, images, self.count, confidences=False, num_workers=num_workers, worker_method=worker_method
                 )
             )
         return found.total()

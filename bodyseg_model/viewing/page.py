@@ -378,11 +378,7 @@ class Page:
         fit(client.camera)
 
     def _look(
-        self,
-        client: viser.ClientHandle,
-        kind: str,
-        free: float = 1.0,
-        places: list[NDArray[np.float64]] | None = None,
+        self, client: viser.ClientHandle, kind: str, free: float = 1.0, places: list[NDArray[np.float64]] | None = None
     ) -> None:
         """Move one client's view to one of `VIEWPOINTS`.
 

@@ -11,14 +11,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.drawing import EMPTY, THING, window_of
 from bodyseg_data.labels import BACKGROUND, colour_labels
-from bodyseg_model.segmentation import (
-    STILL_M,
-    LabelledFrame,
-    LabelledRecording,
-    Segmentation,
-    draw_overlay,
-    flicker,
-)
+from bodyseg_model.segmentation import STILL_M, LabelledFrame, LabelledRecording, Segmentation, draw_overlay, flicker
 from bodyseg_model.viewing.page import Controls, Page
 from bodyseg_model.viewing.pictures import (
     CONFIDENCE_LEGEND,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from typing import Any
@@ -14,12 +13,10 @@ from camera_images import camera_image
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND, PARTS
 from bodyseg_data.loading import BodyCrop, CameraImage, Crop, Flip, Remnants, Roll, Transform, Zoom
-from bodyseg_data.loading.transform import transforms_to_json
 from bodyseg_data.loading.transforms import magnified, turned
 
 ALL: tuple[Transform, ...] = (
     Crop(30, 20), Crop(80, 70, "body"), Crop(70, 20, "anywhere"), BodyCrop(48, 32), Flip(), Roll(180), Zoom(2.0),
-    Zoom(2.0, moves_camera=False),
 )  # fmt: skip
 
 
@@ -42,8 +39,7 @@ def test_every_transform_keeps_the_rules_of_samples(transform: Transform) -> Non
         assert found.range.dtype == np.uint16 and found.labels.dtype == np.uint8
         assert np.array_equal(found.labels == BACKGROUND, found.range == 0)
         assert same(found, transform(replace(before), drawn(seed))), "the draws are the generator's"
-        if not isinstance(transform, Zoom) or not transform.moves_camera:
-            assert np.isin(found.range, before.range).all(), "no range lies between two surfaces"
+        assert np.isin(found.range, before.range).all(), "no range lies between two surfaces"
 
 
 @pytest.mark.parametrize("transform", [*ALL, Remnants(1.0)], ids=repr)
@@ -53,11 +49,6 @@ def test_every_transform_takes_an_image_of_nothing(transform: Transform) -> None
     found = transform(empty, drawn())
     assert found.range.shape == transform.shape(60, 40)
     assert not found.range.any() and (found.labels == BACKGROUND).all()
-
-
-def test_a_zoom_takes_numpys_bool() -> None:
-    given = [Zoom(2.0, np.bool_(moves)) for moves in (True, False)]  # type: ignore[arg-type]
-    assert json.dumps(transforms_to_json(given)) == json.dumps(transforms_to_json([Zoom(2.0), Zoom(2.0, False)]))
 
 
 def test_a_flip_exchanges_left_and_right_and_is_its_own_inverse() -> None:
@@ -115,39 +106,19 @@ def test_rolls_are_spread_evenly_up_to_the_largest() -> None:
 
 def test_a_zoom_of_the_lens_leaves_ranges_and_grows_pixels() -> None:
     image = camera_image(centre=(20.0, 30.0))
-    found = magnified(image, 2.0, moves_camera=False)
+    found = magnified(image, 2.0)
     assert found.focal_px == 2 * image.focal_px
     assert np.array_equal(found.range[::2, ::2], image.range[15:45, 10:30])
     assert np.array_equal(found.range[1::2, 1::2], image.range[15:45, 10:30])
-    assert same(magnified(image, 1.0, moves_camera=False), image)
-    smaller = magnified(image, 0.5, moves_camera=False)
+    assert same(magnified(image, 1.0), image)
+    smaller = magnified(image, 0.5)
     assert np.count_nonzero(smaller.range[:15]) == np.count_nonzero(smaller.range[:, :10]) == 0
     assert np.count_nonzero(smaller.range) > 0
 
 
-def test_a_zoom_of_the_camera_keeps_the_body_as_large_and_as_deep() -> None:
-    image = camera_image(centre=(20.0, 30.0))
-    found = magnified(image, 1.25, moves_camera=True)  # from 2.5 m to 2.0 m
-    lens = magnified(image, 1.25, moves_camera=False)
-    assert found.focal_px == image.focal_px
-    measured = lens.range > 0
-    assert np.array_equal(found.range[measured], lens.range[measured] - 5000)
-    assert not found.range[~measured].any()
-
-
-def test_a_camera_that_moves_loses_what_16_bits_do_not_hold() -> None:
-    image = camera_image()
-    image.range[20, 12], image.labels[20, 12] = 3000, 0
-    assert (magnified(image, 1.25, moves_camera=True).range != 3000 - 5000 + 65536).all()
-    near = magnified(replace(image, range=np.minimum(image.range, 5000)), 1.25, moves_camera=True)
-    assert not near.range.any(), "the camera has passed it"
-    far = magnified(replace(image, range=np.where(image.range > 0, 65_000, 0).astype(np.uint16)), 0.8, True)
-    assert not far.range.any(), "2.5 m to 3.1 m, and 6.5 m to 7.1 m"
-
-
 def test_magnifications_are_spread_evenly_both_ways() -> None:
     image, random = camera_image(), drawn()
-    logarithms = [math.log(Zoom(2.0, False)(image, random).focal_px / image.focal_px, 2) for _ in range(1000)]
+    logarithms = [math.log(Zoom(2.0)(image, random).focal_px / image.focal_px, 2) for _ in range(1000)]
     assert -1 <= min(logarithms) < -0.98 and 0.98 < max(logarithms) <= 1
     assert abs(np.mean(logarithms)) < 4 / math.sqrt(3 * 1000)
 
@@ -246,7 +217,6 @@ def test_the_share_of_images_with_remnants_is_that_asked_for() -> None:
         (lambda: Roll(-1), "Roll: largest_deg must be from 0 to 180, found -1"),
         (lambda: Roll(float("nan")), "Roll: largest_deg must be from 0 to 180, found nan"),
         (lambda: Zoom(0.5), "Zoom: largest must be from 1 to 4, found 0.5"),
-        (lambda: Zoom(2.0, 1), "Zoom: moves_camera must be True or False, found 1"),
         (lambda: Crop(0, 5), "Crop: rows must be from 1 to 8192, found 0"),
         (lambda: Crop(5, 9000), "Crop: columns must be from 1 to 8192, found 9000"),
         (lambda: Crop(5, 5, "head"), "Crop: at must be 'axis' or 'body' or 'anywhere', found 'head'"),

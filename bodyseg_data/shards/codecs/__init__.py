@@ -6,10 +6,7 @@ from bodyseg_data.shards.codecs.bodyseg_images import BodysegImages
 from bodyseg_data.shards.codecs.codec import ImageCodec
 from bodyseg_data.shards.codecs.png import PngImages
 
-CODECS: Final[dict[str, ImageCodec]] = {
-    "bsi": BodysegImages(),
-    "png": PngImages(),
-}
+CODECS: Final[dict[str, ImageCodec]] = {"bsi": BodysegImages(), "png": PngImages()}
 """Name -> codec; the first is the default."""
 
 if TYPE_CHECKING:

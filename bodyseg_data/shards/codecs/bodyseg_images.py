@@ -191,10 +191,7 @@ def _frame(rows: Sequence[Bytes]) -> bytes:
 
 
 def decode_images(
-    data: bytes,
-    projector: bool,
-    out: tuple[Range, Bytes] | None = None,
-    unlabelled: int = UNLABELLED,
+    data: bytes, projector: bool, out: tuple[Range, Bytes] | None = None, unlabelled: int = UNLABELLED
 ) -> DecodedImages:
     """Decode all images. projector: decode the projector's range, too. unlabelled: see `ImageCodec.decode`.
 
