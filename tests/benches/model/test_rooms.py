@@ -220,6 +220,8 @@ def test_the_bench_measures_every_way_and_draws(
     recall = {name: way["real"][ROOM]["at"]["0.5"]["recall"] for name, way in figures["ways"].items()}
     assert recall == dict.fromkeys(WAYS, 1.0) | {"segment": 0.0}, "the network doubts that a board is a person"
     assert figures["ways"]["finder"]["made"]["all kinds"]["bodies_a_frame"] is None
+    assert set(figures["mirrored"]) == {"compact", "large"}
+    assert all(0 <= ways["mask"]["mirror"] <= 1 for ways in figures["mirrored"].values())
     assert 0 < len(figures.failures) <= 10
     draw_rooms(figures, tmp_path / "rooms.png")
     with Image.open(tmp_path / "rooms.png") as picture:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from benches.model.rooms.finders import Finder, Found, network_finder, segment_finder
 from benches.model.rooms.made import HELD_OUT, SEED, SENSORS, SETS, UNSEEN, make
+from benches.model.rooms.parts import mirrored_parts
 from benches.model.rooms.real import ROOM, THRESHOLDS, Marks, real, room_frames
 from benches.model.rooms.tallies import THRESHOLD, by_kind, by_property, by_set, counted, merged
 from bodyseg_data.core import ProgressCallback, silent
@@ -103,6 +104,7 @@ def bench_rooms(
                 figures[name]["real"] = real(finder, Path(data), THRESHOLDS[:1])
                 progress(len(tasks) + done + 1, total)
             failures += _real_failures(finders[DEFAULT], Path(data))
+        parts = {} if data is None else {"mirrored": mirrored_parts(Path(data))}
         times = _times(finders, None if data is None else Path(data))
     for name in WAYS:
         figures[name]["ms"] = times[name]
@@ -119,6 +121,7 @@ def bench_rooms(
             "before": read_json(SEARCH),
             "kinds": by_kind([thing for thing in tallies[DEFAULT]["things"] if thing["of"] == UNSEEN]),
             "properties": by_property(tallies[DEFAULT]),
+            **parts,
         },
         failures,
     )

@@ -272,17 +272,22 @@ def _read_posed(folder: Path) -> Recording:
     for real in cut_frames(folder, CUTS[POSED]):
         if real.name != _DOUBTFUL:
             pose = {name: np.array(poses[real.name][name], np.float64) for name in ("R", "t")}
-            frames.append(_frame(real, _largest(real.person), PlacedCamera(real.camera, pose["R"].T, pose["t"])))
+            frames.append(frame_of(real, _largest(real.person), PlacedCamera(real.camera, pose["R"].T, pose["t"])))
     return Recording(folder.name, frames, seen=frames)
 
 
 def _read_cut(folder: Path) -> Recording:
-    return Recording(folder.name, [_frame(real, real.person) for real in cut_frames(folder, CUTS[folder.name])])
+    return Recording(folder.name, [frame_of(real, real.person) for real in cut_frames(folder, CUTS[folder.name])])
 
 
 def _read_room(folder: Path) -> Recording:
+    return Recording(folder.name, [frame_of(real, real.person) for real in seen_in_room(folder)])
+
+
+def seen_in_room(folder: Path) -> list[RealFrame]:
+    """Some frames of the man in a room, in which much of him is in view. Raises BadConfig without any."""
     in_view = [real for real in room_frames(folder) if (real.person & (real.range_m > 0)).sum() >= _LEAST_PIXELS]
-    return Recording(folder.name, [_frame(real, real.person) for real in evenly_spaced(in_view, _VIEWS)])
+    return evenly_spaced(in_view, _VIEWS)
 
 
 _READERS: Final[Mapping[str, Callable[[Path], Recording]]] = {
@@ -292,7 +297,8 @@ _READERS: Final[Mapping[str, Callable[[Path], Recording]]] = {
 }
 
 
-def _frame(real: RealFrame, person: NDArray[np.bool_], placed: PlacedCamera | None = None) -> Frame:
+def frame_of(real: RealFrame, person: NDArray[np.bool_], placed: PlacedCamera | None = None) -> Frame:
+    """The frame without what is not the person's. placed: its camera, by default at the origin."""
     kept = np.where(person, real.range_m, np.float32(0))
     at = placed or PlacedCamera(real.camera, np.eye(3), np.zeros(3))
     return Frame(real.name, kept, np.flatnonzero(kept), at)
