@@ -80,6 +80,7 @@ def test_scores_reach_the_log_the_progress_line_and_tensorboard(
         (["--patience", "5"], "--patience is for a training with images to validate on"),
         (["--keep", "best"], "--keep is for a training with images to validate on"),
         (["--val-share", "0.5", "--val-every", "0"], "val_every must be a whole number of at least 1, found 0"),
+        (["--remnants", "-0.1"], "Remnants: share must be from 0 to 1, found -0.1"),
         (["--ema", "1"], "ema must be from 0 to 0.999999, found 1.0"),
     ],
 )
@@ -91,6 +92,14 @@ def test_bad_options_get_one_line(
     assert message in said
     assert said.count("\n") == 1
     assert not (tmp_path / "run").exists()
+
+
+def test_remnants_are_of_training_images_alone(small_set: Path, tmp_path: Path) -> None:
+    assert main(command(small_set, tmp_path, *VALIDATED, "--steps", "2", "--remnants", "0.5")) == 0
+    plan = json.loads((tmp_path / "run.json").read_text())
+    (transform,) = plan["data"]["transforms"]
+    assert (transform["name"], transform["share"]) == ("remnants", 0.5)
+    assert "remnants" not in json.dumps(plan["validation"])
 
 
 def parameters(trained: Trained) -> dict[str, torch.Tensor]:
