@@ -249,16 +249,25 @@ class Remnants(_Shipped):
         )
         behind = np.maximum(middle + gap / image.step_m + np.add.outer(down, across) - outline, 0.03 / image.step_m)
         wall = outline + behind * np.clip(away * _CELL / max(width * a_metre, 1e-3), 0, 1)
-        both = (ranges[:, 1:] > 0) & (ranges[:, :-1] > 0)
-        apart = np.abs(np.diff(ranges.astype(np.int32), axis=1))[both]
-        deviation = float(np.median(apart)) / 0.954 if len(apart) else 0.0  # of normal noise, from pairs of pixels
-        words = random.bit_generator.random_raw((ranges.size + 1) // 2).view(np.uint16).reshape(-1, 2)
-        noise, kept = (words[: ranges.size, of].reshape(ranges.shape) / 65536 for of in (0, 1))
-        seen = np.count_nonzero(ranges) / max(1, int(body.sum()) * _CELL**2)
-        added = _of_pixels(left_in) & (ranges == 0) & (kept < (seen if seen < 0.8 else 1.0))
-        found = np.clip(np.rint(_of_pixels(wall) + deviation * math.sqrt(12) * (noise - 0.5)), 1, _FARTHEST)
-        ranges[added] = found[added]
+        added = _of_pixels(left_in) & (ranges == 0)
+        ranges[added] = _measured(_of_pixels(wall), ranges, int(body.sum()) * _CELL**2, random)[added]
         return image
+
+
+def _measured(
+    wall: NDArray[np.float64], body: NDArray[np.uint16], covered: int, random: np.random.Generator
+) -> NDArray[np.float64]:
+    """Ranges [H, W] of a wall, in steps, with the noise of a body's, and 0 where it is lost as the body's pixels are.
+
+    covered: pixels of the cells with any of the body. Up to a fifth of them may lie beside it: then none is lost.
+    """
+    apart = np.abs(np.diff(body.astype(np.int32), axis=1))[(body[:, 1:] > 0) & (body[:, :-1] > 0)]
+    deviation = float(np.median(apart)) / 0.954 if len(apart) else 0.0  # of normal noise, from pairs of pixels
+    words = random.bit_generator.random_raw((body.size + 1) // 2).view(np.uint16).reshape(-1, 2)
+    noise, kept = (words[: body.size, of].reshape(body.shape) / 65536 for of in (0, 1))
+    seen = np.count_nonzero(body) / max(1, covered)
+    found = np.clip(np.rint(wall + deviation * math.sqrt(12) * (noise - 0.5)), 1, _FARTHEST)
+    return np.where(kept < (seen if seen < 0.8 else 1.0), found, 0.0)
 
 
 def _in_cells(first: int, end: int, side: int, more: int) -> tuple[int, int]:
