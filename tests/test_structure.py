@@ -225,7 +225,7 @@ LARGEST_DOORS = {
     "bodyseg_model.segmentation": 23,
     "bodyseg_data.machine": 22,
     "bodyseg_data.samples": 28,
-    "bodyseg_data.loading": 22,
+    "bodyseg_data.loading": 23,  # loaders, sets, and the transforms that ship
     "bodyseg_data.packing": 23,
 }
 """Rooms that offer more names than 21: how many at most."""
