@@ -242,7 +242,8 @@ class Remnants(_Shipped):
         own = np.where(body, in_cells.sum(axis=(1, 3)) / np.maximum(counts, 1), np.inf)
         outline, away = _spread(own, math.ceil(reach / _CELL))
         left_in = away * _CELL < reach * np.clip((_smooth(rows, columns, a_metre, random) + bias) / 2, 0, 1)
-        left_in &= (away > 0) | ~_inside(body)
+        amid = np.logical_and.reduce(_around(body, 1, corners=True))  # its lost pixels show no wall
+        left_in &= (away > 0) | ~amid
         down, across = (
             (np.arange(size) - size / 2) * (_CELL / a_metre / image.step_m) * most * (2 * unit(random) - 1)
             for size, most in ((rows, 0.2), (columns, 0.5))
@@ -286,12 +287,6 @@ def _around(cells: NDArray[Any], value: float, corners: bool) -> list[NDArray[An
     padded = np.pad(cells, 1, constant_values=value)
     every = [(down, across) for down in range(3) for across in range(3) if corners or (down + across) % 2]
     return [padded[down : down + rows, across : across + columns] for down, across in every]
-
-
-def _inside(body: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Cells of a body with eight of it around."""
-    inside: NDArray[np.bool_] = np.logical_and.reduce(_around(body, 1, corners=True))
-    return inside
 
 
 def _spread(own: NDArray[np.float64], rings: int) -> tuple[NDArray[np.float64], NDArray[np.intp]]:

@@ -158,10 +158,15 @@ def corrupted(sample: Sample, condition: SweepPoint, rig: Rig, seed: int) -> NDA
     if condition.sweep == "depth_steps":
         return _depth_steps(sample, condition.strength, rig.range_step_m)
     if condition.sweep == "remnants":
-        camera, draws = (rig.camera.focal_px, rig.camera.centre_px), Draws(seed, 0, sample.key).generator("remnants")
-        image = CameraImage(sample.key, sample.range.copy(), sample.labels, {}, rig.range_step_m, *camera, sample)
-        return Remnants(1.0, widest_m=condition.strength)(image, draws).range
+        return _with_remnants(sample, condition.strength, rig, seed)
     return _CROPS[condition.sweep](sample, condition.strength)
+
+
+def _with_remnants(sample: Sample, widest_m: float, rig: Rig, seed: int) -> NDArray[np.uint16]:
+    """Ranges with remnants of a wall, up to so wide, beside the body."""
+    pinhole = rig.range_step_m, rig.camera.focal_px, rig.camera.centre_px
+    image = CameraImage(sample.key, sample.range.copy(), sample.labels, {}, *pinhole, sample)
+    return Remnants(1.0, widest_m=widest_m)(image, Draws(seed, 0, sample.key).generator("remnants")).range
 
 
 def _depth_steps(sample: Sample, bits: float, step_m: float) -> NDArray[np.uint16]:

@@ -51,7 +51,9 @@ def test_the_large_network_says_where_it_is_from_and_how_good_it_is() -> None:
     assert compact == load_network().card
     for name in ("rig", "sensor", "variant", "network"):
         assert large[name] == compact[name], name
-    assert large["recipe"]["optimiser"] == "muon"
+    before, after = large["mean_of"]
+    assert before["pretrained"] is None and large["recipe"]["optimiser"] == "muon"
+    assert large["pretrained"]["weights_sha256"] == before["weights_sha256"] and before["share"] + after["share"] == 1
     for name in ("command", "commit", "hardware", "data", "least_confidence_of_people"):
         assert large[name], name
     scores = [card["scores"]["average_per_class_accuracy"] for card in (compact, large)]

@@ -203,19 +203,9 @@ def _stability() -> Iterator[Step]:
     yield _stability_of("stability_architectures", NETWORK_RUNS, reference=REFERENCE_RUNS)
     hidden = ("--sweeps", "hidden", "hidden_shown", "--images", "14", "--threads", "1")
     yield _stability_of("stability_hidden", (BOX,), BOX_LINKS, sweeps=hidden)
+    cut = ("patches", "stripes", "crop_above", "crop_below")
     everyday = ("tilt", "turned", "desk", "kick", "fist", "mixed", "remnants")
-    harms = (
-        "--sweeps",
-        "patches",
-        "stripes",
-        "crop_above",
-        "crop_below",
-        *everyday,
-        "--images",
-        "20",
-        "--threads",
-        "1",
-    )
+    harms = ("--sweeps", *cut, *everyday, "--images", "20", "--threads", "1")
     yield _stability_of("stability_shipped", ("compact", LARGE), sweeps=harms, drawn=True, reads=(SHIPPED,))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from benches.model.rooms.real import ROOM, RealFrame
 from benches.model.variants.real import Recording, frame_of, seen_in_room
 from bodyseg_model.networks import load_network
-from bodyseg_model.segmentation import Background, Segmenter
+from bodyseg_model.segmentation import Background, find_bodies
 
 NETWORKS: Final = "compact", "large"
 
@@ -23,11 +22,10 @@ def mirrored_parts(data: Path) -> dict[str, dict[str, dict[str, float]]]:
     is found are left out.
     """
     frames = seen_in_room(data / ROOM)
+    ways = {"mask": [frame.person for frame in frames], "segment": [_his(frame) for frame in frames]}
     found: dict[str, dict[str, dict[str, float]]] = {}
     for name in NETWORKS:
         trained = load_network(name)
-        segment = Segmenter(trained.network, frames[0].camera, Background("people"), rig=trained.rig)
-        ways = {"mask": [frame.person for frame in frames], "segment": [_his(segment, frame) for frame in frames]}
         found[name] = {}
         for way, people in ways.items():
             seen = [frame_of(frame, person) for frame, person in zip(frames, people, strict=True) if person.any()]
@@ -36,10 +34,10 @@ def mirrored_parts(data: Path) -> dict[str, dict[str, dict[str, float]]]:
     return found
 
 
-def _his(segment: Segmenter, frame: RealFrame) -> NDArray[np.bool_]:
+def _his(frame: RealFrame) -> NDArray[np.bool_]:
     """Of the people found, the one with most pixels of the mask, bool [H, W]; all False without any."""
-    found: Sequence[NDArray[np.intp]] = [body.pixels for body, _ in segment.find(frame.range_m).bodies]
+    found = find_bodies(frame.range_m, frame.camera, Background())
     person = np.zeros(frame.person.size, np.bool_)
     if found:
-        person[max(found, key=lambda pixels: int(frame.person.ravel()[pixels].sum()))] = True
+        person[max(found, key=lambda body: int(frame.person.ravel()[body.pixels].sum())).pixels] = True
     return person.reshape(frame.person.shape)
