@@ -336,6 +336,7 @@ STANCES: Final[dict[str, Stance]] = {
 CANDIDATE_STANCES: Final[dict[str, Stance]] = STANCES | {
     "arms_crossed": replace(STANCES["standing"], arms="across"),
     "sitting_with_crossed_arms": replace(STANCES["sitting_on_a_chair"], arms="across"),
+    "lying_straight": replace(STANCES["lying_on_the_back"], legs=((_LYING_FLAT, _LYING_FLAT),)),
     "lying_with_crossed_arms": replace(STANCES["lying_on_the_back"], arms="across"),
     "lying_with_raised_arms": replace(STANCES["lying_on_the_front"], arms="raised"),
     "raised_knee_with_raised_arms": replace(

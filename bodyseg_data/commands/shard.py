@@ -77,6 +77,7 @@ class Options:
     units: Units = option("unit of the mesh files", Packing.units)
     up: UpAxis = option("their axis that points up; a negative one as --up=-y", Packing.up)
     out: Path | None = option("folder for the shards; a packing cut short carries on where it stopped", None)
+    poses: tuple[str, ...] = option("poses of the bodies, as lying* (default: all)", ())
     meshes: int | None = option("number of bodies, evenly from every subset (default: all)", None)
     views: int | None = option("number of views of each body (default: all combinations)", None)
     distances: tuple[int, ...] = option("distances from the camera, cm", ViewGrid.distances_cm)

@@ -2,11 +2,12 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
-from bodyseg_data.bodies import SOURCES, BodyRef, BodySource, SourceEntry, Units, UpAxis, open_source
+from bodyseg_data.bodies import SOURCES, BodyRef, BodySource, SourceEntry, Units, UpAxis, collapsed, open_source
 from bodyseg_data.core import BadConfig, bounded, check_fields, reported
 from bodyseg_data.labels import PART_CLASSES, Classes
 from bodyseg_data.meshes import GeodesicMethod
@@ -25,15 +26,17 @@ PACKING_VERSION: Final = 3
 class Packing:
     """The options of a packing. All of them shape the bytes; the number of workers does not.
 
-    source, path, landmarks, units, up, pymeshlab: where bodies come from (`open_source`). meshes: how many of them,
-    taken evenly from every subset; all if None. views: of each body. renderer, codec: by name. shard_samples: samples a
-    shard. geodesics: how distances along the surface are measured. tolerance_mm, pymeshlab: how coarse meshes may be
-    (`reduced_body`). things: where things stand around the bodies (docs/reference/things.md). template: also pack the
-    map of the body, a column; the set's own bytes are the same without it.
+    source, path, landmarks, units, up, pymeshlab: where bodies come from (`open_source`). poses: shell patterns, one of
+    which their pose fits, if there are any. meshes: how many of them, taken evenly from every subset; all if None.
+    views: of each body. renderer, codec: by name. shard_samples: samples a shard. geodesics: how distances along the
+    surface are measured. tolerance_mm, pymeshlab: how coarse meshes may be (`reduced_body`). things: where things stand
+    around the bodies (docs/reference/things.md). template: also pack the map of the body, a column; the set's own bytes
+    are the same without it.
     """
 
     source: str
     path: Path | None = None
+    poses: tuple[str, ...] = ()
     meshes: int | None = bounded(None, 1)
     views: ViewGrid = field(default_factory=ViewGrid)
     rig: Rig = field(default_factory=load_rig)
@@ -57,8 +60,13 @@ class Packing:
             self.rig.check_reach(max(self.views.distances_cm) / 100)
 
     def bodies(self) -> list[BodyRef]:
-        """The bodies to pack, in the source's order. Raises BadConfig if the source has fewer than `meshes`."""
-        return evenly_sampled(self.opened().bodies(), self.meshes)
+        """The bodies to pack, in the source's order. Raises BadConfig if none is of `poses`, or fewer than `meshes`."""
+        bodies = self.opened().bodies()
+        wanted = [body for body in bodies if not self.poses or any(fnmatchcase(body.pose, each) for each in self.poses)]
+        if not wanted:
+            names = ", ".join(collapsed(sorted({body.pose for body in bodies})))
+            raise BadConfig(f"no body of {self.source} has a pose like {' or '.join(self.poses)}; its poses: {names}")
+        return evenly_sampled(wanted, self.meshes)
 
     def views_of(self, body: BodyRef) -> Iterator[View]:
         """The views of one body, in their order."""

@@ -290,7 +290,7 @@ def drawn_pose(index: int) -> Pose:
 
 
 EVERYDAY: Final = 1040
-CANDIDATES: Final = 90
+CANDIDATES: Final = 570
 
 POSES_VERSION: Final = 1
 """Raised whenever a change of the sampler changes a pose, so that packed sets are told from each other."""
@@ -396,7 +396,7 @@ class EverydayBodies(MadeBodies):
 
 
 class CandidateBodies(EverydayBodies):
-    """Subset "candidates": 90 more people in the poses of `CANDIDATE_STANCES`, one in five for testing.
+    """Subset "candidates": 570 more people in the poses of `CANDIDATE_STANCES`, 19 of them for testing.
 
     `bench mining` finds those of them that a network labels worst, to train it further.
     """
@@ -404,4 +404,4 @@ class CandidateBodies(EverydayBodies):
     _NAME = "candidates"
     _NUMBERS = range(EVERYDAY, EVERYDAY + CANDIDATES)
     _STANCES = tuple(CANDIDATE_STANCES)
-    _TESTED = _NUMBERS[::5]
+    _TESTED = _NUMBERS[:95:5]
