@@ -25,8 +25,9 @@ demo: $(VENV)/.demo
 
 # Two files of tests at a time, long ones first (tests/conftest.py), each with one thread of PyTorch: twice two threads
 # wait for each other.
+# Rules of structure are in `check`.
 test: install
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --ignore tests/test_structure.py
 
 # Folders and files whose tests call compiled loops.
 LOOPED := tests/machine tests/labels tests/artifacts tests/segmentation tests/training/test_geometric.py tests/training/test_mirror.py \

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import graphlib
 import importlib
 import inspect
@@ -67,10 +68,16 @@ def modules() -> dict[str, Path]:
     return found
 
 
+@functools.cache
+def nodes_of(text: str) -> tuple[ast.AST, ...]:
+    """All nodes of a module's syntax tree: many rules read the same hundreds of modules."""
+    return tuple(ast.walk(ast.parse(text)))
+
+
 def imports(text: str, known: set[str]) -> set[str]:
     """The project's modules that a module's text imports, or names in a string that is a module's dotted name."""
     found: set[str] = set()
-    for node in ast.walk(ast.parse(text)):
+    for node in nodes_of(text):
         if isinstance(node, ast.ImportFrom):
             assert node.module and not node.level, "imports are absolute"
             for alias in node.names:
@@ -145,7 +152,7 @@ def room_of(module: str) -> str:
 
 def from_imports(text: str, known: set[str]) -> Iterable[tuple[str, str | None]]:
     """(module, name) of every name that a text imports from the project; the name is None for a module as a whole."""
-    for node in ast.walk(ast.parse(text)):
+    for node in nodes_of(text):
         if isinstance(node, ast.ImportFrom):
             for alias in node.names:
                 whole = f"{node.module}.{alias.name}"
@@ -291,7 +298,9 @@ def test_no_two_public_classes_have_one_name() -> None:
     homes: dict[str, list[str]] = {}
     for module, path in modules().items():
         if not module.startswith("benches"):
-            for node in ast.parse(path.read_text()).body:
+            module_node, *_ = nodes_of(path.read_text())
+            assert isinstance(module_node, ast.Module)
+            for node in module_node.body:
                 if isinstance(node, ast.ClassDef) and not node.name.startswith("_") and node.name != "Options":
                     homes.setdefault(node.name, []).append(module)
     assert not {name: found for name, found in homes.items() if len(found) > 1}
@@ -307,7 +316,7 @@ def said(path: Path) -> Iterable[str]:
     """What a file of a package may say to users: the strings of a module but its docstrings, other text files whole."""
     if path.suffix != ".py":
         return path.read_text().splitlines()
-    nodes = list(ast.walk(ast.parse(path.read_text())))
+    nodes = nodes_of(path.read_text())
     docstrings = {node.value for node in nodes if isinstance(node, ast.Expr)}
     strings = [node for node in nodes if isinstance(node, ast.Constant) and node not in docstrings]
     return [node.value for node in strings if isinstance(node.value, str)]

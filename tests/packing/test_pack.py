@@ -408,3 +408,16 @@ def _alive(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except (ProcessLookupError, FileNotFoundError):
         return False
+
+
+def test_a_set_may_be_of_some_poses() -> None:
+    some = Packing("everyday", poses=("lying*", "kneeling"), meshes=12)
+    everything = open_source("everyday").bodies()
+    found = some.bodies()
+    assert {body.pose for body in found} > {"kneeling", "lying_on_the_back"}
+    assert all(body.pose.startswith(("lying", "kneeling")) for body in found)
+    lying = [body for body in everything if body.pose.startswith("lying")]
+    assert Packing("everyday", poses=("lying*",)).bodies() == lying != everything
+    assert plan(some)["meshes"] == 12
+    with pytest.raises(BadConfig, match="no body of everyday has a pose like flying or sleeping; its poses: bending, "):
+        Packing("everyday", poses=("flying", "sleeping")).bodies()
