@@ -169,7 +169,7 @@ class FrameLabeller:
         """
         surest = np.zeros(4)
         for quarters in range(4):
-            answer = self._segmenter(camera, turned=quarters)(range_m)
+            answer = self._segmenter(camera, turned=quarters, either_way=False)(range_m)
             surest[quarters] = max((float(body.confidence.mean()) for body in answer.bodies), default=0.0)
         self._looked_at += 1
         if surest.max() >= _PERSON:

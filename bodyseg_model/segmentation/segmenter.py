@@ -32,7 +32,7 @@ from bodyseg_model.segmentation.views import (
 )
 
 STAGES: Final = ("find", "resample", "network", "back", "video")
-
+_SURE: Final = 0.8  # mean confidence of labels: of people who stand two of 276 images had less, of those who lie half
 
 LEAST_CONFIDENCE: Final = "least_confidence_of_people"
 """Entry of a network's card: bodies are things whose mean probability of a person, times the mean confidence of their
@@ -182,7 +182,8 @@ class Segmenter:
     carries evidence from frame to frame of a recording, whose frames must then come in order (`CarriedLabels`); None to
     label each alone. turned: right angles by which the camera was mounted turned clockwise, as seen from behind it.
     label_map: the network's classes; by default the 33 parts for a network of 33. dense: also tell where on the
-    template of the body each pixel lies (`Segmentation.template`). Raises BadConfig for a confidence outside 0 to 1, a
+    template of the body each pixel lies (`Segmentation.template`). either_way: a person of whose parts the network is
+    unsure is labelled upside down, too, and the surer labels stay. Raises BadConfig for a confidence outside 0 to 1, a
     camera with distortion, a network that is no finder, or knows no places and is to be dense; MissingLibrary without
     numba.
     """
@@ -201,6 +202,7 @@ class Segmenter:
         label_map: LabelMap | None = None,
         finder: Network | None = None,
         dense: bool = False,
+        either_way: bool = True,
     ) -> None:
         if not 0 <= least_confidence <= 1:
             raise BadConfig(f"a confidence must be 0 to 1, found {least_confidence:g}")
@@ -226,6 +228,7 @@ class Segmenter:
             view_of(self.finder, self._upright)  # now, so that what is no finder is refused
         self.label_map = label_map or (PARTS33 if network.classes == PART_COUNT else None)
         self._asked = dense, self.label_map == PARTS33
+        self._either_way = either_way and self.label_map == PARTS33 and self.background.mode != "frame"
         self._prepared = False
 
     def __repr__(self) -> str:
@@ -269,6 +272,8 @@ class Segmenter:
         bodies, things = list[LabelledBody](), list[LabelledBody]()
         with watch("network"):
             answers = predict_each(self._network, [view.range_m for _, view in found.bodies], *self._asked)
+            if self._either_way:
+                self._turn_unsure(found, answers)
         with watch("back"):
             for ((pixels, person), view), answer in zip(found.bodies, answers, strict=True):
                 own_labels, confidence, *places = map(view.back, answer)
@@ -285,17 +290,19 @@ class Segmenter:
                 labels = self.video(range_m, labels, seen, self._upright)
         for labelled in bodies:
             labels.ravel()[labelled.pixels[labelled.confidence < self.least_confidence]] = BACKGROUND
-        segmentation = Segmentation(
-            labels,
-            tuple(bodies),
-            watch.milliseconds,
-            range_m,
-            self.camera,
-            tuple(things),
-            self.mirrored,
-            self.label_map,
-        )
+        made = labels, tuple(bodies), watch.milliseconds, range_m, self.camera, tuple(things)
+        segmentation = Segmentation(*made, self.mirrored, self.label_map)
         return _turned_back(segmentation, self.turned) if self.turned else segmentation
+
+    def _turn_unsure(self, found: FoundBodies, answers: list[tuple[NDArray[Any], ...]]) -> None:
+        """Replace answers of which the network is unsure by those to views upside down, where it is surer of these: of
+        people who lie it has seen more from one end than from the other.
+        """
+        unsure = [n for n, (_, sure, *_) in enumerate(answers) if sure.sum() < _SURE * np.count_nonzero(sure)]
+        views = [turned_image(found.bodies[n][1].range_m, 2) for n in unsure]
+        for n, answer in zip(unsure, predict_each(self._network, views, *self._asked), strict=True):
+            if answer[1].sum() > answers[n][1].sum():
+                answers[n] = tuple(turned_image(each, 2) for each in answer)
 
     def prepare(self) -> None:
         """Load the compiled loops and label usual views, so that the first frames take no longer than others: a network
@@ -305,8 +312,7 @@ class Segmenter:
         if self._prepared:
             return
         self._prepared = True
-        rows, columns = self._upright.rows, self._upright.columns
-        room = np.full((rows, columns), self.background.far_m, np.float32)
+        room = np.full((self._upright.rows, self._upright.columns), self.background.far_m, np.float32)
         find_bodies(room, self._upright, self.background, self.finder)
         if self.finder is not None:
             part_people(room, room > 0, self._upright)

@@ -86,8 +86,8 @@ def test_pixels_get_the_numbers_of_interpolated_places(by_part: bool) -> None:
 
 
 def test_labels_are_the_same_bits_beside_points() -> None:
-    frame, plain = standing(), Segmenter(network(), LENS, KEEP)
-    seen, told = plain(frame), Segmenter(network(), LENS, KEEP, dense=True)(frame)
+    frame, plain = standing(), Segmenter(network(), LENS, KEEP, either_way=False)
+    seen, told = plain(frame), Segmenter(network(), LENS, KEEP, dense=True, either_way=False)(frame)
     assert np.array_equal(seen.labels, told.labels) and np.array_equal(seen.confidence, told.confidence)
     assert (seen.template == NOWHERE).all() and seen.bodies[0].places is None
     template = told.template

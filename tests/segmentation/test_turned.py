@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from label_networks import Places
 from numpy.typing import NDArray
 from pngs import pixels, png
@@ -15,11 +16,12 @@ from small_rig import SMALL
 
 from bodyseg_data import RangeImages, example_set
 from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import PARTS33
 from bodyseg_data.rigs import Camera, Distortion
 from bodyseg_model.commands import main
 from bodyseg_model.networks import Trained, load_network
 from bodyseg_model.recordings import find_frames, to_metres
-from bodyseg_model.segmentation import Background, FrameLabeller, Segmentation
+from bodyseg_model.segmentation import Background, FrameLabeller, Segmentation, Segmenter
 from bodyseg_model.sensor_fit import read_recording
 
 UPRIGHT = Camera(60, 80, 100.0, (37.0, 31.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
@@ -176,3 +178,47 @@ def test_sensor_fit_seeks_bodies_upright(tmp_path: Path) -> None:
 
 def test_the_network_that_ships_may_be_given() -> None:
     assert FrameLabeller(load_network(), turned=180).quarters(UPRIGHT) == 2
+
+
+class OneEnd(Places):
+    """Sure of bodies whose farther half is above, as of a person who lies with the feet to the camera."""
+
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+        found = super().scores(range_m)
+        rows = torch.arange(range_m.shape[2])[:, None].expand(range_m.shape[2:])
+        for image, answer in zip(range_m[:, 0], found, strict=True):
+            seen, middle = image > 0, rows[image > 0].float().median()
+            above, below = image[seen & (rows < middle)], image[seen & (rows > middle)]
+            if above.numel() and below.numel() and above.mean() < below.mean():
+                answer.clamp_(max=3.5657)  # 52 %
+        return found
+
+
+def test_a_person_of_whom_the_network_is_sure_upside_down_is_labelled_so() -> None:
+    frame = np.zeros((60, 80), np.float32)
+    frame[10:52, 30:42] = np.linspace(2.3, 2.0, 42, dtype=np.float32)[:, None]  # farther above
+    flipped = np.ascontiguousarray(np.rot90(frame, 2))
+    centred = replace(UPRIGHT, centre_px=(40.0, 30.0))
+
+    def segmenter(either_way: bool = True) -> Segmenter:
+        return Segmenter(OneEnd(0, 5), centred, Background("keep"), rig=SMALL, either_way=either_way)
+
+    usual, turned, left = segmenter()(frame), segmenter()(flipped), segmenter(either_way=False)(flipped)
+    assert usual.bodies[0].mean_confidence > 0.99 and left.bodies[0].mean_confidence < 0.6
+    shown = frame > 0
+    back, unturned = (np.rot90(found.labels, 2)[shown].astype(int) for found in (turned, left))
+    assert np.abs(back - usual.labels[shown]).max() <= 1  # a row more or less: views begin at whole pixels
+    assert np.abs(unturned - usual.labels[shown]).max() > 5
+    np.testing.assert_array_equal(np.rot90(turned.confidence, 2), usual.confidence)
+    sure, unsure = segmenter(), segmenter(either_way=False)
+    np.testing.assert_array_equal(sure(frame).labels, unsure(frame).labels)
+    assert len(sure._network.seen) == 1  # who is seen well is looked at once
+
+
+def test_networks_of_other_classes_see_no_view_upside_down() -> None:
+    frame = np.zeros((60, 80), np.float32)
+    frame[10:52, 30:42] = 3.0
+    label_map = replace(PARTS33, name="own")
+    network = Places(0, 5, sure_m=0.5)
+    Segmenter(network, UPRIGHT, Background("keep"), rig=SMALL, label_map=label_map)(frame)
+    assert len(network.seen) == 1
