@@ -22,17 +22,10 @@ from bodyseg_model.segmentation.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.finder import Background, Found, find_bodies, part_people, shipped_finder, view_of
 from bodyseg_model.segmentation.joints import found_joints
 from bodyseg_model.segmentation.persons import Records, SurfacePixels
-from bodyseg_model.segmentation.views import (
-    BodyView,
-    check_size,
-    compile_views_ahead,
-    usual_views,
-    view_body,
-    view_frame,
-)
+from bodyseg_model.segmentation.views import BodyView, check_size, compile_loops, usual_views, view_body, view_frame
 
 STAGES: Final = ("find", "resample", "network", "back", "video")
-_SURE: Final = 0.8  # mean confidence of labels: of people who stand two of 276 images had less, of those who lie half
+_SURE, _LEAN_M = 0.8, 0.15  # of 276 images of people who stand at most three are less sure, half of those who lie
 
 LEAST_CONFIDENCE: Final = "least_confidence_of_people"
 """Entry of a network's card: bodies are things whose mean probability of a person, times the mean confidence of their
@@ -171,6 +164,13 @@ def _turned_back(answer: Segmentation, quarters: int) -> Segmentation:
     return replace(answer, labels=labels, bodies=bodies, things=things, range_m=range_m)
 
 
+def _leans_away(range_m: NDArray[np.float32]) -> bool:
+    """True for a view whose upper third of pixels is farther away than its lower third."""
+    seen = range_m[range_m > 0]
+    third = max(1, len(seen) // 3)
+    return bool(seen[:third].mean() > seen[-third:].mean() + _LEAN_M)
+
+
 class Segmenter:
     """Labels the frames of one camera, each independently or, with `video`, steadied by those before it.
 
@@ -209,7 +209,7 @@ class Segmenter:
         if camera.distortion is not None:
             raise BadConfig(f"frames must be undistorted before they are labelled, found {camera.distortion}")
         required("numba", "labelling frames", "segment")
-        compile_views_ahead()
+        compile_loops()
         self.camera, self.mirrored, self.least_confidence = camera, mirrored, least_confidence
         self.turned, self._upright = turned % 4, camera.turned(turned)
         self.background = background or Background()
@@ -272,8 +272,7 @@ class Segmenter:
         bodies, things = list[LabelledBody](), list[LabelledBody]()
         with watch("network"):
             answers = predict_each(self._network, [view.range_m for _, view in found.bodies], *self._asked)
-            if self._either_way:
-                self._turn_unsure(found, answers)
+            self._turn_unsure(found, answers)
         with watch("back"):
             for ((pixels, person), view), answer in zip(found.bodies, answers, strict=True):
                 own_labels, confidence, *places = map(view.back, answer)
@@ -296,11 +295,12 @@ class Segmenter:
 
     def _turn_unsure(self, found: FoundBodies, answers: list[tuple[NDArray[Any], ...]]) -> None:
         """Replace answers of which the network is unsure by those to views upside down, where it is surer of these: of
-        people who lie it has seen more from one end than from the other.
+        people who lie, whose upper end in a view is farther away, it has seen more from one end than from the other.
         """
         unsure = [n for n, (_, sure, *_) in enumerate(answers) if sure.sum() < _SURE * np.count_nonzero(sure)]
-        views = [turned_image(found.bodies[n][1].range_m, 2) for n in unsure]
-        for n, answer in zip(unsure, predict_each(self._network, views, *self._asked), strict=True):
+        views = {n: view for n in unsure if self._either_way and _leans_away(view := found.bodies[n][1].range_m)}
+        others = predict_each(self._network, [turned_image(view, 2) for view in views.values()], *self._asked)
+        for n, answer in zip(views, others, strict=True):
             if answer[1].sum() > answers[n][1].sum():
                 answers[n] = tuple(turned_image(each, 2) for each in answer)
 

@@ -179,7 +179,7 @@ def _loops() -> Any:
 
 
 @cache
-def compile_views_ahead() -> None:
+def compile_loops() -> None:
     """Have another process compile the loops of views and labels, while this one compiles other loops; once."""
     compile_ahead(_loops().fill_lost, _label_once)
 
