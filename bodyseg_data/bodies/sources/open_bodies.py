@@ -396,7 +396,7 @@ class EverydayBodies(MadeBodies):
 
 
 class CandidateBodies(EverydayBodies):
-    """Subset "candidates": 570 more people in the poses of `CANDIDATE_STANCES`, 19 of them for testing.
+    """Subset "candidates": 570 more people in the poses of `CANDIDATE_STANCES`, one of each for testing.
 
     `bench mining` finds those of them that a network labels worst, to train it further.
     """
@@ -404,4 +404,4 @@ class CandidateBodies(EverydayBodies):
     _NAME = "candidates"
     _NUMBERS = range(EVERYDAY, EVERYDAY + CANDIDATES)
     _STANCES = tuple(CANDIDATE_STANCES)
-    _TESTED = _NUMBERS[:95:5]
+    _TESTED = _NUMBERS[: 5 * len(CANDIDATE_STANCES) : 5]
