@@ -15,13 +15,13 @@ from bodyseg_data.bodies import open_source
 from bodyseg_data.bodies.sources.paper import ScapeBodies
 from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh, BadSample, BodysegError
 from bodyseg_data.meshes import LandmarkSet, Mesh, load_landmarks, partition, read_mesh
-from bodyseg_data.meshes.geodesics import check_method
+from bodyseg_data.meshes.geodesics import nearest_sources
 from bodyseg_data.packing import Packing, check_engine
 from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rigs import Camera, load_rig
 from bodyseg_data.rigs.rig import parse_rig
 from bodyseg_data.samples import ViewGrid, check_key, steps
-from bodyseg_data.shards import check_codec, read_manifest
+from bodyseg_data.shards import encode_sample, read_manifest
 from bodyseg_data.shards.sample_codec import decode_sample
 from bodyseg_model.networks import build, load_network
 from bodyseg_model.recordings import metres_a_step
@@ -83,12 +83,12 @@ CASES: dict[str, Case] = {
         "the renderer must be one of raster, embree, opengl, found 'povray'",
     ),
     "pack with an unknown codec": (
-        lambda: check_codec("jpg"),
+        lambda: encode_sample(NAME, "jpg"),
         BadConfig,
         "the codec must be one of bsi, png, found 'jpg'",
     ),
     "pack with an unknown distance": (
-        lambda: check_method(NAME),
+        lambda: nearest_sources(NAME, POINTS, FACES, np.array([0])),
         BadConfig,
         "the method for distances must be one of exact, unfolded, edges, found 'hot'",
     ),
@@ -310,7 +310,7 @@ LOADER: dict[str, tuple[dict[str, Any], str]] = {
         "24 samples cannot be shared out to 7 ranks in equally many batches of 1: "
         "use a larger batch_size, or drop_last=True",
     ),
-    "errors ignored": ({"on_error": "ignore"}, "on_error must be stop or skip, found 'ignore'"),
+    "errors ignored": ({"on_error": "ignore"}, "on_error must be one of stop, skip, found 'ignore'"),
     "skipping without a budget": (
         {"on_error": "skip"},
         "on_error='skip' and a skip_budget belong together, found 'skip' and None",

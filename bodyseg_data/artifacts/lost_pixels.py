@@ -151,13 +151,7 @@ class _ShareLost(Artifact):
     kind = "missing_data"
 
     low: float = bounded(0.0, 0, 1)
-    high: float = bounded(0.2, 0, 1)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.low > self.high:
-            found = f"low {self.low} and high {self.high}"
-            raise BadConfig(f"shares of lost pixels must satisfy low <= high, found {found}")
+    high: float = bounded(0.2, 0, 1, not_below="low")
 
     def draw(self, draws: Draws) -> dict[str, float]:
         """As `Artifact.draw`: the share lost."""

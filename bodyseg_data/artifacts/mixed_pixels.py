@@ -6,7 +6,7 @@ import numpy as np
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.noise import as_range, drawn_bits
-from bodyseg_data.core import BadConfig, Draws, bounded
+from bodyseg_data.core import Draws, bounded
 from bodyseg_data.machine import if_ready, loops
 
 
@@ -27,21 +27,11 @@ class MixedPixels(Artifact):
     kind = "noise"
     purposes = ("mixed pixels", "mixed share", "mixed background")
 
-    share: float = bounded(0.5, 0, 1)
-    background_m: float | None = bounded(None, 0, 100, above=True)
+    share: float = bounded(0.5, 0, 1, not_below="least")
+    background_m: float | None = bounded(None, 0, 100, above=True, not_below="nearest_m")
     jump_mm: float = bounded(30.0, 0, 10_000, above=True)
     least: float | None = bounded(None, 0, 1)
     nearest_m: float | None = bounded(None, 0, 100, above=True)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.least is not None and self.least > self.share:
-            raise BadConfig(f"mixed pixels must satisfy least <= share, found least {self.least}, share {self.share}")
-        if self.nearest_m is not None and (self.background_m is None or self.nearest_m > self.background_m):
-            raise BadConfig(
-                "mixed pixels must satisfy nearest_m <= background_m, "
-                f"found nearest_m {self.nearest_m}, background_m {self.background_m}"
-            )
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         share, wall_m = self.share, self.background_m or 0.0

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.artifacts.constants import FIRST_SEGMENT, OFFSET_MASK, SEGMENT_SHIFT, SEGMENTS
-from bodyseg_data.core import BadConfig, Draws, bounded
+from bodyseg_data.core import Draws, bounded
 from bodyseg_data.machine import if_ready, loops
 
 
@@ -26,12 +26,7 @@ class Noise(Artifact):
     drawn: ClassVar[Mapping[str, str]] = {"sigma_mm": "noise {:.0f} mm"}
 
     low_mm: float = bounded(0.0, 0, 1000)
-    high_mm: float = bounded(100.0, 0, 1000)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.low_mm > self.high_mm:
-            raise BadConfig(f"noise must satisfy low <= high, found low {self.low_mm} and high {self.high_mm}")
+    high_mm: float = bounded(100.0, 0, 1000, not_below="low_mm")
 
     def sigma_mm(self, chance: float) -> float:
         """The standard deviation of one image, millimetres; chance: uniform from 0 to below 1."""

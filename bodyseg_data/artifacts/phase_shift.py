@@ -66,23 +66,16 @@ class PhaseShift(Artifact):
     read_noise_e: float = bounded(20.0, 0, 1e6)
     threshold_e: float = bounded(160.0, 0, 1e9)
     dimmest: float = bounded(0.0, 0, 1000)
-    brightest: float = bounded(0.5, 0, 1000)
+    brightest: float = bounded(0.5, 0, 1000, not_below="dimmest")
     gamma: float = bounded(1.05, 0.3, 4)
     aperture_mm: float = bounded(4.3, 0, 1000)
     edge_fringes: float = bounded(0.1, 0, 0.5)
     jumps_found: float = bounded(0.8, 0, 1)
     slowest_m_s: float = bounded(0.0, 0, 100)
-    fastest_m_s: float = bounded(2.0, 0, 100)
+    fastest_m_s: float = bounded(2.0, 0, 100, not_below="slowest_m_s")
     darkest: float = bounded(0.01, 0, 1)
-    lightest: float = bounded(0.8, 0, 1)
+    lightest: float = bounded(0.8, 0, 1, not_below="darkest")
     patterned: float = bounded(0.5, 0, 1)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for low, high in (("dimmest", "brightest"), ("slowest_m_s", "fastest_m_s"), ("darkest", "lightest")):
-            if getattr(self, low) > getattr(self, high):
-                found = f"{low} {getattr(self, low)} and {high} {getattr(self, high)}"
-                raise BadConfig(f"phase_shift must satisfy {low} <= {high}, found {found}")
 
     def draw(self, draws: Draws) -> dict[str, float]:
         """As `Artifact.draw`: "speed_m_s"; "ambient", a share of `signal_e`; "coat", its reflectance."""

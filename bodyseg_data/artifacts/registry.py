@@ -15,7 +15,7 @@ from bodyseg_data.artifacts.mixed_pixels import MixedPixels
 from bodyseg_data.artifacts.noise import Noise
 from bodyseg_data.artifacts.occlusion import Occlusion
 from bodyseg_data.artifacts.phase_shift import PhaseShift
-from bodyseg_data.core import BadConfig, reported
+from bodyseg_data.core import BadConfig, check_choice, reported
 
 ARTIFACTS: Final[dict[str, type[Artifact]]] = {
     "occlusion": Occlusion,
@@ -41,8 +41,7 @@ def artifact_class(name: str) -> type[Artifact]:
     if name in ARTIFACTS:
         return ARTIFACTS[name]
     added = {entry.name: entry for entry in metadata.entry_points(group=ENTRY_POINT)}
-    if name not in added:
-        raise BadConfig(f"an artifact must be one of {', '.join((*ARTIFACTS, *added))}, found {name!r}")
+    check_choice("an artifact", name, (*ARTIFACTS, *added))
     return _loaded(added[name])
 
 

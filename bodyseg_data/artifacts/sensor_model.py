@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from bodyseg_data.artifacts.artifact import Artifact
 from bodyseg_data.artifacts.registry import artifact_class, check_artifact_class
-from bodyseg_data.core import BadConfig, reported
+from bodyseg_data.core import BadConfig, check_choice, reported
 from bodyseg_data.files import Table, TomlFiles
 
 SENSOR_FORMAT: Final = "bodyseg sensor 1"
@@ -230,9 +230,7 @@ def _artifact(name: str, strengths: Mapping[str, Any], where: str) -> Artifact:
         kind = artifact_class(name)
     known = [field.name for field in fields(kind)]
     for strength in strengths:
-        if strength not in known:
-            allowed = ", ".join(known) or "none"
-            raise BadConfig(f"{where}: a strength of {name} must be one of {allowed}, found {strength!r}")
+        check_choice(f"{where}: a strength of {name}", strength, known)
     values = {each: tuple(value) if isinstance(value, list) else value for each, value in strengths.items()}
     try:
         return kind(**values)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.artifact import Artifact, Kind, RangeImage, Scene
 from bodyseg_data.artifacts.scratch import copy_unless_same
 from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
-from bodyseg_data.core import BadConfig, BadSample, Draws, check_epoch, check_seed
+from bodyseg_data.core import BadConfig, BadSample, Draws, check_choice, check_epoch, check_seed
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import if_ready, loops
 from bodyseg_data.rigs import Rig
@@ -50,10 +50,7 @@ _PRESETS: Final = VARIANTS | PAIRS
 
 def check_variant(name: str) -> VariantName:
     """`name` if a variant is called so. Raises BadConfig."""
-    for known in _PRESETS:
-        if name == known:
-            return known
-    raise BadConfig(f"the variant must be one of {', '.join(_PRESETS)}, found {name!r}")
+    return check_choice("the variant", name, _PRESETS)
 
 
 def kinds_of(variant: str) -> tuple[Kind, ...]:

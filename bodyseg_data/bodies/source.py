@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.alignment import Units, UpAxis
-from bodyseg_data.core import BadConfig, check_fields
+from bodyseg_data.core import BadConfig, Checked
 from bodyseg_data.meshes import GeodesicMethod, Mesh, Partition, SceneMesh, SurfacePiece, partition
 from bodyseg_data.samples import Split
 
@@ -55,7 +55,7 @@ def collapsed(names: Sequence[str]) -> list[str]:
 
 
 @dataclass(frozen=True)
-class MeshOptions:
+class MeshOptions(Checked):
     """Options of all sources that read mesh files.
 
     units, up: unit of the files and their axis that points up, found from body and landmarks if "auto" (`alignment`).
@@ -66,9 +66,6 @@ class MeshOptions:
     units: Units = "auto"
     up: UpAxis = "auto"
     pymeshlab: bool = False
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 DEFAULTS: Final = MeshOptions()

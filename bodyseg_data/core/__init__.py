@@ -13,14 +13,16 @@ if TYPE_CHECKING:
         BadShard,
         BodysegError,
         Bounds,
+        Checked,
         MissingLibrary,
         bounded,
+        check_choice,
         check_fields,
         check_int,
         one_line,
         reported,
     )
-    from bodyseg_data.core.progress import NotedProgress, ProgressCallback, Stopwatch, counter, silent
+    from bodyseg_data.core.progress import NotedProgress, ProgressCallback, Stopwatch, silent
     from bodyseg_data.core.randomness import Draws, check_epoch, check_seed
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -7,14 +7,16 @@ status 2; code that uses the library can catch `BodysegError` or one of its subc
 import math
 import types
 import typing
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from functools import cache
 from numbers import Integral, Real
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, TypeVar
 
 _LONGEST: Final = 1000
+
+Choice = TypeVar("Choice")
 
 
 def one_line(text: str) -> str:
@@ -80,6 +82,14 @@ def check_int(name: str, value: Any, least: int) -> int:
     return int(value)
 
 
+def check_choice(name: str, value: Any, choices: Iterable[Choice], raises: type[Exception] = BadConfig) -> Choice:
+    """Return the one of `choices` that `value` is. Raises an error of the kind `raises`, calling it `name`, if none."""
+    known = tuple(choices)
+    if value not in known:
+        raise raises(f"{name} must be one of {', '.join(map(str, known)) or 'none'}, found {value!r}")
+    return known[known.index(value)]
+
+
 @dataclass(frozen=True)
 class Bounds:
     """Finite numbers from `low` to `high` that a field may hold; above: without `low` itself."""
@@ -98,12 +108,15 @@ class Bounds:
         return f"{'above' if self.above else 'from'} {self.low:g} {'and at most' if self.above else 'to'} {self.high:g}"
 
 
-def bounded(default: Any, low: float, high: float = math.inf, *, above: bool = False) -> Any:
+def bounded(
+    default: Any, low: float, high: float = math.inf, *, above: bool = False, not_below: str | None = None
+) -> Any:
     """Declare a dataclass's field whose number, or each number of a tuple, lies within `Bounds`; None may stand.
 
-    default: `dataclasses.MISSING` for a field that must be given.
+    default: `dataclasses.MISSING` for a field that must be given. not_below: name of a field whose number, unless None,
+    needs one here that is as large or larger.
     """
-    return field(default=default, metadata={"bounds": Bounds(low, high, above)})
+    return field(default=default, metadata={"bounds": Bounds(low, high, above), "not_below": not_below})
 
 
 def check_fields(options: Any) -> None:
@@ -121,6 +134,20 @@ def check_fields(options: Any) -> None:
         numbers = value if isinstance(value, tuple | list) else () if value is None else (value,)
         if bounds is not None and not all(map(bounds.take, numbers)):
             raise BadConfig(f"{kind.__name__}: {each.name} must be {bounds}, found {value!r:.100}")
+    for each in fields(options):
+        if (lower := each.metadata.get("not_below")) is not None:
+            least, most = getattr(options, lower), getattr(options, each.name)
+            if least is not None and (most is None or least > most):
+                raise BadConfig(f"{kind.__name__}: {lower} must be at most {each.name}, found {least} and {most}")
+
+
+@dataclass(frozen=True)
+class Checked:
+    """Base of frozen dataclasses whose fields `check_fields` checks when one is made."""
+
+    def __post_init__(self) -> None:
+        """Raise BadConfig for a value of another type than its field's, or out of its bounds (`bounded`)."""
+        check_fields(self)
 
 
 @cache

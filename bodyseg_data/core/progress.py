@@ -15,18 +15,6 @@ def silent(done: int, total: int, note: str = "") -> None:
     """Report no progress. note: words on what is being done, as some work gives them."""
 
 
-def counter(progress: ProgressCallback, total: int) -> Callable[..., None]:
-    """A function that counts one more piece of work as done, or as many as it is given, and reports how many are."""
-    done = 0
-
-    def advance(count: int = 1) -> None:
-        nonlocal done
-        done += count
-        progress(done, total)
-
-    return advance
-
-
 class Stopwatch:
     """Sums the time of each stage: `with watch("network"): ...`. milliseconds: stage -> sum."""
 

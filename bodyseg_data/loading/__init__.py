@@ -14,6 +14,6 @@ if TYPE_CHECKING:
     from bodyseg_data.loading.range_images import OccluderName, RangeImages
     from bodyseg_data.loading.transform import BadTransform, CameraImage, Transform
     from bodyseg_data.loading.transforms import BodyCrop, Crop, Flip, Remnants, Roll, Zoom
-    from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerLost, WorkerMethod, check_worker_method
+    from bodyseg_data.loading.workers import DEFAULT_WORKER_METHOD, WorkerLost, WorkerMethod
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

@@ -28,7 +28,7 @@ from bodyseg_data.artifacts import (
     load_sensor_model,
     seen_by_projectors,
 )
-from bodyseg_data.core import BadConfig, BadSample, BadShard, Draws, check_epoch, check_seed
+from bodyseg_data.core import BadConfig, BadSample, BadShard, Draws, check_choice, check_epoch, check_seed
 from bodyseg_data.labels import BACKGROUND, TEMPLATE, UNLABELLED, LabelMap, load_label_map, whole_map
 from bodyseg_data.loading.conditions import named_fields, table_of, texts_of
 from bodyseg_data.loading.image_set import Request, Requests, SampleDataset, Shuffle, check_bool, check_index
@@ -137,9 +137,7 @@ class RangeImages(SampleDataset):
         """Of the set's first rig; see `augmentation_of`."""
         self._augmentations: dict[int, Augmentation] = {}
         self._casts = occluder == "camera" and self.augmentation.needs_projector
-        self.occluder = occluder
-        if occluder not in OCCLUDERS:
-            raise BadConfig(f"occluder must be {' or '.join(map(repr, OCCLUDERS))}, found {occluder!r}")
+        self.occluder = check_choice("occluder", occluder, OCCLUDERS)
         if self.augmentation.needs_projector and self.manifest.projector == "none" and occluder == "stored":
             raise BadConfig(
                 f"{path} holds no projector range, which variant {variant!r} needs: use 'none', 'noise' or 'md', or "

@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, Draws
+from bodyseg_data.core import BadConfig, Draws, check_choice
 from bodyseg_data.loading.conditions import Condition, SampleTable, parse_condition, texts_of
 from bodyseg_data.samples import READ_SPLITS, SPLITS, ReadSplit, holds_postures
 from bodyseg_data.shards import BODY_FIELDS, Fields, Manifest
@@ -111,8 +111,7 @@ class Selection:
     @classmethod
     def of(cls, pattern: str, split: Any, only: Any, where: Any, val_share: Any, fields: Fields) -> Selection:
         """Check the options of a user. only, where: one text or several. fields: of the set. Raises BadConfig."""
-        if split is not None and split not in READ_SPLITS:
-            raise BadConfig(f"the split must be one of {', '.join(READ_SPLITS)} or None, found {split!r}")
+        check_choice("the split", split, (*READ_SPLITS, None))
         share = val_share
         if isinstance(share, bool) or not isinstance(share, int | float | np.number) or not 0 <= share < 1:
             raise BadConfig(f"val_share must be a number of at least 0 and below 1, found {share!r}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, TypeVar
 
-from bodyseg_data.core import BadConfig, BadSample, BadShard
+from bodyseg_data.core import BadConfig, BadSample, BadShard, check_choice
 
 _Error = TypeVar("_Error", bound=Exception)
 
@@ -80,8 +80,7 @@ class SkipLedger:
 
 def checked_budget(on_error: str, budget: float | None, samples: int) -> int | None:
     """Return the most samples a pass may skip: `budget` if whole, else that share of `samples`. Raises BadConfig."""
-    if on_error not in ("stop", "skip"):
-        raise BadConfig(f"on_error must be stop or skip, found {on_error!r}")
+    check_choice("on_error", on_error, ("stop", "skip"))
     if (on_error == "skip") != (budget is not None):
         raise BadConfig(f"on_error='skip' and a skip_budget belong together, found {on_error!r} and {budget!r}")
     if budget is None:

@@ -14,7 +14,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, bounded, check_fields
+from bodyseg_data.core import Checked, bounded
 from bodyseg_data.labels import BACKGROUND, looked_up
 from bodyseg_data.loading.transform import Box, CameraImage, Transform, ends_of
 from bodyseg_data.rigs import MAX_SIDE
@@ -33,13 +33,7 @@ _CELL: Final = 4  # side of the squares of pixels that are remnants or not
 
 
 @dataclass(frozen=True)
-class _Shipped(Transform):
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-
-@dataclass(frozen=True)
-class Crop(_Shipped):
+class Crop(Checked, Transform):
     """A window of `rows` x `columns` pixels, unscaled; what lies outside of the image is background.
 
     at: "axis" centres it on the optical axis, at which bodies are rendered. "body" centres it on the box of the
@@ -78,7 +72,7 @@ def _anywhere(drawn: float, spare: int) -> int:
 
 
 @dataclass(frozen=True)
-class BodyCrop(_Shipped):
+class BodyCrop(Checked, Transform):
     """The smallest window that holds the body with a margin, scaled to `rows` x `columns` pixels.
 
     margin: width of the border around the box of the labelled pixels, as a share of the box's height and width, 0 to 1.
@@ -115,7 +109,7 @@ class BodyCrop(_Shipped):
 
 
 @dataclass(frozen=True)
-class Flip(_Shipped):
+class Flip(Checked, Transform):
     """The image mirrored, left and right columns exchanged, and so the labels of classes that are mirror images
     (`LabelClass.mirror`).
 
@@ -142,7 +136,7 @@ class Flip(_Shipped):
 
 
 @dataclass(frozen=True)
-class Roll(_Shipped):
+class Roll(Checked, Transform):
     """The image as the camera takes it turned about its optical axis; what leaves the image is lost.
 
     largest_deg: largest angle either way, degrees, 0 to 180; the angle is drawn uniformly. Positive angles turn the
@@ -167,7 +161,7 @@ def turned(image: CameraImage, angle_deg: float) -> CameraImage:
 
 
 @dataclass(frozen=True)
-class Zoom(_Shipped):
+class Zoom(Checked, Transform):
     """The image magnified about the optical axis, as by another focal length: ranges stay, and pixels take the value of
     the nearest one.
 
@@ -192,7 +186,7 @@ def magnified(image: CameraImage, by: float) -> CameraImage:
 
 
 @dataclass(frozen=True)
-class Remnants(_Shipped):
+class Remnants(Checked, Transform):
     """Remnants of a wall behind the body, as the removal of a background leaves them in; they have no label.
 
     share: of the images that get any. nearest_m, farthest_m: the wall, a tilted plane, is so far behind the body's
@@ -205,16 +199,8 @@ class Remnants(_Shipped):
     name = "remnants"
     share: float = bounded(0.4, 0, 1)
     nearest_m: float = bounded(0.05, 0, 10)
-    farthest_m: float = bounded(0.8, 0, 10)
+    farthest_m: float = bounded(0.8, 0, 10, not_below="nearest_m")
     widest_m: float = bounded(0.25, 0, 2)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.nearest_m > self.farthest_m:
-            raise BadConfig(
-                "remnants must satisfy nearest_m <= farthest_m, "
-                f"found nearest_m {self.nearest_m}, farthest_m {self.farthest_m}"
-            )
 
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
         """See `Transform`."""

@@ -54,12 +54,6 @@ _POLL_S: Final = 1.0
 """Interval at which each side checks that the other is alive, seconds, in case the pipe does not show it."""
 
 
-def check_worker_method(method: str) -> None:
-    """Raise BadConfig unless `method` is one."""
-    if method not in _WORKER_METHODS:
-        raise BadConfig(f"worker_method must be {' or '.join(_WORKER_METHODS)}, found {method!r}")
-
-
 class Workers(Protocol):
     """Handles requests by calling one function on each, and gives the results in the order of the requests."""
 

@@ -30,7 +30,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_data.core import MissingLibrary, check_choice
 from bodyseg_data.machine.host import processors
 from bodyseg_data.machine.libraries import required
 
@@ -43,9 +43,7 @@ _one_at_a_time = threading.Lock()
 @lru_cache(maxsize=1)
 def use_compiled() -> bool:
     """Decide whether loops are compiled, once a process. Raises BadConfig, or MissingLibrary if numba must be there."""
-    choice = os.environ.get(VARIABLE, "auto")
-    if choice not in _CHOICES:
-        raise BadConfig(f"{VARIABLE} must be one of {', '.join(_CHOICES)}, found {choice!r}")
+    choice = check_choice(VARIABLE, os.environ.get(VARIABLE, "auto"), _CHOICES)
     if choice == "numpy":
         return False
     try:

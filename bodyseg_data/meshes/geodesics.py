@@ -11,7 +11,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, BadMesh
+from bodyseg_data.core import BadMesh, check_choice
 from bodyseg_data.machine import required
 from bodyseg_data.meshes.mending import find_fans
 from bodyseg_data.meshes.mesh import Edges, face_components, find_edges
@@ -42,12 +42,6 @@ class NearestSources:
     note: str | None = None
 
 
-def check_method(name: str) -> None:
-    """Raise BadConfig unless there is a method of this name."""
-    if name not in METHODS:
-        raise BadConfig(f"the method for distances must be one of {', '.join(METHODS)}, found {name!r}")
-
-
 def nearest_sources(method: GeodesicMethod, vertices: Floats, faces: Indices, sources: Indices) -> NearestSources:
     """Find the nearest of `sources` along the surface from every vertex.
 
@@ -64,7 +58,7 @@ def nearest_sources(method: GeodesicMethod, vertices: Floats, faces: Indices, so
     `unfolded` and `edges` never underestimate a distance and work on any surface. `exact` raises Unanswerable, with
     the reason, on surfaces it cannot handle, and MissingLibrary without pygeodesic.
     """
-    return METHODS[method](vertices, faces, sources)
+    return METHODS[check_choice("the method for distances", method, METHODS)](vertices, faces, sources)
 
 
 def refuse_unsupported(method: str, vertices: Floats, faces: Indices) -> None:

@@ -38,7 +38,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, BadLandmarks, reported
+from bodyseg_data.core import BadConfig, BadLandmarks, check_choice, reported
 from bodyseg_data.files import Table
 from bodyseg_data.labels import LANDMARKS, PART_COUNT
 from bodyseg_data.machine import required
@@ -224,11 +224,9 @@ def parse_points(text: str | bytes, source: str) -> PointLandmarks:
     """Parse landmarks by coordinate from JSON text; `source` names it in messages. Raises BadLandmarks."""
     tree = json_table(text, source)
     with reported("", BadLandmarks, BadConfig):
-        units = tree.text("units")
+        units = check_choice(f"{tree.where}: 'units'", tree.text("units"), METRES)
         table, ignored = _by_name(tree, "points")
         points = [table.numbers(name, 3) for name in LANDMARKS]
-    if units not in METRES:
-        raise BadLandmarks(f"{tree.where}: 'units' must be one of {', '.join(METRES)}, found {units!r}")
     return PointLandmarks(source, np.array(points) * METRES[units], ignored)
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadLandmarks
 from bodyseg_data.labels import BACKGROUND, LANDMARKS
-from bodyseg_data.meshes.geodesics import FALLBACK_METHOD, GeodesicMethod, Unanswerable, check_method, nearest_sources
+from bodyseg_data.meshes.geodesics import FALLBACK_METHOD, GeodesicMethod, Unanswerable, nearest_sources
 from bodyseg_data.meshes.landmarks import nearest_corner
 from bodyseg_data.meshes.mending import MendedSurface, mend
 from bodyseg_data.meshes.mesh import Mesh, face_components
@@ -93,7 +93,6 @@ def partition(
     over the body, BadConfig for an unknown method, MissingLibrary without pygeodesic, scipy, trimesh or
     rtree.
     """
-    check_method(method)
     landmarks = _checked_landmarks(mesh, landmarks, names)
     mended = mend(mesh.vertices, mesh.faces)
     _check_distinct_points(mesh, landmarks, mended, names)

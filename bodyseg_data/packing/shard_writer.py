@@ -20,7 +20,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, get_args
 
-from bodyseg_data.core import BadConfig, BadSample, BodysegError, ProgressCallback, check_int, silent
+from bodyseg_data.core import BadConfig, BadSample, BodysegError, ProgressCallback, check_choice, check_int, silent
 from bodyseg_data.files import make_folder, write_atomically
 from bodyseg_data.labels import Classes, LabelClass, classes_of
 from bodyseg_data.packing.options import PACKING_VERSION
@@ -30,6 +30,7 @@ from bodyseg_data.renders import ProjectorRanges, Render
 from bodyseg_data.rigs import Rig, load_rig
 from bodyseg_data.samples import SHADOW_THRESHOLDS, SPLITS, Split, check_key
 from bodyseg_data.shards import (
+    CODECS,
     EXTERNAL,
     FACING_FROM_RANGE,
     MANIFEST_FORMAT,
@@ -38,7 +39,6 @@ from bodyseg_data.shards import (
     ProjectorKind,
     ShardRecord,
     TarWriter,
-    check_codec,
     check_plane,
     check_rigs,
     encode_sample,
@@ -92,9 +92,7 @@ class ShardWriter:
         part: tuple[int, int] | None = None,
         progress: ProgressCallback = silent,
     ) -> None:
-        if projector not in (None, *get_args(ProjectorKind)):
-            kinds = ", ".join(get_args(ProjectorKind))
-            raise BadConfig(f"projector must be one of {kinds}, or None, found {projector!r}")
+        check_choice("projector", projector, (*get_args(ProjectorKind), None))
         if not source or not source.isprintable():
             raise BadConfig(f"source must be a name that can be printed, found {source!r}")
         several = [rig] if isinstance(rig, RigLike) else list(rig)
@@ -103,7 +101,7 @@ class ShardWriter:
             raise BadConfig("a set needs at least one rig, found none")
         check_rigs(self._rigs, "rig")
         self._classes = classes_of(classes)
-        self._projector, self._source, self._codec = projector, source, check_codec(codec)
+        self._projector, self._source, self._codec = projector, source, check_choice("the codec", codec, CODECS)
         for name, kind in (planes or {}).items():
             check_plane(name, kind, "planes")
         self._planes = None if planes is None else dict(planes)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import check_choice
 from bodyseg_data.meshes import Mesh
 from bodyseg_data.rigs import PlacedCamera
 
@@ -71,9 +71,7 @@ class Renderer(Protocol):
 
 def open_renderer(name: str, mesh: Mesh) -> Renderer:
     """Construct the renderer called `name` for `mesh`. Raises BadConfig, or MissingLibrary without its libraries."""
-    if name not in RENDERERS:
-        raise BadConfig(f"the renderer must be one of {', '.join(RENDERERS)}, found {name!r}")
-    module, kind = RENDERERS[name].split(".")
+    module, kind = RENDERERS[check_choice("the renderer", name, RENDERERS)].split(".")
     renderer: Renderer = getattr(import_module(f"{__package__}.{module}"), kind)(mesh)
     return renderer
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final, Literal
 
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, check_choice
 from bodyseg_data.renders.blenderproc import ENDINGS, BlenderProcRenders
 from bodyseg_data.renders.images import SUFFIXES, read_array
 from bodyseg_data.renders.isaac import AXIS, RAY, IsaacRenders, frames
@@ -76,9 +76,7 @@ def open_renders(folder: Path, layout: str | None = None) -> RenderSource:
     if not folder.is_dir():
         raise BadConfig(f"no folder {folder} there")
     content = read_set(folder)
-    chosen = layout or content.layout or _told(folder, content)
-    if chosen not in LAYOUTS:
-        raise BadConfig(f"{folder}: the layout must be one of {', '.join(LAYOUTS)}, found {chosen!r}")
+    chosen = check_choice(f"{folder}: the layout", layout or content.layout or _told(folder, content), LAYOUTS)
     return LAYOUTS[chosen](folder, content)
 
 

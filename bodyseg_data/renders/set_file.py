@@ -22,7 +22,7 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, BadSample, reported
+from bodyseg_data.core import BadConfig, BadSample, check_choice, reported
 from bodyseg_data.files import Table, TomlFiles, parse_json, read_bytes
 from bodyseg_data.labels import BACKGROUND, Classes, classes_from_json
 from bodyseg_data.rigs import Rig, load_rig, rig_from_json
@@ -132,8 +132,7 @@ def read_set(folder: Path) -> SetFile:
     found |= {key: table.positive(key) for key in ("unit_m", "stand_off_m", "range_step_mm") if key in table}
     table.finish()
     for key, allowed in (("along", get_args(Along)), ("split", SPLITS)):
-        if found.get(key, allowed[0]) not in allowed:
-            raise BadConfig(f"{path}: {key!r} must be {' or '.join(allowed)}, found {found[key]!r}")
+        check_choice(f"{path}: {key!r}", found.get(key, allowed[0]), allowed)
     background = [BACKGROUND] if lists["background"] is None else _list(lists["background"], "background", path)
     classes, numbers = (None, LabelTable()) if rows is None else _classes(rows, name, first, background, path)
     if lists["no_range"] is not None:

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, BadSample, reported
+from bodyseg_data.core import BadConfig, BadSample, check_choice, reported
 from bodyseg_data.labels import UNLABELLED, Classes
 from bodyseg_data.renders.images import as_metres, ray_lengths
 from bodyseg_data.renders.set_file import LabelTable, SampleRows, SetFile
@@ -104,10 +104,7 @@ class RenderSource(ABC):
         path, rigs, name = self._content.path, self._content.rigs, self._rows.rigs.get(key, "")
         if not rigs:
             raise BadConfig(f"{path}: 'rig' is missing: a rig file in this folder, or the name of a rig")
-        if name not in rigs:
-            known = ", ".join(map(repr, rigs))
-            raise BadConfig(f"{path}: the rig of sample {key!r} must be one of {known}, found {name!r}")
-        return rigs[name]
+        return rigs[check_choice(f"{path}: the rig of sample {key!r}", name, rigs)]
 
     def keys(self) -> Sequence[str]:
         """Return the keys of all renders, in their order."""

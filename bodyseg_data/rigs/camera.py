@@ -19,7 +19,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, bounded, check_fields, reported
+from bodyseg_data.core import BadConfig, Checked, bounded, check_fields, reported
 from bodyseg_data.files import Table
 
 MODEL: Final = "brown_conrady"
@@ -191,7 +191,7 @@ def rolled(axes: NDArray[np.float64], roll_deg: float) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True)
-class Distortion:
+class Distortion(Checked):
     """Coefficients of the model, without unit: radial k1, k2, k3, tangential p1, p2. Raises BadConfig beyond 1e6.
 
     aspect: what is drawn is stretched across by it and down by its inverse: the root of fx / fy where pixels are not
@@ -204,9 +204,6 @@ class Distortion:
     p2: float = bounded(0.0, -_MOST, _MOST)
     k3: float = bounded(0.0, -_MOST, _MOST)
     aspect: float = bounded(1.0, 0, _MOST, above=True)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     def apply(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         """Return where the lens draws directions (x, y, 1), at z = 1; all float64 of one shape."""

@@ -23,7 +23,7 @@ from typing import Any, Final, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadSample
+from bodyseg_data.core import BadSample, check_choice
 from bodyseg_data.labels import BACKGROUND, PART_COUNT, UNLABELLED
 from bodyseg_data.samples.views import View
 
@@ -102,8 +102,7 @@ class SampleInfo:
     fields: Mapping[str, Value] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.split not in SPLITS:
-            raise BadSample(f"'split' must be one of {', '.join(SPLITS)}, found {self.split!r}")
+        check_choice("'split'", self.split, SPLITS, BadSample)
         if len(self.fields) > MOST_FIELDS:
             raise BadSample(f"a description has at most {MOST_FIELDS} fields, found {len(self.fields)}")
         for name, value in self.fields.items():

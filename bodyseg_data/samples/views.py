@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from bodyseg_data.core import BadConfig, Draws, check_fields
+from bodyseg_data.core import BadConfig, Checked, Draws, check_fields
 
 DISTANCES_CM: Final = (50, 600)
 """Least and greatest distance of a view."""
@@ -67,7 +67,7 @@ def split_key(key: str) -> tuple[str, str]:
 
 
 @dataclass(frozen=True)
-class Drawn:
+class Drawn(Checked):
     """A range of whole numbers, both ends included, from which each view of each body draws its own, uniformly.
 
     Raises BadConfig for anything but whole numbers.
@@ -75,9 +75,6 @@ class Drawn:
 
     low: int
     high: int
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 Choice = tuple[int, ...] | Drawn

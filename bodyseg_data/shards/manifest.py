@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
-from bodyseg_data.core import BadConfig, BadSample, BadShard, reported
+from bodyseg_data.core import BadConfig, BadSample, BadShard, check_choice, reported
 from bodyseg_data.files import not_json, write_atomically
 from bodyseg_data.labels import PART_CLASSES, Classes, classes_from_json
 from bodyseg_data.rigs import Rig, rig_from_json
@@ -240,8 +240,7 @@ def _manifest(tree: dict[str, Any], path: str, store: Store) -> Manifest:
         if not isinstance(value, str):
             raise BadShard(f"{path}: {name!r} must be text, found {value!r}")
     for name, known in (("codec", tuple(CODECS)), ("projector", PROJECTOR_KINDS)):
-        if tree[name] not in known:
-            raise BadShard(f"{path}: {name!r} must be one of {', '.join(known)}, found {tree[name]!r}")
+        check_choice(f"{path}: {name!r}", tree[name], known, BadShard)
     with reported("", BadShard, BadConfig):
         rigs, classes = _rigs(tree["rigs"], path), classes_from_json(tree["classes"], path)
     fields = fields_from_json(tree["fields"], path)

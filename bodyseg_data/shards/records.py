@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Final, NamedTuple, Protocol
 
-from bodyseg_data.core import BadSample, BadShard, reported
+from bodyseg_data.core import BadSample, BadShard, check_choice, reported
 from bodyseg_data.samples import FIELD_KINDS, SPLITS, SampleInfo, Split, Value, check_field_name, check_key, kind_of
 from bodyseg_data.shards.store import READ_ATTEMPTS, TALLY, Stage, Store
 
@@ -50,8 +50,7 @@ class Fields:
         for name, kind in self.kinds.items():
             with reported("", BadShard, BadSample):
                 check_field_name(name)
-            if kind not in FIELD_KINDS:
-                raise BadShard(f"field {name!r} must be of the kinds {', '.join(FIELD_KINDS)}, found {kind!r}")
+            check_choice(f"the kind of field {name!r}", kind, FIELD_KINDS, BadShard)
 
     @cached_property
     def kinds(self) -> dict[str, str]:

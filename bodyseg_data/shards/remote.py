@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 from urllib.parse import parse_qsl, unquote, urlsplit
 
-from bodyseg_data.core import BadConfig, BodysegError, MissingLibrary, bounded, check_fields, reported
+from bodyseg_data.core import BadConfig, BodysegError, Checked, MissingLibrary, bounded, reported
 from bodyseg_data.shards.manifest import MANIFEST_NAME
 from bodyseg_data.shards.store import TALLY, LocalFolder, Pieces, Stage, Store
 from bodyseg_data.shards.transport import FileMissing, PermanentFailure, TransientFailure, open_transport, pinned
@@ -38,7 +38,7 @@ _ADDRESS: Final = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://(.*)", re.DOTALL)
 
 
 @dataclass(frozen=True)
-class RetryPolicy:
+class RetryPolicy(Checked):
     """Limits of retries and timeouts for a remote set.
 
     tries: consecutive failed attempts before giving up. total_s: longest duration of consecutive failures, seconds.
@@ -55,9 +55,6 @@ class RetryPolicy:
     stall_s: float = bounded(30.0, 0, above=True)
     first_wait_s: float = bounded(0.5, 0, above=True)
     progress_bytes: int = bounded(1 << 16, 1)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 class RemoteFolder:

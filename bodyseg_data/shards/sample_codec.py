@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, BadSample, reported
+from bodyseg_data.core import BadSample, check_choice, reported
 from bodyseg_data.labels import UNLABELLED
 from bodyseg_data.samples import Occupancy, Sample, SampleInfo, info_from_json
 from bodyseg_data.shards.codecs import CODECS
@@ -29,20 +29,13 @@ _BY_MEMBERS: Final = {frozenset((*codec.members, "json")): codec for codec in _R
 _PLANE: Final = "plane."
 
 
-def check_codec(name: str) -> str:
-    """Return `name` if it is a codec's. Raises BadConfig."""
-    if name not in CODECS:
-        raise BadConfig(f"the codec must be one of {', '.join(CODECS)}, found {name!r}")
-    return name
-
-
 def encode_sample(sample: Sample, codec: str = "bsi") -> dict[str, bytes]:
     """Encode a sample as tar members: extension -> bytes. The same sample gives the same bytes.
 
     Raises BadConfig for an unknown codec, BadSample for a sample that, with "bsi", has labels and range that disagree
     on the background.
     """
-    chosen = CODECS[check_codec(codec)]
+    chosen = CODECS[check_choice("the codec", codec, CODECS)]
     facing = sample.faces_projector.view(np.uint8) * np.uint8(FACING)
     if sample.faces_second is not None:
         facing |= sample.faces_second.view(np.uint8) * np.uint8(SECOND_FACING)

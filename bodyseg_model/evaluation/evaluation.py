@@ -22,7 +22,7 @@ from bodyseg_data.artifacts import (
     load_sensor_model,
     sensor_for,
 )
-from bodyseg_data.core import BadConfig, ProgressCallback, Stopwatch, check_int, silent
+from bodyseg_data.core import BadConfig, ProgressCallback, Stopwatch, check_choice, check_int, silent
 from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, OccluderName, RangeImages, WorkerMethod, loader
 from bodyseg_data.samples import ReadSplit, metres, split_key
@@ -124,9 +124,7 @@ class Evaluation:
         """Sum the scores of all images, or of some subsets. Raises BadConfig for a subset without images."""
         total = Scores(self.confidences, self.label_map)
         for name in self.subsets if subsets is None else subsets:
-            if name not in self.subsets:
-                raise BadConfig(f"the subset must be one of {', '.join(sorted(self.subsets))}, found {name!r}")
-            total.merge(self.subsets[name])
+            total.merge(self.subsets[check_choice("the subset", name, sorted(self.subsets))])
         return total
 
     def add(self, image: PredictedImage) -> float:

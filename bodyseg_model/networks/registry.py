@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from bodyseg_data.bodies import NOWHERE
-from bodyseg_data.core import BadConfig, Draws
+from bodyseg_data.core import BadConfig, Draws, check_choice
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import use_compiled
 from bodyseg_model.networks.network import Network, check_range_images
@@ -45,9 +45,7 @@ else:
 
 def network_class(name: str) -> type[Network]:
     """The class of the network called `name`. Raises BadConfig for an unknown name."""
-    if name not in NETWORKS:
-        raise BadConfig(f"the network must be one of {', '.join(NETWORKS)}, found {name!r}")
-    module, _, kind = NETWORKS[name].rpartition(".")
+    module, _, kind = NETWORKS[check_choice("the network", name, NETWORKS)].rpartition(".")
     found: type[Network] = getattr(import_module(module), kind)
     return found
 

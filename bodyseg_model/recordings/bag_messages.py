@@ -24,7 +24,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, reported
+from bodyseg_data.core import BadConfig, check_choice, reported
 from bodyseg_data.machine import required
 from bodyseg_model.recordings.cameras import Intrinsics, driver_camera
 from bodyseg_model.recordings.frames import parse_frame
@@ -256,8 +256,7 @@ def pixels(message: Any, kind: str) -> NDArray[Any]:
 
 
 def _plain_image(message: Any) -> NDArray[Any]:
-    if message.encoding not in ENCODINGS:
-        raise BadConfig(f"an image must have one of the encodings {', '.join(ENCODINGS)}, found {message.encoding!r}")
+    check_choice("the encoding of an image", message.encoding, ENCODINGS)
     kind = np.dtype(np.float32 if message.encoding == _METRES else np.uint16)
     kind = kind.newbyteorder(">" if message.is_bigendian else "<")
     rows, columns, step = int(message.height), int(message.width), int(message.step)
@@ -273,9 +272,8 @@ def _plain_image(message: Any) -> NDArray[Any]:
 
 def _compressed_image(message: Any) -> NDArray[Any]:
     data, text = bytes(message.data), str(message.format)
-    found = encoding(message, COMPRESSED)
-    if found not in ENCODINGS:
-        raise BadConfig(f"an image must have one of the encodings {', '.join(ENCODINGS)}, found {text!r}")
+    if (found := encoding(message, COMPRESSED)) not in ENCODINGS:
+        raise BadConfig(f"the encoding of an image must be one of {', '.join(ENCODINGS)}, found {text!r}")
     if "compresseddepth" not in text.lower():
         if found == _METRES or not ("png" in text.lower() or data.startswith(_GREY_PNG[0])):
             raise BadConfig(f"a compressed image must be a 16-bit PNG or compressedDepth, found {text!r}")

@@ -17,7 +17,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
 from torch import nn
 
-from bodyseg_data.core import BadConfig, bounded, check_fields
+from bodyseg_data.core import BadConfig, Checked, bounded
 from bodyseg_data.files import read_bytes, write_result
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import required
@@ -121,14 +121,11 @@ import_onnx = partial(required, "onnx", "the format ONNX", "onnx")
 
 
 @dataclass(frozen=True)
-class GraphFacts:
+class GraphFacts(Checked):
     """Properties of a graph's network; see `Network`."""
 
     classes: int
     output_stride: int = bounded(MISSING, 1, 64)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 @dataclass(frozen=True)

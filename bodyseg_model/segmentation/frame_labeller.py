@@ -13,7 +13,7 @@ from typing import Any, Final, Literal, TypeVar, cast, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, Stopwatch, reported
+from bodyseg_data.core import BadConfig, Stopwatch, check_choice, reported
 from bodyseg_data.labels import PART_CLASSES
 from bodyseg_data.rigs import Camera
 from bodyseg_model.networks import CardWords, Trained, device_of, load_network
@@ -110,8 +110,8 @@ class FrameLabeller:
         turned: int | Turned | None = None,
         dense: bool = False,
     ) -> None:
-        if turned is not None and str(turned) not in get_args(Turned):
-            raise BadConfig(f"turned must be one of {', '.join(get_args(Turned))}, found {turned!r}")
+        if turned is not None:
+            check_choice("turned", str(turned), get_args(Turned))
         self.trained = put_on_backend(trained or load_network(dense=dense), backend, precision, flip_average)
         to_device(self.trained.network, device)
         self.label_map, self.rig = self.trained.label_map, self.trained.rig

@@ -27,7 +27,7 @@ from bodyseg_data.artifacts import (
     shown_with,
 )
 from bodyseg_data.bodies import Body, BodyRef, open_source
-from bodyseg_data.core import BadConfig, Draws, ProgressCallback, silent
+from bodyseg_data.core import BadConfig, Draws, ProgressCallback, check_choice, silent
 from bodyseg_data.labels import BACKGROUND, LANDMARKS
 from bodyseg_data.loading import CameraImage, RangeImages, Remnants
 from bodyseg_data.meshes import Mesh, Partition
@@ -134,8 +134,7 @@ def chosen(names: tuple[str, ...], hard: bool) -> dict[str, Sweep]:
     Raises BadConfig for an unknown name, or "hard" without such a set.
     """
     for name in names:
-        if name not in SWEEPS:
-            raise BadConfig(f"a sweep must be one of {', '.join(SWEEPS)}, found {name!r}")
+        check_choice("a sweep", name, SWEEPS)
     if "hard" in names and not hard:
         raise BadConfig("the sweep 'hard' needs a set of hard poses: give --hard")
     return {name: sweep for name, sweep in SWEEPS.items() if name in names or (not names and (hard or name != "hard"))}

@@ -11,14 +11,14 @@ from importlib import import_module
 import torch
 
 from bodyseg_data.bodies import NOWHERE
-from bodyseg_data.core import Draws, bounded, check_fields
+from bodyseg_data.core import Checked, Draws, bounded
 from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap
 from bodyseg_data.machine import if_ready
 from bodyseg_model.networks import in_loops
 
 
 @dataclass(frozen=True)
-class GeometricAugmentation:
+class GeometricAugmentation(Checked):
     """Ranges of random rotation, zoom and cuts of images; 0 for none.
 
     roll_deg: largest rotation either way, degrees. zoom: the scale is drawn from 1 / (1 + zoom) to 1 + zoom. stretch:
@@ -33,9 +33,6 @@ class GeometricAugmentation:
     stretch: float = bounded(0.0, 0, 1)
     cut: float = bounded(0.0, 0, 1)
     bust: float = bounded(0.0, 0, 1)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     def __call__(
         self, range_m: torch.Tensor, labels: torch.Tensor, seed: int, epochs: list[int], keys: list[str]

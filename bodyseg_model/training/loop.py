@@ -20,10 +20,10 @@ import torch
 from torch import nn
 
 from bodyseg_data import Mixture, RangeImages, load_template, loader
-from bodyseg_data.core import BadConfig, BodysegError, Draws, check_int
+from bodyseg_data.core import BadConfig, BodysegError, Checked, Draws, bounded
 from bodyseg_data.files import claimed
 from bodyseg_data.labels import PARTS33, TEMPLATE
-from bodyseg_data.loading import DEFAULT_WORKER_METHOD, Batch, ImageSet, Loader, WorkerMethod, check_worker_method
+from bodyseg_data.loading import DEFAULT_WORKER_METHOD, Batch, ImageSet, Loader, WorkerMethod
 from bodyseg_data.machine import peak_mb, signals_held
 from bodyseg_model.networks import (
     CardWords,
@@ -110,7 +110,7 @@ _WAIT_NAMED: Final = 0.01  # share of waiting from which on the log says what fo
 
 
 @dataclass(frozen=True)
-class RunOptions:
+class RunOptions(Checked):
     """Options that are not part of a training's plan: a resumed training may have others.
 
     log_every, checkpoint_every: steps between lines of the log, and between checkpoints. num_workers, worker_method:
@@ -118,16 +118,10 @@ class RunOptions:
     Raises BadConfig for a value out of range.
     """
 
-    log_every: int = 20
-    checkpoint_every: int = 500
-    num_workers: int = 2
+    log_every: int = bounded(20, 1)
+    checkpoint_every: int = bounded(500, 1)
+    num_workers: int = bounded(2, 0)
     worker_method: WorkerMethod = DEFAULT_WORKER_METHOD
-
-    def __post_init__(self) -> None:
-        check_int("log_every", self.log_every, 1)
-        check_int("checkpoint_every", self.checkpoint_every, 1)
-        check_int("num_workers", self.num_workers, 0)
-        check_worker_method(self.worker_method)
 
 
 class Training:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import torch
 
-from bodyseg_data.core import BadConfig, bounded, check_fields
+from bodyseg_data.core import Checked, bounded, check_choice
 from bodyseg_model.networks import Network
 from bodyseg_model.training.augmentation import GeometricAugmentation
 
@@ -20,7 +20,7 @@ OptimiserName = Literal["sgd", "adamw", "muon"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recipe:
+class Recipe(Checked):
     """All hyperparameters of a training; with data, network and seed they determine its result.
 
     steps: updates of the weights. batch_size: images in one pass through the network, over all processes. accumulate:
@@ -67,9 +67,6 @@ class Recipe:
     ema: float = bounded(0.0, 0, 0.999999)
     shuffle: Literal["global", "blocks"] = "global"
     only_places: bool = False
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     def to_json(self) -> dict[str, Any]:
         """The recipe as a JSON object; `ema`, `shuffle`, `only_places` and `bust` only if not the default."""
@@ -143,9 +140,8 @@ else:
 
 def recipe_for(name: str, **changes: Any) -> Recipe:
     """A preset with some fields changed; None leaves a field as it is. Raises BadConfig for an unknown name."""
-    if name not in PRESETS:
-        raise BadConfig(f"the recipe must be one of {', '.join(PRESETS)}, found {name!r}")
-    return dataclasses.replace(PRESETS[name], **{field: value for field, value in changes.items() if value is not None})
+    given = {field: value for field, value in changes.items() if value is not None}
+    return dataclasses.replace(PRESETS[check_choice("the recipe", name, PRESETS)], **given)
 
 
 class AveragedNetwork:

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import torch
 
-from bodyseg_data.core import BadConfig, Stopwatch, check_int
+from bodyseg_data.core import BadConfig, Stopwatch, bounded, check_fields
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, RangeImages, WorkerMethod
 from bodyseg_model.evaluation import ConfusionMatrix, Evaluation, Scores, evaluate
 from bodyseg_model.networks import CheckpointName, Network
@@ -122,21 +122,16 @@ class Validation:
     """
 
     images: Sequence[RangeImages]
-    every: int = DEFAULT_EVERY
-    count: int | None = None
-    patience: int | None = None
+    every: int = bounded(DEFAULT_EVERY, 1)
+    count: int | None = bounded(None, 1)
+    patience: int | None = bounded(None, 1)
     keep: CheckpointName = "best"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "images", tuple(self.images))
         if not self.images:
             raise BadConfig("a validation needs at least one set of images")
-        check_int("val_every", self.every, 1)
-        for name, value in (("val_images", self.count), ("patience", self.patience)):
-            if value is not None:
-                check_int(name, value, 1)
-        if self.keep not in ("best", "last"):
-            raise BadConfig(f"keep must be best or last, found {self.keep!r}")
+        check_fields(self)
 
     def plan(self) -> dict[str, Any]:
         """Facts that the scores depend on beside the network, as plain JSON."""

@@ -62,7 +62,7 @@ def test_an_empty_image_stays_empty(artifact: Artifact) -> None:
 @pytest.mark.parametrize(
     ("kind", "strengths", "message"),
     [
-        (PatchLoss, {"low": 0.5, "high": 0.2}, "must satisfy low <= high, found low 0.5 and high 0.2"),
+        (PatchLoss, {"low": 0.5, "high": 0.2}, "low must be at most high, found 0.5 and 0.2"),
         (PatchLoss, {"parts": ("Nose",)}, "parts must be landmarks of the 33 parts, found 'Nose'"),
         (StripeLoss, {"high": 1.2}, "StripeLoss: high must be from 0 to 1, found 1.2"),
         (StripeLoss, {"along": "lines"}, "StripeLoss: along must be 'rows' or 'columns' or None, found 'lines'"),

@@ -63,9 +63,9 @@ def test_nothing_and_lost_pixels_stay_nothing() -> None:
     [
         ({"share": 1.1}, "MixedPixels: share must be from 0 to 1, found 1.1"),
         ({"background_m": 0.0}, "background_m must be above 0 and at most 100, found 0.0"),
-        ({"least": 0.6}, "must satisfy least <= share, found least 0.6, share 0.5"),
-        ({"nearest_m": 2.0}, "must satisfy nearest_m <= background_m, found nearest_m 2.0, background_m None"),
-        ({"nearest_m": 2.0, "background_m": 1.0}, "found nearest_m 2.0, background_m 1.0"),
+        ({"least": 0.6}, "least must be at most share, found 0.6 and 0.5"),
+        ({"nearest_m": 2.0}, "nearest_m must be at most background_m, found 2.0 and None"),
+        ({"nearest_m": 2.0, "background_m": 1.0}, "found 2.0 and 1.0"),
         ({"jump_mm": 0.0}, "jump_mm must be above 0 and at most 10000, found 0.0"),
     ],
 )

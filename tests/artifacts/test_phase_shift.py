@@ -244,7 +244,7 @@ def test_motion_is_continuous_where_parts_meet_and_clothes_cover_their_parts(fig
 
 
 def test_bad_strengths_and_rigs_are_refused(figures_set: Path) -> None:
-    with pytest.raises(BadConfig, match="phase_shift must satisfy darkest <= lightest, found darkest 0.9 and lightest"):
+    with pytest.raises(BadConfig, match="PhaseShift: darkest must be at most lightest, found 0.9 and"):
         PhaseShift(darkest=0.9)
     with pytest.raises(BadConfig, match="phase_patterns must be from 3 to 16, found 2"):
         PhaseShift(phase_patterns=2)

@@ -145,7 +145,7 @@ def test_a_set_without_projector_gives_shadows_only_when_asked(cells: Path, dark
     for variant in ("occ", "all"):
         with pytest.raises(BadConfig, match="holds no projector range, .* or occluder='camera', which makes"):
             RangeImages(dark_cells, variant)
-    with pytest.raises(BadConfig, match=r"^occluder must be 'stored' or 'camera', found 'sun'$"):
+    with pytest.raises(BadConfig, match=r"^occluder must be one of stored, camera, found 'sun'$"):
         RangeImages(dark_cells, "none", occluder="sun")  # type: ignore[arg-type]
     assert RangeImages(dark_cells, "none").clean(0).projector_range is None
     made, rendered = RangeImages(dark_cells, "occ", occluder="camera"), RangeImages(cells, "occ")

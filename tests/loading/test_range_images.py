@@ -266,7 +266,7 @@ def test_a_bad_sample_stops_the_run_in_one_line(figures_set: Path, tmp_path: Pat
     ("options", "message"),
     [
         ({"variant": "everything"}, "the variant must be one of none, occ, noise, md, all"),
-        ({"split": "dev"}, "the split must be one of train, val, test or None, found 'dev'"),
+        ({"split": "dev"}, "the split must be one of train, val, test, None, found 'dev'"),
         ({"seed": -1}, "a seed must be a whole number"),
         ({"epoch": -1}, "an epoch must be a whole number of at least 0, found -1"),
     ],

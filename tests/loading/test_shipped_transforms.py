@@ -210,7 +210,7 @@ def test_the_share_of_images_with_remnants_is_that_asked_for() -> None:
     [
         (
             lambda: Remnants(nearest_m=2.0),
-            "remnants must satisfy nearest_m <= farthest_m, found nearest_m 2.0, farthest_m 0.8",
+            "Remnants: nearest_m must be at most farthest_m, found 2.0 and 0.8",
         ),
         (lambda: Flip(1.5), "Flip: share must be from 0 to 1, found 1.5"),
         (lambda: Flip(True), "Flip: share must be a number, found True"),

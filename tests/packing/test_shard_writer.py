@@ -327,13 +327,13 @@ def test_options_out_of_range_are_one_line(tmp_path: Path) -> None:
         return ShardWriter(tmp_path / "set", **{"rig": RIG, "classes": CLASSES, **options})
 
     for options, message in (
-        ({"projector": "half"}, "projector must be one of shadow, exact, none, or None, found 'half'"),
+        ({"projector": "half"}, "projector must be one of shadow, exact, none, None, found 'half'"),
         ({"rig": []}, "a set needs at least one rig"),
         ({"classes": "floor"}, "classes must be a list of names"),
         ({"codec": "jpeg"}, "the codec must be one of"),
         ({"part": (2, 2)}, r"part must be \(i, n\), i from 0 to n - 1, found \(2, 2\)"),
         ({"planes": {"instances": "int32"}}, "the plane 'instances' must be of the type uint8 or uint16"),
-        ({"fields": {"age": "number"}}, "field 'age' must be of the kinds text, int"),
+        ({"fields": {"age": "number"}}, "kind of field 'age' must be one of text, int"),
         ({"shard_samples": 0}, "shard_samples must be a whole number of at least 1"),
         ({"source": ""}, "source must be a name"),
     ):

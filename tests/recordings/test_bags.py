@@ -149,7 +149,7 @@ def test_topics_of_range_images_are_told_from_others(tmp_path: Path) -> None:
     many = [image(RAMP[:4, :4], "16UC1", topic=f"/{number:02d}") for number in range(15)]
     assert refusal(write_mcap(tmp_path / "c.mcap", many)).count("/1") < 6 + str(tmp_path).count("/1")
     path = write_mcap(tmp_path / "d.mcap", [image(RAMP, "rgb8")])
-    with pytest.raises(BadConfig, match="must have one of the encodings 16UC1, mono16, 32FC1, found 'rgb8'"):
+    with pytest.raises(BadConfig, match="the encoding of an image must be one of 16UC1, mono16, 32FC1, found 'rgb8'"):
         open_recording(path, DEPTH)[0].read()
 
 

@@ -238,7 +238,7 @@ def _with(change: Callable[[dict[str, Any]], object]) -> Callable[[dict[str, Any
         ),
         (_with(lambda tree: tree.update(fields={})), "'fields' must be lists of pairs"),
         (_with(lambda tree: tree["fields"][0].append(["mesh", "text"])), "a field of descriptions is named once"),
-        (_with(lambda tree: tree["fields"][0][0].__setitem__(1, "word")), "field 'source' must be of the kinds text"),
+        (_with(lambda tree: tree["fields"][0][0].__setitem__(1, "word")), "kind of field 'source' must be one of text"),
         (_with(lambda tree: tree["fields"][0][0].__setitem__(0, "A b")), "a field must have a lower-case name"),
         (_with(lambda tree: tree.update(source=3)), "'source' must be text, found 3"),
         (_with(lambda tree: tree.update(shards={})), "'shards' must have the fields"),

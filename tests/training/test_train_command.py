@@ -79,7 +79,7 @@ def test_scores_reach_the_log_the_progress_line_and_tensorboard(
         (["--val-images", "5"], "--val-images is for a training with images to validate on"),
         (["--patience", "5"], "--patience is for a training with images to validate on"),
         (["--keep", "best"], "--keep is for a training with images to validate on"),
-        (["--val-share", "0.5", "--val-every", "0"], "val_every must be a whole number of at least 1, found 0"),
+        (["--val-share", "0.5", "--val-every", "0"], "Validation: every must be at least 1, found 0"),
         (["--remnants", "-0.1"], "Remnants: share must be from 0 to 1, found -0.1"),
         (["--ema", "1"], "ema must be from 0 to 0.999999, found 1.0"),
     ],

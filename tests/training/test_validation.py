@@ -133,10 +133,10 @@ def test_a_validated_averaged_training_carries_on_with_the_same_bits(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"every": 0}, "val_every must be a whole number of at least 1, found 0"),
-        ({"count": 0}, "val_images must be a whole number of at least 1, found 0"),
-        ({"patience": 0}, "patience must be a whole number of at least 1, found 0"),
-        ({"keep": "worst"}, "keep must be best or last, found 'worst'"),
+        ({"every": 0}, "every must be at least 1, found 0"),
+        ({"count": 0}, "count must be at least 1, found 0"),
+        ({"patience": 0}, "patience must be at least 1, found 0"),
+        ({"keep": "worst"}, "keep must be 'best' or 'last', found 'worst'"),
         ({"images": []}, "a validation needs at least one set of images"),
     ],
 )

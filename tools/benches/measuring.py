@@ -9,10 +9,24 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
+from bodyseg_data.core import ProgressCallback
+
 _T = TypeVar("_T")
 
 _STRIDE: Final = 23  # has no divisor in common with 54 views, so few of them already mix azimuths and distances
 _SIBLINGS: Final = Path("/sys/devices/system/cpu/cpu0/topology/thread_siblings_list")
+
+
+def counter(progress: ProgressCallback, total: int) -> Callable[..., None]:
+    """A function that counts one more piece of work as done, or as many as it is given, and reports how many are."""
+    done = 0
+
+    def advance(count: int = 1) -> None:
+        nonlocal done
+        done += count
+        progress(done, total)
+
+    return advance
 
 
 def median_time(work: Callable[[], _T], rounds: int = 1) -> tuple[float, _T]:

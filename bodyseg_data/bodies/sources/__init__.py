@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from bodyseg_data.bodies.alignment import Units, UpAxis
 from bodyseg_data.bodies.source import BodySource, MeshOptions
-from bodyseg_data.core import BadConfig, reported
+from bodyseg_data.core import BadConfig, check_choice, reported
 
 
 @dataclass(frozen=True)
@@ -61,9 +61,7 @@ _METHODS: Final = ("bodies", "missing", "fingerprint", "check", "build")
 def _added(name: str) -> SourceEntry:
     """The source that an installed package adds. Raises BadConfig if there is none, or it breaks the protocol."""
     entries = {entry.name: entry for entry in metadata.entry_points(group=ENTRY_POINT)}
-    if name not in entries:
-        names = dict.fromkeys((*SOURCES, *entries))
-        raise BadConfig(f"the source must be one of {', '.join(names)}, found {name!r}")
+    check_choice("the source", name, dict.fromkeys((*SOURCES, *entries)))
     where = f"entry point {name} = {entries[name].value!r} of {ENTRY_POINT}"
     with reported(f"{where} cannot be loaded", BadConfig, Exception):  # whatever the user's module raises
         kind = entries[name].load()

@@ -22,7 +22,7 @@ from bodyseg_data.bodies.given_labels import ClassTable, NamedCorners, file_labe
 from bodyseg_data.bodies.mesh_bodies import files_below
 from bodyseg_data.bodies.source import DEFAULTS, Body, BodyRef, ListedBodies, MeshOptions
 from bodyseg_data.bodies.sources.folder import body_ref
-from bodyseg_data.core import BadConfig, BadMesh, reported
+from bodyseg_data.core import BadConfig, BadMesh, check_choice, reported
 from bodyseg_data.files import Table, read_json
 from bodyseg_data.labels import BACKGROUND, Classes, classes_from_json, with_sides
 from bodyseg_data.meshes import METRES, Mesh, MeshContent, SceneMesh, mesh_content, scene_stem, welded
@@ -200,8 +200,7 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
         centre = np.array(table.numbers("centre_m", 3)) if "centre_m" in table else None
         own = {name: table.text(name) for name in ("subject", "pose", "split") if name in table}
         table.finish()
-        if own.get("split", "train") not in SPLITS:
-            raise BadConfig(f"{path}: 'split' must be one of {', '.join(SPLITS)}, found {own['split']!r}")
+        check_choice(f"{path}: 'split'", own.get("split", "train"), SPLITS)
         pieces = tuple(self._piece(Table(row, f"{path}, mesh {at}"), path) for at, row in enumerate(rows))
         name = path.parent if path.name == SCENE_NAME else path.with_name(path.name.removesuffix(f".{SCENE_NAME}"))
         inside = name.relative_to(self._folder)
@@ -219,10 +218,7 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
             labels = self._labels_of(mesh)
         metres, pose = self._metres, np.eye(4)
         if "units" in row:
-            units = row.text("units")
-            if units not in METRES:
-                raise BadConfig(f"{row.where}: 'units' must be one of {', '.join(METRES)}, found {units!r}")
-            metres = METRES[units]
+            metres = METRES[check_choice(f"{row.where}: 'units'", row.text("units"), METRES)]
         if "pose" in row and "position_m" in row:
             raise BadConfig(f"{row.where}: a mesh has one 'pose' or 'position_m', found both")
         if "position_m" in row:

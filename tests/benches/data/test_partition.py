@@ -20,7 +20,7 @@ from shapes import ball
 from bodyseg_data.bodies import Body, BodyRef
 from bodyseg_data.core import BadConfig
 from bodyseg_data.meshes import partition
-from bodyseg_data.meshes.geodesics import Unanswerable, check_method, nearest_sources
+from bodyseg_data.meshes.geodesics import Unanswerable, nearest_sources
 
 
 def round_body(subdivisions: int = 4) -> Body:
@@ -134,7 +134,7 @@ def test_rivals_come_near_the_exact_answer_while_they_are_installed(method: Any,
     assert 0 < np.abs(answer.distance - exact.distance).mean() < error_m
     assert 0 < (answer.source != exact.source).mean() < wrong
     with pytest.raises(BadConfig, match=f"found '{method}'"):
-        check_method(method)
+        nearest_sources(method, vertices, faces, sources)
 
 
 def test_what_a_rival_refuses_is_one_line() -> None:

@@ -25,10 +25,10 @@ from benches.data.loader.litdata import LitData
 from benches.data.loader.mds import Mds
 from benches.data.loader.passes import Passes, checksum_of, run_rounds
 from benches.data.loader.pngs import DECODERS, time_decoders
-from benches.measuring import evenly_spaced, median_time
+from benches.measuring import counter, evenly_spaced, median_time
 from bodyseg_data.artifacts import VARIANTS, VariantName
 from bodyseg_data.artifacts.occlusion import shadow_test
-from bodyseg_data.core import ProgressCallback, counter, silent
+from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.loading import Batch, RangeImages, loader
 from bodyseg_data.packing import ShardWriter
 from bodyseg_data.packing.occluders import occluder_range

@@ -12,7 +12,8 @@ from typing import Any, Final
 from benches.fuzzing.damage import BLOCK, Damaged, Tally, cut_everywhere, flip_bits, mangle
 from benches.fuzzing.fuzzing import campaign
 from benches.fuzzing.interruptions import TROUBLES, Interrupted, kill_at_instants
-from bodyseg_data.core import ProgressCallback, counter, silent
+from benches.measuring import counter
+from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.packing import Packing, pack
 from bodyseg_data.samples import ViewGrid
 from bodyseg_data.shards import MANIFEST_NAME

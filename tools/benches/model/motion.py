@@ -20,9 +20,10 @@ import torch
 from numpy.typing import NDArray
 
 from benches.charts.stability_tables import FORMAT
+from benches.measuring import counter
 from bodyseg_data.artifacts import Augmentation, RangeImage, VariantName
 from bodyseg_data.bodies import FRAMES_PER_SECOND, Body, BodyRef, BodySource, open_source
-from bodyseg_data.core import BadConfig, ProgressCallback, check_int, counter, silent
+from bodyseg_data.core import BadConfig, ProgressCallback, check_int, silent
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.machine import torch_threads

@@ -6,8 +6,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
+from benches.measuring import counter
 from bodyseg_data.commands import last_name, provenance
-from bodyseg_data.core import ProgressCallback, check_int, counter, silent
+from bodyseg_data.core import ProgressCallback, check_int, silent
 from bodyseg_data.loading import BodyCrop, RangeImages
 from bodyseg_model.evaluation import evaluate, over_seeds
 from bodyseg_model.networks import build

@@ -37,9 +37,9 @@ from benches.data.loader.litdata import LitData
 from benches.data.loader.mds import Mds
 from benches.data.loader.passes import Passes, checksum_of, run_rounds
 from benches.data.loader.pngs import DECODERS, Decode, by_pillow, time_decoders
-from benches.measuring import evenly_spaced
+from benches.measuring import counter, evenly_spaced
 from bodyseg_data.artifacts import VARIANTS, VariantName
-from bodyseg_data.core import BadConfig, ProgressCallback, counter, silent
+from bodyseg_data.core import BadConfig, ProgressCallback, silent
 from bodyseg_data.loading import Batch, Flip, RangeImages, loader
 from bodyseg_data.machine import processors
 from bodyseg_data.packing import PROCESSES, Packing, open_engine, pack

@@ -16,7 +16,8 @@ from typing import Any, Final
 from benches.data.reading.bench import BATCH, LARGEST, RANKS, RANKS_A_MACHINE
 from benches.data.reading.far import LATENCY_S, ORDERS, RATE
 from benches.data.reading.manifests import write_large_index
-from bodyseg_data.core import ProgressCallback, counter, silent
+from benches.measuring import counter
+from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.loading.image_set import Pass, batch_bounds
 from bodyseg_data.shards import LookAhead, RemoteFolder, RetryPolicy, with_cache

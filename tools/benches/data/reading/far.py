@@ -13,7 +13,8 @@ from typing import Any, Final
 import numpy as np
 
 from benches.data.reading.throttled import ThrottledServer
-from bodyseg_data.core import ProgressCallback, counter, silent
+from benches.measuring import counter
+from bodyseg_data.core import ProgressCallback, silent
 from bodyseg_data.loading import RangeImages, loader
 from bodyseg_data.packing import PROCESSES, Packing, open_engine, pack
 from bodyseg_data.samples import ViewGrid

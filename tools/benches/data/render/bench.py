@@ -21,9 +21,9 @@ import numpy as np
 
 from benches.data.render.alone import measure_renderers
 from benches.data.render.steps import measure_stages, measure_steps
-from benches.measuring import evenly_spaced
+from benches.measuring import counter, evenly_spaced
 from bodyseg_data.bodies import BodyRef
-from bodyseg_data.core import BadConfig, MissingLibrary, ProgressCallback, counter, silent
+from bodyseg_data.core import BadConfig, MissingLibrary, ProgressCallback, silent
 from bodyseg_data.meshes import Mesh
 from bodyseg_data.packing import PROCESSES, Packing, Sampler, open_engine, pack
 from bodyseg_data.packing.packer import render_run

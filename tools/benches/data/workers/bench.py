@@ -24,8 +24,9 @@ from benches.data.loader.processes import processor_seconds
 from benches.data.workers import subject
 from benches.data.workers.memory import process_tree, tree_mb
 from benches.data.workers.subject import Pass, Setup
+from benches.measuring import counter
 from bodyseg_data.artifacts import VariantName
-from bodyseg_data.core import BadSample, ProgressCallback, counter, silent
+from bodyseg_data.core import BadSample, ProgressCallback, silent
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.packing import PROCESSES, Packing, open_engine, pack
 from bodyseg_data.samples import ViewGrid

@@ -14,8 +14,9 @@ from typing import Any, Final
 
 import torch
 
+from benches.measuring import counter
 from benches.model.chosen import chosen_network
-from bodyseg_data.core import BadConfig, ProgressCallback, check_int, counter, silent
+from bodyseg_data.core import BadConfig, ProgressCallback, check_int, silent
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.machine import torch_threads

@@ -17,9 +17,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from benches.measuring import counter
 from benches.model.chosen import chosen_network
 from benches.model.rooms.made import HELD_OUT, make
-from bodyseg_data.core import BadConfig, ProgressCallback, counter, silent
+from bodyseg_data.core import BadConfig, ProgressCallback, silent
 from bodyseg_data.machine import processors
 from bodyseg_data.rooms.furnishings import FURNISHINGS
 from bodyseg_data.rooms.room_packing import draw_people

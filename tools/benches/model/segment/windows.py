@@ -14,9 +14,10 @@ from typing import Any, Final
 import numpy as np
 import torch
 
+from benches.measuring import counter
 from benches.model.chosen import chosen_network
 from benches.model.segment.bench import cameras, made_rooms
-from bodyseg_data.core import ProgressCallback, check_int, counter, silent
+from bodyseg_data.core import ProgressCallback, check_int, silent
 from bodyseg_data.labels import UNLABELLED
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.machine import torch_threads
