@@ -116,5 +116,4 @@ def kept_array(name: str, size: int, kind: type[np.generic], use: Any = None) ->
     if made is None or made.size != size or used != use:
         made = np.zeros(size, kind)
         setattr(_of_thread, name, (made, use))
-    array: NDArray[Any] = made
-    return array
+    return made

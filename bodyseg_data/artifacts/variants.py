@@ -155,8 +155,7 @@ class Augmentation:
     @cached_property
     def _covered(self) -> int:
         """The number of artifacts, from the first on, that are applied in one compiled call."""
-        covered: int = loops(_LOOPS).covered(self.applied) if self.applied else 0
-        return covered
+        return loops(_LOOPS).covered(self.applied) if self.applied else 0
 
 
 def shown_with(artifact: Artifact, sample: Sample, rig: Rig, seed: int, epoch: int = 0) -> RangeImage:

@@ -138,8 +138,7 @@ def load_command(place: str) -> Command:
     """Import the command at a place of `COMMANDS`."""
     module, _, name = place.partition(":")
     found = importlib.import_module(module)
-    command: Command = getattr(found, name) if name else found
-    return command
+    return getattr(found, name) if name else found
 
 
 def _say(command: str, message: str, status: int) -> int:

@@ -178,8 +178,7 @@ class SetStream:
             return np.linspace(0, len(self.images) - 1, count).astype(np.int64)
         sums = np.cumsum(self._units)
         at: NDArray[np.int64] = ((np.arange(count) + 0.5) / count * sums[-1]).astype(np.int64)
-        found: NDArray[np.int64] = np.searchsorted(sums, at, side="right")
-        return found
+        return np.searchsorted(sums, at, side="right")
 
     def _pass(self, number: int, shuffle: Shuffle) -> Requests:
         """Return one pass, whole; the last one is kept, as an epoch may end in the middle of it."""
@@ -212,8 +211,7 @@ def _steps(total: int, count: int, start: int) -> NDArray[np.int64]:
     whole, rest = divmod(total, count)
     begin, begin_rest = divmod(start, count)
     at = np.arange(count)
-    found: NDArray[np.int64] = begin + at * whole + (begin_rest + at * rest) // count
-    return found
+    return begin + at * whole + (begin_rest + at * rest) // count
 
 
 def _most(units: NDArray[np.int64]) -> int:

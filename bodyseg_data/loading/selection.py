@@ -85,8 +85,7 @@ class BlockOrder:
         things = (blocks[:, None] * BLOCK_SAMPLES + np.arange(BLOCK_SAMPLES)).ravel()
         things = things[things < self._count]
         words = np.random.Philox(key=self._key, counter=[0, part, 0, 0]).random_raw(len(things))
-        order: NDArray[np.int64] = things[np.argsort(words, kind="stable")]
-        return order
+        return things[np.argsort(words, kind="stable")]
 
 
 Group = tuple[str, ...]

@@ -40,8 +40,6 @@ StartMethod = Literal["fork", "spawn", "forkserver"]
 DEFAULT_WORKER_METHOD: Final[WorkerMethod] = "thread"
 """Chosen by measurement: docs/results/loading_speed.md."""
 
-_WORKER_METHODS: Final[tuple[WorkerMethod, ...]] = ("process", "thread")
-
 END_TIMEOUT_S: Final = 5.0
 """Time for a worker to finish its request after it was told to end, seconds."""
 

@@ -81,8 +81,7 @@ class Packing:
 
 def classes_from(source: BodySource) -> Classes:
     """Return the classes of a source's labels: the 33 parts, unless it has the attribute `classes`."""
-    classes: Classes = getattr(source, "classes", PART_CLASSES)
-    return classes
+    return getattr(source, "classes", PART_CLASSES)
 
 
 def evenly_sampled(bodies: Sequence[BodyRef], count: int | None) -> list[BodyRef]:

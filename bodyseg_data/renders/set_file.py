@@ -87,8 +87,7 @@ def _packed(image: NDArray[Any], where: str) -> NDArray[np.int64]:
     if image.dtype != np.uint8 or image.shape[2] not in (3, 4):
         raise BadSample(f"{where}: a label image in colours must be of 8 bits, found {image.dtype} {image.shape}")
     channels = image.astype(np.int64)
-    packed: NDArray[np.int64] = channels[..., 0] << 16 | channels[..., 1] << 8 | channels[..., 2]
-    return packed
+    return channels[..., 0] << 16 | channels[..., 1] << 8 | channels[..., 2]
 
 
 @dataclass(frozen=True)

@@ -311,5 +311,4 @@ def metres(steps: NDArray[np.uint16], step_m: float, out: NDArray[np.float32] | 
 
     step_m: one step, metres (`RangeImages.step_m`). out: float32 array to write into, of the same shape.
     """
-    found: NDArray[np.float32] = np.multiply(steps, np.float32(step_m), out=out)
-    return found
+    return np.multiply(steps, np.float32(step_m), out=out)

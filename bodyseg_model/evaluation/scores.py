@@ -125,8 +125,7 @@ class PerImageAccuracy:
     def deviation(self) -> NDArray[np.float64]:
         """Standard deviation over images, divisor n - 1, float64 [C + 1]; NaN for fewer than two."""
         squares = np.maximum(self.squares - self.images * np.nan_to_num(self.mean()) ** 2, 0.0)
-        found: NDArray[np.float64] = np.sqrt(_ratios(squares, np.maximum(self.images - 1, 0)))
-        return found
+        return np.sqrt(_ratios(squares, np.maximum(self.images - 1, 0)))
 
 
 def _ratios(part: NDArray[Any], whole: NDArray[np.int64]) -> NDArray[np.float64]:

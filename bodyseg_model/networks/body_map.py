@@ -28,8 +28,7 @@ _AROUND: Final = 6  # cubes beyond the outermost points
 @cache
 def place_table() -> NDArray[np.float32]:
     """The place of each point of the template, float32 [P, 3]."""
-    found: NDArray[np.float32] = ((load_template().points - _MIDDLE_M) / UNIT_M).astype(np.float32)
-    return found
+    return ((load_template().points - _MIDDLE_M) / UNIT_M).astype(np.float32)
 
 
 class PointGrids(NamedTuple):

@@ -353,7 +353,5 @@ def write_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> str:
 
 
 def _parse(data: bytes, path: Path) -> dict[str, torch.Tensor]:
-    try:
+    with reported(f"{path} is not a whole safetensors file", BadConfig, SafetensorError):
         return parse_tensors(data)
-    except SafetensorError as error:
-        raise BadConfig(f"{path} is not a whole safetensors file: {error}") from error

@@ -23,7 +23,7 @@ from urllib.parse import quote
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_data.core import BadConfig, MissingLibrary, reported
 from bodyseg_model.recordings.bag_messages import (
     LARGEST_MESSAGE,
     MOST_MESSAGES,
@@ -220,10 +220,8 @@ class SqliteBag:
         # A file without a log of writes beside it changes no more; then SQLite needs to make no file of its own.
         rest = "" if path.with_name(f"{path.name}-wal").exists() else "&immutable=1"
         uri = f"file:{quote(str(path.absolute()))}?mode=ro{rest}"
-        try:
+        with reported(f"cannot read {path}", BadConfig, sqlite3.Error):
             self._base = sqlite3.connect(uri, uri=True, check_same_thread=False)
-        except sqlite3.Error as error:
-            raise BadConfig(f"cannot read {path}: {error}") from error
         self._rows: dict[Topic, list[int]] = {}
         try:
             self._base.execute("PRAGMA trusted_schema=OFF")

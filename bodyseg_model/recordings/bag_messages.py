@@ -203,12 +203,10 @@ def decode(bag: Bag, topic: Topic, index: int) -> Any:
     except Exception as error:  # damaged pages and compressed data, as `Bag.read` says
         raise BadConfig(f"the message cannot be read: {str(error) or type(error).__name__}") from error
     store = typestore(topic.encoding)
-    try:
+    with reported(f"the message is no {topic.kind}", BadConfig, Exception):  # whatever the decoder raises
         if topic.encoding == "ros1":
             return store.deserialize_ros1(data, topic.kind)
         return store.deserialize_cdr(data, topic.kind)
-    except Exception as error:  # bytes of strangers: the decoder raises what it likes
-        raise BadConfig(f"the message is no {topic.kind}: {error}") from error
 
 
 def decompressed(data: bytes, most: int = sys.maxsize) -> bytes:

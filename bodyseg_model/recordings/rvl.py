@@ -58,5 +58,4 @@ def _numbers(data: bytes) -> NDArray[np.int64]:
     if lengths.max() > _LONGEST:
         raise BadConfig("RVL must hold numbers of at most 32 bits")
     own = np.arange(ends[-1] + 1) - np.repeat(starts, lengths)
-    numbers: NDArray[np.int64] = np.add.reduceat((pieces[: len(own)] & 7).astype(np.int64) << 3 * own, starts)
-    return numbers
+    return np.add.reduceat((pieces[: len(own)] & 7).astype(np.int64) << 3 * own, starts)

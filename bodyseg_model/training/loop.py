@@ -20,7 +20,7 @@ import torch
 from torch import nn
 
 from bodyseg_data import Mixture, RangeImages, load_template, loader
-from bodyseg_data.core import BadConfig, BodysegError, Checked, Draws, bounded
+from bodyseg_data.core import BadConfig, BodysegError, Checked, Draws, bounded, reported
 from bodyseg_data.files import claimed
 from bodyseg_data.labels import PARTS33, TEMPLATE
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, Batch, ImageSet, Loader, WorkerMethod
@@ -242,12 +242,10 @@ class Training:
             self.folder.forget_after(0 if checkpoint is None else checkpoint.step)
         if checkpoint is None:
             return None
-        try:
+        with reported(f"{self.folder.path}: the checkpoint must be of this network", BadConfig, RuntimeError):
             self.network.load_state_dict(checkpoint.part(Checkpoint.TRAINED))
             if self.averaged is not None:
                 self.averaged.network.load_state_dict(checkpoint.part(Checkpoint.AVERAGED))
-        except RuntimeError as error:
-            raise BadConfig(f"{self.folder.path}: the checkpoint must be of this network: {error}") from error
         fill_optimisers(self.optimisers, checkpoint.part(_OPTIMISER))
         self.step = checkpoint.step
         if self.validation is not None:

@@ -69,8 +69,7 @@ class SelectedPixels:
         table = scores.permute(0, 2, 3, 1).flatten(0, 2)
         cells = torch.stack([(self.image * rows + row) * columns + column for row, column in places])
         corners = table.index_select(0, cells.flatten()).reshape(*cells.shape, scores.shape[1])
-        found: torch.Tensor = (corners * shares[..., None]).sum(0)
-        return found
+        return (corners * shares[..., None]).sum(0)
 
 
 class _Interpolated(torch.autograd.Function):

@@ -131,8 +131,7 @@ def luminance(colours: NDArray[Any]) -> NDArray[np.float64]:
     """Relative luminance of sRGB colours [..., 3], 0 to 1."""
     shares = np.asarray(colours, np.float64) / 255
     light = np.where(shares <= 0.04045, shares / 12.92, ((shares + 0.055) / 1.055) ** 2.4)
-    found: NDArray[np.float64] = light @ [0.2126, 0.7152, 0.0722]
-    return found
+    return light @ [0.2126, 0.7152, 0.0722]
 
 
 _EMPTY_LIGHT: Final = luminance(np.array(EMPTY)) + 0.05
@@ -222,8 +221,7 @@ def points_at(range_m: NDArray[np.float32], placed: PlacedCamera) -> NDArray[np.
     """
     seen = range_m > 0
     rays = placed.camera.pixel_rays()[seen]
-    found: NDArray[np.float32] = placed.to_body(rays * range_m[seen, None].astype(np.float64)).astype(np.float32)
-    return found
+    return placed.to_body(rays * range_m[seen, None].astype(np.float64)).astype(np.float32)
 
 
 def point_gap_m(range_m: NDArray[np.float32], camera: Camera) -> float:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
 from bodyseg_data.artifacts import PAIRS, VARIANTS, Artifact, SensorModel, load_sensor_model, sensor_model_names
-from bodyseg_data.core import BadConfig, BodysegError
+from bodyseg_data.core import BadConfig, BodysegError, reported
 from bodyseg_data.samples import READ_SPLITS, SPLITS, ReadSplit
 from bodyseg_model.viewing.page import Controls, Page
 from bodyseg_model.viewing.set_view import COLOURINGS, SetView, Shown
@@ -233,7 +233,5 @@ class SetPage(Controls):
 
 def _words(text: str) -> list[str]:
     """Words of a text as a shell divides it. Raises BadConfig for a quotation mark without its other one."""
-    try:
+    with reported(f"cannot divide {text!r} into words", BadConfig, ValueError):
         return shlex.split(text)
-    except ValueError as error:
-        raise BadConfig(f"cannot divide {text!r} into words: {error}") from error

@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Final, TypeVar
 
 from bodyseg_data.artifacts import Artifact
-from bodyseg_data.core import BadConfig, Bounds
+from bodyseg_data.core import BadConfig, Bounds, reported
 
 _REACH: Final = 3  # A slider without a nearer limit ends at a round number of at least so many times the strength
 _STEPS: Final = 200
@@ -117,10 +117,10 @@ def _reference(artifact: Artifact, name: str, value: float) -> float:
 
 def _with(artifact: Kind, strengths: dict[str, Any]) -> Kind:
     """The artifact with other strengths. Raises BadConfig for whatever its class raises."""
-    try:
+    with reported(
+        f"{artifact.name} refuses {strengths}", BadConfig, TypeError, ValueError, ArithmeticError, LookupError
+    ):
         return replace(artifact, **strengths)
-    except (TypeError, ValueError, ArithmeticError, LookupError) as error:
-        raise BadConfig(f"{artifact.name} refuses {strengths}: {error}") from error
 
 
 def _is_number(value: Any) -> bool:

@@ -219,5 +219,4 @@ def pelvis_over(build: Build, pose: Pose) -> Vector:
     leg, lean = pose.left_leg, pose.trunk.lean
     thigh = lean - leg.flex
     below = about_x(thigh + leg.knee) @ build.shin + about_x(thigh) @ build.thigh + about_x(lean) @ build.hip
-    pelvis: Vector = (Sole(0, 0, 0, leg.ankle).ankle(build) - below) * (0, 1, 1)
-    return pelvis
+    return (Sole(0, 0, 0, leg.ankle).ankle(build) - below) * (0, 1, 1)

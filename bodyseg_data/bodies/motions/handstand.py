@@ -142,8 +142,7 @@ def _spot(build: Build) -> Vector:
 def _hands(pose: Pose) -> Vector:
     """Return the vector from the pelvis to the middle between both wrists, [3], metres."""
     left, right = _wrist(pose)[1], _wrist(pose.mirrored())[1]
-    middle: Vector = (left + right * (-1, 1, 1)) / 2
-    return middle
+    return (left + right * (-1, 1, 1)) / 2
 
 
 def _wrist(pose: Pose) -> tuple[Matrix, Vector]:

@@ -134,8 +134,7 @@ class BodysegImages:
         sizes = [width * count, count, 4 * long]
         values, lengths, longs = _split(_numbers(view[_PLANE.size :], sum(sizes)), sizes)
         stored = from_byte_planes(values, np.uint8 if width == 1 else np.uint16)
-        found: Bytes | Range = np.repeat(stored, checked_lengths(lengths, longs, box)).reshape(rows, columns)
-        return found
+        return np.repeat(stored, checked_lengths(lengths, longs, box)).reshape(rows, columns)
 
 
 def _slopes_of(image: Range, labels: Bytes, facing: Bytes) -> tuple[Box, tuple[int, int, int, int, int], bytes]:

@@ -172,8 +172,7 @@ class PngImages:
         return {"png": encode_png(plane)}
 
     def decode_plane(self, data: bytes) -> NDArray[np.uint8] | NDArray[np.uint16]:
-        found: NDArray[np.uint8] | NDArray[np.uint16] = decode_png(data)
-        return found
+        return decode_png(data)
 
 
 class EarlierPngImages(PngImages):

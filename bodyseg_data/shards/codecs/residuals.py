@@ -121,14 +121,12 @@ class Slopes:
 def zigzag(change: Range) -> Range:
     """Encode differences modulo 65536 so that small ones become small numbers: 0, -1, 1, -2, ... -> 0, 1, 2, 3, ..."""
     signed = change.view(np.int16)
-    coded: Range = ((signed << 1) ^ (signed >> 15)).view(np.uint16)
-    return coded
+    return ((signed << 1) ^ (signed >> 15)).view(np.uint16)
 
 
 def unzigzag(coded: Range) -> Range:
     """Decode differences, the inverse of `zigzag`."""
-    change: Range = (coded >> np.uint16(1)) ^ (np.uint16(0) - (coded & np.uint16(1)))
-    return change
+    return (coded >> np.uint16(1)) ^ (np.uint16(0) - (coded & np.uint16(1)))
 
 
 def foreground_runs(runs: Runs) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

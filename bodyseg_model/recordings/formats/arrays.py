@@ -38,10 +38,8 @@ def open_npy(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame
     """
     if topic is not None:
         raise BadConfig(f"--topic is for recordings that hold several, found an NPY file: {path}")
-    try:
+    with reported(f"{path} must be a whole NPY file of numbers", BadConfig, Exception):  # whatever the parser raises
         values = np.lib.format.open_memmap(path, mode="r", max_header_size=_LONGEST_HEADER)
-    except Exception as error:  # a damaged header raises what the parser of Python likes
-        raise BadConfig(f"{path} must be a whole NPY file of numbers: {error}") from error
     shape = _check(values.shape, values.dtype, str(path), step_m)
     frames = values.reshape(shape) if len(shape) == 3 else values.reshape(1, *shape)
     return stored_recording(path, ArrayFrames(frames), len(frames), values.dtype.kind == "f", step_m)

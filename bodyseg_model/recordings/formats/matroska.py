@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, reported
 from bodyseg_data.machine import required
 from bodyseg_model.recordings.cameras import Intrinsics, driver_camera
 from bodyseg_model.recordings.recording import LARGEST_SIDE, Frame, FrameSource, stored_recording
@@ -87,10 +87,8 @@ class _Frames(FrameSource):
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[InputContainer]:
     av, errors = (required(module, "reading .mkv files", "recordings") for module in ("av", "av.error"))
-    try:
+    with reported(f"{path} must be a Matroska file", BadConfig, errors.FFmpegError, OSError, ValueError):
         container = av.open(str(path), format="matroska")
-    except (errors.FFmpegError, OSError, ValueError) as error:
-        raise BadConfig(f"{path} must be a Matroska file: {error}") from error
     with container:
         yield container
 
@@ -116,14 +114,12 @@ def _track(container: InputContainer, topic: str | None, path: Path) -> VideoStr
 
 def _times(container: InputContainer, track: VideoStream) -> list[tuple[int, float]]:
     """Time of every frame of a track, in its unit and in seconds, from packets alone: nothing is decoded."""
-    try:
+    with reported(f"{container.name} must be a whole Matroska file", BadConfig, OSError, ValueError):
         return [
             (packet.pts, float(packet.pts * (track.time_base or 0)))
             for packet in container.demux(track)
             if packet.pts is not None and packet.size
         ]
-    except (OSError, ValueError) as error:
-        raise BadConfig(f"{container.name} must be a whole Matroska file: {error}") from error
 
 
 CALIBRATION: Final = "calibration.json"

@@ -43,25 +43,20 @@ class _Pages(FrameSource):
     def __init__(self, path: Path) -> None:
         silence_libtiff()
         self._path = path
-        try:
-            with path.open("rb") as file:
-                self.starts = _pages(file)
-        except (OSError, ValueError) as error:
-            raise BadConfig(f"{path} must be a whole TIFF: {error}") from error
+        with reported(f"{path} must be a whole TIFF", BadConfig, OSError, ValueError), path.open("rb") as file:
+            self.starts = _pages(file)
 
     def read(self, index: int) -> NDArray[Any]:
-        try:
-            with (
-                warnings.catch_warnings(action="error"),
-                _FromPage(self._path, self.starts[index]) as file,
-                Image.open(file, formats=["TIFF"]) as image,
-            ):
-                mode, size = image.mode, image.size
-                tile = [int(image.tag_v2.get(tag, 1)) for tag in _TILE_SIDES]  # type: ignore[attr-defined]
-                if mode in _MODES and max(*size, *tile) <= LARGEST_SIDE:
-                    return np.asarray(image).astype(_MODES[mode])
-        except Exception as error:  # a damaged page raises what Pillow likes
-            raise BadConfig(f"page {index} of the TIFF cannot be read: {error}") from error
+        with (
+            reported(f"page {index} of the TIFF cannot be read", BadConfig, Exception),  # whatever Pillow raises
+            warnings.catch_warnings(action="error"),
+            _FromPage(self._path, self.starts[index]) as file,
+            Image.open(file, formats=["TIFF"]) as image,
+        ):
+            mode, size = image.mode, image.size
+            tile = [int(image.tag_v2.get(tag, 1)) for tag in _TILE_SIDES]  # type: ignore[attr-defined]
+            if mode in _MODES and max(*size, *tile) <= LARGEST_SIDE:
+                return np.asarray(image).astype(_MODES[mode])
         raise BadConfig(
             f"a page must be grey of 16 or 32 bits or floating point, at most {LARGEST_SIDE} a side, found {mode!r} of "
             f"{size[1]} x {size[0]}"

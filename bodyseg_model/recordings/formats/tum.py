@@ -7,7 +7,7 @@ import math
 from pathlib import Path, PurePosixPath
 from typing import Final
 
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, reported
 from bodyseg_data.files import read_bytes
 from bodyseg_model.recordings.frames import png_file
 from bodyseg_model.recordings.recording import Frame
@@ -25,10 +25,8 @@ def open_tum(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame
     if topic is not None:
         raise BadConfig(f"--topic is for recordings that hold several, found a folder with {_LIST}: {path}")
     list_file = path / _LIST
-    try:
+    with reported(f"a list of frames must be text: {list_file}", BadConfig, UnicodeDecodeError):
         lines = read_bytes(list_file, _LARGEST_LIST).decode().splitlines()
-    except UnicodeDecodeError as error:
-        raise BadConfig(f"a list of frames must be text: {list_file}: {error}") from error
     step = step_m or _STEP_M
     frames = []
     for number, line in enumerate(lines, 1):
