@@ -155,7 +155,7 @@ CASES: dict[str, Case] = {
     "add artifacts without a rig": (
         lambda: Augmentation(NONE, "all"),
         BadConfig,
-        "rig must be of class Rig, found NoneType",
+        "Augmentation: rig must be of class Rig, found None",
     ),
     "add artifacts by a wrong seed": (
         lambda: Augmentation(load_rig(), "all", -1),

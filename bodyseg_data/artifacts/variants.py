@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.artifact import Artifact, Kind, RangeImage, Scene
 from bodyseg_data.artifacts.scratch import copy_unless_same
 from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
-from bodyseg_data.core import BadConfig, BadSample, Draws, check_choice, check_epoch, check_seed
+from bodyseg_data.core import BadConfig, BadSample, Draws, check_choice, check_epoch, check_fields, check_seed
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import if_ready, loops
 from bodyseg_data.rigs import Rig
@@ -88,10 +88,7 @@ class Augmentation:
     def __post_init__(self) -> None:
         check_variant(self.variant)
         check_seed(self.seed)
-        for name, kind in (("rig", Rig), ("sensor", SensorModel)):
-            if not isinstance(getattr(self, name), kind):
-                found = type(getattr(self, name)).__name__
-                raise BadConfig(f"{name} must be of class {kind.__name__}, found {found}")
+        check_fields(self)
 
     def __repr__(self) -> str:
         return f"Augmentation(rig {self.rig.name!r}, {self.variant!r}, seed={self.seed}, {self.sensor})"

@@ -10,7 +10,6 @@ import copy
 import io
 import itertools
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, get_args
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 from torch import nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, check_choice
 from bodyseg_data.machine import computes_bfloat16, required
 from bodyseg_model.networks import (
     CheckpointName,
@@ -132,7 +131,7 @@ class RuntimeNetwork(Network):
         settings = model.card.get("settings")
         focal_px = settings.get("focal_px") if isinstance(settings, dict) else None  # what a finder of people needs
         super().__init__({"focal_px": focal_px} if focal_px else {}, model.facts.classes)
-        check_precision(name, runtime.precisions, precision)
+        check_choice(f"the precision of {name}", precision, runtime.precisions)
         self.output_stride = model.facts.output_stride
         self.model = model
         self._runtime, self._graph = runtime, scores_part(model.graph).SerializeToString()
@@ -161,12 +160,6 @@ class RuntimeNetwork(Network):
         if list(found.shape) != wanted:
             raise BadConfig(f"by its stride and classes, scores must be {wanted}, found {list(found.shape)}")
         return torch.from_numpy(found).permute(0, 3, 1, 2)
-
-
-def check_precision(backend: str, precisions: Sequence[Precision], precision: Precision) -> None:
-    """Raise BadConfig unless a backend has a precision."""
-    if precision not in precisions:
-        raise BadConfig(f"{backend} computes in {' or '.join(precisions)}, found {precision}")
 
 
 TORCH: Final = "torch"
@@ -217,11 +210,11 @@ def on_backend(network: Network, backend: BackendName | None = None, precision: 
         return RuntimeNetwork(network.model, name, _runtime(name), asked)
     name, chosen = backend or TORCH, precision or "float32"
     if name == TORCH:
-        check_precision(name, get_args(Precision), chosen)
+        check_choice(f"the precision of {name}", chosen, get_args(Precision))
         quick = folded(network)
         return Bfloat16(quick) if chosen == "bfloat16" else quick
     runtime = _runtime(name)
-    check_precision(name, runtime.precisions, chosen)  # before the graph is made
+    check_choice(f"the precision of {name}", chosen, runtime.precisions)  # before the graph is made
     runtime.loaded()
     return RuntimeNetwork(to_onnx(network, {"settings": network.settings}), name, runtime, chosen)
 

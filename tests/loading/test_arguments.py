@@ -113,9 +113,9 @@ def test_an_epoch_is_checked_wherever_it_is_taken(images: RangeImages, epoch: An
 def test_an_augmentation_needs_a_rig_and_a_sensor(images: RangeImages) -> None:
     rig: Any = images.manifest.rig
     nothing: Any = None
-    with pytest.raises(BadConfig, match="^rig must be of class Rig, found NoneType$"):
+    with pytest.raises(BadConfig, match="^Augmentation: rig must be of class Rig, found None$"):
         Augmentation(nothing, "all")
-    with pytest.raises(BadConfig, match="^sensor must be of class SensorModel, found NoneType$"):
+    with pytest.raises(BadConfig, match="^Augmentation: sensor must be of class SensorModel, found None$"):
         Augmentation(rig, "all", 0, nothing)
 
 

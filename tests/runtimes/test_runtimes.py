@@ -226,7 +226,7 @@ def test_one_line_says_what_is_wrong(run: Path, tmp_path: Path, capsys: pytest.C
         (["evaluate", "--run", str(tmp_path / "toy.onnx"), *to], "toy.onnx: "),
         (["evaluate", "--run", str(tmp_path / "toy.onnx"), "--checkpoint", "last", *to], "is one of a run's folder"),
         (["evaluate", "--run", str(run), "--backend", "tvm", *to], "--backend"),
-        (["evaluate", "--run", str(run), "--backend", "onnxruntime", "--precision", "bfloat16", *to], "found bfloat16"),
+        (["evaluate", "--run", str(run), "--backend", "onnxruntime", "--precision", "bfloat16", *to], "one of float32"),
         (["evaluate", "--run", str(run), "--backend", "onnxruntime", "--device", "cuda", *to], "found the device cuda"),
     ):
         assert main(words) == 2
@@ -240,7 +240,7 @@ def test_what_python_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
         answer_graph(Toy().train())
     with pytest.raises(BadConfig, match="the backend must be one of torch, onnxruntime, openvino, found 'tvm'"):
         on_backend(Toy().eval(), "tvm")
-    with pytest.raises(BadConfig, match="torch computes in float32 or bfloat16, found int8"):
+    with pytest.raises(BadConfig, match="the precision of torch must be one of float32, bfloat16, found 'int8'"):
         on_backend(Toy().eval(), "torch", "int8")  # type: ignore[arg-type]
 
     class Odd(Toy):
