@@ -98,11 +98,5 @@ def peak_mb(process: int | None = None) -> float | None:
 
 def _high_water_kib(process: str) -> int | None:
     """The entry VmHWM of Linux's /proc, KiB."""
-    try:
-        lines = Path("/proc", process, "status").read_text().splitlines()
-    except OSError:
-        return None
-    for line in lines:
-        if line.startswith("VmHWM:"):
-            return int(line.split()[1])
-    return None
+    status = _lines(f"/proc/{process}/status")
+    return next((int(line.split()[1]) for line in status if line.startswith("VmHWM:")), None)

@@ -52,6 +52,8 @@ from bodyseg_model.training import use_threads
 EXAMPLE = "bodyseg evaluate --run runs/all-0 --data shards hard --json all-0.json --figures all-0"
 
 _FORMAT: Final = "bodyseg evaluation 1"
+_OF_IMAGES: Final = ("variant", "split", "val_share", "where", "seed", "sensor", "noise_mm", "missing")
+"""Options that are stored with the scores."""
 
 
 @dataclass(frozen=True)
@@ -223,16 +225,7 @@ def _facts(options: Options, trained: Trained) -> dict[str, Any]:
     facts["run"] = None if options.run is None else options.run.name
     facts["card"] = trained.card
     facts["runtime"] = backend_of(trained.network)
-    return facts | {
-        "variant": options.variant,
-        "split": options.split,
-        "val_share": options.val_share,
-        "where": list(options.where),
-        "seed": options.seed,
-        "sensor": options.sensor,
-        "noise_mm": options.noise_mm,
-        "missing": options.missing,
-    }
+    return facts | {name: getattr(options, name) for name in _OF_IMAGES}
 
 
 def _describe(images: RangeImages, count: int | None, trained: Trained) -> dict[str, Any]:

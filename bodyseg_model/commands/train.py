@@ -9,7 +9,7 @@ import sys
 import time
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -50,6 +50,7 @@ from bodyseg_model.training import (
     GeometricAugmentation,
     Metrics,
     OptimiserName,
+    Recipe,
     RecipeName,
     Report,
     RunOptions,
@@ -133,15 +134,10 @@ def run(options: Options) -> int:
     use_threads(options.threads)
     if options.only_template and options.pretrained is None:
         raise BadConfig("--only-template trains a head for a network that is trained: give that as --pretrained")
+    named = {each.name: getattr(options, each.name) for each in fields(Recipe) if hasattr(options, each.name)}
     recipe = recipe_for(
         options.recipe or network_class(options.network).default_recipe,
-        steps=options.steps,
-        batch_size=options.batch_size,
-        accumulate=options.accumulate,
-        learning_rate=options.learning_rate,
-        optimiser=options.optimiser,
-        ema=options.ema,
-        shuffle=options.shuffle,
+        **named,
         only_places=options.only_template,
         mirror=False if options.no_mirror else None,
         geometric_augmentation=GeometricAugmentation() if options.no_geometric_augmentation else None,
