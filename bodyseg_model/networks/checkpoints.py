@@ -186,7 +186,8 @@ def load_network(
     if checkpoint == "best" and not file.exists():
         raise BadConfig(f"{path} has no best checkpoint: it is kept by a training that is validated (--val-share)")
     if file.suffix != ".safetensors":
-        raise BadConfig(f"a network is {' or '.join(_NAMED)}, a run's folder or a .safetensors file, found {path}")
+        found = path if path.exists() else f"{path}, which is not there"
+        raise BadConfig(f"a network is {' or '.join(_NAMED)}, a run's folder or a .safetensors file, found {found}")
     card = read_card(file)
     tensors, digest = _read_weights(file, card)
     if dense and file == SHIPPED:

@@ -191,9 +191,11 @@ class WrappedModule(Network):
 
 
 def check_range_images(range_m: torch.Tensor) -> None:
-    """Raise BadConfig unless `range_m` is [B, 1, H, W] and not empty."""
+    """Raise BadConfig unless `range_m` is [B, 1, H, W], not empty, and of a floating point that networks compute in."""
     if range_m.ndim != 4 or range_m.shape[1] != 1 or not range_m.numel():
         raise BadConfig(f"range images must be [B, 1, H, W], found {list(range_m.shape)}")
+    if range_m.dtype not in (torch.float32, torch.bfloat16, torch.float16):
+        raise BadConfig(f"range images must be float32, found {range_m.dtype}")
 
 
 def relief_of(range_m: torch.Tensor) -> torch.Tensor:

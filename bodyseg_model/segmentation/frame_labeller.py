@@ -28,7 +28,7 @@ from bodyseg_model.segmentation.segmenter import (
     Segmenter,
     least_confidence_of_people,
 )
-from bodyseg_model.segmentation.views import Undistortion
+from bodyseg_model.segmentation.views import Undistortion, metres_of
 
 _READ: Final = "read"
 _KEPT: Final = 4  # segmenters: an undistortion takes as much memory as several frames
@@ -144,7 +144,10 @@ class FrameLabeller:
         return f"FrameLabeller({self.trained!r}, {self.background}, for rig {self.rig.name})"
 
     def of(self, camera: Camera) -> tuple[Undistortion | None, Segmenter]:
-        """Undistortion, where a camera needs one, and segmenter of its frames. Raises BadConfig."""
+        """Undistortion, where a camera needs one, and segmenter of its frames. Raises BadConfig, also for no camera."""
+        if not isinstance(camera, Camera):
+            example = "frame_camera((480, 640), 'mine', focal_px=525.0).camera"
+            raise BadConfig(f"a frame needs its camera, like {example}, found {camera!r}")
         return self._segmenters(camera, self.quarters(camera))
 
     def quarters(self, camera: Camera) -> int:
@@ -181,11 +184,12 @@ class FrameLabeller:
         return lens, self._segmenter(camera if lens is None else lens.camera, turned=quarters, video=self.video)
 
     def __call__(self, range_m: NDArray[np.float32], camera: Camera) -> LabelledFrame:
-        """Label one frame, float32 [H, W], metres along the optical axis, 0 = nothing measured.
+        """Label one frame, [H, W], an array or tensor of floating point, metres along the optical axis, 0 = nothing
+        measured.
 
         camera: that took it, with or without lens distortion. With `video`, frames come in order; `restart` begins
-        another recording. Raises BadConfig for a frame of another size than the camera's, or a body too large for a
-        view.
+        another recording. Raises BadConfig for a frame of another size than the camera's, of whole numbers or in
+        millimetres, or a body too large for a view.
         """
         return self._find_in_array(0, range_m, camera)()
 
@@ -233,7 +237,7 @@ class FrameLabeller:
         with reported(where, BadConfig):
             with watch(_READ):
                 lens, segmenter = self.of(camera)
-                ideal = range_m if lens is None else lens(range_m)
+                ideal = range_m if lens is None else lens(metres_of(range_m, camera))
             if self.tells_turn and self._judged < _JUDGED and self._looked_at < _MOST_LOOKED_AT:
                 self._judge(ideal, segmenter.camera)
                 _, segmenter = self.of(camera)
@@ -242,7 +246,7 @@ class FrameLabeller:
 
     def recording(
         self,
-        source: str | Path | Sequence[str | Path | Frame],
+        source: str | Path | Iterable[str | Path | Frame],
         *,
         topic: str | None = None,
         step_m: float | None = None,
@@ -258,11 +262,13 @@ class FrameLabeller:
         that recordings or files beside them hold, or that the frames' size tells. skip_unreadable: skip up to this many
         frames that cannot be read. Raises BadConfig as `find_frames` and `FrameCameras`; MissingLibrary.
         """
-        given = [source] if isinstance(source, (str, Path)) else source
+        given = [source] if isinstance(source, (str, Path)) else list(source)
         paths = [Path(each) for each in given if isinstance(each, (str, Path))]
         frames = [each for each in given if not isinstance(each, (str, Path))]
         if paths:
             frames += find_frames(paths, topic, step_m)
+        if not all(isinstance(frame, Frame) for frame in frames):
+            raise BadConfig("arrays are labelled one by one or by `stream`; a recording has frames, as LiveRecording")
         if not frames:
             raise BadConfig("a recording must hold a frame, found none")
         skipping = Skipping(skip_unreadable)

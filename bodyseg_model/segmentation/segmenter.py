@@ -22,7 +22,7 @@ from bodyseg_model.segmentation.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.finder import Background, Found, find_bodies, part_people, shipped_finder, view_of
 from bodyseg_model.segmentation.joints import found_joints
 from bodyseg_model.segmentation.persons import Records, SurfacePixels
-from bodyseg_model.segmentation.views import BodyView, check_size, compile_loops, usual_views, view_body, view_frame
+from bodyseg_model.segmentation.views import BodyView, compile_loops, metres_of, usual_views, view_body, view_frame
 
 STAGES: Final = ("find", "resample", "network", "back", "video")
 _SURE: Final = 0.8  # mean confidence: of 276 images of people who stand at most three have less, half of those who lie
@@ -246,10 +246,9 @@ class Segmenter:
         """Find the bodies of a frame that the network is to label: all that is done before the network.
 
         range_m: as of a call. Keeps nothing from frame to frame, so that another thread may find those of the next
-        frame while this one's are labelled. Raises BadConfig for a frame of another size than the camera's, or a
-        body too large for a view.
+        frame while this one's are labelled. Raises BadConfig as `metres_of`, or for a body too large for a view.
         """
-        check_size(range_m.shape, self.camera)
+        range_m = metres_of(range_m, self.camera)
         watch, camera = Stopwatch(STAGES), self._upright
         with watch("find"):
             range_m = turned_image(range_m, self.turned)

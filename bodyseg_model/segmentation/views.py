@@ -39,6 +39,9 @@ that it meets, and views of one size go through a network together."""
 USUAL_PEOPLE: Final = 3
 """Surfaces of one size that a frame may show a network, for which `usual_views` prepares it."""
 
+_FARTHEST_M: Final = 100.0  # no range camera sees its nearest surface there
+_AS_METRES: Final = "a sensor's whole numbers times its unit, 0.001 m for most, are metres"
+
 
 @dataclass(frozen=True)
 class BodyView:
@@ -163,8 +166,25 @@ def check_size(shape: tuple[int, ...], camera: Camera) -> None:
     if shape != (camera.rows, camera.columns):
         raise BadConfig(
             f"a frame must have the camera's size, {camera.rows} x {camera.columns}, "
-            f"found {' x '.join(map(str, shape))}"
+            f"found {' x '.join(map(str, shape)) or 'none'}"
         )
+
+
+def metres_of(frame: Any, camera: Camera) -> NDArray[np.float32]:
+    """A frame as float32 [H, W], metres: an array or tensor of floating point, of any precision.
+
+    Raises BadConfig for another size than the camera's; for whole numbers, which are a sensor's steps; and where
+    nothing that was measured is nearer than `_FARTHEST_M`, as in millimetres.
+    """
+    values = np.asarray(frame.cpu() if hasattr(frame, "cpu") else frame)
+    check_size(values.shape, camera)
+    if values.dtype.kind != "f":
+        raise BadConfig(f"a frame must be of floating point, metres, found {values.dtype}: {_AS_METRES}")
+    few = values[:: len(values) // 64 + 1]
+    nearest_m = np.min(few, initial=np.inf, where=few > 0)
+    if _FARTHEST_M <= nearest_m < np.inf:
+        raise BadConfig(f"a frame must be in metres, found nothing nearer than {nearest_m:.0f}: {_AS_METRES}")
+    return np.asarray(values, np.float32)
 
 
 def _in_steps(trained: int, needed: int) -> int:

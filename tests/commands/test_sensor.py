@@ -67,6 +67,16 @@ def test_figures_as_json(frames: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert tree["sensor"]["format"] == "bodyseg sensor 1" and tree["sensor"]["name"] == "measured"
 
 
+def test_a_model_without_an_artifact_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for number in range(2):
+        Image.fromarray(np.full((208, 224), 1000, np.uint16)).save(tmp_path / f"{number}.png")
+    assert run("fit", tmp_path, "--focal", "450", "--nearer-than", "1.5", "--out", tmp_path / "none.toml") == 0
+    said = capsys.readouterr()
+    unknown = said.out.count("cannot be told")
+    assert f"the model has no artifact and leaves images clean; {unknown} of 6 cannot be told" in said.err
+    assert not load_sensor_model(tmp_path / "none.toml").artifacts
+
+
 def test_a_mirrored_recording_is_told(tmp_path: Path, frames: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig = tmp_path / "rig.toml"
     camera = "rows = 208\ncolumns = 224\nfocal_px = 450.0\n"

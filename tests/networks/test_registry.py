@@ -65,6 +65,9 @@ def test_every_network_keeps_the_protocol(name: str) -> None:
     assert torch.equal(labels == 255, range_m[:, 0] == 0)
     with pytest.raises(BadConfig, match=r"range images must be \[B, 1, H, W\]"):
         network(torch.zeros(1, 2, 8, 8))
+    for dtype in (torch.float64, torch.int64):
+        with pytest.raises(BadConfig, match=f"^range images must be float32, found {dtype}$"):
+            predict(network, range_m.to(dtype))
 
 
 @pytest.mark.parametrize("name", NETWORKS)

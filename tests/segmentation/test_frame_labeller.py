@@ -6,9 +6,11 @@ import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from label_networks import Places
 from numpy.typing import NDArray
 from pngs import png
@@ -18,7 +20,7 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.rigs import Camera, Distortion
 from bodyseg_model.networks import Trained
-from bodyseg_model.recordings import find_frames
+from bodyseg_model.recordings import Frame, LiveRecording, find_frames
 from bodyseg_model.segmentation import FrameLabeller, LabelledFrame, Segmenter
 from bodyseg_model.segmentation.segmenter import STAGES
 from bodyseg_model.segmentation.views import Undistortion
@@ -93,6 +95,46 @@ def test_a_bad_frame_of_a_stream_is_named() -> None:
         labeller()(standing(20).T, CAMERA)
 
 
+@pytest.mark.parametrize("given", [np.float64, np.float16, torch.from_numpy, np.ndarray.tolist])
+def test_metres_of_any_precision_and_kind_are_a_frame(given: Any) -> None:
+    frame = standing(30)
+    made = given(frame) if given in (torch.from_numpy, np.ndarray.tolist) else frame.astype(given)
+    np.testing.assert_array_equal(labeller()(made, CAMERA).labels, labeller()(frame, CAMERA).labels)
+    (answer,) = labeller().stream([made], BENT)
+    assert answer.bodies
+
+
+@pytest.mark.parametrize(
+    ("frame", "message"),
+    [
+        ((1000 * standing(30)).astype(np.uint16), "must be of floating point, metres, found uint16: .* are metres$"),
+        (standing(30) > 3, "must be of floating point, metres, found bool"),
+        (1000 * standing(30), "must be in metres, found nothing nearer than 2000: .* are metres$"),
+        (None, "must have the camera's size, 60 x 80, found none"),
+    ],
+)
+def test_what_is_not_in_metres_is_no_empty_room(frame: Any, message: str) -> None:
+    for camera in (CAMERA, BENT):
+        with pytest.raises(BadConfig, match=f"^a frame {message}"):
+            labeller()(frame, camera)
+        with pytest.raises(BadConfig, match=f"^frame 0: a frame {message}"):
+            next(labeller().stream([frame], camera))
+
+
+@pytest.mark.parametrize("camera", [None, "kinect_v1"])
+def test_a_frame_needs_its_camera(camera: Any) -> None:
+    with pytest.raises(BadConfig, match=f"^a frame needs its camera, like frame_camera.*, found {camera!r}$"):
+        labeller()(standing(30), camera)
+
+
+def test_frames_that_come_once_are_a_recording_and_bare_arrays_are_none() -> None:
+    stored = np.rint(1000 * standing(20)).astype(np.uint16)
+    opened = labeller().recording(LiveRecording(iter([stored, stored])), focal_px=100.0)
+    assert [len(each.bodies) for each in opened] == [1, 1]
+    with pytest.raises(BadConfig, match="^arrays are labelled one by one or by `stream`"):
+        labeller().recording(np.stack([stored, stored]))
+
+
 def test_a_recording_is_labelled_from_its_path(tmp_path: Path) -> None:
     folder, label = recording(tmp_path / "frames", 20, 24), labeller()
     opened = label.recording(folder, focal_px=100.0)
@@ -103,7 +145,8 @@ def test_a_recording_is_labelled_from_its_path(tmp_path: Path) -> None:
         for each, column in zip(found, (20, 24), strict=True):
             np.testing.assert_array_equal(each.labels, label(standing(column), CAMERA).labels)
             assert each.stored is not None and each.stored.dtype == np.uint16 and each.own_camera is None
-    for source in (str(folder), [folder], find_frames([folder]), [folder / "0.png", str(folder / "1.png")]):
+    named: list[str | Path | Frame] = [folder / "0.png", str(folder / "1.png")]
+    for source in (str(folder), [folder], find_frames([folder]), named):
         again = list(label.recording(source, focal_px=100.0))
         assert all(np.array_equal(one.labels, other.labels) for one, other in zip(again, found, strict=True))
     np.testing.assert_array_equal(opened.label(1).labels, found[1].labels)
