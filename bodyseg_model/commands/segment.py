@@ -51,6 +51,7 @@ EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"
 _OF_THE_CARD: Final = ("network", "variant", "seed", "steps", "data", "sensor", "weights_sha256")  # identify it
 _NEAR: Final = 0.7  # of the stand-off; docs/results/segment.md has the accuracy by distance
 _SURE: Final = 0.8  # mean confidence; below it, other turns of frames are tried
+_OTHER_FOCAL: Final = 0.1  # share of the focal length, beyond which a camera is another
 _SHADOW_FRAMES: Final = 8  # whose shadows tell whether a recording is mirrored
 
 
@@ -239,8 +240,17 @@ def _remarks(
             lines.append(f"the network is surer of people when frames are turned: give --turned {turned} if they are")
     if camera.assumed:
         lines.append(f"camera {camera.origin}: give --focal or --rig if it is another")
-    if background == "frame":
-        return lines  # what follows is about bodies
+    if background == "frame":  # what follows is about bodies
+        cameras = camera.camera, recording.labeller.rig.camera
+        (rows, columns, focal_px), (its_rows, its_columns, its_focal_px) = (
+            (of.rows, of.columns, of.focal_px) for of in cameras
+        )
+        if (rows, columns) != (its_rows, its_columns) or abs(focal_px / its_focal_px - 1) > _OTHER_FOCAL:
+            lines.append(
+                f"frames are {rows} x {columns} with a focal length of {focal_px:.5g} px, those that the network was "
+                f"trained on {its_rows} x {its_columns} with {its_focal_px:.5g} px: labels are less accurate"
+            )
+        return lines
     mirrored = shadows.mirrored(camera)
     if mirrored is not None and mirrored != options.mirrored:
         shown = "mirrored: give" if mirrored else "not mirrored: leave out"

@@ -101,9 +101,9 @@ class Compact(Network):
     @classmethod
     def from_settings(cls, settings: Mapping[str, Any]) -> Self:
         """Make a network from `CompactSettings` as JSON, tuples as lists. Raises TypeError for an unknown name."""
-        unknown = settings.keys() - {field.name for field in fields(CompactSettings)}
-        if unknown:
-            raise TypeError(f"unknown {min(unknown)!r}")
+        names = [field.name for field in fields(CompactSettings)]
+        if unknown := settings.keys() - {*names}:
+            raise TypeError(f"unknown {min(unknown)!r}: they are {', '.join(names)}")
         shape: dict[str, Any] = {
             name: tuple(value) if isinstance(value, list) else value for name, value in settings.items()
         }

@@ -167,12 +167,20 @@ def test_a_mixture_counts_the_pixels_of_each_set_by_its_own_map(folder: Path, tm
     assert class_pixels(both)[0] == floors > 0
 
 
-def test_frames_are_labelled_whole(folder: Path, tmp_path: Path) -> None:
+def test_frames_are_labelled_whole(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     images = RangeImages(folder / "cells", "all", "test")
     frame = tmp_path / "frame.png"
     Image.fromarray(images.image(0).range).save(frame)
     words = [str(frame), "--run", str(folder / "run"), "--units", "mm", "--focal", "18", "--device", "cpu"]
     assert main(["segment", *words, "--out", str(tmp_path / "out")]) == 0
+    assert "less accurate" not in capsys.readouterr().err
+    other = ["30" if word == "18" else word for word in words]
+    assert main(["segment", *other, "--out", str(tmp_path / "other")]) == 0
+    rows, columns = images.image(0).range.shape
+    assert (
+        f"frames are {rows} x {columns} with a focal length of 30 px, those that the network was trained on "
+        f"{rows} x {columns} with 18 px: labels are less accurate\n"
+    ) in capsys.readouterr().err
     told = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert told["labels"] == whole_map(CELL_CLASSES).to_json() and told["background"] == {"mode": "frame"}
     labels = pixels_of(tmp_path / "out" / "labels" / "frame.png")
