@@ -6,7 +6,6 @@ import contextlib
 import sys
 import threading
 import time
-from types import TracebackType
 
 from tqdm import tqdm
 
@@ -80,9 +79,7 @@ class Progress:
                     elif time.monotonic() - max(self._last, self._start) >= self._interval_s:
                         self._write()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._ended.set()
         with self._lock:
             if self._bar is not None:

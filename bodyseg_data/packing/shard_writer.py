@@ -17,7 +17,6 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, get_args
 
 from bodyseg_data.core import BadConfig, BadSample, BodysegError, ProgressCallback, check_choice, check_int, silent
@@ -256,9 +255,7 @@ class ShardWriter:
             self._records[writer.record.name] = writer.record
             record_shard(self._opened(), writer.record)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, *_: object) -> None:
         try:
             if error is None:
                 with writing_into(self._out):

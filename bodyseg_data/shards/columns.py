@@ -12,7 +12,6 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final
 
 import numpy as np
@@ -196,9 +195,7 @@ class ColumnWriter:
             raise BadSample(f"field {self._name!r} must be of the kind {self._kind}, found {value!r}")
         return {"json": json.dumps(info.with_fields(**{self._name: value}).to_json(), sort_keys=True).encode()}
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         with self._claim:
             try:
                 if kind is None:

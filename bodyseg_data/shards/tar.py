@@ -9,7 +9,7 @@ import tarfile
 import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType, TracebackType
+from types import MappingProxyType
 from typing import IO, Any, Final
 
 from numpy.typing import NDArray
@@ -78,9 +78,7 @@ class TarWriter:
         self._sha256.update(data)
         self._size += len(data)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         try:
             if kind is None:
                 # Two empty blocks end an archive, which is padded to whole records.

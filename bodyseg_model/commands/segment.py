@@ -16,7 +16,6 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import PART_CLASSES, TEMPLATE, LabelMap
 from bodyseg_data.machine import hardware, keep_freed_memory
 from bodyseg_data.rigs import rig_names
-from bodyseg_model.networks import Trained
 from bodyseg_model.recordings import RECORDINGS_HELP, UNITS_HELP, LabelsOut, find_frames, labels_out, metres_a_step
 from bodyseg_model.runtimes import (
     BACKEND_HELP,
@@ -108,7 +107,8 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
     use_threads(options.threads)
     step_m = None if options.units is None else metres_a_step(options.units)
     trained = load_run(options.run, dense=options.dense)
-    background = _background(options, trained)
+    mode = options.background or ("people" if trained.label_map.of == PART_CLASSES else "frame")
+    background = Background.of_options(mode, options.near, options.far)
     frames = find_frames(options.frames, options.topic, step_m)
     labeller = FrameLabeller(
         trained,
@@ -193,15 +193,6 @@ def _labels_out(options: Options, label_map: LabelMap) -> contextlib.AbstractCon
     if options.labels_out.resolve().is_relative_to(options.out.resolve()):
         raise BadConfig(f"--labels-out must lie outside --out, found {options.labels_out}")
     return labels_out(options.labels_out, label_map, options.fps)
-
-
-def _background(options: Options, trained: Trained) -> Background:
-    mode = options.background or ("people" if trained.label_map.of == PART_CLASSES else "frame")
-    limits = {"near_m": options.near, "far_m": options.far}
-    given = {name: limit for name, limit in limits.items() if limit is not None}
-    if given and mode in ("keep", "frame"):
-        raise BadConfig(f"--near and --far limit what is kept: they contradict --background {mode}")
-    return Background(mode, **given)
 
 
 def _remarks(

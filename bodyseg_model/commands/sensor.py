@@ -108,15 +108,12 @@ def _quarters(options: Options, files: list[Frame], background: Background, came
 
 
 def _background(options: Options) -> Background:
-    limits = {"near_m": options.near, "far_m": options.far}
-    given = {name: limit for name, limit in limits.items() if limit is not None}
-    if options.nearer_than is not None and (given or options.background != "people"):
+    found = Background.of_options(options.background, options.near, options.far)
+    if options.nearer_than is not None and found != Background():
         raise BadConfig("--nearer-than finds bodies alone: leave out --background, --near and --far")
     if options.nearer_than is not None and not options.nearer_than > 0:
         raise BadConfig(f"--nearer-than must be above 0 m, found {options.nearer_than:g}")
-    if given and options.background == "keep":
-        raise BadConfig("--near and --far limit what is kept: they contradict --background keep")
-    return Background(options.background, **given)
+    return found
 
 
 class ShowSensor:

@@ -77,6 +77,14 @@ class Background:
                 f"{self.near_m:g} and {self.far_m:g} m"
             )
 
+    @classmethod
+    def of_options(cls, mode: BackgroundMode, near_m: float | None, far_m: float | None) -> Background:
+        """The rule that commands' options give; None for a limit's default. Raises BadConfig for a limit in vain."""
+        given = {name: limit for name, limit in (("near_m", near_m), ("far_m", far_m)) if limit is not None}
+        if given and mode in ("keep", "frame"):
+            raise BadConfig(f"--near and --far limit what is kept: they contradict --background {mode}")
+        return cls(mode, **given)
+
     def to_json(self) -> dict[str, Any]:
         """Mode, and limits where they count, for summary.json."""
         return {"mode": self.mode} if self.mode in ("keep", "frame") else asdict(self)

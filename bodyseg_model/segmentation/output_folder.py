@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, Self
 
 import numpy as np
@@ -185,9 +184,7 @@ class WriteBehind:
             self._jobs.popleft().result()
         self._jobs.append(self._thread.submit(_do_after, self._jobs[-1] if self._jobs else None, job))
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, *_: object) -> None:
         self._thread.shutdown()
         failed = self._jobs[-1].exception() if self._jobs else None
         # A job's error came before one of the frames after it, but not before Ctrl-C.
