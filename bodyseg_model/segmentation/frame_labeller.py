@@ -144,10 +144,7 @@ class FrameLabeller:
         return f"FrameLabeller({self.trained!r}, {self.background}, for rig {self.rig.name})"
 
     def of(self, camera: Camera) -> tuple[Undistortion | None, Segmenter]:
-        """Undistortion, where a camera needs one, and segmenter of its frames. Raises BadConfig, also for no camera."""
-        if not isinstance(camera, Camera):
-            example = "frame_camera((480, 640), 'mine', focal_px=525.0).camera"
-            raise BadConfig(f"a frame needs its camera, like {example}, found {camera!r}")
+        """Undistortion, where a camera needs one, and segmenter of its frames. Raises BadConfig."""
         return self._segmenters(camera, self.quarters(camera))
 
     def quarters(self, camera: Camera) -> int:
@@ -232,8 +229,11 @@ class FrameLabeller:
             for label in coming:
                 yield label()
 
-    def _find_in_array(self, number: int, range_m: NDArray[np.float32], camera: Camera, where: str = "") -> Found:
+    def _find_in_array(self, number: int, range_m: NDArray[np.float32], camera: Any, where: str = "") -> Found:
         watch = Stopwatch((_READ,))
+        if not isinstance(camera, Camera):
+            example = "frame_camera((480, 640), 'mine', focal_px=525.0).camera"
+            raise BadConfig(f"a frame needs its camera, like {example}, found {camera!r}")
         with reported(where, BadConfig):
             with watch(_READ):
                 lens, segmenter = self.of(camera)
