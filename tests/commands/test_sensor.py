@@ -94,6 +94,7 @@ def test_a_mirrored_recording_is_told(tmp_path: Path, frames: Path, capsys: pyte
         (("--focal", "450", "--nearer-than", "1.5", "--far", "2"), "--nearer-than finds bodies alone"),
         (("--focal", "450", "--nearer-than", "-1"), "--nearer-than must be above 0 m, found -1"),
         (("--focal", "450", "--background", "keep", "--far", "2"), "--near and --far limit what is kept"),
+        (("--focal", "450", "--background", "frame", "--near", "1"), "they contradict --background frame"),
         (("--focal", "450", "--nearer-than", "0.3"), "no frame shows a body"),
         (("--nearer-than", "1.5"), "no sensor is assumed for frames of 208 x 224 pixels"),
         (("--focal", "450", "--picture", "x.jpg"), "--picture must be a .png file, found x.jpg"),

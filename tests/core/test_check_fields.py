@@ -11,7 +11,7 @@ import pytest
 
 from bodyseg_data.artifacts import Augmentation, Noise, SensorModel, load_sensor_model
 from bodyseg_data.artifacts.registry import ARTIFACTS
-from bodyseg_data.core import BadConfig, bounded, check_fields
+from bodyseg_data.core import BadConfig, BadShard, Checked, bounded, check_choice, check_fields
 from bodyseg_data.packing import Packing
 from bodyseg_data.rigs import Distortion, load_rig
 from bodyseg_data.samples import View, ViewGrid
@@ -137,3 +137,28 @@ def test_numbers_beyond_the_bounds_of_a_field_are_refused(name: str, wrong: Any,
     with pytest.raises(BadConfig, match=f"^Bounded: {name} must be {words}$"):
         Bounded(**{name: wrong})
     assert Bounded(10.0, 50, (), 1.0)
+
+
+def test_a_choice_is_one_of_the_names_that_the_message_lists() -> None:
+    assert check_choice("the day", "mon", ("mon", "tue")) == "mon"
+    for wrong in ("sun", None, ["mon"]):
+        with pytest.raises(BadConfig, match="^the day must be one of mon, tue, found "):
+            check_choice("the day", wrong, {"mon": 1, "tue": 2})
+    with pytest.raises(BadShard, match="^the day must be one of none, found 'mon'$"):
+        check_choice("the day", "mon", (), BadShard)
+
+
+@dataclass(frozen=True)
+class Window(Checked):
+    low: float | None = None
+    high: float | None = bounded(None, 0, 10, not_below="low")
+
+
+def test_a_number_may_not_be_below_that_of_another_field() -> None:
+    assert Window(1, 1) != Window(None, 3)
+    assert Window() == Window(None, None)
+    for low, high in ((2, 1), (2, None)):
+        with pytest.raises(BadConfig, match=f"^Window: low must be at most high, found {low} and {high}$"):
+            Window(low, high)
+    with pytest.raises(BadConfig, match="^Window: high must be from 0 to 10, found 11$"):
+        Window(12, 11)

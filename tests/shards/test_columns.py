@@ -140,7 +140,11 @@ def test_a_column_may_be_written_in_any_order_once_and_whole(copy: Path) -> None
     for name, kind, message in [
         ("Mine", "int", "a field must have a lower-case name"),
         ("range", "uint8", "a plane must have a lower-case name"),
-        ("mine", "int8", "a column is of the kind uint8 or uint16, or a field: .* field 'mine' .* text, .*, found 'int8'"),
+        (
+            "mine",
+            "int8",
+            "a column is of the kind uint8 or uint16, or a field: .*'mine' .* text, .*, found 'int8'",
+        ),
         ("subject", "text", "the set itself has 'subject' already"),
     ]:
         with pytest.raises(BadConfig, match=message):
