@@ -34,21 +34,24 @@ _DEPTH: Final = ("Z", "V", "Y", "R")  # names that programs give to the one chan
 _UNITS: Final = (("millimetres", 1e-3), ("centimetres", 1e-2))
 
 
-def read_array(path: Path) -> NDArray[Any]:
+def read_array(path: Path, palette: bool = False) -> NDArray[Any]:
     """Read an image: [H, W], or [H, W, C] for colours and vectors; booleans, integers or floats.
+
+    palette: return the colours of a picture that has a palette; else its numbers of them.
 
     Raises BadSample, naming the file, for one that cannot be read; MissingLibrary for OpenEXR without its package.
     """
     readers = {".npy": _read_numpy, ".npz": _read_numpy, ".exr": _read_exr}
     try:
         refuse_special(path)
-        array = readers.get(path.suffix.lower(), _read_picture)(path)
+        read = readers.get(path.suffix.lower())
+        array = _read_picture(path, palette) if read is None else read(path)
     except MissingLibrary:
         raise
     except Exception as error:  # decoders raise almost anything for damaged files
         raise BadSample(f"{path}: cannot be read as an image: {error}") from error
-    if array.ndim == 3 and array.shape[2] == 1:
-        array = array[..., 0]
+    while array.ndim > 2 and 1 in (array.shape[0], array.shape[-1]):  # [1, H, W] and [1, 1, H, W], too
+        array = array[0] if array.shape[0] == 1 else array[..., 0]
     if array.ndim not in (2, 3) or not array.size or array.dtype.kind not in "buif":
         raise BadSample(f"{path}: an image must be [H, W] or [H, W, C] of numbers, found {array.dtype} {array.shape}")
     return array
@@ -67,7 +70,7 @@ def _read_numpy(path: Path) -> NDArray[Any]:
         return array
 
 
-def _read_picture(path: Path) -> NDArray[Any]:
+def _read_picture(path: Path, palette: bool) -> NDArray[Any]:
     from PIL import Image, UnidentifiedImageError
 
     data = path.read_bytes()
@@ -78,7 +81,7 @@ def _read_picture(path: Path) -> NDArray[Any]:
                 raise ValueError("it has more pixels than an image can")
             if picture.mode in ("LA", "CMYK", "YCbCr", "LAB"):
                 raise ValueError(f"a picture must be of integers, floats or RGB colours, found mode {picture.mode}")
-            return np.asarray(picture)  # a palette's picture gives its numbers, which are the labels
+            return np.asarray(picture.convert("RGB") if palette and picture.mode == "P" else picture)
     except (UnidentifiedImageError, Image.DecompressionBombError) as error:
         raise ValueError("it is no PNG or TIFF file of a sensible size") from error
 

@@ -43,8 +43,9 @@ class PlainRenders(RenderSource):
 
     def read(self, key: str) -> Mapping[str, Stored]:
         """Read the images of a sample by their kinds. Raises BadSample, naming the file."""
-        ray = self._content.along == "ray"
-        return {kind: Stored(read_array(files[key]), str(files[key]), ray) for kind, files in self._files.items()}
+        ray, coloured = self._content.along == "ray", {LABELS} if self._content.table.colours else ()
+        found = {kind: files[key] for kind, files in self._files.items()}
+        return {kind: Stored(read_array(path, kind in coloured), str(path), ray) for kind, path in found.items()}
 
 
 def _images(folder: Path) -> dict[str, Path]:

@@ -51,6 +51,11 @@ def test_an_array_of_frames_is_read_frame_by_frame(tmp_path: Path) -> None:
     check_stack(tmp_path / "a.npy")
     np.save(tmp_path / "big.npy", STACK.astype(">u2"))
     check_stack(tmp_path / "big.npy")
+    for number, one in enumerate((STACK[:, None], STACK[..., None])):
+        np.save(tmp_path / f"one-{number}.npy", one)
+        check_stack(tmp_path / f"one-{number}.npy")
+        np.savez(tmp_path / f"one-{number}.npz", depth=one)
+        check_stack(tmp_path / f"one-{number}.npz")
     np.savez_compressed(tmp_path / "a.npz", depth=STACK, K=np.eye(3), note=np.array("x"))
     check_stack(tmp_path / "a.npz")
     np.savez(tmp_path / "b.npz", f10=STACK[2], f9=STACK[1], f1=STACK[0])

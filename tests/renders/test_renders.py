@@ -142,6 +142,30 @@ def test_labels_in_colours_and_several_numbers_for_a_class(tmp_path: Path) -> No
     packed(folder)
 
 
+@pytest.mark.parametrize("ending", [".png", ".tif"])
+def test_pictures_with_a_palette_are_of_its_colours_where_the_set_names_colours(tmp_path: Path, ending: str) -> None:
+    folder = plain(tmp_path / "cell")
+    for path in sorted((folder / "labels").iterdir()):
+        picture = Image.fromarray(np.asarray(Image.open(path)), mode="P")
+        picture.putpalette([0, 0, 0, 0, 0, 255, 0, 255, 0, 255, 0, 0])
+        path.unlink()
+        picture.save(path.with_suffix(ending))
+    np.testing.assert_array_equal(open_renders(folder).load("scene-001").labels, seen_by(CAMERA, 1)[1])
+    classes = '[{name="box", colour="#ff0000"}, {name="arm", colour="#00ff00"}, {name="floor", colour="#0000ff"}]'
+    text = (folder / "set.toml").read_text().replace('["floor", "arm", "box"]', classes)
+    (folder / "set.toml").write_text(text.replace("first_label = 1", "").replace("[0]", '["#000000"]'))
+    turned = np.array([2, 1, 0] + [255] * 253)
+    np.testing.assert_array_equal(open_renders(folder).load("scene-001").labels, turned[seen_by(CAMERA, 1)[1]])
+
+
+def test_a_side_of_1_is_the_channel(tmp_path: Path) -> None:
+    folder = plain(tmp_path / "cell", ending=".npy")
+    for number, place in enumerate((0, -1, (0, 1), (0, -1))):
+        path = folder / "range" / f"scene-00{number}.npy"
+        save(path, np.expand_dims(np.load(path), place))
+        np.testing.assert_allclose(open_renders(folder).load(path.stem).range_m, seen_by(CAMERA, number)[0], atol=1e-5)
+
+
 def test_nothing_measured_is_told_by_many_numbers(tmp_path: Path) -> None:
     folder = plain(tmp_path / "cell", ending=".npy")
     (folder / "set.toml").write_text((folder / "set.toml").read_text() + "no_range = [7777.0]\n")

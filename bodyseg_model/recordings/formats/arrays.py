@@ -1,6 +1,7 @@
 """Recordings in NumPy's files: H x W or N x H x W in an NPY file, or arrays of an NPZ file.
 
-A last side of 1 may stand behind either. A last side of 2 to 4 is colours, which are refused by their shape.
+A last side of 1 may stand behind either, and N x 1 x H x W is read, too. A last side of 2 to 4 is colours, which are
+refused by their shape.
 """
 
 from __future__ import annotations
@@ -116,8 +117,8 @@ class _Array:
 
     @property
     def sides(self) -> tuple[int, ...]:
-        """Its shape without a last side of 1."""
-        return without_last(self.shape)
+        """Its shape without a side of 1 that is the channel."""
+        return without_channel(self.shape)
 
     @property
     def shaped(self) -> bool:
@@ -211,14 +212,16 @@ def _times(archive: zipfile.ZipFile, array: _Array) -> list[float]:
     return [float(time) for time in np.frombuffer(data, array.kind, array.shape[0])]
 
 
-def without_last(shape: tuple[int, ...]) -> tuple[int, ...]:
-    """A shape without a last side of 1, which libraries of pictures put behind rows and columns."""
+def without_channel(shape: tuple[int, ...]) -> tuple[int, ...]:
+    """A shape without a side of 1 that is the channel: behind rows and columns, or before them in N x 1 x H x W."""
+    if len(shape) == 4 and shape[1] == 1:
+        return shape[0], *shape[2:]
     return shape[:-1] if len(shape) in (3, 4) and shape[-1] == 1 else shape
 
 
 def _check(shape: tuple[int, ...], kind: np.dtype[Any], where: str, step_m: float | None) -> tuple[int, ...]:
     """Return the shape of a frame or, along the first axis, several. Raises BadConfig for another shape or type."""
-    sides = without_last(shape)
+    sides = without_channel(shape)
     if kind == np.uint8 and step_m is None:
         raise BadConfig(f"{where}: of 8 bits, most images are pictures: say by --units what a step is, found {kind}")
     if len(sides) == 3 and 1 < sides[-1] <= 4 < sides[1]:
