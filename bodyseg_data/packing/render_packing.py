@@ -4,6 +4,7 @@ Of the first renders, what camera and projector see is compared: whether the two
 them.
 """
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -12,11 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BadSample, ProgressCallback, silent
+from bodyseg_data.files import parse_json, write_atomically
 from bodyseg_data.machine import processors
 from bodyseg_data.packing.shard_writer import ShardWriter
+from bodyseg_data.packing.writing import writing_into
 from bodyseg_data.renders import Render, RenderSource
 from bodyseg_data.rigs import Camera, Rig
 from bodyseg_data.shards import CodecName, Manifest, ProjectorKind, read_manifest
+
+_NOTE: Final = ".renders.json"
+"""File beside the shards: key -> fingerprint of the render that its sample was made from."""
 
 _CHECKED: Final = 4  # number of renders whose two views are compared: a mistake in a set is in all of it
 _POINTS: Final = 4000
@@ -40,8 +46,8 @@ def pack_renders(
     """Pack renders into the folder `out` and return its manifest; carries on where an interrupted packing stopped.
 
     projector, codec, shard_samples: as of `ShardWriter`. workers: threads that read and encode (default: one a
-    processor). Renders of finished shards are not read again: BadConfig for one that was changed since. Raises
-    BadSample for the first render that breaks a rule, and as `ShardWriter`.
+    processor). Renders of finished shards are not read again: BadConfig where they, or what set.toml says, were others.
+    Raises BadSample for the first render that breaks a rule, and as `ShardWriter`.
     """
     keys = source.keys()
     checked = frozenset(keys[:_CHECKED])
@@ -68,21 +74,28 @@ def pack_renders(
         workers=processors() if workers is None else workers,
         progress=lambda done, _: progress(done, len(keys)),
     ) as writer:
-        check_unchanged(source, writer.finished())
+        with writing_into(out):
+            check_unchanged(source, writer.finished(), out)
         progress(sum(key in writer for key in keys), len(keys))
         writer.write_all({key: key for key in keys}, arguments)
     return read_manifest(out)
 
 
-def check_unchanged(source: RenderSource, packed: Mapping[str, Path]) -> None:
-    """Raise BadConfig if a file is gone, or newer than the shard that holds what it was."""
-    written, there = {tar: tar.stat().st_mtime for tar in {*packed.values()}}, {*source.keys()}
+def check_unchanged(source: RenderSource, packed: Mapping[str, Path], out: Path) -> None:
+    """Raise BadConfig if a finished shard holds a sample of other renders, or as another set.toml reads them; else note
+    in `out` what its samples are made of. A sample without a note must be no older than its files.
+    """
+    keys = source.keys()
+    note, made = out / _NOTE, {key: source.fingerprint(key) for key in keys}
+    known = parse_json(note.read_bytes(), str(note)) if note.exists() else {}
     for key, tar in packed.items():
-        if key not in there:
+        if key not in made:
             raise BadConfig(f"{tar} holds the sample {key!r}, which is no longer there: pack into another folder")
-        for file in source.files(key):
-            if file.stat().st_mtime > written[tar]:
-                raise BadConfig(f"{file} is newer than {tar}, which holds it: delete {tar.parent} and pack again")
+        newer = key not in known and any(file.stat().st_mtime > tar.stat().st_mtime for file in source.files(key))
+        if newer or known.get(key, made[key]) != made[key]:
+            other = f"{tar} holds the sample {key!r} from other files, or by another set.toml or table of samples"
+            raise BadConfig(f"{other}: pack into another folder, or delete {out} and pack again")
+    write_atomically(note, json.dumps(made).encode())
 
 
 def check_plausible(render: Render, rig: Rig, where: str) -> None:

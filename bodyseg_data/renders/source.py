@@ -1,9 +1,10 @@
 """Sources of finished renders: what the readers of all layouts share, which is partners, sizes, units and checks."""
 
+import hashlib
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -117,6 +118,14 @@ class RenderSource(ABC):
     def files(self, key: str) -> list[Path]:
         """The files of a sample's images."""
         return [files[key] for files in self._files.values()]
+
+    def fingerprint(self, key: str) -> str:
+        """Return a digest of what set.toml and the table of samples say of a sample, and of the names, sizes and times
+        of its files, wherever their folder lies.
+        """
+        said = replace(self._content, path=Path(), rigs={}), self._rows.info(key), self._rigs[key]
+        files = [(path.name, (found := path.stat()).st_size, found.st_mtime_ns) for path in self.files(key)]
+        return hashlib.sha256(repr((said, files)).encode()).hexdigest()[:16]
 
     @abstractmethod
     def read(self, key: str) -> Mapping[str, Stored]:

@@ -13,7 +13,7 @@ from rendered_scenes import CAMERA, NAMES, PROJECTOR, along_ray, blenderproc, is
 
 from bodyseg_data import RangeImages
 from bodyseg_data.commands.cli import main
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, BadSample
 from bodyseg_data.packing import pack_renders
 from bodyseg_data.renders import open_renders
 
@@ -86,17 +86,76 @@ def test_packing_carries_on_without_reading_what_is_done(tmp_path: Path, monkeyp
     packed(folder, *options)
     assert {path.name: path.read_bytes() for path in Path(whole.path).iterdir() if path.suffix == ".tar"} == names
     assert read == ["scene-002", "scene-003"]
-    labels = folder / "labels" / "scene-001.png"
-    later = (Path(whole.path) / "train-00000.tar").stat().st_mtime + 1
-    os.utime(labels, (later, later))
-    with pytest.raises(BadConfig, match=f"{labels} is newer than .*train-00000.tar, which holds it"):
-        pack_renders(open_renders(folder), Path(whole.path), "bsi", None, 2, 0)
     for kind in ("range", "projector", "labels"):
         (folder / kind / "scene-001.png").unlink()
     rows = (folder / "samples.jsonl").read_text().splitlines(keepends=True)
     (folder / "samples.jsonl").write_text("".join(row for row in rows if "scene-001" not in row))
     with pytest.raises(BadConfig, match="train-00000.tar holds the sample 'scene-001', which is no longer there"):
         pack_renders(open_renders(folder), Path(whole.path), "bsi", None, 2, 0)
+
+
+def swapped(folder: Path) -> None:
+    """Two label images exchange their names, and keep their times."""
+    first, second = (folder / "labels" / f"scene-00{number}.png" for number in (0, 1))
+    first.rename(folder / "aside.png")
+    second.rename(first)
+    (folder / "aside.png").rename(second)
+
+
+def touched(folder: Path) -> None:
+    os.utime(folder / "range" / "scene-001.png", ns=(10**18, 10**18))
+
+
+CHANGES: dict[str, Any] = {
+    "set.toml": lambda folder: (folder / "set.toml").write_text((folder / "set.toml").read_text() + 'along = "ray"\n'),
+    "table": lambda folder: (folder / "samples.jsonl").write_text(
+        (folder / "samples.jsonl").read_text().replace('"r0"', '"r7"')
+    ),
+    "other files": lambda folder: plain(folder),
+    "swapped": swapped,
+    "older": touched,
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+@pytest.mark.parametrize("finished", [True, False])
+def test_other_renders_are_not_taken_for_those_that_are_packed(tmp_path: Path, finished: bool, change: str) -> None:
+    folder, out = plain(tmp_path / "cell"), tmp_path / "set"
+
+    def pack() -> None:
+        pack_renders(open_renders(folder), out, "bsi", None, 2, 0)
+
+    if not finished:
+        label = (folder / "labels" / "scene-002.png").read_bytes()
+        (folder / "labels" / "scene-002.png").write_bytes(b"")
+        with pytest.raises(BadSample, match="scene-002.png: cannot be read"):
+            pack()
+        (folder / "labels" / "scene-002.png").write_bytes(label)
+        assert (out / "train-00000.tar").exists()
+    else:
+        pack()
+    left = {path: path.read_bytes() for path in out.iterdir() if path.is_file()}
+    CHANGES[change](folder)
+    with pytest.raises(BadConfig, match=r"train-00000.tar holds the sample 'scene-00[01]' from other files, or by"):
+        pack()
+    assert {path: path.read_bytes() for path in out.iterdir() if path.is_file()} == left
+
+
+def test_the_same_renders_are_packed_again_wherever_they_lie(tmp_path: Path) -> None:
+    folder, out = plain(tmp_path / "cell"), tmp_path / "set"
+    whole = pack_renders(open_renders(folder), out, "bsi", None, 2, 0)
+    moved = open_renders(folder.rename(tmp_path / "moved"))
+    assert pack_renders(moved, out, "bsi", None, 2, 0) == whole
+    (out / ".renders.json").unlink()  # of a set that was pulled, or packed before there were notes
+    assert pack_renders(moved, out, "bsi", None, 2, 0) == whole
+    (out / ".renders.json").unlink()
+    later = (out / "train-00000.tar").stat().st_mtime + 1
+    os.utime(tmp_path / "moved" / "labels" / "scene-001.png", (later, later))
+    with pytest.raises(BadConfig, match="holds the sample 'scene-001' from other files"):
+        pack_renders(moved, out, "bsi", None, 2, 0)
+    (out / ".renders.json").write_text("{")
+    with pytest.raises(BadConfig, match=r".renders.json is not JSON"):
+        pack_renders(moved, out, "bsi", None, 2, 0)
 
 
 def test_planes_facing_normals_and_a_table_of_csv_go_with_samples(tmp_path: Path) -> None:
