@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts import shadow_tests
-from bodyseg_data.core import BadConfig, BadSample, reported
+from bodyseg_data.core import BadConfig, BadSample, BadShard, reported
 from bodyseg_data.labels import BACKGROUND, UNLABELLED, Classes
 from bodyseg_data.packing.occluders import exact_range, occluder_range
 from bodyseg_data.packing.range_facing import facing_from_normals, facing_from_range
@@ -184,15 +184,18 @@ def facing_of(scene: Render) -> str:
 
 def learned_fields(fields: Mapping[str, Any], rigs: int, key: str) -> Fields:
     """The fields of a set as its first scene has them. Raises BadSample."""
-    return fields_of({name: _kind(plain_value(value), name, key) for name, value in fields.items()}, rigs)
+    kinds = {name: _kind(plain_value(value), name, key) for name, value in fields.items()}
+    with reported(key, BadSample, BadShard):
+        return fields_of(kinds, rigs)
 
 
 def learned_planes(planes: Mapping[str, Any], key: str) -> dict[str, str]:
-    """Name -> type of the planes that a first scene has; uint16 where they are no uint8. Raises BadSample, BadShard."""
+    """Name -> type of the planes that a first scene has; uint16 where they are no uint8. Raises BadSample."""
     kinds = {}
     for name, plane in planes.items():
         kinds[name] = "uint8" if _array(plane, f"the plane {name!r}", key).dtype == np.uint8 else "uint16"
-        check_plane(name, kinds[name], key)
+        with reported("", BadSample, BadShard):
+            check_plane(name, kinds[name], key)
     return kinds
 
 
