@@ -77,7 +77,7 @@ def pack_renders(
         with writing_into(out):
             check_unchanged(source, writer.finished(), out)
         progress(sum(key in writer for key in keys), len(keys))
-        writer.write_all({key: key for key in keys}, arguments)
+        writer.write_all({key: key for key in keys if key not in writer}, arguments)
     return read_manifest(out)
 
 

@@ -11,6 +11,7 @@ import contextlib
 import itertools
 import json
 import shutil
+import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
@@ -69,9 +70,9 @@ class ShardWriter:
     progress: called with the number of scenes written, twice.
 
     The manifest is written when the context ends without an error. After an error finished shards stay, and the same
-    writer with the same scenes carries on: scenes of finished shards are skipped. Raises BadConfig for an argument out
-    of range, or if `out` holds something else or another writer is at work there; BadShard for rigs or planes that one
-    set cannot have.
+    writer with the same scenes carries on: scenes of finished shards are skipped. If all were in a set that was whole
+    before, a warning says that nothing was written. Raises BadConfig for an argument out of range, or if `out` holds
+    something else or another writer is at work there; BadShard for rigs or planes that one set cannot have.
     """
 
     def __init__(
@@ -267,6 +268,9 @@ class ShardWriter:
             self._waiting.clear()
             self._state = None
             self._context.close()
+        if error is None and self._complete and self._seen:
+            anew = "to write them anew, delete it or give another folder"
+            warnings.warn(f"nothing was written: {self._out} held a finished set with all scenes; {anew}", stacklevel=2)
 
     def _finish(self) -> None:
         """Write what is under way and the manifest."""

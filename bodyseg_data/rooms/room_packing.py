@@ -136,7 +136,8 @@ def pack_rooms(
         ) as writer,
     ):
         progress(sum(key in writer for key in keys), samples)
-        writer.write_all(keys, partial(_made, rig, split, kinds, own, digest, (out / STATE_NAME).absolute()))
+        new = {key: room for key, room in keys.items() if key not in writer}
+        writer.write_all(new, partial(_made, rig, split, kinds, own, digest, (out / STATE_NAME).absolute()))
     return read_manifest(out)
 
 
