@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.bodies import SOURCES, Units, UpAxis, collapsed
+from bodyseg_data.bodies import SOURCES, Units, UpAxis, check_source, collapsed
 from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
 from bodyseg_data.core import BadConfig, BadMesh, one_line
@@ -124,6 +124,7 @@ class Options:
 
 def run(options: Options) -> int:
     """Pack, or print the plan."""
+    check_source(options.source, *_TAKEN)
     _refuse_foreign(options)
     if options.source == RENDERS:
         return _run_renders(options)

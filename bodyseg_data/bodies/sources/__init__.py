@@ -57,11 +57,17 @@ ENTRY_POINT: Final = "bodyseg.sources"
 _METHODS: Final = ("bodies", "missing", "fingerprint", "check", "build")
 
 
+def check_source(name: str, *others: str) -> str:
+    """Return the name of a source, or of one of `others`. Raises BadConfig, listing all, for another."""
+    added = (entry.name for entry in metadata.entry_points(group=ENTRY_POINT))
+    return check_choice("the source", name, dict.fromkeys((*SOURCES, *added, *others)))
+
+
 @cache
 def _added(name: str) -> SourceEntry:
     """The source that an installed package adds. Raises BadConfig if there is none, or it breaks the protocol."""
     entries = {entry.name: entry for entry in metadata.entry_points(group=ENTRY_POINT)}
-    check_choice("the source", name, dict.fromkeys((*SOURCES, *entries)))
+    check_source(name)
     where = f"entry point {name} = {entries[name].value!r} of {ENTRY_POINT}"
     with reported(f"{where} cannot be loaded", BadConfig, Exception):  # whatever the user's module raises
         kind = entries[name].load()
