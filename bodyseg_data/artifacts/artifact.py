@@ -76,9 +76,9 @@ class Artifact(Protocol):
 
     name: of the registry, and of the strengths in JSON. kind: the artifact of Table 1 whose variants have this one.
     version: of the code; goes up when the same strengths and draws give other images. purposes: of its random numbers
-    (`Draws`); no other artifact of a sensor may have them. drawn: quantities drawn once an image, name -> caption to
-    format with the value. needs_projector: whether `apply` reads the projector's range. Strengths out of range raise
-    BadConfig when the object is made.
+    (`Draws`); no other artifact of a sensor may have them. either: strengths of which one is given. drawn: quantities
+    drawn once an image, name -> caption to format with the value. needs_projector: whether `apply` reads the
+    projector's range. Strengths out of range raise BadConfig when the object is made.
     """
 
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
@@ -86,6 +86,7 @@ class Artifact(Protocol):
     kind: ClassVar[Kind]
     version: ClassVar[int] = 1
     purposes: ClassVar[tuple[str, ...]] = ()
+    either: ClassVar[tuple[str, ...]] = ()
     drawn: ClassVar[Mapping[str, str]] = {}
     needs_projector: ClassVar[bool] = False
 

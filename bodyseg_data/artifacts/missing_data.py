@@ -16,11 +16,12 @@ class MissingData(Artifact):
     """Pixels lost at random: a share of the foreground that is drawn once an image.
 
     The paper's "randomly chosen between 0%, 5% and 50%" is read as one of `rates`, each as likely. With `between` set
-    to (low, high), the rate is drawn uniformly from that interval instead.
+    to (low, high), which goes with no `rates` of one's own, the rate is drawn uniformly from that interval instead.
     """
 
     name = "missing_data"
     kind = "missing_data"
+    either = ("rates", "between")
     purposes = ("missing rate", "missing data")
     drawn: ClassVar[Mapping[str, str]] = {"missing_rate": "{:.0%} missing"}
 
@@ -33,6 +34,8 @@ class MissingData(Artifact):
             raise BadConfig("missing data must have one rate at least, found none")
         if self.between is not None and self.between[0] > self.between[1]:
             raise BadConfig(f"missing-data rates must lie between low <= high, found {self.between}")
+        if self.between is not None and tuple(self.rates) != MissingData.rates:  # the default is stored with `between`
+            raise BadConfig(f"missing data takes rates or between, found {self.rates} and {self.between}")
 
     def rate(self, chance: float) -> float:
         """The share of pixels that one image loses; chance: uniform from 0 to below 1."""

@@ -190,8 +190,15 @@ def artifacts_from_json(tree: Any, where: str, sensor: SensorModel) -> tuple[Art
     """
     if not isinstance(tree, Mapping) or not all(isinstance(strengths, Mapping) for strengths in tree.values()):
         raise BadConfig(f'{where} must be strengths by artifact, like {{"noise": {{"high_mm": 50}}}}, found {tree!r}')
-    base = {artifact.name: asdict(artifact) for artifact in sensor}
-    return tuple(_artifact(name, base.get(name, {}) | dict(given), where) for name, given in tree.items())
+    own = {artifact.name: artifact for artifact in sensor}
+    return tuple(_artifact(name, _left(own.get(name), given) | dict(given), where) for name, given in tree.items())
+
+
+def _left(artifact: Artifact | None, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Strengths of a sensor's artifact that given ones leave as they are."""
+    replaced = () if artifact is None or not given.keys() & {*artifact.either} else artifact.either
+    own = {} if artifact is None else asdict(artifact)
+    return {name: value for name, value in own.items() if name not in replaced}
 
 
 def parse_artifacts(text: str, where: str, sensor: SensorModel) -> tuple[Artifact, ...]:

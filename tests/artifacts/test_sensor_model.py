@@ -7,6 +7,7 @@ import json
 import pickle
 import textwrap
 from dataclasses import FrozenInstanceError, dataclass
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ from bodyseg_data.artifacts import (
     sensor_model_names,
 )
 from bodyseg_data.artifacts.registry import ENTRY_POINT
-from bodyseg_data.artifacts.sensor_model import artifacts_from_json, parse_sensor_model
+from bodyseg_data.artifacts.sensor_model import artifacts_from_json, parse_sensor_model, sensor_model_from_json
 from bodyseg_data.core import BadConfig, Draws
 
 PAPER = load_sensor_model("paper")
@@ -277,6 +278,13 @@ def test_strengths_left_out_are_the_sensors() -> None:
     assert parse_artifacts("{}", "x", PAPER) == ()
     assert parse_artifacts('{"losses": {}, "occlusion": {}}', "x", PAPER) == (Losses(), Occlusion())
     assert artifacts_from_json({"losses": {}}, "x", REVERSED) == (Losses(0.4),)
+    for first, second in permutations((MissingData(rates=(0.2,)), MissingData(between=(0.1, 0.5)))):
+        fitted = SensorModel("fitted", (first,))
+        assert artifacts_from_json({"missing_data": {}}, "x", fitted) == (first,)
+        (strength,) = (name for name in MissingData.either if getattr(second, name) != getattr(MissingData, name))
+        given = {"missing_data": {strength: getattr(second, strength)}}
+        assert artifacts_from_json(given, "x", fitted) == (second,)  # which replaces the sensor's other one
+        assert sensor_model_from_json(fitted.to_json(), "x") == fitted
 
 
 @pytest.mark.parametrize(
@@ -293,6 +301,10 @@ def test_strengths_left_out_are_the_sensors() -> None:
         ('{"noise": {"high_mm": NaN}}', "--artifacts: Noise: high_mm must be from 0 to 1000, found nan"),
         ('{"noise": {"high_mm": "50"}}', "--artifacts: Noise: high_mm must be a number, found '50'"),
         ('{"missing_data": {"rates": 0.5}}', "--artifacts: MissingData: rates must be a tuple, .* found 0.5"),
+        (
+            '{"missing_data": {"rates": [0.2], "between": [0, 1]}}',
+            r"--artifacts: missing data takes rates or between, found \(0.2,\) and \(0, 1\)",
+        ),
         ('{"missing_data": {"between": [1]}}', r"--artifacts: MissingData: between must be a tuple .* found \(1,\)"),
     ],
 )
