@@ -447,7 +447,8 @@ def _checked_position(state: Any, identity: dict[str, Any]) -> tuple[int, int]:
             raise BadConfig(f"the state belongs to another run: {name} {before!r}, here {now!r}")
     epoch, position = (state.get(field) for field in ("epoch", "position"))
     if type(epoch) is not int or epoch < 0 or type(position) is not int or not 0 <= position <= identity["samples"]:
-        raise BadConfig(f"a state's epoch and position must be whole numbers, found {epoch!r} and {position!r}")
+        numbers = f"whole numbers from 0 on, position at most {identity['samples']}"
+        raise BadConfig(f"a state's epoch and position must be {numbers}, found {epoch!r} and {position!r}")
     return epoch, position
 
 

@@ -192,6 +192,10 @@ def test_a_state_knows_what_it_belongs_to(figures_set: Path, small_set: Path) ->
     for other, message in cases:
         with pytest.raises(BadConfig, match=f"^the state belongs to another run: {message}$"):
             other.load_state_dict(state)
+    for epoch, position in ((0, 17), (0, -1), (-1, 0), (0, 1.0)):
+        said = f"a state's epoch and position must be whole numbers from 0 on, position at most 16, found {epoch} and"
+        with pytest.raises(BadConfig, match=f"^{said} {position}$"):
+            fresh().load_state_dict({**state, "epoch": epoch, "position": position})
     with pytest.raises(BadConfig, match="a state's 'skipped' must be a list of records"):
         loader(RangeImages(figures_set, "all", "train"), 3).load_state_dict({**state, "skipped": [{"epoch": 1}]})
     with pytest.raises(BadConfig, match="a state's record of a skipped sample must be like a loader's"):
