@@ -113,7 +113,12 @@ def test_a_path_names_a_folder_and_some_of_its_shards(path: str, folder: str, pa
             {"storage_options": {"key": "x"}},
             "storage_options and retry_policy are for remote sets, found them",
         ),
-        ("shards", {"retry_policy": RetryPolicy()}, "storage_options and retry_policy are for remote sets, found them"),
+        (
+            "127.0.0.1:8765/",
+            {"retry_policy": RetryPolicy()},
+            "storage_options and retry_policy are for remote sets, found them given for '127.0.0.1:8765/': an address "
+            "begins with its protocol, as http:// or s3://",
+        ),
     ],
 )
 def test_addresses_that_name_nothing_are_refused(path: str, options: dict[str, Any], message: str) -> None:
