@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         read_json,
         refuse_special,
         sync,
+        web_page,
         write_atomically,
         write_json,
         write_result,

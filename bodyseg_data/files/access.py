@@ -157,11 +157,16 @@ def parse_json(data: bytes, where: str) -> dict[str, Any]:
     return content
 
 
-def not_json(data: bytes, error: Exception) -> str:
-    """Say why data are no JSON: a server or a portal may have sent a web page in their place."""
+def web_page(data: bytes) -> str:
+    """Say that data begin as a web page, which a server or a portal may have sent in place of a file; else ""."""
     if data[:200].lstrip().lower().startswith((b"<!doctype html", b"<html", b"<?xml")):
         return "found a web page (HTML): is the address right, and may it be read without signing in?"
-    return str(error)
+    return ""
+
+
+def not_json(data: bytes, error: Exception) -> str:
+    """Say why data are no JSON."""
+    return web_page(data) or str(error)
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:

@@ -20,6 +20,7 @@ from typing import Any, Final
 from urllib.parse import unquote
 
 from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_data.files import web_page
 from bodyseg_data.machine import required
 
 _FILESYSTEMS: dict[tuple[int, str, int], Any] = {}
@@ -120,13 +121,11 @@ class HttpTransport:
         allow_whole_file: from a server without byte ranges, skip the bytes before `start` instead of failing.
         """
         with _classified_errors(), self._response(address, start, stop) as (response, chunk, problem):
-            position = start
-            if response.status != 206:
-                if not allow_whole_file:
-                    raise PermanentFailure(
-                        "the server ignores byte ranges; a cache with room for whole shards needs none"
-                    )
-                position = 0
+            position = start if response.status == 206 else 0
+            if position == 0 and (found := web_page(chunk)):
+                raise PermanentFailure(found)
+            if response.status != 206 and not allow_whole_file:
+                raise PermanentFailure("the server ignores byte ranges; a cache with room for whole shards needs none")
             while True:
                 selected = chunk[max(start - position, 0) : stop - position]
                 position += len(chunk)
@@ -232,7 +231,9 @@ def _check_response(response: Any, start: int | None, stop: int | None) -> None:
     if status in (404, 410):
         raise FileMissing(f"{status} {response.reason}")
     if status == 416:
-        raise TransientFailure(f"ends before byte {start}")
+        size = response.headers.get("Content-Range", "").rpartition("/")[2]
+        found = size if re.fullmatch(r"[0-9]{1,19}", size) else f"{start} or fewer"
+        raise TransientFailure(f"cut short: {stop} bytes or more expected, found {found}")
     if status in _TRANSIENT_STATUSES:
         wait = response.headers.get("Retry-After", "")
         raise TransientFailure(f"{status} {response.reason}", float(wait) if re.fullmatch(r"[0-9]{1,6}", wait) else 0.0)

@@ -321,6 +321,36 @@ def test_a_shard_that_is_missing_stops_a_run_in_one_line(workers: int, web: WebS
         list(loader(images, 8, workers))
 
 
+def shortened(reply: Reply, before: int) -> Reply:
+    """As of a file of 700 bytes."""
+    start = int(reply.content_range[6:].partition("-")[0])
+    body = reply.body[: max(0, 700 - start)]
+    whole = replace(reply, body=body, length=len(body), content_range=f"bytes {start}-{start + len(body) - 1}/700")
+    return whole if body else refusal(416, Content_Range="bytes */700")
+
+
+def a_page(reply: Reply, before: int) -> Reply:
+    page = b"<!DOCTYPE html><html></html>"
+    return Reply(page, len(page), status=200)
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_a_shard_that_is_too_short_or_a_web_page_is_told(
+    kept: bool, web: WebServer, manifest: Manifest, tmp_path: Path
+) -> None:
+    shard = manifest.shards[0]
+    wanted = shard.size if kept else shard.offsets[1]
+    for act, message in (
+        (shortened, rf"cut short: {wanted} bytes or more expected, found 700 \(\d+ attempts\)"),
+        (a_page, r"found a web page \(HTML\): is the address right, and may it be read without signing in\?"),
+    ):
+        web.faults.act = act
+        store = cached(web.url("faulty"), manifest, tmp_path) if kept else RemoteFolder(web.url("faulty"), {}, QUICK)
+        with pytest.raises(Unreachable, match=rf"/{shard.name}: {message}$"):
+            ShardReader(store, manifest).read(0, 0)
+        web.forget()
+
+
 def test_a_row_of_failures_is_bounded_in_number_and_time(web: WebServer, manifest: Manifest) -> None:
     web.faults.act = lambda reply, before: replace(reply, status=500)
     for retry_policy, least, most in (
