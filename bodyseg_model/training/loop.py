@@ -91,6 +91,8 @@ def train(
     `resume`, a network of other classes than the images or of no registered class, batches that cannot be divided
     evenly between the processes, or a device that is absent; Diverged for a loss that is not finite; and as `loader`.
     """
+    if not isinstance(images, ImageSet):
+        raise BadConfig(f"images must be RangeImages or a Mixture, found {type(images).__name__}")
     if isinstance(network, str):
         classes = {} if images.label_map == PARTS33 else {"classes": len(images.label_map)}
         network = build(network, classes, seed)

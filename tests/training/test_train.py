@@ -10,6 +10,7 @@ import pytest
 import torch
 from label_networks import Places
 from small_training import RECIPE, TINY, written
+from torch.utils.data import ConcatDataset
 
 from bodyseg_data import BadConfig, RangeImages
 from bodyseg_model import RunOptions, Validation, load_network, train
@@ -92,6 +93,13 @@ def test_a_folder_in_which_another_training_is_at_work_is_left_alone(small_set: 
     network = build("compact", TINY, 0)
     train(images, tmp_path / "run", network, RECIPE_OF_TWO, run_options=ALONE, device="cpu", report=other)
     assert not [each for each in (tmp_path / "run").iterdir() if each.name.startswith(".")]
+
+
+def test_another_dataset_is_refused(small_set: Path, tmp_path: Path) -> None:
+    joined: Any = ConcatDataset([RangeImages(small_set), RangeImages(small_set)])
+    with pytest.raises(BadConfig, match=r"^images must be RangeImages or a Mixture, found ConcatDataset$"):
+        train(joined, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_network_that_no_file_could_name_is_refused(small_set: Path, tmp_path: Path) -> None:
