@@ -78,6 +78,7 @@ class RenderSource(ABC):
         rigs: Mapping[str, Rig] | None = None,
     ) -> None:
         self._content, self._rows, self._files = content, rows, files
+        self._said = repr(replace(content, path=Path(), rigs={}))
         for found in files.values():
             _check_partners(files[RANGE], found)
         self._keys = self._in_order()
@@ -123,7 +124,7 @@ class RenderSource(ABC):
         """Return a digest of what set.toml and the table of samples say of a sample, and of the names, sizes and times
         of its files, wherever their folder lies.
         """
-        said = replace(self._content, path=Path(), rigs={}), self._rows.info(key), self._rigs[key]
+        said = self._said, self._rows.info(key), self.rigs.index(self._rigs[key])
         files = [(path.name, (found := path.stat()).st_size, found.st_mtime_ns) for path in self.files(key)]
         return hashlib.sha256(repr((said, files)).encode()).hexdigest()[:16]
 
