@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -93,6 +94,8 @@ def train(
     """
     if not isinstance(images, ImageSet):
         raise BadConfig(f"images must be RangeImages or a Mixture, found {type(images).__name__}")
+    if any(each.split is None and each.manifest.samples("test") for each in images.sets):
+        warnings.warn("images to train on include the test split: open them with split='train'", stacklevel=2)
     if isinstance(network, str):
         classes = {} if images.label_map == PARTS33 else {"classes": len(images.label_map)}
         network = build(network, classes, seed)

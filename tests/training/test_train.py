@@ -102,6 +102,12 @@ def test_another_dataset_is_refused(small_set: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "run").exists()
 
 
+def test_a_test_split_among_the_images_is_told(small_set: Path, tmp_path: Path) -> None:
+    network = build("compact", TINY, 0)
+    with pytest.warns(UserWarning, match="^images to train on include the test split: open them with split='train'$"):
+        train(RangeImages(small_set), tmp_path / "run", network, RECIPE_OF_TWO, run_options=ALONE, device="cpu")
+
+
 def test_a_network_that_no_file_could_name_is_refused(small_set: Path, tmp_path: Path) -> None:
     images = RangeImages(small_set, variant="all", split="train")
     with pytest.raises(BadConfig, match=r"of a class in NETWORKS.*found label_networks\.Places"):
