@@ -169,9 +169,9 @@ def test_states_of_something_else_are_refused() -> None:
         ({**state, "seed": 1}, "belongs to another run: seed 1, here 0"),
         ({**state, "shuffle": False}, "belongs to another run: shuffle False, here True"),
         ({**state, "position": 21}, "must be whole numbers from 0 on, position at most 20, found 0 and 21"),
-        ({**state, "position": True}, "must be whole numbers, found 0 and True"),
-        ({**state, "epoch": -1}, "must be whole numbers, found -1 and 0"),
-        ({**state, "epoch": "0"}, "must be whole numbers, found '0' and 0"),
+        ({**state, "position": True}, "at most 20, found 0 and True"),
+        ({**state, "epoch": -1}, "at most 20, found -1 and 0"),
+        ({**state, "epoch": "0"}, "at most 20, found '0' and 0"),
     ]
     for wrong, message in cases:
         with pytest.raises(BadConfig, match=message):
