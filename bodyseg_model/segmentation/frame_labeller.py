@@ -71,6 +71,26 @@ Found = Callable[[], LabelledFrame]
 """Labels a frame whose bodies are found: all is done that may be while the frame before it is labelled."""
 
 
+@dataclass
+class _Turns:
+    """How sure the network is of people at each turn, of one camera. looked_at: frames; judged: those with people.
+    confidence: of each turn, the sum over judged frames, float64 [4].
+    """
+
+    looked_at: int = 0
+    judged: int = 0
+    confidence: NDArray[np.float64] = field(default_factory=lambda: np.zeros(4))
+
+    @property
+    def open(self) -> bool:
+        """True until frames enough are judged, or looked at."""
+        return self.judged < _JUDGED and self.looked_at < _MOST_LOOKED_AT
+
+    def means(self) -> NDArray[np.float64]:
+        """Mean confidence at each turn of the judged frames, float64 [4]; 0 for none."""
+        return self.confidence / max(self.judged, 1)
+
+
 class FrameLabeller:
     """Labels frames of any range sensor: recordings (`recording`), streams of arrays (`stream`), or one array (a call).
 
@@ -124,8 +144,7 @@ class FrameLabeller:
             self._finder = put_on_backend(finder or shipped_finder(), backend, precision)
             to_device(self._finder.network, device)
         self._doubted_below = 0.0 if keep_things else least_confidence_of_people(self.trained.card)
-        self._turned, self._judged = turned, 0
-        self._looked_at, self._confidence = 0, np.zeros(4)  # of each turn, the sum over judged frames
+        self._turned, self._turns = turned, _Turns()  # of the frames of calls and of the stream
         self._segmenter = partial(
             Segmenter,
             self.trained.network,
@@ -143,25 +162,24 @@ class FrameLabeller:
     def __repr__(self) -> str:
         return f"FrameLabeller({self.trained!r}, {self.background}, for rig {self.rig.name})"
 
-    def of(self, camera: Camera) -> tuple[Undistortion | None, Segmenter]:
+    def of(self, camera: Camera, turns: _Turns | None = None) -> tuple[Undistortion | None, Segmenter]:
         """Undistortion, where a camera needs one, and segmenter of its frames. Raises BadConfig."""
-        return self._segmenters(camera, self.quarters(camera))
+        return self._segmenters(camera, self.quarters(camera, turns))
 
-    def quarters(self, camera: Camera) -> int:
-        """Right angles by which the camera's frames are turned clockwise before they are labelled."""
+    def quarters(self, camera: Camera, turns: _Turns | None = None) -> int:
+        """Right angles by which the camera's frames are turned clockwise before they are labelled.
+
+        turns: of its recording; by default of the frames of calls and of the stream.
+        """
         if self.tells_turn:
-            return int(self.means().argmax())
+            return int((turns or self._turns).means().argmax())
         if self._turned is not None:
             return int(self._turned) // 90
         # As against the camera that the network was trained for, which may be turned itself.
         quarters = round((camera.roll_deg - self.rig.camera.roll_deg) / 90)
         return (-quarters if self.mirrored else quarters) % 4
 
-    def means(self) -> NDArray[np.float64]:
-        """Mean confidence of the network at each turn of the frames it has judged, float64 [4]; 0 for none."""
-        return self._confidence / max(self._judged, 1)
-
-    def _judge(self, range_m: NDArray[np.float32], camera: Camera) -> None:
+    def judge(self, turns: _Turns, range_m: NDArray[np.float32], camera: Camera) -> None:
         """Note how sure the network is of the person that it is surest of in a frame, turned each way.
 
         range_m: without distortion. A frame in which it is not sure of anything tells nothing: things look alike at
@@ -171,10 +189,10 @@ class FrameLabeller:
         for quarters in range(4):
             answer = self._segmenter(camera, turned=quarters, either_way=False)(range_m)
             surest[quarters] = max((float(body.confidence.mean()) for body in answer.bodies), default=0.0)
-        self._looked_at += 1
+        turns.looked_at += 1
         if surest.max() >= _PERSON:
-            self._judged += 1
-            self._confidence += surest
+            turns.judged += 1
+            turns.confidence += surest
 
     def _new_segmenter(self, camera: Camera, quarters: int) -> tuple[Undistortion | None, Segmenter]:
         lens = None if camera.distortion is None else Undistortion(camera)
@@ -195,18 +213,9 @@ class FrameLabeller:
         """True if the turn is "auto"."""
         return self._turned == "auto"
 
-    def look_at(self, recording: LabelledRecording) -> None:
-        """Judge by the first frames with people how a recording's camera is turned."""
-        self._judged, self._looked_at, self._confidence = 0, 0, np.zeros(4)
-        for frame in recording.frames[:_MOST_LOOKED_AT]:
-            if self._judged == _JUDGED:
-                return
-            with contextlib.suppress(BadConfig):  # one that cannot be read is told of when it is labelled
-                pixels, segmenter, _ = recording.undistorted(frame, frame.read())
-                self._judge(to_metres(pixels, frame.step_m), segmenter.camera)
-
     def restart(self) -> None:
-        """Begin another recording: with `video`, nothing is carried over from frames before."""
+        """Begin another recording: nothing is carried over from frames before, neither labels of `video` nor a turn."""
+        self._turns = _Turns()
         if self.video is not None:
             self.video.restart()
 
@@ -222,8 +231,8 @@ class FrameLabeller:
         answers in the same order, more of them a second where a processor is free. Each frame then is an array of its
         own, which no driver writes into again. Raises BadConfig as a call, naming the frame by its number.
         """
-        self.of(camera)[1].prepare()
         self.restart()
+        self.of(camera)[1].prepare()
         found = (self._find_in_array(number, each, camera, f"frame {number}") for number, each in enumerate(frames))
         with contextlib.closing(read_ahead(found) if ahead else found) as coming:
             for label in coming:
@@ -238,8 +247,8 @@ class FrameLabeller:
             with watch(_READ):
                 lens, segmenter = self.of(camera)
                 ideal = range_m if lens is None else lens(metres_of(range_m, camera))
-            if self.tells_turn and self._judged < _JUDGED and self._looked_at < _MOST_LOOKED_AT:
-                self._judge(ideal, segmenter.camera)
+            if self.tells_turn and self._turns.open:
+                self.judge(self._turns, ideal, segmenter.camera)
                 _, segmenter = self.of(camera)
             found = segmenter.find(ideal)
         return partial(_label_found, where, segmenter, found, watch.milliseconds[_READ], number=number)
@@ -302,9 +311,10 @@ class LabelledRecording:
         self, labeller: FrameLabeller, frames: Sequence[Frame], cameras: FrameCameras, skipping: Skipping
     ) -> None:
         self.labeller, self.frames, self.cameras, self._skipping = labeller, frames, cameras, skipping
+        self._turns = _Turns()
         labeller.of(self.cameras.first.camera)  # now, so that options that cannot be are refused
         if labeller.tells_turn:
-            labeller.look_at(self)
+            self._turns = self._judged()
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -319,19 +329,29 @@ class LabelledRecording:
 
     def surer_turn_deg(self) -> int | None:
         """Turn of the frames, degrees, at which the network is surer by `_SURER` than as they are labelled; or None."""
-        self.labeller.look_at(self)
-        means, used = self.labeller.means(), self.turned_deg // 90
+        means, used = self._judged().means(), self.turned_deg // 90
         best = int(means.argmax())
         return 90 * best if means[best] > means[used] + _SURER else None
 
     @property
     def turned_deg(self) -> int:
         """Degrees by which the first frame's camera was mounted turned clockwise, as `FrameLabeller` takes them."""
-        return 90 * self.labeller.quarters(self.cameras.first.camera)
+        return 90 * self.labeller.quarters(self.cameras.first.camera, self._turns)
+
+    def _judged(self) -> _Turns:
+        """The first frames with people, judged by how sure the network is at each turn."""
+        turns = _Turns()
+        for frame in self.frames[:_MOST_LOOKED_AT]:
+            if not turns.open:
+                break
+            with contextlib.suppress(BadConfig):  # one that cannot be read is told of when it is labelled
+                pixels, segmenter, _ = self.undistorted(frame, frame.read())
+                self.labeller.judge(turns, to_metres(pixels, frame.step_m), segmenter.camera)
+        return turns
 
     def prepare(self) -> None:
         """Load the compiled loops and label usual views, so that the first frame takes no longer than others."""
-        self.labeller.of(self.cameras.first.camera)[1].prepare()
+        self.labeller.of(self.cameras.first.camera, self._turns)[1].prepare()
 
     def labelled(self, ahead: bool = False, stamps: bool = False) -> Generator[LabelledFrame, None, None]:
         """Label the frames in order; those that are skipped are left out, as their numbers tell.
@@ -360,7 +380,7 @@ class LabelledRecording:
         """A frame's pixels without distortion, the segmenter for them, and the camera. Raises BadConfig, naming it."""
         camera = self.cameras.of(frame, (pixels.shape[0], pixels.shape[1]))
         with reported(frame.where, BadConfig):
-            lens, segmenter = self.labeller.of(camera.camera)
+            lens, segmenter = self.labeller.of(camera.camera, self._turns)
             return pixels if lens is None else lens(pixels), segmenter, camera
 
     def _find(

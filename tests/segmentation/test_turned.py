@@ -149,10 +149,28 @@ def test_auto_looks_at_few_frames_and_takes_no_thing_for_a_person() -> None:
     label = FrameLabeller(load_network(), keep_things=True, turned="auto", device="cpu")
     for looked_at in (1, 2):
         assert label(standing(), UPRIGHT).bodies and label.quarters(UPRIGHT) == 0
-        assert (label._looked_at, label._judged) == (looked_at, 0)
-    label._looked_at = 32
+        assert (label._turns.looked_at, label._turns.judged) == (looked_at, 0)
+    label._turns.looked_at = 32
     label(standing(), UPRIGHT)
-    assert label._looked_at == 32
+    assert label._turns.looked_at == 32
+
+
+def test_each_recording_and_stream_has_a_turn_of_its_own(tmp_path: Path) -> None:
+    label = FrameLabeller(load_network(), turned="auto", device="cpu")
+    camera = label.rig.camera
+    frames = {quarters: np.ascontiguousarray(np.rot90(room(9, "none"), quarters)) for quarters in (0, 2)}
+    opened = {}
+    for quarters, frame in frames.items():
+        (tmp_path / f"{quarters}.png").write_bytes(png(frame))
+        opened[quarters] = label.recording(tmp_path / f"{quarters}.png", focal_px=camera.focal_px)
+    (upright,) = list(opened[0])
+    (turned,) = list(opened[2])
+    assert [each.turned_deg for each in opened.values()] == [0, 180]
+    assert (np.rot90(turned.labels, 2) == upright.labels)[upright.labels < 255].mean() > 0.98
+    for quarters, frame in frames.items():
+        (answer,) = label.stream([to_metres(frame, 1e-3)], camera)
+        assert label.quarters(camera) == quarters
+        assert (np.rot90(answer.labels, -quarters) == upright.labels)[upright.labels < 255].mean() > 0.98
 
 
 def test_a_turned_recording_is_told_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
