@@ -11,9 +11,9 @@ if TYPE_CHECKING:
         SOFTWARE_DRIVER,
         compress,
         missing_library,
+        opened_picture,
         require_libraries,
         required,
-        silence_libtiff,
     )
     from bodyseg_data.machine.threads import in_threads, of_each, pieces, signals_held, torch_threads, wait_briefly
 else:

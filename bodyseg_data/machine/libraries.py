@@ -10,10 +10,13 @@ import ctypes
 import ctypes.util
 import re
 import sys
+import threading
+import warnings
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import cache
 from importlib import import_module
+from pathlib import Path
 from typing import Any, Final
 
 from bodyseg_data.core import MissingLibrary
@@ -27,6 +30,8 @@ DEBIAN_PACKAGES: Final = {
 
 SOFTWARE_DRIVER: Final = "libgl1-mesa-dri"
 """Package of a driver that renders without a graphics card."""
+
+_ONE_THREAD: Final = threading.Lock()
 
 _IN_MESSAGE: Final = re.compile(
     r'lib([\w+-]+?)\.so|Library "([\w+-]+)" not found|(?<![\w.+-])([A-Za-z]\w*): cannot open'
@@ -80,8 +85,29 @@ def can_load(name: str) -> bool:
     return True
 
 
+@contextlib.contextmanager
+def opened_picture(file: Any, formats: tuple[str, ...], strict: bool = False) -> Iterator[Any]:
+    """Open a picture by Pillow, of which nothing is shown on standard error. strict: what it warns of is a ValueError.
+
+    Filters of warnings are the process's: one thread at a time changes them, and what others warn of is passed on.
+    """
+    from PIL import Image
+
+    _silence_libtiff()
+    with _ONE_THREAD, warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        picture = Image.open(file, formats=formats)
+    with picture:
+        for each in said:
+            if "PIL" not in Path(each.filename).parts:
+                warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
+            elif strict:
+                raise ValueError(str(each.message))
+        yield picture
+
+
 @cache
-def silence_libtiff() -> None:
+def _silence_libtiff() -> None:
     """Have Pillow's libtiff print no lines of its own on standard error: what it cannot read, Pillow raises."""
     from PIL import _imaging
 

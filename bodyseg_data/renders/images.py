@@ -2,7 +2,6 @@
 
 import io
 import math
-import warnings
 from collections.abc import Collection
 from functools import lru_cache
 from pathlib import Path
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadSample, MissingLibrary
 from bodyseg_data.files import refuse_special
-from bodyseg_data.machine import required
+from bodyseg_data.machine import opened_picture, required
 from bodyseg_data.rigs import Camera
 
 SUFFIXES: Final = (".png", ".tif", ".tiff", ".npy", ".npz", ".exr")
@@ -75,7 +74,7 @@ def _read_picture(path: Path, palette: bool) -> NDArray[Any]:
 
     data = path.read_bytes()
     try:
-        with warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(data), formats=("PNG", "TIFF")) as picture:
+        with opened_picture(io.BytesIO(data), ("PNG", "TIFF")) as picture:
             tags = getattr(picture, "tag_v2", {})
             if max(math.prod(picture.size), math.prod(int(tags.get(tag, 1)) for tag in _TILE_SIDES)) > MOST_NUMBERS:
                 raise ValueError("it has more pixels than an image can")

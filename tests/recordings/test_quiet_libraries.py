@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -34,3 +36,15 @@ def test_lapack_prints_nothing(focal: float, capfd: pytest.CaptureFixture[str]) 
     lens = [0.5, 0.5, focal, focal, 1e308, 1e308, -1e308, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     assert depth_camera(calibration(lens), (576, 640), "x") is None
     assert capfd.readouterr() == ("", "")
+
+
+def test_threads_that_read_pictures_leave_the_filters_of_warnings_as_they_were(tmp_path: Path) -> None:
+    """Filters are the process's: two threads that each put them back in turn left all warnings errors."""
+    image = np.full((60, 80), 1717, np.uint16)
+    for name in "ab":
+        Image.fromarray(image).save(tmp_path / f"{name}.tif")
+    (one,), (other,) = (open_tiff(tmp_path / f"{name}.tif", None, None) for name in "ab")
+    before = list(warnings.filters)
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda frame: frame.read(), [one, other] * 100))
+    assert warnings.filters == before and all(np.array_equal(each, image) for each in found)

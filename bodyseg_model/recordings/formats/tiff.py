@@ -1,16 +1,15 @@
 """Recordings in TIFF files: a page a frame, whole numbers or floating point."""
 
 import io
-import warnings
 from pathlib import Path
 from typing import IO, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, TiffImagePlugin
+from PIL import TiffImagePlugin
 
 from bodyseg_data.core import BadConfig, reported
-from bodyseg_data.machine import silence_libtiff
+from bodyseg_data.machine import opened_picture
 from bodyseg_model.recordings.recording import LARGEST_SIDE, MOST_FRAMES, Frame, FrameSource, stored_recording
 
 _MODES: Final = {"I;16": np.uint16, "I;16B": np.uint16, "I;16L": np.uint16, "I": np.int32, "F": np.float32}
@@ -41,7 +40,6 @@ class _Pages(FrameSource):
     """Pages of a TIFF, listed once. The file is opened for every page, so that no handle outlives a call."""
 
     def __init__(self, path: Path) -> None:
-        silence_libtiff()
         self._path = path
         with reported(f"{path} must be a whole TIFF", BadConfig, OSError, ValueError), path.open("rb") as file:
             self.starts = _pages(file)
@@ -49,12 +47,11 @@ class _Pages(FrameSource):
     def read(self, index: int) -> NDArray[Any]:
         with (
             reported(f"page {index} of the TIFF cannot be read", BadConfig, Exception),  # whatever Pillow raises
-            warnings.catch_warnings(action="error"),
             _FromPage(self._path, self.starts[index]) as file,
-            Image.open(file, formats=["TIFF"]) as image,
+            opened_picture(file, ("TIFF",), strict=True) as image,
         ):
             mode, size = image.mode, image.size
-            tile = [int(image.tag_v2.get(tag, 1)) for tag in _TILE_SIDES]  # type: ignore[attr-defined]
+            tile = [int(image.tag_v2.get(tag, 1)) for tag in _TILE_SIDES]
             if mode in _MODES and max(*size, *tile) <= LARGEST_SIDE:
                 return np.asarray(image).astype(_MODES[mode])
         raise BadConfig(
