@@ -23,7 +23,7 @@ from torch import nn
 from bodyseg_data import Mixture, RangeImages, load_template, loader
 from bodyseg_data.core import BadConfig, BodysegError, Checked, Draws, bounded, reported
 from bodyseg_data.files import claimed
-from bodyseg_data.labels import PARTS33, TEMPLATE
+from bodyseg_data.labels import PARTS33, TEMPLATE, UNLABELLED
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, Batch, ImageSet, Loader, WorkerMethod
 from bodyseg_data.machine import peak_mb, signals_held
 from bodyseg_model.networks import (
@@ -154,6 +154,8 @@ class Training:
                 f"batch_size must be a multiple of the {processes.world_size} processes, found {recipe.batch_size}"
             )
         check_label_map(network, images.label_map)
+        if any(each.unlabelled == UNLABELLED and not each.label_map.has_rest for each in images.sets):
+            raise BadConfig("images to train on have no class for surfaces of none: open them with unlabelled=False")
         if recipe.mirror and not images.label_map.has_mirror_image:
             _ = images.label_map.mirrored  # raises, and says for which class
         if network.on_template:

@@ -177,7 +177,13 @@ class RunFolder:
             log.write(json.dumps(metrics) + "\n")
 
     def forget_after(self, step: int) -> None:
-        """Drop lines of the log after `step`, which a resumed training repeats, and a line that a kill cut short."""
+        """Drop lines of the log after `step`, which a resumed training repeats, and a line that a kill cut short; and a
+        best validation after it, where another number of steps, and so other learning rates, follow.
+        """
+        changes = self.plan().get("earlier_steps") if (self.path / RunFiles.PLAN).exists() else None
+        if changes and (best := self.best()) is not None and changes[-1]["until"] == step < best.step:
+            for suffix in (".json", ".safetensors"):
+                (self.path / RunFiles.BEST).with_suffix(suffix).unlink()
         file = self.path / "log.jsonl"
         if not file.exists():
             return

@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 from small_rig import SMALL
 
-from bodyseg_data import RangeImages
+from bodyseg_data import RangeImages, ShardWriter
 from bodyseg_data.artifacts import sensor_model_names
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND, PART_COUNT
@@ -114,6 +114,19 @@ def test_scores_are_those_of_single_images(
     assert total.images == len(images) == 8
     assert steps[-1] == (8, 8)
     assert set(found.milliseconds) == {"network", "scores", "loading"} and min(found.milliseconds.values()) > 0
+
+
+def test_every_sample_of_an_own_set_has_its_own_subset(tmp_path: Path) -> None:
+    """Keys like those of a body's views say nothing there."""
+    seen = np.full((SMALL.camera.rows, SMALL.camera.columns), 2.0)
+    with ShardWriter(tmp_path / "own", rig=SMALL, classes=["body"], projector="none", workers=0) as out:
+        for number in range(4):
+            fields = {"subset": "AB"[number % 2]}
+            key, labels = f"room-d{100 + number}-a000", np.zeros(seen.shape, np.uint8)
+            out.write(key=key, range_m=seen, labels=labels, split="test", fields=fields)
+    images = RangeImages(tmp_path / "own", "none", "test")
+    found = evaluate(ByRange(1).eval(), images, num_workers=0)
+    assert {name: scores.images for name, scores in found.subsets.items()} == {"A": 2, "B": 2}
 
 
 def keys_seen(network: Network, images: RangeImages, count: int | None, batch_size: int) -> list[str]:

@@ -67,6 +67,20 @@ def test_steps_may_grow_and_the_rate_follows_the_new_schedule(small_set: Path, t
     assert load_network(tmp_path).card["last_step"] == 7
 
 
+def test_the_best_of_a_schedule_that_was_left_is_no_result(small_set: Path, tmp_path: Path) -> None:
+    """The best of step 3 is not among the steps that were kept, once their number is another."""
+    images, few = [RangeImages(small_set, "all", "test")], RunOptions(1, 2, 0)
+    for steps, expected in ((9, 3), (4, 4)):
+        out = tmp_path / str(steps)
+        with pytest.raises(CutError):
+            before = GivenScores(images, 1, accuracies=(0.1, 0.2, 0.9))
+            train(small_set, out, steps=9, options=few, validation=before, report=cut_at(3))
+        after = GivenScores(images, 1, accuracies=(0.3, 0.4, *(0.1,) * 7))
+        train(small_set, out, steps=steps, options=few, resume=True, validation=after)
+        assert load_network(out).card["step"] == expected
+        assert [line["step"] for line in log(out)] == [*range(1, steps + 1)]
+
+
 def test_steps_may_shrink_to_those_done(small_set: Path, tmp_path: Path) -> None:
     with pytest.raises(CutError):
         train(small_set, tmp_path, steps=9, report=cut_at(4))

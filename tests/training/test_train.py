@@ -108,6 +108,11 @@ def test_a_test_split_among_the_images_is_told(small_set: Path, tmp_path: Path) 
         train(RangeImages(small_set), tmp_path / "run", network, RECIPE_OF_TWO, run_options=ALONE, device="cpu")
 
 
+def test_surfaces_that_no_class_has_are_refused(small_set: Path, tmp_path: Path) -> None:
+    with pytest.raises(BadConfig, match="^images to train on have no class for surfaces of none: open them with"):
+        train(RangeImages(small_set, split="train", unlabelled=True), tmp_path / "run", device="cpu")
+
+
 def test_a_network_that_no_file_could_name_is_refused(small_set: Path, tmp_path: Path) -> None:
     images = RangeImages(small_set, variant="all", split="train")
     with pytest.raises(BadConfig, match=r"of a class in NETWORKS.*found label_networks\.Places"):
