@@ -245,6 +245,8 @@ def file_labels(content: MeshContent, wanted: str | None, table: ClassTable, whe
     if wanted is not None:
         raise BadMesh(f"{where}: labels were asked for by {wanted!r}, the file has none")
     why = "files of this kind hold none" if where.lower().endswith((".stl", ".off")) else "the file holds none"
+    if _having(content, _CHANNELS)[0]:
+        why = "its colours are some by the colours of classes.json alone"
     raise BadMesh(
         f"{where}: a mesh needs labels, {why}: put a .labels.json or .labels.npy beside it, or give its 'class' in "
         "scene.json"

@@ -54,6 +54,9 @@ _WHY: Final = {
 }
 
 
+_LOOKED_AT: Final = 4  # samples of a new set
+
+
 @dataclass(frozen=True)
 class Options:
     source: str = option(
@@ -150,7 +153,9 @@ def run(options: Options) -> int:
         return pack_on(options.engine, options.workers, packing, out, progress, on_faults)
 
     try:
-        return _said(options, "views", make)
+        _said(options, "views", make)
+        _warn_about_empty(out)
+        return 0
     except FaultyMeshes as error:
         sys.stderr.write("".join(f"{one_line(line)}\n" for line in error.lines()))
         skips = options.on_error == "skip"
@@ -253,6 +258,19 @@ def _warn_about_split(packing: Packing) -> None:
         sys.stderr.write(
             f"bodyseg shard: note: all {len(bodies)} meshes are of the split {splits[0]}, none is of {lacking}\n"
         )
+
+
+def _warn_about_empty(out: Path) -> None:
+    """Warn where some of a set's images, evenly chosen, show nothing, as by a rig with a number in another unit."""
+    from bodyseg_data.loading import RangeImages  # which needs PyTorch
+
+    for variant, seen_by in (("none", "camera sees"), ("occ", "projector lights")):
+        images = RangeImages(out, variant)
+        few = images.evenly_sampled(_LOOKED_AT).tolist()
+        if not any(images.image(index).range.any() for index in few):
+            where = "are the rig's numbers, --distances and --height right?"
+            sys.stderr.write(f"bodyseg shard: warning: the {seen_by} nothing in {len(few)} images looked at: {where}\n")
+            return
 
 
 def pack_on(

@@ -69,6 +69,8 @@ class Camera:
     def __post_init__(self) -> None:
         check_fields(self)
         axis = np.subtract(self.aims_at_m, self.position_m)
+        if not axis.any():
+            raise BadConfig(f"a camera must not aim at its own position, found {self.aims_at_m}")
         if not np.linalg.norm(np.cross(self.up, axis)) >= _LEAST_ACROSS:
             raise BadConfig(f"a camera must not look straight up or down, along its 'up', found {axis.tolist()}")
         if self.distortion is not None and not self.distortion.is_one_to_one(*self._image_plane(_CHECKED_NODES)):
@@ -259,6 +261,8 @@ def camera_from_table(table: Table, posed: bool, lens: bool = False) -> Camera:
     posed: whether it must say where the device is, else its frame is the rig's. lens: whether it may hold distortion.
     """
     rows, columns = table.whole("rows"), table.whole("columns")
+    if ("focal_px" in table) == ("focal_length_mm" in table):
+        raise BadConfig(f"{table.where}: give either 'focal_px' or 'focal_length_mm' with 'pixel_pitch_um'")
     if "focal_px" in table:
         focal_px = table.positive("focal_px")
     else:

@@ -34,6 +34,13 @@ def run(options: Options) -> int:
             raise BadConfig(f"--{name} must be a {suffix} file, found {path}")
     trained = load_network(options.run)
     scores = {} if options.scores is None else {"scores": read_json(options.scores)}
+    own, theirs = (
+        card.get(CardWords.WEIGHTS_SHA256) for card in (trained.card, scores.get("scores", {}).get("card", {}))
+    )
+    if scores and own != theirs:
+        raise BadConfig(
+            f"--scores must be what bodyseg evaluate --json wrote of {options.run or 'compact'}, found {options.scores}"
+        )
     confusion = scores.get("scores", {}).pop("confusion", None)
     if options.onnx is not None:
         size = write_onnx(options.onnx, Trained(trained.network, {**trained.card, **scores}))

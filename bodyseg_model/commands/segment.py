@@ -50,7 +50,6 @@ EXAMPLE = "bodyseg segment recording/ --focal 525 --out labelled"
 _OF_THE_CARD: Final = ("network", "variant", "seed", "steps", "data", "sensor", "weights_sha256")  # identify it
 _NEAR: Final = 0.7  # of the stand-off; docs/results/segment.md has the accuracy by distance
 _SURE: Final = 0.8  # mean confidence; below it, other turns of frames are tried
-_OTHER_FOCAL: Final = 0.1  # share of the focal length, beyond which a camera is another
 _SHADOW_FRAMES: Final = 8  # whose shadows tell whether a recording is mirrored
 
 
@@ -232,15 +231,12 @@ def _remarks(
     if camera.assumed:
         lines.append(f"camera {camera.origin}: give --focal or --rig if it is another")
     if background == "frame":  # what follows is about bodies
-        cameras = camera.camera, recording.labeller.rig.camera
-        (rows, columns, focal_px), (its_rows, its_columns, its_focal_px) = (
-            (of.rows, of.columns, of.focal_px) for of in cameras
+        own, its = (
+            f"{of.rows} x {of.columns} with a focal length of {of.focal_px:.3g} px"
+            for of in (camera.camera, recording.labeller.rig.camera)
         )
-        if (rows, columns) != (its_rows, its_columns) or abs(focal_px / its_focal_px - 1) > _OTHER_FOCAL:
-            lines.append(
-                f"frames are {rows} x {columns} with a focal length of {focal_px:.5g} px, those that the network was "
-                f"trained on {its_rows} x {its_columns} with {its_focal_px:.5g} px: labels are less accurate"
-            )
+        if own != its:
+            lines.append(f"frames are {own}, those that the network was trained on {its}: labels are less accurate")
         return lines
     mirrored = shadows.mirrored(camera)
     if mirrored is not None and mirrored != options.mirrored:

@@ -316,7 +316,7 @@ def reporting(folder: Path, steps: int, log_every: int) -> Iterator[Report]:
     def report(metrics: Metrics) -> None:
         nonlocal board, first
         if metrics.waited_for is not None:
-            waits[metrics.waited_for] += metrics.data_wait * log_every / steps
+            waits[metrics.waited_for] += metrics.data_wait * min(log_every, steps) / steps
         first = max(0, metrics.step - log_every) if first is None else first
         done = metrics.step - first
         left = (time.monotonic() - start) / max(1, done) * (steps - metrics.step)
@@ -346,6 +346,8 @@ def reporting(folder: Path, steps: int, log_every: int) -> Iterator[Report]:
         if waits and sum(waits.values()) > _WAIT_ADVISED:
             stage = max(waits, key=waits.__getitem__)
             sys.stderr.write(f"waited mostly for {stage}; what may help: {WAITING_ADVICE[stage]}\n")
+    if first is None:
+        sys.stderr.write(f"{folder} holds this training, ended: more --steps carry it on\n")
 
 
 def _tensorboard() -> Any:

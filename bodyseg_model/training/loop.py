@@ -314,7 +314,9 @@ class Training:
     def _objective(self) -> nn.Module:
         weights = torch.ones(self.network.classes)
         if self.recipe.balance:
-            weights = part_weights(class_pixels(self.images), self.recipe.balance)
+            if not (pixels := class_pixels(self.images)).any():
+                raise BadConfig("images to train on must show a pixel that has a class, found none: is the rig right?")
+            weights = part_weights(pixels, self.recipe.balance)
         objective: nn.Module = NetworkWithLoss(self.network, weights, self.recipe.loss_stride)
         objective = objective.to(self.processes.device)
         if self.processes.world_size > 1:

@@ -47,8 +47,8 @@ class Metrics:
     val_best_step: int | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """The metrics as a JSON object, without those that are None."""
-        return {name: value for name, value in asdict(self).items() if value is not None}
+        """The metrics as a JSON object, without those that are None, or NaN where no pixel counts."""
+        return {name: value for name, value in asdict(self).items() if value is not None and value == value}
 
 
 WAITING_ADVICE: Final = {

@@ -24,12 +24,13 @@ def run(tmp_path: Path) -> Path:
 
 def test_an_exported_network_is_smaller_and_says_what_it_is(run: Path, tmp_path: Path) -> None:
     scores = tmp_path / "scores.json"
-    scores.write_text('{"accuracy": 0.5, "confusion": [[3, 1], [0, 2]]}')
+    of = {"weights_sha256": load_network(run).card["weights_sha256"]}
+    scores.write_text(json.dumps({"card": of, "accuracy": 0.5, "confusion": [[3, 1], [0, 2]]}))
     out = tmp_path / "given.safetensors"
     assert main(["export", "--run", str(run), "--out", str(out), "--scores", str(scores)]) == 0
     given, kept = load_network(out), load_network(run)
     digest = hashlib.sha256(out.read_bytes()).hexdigest()
-    assert given.card == {**kept.card, "scores": {"accuracy": 0.5}, "weights_sha256": digest}
+    assert given.card == {**kept.card, "scores": {"card": of, "accuracy": 0.5}, "weights_sha256": digest}
     assert json.loads((tmp_path / "given.confusion.json").read_text()) == {"confusion": [[3, 1], [0, 2]]}
     assert out.stat().st_size < 0.7 * (run / "network.safetensors").stat().st_size
     with torch.no_grad():
@@ -39,10 +40,12 @@ def test_an_exported_network_is_smaller_and_says_what_it_is(run: Path, tmp_path:
 
 def test_bad_targets_get_one_line(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "bad.json").write_text("[]")
+    (tmp_path / "other.json").write_text('{"card": {"weights_sha256": "of another network"}}')
     for words, message in (
         (["--out", str(tmp_path / "x.pth")], "--out must be a .safetensors file"),
         (["--out", str(tmp_path / "absent" / "x.safetensors")], "cannot write"),
         (["--out", str(tmp_path / "x.safetensors"), "--scores", str(tmp_path / "bad.json")], "must hold a JSON object"),
+        (["--out", str(tmp_path / "x.safetensors"), "--scores", str(tmp_path / "other.json")], "--scores must be what"),
         (["--out", str(tmp_path / "x.safetensors"), "--run", str(tmp_path / "no")], "a network is compact or large"),
     ):
         assert main(["export", "--run", str(run), *words]) == 2

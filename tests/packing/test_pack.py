@@ -342,6 +342,20 @@ def test_any_number_of_workers_gives_the_same_bytes(figures_set: Path, tmp_path:
     assert contents(tmp_path / "two") == contents(figures_set)
 
 
+@pytest.mark.parametrize(
+    ("table", "line", "seen_by"),
+    [("[camera]", "centre_px = [40.0, 1600.0]", "camera sees"), ("[projector]", "roll_deg = 170.0", "")],
+)
+def test_a_rig_that_sees_nothing_is_told(table: str, line: str, seen_by: str, tmp_path: Path) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text(SMALL_FILE.read_text().replace(table, f"{table}\n{line}"))
+    words = [*FIGURES[:-3], str(rig), "--meshes", "1", "--workers", "1", "--out", str(tmp_path / "out")]
+    with warm.Program(words, env=os.environ | {"BODYSEG_TROUBLE": str(tmp_path)}) as process:
+        _, errors = process.communicate(timeout=200)
+    assert process.returncode == 0, errors
+    assert (f"warning: the {seen_by} nothing in 4 images looked at: are the rig's" in errors) == bool(seen_by)
+
+
 def test_a_packing_killed_and_started_again_ends_in_the_same_bytes(
     figures_set: Path, tmp_path: Path, pack_figures: Pack
 ) -> None:

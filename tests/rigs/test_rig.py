@@ -180,6 +180,17 @@ def test_another_rig_is_another_file(tmp_path: Path) -> None:
         ('name = "paper"', "name = 3", "'name' must be text, found 3"),
         ("rows = 640 ", "rows = ", "is not TOML"),
         ("rows = 640 ", f"rows = 1{'0' * 400} ", "'rows' must be a finite number, found '1000"),
+        (
+            "focal_length_mm = 12.5",
+            "focal_pixels = 12.5",
+            r"\[camera\]: give either 'focal_px' or 'focal_length_mm' with",
+        ),
+        (
+            "focal_length_mm = 12.5",
+            "focal_length_mm = 12.5\nfocal_px = 9.0",
+            "give either 'focal_px' or 'focal_length_mm'",
+        ),
+        ("[0.0, 0.0, 2.5]  # assumed: the", "[-0.75, 0.0, 0.0]  #", "must not aim at its own position"),
         ("focal_length_mm = 12.5", "focal_length_mm = 1e200", "at most 1e\\+06"),
         ("pixel_pitch_um = 16.5 ", "pixel_pitch_um = 0.0 ", "'pixel_pitch_um' must be positive, found 0"),
         ("[0.0, 0.0, 0.0]", "[1e250, 0.0, -1e250]", "must be from -100 to 100"),
