@@ -27,7 +27,7 @@ _ORDERS: Final[dict[str, Callable[[float, float], bool]]] = {
     ">": operator.gt,
 }
 _CONDITION: Final = re.compile(r"\s*(\w+)\s*(<=|>=|!=|=|<|>)(.*)", re.DOTALL)
-_NUMBER: Final = r"[+-]?[0-9]{1,6}(?:\.[0-9]{1,6})?"
+_NUMBER: Final = r"[+-]?[0-9]{1,40}(?:\.[0-9]{1,40})?(?:[eE][+-]?[0-9]{1,3})?"
 _RANGE: Final = re.compile(rf"({_NUMBER})(?:\.\.({_NUMBER}))?")
 _FULL_TURN_DEG: Final = 360
 _FORM: Final = "FIELD, one of = != < <= > >=, and values, like 'distance_cm<=255'"
@@ -63,9 +63,10 @@ class SampleTable:
     def __len__(self) -> int:
         return self.samples
 
-    def where(self, table: int, fits: Callable[[Row], bool]) -> NDArray[np.bool_]:
-        """Mark the samples whose row of a table meets a condition, bool [N]; asked once a row."""
-        return np.array([fits(row) for row in self.tables[table]], np.bool_)[self.rows[table]]
+    def where(self, field: str, fits: Callable[[Any], bool]) -> NDArray[np.bool_]:
+        """Mark the samples whose value of a field meets a condition, bool [N]; asked once a row of its table."""
+        table, column = self.fields.places[field]
+        return np.array([fits(row[column]) for row in self.tables[table]], np.bool_)[self.rows[table]]
 
 
 @dataclass(frozen=True)
@@ -88,18 +89,17 @@ class Condition:
 
     def marks(self, table: SampleTable) -> NDArray[np.bool_]:
         """Mark the samples that meet the condition, bool [N]."""
-        if self.field == "motion":
-            at, subset = table.fields.places["subset"]
-            _, pose = table.fields.places["pose"]
-            return table.where(at, lambda row: self._holds_text(motion_of(str(row[subset]), str(row[pose]))))
-        at, column = table.fields.places[self.field]
-        holds = self._holds_number if self.ranges else self._holds_text
-        return table.where(at, lambda row: holds(row[column]))
+        if self.ranges:
+            return table.where(self.field, self._holds_number)
+        own = self.field in table.fields.places
+        found = table.where(self.field if own else "pose", self._matches)
+        if not own:
+            found &= table.where("subset", lambda subset: bool(motion_of(subset, "any")))
+        return found if self.comparison == "=" else ~found
 
-    def _holds_text(self, value: Any) -> bool:
+    def _matches(self, value: Any) -> bool:
         text = str(value).lower() if isinstance(value, bool) else value
-        found = bool(text) and any(pattern.match(text) for pattern in self.patterns)
-        return found == (self.comparison == "=")
+        return bool(text) and any(pattern.match(text) for pattern in self.patterns)
 
     def _holds_number(self, value: Any) -> bool:
         if value is None:
@@ -118,7 +118,7 @@ def parse_condition(text: str, fields: Fields) -> Condition:
 
     VALUES are one or several with commas between them, of which any may be met: patterns as for file names, or numbers
     and ranges a..b, both ends included, or true and false. Azimuths a..b are the directions from a to b, and -90 is
-    270. The field "motion" of samples of bodies is the pose of frames of a motion, the subsets B and C; no pattern
+    270. The field "motion", unless a set has one, is the pose of frames of a motion, the subsets B and C; no pattern
     matches the motion of other samples. fields: of the set. A sample without the field meets FIELD!=VALUES alone.
 
     Raises BadConfig for an unknown field, a comparison that it does not have, or other values.
@@ -129,7 +129,7 @@ def parse_condition(text: str, fields: Fields) -> Condition:
     name, comparison = parts[1], parts[2]
     values = tuple(word.strip() for word in parts[3].split(","))
     kinds = {name: kind for name, kind in fields.kinds.items() if kind != "numbers"}
-    if {"subset", "pose"} <= kinds.keys():
+    if kinds.get("subset") == kinds.get("pose") == "text" and "motion" not in fields.kinds:
         kinds["motion"] = "text"
     if name not in kinds:
         known = f"is on one of {', '.join(kinds)}" if kinds else "needs descriptions, and this set's have no fields"

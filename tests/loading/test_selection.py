@@ -21,7 +21,7 @@ from bodyseg_data.loading.conditions import SampleTable, parse_condition
 from bodyseg_data.loading.selection import BodyRow, Selection, groups, mark_val
 from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import ReadSplit, SampleInfo, ViewGrid
-from bodyseg_data.shards import BODY_FIELDS, Manifest, Row, ShardRecord
+from bodyseg_data.shards import BODY_FIELDS, Fields, Manifest, Row, ShardRecord
 from bodyseg_data.shards.records import describe
 
 
@@ -51,6 +51,19 @@ def shard_of(described: list[SampleInfo], number: int = 0) -> ShardRecord:
         (),
         describe(described, BODY_FIELDS),
     )
+
+
+OWN_FIELDS = Fields(tuple(((name, kind),) for name, kind in [("pose", "text"), ("subset", "text")]))
+"""As `ShardWriter` has them: each in a table of its own."""
+
+
+def met_by_own(fields: Fields, text: str, *described: dict[str, Any]) -> list[bool]:
+    """Which samples, described by fields of a user's own, meet a condition."""
+    samples = [SampleInfo("train", each) for each in described]
+    record = shard_of([*infos(*[{}] * len(samples))])
+    vars(record).update(descriptions=describe(samples, fields))
+    marks: list[bool] = parse_condition(text, fields).marks(SampleTable.of(fields, [record])).tolist()
+    return marks
 
 
 @cache
@@ -137,6 +150,52 @@ def test_conditions(text: str, expected: list[bool]) -> None:
     assert met(text, *described) == expected
     found = parse_condition(text, BODY_FIELDS)
     assert parse_condition(found.text, BODY_FIELDS) == found
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("motion=crane", [True, False, False, False]),
+        ("motion!=crane", [False, True, True, True]),
+        ("motion=*", [True, True, False, False]),
+        ("motion=B", [False] * 4),
+        ("pose=crane", [True, False, True, False]),
+    ],
+)
+def test_a_motion_is_found_where_pose_and_subset_have_tables_of_their_own(text: str, expected: list[bool]) -> None:
+    described = [{"subset": "B", "pose": "crane"}, {"subset": "C", "pose": "jump"}, {"subset": "A", "pose": "crane"}]
+    assert met_by_own(OWN_FIELDS, text, *described, {"subset": "B"}) == expected
+
+
+def test_a_motion_of_a_sets_own_is_its_own() -> None:
+    described = [{"subset": "B", "pose": "p", "motion": motion} for motion in ("walk", "run")]
+    alone = [{"motion": each["motion"]} for each in described]
+    motion = (("motion", "text"),)
+    assert met_by_own(Fields((*OWN_FIELDS.tables, motion)), "motion=walk", *described) == [True, False]
+    assert met_by_own(Fields((motion,)), "motion!=walk", *alone) == [False, True]
+    for other in ("int", "numbers"):  # no text that a motion could be made of
+        with pytest.raises(BadConfig, match=r"^a condition is on one of pose.*, found 'motion' in 'motion=a'$"):
+            parse_condition("motion=a", Fields(((("pose", "text"), ("subset", other)),)))
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("time_s>=1700000050", [False, True]),
+        ("time_s=1700000000..1700000050", [True, False]),
+        ("time_s<=1.7e9", [True, False]),
+        ("frame=9007199254740991", [False, True]),
+        ("gain<=0.00000015", [True, False]),
+        ("gain=1E-7", [True, False]),
+        ("gain=-1e+3..1.5e-7", [True, False]),
+    ],
+)
+def test_numbers_may_be_long_small_and_have_exponents(text: str, expected: list[bool]) -> None:
+    fields = Fields((tuple((name, "float" if name == "gain" else "int") for name in ("time_s", "frame", "gain")),))
+    described = [
+        {"time_s": 1_700_000_000 + 100 * each, "frame": 2**53 - 2 + each, "gain": 1e-7 * (each + 1)} for each in (0, 1)
+    ]
+    assert met_by_own(fields, text, *described) == expected
 
 
 @pytest.mark.parametrize(
