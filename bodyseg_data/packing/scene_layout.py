@@ -18,7 +18,7 @@ from bodyseg_data.packing.occluders import exact_range, occluder_range
 from bodyseg_data.packing.range_facing import facing_from_normals, facing_from_range
 from bodyseg_data.renders import ProjectorRanges, Render
 from bodyseg_data.rigs import Rig
-from bodyseg_data.samples import Sample, SampleInfo, Value, kind_of, steps
+from bodyseg_data.samples import Sample, SampleInfo, Value, check_key, kind_of, steps
 from bodyseg_data.shards import EXTERNAL, FACING_FROM_RANGE, RIG_FIELD, Fields, ProjectorKind, check_plane
 
 Images = NDArray[Any]
@@ -42,6 +42,7 @@ class SceneLayout:
         """The scene with copies of its arrays, checked; facing: bool [projectors, H, W], None to be found from its
         ranges; of the projector, its ranges. Raises BadSample, naming the key and the rule.
         """
+        check_key(scene.key, self.planes)
         if isinstance(scene.rig, bool) or scene.rig not in range(len(self.rigs)):
             raise BadSample(f"{scene.key}: rig must number one of the set's {len(self.rigs)} rigs, found {scene.rig!r}")
         rig = self.rigs[scene.rig]
@@ -211,14 +212,14 @@ def fields_of(kinds: Mapping[str, str], rigs: int) -> Fields:
 
 def plain_value(value: Any) -> Any:
     """A field's value without NumPy or torch: their numbers as Python's, lists and arrays as tuples of floats."""
-    if isinstance(value, np.generic):
+    if getattr(value, "ndim", None) == 0:
         return value.item()
     if isinstance(value, list | tuple | np.ndarray) or hasattr(value, "detach"):
         try:
             flat = np.asarray(value.detach().cpu() if hasattr(value, "detach") else value, np.float64)
         except (TypeError, ValueError):
             return value
-        return tuple(flat.tolist()) if flat.ndim == 1 else flat.item() if flat.ndim == 0 else value
+        return tuple(flat.tolist()) if flat.ndim == 1 else value
     return value
 
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal, cast
 
@@ -215,7 +215,7 @@ class Sample:
 
     def check(self, classes: int = PART_COUNT) -> None:
         """Raise BadSample, naming the key, if the arrays break a rule of the format. classes: how many the set has."""
-        check_key(self.key)
+        check_key(self.key, self.planes)
         kinds = {
             "range": np.uint16,
             "projector_range": np.uint16,
@@ -254,10 +254,16 @@ def shape_of(image: NDArray[Any]) -> str:
     return " x ".join(map(str, image.shape))
 
 
-def check_key(key: str) -> None:
-    """Raise BadSample unless `key` can name a sample in a tar: letters, digits, _, + and -, at most 80."""
+def check_key(key: str, planes: Iterable[str] = ()) -> None:
+    """Raise BadSample unless `key` can name a sample in a tar, letters, digits, _, + and -, at most 80, and with the
+    name of each of its `planes` at most 89: tars have 100 bytes for KEY.plane.NAME.bsp.
+    """
     if not _KEY.fullmatch(key):
         raise BadSample(f"a sample key must be 1 to 80 letters, digits, '_', '+' or '-', found {key!r}")
+    for name in planes:
+        if len(key) + len(name) > 89:
+            found = f"{len(key)} and {len(name)} of the plane {name!r}"
+            raise BadSample(f"{key}: a key and the name of a plane must have 89 characters at most, found {found}")
 
 
 def steps(range_m: NDArray[np.floating[Any]], step_m: float, where: str) -> NDArray[np.uint16]:

@@ -18,7 +18,7 @@ import numpy as np
 
 from bodyseg_data.core import BadConfig, BadSample, BadShard, reported
 from bodyseg_data.files import claimed, write_atomically
-from bodyseg_data.samples import SampleInfo, check_field_name, kind_of
+from bodyseg_data.samples import SampleInfo, check_field_name, check_key, kind_of
 from bodyseg_data.shards.codecs import CODECS
 from bodyseg_data.shards.manifest import (
     LARGEST_MANIFEST,
@@ -138,19 +138,26 @@ class ColumnWriter:
             self._fields = Fields(() if self._is_plane else (((name, kind),),))
             if self._is_plane:
                 check_plane(name, kind, str(folder))
+        self._begin()
+
+    def __enter__(self) -> ColumnWriter:
+        with contextlib.ExitStack() as claim:
+            claim.enter_context(claimed(self._folder, "ColumnWriter"))
+            self._set = read_manifest(self._folder)
+            self._begin()  # again: another one may have written it since, or this one
+            self._claim = claim.pop_all()
+        return self
+
+    def _begin(self) -> None:
+        """Begin the column anew. Raises BadConfig if it is there."""
+        name, shards = self._name, self._set.shards
         if name in (*self._set.planes, *self._set.fields.kinds):
-            raise BadConfig(f"{folder}: the set itself has {name!r} already")
+            raise BadConfig(f"{self._folder}: the set itself has {name!r} already")
         if (self._folder / column_file(name)).exists():
-            raise BadConfig(f"{folder} has the column {name!r}: delete {column_file(name)} to write it anew")
-        shards = self._set.shards
+            raise BadConfig(f"{self._folder} has the column {name!r}: delete {column_file(name)} to write it anew")
         self._places = {key: (at, index) for at, shard in enumerate(shards) for index, key in enumerate(shard.keys)}
         self._held: list[dict[int, dict[str, bytes]]] = [{} for _ in shards]
         self._records: dict[int, ShardRecord] = {}
-
-    def __enter__(self) -> ColumnWriter:
-        self._claim = contextlib.ExitStack()
-        self._claim.enter_context(claimed(self._folder, "ColumnWriter"))
-        return self
 
     def write(self, key: str, value: Any) -> None:
         """Give a sample its plane, integers [H, W] as large as the set's images, or the value of its field.
@@ -160,6 +167,7 @@ class ColumnWriter:
         """
         if key not in self._places:
             raise BadSample(f"column {self._name!r}: the set has no sample {key!r}")
+        check_key(key, (self._name,) if self._is_plane else ())
         at, index = self._places[key]
         shard, held = self._set.shards[at], self._held[at]
         if at in self._records or index in held:

@@ -325,6 +325,35 @@ def test_names_of_the_first_scene_that_are_none_are_of_a_bad_sample(tmp_path: Pa
         writer.write(**scene())
 
 
+def test_a_key_too_long_for_the_name_of_a_plane_is_one_line_and_the_writer_goes_on(tmp_path: Path) -> None:
+    planes = {"material_ids": np.zeros((16, 20), np.uint8)}
+    with ShardWriter(tmp_path / "set", rig=RIG, classes=CLASSES) as writer:
+        for number in range(2):
+            with pytest.raises(BadSample, match="^k{78}: a key and the name of a plane must .* 78 and 12 of the plane"):
+                writer.write(**scene(key="k" * 78, planes=planes))
+            writer.write(**scene(key=f"{number}" * 77, planes=planes))
+    assert RangeImages(tmp_path / "set").keys == ["0" * 77, "1" * 77]
+    assert cli.main(["verify", str(tmp_path / "set")]) == 0
+
+
+@pytest.mark.parametrize(
+    ("given", "stored"),
+    [
+        (torch.tensor(7), 7),
+        (np.array(7), 7),
+        (np.int64(7), 7),
+        (torch.tensor(True), True),
+        (torch.tensor(0.5, requires_grad=True), 0.5),
+        (np.array("left"), "left"),
+        (torch.tensor(2**53 - 1), 2**53 - 1),
+        (np.arange(2), (0.0, 1.0)),
+    ],
+)
+def test_fields_keep_the_kind_of_single_numbers(given: Any, stored: Any, tmp_path: Path) -> None:
+    found = one(tmp_path / "set", fields={"frame": given}).info.frame
+    assert found == stored and type(found) is type(stored)
+
+
 def test_normals_of_another_frame_are_seen(tmp_path: Path) -> None:
     normals = np.zeros((16, 20, 3))
     normals[..., 2] = 1

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from open_sets import cell_rig
 from servers import web_server
 
-from bodyseg_data import BadConfig, BadSample, BadShard, ColumnWriter, RangeImages, loader
+from bodyseg_data import BadConfig, BadSample, BadShard, ColumnWriter, RangeImages, ShardWriter, loader
 from bodyseg_data.shards import LocalFolder, find_faults, read_manifest, write_manifest
 from bodyseg_data.shards import manifest as manifests
 from bodyseg_data.shards.columns import read_column
@@ -155,6 +156,43 @@ def test_a_column_may_be_written_in_any_order_once_and_whole(copy: Path) -> None
     with_both(copy)
     with pytest.raises(BadConfig, match="has the column 'age': delete age.column.json to write it anew"):
         ColumnWriter(copy, "age", "int")
+
+
+@pytest.mark.parametrize("kind", ["int", "uint8"])
+def test_a_column_finished_since_the_writer_was_made_stays(copy: Path, kind: str) -> None:
+    images = RangeImages(copy, "none")
+    value: Any = np.ones(images.shape, np.uint8) if kind == "uint8" else 1
+    first, late = ColumnWriter(copy, "mine", kind), ColumnWriter(copy, "mine", kind)
+    with first:
+        for key in images.keys:
+            first.write(key, value)
+    written = hashes(copy)
+    for writer in (late, first):
+        with pytest.raises(BadConfig, match="has the column 'mine': delete mine.column.json to"), writer:
+            raise AssertionError("the block begins")
+        assert hashes(copy) == written
+    for path in [*copy.glob("*mine*"), copy / "columns.json"]:
+        path.unlink()
+    with late:  # once it is deleted
+        for key in images.keys:
+            late.write(key, value)
+    assert hashes(copy) == written
+
+
+def test_a_key_too_long_for_a_plane_is_told_at_once(tmp_path: Path) -> None:
+    rig = cell_rig()
+    ranges, key = np.ones((rig.camera.rows, rig.camera.columns)), "k" * 80
+    with ShardWriter(tmp_path / "set", rig=rig, classes=["a"], projector="none") as out:
+        out.write(key=key, range_m=ranges, labels=np.zeros_like(ranges, np.uint8))
+    plane = np.zeros(ranges.shape, np.uint8)
+    with ColumnWriter(tmp_path / "set", "nine_long", "uint8") as column:
+        column.write(key, plane)
+    with ColumnWriter(tmp_path / "set", "a_longer_field", "int") as column:
+        column.write(key, 1)
+    message = f"^{key}: a key and the name of a plane must have 89 characters at most, found 80 and 10 of .*'ten_lon.*$"
+    with pytest.raises(BadSample, match=message), ColumnWriter(tmp_path / "set", "ten_longer", "uint8") as column:
+        column.write(key, plane)
+    assert main(["verify", str(tmp_path / "set")]) == 0
 
 
 def test_damage_of_a_column_is_one_line(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
