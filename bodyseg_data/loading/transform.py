@@ -109,8 +109,9 @@ class Transform(Protocol):
 
         image: ranges in steps, labels of the set, and the camera, which a transform that moves pixels keeps up to
         date. random: a generator that belongs to (seed, epoch, key of the sample, name of the transform), so that the
-        draws depend on nothing else. Where the range returned is 0, the label becomes background. Raises BadSample for
-        a sample that should be left out (`on_error="skip"`); any other error ends the run as BadTransform.
+        draws depend on nothing else. Where the range returned is 0, the label becomes background; elsewhere background
+        becomes 254 where surfaces without a class have that. Raises BadSample for a sample that should be left out
+        (`on_error="skip"`); any other error ends the run as BadTransform.
         """
         ...
 
@@ -243,7 +244,7 @@ def _checked_image(found: Any, image: CameraImage, name: str, shape: tuple[int, 
                 f"{where} must return the plane {what!r} as {image.planes[what].dtype} {shape}, "
                 f"found {array.dtype} {array.shape}"
             )
-    labels = np.where(ranges == 0, np.uint8(BACKGROUND), labels)
+    labels = np.where(ranges == 0, np.uint8(BACKGROUND), np.minimum(labels, np.uint8(unlabelled)))
     if not found.planes:
         return replace(found, range=ranges, labels=labels)
     planes = {what: np.ascontiguousarray(array) for what, array in found.planes.items()}

@@ -283,6 +283,8 @@ def _spread(own: NDArray[np.float64], rings: int) -> tuple[NDArray[np.float64], 
     for ring in range(1, rings + 1):
         nearest = np.minimum.reduce(_around(found, np.inf, corners=ring % 2 == 0))
         new = (found == np.inf) & (nearest < np.inf)
+        if not new.any():  # all have one, or none
+            break
         found[new], away[new] = nearest[new], ring
     return np.where(found < np.inf, found, 0.0), away
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,20 @@ import pytest
 from camera_images import camera_image
 
 from bodyseg_data.core import BadConfig
-from bodyseg_data.labels import BACKGROUND, PARTS
-from bodyseg_data.loading import BodyCrop, CameraImage, Crop, Flip, Remnants, Roll, Transform, Zoom
-from bodyseg_data.loading.transforms import magnified, turned
+from bodyseg_data.labels import BACKGROUND, PARTS, UNLABELLED
+from bodyseg_data.loading import (
+    BodyCrop,
+    CameraImage,
+    Crop,
+    Flip,
+    RangeImages,
+    Remnants,
+    Roll,
+    Transform,
+    Zoom,
+    transforms,
+)
+from bodyseg_data.loading.transforms import _around, _spread, magnified, turned
 
 ALL: tuple[Transform, ...] = (
     Crop(30, 20), Crop(80, 70, "body"), Crop(70, 20, "anywhere"), BodyCrop(48, 32), Flip(), Roll(180), Zoom(2.0),
@@ -187,6 +199,22 @@ def test_remnants_lie_beside_the_body_behind_its_outline_without_labels() -> Non
     assert max(wide) > 0.15 and min(wide) < 0.1, "of every width"
 
 
+def test_remnants_are_surfaces_without_a_class_where_these_have_a_label(figures_set: Path) -> None:
+    plain = RangeImages(figures_set, "none", transform=Remnants(1.0))
+    told = RangeImages(figures_set, "none", transform=(Remnants(1.0), Flip(0.0)), unlabelled=True)
+    people = RangeImages(figures_set, "none", transform=Remnants(1.0), labels="people")
+    assert people.label_map.names == ("person", "none")
+    added = 0
+    for index in range(6):
+        before, image, with_rest = (images.image(index) for images in (plain, told, people))
+        remnants = (before.labels == BACKGROUND) & (before.range > 0)
+        added += np.count_nonzero(remnants)
+        assert np.array_equal(image.labels == BACKGROUND, image.range == 0)
+        assert np.array_equal(image.labels, np.where(remnants, UNLABELLED, before.labels))
+        assert (with_rest.labels[remnants] == 1).all() and (with_rest.labels[before.labels < 33] == 0).all()
+    assert added > 100
+
+
 def test_remnants_have_the_noise_of_the_body_and_lose_as_much() -> None:
     _, plain = body_before_a_wall(3)
     _, found = body_before_a_wall(3, lost=0.5, noise_steps=100)
@@ -195,6 +223,25 @@ def test_remnants_have_the_noise_of_the_body_and_lose_as_much() -> None:
     assert 0.4 < np.count_nonzero(kept) / np.count_nonzero(every) < 0.6
     off = found.range[kept].astype(float) - plain.range[kept]
     assert off.std() == pytest.approx(100, rel=0.15) and abs(off.mean()) < 20
+
+
+def test_remnants_look_no_further_where_every_cell_knows_its_nearest(monkeypatch: pytest.MonkeyPatch) -> None:
+    rings: list[bool] = []
+
+    def counted(cells: Any, value: float, corners: bool) -> Any:
+        rings.append(corners)
+        return _around(cells, value, corners)
+
+    random = np.random.default_rng(0)
+    monkeypatch.setattr(transforms, "_around", counted)
+    for shape in ((7, 9), (1, 6), (5, 5)):
+        own = np.where(random.random(shape) < 0.1, random.integers(1, 9, shape), np.inf)
+        own[0, 0] = 3.0
+        rings.clear()
+        ranges, away = _spread(own, 300)
+        assert len(rings) == away.max() + 1 and (ranges > 0).all()
+        assert np.array_equal(ranges, _spread(own, int(away.max()))[0])
+    assert (_spread(np.full((2, 2), np.inf), 300)[1] == 301).all()
 
 
 def test_the_share_of_images_with_remnants_is_that_asked_for() -> None:
