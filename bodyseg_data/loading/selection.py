@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import fnmatch
 import hashlib
-import math
 import re
 from bisect import bisect_right
 from collections import Counter
@@ -261,7 +260,7 @@ def groups(bodies: list[BodyRow], share: float) -> dict[BodyRow, Group]:
     for row in bodies:
         _, subset, subject, mesh, pose = row
         within: Group = ()
-        if people[subset] < math.ceil(1 / share):
+        if people[subset] * share < 1 - 1e-12:  # 49 people are enough for 1 / 49, a float
             within = (mesh,) if holds_postures(subset) else (pose,)
         found[row] = (subset, subject, *within)
     return found

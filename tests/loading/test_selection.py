@@ -363,6 +363,10 @@ def rows(subset: str, people: int, poses: int, frames: int = 1) -> list[BodyRow]
     ]
 
 
+def found_people(bodies: list[BodyRow], share: float) -> int:
+    return len(set(groups(bodies, share).values()))
+
+
 def test_groups_are_people_where_there_are_enough() -> None:
     many, few = rows("X", 10, 2, 3), rows("Y", 9, 2, 3)
     found = groups([*many, *few], 0.1)
@@ -371,6 +375,8 @@ def test_groups_are_people_where_there_are_enough() -> None:
     assert found[few[0]] == ("Y", "p0", "pose0")
     assert len({found[row] for row in few}) == 18
     assert len({groups(few, 0.2)[row] for row in few}) == 9
+    exact = rows("Z", 49, 2, 1)
+    assert found_people(exact, 1 / 49) == 49 and found_people(exact, 0.02) == 98
     postures = rows("A", 1, 1, 5)
     assert len({groups(postures, 0.1)[row] for row in postures}) == 5
 

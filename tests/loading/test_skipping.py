@@ -12,6 +12,7 @@ import torch
 
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.core import BadShard
+from bodyseg_data.loading.skipping import checked_budget
 from bodyseg_data.shards import Unreachable
 
 
@@ -70,6 +71,13 @@ def test_a_batch_of_bad_samples_is_empty_not_gone(spoil: Callable[..., RangeImag
     assert batches[0]["range"].shape == (0, 1, 160, 82)
     with pytest.raises(BadShard, match="has lost 1 samples before"):
         list(loader(images, 2, on_error="skip", skip_budget=0.24))
+
+
+def test_a_share_of_samples_is_cut_as_its_decimals_say() -> None:
+    for samples in (100, 200, 1000, 7_000_000):
+        for hundredths in range(1, 100):
+            assert checked_budget("skip", hundredths / 100, samples) == hundredths * samples // 100
+    assert checked_budget("skip", 1 / 3, 3) == 1 and checked_budget("skip", 0.999, 1000) == 999
 
 
 @pytest.mark.parametrize("workers", [0, 2])
