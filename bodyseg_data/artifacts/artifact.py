@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import Draws, check_fields
+from bodyseg_data.labels import PART_CLASSES, Classes
 from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import Sample, shape_of
 
@@ -51,10 +52,13 @@ class RangeImage:
 
 @dataclass(frozen=True)
 class Scene:
-    """A clean sample and the rig that sees it: the input of every artifact, which none of them alters."""
+    """A clean sample, the rig that sees it and the classes of its set: the input of every artifact, which none of them
+    alters.
+    """
 
     sample: Sample
     rig: Rig
+    classes: Classes = PART_CLASSES
 
     @property
     def step_m(self) -> float:

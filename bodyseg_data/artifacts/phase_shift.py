@@ -22,7 +22,7 @@ from bodyseg_data.artifacts.fringes import BEND_M, DRAWN, EDGE_M, MARGIN, REACH,
 from bodyseg_data.artifacts.noise import as_range
 from bodyseg_data.artifacts.scratch import BLOCK
 from bodyseg_data.core import BadConfig, Draws, bounded
-from bodyseg_data.labels import PART_COUNT
+from bodyseg_data.labels import PART_CLASSES, PART_COUNT
 from bodyseg_data.machine import if_ready, loops
 from bodyseg_data.rigs import Rig
 
@@ -37,7 +37,7 @@ class PhaseShift(Artifact):
     Of an image are drawn: how fast limbs move and how bright other light is, between their bounds, and how light the
     coat is, from `darkest` to `lightest`. What stays the same over a part of the body is drawn with them: reflectances
     and patterns of skin, hair and clothes, and a motion that is rigid for each part and continuous where a part meets
-    the next. A sample without the 33 parts gets one garment and one rigid motion.
+    the next. A set without the 33 parts gets one garment and one rigid motion.
 
     phase_patterns: N; binary_patterns: those of the Gray code, which count 2**binary_patterns fringes over the
     projector's image, finest last and before the fringes; rate_hz: of all patterns. signal_e: half the brightest of a
@@ -89,7 +89,7 @@ class PhaseShift(Artifact):
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         """As `Artifact.apply`. Raises BadConfig for a rig whose camera and projector are at one point."""
         sample, (optics, x, y) = scene.sample, self.optics(scene.rig, image.drawn["ambient"])
-        clean, parts = sample.range, "subset" in sample.info.fields
+        clean, parts = sample.range, scene.classes == PART_CLASSES
         times = np.float32(optics.finest + 1 - self.binary_patterns), np.float32((self.phase_patterns - 1) / 2)
         with if_ready:
             given = parts, *self._given(scene, image.drawn)

@@ -20,7 +20,7 @@ from bodyseg_data.artifacts.artifact import Artifact, Kind, RangeImage, Scene
 from bodyseg_data.artifacts.scratch import copy_unless_same
 from bodyseg_data.artifacts.sensor_model import SensorModel, load_sensor_model
 from bodyseg_data.core import BadConfig, BadSample, Draws, check_choice, check_epoch, check_fields, check_seed
-from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.labels import BACKGROUND, PART_CLASSES, Classes
 from bodyseg_data.machine import if_ready, loops
 from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import Sample
@@ -76,14 +76,15 @@ def sensor_for(variant: str, sensor: SensorModel, given: Sequence[Artifact]) -> 
 class Augmentation:
     """Turns clean samples of `rig` into one variant. The same (seed, epoch, sample) gives the same bits anywhere.
 
-    sensor: the artifacts; the variant takes those of its kinds. Raises BadConfig for an unknown variant, a bad seed, or
-    objects of other classes.
+    sensor: the artifacts; the variant takes those of its kinds. classes: of the samples' labels. Raises BadConfig for
+    an unknown variant, a bad seed, or objects of other classes.
     """
 
     rig: Rig
     variant: VariantName
     seed: int = 0
     sensor: SensorModel = field(default_factory=load_sensor_model)
+    classes: Classes = PART_CLASSES
 
     def __post_init__(self) -> None:
         check_variant(self.variant)
@@ -136,7 +137,7 @@ class Augmentation:
             copy_unless_same(sample.range, image)
             copy_unless_same(sample.labels, labels)
         if covered < len(self.applied):
-            scene = Scene(clean, self.rig)
+            scene = Scene(clean, self.rig, self.classes)
             for artifact in self.applied[covered:]:
                 artifact.apply(made, scene, draws)
             _unlabel_lost(made)

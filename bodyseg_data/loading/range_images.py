@@ -133,7 +133,7 @@ class RangeImages(SampleDataset):
         self.columns = open_columns(store, self.manifest, texts_of("columns", columns), named)
         self.manifest = with_columns(self.manifest, self.columns)
         self.split, self.seed = split, seed
-        self.augmentation = Augmentation(self.manifest.rig, check_variant(variant), seed, model)
+        self.augmentation = Augmentation(self.manifest.rig, check_variant(variant), seed, model, classes)
         """Of the set's first rig; see `augmentation_of`."""
         self._augmentations: dict[int, Augmentation] = {}
         self._casts = occluder == "camera" and self.augmentation.needs_projector

@@ -161,8 +161,10 @@ class SetView:
         """
         sample = self._clean(shown.index)
         rig, lit = self.images.manifest.rig_of(sample), sample.projector_range is not None
+        classes = self.images.augmentation.classes
         makers = [
-            Augmentation(rig, each, self.seed, shown.sensor) for each in dict.fromkeys((*VARIANTS, shown.variant))
+            Augmentation(rig, each, self.seed, shown.sensor, classes)
+            for each in dict.fromkeys((*VARIANTS, shown.variant))
         ]
         made = {each.variant: each(sample, shown.epoch) for each in makers if lit or not each.needs_projector}
         image = made[shown.variant if shown.variant in made else "none"]

@@ -13,12 +13,15 @@ import pytest
 from kernel_forms import by_both
 from numpy.typing import NDArray
 
-from bodyseg_data.artifacts import Scene, load_sensor_model
+from bodyseg_data import ShardWriter
+from bodyseg_data.artifacts import Scene, SensorModel, load_sensor_model
 from bodyseg_data.artifacts.fringes import REACH, decode
 from bodyseg_data.artifacts.phase_shift import PhaseShift
 from bodyseg_data.core import BadConfig, Draws
+from bodyseg_data.labels import PART_CLASSES
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.rigs import load_rig
+from bodyseg_data.samples import metres
 
 RIG: Final = load_rig("paper")
 QUIET: Final = PhaseShift(
@@ -241,6 +244,25 @@ def test_motion_is_continuous_where_parts_meet_and_clothes_cover_their_parts(fig
     assert np.abs(looks[13:16, 3] - looks[13:16, 14]).max() == 0  # the trunk is rigid
     one = artifact.looks(False, sums.astype(np.int64), scene, drawn, draws)
     assert (one == one[:, :1]).all() and np.linalg.norm(one[13:16, 0]) > 0
+
+
+@pytest.mark.parametrize("fields", [{}, {"subset": "x"}])
+def test_the_33_parts_are_told_by_the_classes_of_the_set(
+    figures_set: Path, tmp_path: Path, fields: dict[str, str]
+) -> None:
+    images = RangeImages(figures_set, "noise", sensor=SensorModel("moving", (PhaseShift(slowest_m_s=2.0),)))
+    sample, rig = images.clean(0), images.manifest.rig
+    found = {}
+    for name, classes in (("parts", PART_CLASSES), ("others", [f"class {number}" for number in range(33)])):
+        with ShardWriter(tmp_path / name, rig=rig, classes=classes, projector="none") as out:
+            ranges, facing = metres(sample.range, rig.range_step_m), sample.faces_projector
+            out.write(key=sample.key, range_m=ranges, labels=sample.labels, facing=facing, fields=fields)
+        written = RangeImages(tmp_path / name, "noise", sensor=images.augmentation.sensor)
+        ours, theirs = by_both(partial(written.image, 0))
+        assert np.array_equal(ours.range, theirs.range)
+        found[name] = ours.range
+    assert np.array_equal(found["parts"], images.image(0).range)
+    assert not np.array_equal(found["others"], found["parts"])
 
 
 def test_bad_strengths_and_rigs_are_refused(figures_set: Path) -> None:

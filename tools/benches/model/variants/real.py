@@ -99,9 +99,8 @@ class Recording:
         for frame, labels in zip(self.frames, self.truth["mean"], strict=True):
             seen = labels[:, ::-1] if self.mirrored else labels
             sensor = replace(rig, camera=frame.placed.camera)
-            info = SampleInfo("test", {"subset": self.name})  # so that the labels are taken for the 33 parts
             ranges = steps(frame.range_m, rig.range_step_m, frame.name)
-            sample = Sample(frame.name, ranges, None, np.ascontiguousarray(seen), ranges > 0, info)
+            sample = Sample(frame.name, ranges, None, np.ascontiguousarray(seen), ranges > 0, SampleInfo("test"))
             kept = np.where(shown_with(artifact, sample, sensor, 0).range > 0, frame.range_m, np.float32(0))
             frames.append(replace(frame, range_m=kept, pixels=np.flatnonzero(kept)))
             shown = kept[:, ::-1] if self.mirrored else kept
