@@ -259,13 +259,6 @@ def test_small_differences_of_either_sign_become_small_numbers() -> None:
     assert np.array_equal(unzigzag(zigzag(every)), every)
 
 
-def test_a_projectors_range_of_one_pixel_which_png_could_not_tell_from_none_is_refused() -> None:
-    one = replace(ramp_sample(), projector_range=np.full((1, 1), 2700, np.uint16))
-    assert decode_sample("k", encode_sample(one)).projector_range is not None
-    with pytest.raises(BadSample, match=": the codec 'png' holds no projector's range of a single pixel: use 'bsi'$"):
-        encode_sample(one, "png")
-
-
 def test_png_members_open_in_any_image_tool() -> None:
     sample = ramp_sample()
     members = encode_sample(sample, "png")
