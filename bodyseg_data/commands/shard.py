@@ -54,9 +54,6 @@ _WHY: Final = {
 }
 
 
-_LOOKED_AT: Final = 4  # samples of a new set
-
-
 @dataclass(frozen=True)
 class Options:
     source: str = option(
@@ -266,7 +263,7 @@ def _warn_about_empty(out: Path) -> None:
 
     for variant, seen_by in (("none", "camera sees"), ("occ", "projector lights")):
         images = RangeImages(out, variant)
-        few = images.evenly_sampled(_LOOKED_AT).tolist()
+        few = images.evenly_sampled(4).tolist()
         if not any(images.image(index).range.any() for index in few):
             where = "are the rig's numbers, --distances and --height right?"
             sys.stderr.write(f"bodyseg shard: warning: the {seen_by} nothing in {len(few)} images looked at: {where}\n")

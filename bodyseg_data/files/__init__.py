@@ -13,7 +13,6 @@ if TYPE_CHECKING:
         is_leftover,
         make_folder,
         naming,
-        not_json,
         parse_json,
         part_beside,
         read_bytes,

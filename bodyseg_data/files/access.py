@@ -151,7 +151,7 @@ def parse_json(data: bytes, where: str) -> dict[str, Any]:
     try:
         content = json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise BadConfig(f"{where} is not JSON: {not_json(data, error)}") from error
+        raise BadConfig(f"{where} is not JSON: {web_page(data) or error}") from error
     if not isinstance(content, dict):
         raise BadConfig(f"{where} must hold a JSON object, found {type(content).__name__}")
     return content
@@ -162,11 +162,6 @@ def web_page(data: bytes) -> str:
     if data[:200].lstrip().lower().startswith((b"<!doctype html", b"<html", b"<?xml")):
         return "found a web page (HTML): is the address right, and may it be read without signing in?"
     return ""
-
-
-def not_json(data: bytes, error: Exception) -> str:
-    """Say why data are no JSON."""
-    return web_page(data) or str(error)
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:

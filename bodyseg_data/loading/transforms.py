@@ -187,7 +187,7 @@ def magnified(image: CameraImage, by: float) -> CameraImage:
 
 @dataclass(frozen=True)
 class Remnants(Checked, Transform):
-    """Remnants of a wall behind the body, as the removal of a background leaves them in; they have no label.
+    """Remnants of a wall behind the body, as the removal of a background leaves them in; they have no class.
 
     share: of the images that get any. nearest_m, farthest_m: the wall, a tilted plane, is so far behind the body's
     median range, as drawn, but nowhere before its outline. widest_m: remnants reach up to so far from the outline; how

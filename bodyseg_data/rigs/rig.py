@@ -139,11 +139,6 @@ class Rig:
         offset = np.subtract(self.camera.position_m, self.projector.position_m)
         return rotation, self.projector.axes @ offset
 
-    def with_projector_scale(self, factor: int) -> Rig:
-        """The same rig with projector-view images of `factor` times as many pixels a side."""
-        second = None if self.second_projector is None else self.second_projector.scaled(factor)
-        return replace(self, projector=self.projector.scaled(factor), second_projector=second)
-
     def to_json(self) -> dict[str, Any]:
         """The rig as plain JSON, for manifests; a second projector only where there is one."""
         tree = {"format": RIG_FORMAT, **asdict(self)}

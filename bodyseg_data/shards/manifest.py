@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 from bodyseg_data.core import BadConfig, BadSample, BadShard, check_choice, reported
-from bodyseg_data.files import not_json, write_atomically
+from bodyseg_data.files import web_page, write_atomically
 from bodyseg_data.labels import PART_CLASSES, Classes, classes_from_json
 from bodyseg_data.rigs import Rig, rig_from_json
 from bodyseg_data.samples import Sample, Split
@@ -215,7 +215,7 @@ def _tree(data: bytes, path: str) -> dict[str, Any]:
     try:
         tree = json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise BadShard(f"{path} cannot be read: {not_json(data, error)}") from error
+        raise BadShard(f"{path} cannot be read: {web_page(data) or error}") from error
     if not isinstance(tree, dict) or tree.get("format") not in (MANIFEST_FORMAT, *EARLIER_FORMATS):
         found = tree.get("format") if isinstance(tree, dict) else type(tree).__name__
         known = ", ".join(map(repr, (*EARLIER_FORMATS, MANIFEST_FORMAT)))

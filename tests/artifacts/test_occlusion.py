@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benches.data.occlusion import compiled_default
+from benches.data.occlusion.scaled_rig import with_projector_scale
 from benches.data.occlusion.views import exact_view, exact_views, postures
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -93,7 +94,7 @@ def small_rig(scale: int = 1, baseline_m: float = 0.75) -> Rig:
     """A landscape rig with few pixels, so that tests are quick."""
     camera = Camera(90, 120, 130.0, (60.0, 45.0), (0.0, 0.0, 0.0), (0.0, 0.0, 2.5))
     projector = replace(camera, position_m=(-baseline_m, 0.0, 0.0))
-    return Rig("small", 2.5, camera, projector).with_projector_scale(scale)
+    return with_projector_scale(Rig("small", 2.5, camera, projector), scale)
 
 
 def masks(scene: Scene, rig: Rig) -> tuple[Mask, Mask, Mask]:
@@ -152,7 +153,7 @@ def test_a_plate_under_grazing_light_has_no_false_shadow_but_at_its_rim(degrees:
 @pytest.mark.parametrize(("scale", "tolerance"), [(1, 0.03), (2, 0.02)])
 def test_a_ball_throws_its_shadow_on_a_plane(scale: int, tolerance: float, step_mm: float) -> None:
     scene = Scene((0.0, 0.0, 1.0), 2.8, (np.array([0.0, 0.1, 2.3]), 0.15))
-    lit, exact, inside = masks(scene, paper_rig(step_mm).with_projector_scale(scale))
+    lit, exact, inside = masks(scene, with_projector_scale(paper_rig(step_mm), scale))
     on_plane = np.abs(scene.range(load_rig().camera) - 2.8) < 1e-6
     shadow, exact_shadow = (~mask & inside & on_plane for mask in (lit, exact))
     assert exact_shadow.sum() > 1000
@@ -284,7 +285,7 @@ def test_fast_and_plain_form_give_the_same_bits(
 ) -> None:
     camera = Camera(rows, columns, 30.0, (columns / 2, rows / 2), (0.0, 0.0, 0.0), (0.0, 0.0, 2.5))
     projector = replace(camera, focal_px=28.0, position_m=(baseline_m, 0.03, 0.1), aims_at_m=(aim_m, 0.0, 2.5))
-    rig = Rig("random", 2.5, camera, projector).with_projector_scale(scale)
+    rig = with_projector_scale(Rig("random", 2.5, camera, projector), scale)
     assert_forms_agree(rig, random_images(rig, np.random.default_rng(seed)))
 
 
@@ -329,7 +330,7 @@ def test_pixels_that_are_skipped_are_lit_for_any_rig(
     assume(np.hypot(aim[0] - position[0], aim[2] - position[2]) > 0.01)
     camera = Camera(rows, columns, 60.0, (columns / 2, rows / 2), (0.0, 0.0, 0.0), (0.0, 0.0, 2.5))
     projector = replace(camera, focal_px=focal_px, position_m=position, aims_at_m=aim)
-    rig = Rig("random", 2.5, camera, projector).with_projector_scale(scale)
+    rig = with_projector_scale(Rig("random", 2.5, camera, projector), scale)
     test = ShadowTest(rig)
     test.gap_steps, test.edge_steps = np.float32(thresholds[0]), np.float32(thresholds[1])
     images = sparse_images(rig, np.random.default_rng(seed))
@@ -430,7 +431,7 @@ def test_fast_plain_and_compiled_form_agree_on_a_rendered_figure() -> None:
     mesh, rig = figure(), load_rig()
     view = exact_view(rig, EmbreeRenderer(mesh), *standing(mesh), View(255, 20))
     assert_forms_agree(rig, view.images(1))
-    test = ShadowTest(rig.with_projector_scale(2))
+    test = ShadowTest(with_projector_scale(rig, 2))
     np.testing.assert_array_equal(compiled_default.lit(test, *view.images(2)), test.lit(*view.images(2)))
 
 

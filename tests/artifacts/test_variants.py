@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benches.data.occlusion.scaled_rig import with_projector_scale
 from hypothesis import given
 from hypothesis import strategies as st
 from kernel_forms import by_both
@@ -140,7 +141,7 @@ def scenes(draw: st.DrawFn) -> tuple[Rig, Sample]:
     if draw(st.booleans()):
         second = replace(projector, rows=draw(st.integers(1, 20)), position_m=(draw(st.floats(-1, 1)), 0.2, 0.0))
     rig = Rig("random", 2.5, camera, projector, second_projector=second)
-    rig = rig.with_projector_scale(draw(st.integers(1, 3)))
+    rig = with_projector_scale(rig, draw(st.integers(1, 3)))
     draws = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
 
     def image(device: Camera) -> NDArray[np.uint16]:

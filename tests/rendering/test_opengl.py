@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benches.data.occlusion.scaled_rig import with_projector_scale
 from seen import FRONT, RIG, body_rays, see, skip_without_opengl
 from shapes import ball, figure
 
@@ -24,7 +25,7 @@ def _opengl_is_here() -> None:
 
 def test_images_of_different_sizes_take_turns() -> None:
     mesh = figure()
-    camera, projector = RIG.with_projector_scale(2).placed(mesh.centre, FRONT)
+    camera, projector = with_projector_scale(RIG, 2).placed(mesh.centre, FRONT)
     assert projector.camera.rows == 2 * camera.camera.rows
     (alone,) = see("opengl", mesh, camera)
     small, large, again = see("opengl", mesh, camera, projector, camera)

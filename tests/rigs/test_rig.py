@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benches.data.occlusion.scaled_rig import with_projector_scale
 
 from bodyseg_data.core import BadConfig
 from bodyseg_data.rigs import load_rig, load_sensor, rig_from_json, rig_names
@@ -74,7 +75,7 @@ def test_pixel_rays_go_through_pixel_centres() -> None:
 
 
 def test_a_finer_projector_image_covers_the_same_view() -> None:
-    rig = load_rig().with_projector_scale(2)
+    rig = with_projector_scale(load_rig(), 2)
     assert (rig.projector.rows, rig.projector.columns) == (1280, 658)
     coarse, fine = load_rig().projector.pixel_rays(), rig.projector.pixel_rays()
     assert fine[:2, :2].mean(axis=(0, 1)) == pytest.approx(coarse[0, 0])
@@ -216,7 +217,7 @@ def test_a_rig_may_have_two_projectors() -> None:
     assert two.projectors == (one.projector, two.second_projector) and one.projectors == (one.projector,)
     assert two.by_projector() == (one, replace(one, projector=two.projectors[1])) and one.by_projector() == (one,)
     assert (one.projector_shape, two.projector_shape) == ((640, 329), (1280, 329))
-    assert two.with_projector_scale(2).projector_shape == (2560, 658)
+    assert with_projector_scale(two, 2).projector_shape == (2560, 658)
     assert "second_projector" not in one.to_json() and two.to_json() != one.to_json()
     assert rig_from_json(json.loads(json.dumps(two.to_json()))) == two
     assert two.baseline_m == one.baseline_m

@@ -102,7 +102,7 @@ def _shipped() -> Iterator[Step]:
     yield _evaluation("compact_hard_flip_average", HARD, flip)
     yield _bench("people", "--data", FAUST, reads=shipped)
     yield _bench("people", "--data", FAUST, "--alone", flip, to="people_flip_average", reads=shipped)
-    both = ("--data", DRESSED, "--hard", HARD, "--people", FAUST, "--images", "1000")
+    both = ("--data", DRESSED, "--hard", HARD, "--people", FAUST)
     yield _bench("shipped", *both, reads=(*shipped, LARGE))
     yield _bench("real", "--data", KINECT, "--views", "24", drawn=True, reads=shipped)
     yield _bench("real", "--data", KINECT, "--views", "24", flip, to="real_flip_average", reads=shipped)

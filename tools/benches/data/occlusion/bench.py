@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from benches.charts.fronts import dominates
 from benches.data.occlusion.baselines import DEFAULT, METHODS
+from benches.data.occlusion.scaled_rig import with_projector_scale
 from benches.data.occlusion.stored import Storage, facing_bytes
 from benches.data.occlusion.tallies import SCENES, Compiled, Foreground, Masks, Tally, WhereWrong, time_all
 from benches.data.occlusion.views import (
@@ -106,7 +107,7 @@ def _all_views(views: int) -> Iterator[tuple[Group, int, ExactView, dict[int, Sh
     for group in GROUPS:
         rig = with_baseline(load_rig(), group.baseline_m)
         if group.baseline_m not in tests:
-            tests[group.baseline_m] = {scale: ShadowTest(rig.with_projector_scale(scale)) for scale in SCALES}
+            tests[group.baseline_m] = {scale: ShadowTest(with_projector_scale(rig, scale)) for scale in SCALES}
         bodies, count = bodies_of(group.source, group.poses), _count(group, views)
         labelled = group.baseline_m == GROUPS[0].baseline_m
         made = exact_views(rig, bodies, count, source=group.source, scales=SCALES, labelled=labelled)

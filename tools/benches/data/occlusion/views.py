@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from benches.data.occlusion.scaled_rig import with_projector_scale
 from benches.data.occlusion.shadow_rays import lit as lit_by_rays
 from benches.measuring import mixed
 from bodyseg_data.bodies import Body, BodyRef, open_source
@@ -166,7 +167,7 @@ def exact_view(
 
     images, by_thin = {}, np.zeros(len(points), np.bool_)
     for scale in scales:
-        finer = replace(projector, camera=rig.with_projector_scale(scale).projector)
+        finer = replace(projector, camera=with_projector_scale(rig, scale).projector)
         surface = renderer.render(finer)
         images[scale] = steps(surface.range, rig.range_step_m, sample.key)
         if scale == max(scales):
