@@ -178,8 +178,8 @@ def test_frames_are_labelled_whole(folder: Path, tmp_path: Path, capsys: pytest.
     assert main(["segment", *other, "--out", str(tmp_path / "other")]) == 0
     rows, columns = images.image(0).range.shape
     assert (
-        f"frames are {rows} x {columns} with a focal length of 30 px, those that the network was trained on "
-        f"{rows} x {columns} with 18 px: labels are less accurate\n"
+        f"frames are {rows} x {columns} with a focal length of 30 px, those that the network was trained on {rows} x "
+        f"{columns} with a focal length of 18 px: labels are less accurate\n"
     ) in capsys.readouterr().err
     told = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert told["labels"] == whole_map(CELL_CLASSES).to_json() and told["background"] == {"mode": "frame"}
