@@ -174,7 +174,7 @@ def metres_of(frame: Any, camera: Camera) -> NDArray[np.float32]:
     """A frame as float32 [H, W], metres: an array or tensor of floating point, of any precision.
 
     Raises BadConfig for another size than the camera's; for whole numbers, which are a sensor's steps; and where
-    nothing that was measured is nearer than `_FARTHEST_M`, as in millimetres.
+    nothing that was measured is nearer than `_FARTHEST_M`, as in millimetres, but for one value, as of a sky.
     """
     values = np.asarray(frame.cpu() if hasattr(frame, "cpu") else frame)
     check_size(values.shape, camera)
@@ -182,7 +182,7 @@ def metres_of(frame: Any, camera: Camera) -> NDArray[np.float32]:
         raise BadConfig(f"a frame must be of floating point, metres, found {values.dtype}: {_AS_METRES}")
     few = values[:: len(values) // 64 + 1]
     nearest_m = np.min(few, initial=np.inf, where=few > 0)
-    if _FARTHEST_M <= nearest_m < np.inf:
+    if _FARTHEST_M <= nearest_m < np.max(few, initial=0.0, where=few < np.inf):
         raise BadConfig(f"a frame must be in metres, found nothing nearer than {nearest_m:.0f}: {_AS_METRES}")
     return np.asarray(values, np.float32)
 

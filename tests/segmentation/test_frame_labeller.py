@@ -121,6 +121,11 @@ def test_what_is_not_in_metres_is_no_empty_room(frame: Any, message: str) -> Non
             next(labeller().stream([frame], camera))
 
 
+@pytest.mark.parametrize("value", [0.0, 1000.0, np.inf, np.nan])
+def test_a_frame_of_one_value_is_an_empty_room(value: float) -> None:
+    assert not labeller()(np.full((60, 80), value, np.float32), CAMERA).bodies
+
+
 @pytest.mark.parametrize("camera", [None, "kinect_v1"])
 def test_a_frame_needs_its_camera(camera: Any) -> None:
     with pytest.raises(BadConfig, match=f"^a frame needs its camera, like frame_camera.*, found {camera!r}$"):
