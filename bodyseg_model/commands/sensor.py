@@ -80,10 +80,8 @@ def run(options: Options) -> int:
         sys.stderr.write(f"wrote {options.picture}\n")
     if not model.artifacts:
         unknown = sum(each.verdict == "cannot be told" for each in fit.findings)
-        sys.stderr.write(
-            f"the model has no artifact and leaves images clean; {unknown} of {len(fit.findings)} cannot be told from "
-            "these frames: record a person who stands still, four frames or more, before a wall\n"
-        )
+        found = f"{unknown} of {len(fit.findings)} cannot be told: record somebody who stands still before a wall"
+        sys.stderr.write(f"the model has no artifact and leaves images clean; {found}\n")
     if fit.mirrored:
         sys.stderr.write("frames are probably mirrored: give --mirrored to bodyseg segment\n")
     if camera.assumed:

@@ -318,8 +318,7 @@ def reporting(folder: Path, steps: int, log_every: int) -> Iterator[Report]:
         if metrics.waited_for is not None:
             waits[metrics.waited_for] += metrics.data_wait * min(log_every, steps) / steps
         first = max(0, metrics.step - log_every) if first is None else first
-        done = metrics.step - first
-        left = (time.monotonic() - start) / max(1, done) * (steps - metrics.step)
+        left = (time.monotonic() - start) / max(1, metrics.step - first) * (steps - metrics.step)
         validated = ""
         if metrics.val_accuracy is not None:
             validated = f", validation per class {metrics.val_accuracy:.1%} (best in step {metrics.val_best_step})"
