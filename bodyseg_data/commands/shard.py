@@ -176,9 +176,8 @@ def _said(options: Options, unit: str, make: Callable[[Progress], Manifest]) -> 
     for mesh in manifest.skipped:
         sys.stderr.write(f"skipped {mesh.mesh}: {mesh.why}\n")
     notes = [note for shard in manifest.shards for note in shard.notes]
-    sys.stderr.write("".join(f"{note}\n" for note in notes[:9]))
-    if len(notes) > 9:
-        sys.stderr.write(f"and {len(notes) - 9} more notes, which bodyseg inspect --json has\n")
+    more = [f"and {len(notes) - 9} more notes, which bodyseg inspect --json has"] * (len(notes) > 9)
+    sys.stderr.write("".join(f"{note}\n" for note in (*notes[:9], *more)))
     return 0
 
 

@@ -241,8 +241,7 @@ class FrameLabeller:
     def _find_in_array(self, number: int, range_m: NDArray[np.float32], camera: Any, where: str = "") -> Found:
         watch = Stopwatch((_READ,))
         if not isinstance(camera, Camera):
-            example = "frame_camera((480, 640), 'mine', focal_px=525.0).camera"
-            raise BadConfig(f"a frame needs its camera, like {example}, found {camera!r}")
+            raise BadConfig(f"a frame needs its camera, like frame_camera((480, 640), 'mine').camera, found {camera!r}")
         with reported(where, BadConfig):
             with watch(_READ):
                 lens, segmenter = self.of(camera)
