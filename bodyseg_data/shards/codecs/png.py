@@ -137,7 +137,7 @@ class PngImages:
         facing: NDArray[np.uint8],
         projector: NDArray[np.uint16] | None,
     ) -> dict[str, bytes]:
-        """See `ImageCodec.encode`; where there is no projector's range, one pixel, 0. Raises ValueError for such a one."""
+        """See `ImageCodec.encode`; one pixel, 0, stands for no projector's range. Raises ValueError for such a one."""
         if projector is not None and projector.size == 1:
             raise ValueError("the codec 'png' holds no projector's range of a single pixel: use 'bsi'")
         nothing = np.zeros((1, 1), np.uint16)
