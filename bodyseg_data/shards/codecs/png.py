@@ -137,9 +137,7 @@ class PngImages:
         facing: NDArray[np.uint8],
         projector: NDArray[np.uint16] | None,
     ) -> dict[str, bytes]:
-        """See `ImageCodec.encode`; one pixel, 0, stands for no projector's range. Raises ValueError for such a one."""
-        if projector is not None and projector.size == 1:
-            raise ValueError("the codec 'png' holds no projector's range of a single pixel: use 'bsi'")
+        """See `ImageCodec.encode`; the projector's range is one pixel, 0, where there is none."""
         nothing = np.zeros((1, 1), np.uint16)
         images: list[NDArray[Any]] = [camera, nothing if projector is None else projector, labels, facing]
         return {member: encode_png(image) for member, image in zip(self.members, images, strict=True)}
