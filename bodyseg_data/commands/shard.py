@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+from bodyseg_data.artifacts import Augmentation, check_variant
 from bodyseg_data.bodies import SOURCES, Units, UpAxis, check_source, collapsed
 from bodyseg_data.commands.options import option
 from bodyseg_data.commands.progress import Progress
@@ -33,7 +34,7 @@ from bodyseg_data.rendering import RendererName
 from bodyseg_data.renders import LayoutName, open_renders
 from bodyseg_data.rigs import PAPER, load_rig
 from bodyseg_data.samples import SPLITS, Split, ViewGrid, parse_choice
-from bodyseg_data.shards import CodecName, Manifest, ProjectorKind
+from bodyseg_data.shards import CodecName, Manifest, ProjectorKind, ShardReader
 
 EXAMPLE = "bodyseg shard --source open --meshes 40 --out shards"
 
@@ -150,22 +151,18 @@ def run(options: Options) -> int:
         return pack_on(options.engine, options.workers, packing, out, progress, on_faults)
 
     try:
-        _said(options, "views", make)
-        _warn_about_empty(out)
+        _warn_about_empty(_said(options, "views", make), out)
         return 0
     except FaultyMeshes as error:
         sys.stderr.write("".join(f"{one_line(line)}\n" for line in error.lines()))
-        skips = options.on_error == "skip"
-        hint = (
-            "--skip-budget says how many may be left out"
-            if skips
-            else "--on-error skip --skip-budget N leaves them out"
-        )
+        hint = "--on-error skip --skip-budget N leaves them out"
+        if options.on_error == "skip":
+            hint = "--skip-budget says how many may be left out"
         raise BadMesh(f"{error.problem}, for the reasons above; {hint}") from error
 
 
-def _said(options: Options, unit: str, make: Callable[[Progress], Manifest]) -> int:
-    """Make a set, showing progress, and say how large it is and what was left out."""
+def _said(options: Options, unit: str, make: Callable[[Progress], Manifest]) -> Manifest:
+    """Make a set, showing progress, and say how large it is and what was left out; returns its manifest."""
     with Progress("packing", unit) as progress:
         manifest = make(progress)
     size = sum(shard.size for shard in manifest.shards)
@@ -178,7 +175,7 @@ def _said(options: Options, unit: str, make: Callable[[Progress], Manifest]) -> 
     notes = [note for shard in manifest.shards for note in shard.notes]
     more = [f"and {len(notes) - 9} more notes, which bodyseg inspect --json has"] * (len(notes) > 9)
     sys.stderr.write("".join(f"{note}\n" for note in (*notes[:9], *more)))
-    return 0
+    return manifest
 
 
 def _refuse_foreign(options: Options) -> None:
@@ -209,7 +206,8 @@ def _run_renders(options: Options) -> int:
         return 0
     out = _needed_out(options)
     given = options.codec, options.projector, options.shard_samples, options.workers
-    return _said(options, "renders", lambda progress: pack_renders(source, out, *given, progress.update))
+    _said(options, "renders", lambda progress: pack_renders(source, out, *given, progress.update))
+    return 0
 
 
 def _run_rooms(options: Options) -> int:
@@ -229,7 +227,8 @@ def _run_rooms(options: Options) -> int:
         return 0
     given = _needed_out(options), load_rig(options.rig), options.samples, options.split, kinds, own
     how = options.codec, options.shard_samples, options.workers
-    return _said(options, "rooms", lambda progress: pack_rooms(*given, *how, progress.update))
+    _said(options, "rooms", lambda progress: pack_rooms(*given, *how, progress.update))
+    return 0
 
 
 def _needed_out(options: Options) -> Path:
@@ -260,14 +259,14 @@ def _warn_about_split(packing: Packing) -> None:
         )
 
 
-def _warn_about_empty(out: Path) -> None:
+def _warn_about_empty(manifest: Manifest, out: Path) -> None:
     """Warn where some of a set's images, evenly chosen, show nothing, as by a rig with a number in another unit."""
-    from bodyseg_data.loading import RangeImages  # which needs PyTorch
-
+    places = [(number, index) for number, shard in enumerate(manifest.shards) for index in range(len(shard))]
+    reader = ShardReader(out, manifest)
+    few = [reader.read(*place) for place in places[:: -(-len(places) // 4)]]
     for variant, seen_by in (("none", "camera sees"), ("occ", "projector lights")):
-        images = RangeImages(out, variant)
-        few = images.evenly_sampled(4).tolist()
-        if not any(images.image(index).range.any() for index in few):
+        make = Augmentation(manifest.rig, check_variant(variant))
+        if not any(make(sample).range.any() for sample in few):
             where = "are the rig's numbers, --distances and --height right?"
             sys.stderr.write(f"bodyseg shard: warning: the {seen_by} nothing in {len(few)} images looked at: {where}\n")
             return
