@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadConfig, Draws, check_choice
 from bodyseg_data.loading.conditions import Condition, SampleTable, parse_condition, texts_of
 from bodyseg_data.samples import READ_SPLITS, SPLITS, ReadSplit, holds_postures
-from bodyseg_data.shards import BODY_FIELDS, Fields, Manifest
+from bodyseg_data.shards import Fields, Manifest
 
 BodyRow = tuple[str, ...]
 """A body: source, subset, subject, mesh, pose."""
@@ -238,7 +238,7 @@ def mark_val(table: SampleTable, share: float) -> NDArray[np.bool_]:
 def _group_keys(table: SampleTable, share: float) -> list[Group]:
     """The group of each sample."""
     places = table.fields.places
-    if table.fields.tables[:1] == BODY_FIELDS.tables[:1]:
+    if table.fields.of_bodies:
         rows = [tuple(map(str, row)) for row in table.tables[0]]
         group_of = groups(rows, share)
         return [group_of[rows[number]] for number in table.rows[0].tolist()]

@@ -44,6 +44,11 @@ class Fields:
 
     tables: tuple[tuple[tuple[str, str], ...], ...] = ()
 
+    @property
+    def of_bodies(self) -> bool:
+        """True where the first table is of bodies, as in sets that are packed from them."""
+        return self.tables[:1] == BODY_FIELDS.tables[:1]
+
     def __post_init__(self) -> None:
         if len(self.kinds) != sum(map(len, self.tables)):
             raise BadShard("a field of descriptions is named once")

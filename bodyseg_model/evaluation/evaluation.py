@@ -26,7 +26,6 @@ from bodyseg_data.core import BadConfig, ProgressCallback, Stopwatch, check_choi
 from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, OccluderName, RangeImages, WorkerMethod, loader
 from bodyseg_data.samples import ReadSplit, metres, split_key
-from bodyseg_data.shards import BODY_FIELDS
 from bodyseg_model.evaluation.gross_errors import MEASURABLE, GrossErrors, TrueSurface
 from bodyseg_model.evaluation.scores import Confidences, ConfusionMatrix, PerImageAccuracy, count_pairs, pairs_of
 from bodyseg_model.networks import Network, check_label_map, check_network, device_of, predict
@@ -215,8 +214,7 @@ def evaluate(
     check_network(network)
     check_label_map(network, predicts)
     joined = None if predicts.difference(images.label_map) is None else predicts.joined_to(images.label_map)
-    fields = images.manifest.fields
-    grouped, of_bodies = "subset" in fields.kinds, fields.tables[:1] == BODY_FIELDS.tables[:1]
+    grouped = "subset" in images.manifest.fields.kinds
     index_of, subset_of = {key: index for index, key in enumerate(images.keys)}, dict[str, str]()
     device = device_of(network)
     measures = confidences and MEASURABLE and not images.transforms  # which may move pixels
@@ -239,7 +237,7 @@ def evaluate(
         ranges, labels = batch["range"][:, 0].numpy(), batch["labels"].numpy()
         with stage("scores"):
             for at, key in enumerate(keys):
-                body = split_key(key)[0] if of_bodies else key
+                body = split_key(key)[0] if images.manifest.fields.of_bodies else key
                 if body not in subset_of:  # read once for all views of a body
                     info = images.clean(index_of[key]).info if grouped else None
                     subset_of[body] = _WHOLE if info is None else str(info.get("subset", _WHOLE))
