@@ -196,9 +196,10 @@ def artifacts_from_json(tree: Any, where: str, sensor: SensorModel) -> tuple[Art
 
 def _left(artifact: Artifact | None, given: Mapping[str, Any]) -> dict[str, Any]:
     """Strengths of a sensor's artifact that given ones leave as they are."""
-    replaced = () if artifact is None or not given.keys() & {*artifact.either} else artifact.either
-    own = {} if artifact is None else asdict(artifact)
-    return {name: value for name, value in own.items() if name not in replaced}
+    if artifact is None:
+        return {}
+    replaced = artifact.either if given.keys() & {*artifact.either} else ()
+    return {name: value for name, value in asdict(artifact).items() if name not in replaced}
 
 
 def parse_artifacts(text: str, where: str, sensor: SensorModel) -> tuple[Artifact, ...]:

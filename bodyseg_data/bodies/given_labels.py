@@ -246,7 +246,7 @@ def file_labels(content: MeshContent, wanted: str | None, table: ClassTable, whe
         raise BadMesh(f"{where}: labels were asked for by {wanted!r}, the file has none")
     why = "files of this kind hold none" if where.lower().endswith((".stl", ".off")) else "the file holds none"
     if _having(content, _CHANNELS)[0]:
-        why = "its colours are some by the colours of classes.json alone"
+        why = "its colours are labels only where classes.json gives classes colours"
     raise BadMesh(
         f"{where}: a mesh needs labels, {why}: put a .labels.json or .labels.npy beside it, or give its 'class' in "
         "scene.json"

@@ -248,9 +248,8 @@ def open_store(
         folder, pattern = _split_address(address[1].lower(), address[2])
         return RemoteFolder(folder, options or {}, retry_policy or RetryPolicy()), pattern
     if options or retry_policy is not None:
-        missing = "" if address is not None else ": an address begins with its protocol, as http:// or s3://"
-        given = f"storage_options and retry_policy are for remote sets, found them given for {path!r}"
-        raise BadConfig(f"{given}{missing}")
+        hint = "" if address is not None else ": an address begins with its protocol, as http:// or s3://"
+        raise BadConfig(f"storage_options and retry_policy are for remote sets, found them given for {path!r}{hint}")
     if address is None:
         local_path = Path(path)
     elif address[2].startswith("/"):

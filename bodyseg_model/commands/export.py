@@ -3,6 +3,7 @@
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from bodyseg_data.commands import option
 from bodyseg_data.core import BadConfig
@@ -33,15 +34,14 @@ def run(options: Options) -> int:
         if path is not None and path.suffix != suffix:
             raise BadConfig(f"--{name} must be a {suffix} file, found {path}")
     trained = load_network(options.run)
-    scores = {} if options.scores is None else {"scores": read_json(options.scores)}
-    own, theirs = (
-        card.get(CardWords.WEIGHTS_SHA256) for card in (trained.card, scores.get("scores", {}).get("card", {}))
-    )
-    if scores and own != theirs:
-        raise BadConfig(
-            f"--scores must be what bodyseg evaluate --json wrote of {options.run or 'compact'}, found {options.scores}"
-        )
-    confusion = scores.get("scores", {}).pop("confusion", None)
+    scores, confusion = dict[str, Any](), None
+    if options.scores is not None:
+        figures = read_json(options.scores)
+        card = figures.get("card")
+        if not isinstance(card, dict) or card.get(CardWords.WEIGHTS_SHA256) != trained.card[CardWords.WEIGHTS_SHA256]:
+            of = options.run or "compact"
+            raise BadConfig(f"--scores must be what bodyseg evaluate --json wrote of {of}, found {options.scores}")
+        confusion, scores = figures.pop("confusion", None), {"scores": figures}
     if options.onnx is not None:
         size = write_onnx(options.onnx, Trained(trained.network, {**trained.card, **scores}))
         sys.stderr.write(f"wrote {options.onnx}, {size / 1e6:.1f} MB, opset {OPSET}\n")
