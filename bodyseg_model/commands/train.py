@@ -108,7 +108,6 @@ class Options:
     )
     val_every: int | None = option("steps between validations (default: 500)", None)
     val_images: int | None = option("images to validate on, evenly over those held out (default: all)", None)
-    patience: int | None = option("end after so many validations without a better one (default: never)", None)
     keep: CheckpointName | None = option("weights of the run's network (default: the best, if validated)", None)
     seed: int = option("of weights, order, artifacts and all other draws", 0)
     resume: bool = option("carry on from the folder's last checkpoint", False)
@@ -172,11 +171,9 @@ def run(options: Options) -> int:
             facts=provenance(command_line("bodyseg train", options)),
         )
     if validation is not None and first_process:
-        card, steps = trained.card, recipe.steps
-        step, last = card["step"], card["last_step"]
-        ended = f"ended early, after step {last} of {steps}" if last < steps else f"ended after step {steps}"
+        card = trained.card
         score = f": validation per class {card['val_accuracy']:.1%}" if "val_accuracy" in card else ""
-        sys.stderr.write(f"{ended}; the network has the weights of step {step}{score}\n")
+        sys.stderr.write(f"the network has the weights of step {card['step']} of {recipe.steps}{score}\n")
     return 0
 
 
@@ -216,7 +213,6 @@ def _validation(options: Options) -> Validation | None:
         for flag, value in (
             ("--val-every", options.val_every),
             ("--val-images", options.val_images),
-            ("--patience", options.patience),
             ("--keep", options.keep),
         ):
             if value is not None:
@@ -226,7 +222,6 @@ def _validation(options: Options) -> Validation | None:
         [_open(options, *pair, "val") for pair in _pairs(options)],
         DEFAULT_EVERY if options.val_every is None else options.val_every,
         options.val_images,
-        options.patience,
         options.keep or "best",
     )
 

@@ -33,13 +33,9 @@ class ProcessGroup:
             torch.distributed.all_reduce(values)
         return values
 
-    def from_first(self, flag: bool) -> bool:
-        """Return the first process's `flag` in every process; each waits for it."""
-        if self.world_size == 1:
-            return flag
-        shared = torch.tensor([flag], device=self.device)
-        torch.distributed.broadcast(shared, 0)
-        return bool(shared.item())
+    def wait(self) -> None:
+        """Wait until all processes call this."""
+        self.add_up(torch.zeros((), device=self.device)).item()
 
 
 @contextlib.contextmanager

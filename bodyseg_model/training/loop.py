@@ -107,7 +107,7 @@ def train(
         with claimed(folder.path, "training") if processes.first else contextlib.nullcontext():
             read_from = {"read_from": [each.path for each in images.sets]}
             training.run(resume, report or (lambda metrics: None), {**read_from, **(facts or {})})
-        processes.from_first(True)  # the others wait until the first has written the network
+        processes.wait()  # the others, until the first has written the network
     return load_network(folder.path)
 
 
@@ -173,7 +173,6 @@ class Training:
         self.validation, self.pretrained = validation, pretrained
         self.step = 0
         self._best: Best | None = None
-        self._ended = False
 
     def plan(self) -> dict[str, Any]:
         """Everything that the result depends on, as plain JSON; see `training_plan`."""
@@ -201,14 +200,14 @@ class Training:
         batches = itertools.chain.from_iterable(itertools.repeat(data_loader))  # epoch after epoch
         whole = True
         try:
-            while self.step < self.recipe.steps and not self._ended:
+            while self.step < self.recipe.steps:
                 # A first Ctrl-C breaks no step; processes that wait for each other cannot hold it back.
                 alone = self.processes.world_size == 1
                 with signals_held(only_first=True) if alone else contextlib.nullcontext():
                     whole = False
                     self._one_step(objective, batches, window)
                     window = self._logged(window, data_loader, report, facts)
-                    last = self.step == self.recipe.steps or self._ended
+                    last = self.step == self.recipe.steps
                     if self.processes.first and (self.step % self.run_options.checkpoint_every == 0 or last):
                         self._checkpoint(data_loader).write(self.folder.path)
                     whole = True
@@ -225,7 +224,8 @@ class Training:
         """Validate and log after a step for which that is due; returns the window of the next step."""
         if self.step == 1 and self.processes.first:
             self.folder.start(self.plan())  # not earlier: a first try that fails leaves the folder usable
-        due = self.validation is not None and self.validation.due(self.step, self.recipe.steps)
+        validation = self.validation
+        due = validation is not None and validation.due(self.step, self.recipe.steps)
         if self.step % self.run_options.log_every and self.step < self.recipe.steps and not due:
             return window
         metrics = window.metrics(self.step, self.optimisers[-1].param_groups[-1]["lr"])
@@ -234,9 +234,9 @@ class Training:
             slowest = max(WAITING_ADVICE, key=lambda stage: now[stage] - self._loaded[stage])
             metrics = replace(metrics, waited_for=slowest)
         self._loaded = now
-        if due:
-            metrics = self._validated(metrics, facts)
         if self.processes.first:
+            if due and validation is not None:
+                metrics = self._validated(metrics, validation, facts)
             peaks = {"process": peak_mb(), "workers": data_loader.worker_peaks_mb()}
             self.folder.log({**metrics.to_json(), "peak_mb": peaks})
             report(metrics)
@@ -257,7 +257,6 @@ class Training:
         self.step = checkpoint.step
         if self.validation is not None:
             self._best = self.folder.best() if self.processes.first else None
-            self._end_by(self.validation)
         return checkpoint.loader_state
 
     def _checkpoint(self, data_loader: Loader) -> Checkpoint:
@@ -269,34 +268,20 @@ class Training:
         tensors |= {f"{_OPTIMISER}{name}": tensor for name, tensor in optimiser_tensors(self.optimisers).items()}
         return Checkpoint(self.step, data_loader.state_dict(), tensors)
 
-    def _validated(self, metrics: Metrics, facts: Mapping[str, Any]) -> Metrics:
+    def _validated(self, metrics: Metrics, validation: Validation, facts: Mapping[str, Any]) -> Metrics:
         """Validate; returns the metrics with those of the validation, and keeps the weights if they are the best."""
-        validation = self.validation
-        if validation is None:
+        workers, method = self.run_options.num_workers, self.run_options.worker_method
+        scores = validation.scores(self.result.eval(), workers, method)
+        self.network.train(not self.recipe.only_places)
+        accuracy = scores.confusion.average_per_class_accuracy()
+        if math.isnan(accuracy):  # these images show no body
             return metrics
-        if self.processes.first:
-            workers, method = self.run_options.num_workers, self.run_options.worker_method
-            scores = validation.scores(self.result.eval(), workers, method)
-            self.network.train(not self.recipe.only_places)
-            accuracy = scores.confusion.average_per_class_accuracy()
-            if not math.isnan(accuracy):  # NaN if these images show no body
-                if self._best is None or accuracy > self._best.accuracy:
-                    self._best = Best(self.step, accuracy)
-                    best = self.folder.path / RunFiles.BEST
-                    save_network(best, self.result, self.name, self._card(facts, self.step))
-                metrics = replace(
-                    metrics,
-                    val_accuracy=round(accuracy, 5),
-                    val_pixel_accuracy=round(scores.confusion.pixel_accuracy(), 5),
-                    val_best_step=self._best.step,
-                )
-        self._end_by(validation)
-        return metrics
-
-    def _end_by(self, validation: Validation) -> None:
-        """End the training, in all processes, if the validations have not become better for too long."""
-        best_step = 0 if self._best is None else self._best.step
-        self._ended = self.processes.from_first(validation.exhausted(self.step, best_step))
+        if self._best is None or accuracy > self._best.accuracy:
+            self._best = Best(self.step, accuracy)
+            save_network(self.folder.path / RunFiles.BEST, self.result, self.name, self._card(facts, self.step))
+        right = round(scores.confusion.pixel_accuracy(), 5)
+        best = self._best.step
+        return replace(metrics, val_accuracy=round(accuracy, 5), val_pixel_accuracy=right, val_best_step=best)
 
     def _save(self, facts: Mapping[str, Any]) -> None:
         step, network = self.step, self.result

@@ -114,9 +114,8 @@ class Validation:
     epoch; None for all. So every validation sees the same images with the same draws, and `evaluate` gives its scores.
     every: steps between two validations; one more follows the last step.
 
-    patience: number of validations in a row without a higher accuracy, after which the training ends; None for no such
-    end. keep: whether the network of the run has the weights of the best validation, the first of highest average
-    per-class accuracy, or those of the last step.
+    keep: whether the network of the run has the weights of the best validation, the first of highest average per-class
+    accuracy, or those of the last step.
 
     Raises BadConfig for a value out of range, or no images.
     """
@@ -124,7 +123,6 @@ class Validation:
     images: Sequence[RangeImages]
     every: int = bounded(DEFAULT_EVERY, 1)
     count: int | None = bounded(None, 1)
-    patience: int | None = bounded(None, 1)
     keep: CheckpointName = "best"
 
     def __post_init__(self) -> None:
@@ -140,10 +138,6 @@ class Validation:
     def due(self, step: int, steps: int) -> bool:
         """Return whether a training of `steps` steps is validated after `step` steps."""
         return step % self.every == 0 or step == steps
-
-    def exhausted(self, step: int, best_step: int) -> bool:
-        """Return True if a training ends after `step` steps, the best validation being that after `best_step`."""
-        return self.patience is not None and step // self.every - best_step // self.every >= self.patience
 
     def scores(
         self, network: Network, num_workers: int = 0, worker_method: WorkerMethod = DEFAULT_WORKER_METHOD

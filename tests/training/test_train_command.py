@@ -28,7 +28,7 @@ def command(data: Path, out: Path, *more: str) -> list[str]:
 
 def test_a_killed_training_carries_on(small_set: Path, tmp_path: Path) -> None:
     """With images held out and averages, so that all that a training may keep is kept, and a worker that loads."""
-    more = [*VALIDATED, "--ema", "0.9", "--patience", "9", "--steps", "6", "--checkpoint-every", "1"]
+    more = [*VALIDATED, "--ema", "0.9", "--steps", "6", "--checkpoint-every", "1"]
     more += ["--num-workers", "1"]
     assert main(command(small_set, tmp_path / "whole", *more)) == 0
     process = get_context("fork").Process(target=main, args=(command(small_set, tmp_path / "cut", *more),))
@@ -58,8 +58,7 @@ def test_scores_reach_the_log_the_progress_line_and_tensorboard(
     assert shown in said
     best = max(lines[1:], key=lambda line: float(line["val_accuracy"]))
     assert said.endswith(
-        f"ended after step 3; the network has the weights of step {best['step']}: "
-        f"validation per class {best['val_accuracy']:.1%}\n"
+        f"the network has the weights of step {best['step']} of 3: validation per class {best['val_accuracy']:.1%}\n"
     )
     events = EventAccumulator(str(tmp_path / "tensorboard"))
     events.Reload()
@@ -77,7 +76,6 @@ def test_scores_reach_the_log_the_progress_line_and_tensorboard(
     [
         (["--val-every", "5"], "--val-every is for a training with images to validate on: give --val-share, like 0.1"),
         (["--val-images", "5"], "--val-images is for a training with images to validate on"),
-        (["--patience", "5"], "--patience is for a training with images to validate on"),
         (["--keep", "best"], "--keep is for a training with images to validate on"),
         (["--val-share", "0.5", "--val-every", "0"], "Validation: every must be at least 1, found 0"),
         (["--remnants", "-0.1"], "Remnants: share must be from 0 to 1, found -0.1"),

@@ -78,31 +78,9 @@ def test_a_network_that_never_had_a_score_is_the_last(small_set: Path, held_out:
     assert not (tmp_path / "best.json").exists()
 
 
-def test_a_training_ends_where_it_gets_no_better(small_set: Path, held_out: RangeImages, tmp_path: Path) -> None:
-    def validation(patience: int, *accuracies: float) -> GivenScores:
-        return GivenScores([held_out], 1, patience=patience, accuracies=accuracies)
-
-    quiet = RunOptions(100, 100, 0)
-    said = train(small_set, tmp_path, steps=9, validation=validation(2, 0.2, 0.6, 0.4, 0.5), options=quiet)
-    assert [metrics.step for metrics in said] == [1, 2, 3, 4]
-    card = load_network(tmp_path).card
-    assert (card["step"], card["last_step"], card["recipe"]["steps"]) == (2, 4, 9)
-    before = written(tmp_path)
-    assert train(small_set, tmp_path, steps=9, validation=validation(2), options=quiet, resume=True) == []
-    assert written(tmp_path) == before
-    more = train(small_set, tmp_path, steps=9, validation=validation(3, 0.7, 0.1, 0.1, 0.1), options=quiet, resume=True)
-    assert [metrics.step for metrics in more] == [5, 6, 7, 8]
-    assert load_network(tmp_path).card["step"] == 5
-
-
-def test_validations_between_which_a_training_ends() -> None:
-    images = [object.__new__(RangeImages)]
-    validation = Validation(images, 100, patience=2)
+def test_steps_with_a_validation() -> None:
+    validation = Validation([object.__new__(RangeImages)], 100)
     assert [step for step in (50, 100, 150, 200, 250) if validation.due(step, 250)] == [100, 200, 250]
-    assert [step for step in (100, 200, 300, 400) if validation.exhausted(step, 0)] == [200, 300, 400]
-    assert [step for step in (200, 300, 400) if validation.exhausted(step, 200)] == [400]
-    assert not validation.exhausted(100, 300), "a step that a resumed training repeats"
-    assert not Validation(images, 100).exhausted(10**6, 0)
 
 
 @pytest.mark.parametrize("cut", [2, 3])
@@ -113,7 +91,7 @@ def test_a_validated_averaged_training_carries_on_with_the_same_bits(
     options = RunOptions(1, 1, 0)
 
     def go(name: str, **more: Any) -> None:
-        validation = Validation([held_out], 2, 4)
+        validation = Validation([held_out], 2)
         train(small_set, tmp_path / name, ema=0.9, validation=validation, options=options, **more)
 
     go("whole")
@@ -135,7 +113,6 @@ def test_a_validated_averaged_training_carries_on_with_the_same_bits(
     [
         ({"every": 0}, "every must be at least 1, found 0"),
         ({"count": 0}, "count must be at least 1, found 0"),
-        ({"patience": 0}, "patience must be at least 1, found 0"),
         ({"keep": "worst"}, "keep must be 'best' or 'last', found 'worst'"),
         ({"images": []}, "a validation needs at least one set of images"),
     ],
