@@ -293,26 +293,36 @@ class ProcessWorkers(Workers):
 
 
 class _Carried:
-    """Work on its way to a process, which unpickles it itself, to say why it cannot. A fork needs no pickles."""
+    """Work on its way to a process, which unpickles it itself, to say why it cannot. A fork needs no pickles.
+
+    Raises BadConfig when it is pickled, for what cannot be.
+    """
 
     def __init__(self, work: Callable[[Any], Any] | None, packed: bytes = b"") -> None:
         self._work, self._packed = work, packed
 
     def __reduce__(self) -> Any:
-        return _Carried, (None, bytes(ForkingPickler.dumps(self._work)))
+        try:
+            return _Carried, (None, bytes(ForkingPickler.dumps(self._work)))
+        except Exception as error:  # pickle raises any of three kinds
+            raise BadConfig(_unpicklable(f"pickled for a worker: {error}")) from None
 
     def opened(self) -> Callable[[Any], Any]:
         """Return the work, or one that fails at every request."""
         try:
             return self._work or pickle.loads(self._packed)
         except Exception as error:
-            return partial(_fail, f"{type(error).__name__}: {error}")
+            return partial(_fail, f"unpickled in a worker: {type(error).__name__}: {error}")
 
 
 def _fail(why: str, request: Any) -> Any:
-    raise BadConfig(
-        f"the images cannot be unpickled in a worker: {why}; what they use, such as a transform, must be in a module, "
-        "not in a notebook's cell or under the main guard; worker_method='thread' needs no pickles"
+    raise BadConfig(_unpicklable(why))
+
+
+def _unpicklable(why: str) -> str:
+    return (
+        f"the images cannot be {why}; what they use, such as a transform, must be in a module, not in a function, a "
+        "notebook's cell or under the main guard; worker_method='thread' needs no pickles"
     )
 
 

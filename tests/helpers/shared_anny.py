@@ -22,10 +22,10 @@ def shared(load: Callable[..., Any]) -> Callable[..., Any]:
             import anny  # noqa: F401  # which a test may have made absent, though its modules are loaded
             from anny.paths import get_anny_cache_path
         except ImportError:
-            return load(progress)
+            return load()
         folder = get_anny_cache_path()
         if progress is not None or folder not in models:
-            models[folder] = load(progress)
+            models[folder] = load() if progress is None else load(progress)
         return models[folder]
 
     return load_shared

@@ -46,7 +46,8 @@ def await_end(processes: list[int]) -> None:
 
 
 def with_processes(images: RangeImages, workers: int = 2) -> Loader:
-    return loader(images, 3, workers, worker_method="process")
+    """A loader whose workers are forked: images of a test's own class cannot be pickled."""
+    return loader(images, 3, workers, worker_method="process", start_method="fork")
 
 
 def keys(batches: Loader) -> list[str]:

@@ -24,6 +24,7 @@ from bodyseg_data.core import BadConfig, BadSample, BadShard
 from bodyseg_data.labels import BACKGROUND, PART_CLASSES, load_label_map
 from bodyseg_data.loading import BadTransform, BodyCrop, CameraImage, Crop, Flip, Roll, Transform, Zoom
 
+FORKED: dict[str, Any] = {"num_workers": 1, "worker_method": "process", "start_method": "fork"}
 ALL = (Zoom(1.2), Roll(10), Flip(), Crop(400, 200, "anywhere"))
 
 
@@ -192,7 +193,7 @@ def test_what_is_no_sample_is_refused_in_one_line(
         assert str(caught.value) == f"{images.location(0)[0]}: {images.keys[0]}: transform {name!r} {message}"
 
 
-@pytest.mark.parametrize("options", [{}, {"num_workers": 2}, {"num_workers": 1, "worker_method": "process"}])
+@pytest.mark.parametrize("options", [{}, {"num_workers": 2}, FORKED])
 @pytest.mark.parametrize("on_error", [{}, {"on_error": "skip", "skip_budget": 24}])
 def test_an_error_in_a_transform_ends_the_run_in_one_line(
     figures_set: Path, options: dict[str, Any], on_error: dict[str, Any]
