@@ -74,12 +74,15 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
     except KeyboardInterrupt:
         return _say(f"{program}{name}", "interrupted", 130)
     except BrokenPipeError:
-        # The buffered rest has no reader; flushing it at exit would raise again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _leave_stdout()
         return 141
     except OSError as error:
         if os.environ.get("BODYSEG_TRACEBACK"):
             raise
+        try:
+            sys.stdout.flush()
+        except OSError:
+            _leave_stdout()
         where = f"{error.filename}: " if error.filename else ""
         return _say(f"{program}{name}", f"{where}{error.strerror or error}", 2)
     except Exception as error:
@@ -91,6 +94,11 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
         for number, action in before.items():
             if signal.getsignal(number) is _stop:  # else this process is ending
                 signal.signal(number, action)
+
+
+def _leave_stdout() -> None:
+    """Send the buffered rest of standard output nowhere: flushing it at exit would raise again."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 _COMMAND: Final = os.getpid()

@@ -308,7 +308,7 @@ class CachedStore:
         os.ftruncate(handle, min(os.fstat(handle).st_size, record.size))
         for _ in range(READ_ATTEMPTS):
             fetched = os.lseek(handle, 0, os.SEEK_END)
-            with os.fdopen(handle, "wb", closefd=False) as file:
+            with os.fdopen(handle, "wb", 8192, closefd=False) as file:  # all that a kill may lose
                 self.remote.fetch(record.name, fetched, record.size, file.write, pause)
             with os.fdopen(handle, "rb", closefd=False) as file:
                 file.seek(0)
