@@ -189,8 +189,8 @@ def _labels_out(options: Options, label_map: LabelMap) -> contextlib.AbstractCon
         if options.points:
             raise BadConfig("--points are written beside labels: give --labels-out, too")
         return contextlib.nullcontext()
-    if options.labels_out.resolve().is_relative_to(options.out.resolve()):
-        raise BadConfig(f"--labels-out must lie outside --out, found {options.labels_out}")
+    if any(options.labels_out.resolve().is_relative_to(each.resolve()) for each in (options.out, *options.frames)):
+        raise BadConfig(f"--labels-out must lie outside --out and the frames, found {options.labels_out}")
     return labels_out(options.labels_out, label_map, options.fps)
 
 

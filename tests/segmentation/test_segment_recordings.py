@@ -156,6 +156,19 @@ def test_labels_go_out_with_times_of_their_own(tmp_path: Path, capsys: pytest.Ca
     assert not list(tmp_path.glob(".*"))
 
 
+def test_labels_never_replace_the_recording_that_they_are_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = write_mcap(tmp_path / "walk.mcap", sent())
+    (folder := tmp_path / "bag").mkdir()
+    (folder / "part.mcap").write_bytes(held := bag.read_bytes())
+    (tmp_path / "link.mcap").symlink_to(bag)
+    for given, path in ((bag, bag), (bag, tmp_path / "link.mcap"), (folder, folder / "part.mcap")):
+        said = refused(capsys, given, "--out", tmp_path / "out", "--labels-out", path)
+        assert said == f"bodyseg segment: --labels-out must lie outside --out and the frames, found {path}"
+    assert bag.read_bytes() == (folder / "part.mcap").read_bytes() == held and not (tmp_path / "out").exists()
+
+
 @pytest.mark.usefixtures("near_is_person")
 def test_frames_that_cannot_be_read_are_skipped_within_a_budget(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
