@@ -149,13 +149,14 @@ def _frames(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Ima
     if options.variant != "none" or options.where or options.split or options.labels or options.instances:
         raise BadConfig(f"--variant, --split, --where, --labels and --instances are of sets, not of {options.folder}")
     folder = Path(options.folder)
-    frames = {each.path_id: each for each in find_frames(options.frames, options.topic)} if options.frames else {}
     try:
         summary = read_json(folder / "summary.json")
         label_map = label_map_from_json(summary["labels"], f"{folder}, labels")
         each = [(at["name"], at["path_id"], [body["box"] for body in at["bodies"]]) for at in summary["each"]]
     except (KeyError, TypeError) as error:
         raise BadConfig(f"{folder / 'summary.json'} is none of `bodyseg segment`: {error!r}") from error
+    given = find_frames(options.frames, options.topic, summary.get("given_unit_m")) if options.frames else []
+    frames = {each.path_id: each for each in given}
 
     def images() -> Images:
         for number, (name, path_id, boxes) in enumerate(each, 1):

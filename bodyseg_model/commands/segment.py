@@ -174,6 +174,7 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
             "labels": labeller.label_map.to_json(),
             **({"template": load_template().name} if options.dense else {}),
             **recording.to_json(),
+            **({} if step_m is None else {"given_unit_m": step_m}),
             **labeller.to_json(),
             "frames_per_second": round(per_second, 2),
             "hardware": hardware(),

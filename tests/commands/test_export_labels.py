@@ -239,6 +239,19 @@ def test_a_folder_of_segment_is_exported_with_its_people(labelled: tuple[Path, P
     assert not (out / "annotations.json").exists(), "the earlier export is gone"
 
 
+@pytest.mark.parametrize(("scale", "kind", "units"), [(10, np.uint16, "0.1mm"), (1, np.float32, "mm")])
+def test_ranges_are_exported_in_the_units_that_were_given_to_segment(
+    labelled: tuple[Path, Path], tmp_path: Path, scale: int, kind: type, units: str
+) -> None:
+    stack: np.ndarray[Any, Any] = scale * standing((10, 5, 40, 12)).astype(kind)
+    np.save(tmp_path / "a.npy", stack)
+    words = ["segment", str(tmp_path / "a.npy"), "--units", units, "--focal", "100", "--out", str(tmp_path / "b")]
+    assert cli.main([*words, "--keep-things"]) == 0
+    out = export(tmp_path / "coco", tmp_path / "b", "coco", "--frames", str(tmp_path / "a.npy"))
+    step_m = tree(out / "annotations.json")["images"][0]["range_step_m"]
+    np.testing.assert_allclose(pixels(out / "range" / "a.png") * step_m, stack / scale / 1000, atol=2e-4)
+
+
 def test_people_whose_boxes_share_pixels_are_a_crowd() -> None:
     labels = np.full((10, 20), BACKGROUND, np.uint8)
     labels[2:8, 1:5] = labels[4, 5:9] = labels[0:3, 12:15] = 3

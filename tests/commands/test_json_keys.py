@@ -74,7 +74,7 @@ def test_the_keys_of_a_summary_are_those_documented(tmp_path: Path, monkeypatch:
     (folder / "2.png").write_bytes(b"none")
     lens = {"fx": 100, "fy": 100, "cx": 40.5, "cy": 79.5, "distortion": [0.01, 0, 0, 0, 0]}
     (folder / "1.json").write_text(json.dumps(lens))
-    given = ["--focal", "100"]
+    given = ["--focal", "100", "--units", "mm"]
     runs = (
         (tmp_path / "a.npz", *given, "--keep-things", "--video", "--turned", "180", "--flip-average"),
         (folder, "--skip-unreadable", "1", "--no-overlay"),
