@@ -5,7 +5,7 @@ a budget.
 """
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -38,18 +38,19 @@ _SATURATED: Final = 65535
 
 
 def find_frames(paths: Sequence[Path], topic: str | None = None, step_m: float | None = None) -> list[Frame]:
-    """List the frames at `paths`: PNG files, and recordings as `open_recording` opens them.
+    """List the frames at `paths`, as `open_recording` opens them.
 
-    PNG files come first, then recordings one after another, those of PNGs in natural order (2 before 10). A frame is
-    named after its file, or its number in its recording; where two frames would have one name, all are named with their
-    folders or recordings (`result_names`). topic, step_m: as of `open_recording`. Raises BadConfig for a path that
-    cannot be read or contains no frame, a name unfit for a result file, or one frame given twice; MissingLibrary.
+    Files of one frame come first, as one input in natural order of folders and names (2 before 10), then recordings one
+    after another. A frame is named after its file, or its number in its recording; where two frames would have one
+    name, all are named with their folders or recordings (`result_names`). topic, step_m: as of `open_recording`. Raises
+    BadConfig for a path that cannot be read or contains no frame, a name unfit for a result file, or one frame given
+    twice; MissingLibrary.
     """
-    files = [path for path in paths if not path.is_dir() and not find_format(path)]
-    single = [frame for path in files for frame in open_recording(path, topic, step_m)]
-    groups: list[Iterable[Frame]] = [sorted(single, key=lambda frame: natural_key(frame.name))]
-    groups += [open_recording(path, topic, step_m) for path in paths if path not in files]
-    frames = [(number, frame) for number, group in enumerate(groups) for frame in group]
+    opened = [(path.is_dir(), open_recording(path, topic, step_m)) for path in paths]
+    single = [found[0] for is_folder, found in opened if not is_folder and found[0].member is None]
+    single.sort(key=lambda frame: (natural_key(str(frame.path.parent)), natural_key(frame.name)))
+    several = (found for is_folder, found in opened if is_folder or found[0].member is not None)
+    frames = [(number, frame) for number, group in enumerate((single, *several)) for frame in group]
     names = result_names([frame for _, frame in frames])
     return [replace(frame, name=name, sequence=number) for (number, frame), name in zip(frames, names, strict=True)]
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from pngs import RAMP, png
 
 from bodyseg_data.core import BadConfig
@@ -97,6 +98,21 @@ def test_frames_of_one_name_get_the_names_of_their_folders(tmp_path: Path) -> No
         np.save(recording, np.stack([RAMP, RAMP]))
     assert names(find_frames(recordings)) == ["a/0000", "a/0001", "b/0000", "b/0001"]
     assert names(find_frames([left, frames_in(tmp_path / "other", "3")])) == ["1", "2", "3"]
+
+
+@pytest.mark.parametrize("suffix", ["png", "npy", "tif"])
+def test_files_of_one_frame_are_one_input_in_the_order_of_folders_and_names(suffix: str, tmp_path: Path) -> None:
+    places = [tmp_path / folder / f"{name}.{suffix}" for folder in ("b2", "b10") for name in ("f2", "f10")]
+    for path in places:
+        path.parent.mkdir(exist_ok=True)
+        if suffix == "npy":
+            np.save(path, RAMP)
+        else:
+            Image.fromarray(RAMP).save(path)
+    np.save(tmp_path / "a.npy", np.stack([RAMP, RAMP]))
+    found = find_frames([tmp_path / "a.npy", *sorted(places)])
+    assert [(frame.path, frame.sequence) for frame in found[:4]] == [(path, 0) for path in places]
+    assert [(frame.index, frame.sequence) for frame in found[4:]] == [(0, 1), (1, 1)]
 
 
 def test_as_many_folders_as_needed_tell_frames_apart(tmp_path: Path) -> None:
