@@ -90,6 +90,9 @@ def test_times_come_with_arrays_and_lists(tmp_path: Path) -> None:
     assert "times must be as many as frames, found 2 for 3" in refusal(tmp_path / "b.npz")
     np.savez(tmp_path / "c.npz", depth=STACK, times=np.eye(3))
     assert "'times' must hold one time a frame, seconds" in refusal(tmp_path / "c.npz")
+    np.savez(tmp_path / "d.npz", depth=STACK, times=np.array([0, 1, 2]) + 1_700_000_000_000)
+    said = "'times' must hold seconds, found 1.7e+12: are they milli- or nanoseconds?"
+    assert said in refusal(tmp_path / "d.npz"), "no message can have such a time"
 
 
 def tum(folder: Path, lines: str) -> Path:
@@ -119,6 +122,7 @@ def test_a_list_with_times_gives_order_and_unit(tmp_path: Path) -> None:
         ("1.25 ../../etc/passwd", "a line must hold a time, seconds, and a file in the folder"),
         ("1.25 /etc/passwd", "a line must hold a time, seconds, and a file in the folder"),
         ("nan depth/1.25.png", "a line must hold a time"),
+        ("1403636579763555584 depth/1.25.png", "a line must hold a time, seconds, and"),
         ("depth/1.25.png", "a line must hold a time"),
         ("1.25 depth/no.png", "No such file"),
         ("# nothing", "must name at least one, found none"),

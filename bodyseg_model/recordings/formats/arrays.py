@@ -209,7 +209,10 @@ def _times(archive: zipfile.ZipFile, array: _Array) -> list[float]:
     with archive.open(array.member) as file:
         file.seek(array.start)
         data = file.read(array.shape[0] * array.kind.itemsize)
-    return [float(time) for time in np.frombuffer(data, array.kind, array.shape[0])]
+    times = [float(time) for time in np.frombuffer(data, array.kind, array.shape[0])]
+    if not all(abs(time) < 1 << 31 for time in times):  # as the time of a message
+        raise BadConfig(f"{array.title!r} must hold seconds, found {times[-1]:g}: are they milli- or nanoseconds?")
+    return times
 
 
 def without_channel(shape: tuple[int, ...]) -> tuple[int, ...]:
