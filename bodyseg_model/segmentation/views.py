@@ -171,7 +171,7 @@ def check_size(shape: tuple[int, ...], camera: Camera) -> None:
 
 
 def metres_of(frame: Any, camera: Camera) -> NDArray[np.float32]:
-    """A frame as float32 [H, W], metres: an array or tensor of floating point, of any precision.
+    """A copy of a frame, float32 [H, W], metres: an array or tensor of floating point, of any precision.
 
     Raises BadConfig for another size than the camera's; for whole numbers, which are a sensor's steps; and where
     nothing that was measured is nearer than `_FARTHEST_M`, as in millimetres, but for one value, as of a sky.
@@ -184,7 +184,7 @@ def metres_of(frame: Any, camera: Camera) -> NDArray[np.float32]:
     nearest_m = np.min(few, initial=np.inf, where=few > 0)
     if _FARTHEST_M <= nearest_m < np.max(few, initial=0.0, where=few < np.inf):
         raise BadConfig(f"a frame must be in metres, found nothing nearer than {nearest_m:.0f}: {_AS_METRES}")
-    return np.asarray(values, np.float32)
+    return np.array(values, np.float32, order="C")  # drivers write the next frame into the same array
 
 
 def _in_steps(trained: int, needed: int) -> int:

@@ -86,6 +86,22 @@ def test_a_stream_answers_each_frame_with_its_number(ahead: bool) -> None:
     assert all((name == "MainThread") != ahead for name in taken)
 
 
+@pytest.mark.parametrize("camera", [CAMERA, BENT])
+def test_answers_keep_their_frames_where_a_driver_fills_one_array_again(camera: Camera) -> None:
+    held = np.zeros((60, 80), np.float32)
+
+    def live() -> Iterator[NDArray[np.float32]]:
+        for column in (20, 28):
+            held[:] = standing(column, 1.5 + column / 40)
+            yield held
+
+    found = list(labeller().stream(live(), camera))
+    for answer, column in zip(found, (20, 28), strict=True):
+        expected = labeller()(standing(column, 1.5 + column / 40), camera)
+        np.testing.assert_array_equal(answer.range_m, expected.range_m)
+        np.testing.assert_array_equal(answer.points(), expected.points())
+
+
 def test_a_bad_frame_of_a_stream_is_named() -> None:
     answers = labeller().stream([standing(20), standing(20).T], CAMERA)
     assert next(answers).bodies
