@@ -42,7 +42,7 @@ def cameras_beside(frames: Sequence[Frame]) -> list[Intrinsics | None]:
         if own is not None and any(name in own for name in _NEEDED):
             return _intrinsics(own, str(own_file))
         default, named = shared(path.with_name(CAMERAS))
-        return named.get(path.stem, default)
+        return named.get(path.name, named.get(path.stem, default))
 
     return [frame.camera or camera_of(frame.path) for frame in frames]
 
@@ -100,7 +100,9 @@ def _shape(frame: Frame) -> tuple[int, int]:
 
 
 def _shared(where: Path) -> tuple[Intrinsics | None, dict[str, Intrinsics]]:
-    """The default camera of a file `CAMERAS`, and those of frames by their names; none without such a file."""
+    """The default camera of a file `CAMERAS`, and those of frames by their files' names, with or without the suffix;
+    none without such a file.
+    """
     tree = _tree(where)
     if tree is None:
         return None, {}
@@ -109,9 +111,7 @@ def _shared(where: Path) -> tuple[Intrinsics | None, dict[str, Intrinsics]]:
     if unknown or not isinstance(frames, dict) or not tree:
         raise BadConfig(f"{where} must hold 'frames', cameras by the frames' names, and 'default', or one of them")
     default = _intrinsics(tree["default"], f"{where}, default") if "default" in tree else None
-    return default, {
-        name.removesuffix(".png"): _intrinsics(camera, f"{where}, {name}") for name, camera in frames.items()
-    }
+    return default, {name: _intrinsics(camera, f"{where}, {name}") for name, camera in frames.items()}
 
 
 def _tree(path: Path) -> dict[str, Any] | None:

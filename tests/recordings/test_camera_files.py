@@ -78,6 +78,14 @@ def test_a_frames_own_file_comes_before_its_entry_and_that_before_the_default(fo
     assert focal_lengths(folder) == [80, 70, None]
 
 
+def test_entries_may_have_the_suffixes_of_other_files(tmp_path: Path) -> None:
+    for name in ("a.npy", "b.npy", "c.npy"):
+        np.save(tmp_path / name, np.full((30, 40), 1000, np.uint16))
+    named = {"a": PLAIN | {"fx": 51.0}, "b.npy": PLAIN | {"fx": 52.0}, "c.png": PLAIN | {"fx": 53.0}}
+    write(tmp_path / "cameras.json", {"default": PLAIN, "frames": named})
+    assert focal_lengths(tmp_path) == [51, 52, 50], "c.png is another file"
+
+
 def test_other_files_of_a_frames_name_are_no_cameras(folder: Path) -> None:
     write(folder / "1.json", {"subject": "A", "time": 3})
     assert focal_lengths(folder) == [None, None, None]
