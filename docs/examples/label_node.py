@@ -49,7 +49,14 @@ class LabelNode(Node):
         return LabelInfo(class_map=classes, threshold=float(self.labeller.least_confidence))
 
     def on_camera(self, message: CameraInfo) -> None:
-        self.camera = self.camera or camera_of(message, "camera_info", rectified=True)
+        try:
+            if self.camera is None or self.camera.size != (message.height, message.width):  # drivers change modes
+                self.camera = camera_of(message, "camera_info", rectified=True)
+            said = "" if self.camera else "camera_info: the camera is not calibrated"
+        except BodysegError as error:
+            said = str(error)
+        if said:
+            self.get_logger().error(said)
 
     def on_image(self, message: Image) -> None:
         if self.camera is None:

@@ -139,6 +139,18 @@ def test_the_node_answers_range_images_with_labels(node: Any) -> None:
     assert len(node.sent) == 2 and "the frame must have 60 x 80 pixels, found 50 x 80" in node.said[0]
 
 
+def test_the_node_says_why_a_camera_is_none_and_takes_the_next(node: Any) -> None:
+    node.heard["camera_info"](message(camera_info((60, 80), binning_x=2)))
+    assert "camera_info: images must be neither binned nor cut" in node.said[0]
+    node.heard["camera_info"](message(camera_info((60, 80), k=np.zeros(9), p=np.zeros(12))))
+    assert node.said[1:] == ["camera_info: the camera is not calibrated"]
+    see_camera(node)
+    node.heard["depth"](message(image(FRAME, "16UC1", 7.25)))
+    node.heard["camera_info"](message(camera_info((50, 80), p=np.array([100.0, 0, 39, 0, 0, 100, 24, 0, 0, 0, 1, 0]))))
+    node.heard["depth"](message(image(FRAME[:50], "16UC1", 7.5)))
+    assert len(node.said) == 2 and [made.height for topic, made in node.sent if topic == "labels"] == [60, 50]
+
+
 def as_records(cloud: Any) -> Any:
     """What a PointCloud2 says, read by its own fields as subscribers read it."""
     numbers = {2: "u1", 4: "u2", 5: "i4", 6: "u4", 7: "f4"}
