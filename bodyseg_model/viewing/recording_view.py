@@ -75,8 +75,9 @@ class RecordingView:
         body_m = body_range(frame)
         bodies = Points(points_at(body_m, camera_alone(frame.camera)), colours[body_m > 0])
         room = _room_points(frame, body_m) if shown.room else _NOTHING
+        world = np.array([-1 if frame.mirrored else 1, 1, 1], np.float32)  # as the camera itself sees
         return Drawing(
-            Points(np.concatenate([bodies.xyz, room.xyz]), np.concatenate([bodies.colours, room.colours])),
+            Points(world * np.concatenate([bodies.xyz, room.xyz]), np.concatenate([bodies.colours, room.colours])),
             {"camera": camera_alone(frame.camera)},
             self._picture(frame, changes),
             self.facts(shown.number, frame, before),
@@ -144,10 +145,8 @@ class RecordingView:
 
 def changes_of(frame: LabelledFrame, before: LabelledFrame | None) -> NDArray[np.uint8]:
     """Change of each pixel's label from the frame before, uint8 [H, W]: number in `FLICKER_LEGEND`, 255 without one."""
-    labels = frame.labels
-    found = np.full(labels.shape, BACKGROUND, np.uint8)
-    has_label = labels != BACKGROUND
-    found[has_label] = 3
+    labels, has_label = frame.labels, frame.labels != BACKGROUND
+    found = np.where(has_label, np.uint8(3), np.uint8(BACKGROUND))
     if before is None:
         return found
     old = before.labels

@@ -51,6 +51,15 @@ def test_bodies_have_the_colours_of_their_labels_and_the_room_is_thinner(tmp_pat
     assert drawing.gap_m == pytest.approx(1.5 / 90)
 
 
+def test_mirrored_frames_show_the_world_as_it_is(tmp_path: Path) -> None:
+    plain = view_of(tmp_path, frame(10))
+    mirrored = FrameLabeller(Trained(Places(1, 8), {"rig": SMALL.to_json()}), Background("limits"), mirrored=True)
+    view = RecordingView(mirrored.recording(plain.recording.frames, focal_px=90.0))
+    drawn, points = view.draw(ShownFrame()).points.xyz, view.labelled(0).points()
+    np.testing.assert_allclose(drawn, plain.draw(ShownFrame()).points.xyz * [-1, 1, 1], atol=1e-6)
+    np.testing.assert_allclose(drawn[:800, 0], points["x"], atol=1e-6)
+
+
 def test_confidence_and_its_legend(tmp_path: Path) -> None:
     drawing = view_of(tmp_path, frame(10)).draw(ShownFrame(colouring="confidence", room=False))
     assert drawing.legend == CONFIDENCE_LEGEND
