@@ -1,4 +1,4 @@
-r"""ROS 2 node that labels the parts of people in range images.
+r"""ROS 2 node that labels the parts of people in rectified range images.
 
 Run it with topics of your own:
 

@@ -1,8 +1,10 @@
 """Depth cameras by their makers' Python packages, as recordings for `FrameLabeller` and whoever takes frames.
 
+    label = FrameLabeller()
     with realsense(rows=480, columns=640) as recording:
-        for frame in recording:
-            ...
+        for frame in recording:  # without an end: `label.recording` would wait for it
+            camera = frame.camera.frame_camera((480, 640)).camera
+            answer = label(to_metres(frame.read(), frame.step_m), camera)
 
 Tried with stand-ins of the two packages, not with devices.
 """
