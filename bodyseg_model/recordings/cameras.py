@@ -183,7 +183,7 @@ MODELS: Final = {  # name of a model -> the form of it, and how many coefficient
     "plumb_bob": ("plain", (4, 5)),
     "brown_conrady": ("plain", (4, 5)),
     "modified_brown_conrady": ("modified", (4, 5)),
-    "inverse_brown_conrady": ("inverse", (4, 5)),
+    "inverse_brown_conrady": ("modified", (4, 5)),  # librealsense draws, as into aligned images, by the same formula
     "rational_polynomial": ("rational", (4, 5, 8, 12)),
     "equidistant": ("fisheye", (4, 5)),
     "fisheye": ("fisheye", (4, 5)),
@@ -227,16 +227,14 @@ def driver_camera(
         )
     given += [0.0] * (12 - len(given))
     if form == "plain" or (form == "rational" and not any(given[5:])):
-        return Intrinsics(*camera, Distortion(*given[:5]), size, where)
+        with reported(where, BadConfig):
+            plain = Distortion(*given[:5])
+        return Intrinsics(*camera, plain, size, where)
     rows, columns = size or (2 * cy + 1, 2 * cx + 1)
     across, down = (np.linspace(0, side - 1, _LATTICE) for side in (columns, rows))
     with np.errstate(all="ignore"):  # numbers beyond reason
         x, y = (each.ravel() for each in np.meshgrid((across - cx) / fx, (down - cy) / fy))
-        if form == "inverse":  # the formula gives the direction of what the lens draws
-            (x, y), drawn = Distortion(*given[:5]).apply(x, y), (x, y)
-        else:
-            drawn = _drawn(form, given, x, y)
-        found, off = _fitted(x, y, drawn)
+        found, off = _fitted(x, y, _drawn(form, given, x, y))
     if found is None or not off * max(fx, fy) <= _MOST_OFF_PX:
         raise BadConfig(
             f"{where}: five coefficients must follow the lens to {_MOST_OFF_PX:g} pixel, found "
@@ -259,9 +257,8 @@ def _drawn(form: str, given: list[float], x: Floats, y: Floats) -> tuple[Floats,
     factor = 1 + squared * (k1 + squared * (k2 + squared * k3))
     factor = factor / (1 + squared * (k4 + squared * (k5 + squared * k6)))
     u, v = (x * factor, y * factor) if form == "modified" else (x, y)  # where the lens is off centre by p1 and p2
-    squared_there = u * u + v * v
-    across = x * factor + 2 * p1 * u * v + p2 * (squared_there + 2 * u * u)
-    down = y * factor + p1 * (squared_there + 2 * v * v) + 2 * p2 * u * v
+    across = x * factor + 2 * p1 * u * v + p2 * (squared + 2 * u * u)
+    down = y * factor + p1 * (squared + 2 * v * v) + 2 * p2 * u * v
     s1, s2, s3, s4 = prism
     return across + squared * (s1 + squared * s2), down + squared * (s3 + squared * s4)
 
