@@ -294,8 +294,9 @@ def camera_beside(bag: Bag, topic: Topic, where: str) -> Intrinsics | None:
     """Read the camera of a topic of images from the first calibrated CameraInfo beside it; None if there is none.
 
     That is `camera_info` in the topic's namespace, in `info/` as RealSense's recordings have it, or below the topic. Of
-    a rectified image ("image_rect"), the camera is that of the projection matrix, without distortion. Raises BadConfig
-    for distortion that is none of `driver_camera`, and for a camera of binned or cut images.
+    a rectified image ("image_rect_raw", "image_depth_rect"), the camera is that of the projection matrix, without
+    distortion. Raises BadConfig for distortion that is none of `driver_camera`, and for a camera of binned or cut
+    images.
     """
     parts = [part for part in topic.name.split("/") if part]
     if parts and parts[-1] in _TRANSPORTS:
@@ -309,7 +310,7 @@ def camera_beside(bag: Bag, topic: Topic, where: str) -> Intrinsics | None:
     for index in range(min(len(info.times_ns), _MOST_INFOS)):
         with reported(named, BadConfig):
             message = decode(bag, info, index)
-        camera = camera_of(message, named, rectified=bool(parts) and parts[-1].startswith("image_rect"))
+        camera = camera_of(message, named, rectified=bool(parts) and "rect" in parts[-1].split("_"))
         if camera is not None:
             return camera
     return None

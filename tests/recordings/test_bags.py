@@ -175,8 +175,10 @@ def test_distortion_is_that_of_raw_images(tmp_path: Path) -> None:
     path, bent = tmp_path / "a.mcap", np.array([0.1, -0.2, 0.001, 0.002, 0.05])
     camera = camera_of(path, d=bent)
     assert [camera.distortion.k1, camera.distortion.p2, camera.distortion.k3] == [0.1, 0.002, 0.05]
-    rectified = camera_of(path, "/camera/depth/image_rect_raw", d=bent)
-    assert rectified.distortion is None and (rectified.fx, rectified.fy, rectified.cx) == (90, 90.5, 40)
+    for name in ("image_rect", "image_rect_raw", "image_depth_rect", "image_depth_rect/compressedDepth"):
+        rectified = camera_of(path, f"/camera/depth/{name}", d=bent)
+        assert rectified.distortion is None and (rectified.fx, rectified.fy, rectified.cx) == (90, 90.5, 40)
+    assert camera_of(path, "/camera/depth/image_direct", d=bent).distortion is not None
     assert camera_of(path, k=np.zeros(9)) is None, "not calibrated"
     assert camera_of(path, model="equidistant", d=np.zeros(4)).distortion is None
     for wrong, message in (
