@@ -41,7 +41,8 @@ TURNED_HELP: Final = "the camera is mounted turned: heads point left in frames (
 """Help of `--turned`."""
 
 _JUDGED: Final = 4  # frames with people that tell how the camera is turned
-_MOST_LOOKED_AT: Final = 32
+_MOST_LOOKED_AT: Final = 32  # of a recording; of a stream, as many of the first, and then one of `_SELDOM`
+_SELDOM: Final = 16
 _SURER: Final = 0.05
 _PERSON: Final = 0.65  # mean confidence; on furniture, the network that ships has less
 
@@ -73,18 +74,18 @@ Found = Callable[[], LabelledFrame]
 
 @dataclass
 class _Turns:
-    """How sure the network is of people at each turn, of one camera. looked_at: frames; judged: those with people.
-    confidence: of each turn, the sum over judged frames, float64 [4].
+    """How sure the network is of people at each turn, of one camera. frames: of a stream so far; judged: those with
+    people. confidence: of each turn, the sum over judged frames, float64 [4].
     """
 
-    looked_at: int = 0
+    frames: int = 0
     judged: int = 0
     confidence: NDArray[np.float64] = field(default_factory=lambda: np.zeros(4))
 
     @property
     def open(self) -> bool:
-        """True until frames enough are judged, or looked at."""
-        return self.judged < _JUDGED and self.looked_at < _MOST_LOOKED_AT
+        """True if the next frame of a stream may tell more. People may come late, and judging takes its time."""
+        return self.judged < _JUDGED and (self.frames < _MOST_LOOKED_AT or self.frames % _SELDOM == 0)
 
     def means(self) -> NDArray[np.float64]:
         """Mean confidence at each turn of the judged frames, float64 [4]; 0 for none."""
@@ -106,7 +107,7 @@ class FrameLabeller:
     network (`on_backend`; by default torch in float32). flip_average: label the mirror image, too, and average. device:
     "cpu", "cuda", "cuda:1" ..., by default a GPU if there is one. turned: degrees by which the camera was mounted
     turned clockwise, as seen from behind it: 0; 90, heads point left in its frames; 180, down; 270, right; "auto", the
-    turn at which the network is surest of a person in the first frames with people; by default the roll of the frames'
+    turn at which the network is surest of a person in four frames with people; by default the roll of the frames'
     camera. Frames are turned upright before they are labelled, and labels back. dense: as of `Segmenter`.
 
     Raises BadConfig for a confidence outside 0 to 1 as soon as a camera is known, for another turn, or as `on_backend`
@@ -189,7 +190,6 @@ class FrameLabeller:
         for quarters in range(4):
             answer = self._segmenter(camera, turned=quarters, either_way=False)(range_m)
             surest[quarters] = max((float(body.confidence.mean()) for body in answer.bodies), default=0.0)
-        turns.looked_at += 1
         if surest.max() >= _PERSON:
             turns.judged += 1
             turns.confidence += surest
@@ -249,6 +249,7 @@ class FrameLabeller:
             if self.tells_turn and self._turns.open:
                 self.judge(self._turns, ideal, segmenter.camera)
                 _, segmenter = self.of(camera)
+            self._turns.frames += 1
             found = segmenter.find(ideal)
         return partial(_label_found, where, segmenter, found, watch.milliseconds[_READ], number=number)
 
@@ -338,10 +339,10 @@ class LabelledRecording:
         return 90 * self.labeller.quarters(self.cameras.first.camera, self._turns)
 
     def _judged(self) -> _Turns:
-        """The first frames with people, judged by how sure the network is at each turn."""
+        """Some frames with people from all over the recording, judged by how sure the network is at each turn."""
         turns = _Turns()
-        for frame in self.frames[:_MOST_LOOKED_AT]:
-            if not turns.open:
+        for frame in self.frames[:: -(-len(self) // _MOST_LOOKED_AT)]:
+            if turns.judged == _JUDGED:
                 break
             with contextlib.suppress(BadConfig):  # one that cannot be read is told of when it is labelled
                 pixels, segmenter, _ = self.undistorted(frame, frame.read())

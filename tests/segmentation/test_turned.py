@@ -145,14 +145,27 @@ def test_a_persons_labels_come_back_and_auto_finds_the_turn(tmp_path: Path) -> N
 
 
 def test_auto_looks_at_few_frames_and_takes_no_thing_for_a_person() -> None:
-    """Blocks, of which the network is not sure, tell nothing; a stream of them is not judged for ever."""
+    """Blocks, of which the network is not sure, tell nothing; of a stream of them, few are judged after the first."""
     label = FrameLabeller(load_network(), keep_things=True, turned="auto", device="cpu")
-    for looked_at in (1, 2):
+    for frames in (1, 2):
         assert label(standing(), UPRIGHT).bodies and label.quarters(UPRIGHT) == 0
-        assert (label._turns.looked_at, label._turns.judged) == (looked_at, 0)
-    label._turns.looked_at = 32
-    label(standing(), UPRIGHT)
-    assert label._turns.looked_at == 32
+        assert (label._turns.frames, label._turns.judged) == (frames, 0)
+    judged: list[int] = []
+    label.judge = lambda turns, range_m, camera: judged.append(turns.frames)  # type: ignore[method-assign]
+    empty = np.full((60, 80), 4.0, np.float32)
+    assert len(list(label.stream([empty] * 70, UPRIGHT))) == 70
+    assert judged == [*range(32), 32, 48, 64]
+
+
+def test_auto_finds_the_turn_where_people_come_late(tmp_path: Path) -> None:
+    late = np.rot90(room(3, "none")).copy()
+    frames = np.stack([np.full_like(late, 4000)] * 48 + [late] * 3)
+    np.save(tmp_path / "a.npy", frames)
+    label = FrameLabeller(load_network(), turned="auto", device="cpu")
+    camera = as_mounted(1, label.rig.camera)
+    assert label.recording(tmp_path / "a.npy", focal_px=camera.focal_px).turned_deg == 90
+    answers = list(label.stream((to_metres(frame, 0.001) for frame in frames), camera))
+    assert label.quarters(camera) == 1 and all(len(answer.bodies) == 1 for answer in answers[48:])
 
 
 def test_each_recording_and_stream_has_a_turn_of_its_own(tmp_path: Path) -> None:
