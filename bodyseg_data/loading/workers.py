@@ -233,10 +233,13 @@ class ProcessWorkers(Workers):
     def submit(self, request: Any) -> None:
         """See `Workers.submit`: the request goes to the next worker in turn."""
         worker = self._submitted % len(self._pipes)
+        lost = False
         try:
             self._pipes[worker].send(request)
         except OSError:
-            raise self._lost(worker) from None
+            lost = True
+        if lost:  # told here, without the frames of that error: their pickle would be freed late, and with a warning
+            raise self._lost(worker)
         self._submitted += 1
 
     def result(self) -> Any:
