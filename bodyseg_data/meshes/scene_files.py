@@ -3,6 +3,7 @@
 The parts of a glTF file are placed by their nodes, joined, and named by nodes and materials.
 """
 
+import re
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,8 +28,7 @@ SCENE_SUFFIXES: Final = (".glb", ".gltf", ".stl")
 
 def scene_stem(name: str) -> str | None:
     """The name of a file that `mesh_content` reads, without its suffix; None for other files."""
-    path = Path(name)
-    return path.stem if path.suffix.lower() in SCENE_SUFFIXES else mesh_stem(name)
+    return Path(name).stem if Path(name).suffix.lower() in SCENE_SUFFIXES else mesh_stem(name)
 
 
 def mesh_content(path: Path) -> MeshContent:
@@ -42,15 +42,20 @@ def mesh_content(path: Path) -> MeshContent:
     file_bytes(path, "mesh", LARGEST_BYTES, BadMesh)  # trimesh takes files of any size
     try:
         scene = trimesh.load(path, force="scene", process=False)
-        parts = [(node, *scene.graph[node]) for node in scene.graph.nodes_geometry]
-        placed = [(node, pose, scene.geometry[name]) for node, pose, name in parts]
-        placed = [each for each in placed if len(getattr(each[2], "faces", ()))]
-        return _joined(placed, path)
+        posed = [(node, *scene.graph[node]) for node in scene.graph.nodes_geometry]
+        parts = [(_file_name(node, scene), pose, scene.geometry[name]) for node, pose, name in posed]
+        return _joined([each for each in parts if len(getattr(each[2], "faces", ()))], path)
     except BadMesh:
         raise
     except Exception as error:  # whatever a damaged file makes trimesh raise
         words = " ".join(f"{type(error).__name__}: {error}".split())
         raise BadMesh(f"{path} cannot be read by trimesh: {words[:200]}") from error
+
+
+def _file_name(node: str, scene: Any) -> str:
+    """A node's name in its file: for each of several primitives, trimesh makes one below it, named anew each time."""
+    parent: str = scene.graph.transforms.parents.get(node, "")
+    return parent if re.fullmatch(f"{re.escape(parent)}_[0-9a-f]{{6}}", node) else node
 
 
 def _joined(parts: list[tuple[str, NDArray[np.float64], Any]], path: Path) -> MeshContent:

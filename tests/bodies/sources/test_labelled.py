@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from pathlib import Path
 from typing import Any
@@ -153,6 +154,31 @@ def test_nodes_and_materials_of_gltf(tmp_path: Path) -> None:
     assert ((heights > 1.4) == (corners[:, 0] == names.index("arm")))[heights > 1.1].all()
     write(tmp_path / "classes.json", {"classes": ["steel base", "steel arm"]})
     assert scene(tmp_path)[2] == ("steel base", "steel arm")
+
+
+def test_a_node_of_two_materials_is_one_name(tmp_path: Path) -> None:
+    """trimesh makes a node for each primitive, whose name is another whenever the file is read."""
+    data = BOX.vertices.astype("<f4").tobytes() + BOX.faces.astype("<u4").tobytes()
+    halves = [{"attributes": {"POSITION": 0}, "indices": at, "material": at - 1} for at in (1, 2)]
+    accessors = [{"bufferView": 1, "byteOffset": 72 * at, "componentType": 5125} for at in (0, 1)]
+    views = [{"buffer": 0, "byteOffset": start, "byteLength": size} for start, size in ((0, 96), (96, 144))]
+    tree = {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": [0, 1]}],
+        "nodes": [{"name": "arm", "mesh": 0}, {"name": "base", "mesh": 0, "translation": [0, 2, 0]}],
+        "meshes": [{"primitives": halves}],
+        "materials": [{"name": "steel"}, {"name": "rubber"}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 8, "type": "VEC3"}]
+        + [each | {"count": 18, "type": "SCALAR"} for each in accessors],
+        "bufferViews": views,
+        "buffers": [{"byteLength": 240, "uri": "data:;base64," + base64.b64encode(data).decode()}],
+    }
+    write(tmp_path / "a.gltf", tree)
+    for _ in range(2):
+        built, corners, names = scene(tmp_path)
+        assert set(names) == {"arm", "base"}
+        upper = built.mesh.vertices[built.mesh.faces][:, :, 1].min(axis=1) > 1.5
+        assert [np.count_nonzero((corners[:, 0] == names.index("base")) & upper), np.count_nonzero(~upper)] == [12, 12]
 
 
 def test_vertices_of_triangles_and_seams_are_joined_and_keep_their_labels(tmp_path: Path) -> None:
