@@ -127,17 +127,17 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
         """One mesh of all pieces of a scene. classes: of the set; None: not known yet, and not needed by a check.
         labelled: look for labels.
         """
-        scene, notes, count = self.entry(body), [], 0
-        points, faces, labels = [], [], []
+        scene, notes, points, faces, labels, count = self.entry(body), [], [], [], [], 0
         for piece in scene.pieces:
             content = mesh_content(piece.mesh)
             named = self._named(piece, content) if labelled else NamedCorners((), np.full(content.faces.shape, -1))
             labels.append(self._coded(named, classes, str(piece.mesh)))
             notes += [f"{piece.mesh.name}: {note}" for note in named.notes]
-            vertices = content.vertices * piece.metres @ piece.pose[:3, :3].T + piece.pose[:3, 3]
+            used, corners = np.unique(content.faces, return_inverse=True)  # others may lie anywhere
+            vertices = content.vertices[used] * piece.metres @ piece.pose[:3, :3].T + piece.pose[:3, 3]
             kept, place = welded(vertices)
             points.append(vertices[kept])
-            faces.append(place[content.faces] + count)
+            faces.append(place[corners].reshape(-1, 3) + count)
             count += len(kept)
         turn = Alignment(1.0, self._rotation, 0.0).apply
         middle = None if scene.centre is None else turn(scene.centre[None])[0]

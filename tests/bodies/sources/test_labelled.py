@@ -181,6 +181,16 @@ def test_a_node_of_two_materials_is_one_name(tmp_path: Path) -> None:
         assert [np.count_nonzero((corners[:, 0] == names.index("base")) & upper), np.count_nonzero(~upper)] == [12, 12]
 
 
+def test_vertices_that_no_face_uses_are_left_out(tmp_path: Path) -> None:
+    vertices = np.concatenate([[[9.0, -5.0, 9.0]], BOX.vertices, [[np.nan, 0.0, 0.0]]])
+    write(tmp_path / "a.obj", obj(vertices, BOX.faces + np.int32(1)))
+    write(tmp_path / "classes.json", {"classes": ["box"]})
+    write(tmp_path / "a.labels.json", [0] * 12)
+    built, corners, _ = scene(tmp_path)
+    assert np.array_equal(built.mesh.vertices[built.mesh.faces], BOX.vertices[BOX.faces])
+    assert (len(built.mesh.vertices), corners.shape) == (8, (12, 3))
+
+
 def test_vertices_of_triangles_and_seams_are_joined_and_keep_their_labels(tmp_path: Path) -> None:
     soup = BOX.vertices[BOX.faces].reshape(-1, 3)
     write(tmp_path / "a.obj", obj(soup, np.arange(36, dtype=np.int32).reshape(-1, 3)))
