@@ -53,11 +53,10 @@ def _facing(
     np.divide(np.float32(1), range_m, out=inverse, where=measured, casting="same_kind")
     across = _slopes(inverse, measured, 1) * np.float32(camera.focal_px)
     down = _slopes(inverse, measured, 0) * np.float32(camera.focal_px)
-    x = ((np.arange(camera.columns) + 0.5 - camera.centre_px[0]) / camera.focal_px).astype(np.float32)
-    y = ((np.arange(first, first + len(range_m)) + 0.5 - camera.centre_px[1]) / camera.focal_px).astype(np.float32)
+    x, y = (slopes.astype(np.float32) for slopes in camera.slopes)
     answers = []
     for px, py, pz in np.array(places, np.float32):
-        inclined = across * (px - x * pz) + down * (py - y * pz)[:, None] + inverse * pz
+        inclined = across * (px - x * pz) + down * (py - y[first : first + len(down)] * pz)[:, None] + inverse * pz
         answers.append(measured & (inclined < 1))
     return answers
 
@@ -106,5 +105,4 @@ def facing_from_normals(
     """As `facing_from_range`, from outward normals [H, W, 3] of the surfaces in the camera's frame, of any length."""
     points = rig.camera.pixel_rays() * range_m[..., None]
     measured = range_m > 0
-    places = projector_places(rig)
-    return [measured & (np.einsum("ijk,ijk->ij", normals, place - points) > 0) for place in places]
+    return [measured & (np.einsum("ijk,ijk->ij", normals, place - points) > 0) for place in projector_places(rig)]

@@ -180,9 +180,8 @@ def surface_points(
     seen: Surface, camera: PlacedCamera, rows: NDArray[np.intp], columns: NDArray[np.intp]
 ) -> NDArray[np.float64]:
     """The points [N, 3] of the body's frame that the given pixels see."""
-    rays = np.ones((len(rows), 3))
-    rays[:, 0] = (columns + 0.5 - camera.camera.centre_px[0]) / camera.camera.focal_px
-    rays[:, 1] = (rows + 0.5 - camera.camera.centre_px[1]) / camera.camera.focal_px
+    x, y = camera.camera.slopes
+    rays = np.stack([x[columns], y[rows], np.ones(len(rows))], axis=1)
     return camera.to_body(rays * seen.range[rows, columns, None])
 
 
@@ -190,6 +189,5 @@ def faces_towards(
     mesh: Mesh, faces: NDArray[np.int32], points: NDArray[np.float64], source: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
     """Mark the triangles seen at `points` [N, 3] that turn their outside to a light at `source` [3], bool [N]."""
-    normals = mesh.normals[faces]
-    towards: NDArray[np.bool_] = np.einsum("ij,ij->i", normals, source - points) > 0
+    towards: NDArray[np.bool_] = np.einsum("ij,ij->i", mesh.normals[faces], source - points) > 0
     return towards

@@ -168,19 +168,19 @@ class PlacedCamera:
         return local[..., :2] / local[..., 2:] * self.camera.focal_px + self.camera.centre_px, local[..., 2]
 
 
-def axes_at(azimuth_deg: int, pitch_deg: float = 0.0) -> NDArray[np.float64]:
-    """Axes [3, 3], rows x, y, z in the body's frame, of a camera without roll that looks at the body from an azimuth.
+def axes_at(azimuth_deg: int, pitch_deg: float = 0.0, roll_deg: float = 0.0) -> NDArray[np.float64]:
+    """Axes [3, 3], rows x, y, z in the body's frame, of a camera that looks at the body from an azimuth.
 
-    pitch_deg: angle of the optical axis above the horizontal; negative looks down.
+    pitch_deg: angle of the optical axis above the horizontal; negative looks down. roll_deg: as of `rolled`.
     """
     turn = math.radians(azimuth_deg)
     right, back = [math.cos(turn), 0.0, -math.sin(turn)], np.array([math.sin(turn), 0.0, math.cos(turn)])
     axes = np.array([right, [0.0, -1.0, 0.0], -back])
-    if not pitch_deg:
-        return axes
-    _, down, forward = axes
-    cos, sin = math.cos(math.radians(pitch_deg)), math.sin(math.radians(pitch_deg))
-    return np.array([right, cos * down + sin * forward, cos * forward - sin * down])
+    if pitch_deg:
+        _, down, forward = axes
+        cos, sin = math.cos(math.radians(pitch_deg)), math.sin(math.radians(pitch_deg))
+        axes = np.array([right, cos * down + sin * forward, cos * forward - sin * down])
+    return rolled(axes, roll_deg)
 
 
 def rolled(axes: NDArray[np.float64], roll_deg: float) -> NDArray[np.float64]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, bounded, check_fields, reported
 from bodyseg_data.files import Table, TomlFiles
-from bodyseg_data.rigs.camera import MAX_SIDE, Camera, PlacedCamera, axes_at, camera_from_table, rolled
+from bodyseg_data.rigs.camera import MAX_SIDE, Camera, PlacedCamera, axes_at, camera_from_table
 from bodyseg_data.samples import View
 
 RIG_FORMAT: Final = "bodyseg rig 1"
@@ -114,21 +114,15 @@ class Rig:
         camera gets the pose that `View` describes and its own roll besides, the projector the same place beside it.
         Body frame: x to the subject's left, y up, z to the front, metres.
         """
-        aim = np.asarray(centre, np.float64)
-        if view.height_cm:
-            aim = np.add(aim, (0.0, view.height_cm / 100, 0.0))
-        upright = axes_at(view.azimuth_deg, view.pitch_deg)
-        camera_axes = rolled(upright, view.roll_deg + self.camera.roll_deg)
+        aim = np.add(centre, (0.0, view.height_cm / 100, 0.0))
+        camera_axes = axes_at(view.azimuth_deg, view.pitch_deg, view.roll_deg + self.camera.roll_deg)
         camera_position = aim - view.distance_cm / 100 * camera_axes[2]
         # Axes of the rig in the body's frame, such that the camera gets exactly the pose above.
         rig_axes = self.camera.axes.T @ camera_axes
         rig_origin = camera_position - np.asarray(self.camera.position_m) @ rig_axes
-        projector_axes = self.projector.axes @ rig_axes
         projector_position = np.asarray(self.projector.position_m) @ rig_axes + rig_origin
-        return (
-            PlacedCamera(self.camera, camera_axes, camera_position),
-            PlacedCamera(self.projector, projector_axes, projector_position),
-        )
+        projector = PlacedCamera(self.projector, self.projector.axes @ rig_axes, projector_position)
+        return PlacedCamera(self.camera, camera_axes, camera_position), projector
 
     def camera_to_projector(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Rotation [3, 3] and translation [3] with projector_point = rotation @ camera_point + translation.

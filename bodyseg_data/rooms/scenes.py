@@ -132,12 +132,13 @@ class Room:
         self.persons: list[tuple[RoomPerson, _Pose, list[Loss]]] = []
         self.walls: list[_Wall] = []
         self._taken: list[tuple[float, float, float]] = []  # x, distance and radius: of people, then of things
-        self._half = rig.camera.columns / 2 / rig.camera.focal_px
         n = Numbers(self._draws, "room")
         self.height_m = n.between(0.4, 2.2)
         self._eye = np.array([0.0, self.height_m, 0.0])
         low, high = max(-30.0, -20.0 * self.height_m), 20.0 - 12.0 * self.height_m
         self.pitch_deg = n.between(low, max(high, low + 5))
+        self._axes, sides = axes_at(0, self.pitch_deg, rig.camera.roll_deg), (rig.camera.columns, rig.camera.rows)
+        self._half = float(np.abs(self._axes[:2, 0]) @ sides) / 2 / rig.camera.focal_px
         bare, empty = n.between(0, 1) < _BARE, n.between(0, 1) < _EMPTY
         if not bare:
             self._build_walls(n)
@@ -359,8 +360,8 @@ class Room:
         radius = float(np.linalg.norm(thing.vertices - middle, axis=1).max())
         across, down = (edge, beside) if n.whole(0, 1) else (beside, edge)
         camera = self.rig.camera
-        ray = np.array([across * self._half, down * camera.rows / 2 / camera.focal_px, 1.0])
-        way = ray @ axes_at(0, self.pitch_deg) / np.linalg.norm(ray)
+        ray = np.array([across * (camera.columns / 2 / camera.focal_px), down * camera.rows / 2 / camera.focal_px, 1.0])
+        way = ray @ self._axes / np.linalg.norm(ray)
         at = self._eye + way * (radius + n.between(0.25, 0.6))
         if all(math.hypot(at[0] - x, -at[2] - away) > 0.8 * (radius + taken) for x, away, taken in self._taken):
             self._add(_Pose(turn, at - turn @ middle).of(thing), n, name)
@@ -393,7 +394,7 @@ class Room:
         """
         bodies = [pose.of(Solid(person.mesh.vertices, person.mesh.faces)) for person, pose, _ in self.persons]
         pieces = [*bodies, *(solid for solid, _ in self.solids)]
-        whole, camera = together(pieces), PlacedCamera(self.rig.camera, axes_at(0, self.pitch_deg), self._eye)
+        whole, camera = together(pieces), PlacedCamera(self.rig.camera, self._axes, self._eye)
         renderer, farthest = RasterRenderer(whole), 65535.0 * self.rig.range_step_m
         seen = renderer.render(camera)
         face, range_m = np.where(seen.range < farthest, seen.face, np.int32(-1)), seen.range

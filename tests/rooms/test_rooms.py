@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -88,6 +89,20 @@ def test_all_devices_see_one_scene() -> None:
         shares.append(contradicting(SMALL, render.range_m, render.projector_range_m))
     # Rooms full of bars have most of it: at this size a pixel is wider than a bar.
     assert np.mean(shares) < 0.1
+
+
+def test_a_turned_camera_sees_the_room_turned() -> None:
+    """Of a square image: turned by a right angle, the camera sees the same room, and its projector what it did."""
+    camera = replace(SMALL.camera, rows=100, columns=100, focal_px=90.0, centre_px=(50.0, 50.0))
+    rig = replace(SMALL, camera=camera)
+    upright, turned = (
+        Room("room-3", replace(rig, camera=replace(camera, roll_deg=roll)), people(), KINDS).render()
+        for roll in (0, 90)
+    )
+    for name in ("labels", "facing"):  # but where rounding decides
+        assert (vars(turned)[name] == np.rot90(vars(upright)[name])).mean() > 0.99
+    np.testing.assert_allclose(turned.range_m, np.rot90(upright.range_m), atol=1e-4)
+    np.testing.assert_allclose(turned.projector_range_m, upright.projector_range_m, atol=1e-4)
 
 
 def test_labels_fit_ranges_and_people() -> None:
