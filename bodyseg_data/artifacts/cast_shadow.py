@@ -26,11 +26,9 @@ def seen_by_projectors(camera_range: NDArray[np.uint16], rig: Rig) -> NDArray[np
     for test, image in zip(shadow_tests(rig), np.split(found, [rig.projector.rows]), strict=False):
         slopes = (each.astype(np.float32) for each in (test.of_columns, test.of_rows))
         places = np.empty((3, *camera_range.shape), np.float32)
-        joined = (
-            _joined(camera_range, test.edge_steps),
-            np.ascontiguousarray(_joined(camera_range.T, test.edge_steps).T),
-        )
-        _loop()(np.ascontiguousarray(camera_range), *slopes, test.offsets, *joined, places, image)
+        joined = _joined(camera_range, test.edge_steps), _joined(camera_range.T, test.edge_steps).T
+        ranges, below, beside = map(np.ascontiguousarray, (camera_range, *joined))
+        _loop()(ranges, *slopes, test.offsets, below, beside, places, image)
     return found
 
 

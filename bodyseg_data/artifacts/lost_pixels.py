@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.core import BadConfig, Draws, bounded
-from bodyseg_data.labels import PARTS
+from bodyseg_data.labels import PART_CLASSES, PARTS
 from bodyseg_data.machine import if_ready, loops
 from bodyseg_data.rigs import Rig
 
@@ -164,7 +164,7 @@ class PatchLoss(_ShareLost):
     """One to four patches lost whole, as dark cloth and hair are: a share of the body that is drawn once an image.
 
     The share is uniform from `low` to `high`. parts: names of the parts that may be lost, as in `PARTS`; () for all.
-    With parts, the share is of their pixels.
+    With parts, the share is of their pixels; `apply` raises BadConfig for a set of other classes.
     """
 
     name = "patch_loss"
@@ -181,6 +181,8 @@ class PatchLoss(_ShareLost):
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         clean = scene.sample.range
+        if self.parts and scene.classes != PART_CLASSES:
+            raise BadConfig(f"the 'parts' of patch_loss are of the 33 parts, found classes {scene.classes.name!r}")
         if self.parts:
             clean = np.where(np.isin(scene.sample.labels, [_LABELS[part] for part in self.parts]), clean, np.uint16(0))
         lost = lost_patches(clean, image.drawn["patch_share"], draws.generator("patch loss"))
@@ -203,12 +205,10 @@ class StripeLoss(_ShareLost):
     along: Literal["rows", "columns"] | None = None
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
-        clean, generator = scene.sample.range, draws.generator("stripe loss")
-        share = image.drawn["stripe_share"]
-        if (self.along or code_lines(scene.rig)) == "rows":
-            image.range[lost_stripes(clean, share, generator)] = 0
-        else:
-            image.range[lost_stripes(np.ascontiguousarray(clean.T), share, generator).T] = 0
+        clean, altered = scene.sample.range, image.range
+        if (self.along or code_lines(scene.rig)) == "columns":
+            clean, altered = np.ascontiguousarray(clean.T), altered.T
+        altered[lost_stripes(clean, image.drawn["stripe_share"], draws.generator("stripe loss"))] = 0
 
 
 def code_lines(rig: Rig) -> Literal["rows", "columns"]:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from planes import PROJECTOR, RIG, plane, sample_of, shown
 
-from bodyseg_data.artifacts import Artifact, shown_with
+from bodyseg_data.artifacts import Artifact, Augmentation, SensorModel, shown_with
 from bodyseg_data.artifacts.lost_pixels import PatchLoss, StripeLoss, code_lines
 from bodyseg_data.core import BadConfig
-from bodyseg_data.labels import PARTS
+from bodyseg_data.labels import PARTS, classes_of
 
 
 def test_patches_lose_the_share_that_is_drawn() -> None:
@@ -33,6 +33,14 @@ def test_patches_of_parts_lie_on_these_parts() -> None:
     lost = (sample.range > 0) & (made.range == 0)
     assert (sample.labels[lost] == part.label).all()
     assert lost.sum() == pytest.approx((sample.labels == part.label).sum() / 2, abs=1)
+
+
+def test_patches_of_parts_are_for_sets_of_the_parts() -> None:
+    made = Augmentation(
+        RIG, "md", 0, SensorModel("mine", (PatchLoss(0.5, 0.5, ("Nuchale",)),)), classes_of(["floor", "arm"])
+    )
+    with pytest.raises(BadConfig, match="the 'parts' of patch_loss are of the 33 parts, found classes 'classes'"):
+        made(plane(2.0))
 
 
 @pytest.mark.parametrize("along", ["rows", "columns"])
