@@ -62,8 +62,7 @@ class Template:
     @cached_property
     def corners(self) -> NDArray[np.int32]:
         """The vertex nearest to each point, of its triangle, int32 [P]."""
-        nearest = self.weights.argmax(axis=1)
-        found: NDArray[np.int32] = self.faces[self.point_faces, nearest]
+        found: NDArray[np.int32] = self.faces[self.point_faces, self.weights.argmax(axis=1)]
         return found
 
     @cached_property
@@ -82,6 +81,12 @@ class Template:
     def nearest(self, places: NDArray[np.float64]) -> NDArray[np.uint16]:
         """Numbers, uint16 [N], of the points nearest to places [N, 3], metres, in a straight line."""
         return np.asarray(self._tree.query(places)[1], np.uint16)
+
+    @cached_property
+    def mirrored(self) -> NDArray[np.uint16]:
+        """Number of the point nearest to the mirror image of each point, uint16 [65536]; other numbers stay."""
+        nearest = self.nearest(self.points * (-1, 1, 1))
+        return np.concatenate([nearest, np.arange(len(nearest), NOWHERE + 1, dtype=np.uint16)])
 
 
 @lru_cache(maxsize=1)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import Checked, bounded
-from bodyseg_data.labels import BACKGROUND, looked_up
+from bodyseg_data.labels import BACKGROUND, TEMPLATE, looked_up
 from bodyseg_data.loading.transform import Box, CameraImage, Transform, ends_of
 from bodyseg_data.rigs import MAX_SIDE
 from bodyseg_data.samples import FARTHEST_STEPS
@@ -111,7 +111,7 @@ class BodyCrop(Checked, Transform):
 @dataclass(frozen=True)
 class Flip(Checked, Transform):
     """The image mirrored, left and right columns exchanged, and so the labels of classes that are mirror images
-    (`LabelClass.mirror`).
+    (`LabelClass.mirror`), and points of the plane `TEMPLATE`, the map of the body.
 
     share: of the samples that are mirrored, 0 to 1; each is drawn. The body seen is then the mirror image of the one
     rendered. Shadows of the projector lie on the other side, as of a rig whose projector stands there. Raises BadConfig
@@ -119,19 +119,24 @@ class Flip(Checked, Transform):
     """
 
     name = "flip"
+    version = 2
     share: float = bounded(0.5, 0, 1)
 
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
         """See `Transform`."""
         if unit(random) >= self.share:
             return image
-        x, y = image.centre_px
+        planes = {name: plane[:, ::-1] for name, plane in image.planes.items()}
+        if TEMPLATE in planes:
+            from bodyseg_data.bodies import load_template  # loads meshes, which streaming does not need
+
+            planes[TEMPLATE] = load_template().mirrored.take(planes[TEMPLATE])
         return replace(
             image,
             range=np.ascontiguousarray(image.range[:, ::-1]),
             labels=looked_up(image.labels[:, ::-1], image.classes.mirrored),
-            centre_px=(image.range.shape[1] - x, y),
-            planes={name: plane[:, ::-1] for name, plane in image.planes.items()},
+            centre_px=(image.range.shape[1] - image.centre_px[0], image.centre_px[1]),
+            planes=planes,
         )
 
 

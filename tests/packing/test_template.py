@@ -23,7 +23,7 @@ from bodyseg_data.bodies import NOWHERE, Body, BodyRef, region_labels
 from bodyseg_data.commands import main
 from bodyseg_data.core import BadConfig, BadSample, BadShard
 from bodyseg_data.labels import BACKGROUND, PARTS33, UNLABELLED, label_map_from_json, load_label_map
-from bodyseg_data.loading import CameraImage, Transform
+from bodyseg_data.loading import CameraImage, Flip, Transform
 from bodyseg_data.meshes import Mesh, SurfacePiece
 from bodyseg_data.packing import Packing, Sampler
 from bodyseg_data.packing.writing import STATE_NAME
@@ -175,6 +175,17 @@ def test_part_sets_follow_from_the_map(mapped: Path, variant: str) -> None:
     upside = RangeImages(mapped, variant, labels="joints24", transform=Upside())
     straight = RangeImages(mapped, variant, labels="joints24")
     assert torch.equal(upside[3]["labels"], straight[3]["labels"].flip(0))
+
+
+def test_a_mirrored_body_shows_the_points_of_its_other_side(mapped: Path) -> None:
+    straight, flipped = (RangeImages(mapped, "none", transform=each, planes=["template"]) for each in ((), Flip(1.0)))
+    for index in (0, 9):
+        before, after = (images[index]["planes"]["template"].numpy() for images in (straight, flipped))
+        before = before[:, ::-1]
+        np.testing.assert_array_equal(after == NOWHERE, before == NOWHERE)
+        seen = after != NOWHERE
+        off = np.linalg.norm(POINTS[after[seen]] - POINTS[before[seen]] * (-1, 1, 1), axis=1)
+        assert 0 < off.max() < 0.012 and np.ptp(POINTS[after[seen], 0]) > 0.1
 
 
 @pytest.mark.parametrize("method", ["thread", "process"])
