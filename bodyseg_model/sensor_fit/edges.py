@@ -143,14 +143,15 @@ class ShadowFrames:
         return probably_mirrored(shadow, camera.projector_side)
 
 
-def shadow_finding(shadow: ProjectorShadow | None, projector: Side | None) -> Finding:
-    """The finding of "occlusion". projector: its side of the camera where the sensor is known."""
+def shadow_finding(shadow: ProjectorShadow | None, projector: Side | None, beside: bool = True) -> Finding:
+    """The finding of "occlusion". projector: its side of the camera where the sensor is known; beside: if not above."""
     if shadow is None:
         return Finding("occlusion", UNKNOWN, f"fewer than {LEAST_GAPS} rows show the room behind a body on both sides")
     estimates = {f"baseline_{side}_m": estimate for side, estimate in shadow.baseline_m.items()}
     widths = ", ".join(f"{width:.3g} px {side}" for side, width in shadow.width_px.items())
     if max(shadow.width_px.values()) < LEAST_PX:
-        return Finding("occlusion", NOT_SEEN, f"gaps beside bodies are {widths}", estimates)
+        verdict, why = (NOT_SEEN, "") if beside else (UNKNOWN, ": a projector above or below casts none there")
+        return Finding("occlusion", verdict, f"gaps beside bodies are {widths}{why}", estimates)
     sides = ", ".join(f"{estimate} m {side}" for side, estimate in shadow.baseline_m.items())
     reason = f"gaps of {widths}: baselines of {sides}"
     if shadow.side is None:

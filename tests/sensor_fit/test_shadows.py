@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from known_sensors import CAMERA, RIG, flipped, recorded
+from known_sensors import CAMERA, RIG, fitted, flipped, recorded
 
 from bodyseg_data.artifacts import Occlusion
 from bodyseg_data.rigs import load_rig
@@ -42,6 +42,13 @@ def test_no_shadow_and_no_room() -> None:
     assert shadow_finding(shadow, "right").verdict == NOT_SEEN
     assert measure_shadow(recorded()) is None
     assert shadow_finding(None, "right").verdict == UNKNOWN and probably_mirrored(None, "right") is None
+
+
+@pytest.mark.parametrize(("y", "verdict"), [(0.1, UNKNOWN), (-0.1, UNKNOWN), (0.0, NOT_SEEN)])
+def test_shadows_above_or_below_bodies_are_not_said_to_be_absent(y: float, verdict: str) -> None:
+    rig = replace(RIG, projector=replace(RIG.projector, position_m=(0.0, y, 0.0), aims_at_m=(0.0, y, 1.0)))
+    finding = fitted(recorded(wall=True), FrameCamera(rig.camera, "known", rig=rig))["occlusion"]
+    assert finding.verdict == verdict
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
