@@ -12,6 +12,6 @@ if TYPE_CHECKING:
     from bodyseg_data.bodies.skeleton import from_rotation_vector
     from bodyseg_data.bodies.source import Body, BodyRef, BodySource, collapsed
     from bodyseg_data.bodies.sources import SOURCES, SourceEntry, check_source, open_source
-    from bodyseg_data.bodies.template import NOWHERE, load_template, region_labels
+    from bodyseg_data.bodies.template import load_template, region_labels
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

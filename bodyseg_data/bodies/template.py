@@ -21,12 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BadLandmarks, reported
-from bodyseg_data.labels import PARTS33, UNLABELLED, LabelMap
+from bodyseg_data.labels import NOWHERE, PARTS33, UNLABELLED, LabelMap
 from bodyseg_data.machine import required
 from bodyseg_data.meshes import Mesh, partition, vertex_normals
-
-NOWHERE: Final = 65535
-"""The number of a pixel that does not see the body: background, furniture, a held thing."""
 
 _FILE: Final = "template.npz"
 _DIRECTIONS: Final = 200  # of rays from a vertex, evenly over the sphere

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         with_sides,
     )
     from bodyseg_data.labels.label_map import (
+        NOWHERE,
         PARTS33,
         TEMPLATE,
         LabelMap,

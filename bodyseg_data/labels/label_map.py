@@ -39,6 +39,8 @@ REST: Final = "*"
 """Stands, alone, for all that a class may join which no other class does, and for surfaces of no class."""
 TEMPLATE: Final = "template"
 """Name of the column of a set that tells where on the template of the body each pixel lies."""
+NOWHERE: Final = 65535
+"""What the column `TEMPLATE` has for a pixel that does not see the body: background, furniture, a held thing."""
 _LOOPS: Final = "bodyseg_data.labels.label_loops"
 _REGIONS: Final = ("parts33", "bones", "landmarks")
 

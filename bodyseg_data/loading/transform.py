@@ -49,7 +49,8 @@ class CameraImage(RangeImage):
     classes of the set, 255 where there is none. step_m: one step, metres. focal_px: focal length in pixels. centre_px:
     position (x, y) of the optical axis in image coordinates, in which pixel (row, column) covers x from column to
     column + 1. sample: the stored one, for `info`; its arrays may have been used for this image. classes: of the set.
-    planes: name -> uint8 or uint16 [H, W], moved along with the pixels, 0 outside of the image as it was.
+    planes: name -> uint8 or uint16 [H, W], moved along with the pixels, 0 outside of the image as it was
+    (`NOWHERE` in the map of the body, `TEMPLATE`).
     """
 
     step_m: float

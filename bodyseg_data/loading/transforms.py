@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import Checked, bounded
-from bodyseg_data.labels import BACKGROUND, TEMPLATE, looked_up
+from bodyseg_data.labels import BACKGROUND, NOWHERE, TEMPLATE, looked_up
 from bodyseg_data.loading.transform import Box, CameraImage, Transform, ends_of
 from bodyseg_data.rigs import MAX_SIDE
 from bodyseg_data.samples import FARTHEST_STEPS
@@ -44,6 +44,7 @@ class Crop(Checked, Transform):
     """
 
     name = "crop"
+    version = 2
     rows: int = bounded(MISSING, 1, MAX_SIDE)
     columns: int = bounded(MISSING, 1, MAX_SIDE)
     at: Place = "axis"
@@ -83,6 +84,7 @@ class BodyCrop(Checked, Transform):
     """
 
     name = "body_crop"
+    version = 2
     rows: int = bounded(MISSING, 1, MAX_SIDE)
     columns: int = bounded(MISSING, 1, MAX_SIDE)
     margin: float = bounded(0.1, 0, 1)
@@ -151,7 +153,7 @@ class Roll(Checked, Transform):
     """
 
     name = "roll"
-    version = 2
+    version = 3
     largest_deg: float = bounded(15.0, 0, 180)
 
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
@@ -175,7 +177,7 @@ class Zoom(Checked, Transform):
     """
 
     name = "zoom"
-    version = 2
+    version = 3
     largest: float = bounded(1.25, 1, 4)
 
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
@@ -330,9 +332,10 @@ def _within(places: NDArray[np.floating[Any]], first: int, end: int) -> slice:
 
 
 def background(image: CameraImage, rows: int, columns: int) -> CameraImage:
-    """The image with arrays of another size, in which nothing was measured; planes are 0."""
+    """The image with arrays of another size, in which nothing was measured; planes are 0, or `NOWHERE`."""
     ranges, labels = np.zeros((rows, columns), np.uint16), np.full((rows, columns), BACKGROUND, np.uint8)
-    planes = {name: np.zeros((rows, columns), plane.dtype) for name, plane in image.planes.items()}
+    empty = {name: NOWHERE if name == TEMPLATE else 0 for name in image.planes}
+    planes = {name: np.full((rows, columns), empty[name], plane.dtype) for name, plane in image.planes.items()}
     return replace(image, range=ranges, labels=labels, planes=planes)
 
 

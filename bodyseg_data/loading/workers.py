@@ -308,7 +308,8 @@ class _Carried:
         try:
             return _Carried, (None, bytes(ForkingPickler.dumps(self._work)))
         except Exception as error:  # pickle raises any of three kinds
-            raise BadConfig(_unpicklable(f"pickled for a worker: {error}")) from None
+            why = f"pickled for a worker: {error}"
+        return _fail(why)
 
     def opened(self) -> Callable[[Any], Any]:
         """Return the work, or one that fails at every request."""
@@ -318,12 +319,8 @@ class _Carried:
             return partial(_fail, f"unpickled in a worker: {type(error).__name__}: {error}")
 
 
-def _fail(why: str, request: Any) -> Any:
-    raise BadConfig(_unpicklable(why))
-
-
-def _unpicklable(why: str) -> str:
-    return (
+def _fail(why: str, request: Any = None) -> Any:
+    raise BadConfig(
         f"the images cannot be {why}; what they use, such as a transform, must be in a module, not in a function, a "
         "notebook's cell or under the main guard; worker_method='thread' needs no pickles"
     )

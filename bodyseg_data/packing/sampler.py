@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts import ShadowTest, shadow_tests
-from bodyseg_data.bodies import NOWHERE, BodyRef, load_template
-from bodyseg_data.labels import BACKGROUND, PART_COUNT, TEMPLATE, UNLABELLED
+from bodyseg_data.bodies import BodyRef, load_template
+from bodyseg_data.labels import BACKGROUND, NOWHERE, PART_COUNT, TEMPLATE, UNLABELLED
 from bodyseg_data.meshes import Mesh, Partition, SceneMesh
 from bodyseg_data.packing.occluders import occluder_range
 from bodyseg_data.packing.things import Things, ThingsPlace, draw_things, nearest

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data import load_template
-from bodyseg_data.bodies import NOWHERE
+from bodyseg_data.labels import NOWHERE
 
 UNIT_M: Final = 0.9
 """A unit of places, metres."""

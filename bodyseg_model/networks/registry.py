@@ -13,9 +13,8 @@ import torch.nn.functional as F  # noqa: N812  its name everywhere
 from numpy.typing import NDArray
 from torch import nn
 
-from bodyseg_data.bodies import NOWHERE
 from bodyseg_data.core import BadConfig, Draws, check_choice
-from bodyseg_data.labels import BACKGROUND
+from bodyseg_data.labels import BACKGROUND, NOWHERE
 from bodyseg_data.machine import use_compiled
 from bodyseg_model.networks.network import Network, check_range_images
 

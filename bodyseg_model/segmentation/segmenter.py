@@ -11,9 +11,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies import NOWHERE
 from bodyseg_data.core import BadConfig, Stopwatch
-from bodyseg_data.labels import BACKGROUND, PART_COUNT, PARTS33, LabelMap
+from bodyseg_data.labels import BACKGROUND, NOWHERE, PART_COUNT, PARTS33, LabelMap
 from bodyseg_data.machine import of_each, required
 from bodyseg_data.rigs import Camera, Rig, load_rig
 from bodyseg_model.networks import Network, device_of, predict_each

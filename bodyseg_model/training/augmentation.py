@@ -10,9 +10,8 @@ from importlib import import_module
 
 import torch
 
-from bodyseg_data.bodies import NOWHERE
 from bodyseg_data.core import Checked, Draws, bounded
-from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap
+from bodyseg_data.labels import BACKGROUND, NOWHERE, PARTS33, LabelMap
 from bodyseg_data.machine import if_ready
 from bodyseg_model.networks import in_loops
 

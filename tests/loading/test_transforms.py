@@ -134,7 +134,7 @@ def test_transforms_of_one_name_draw_apart(figures_set: Path) -> None:
 def test_names_versions_and_parameters_are_in_the_identity(figures_set: Path) -> None:
     images = RangeImages(figures_set, transform=[Crop(400, 200), nearer, Constant(7)])
     assert images.identity()["transforms"] == [
-        {"name": "crop", "version": 1, "rows": 400, "columns": 200, "at": "axis"},
+        {"name": "crop", "version": 2, "rows": 400, "columns": 200, "at": "axis"},
         {"name": f"{__name__}.nearer", "version": 1},
         {"name": "constant", "version": 1, "most": 7},
     ]

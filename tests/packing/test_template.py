@@ -19,10 +19,10 @@ from small_rig import SMALL
 from spheres import icosphere
 
 from bodyseg_data import RangeImages, load_template, loader
-from bodyseg_data.bodies import NOWHERE, Body, BodyRef, region_labels
+from bodyseg_data.bodies import Body, BodyRef, region_labels
 from bodyseg_data.commands import main
 from bodyseg_data.core import BadConfig, BadSample, BadShard
-from bodyseg_data.labels import BACKGROUND, PARTS33, UNLABELLED, label_map_from_json, load_label_map
+from bodyseg_data.labels import BACKGROUND, NOWHERE, PARTS33, UNLABELLED, label_map_from_json, load_label_map
 from bodyseg_data.loading import CameraImage, Flip, Transform
 from bodyseg_data.meshes import Mesh, SurfacePiece
 from bodyseg_data.packing import Packing, Sampler

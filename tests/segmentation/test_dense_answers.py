@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from bodyseg_data import load_template
-from bodyseg_data.bodies import NOWHERE
 from bodyseg_data.core import BadConfig
-from bodyseg_data.labels import BACKGROUND, PARTS33
+from bodyseg_data.labels import BACKGROUND, NOWHERE, PARTS33
 from bodyseg_data.rigs import Camera
 from bodyseg_model.commands import main
 from bodyseg_model.networks import FlipAverage, Network, Trained, build, load_network, predict, save_network

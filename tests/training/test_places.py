@@ -14,9 +14,8 @@ from kernel_forms import by_both
 from small_training import TINY, log, train
 
 from bodyseg_data import RangeImages, load_template
-from bodyseg_data.bodies import NOWHERE
 from bodyseg_data.core import BadConfig
-from bodyseg_data.labels import PARTS33
+from bodyseg_data.labels import NOWHERE, PARTS33
 from bodyseg_model.commands import main
 from bodyseg_model.networks import UNIT_M, build, load_network, place_table
 from bodyseg_model.training import GeometricAugmentation

@@ -29,9 +29,9 @@ from benches.model.chosen import chosen_network
 from benches.model.people.bodies import TABLE_SUFFIX, Annotated, annotated_bodies
 from benches.model.people.scores import packed_views
 from bodyseg_data import RangeImages, load_template
-from bodyseg_data.bodies import NOWHERE, open_source
+from bodyseg_data.bodies import open_source
 from bodyseg_data.core import ProgressCallback, check_int, silent
-from bodyseg_data.labels import BACKGROUND, LANDMARKS, TEMPLATE
+from bodyseg_data.labels import BACKGROUND, LANDMARKS, NOWHERE, TEMPLATE
 from bodyseg_data.meshes import vertex_normals
 from bodyseg_data.rigs import load_rig
 from bodyseg_data.samples import View, split_key

@@ -12,9 +12,9 @@ from PIL import Image, ImageDraw
 
 from benches.model.dense import Dense, Shown
 from bodyseg_data import load_template
-from bodyseg_data.bodies import NOWHERE
 from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import INK, PAPER, font, save_picture
+from bodyseg_data.labels import NOWHERE
 
 _HEIGHT: Final = 320
 _LEAST_WIDTH: Final = 96  # of a title
