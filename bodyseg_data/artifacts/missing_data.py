@@ -34,7 +34,7 @@ class MissingData(Artifact):
             raise BadConfig("missing data must have one rate at least, found none")
         if self.between is not None and self.between[0] > self.between[1]:
             raise BadConfig(f"missing-data rates must lie between low <= high, found {self.between}")
-        if self.between is not None and tuple(self.rates) != MissingData.rates:  # the default is stored with `between`
+        if self.between is not None and self.rates != MissingData.rates:  # the default is stored with `between`
             raise BadConfig(f"missing data takes rates or between, found {self.rates} and {self.between}")
 
     def rate(self, chance: float) -> float:

@@ -239,9 +239,8 @@ def _artifact(name: str, strengths: Mapping[str, Any], where: str) -> Artifact:
     known = [field.name for field in fields(kind)]
     for strength in strengths:
         check_choice(f"{where}: a strength of {name}", strength, known)
-    values = {each: tuple(value) if isinstance(value, list) else value for each, value in strengths.items()}
     try:
-        return kind(**values)
+        return kind(**strengths)
     except BadConfig as error:
         raise BadConfig(f"{where}: {error}") from error
     except (TypeError, ValueError, LookupError) as error:

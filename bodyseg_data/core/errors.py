@@ -122,18 +122,20 @@ def bounded(
 def check_fields(options: Any) -> None:
     """Raise BadConfig unless every field of a dataclass holds a value of its type, within its bounds (`bounded`).
 
-    Numbers may be of NumPy, a whole number may stand for a float, and a list for a tuple; a bool is no number.
+    Numbers may be of NumPy, a whole number may stand for a float, and a list for a tuple, which the field then holds as
+    what its type says, so that they are stored alike; a bool is no number.
     """
     kind: Any = type(options)
     hints = _field_types(kind)
     for each in fields(options):
-        value, bounds = getattr(options, each.name), each.metadata.get("bounds")
-        if not _fits(value, hints[each.name]):
+        given, bounds = getattr(options, each.name), each.metadata.get("bounds")
+        if (value := _as(given, hints[each.name])) is _UNFIT:
             wanted = _in_words(hints[each.name])
-            raise BadConfig(f"{kind.__name__}: {each.name} must be {wanted}, found {value!r:.100}")
-        numbers = value if isinstance(value, tuple | list) else () if value is None else (value,)
+            raise BadConfig(f"{kind.__name__}: {each.name} must be {wanted}, found {given!r:.100}")
+        numbers = value if isinstance(value, tuple) else () if value is None else (value,)
         if bounds is not None and not all(map(bounds.take, numbers)):
-            raise BadConfig(f"{kind.__name__}: {each.name} must be {bounds}, found {value!r:.100}")
+            raise BadConfig(f"{kind.__name__}: {each.name} must be {bounds}, found {given!r:.100}")
+        object.__setattr__(options, each.name, value)  # also of a frozen one
     for each in fields(options):
         if (lower := each.metadata.get("not_below")) is not None:
             least, most = getattr(options, lower), getattr(options, each.name)
@@ -155,23 +157,24 @@ def _field_types(kind: Any) -> dict[str, Any]:
     return typing.get_type_hints(kind)
 
 
-def _fits(value: Any, kind: Any) -> bool:
-    choices = typing.get_args(kind)
-    if kind is Any:
-        return True
+_UNFIT: Final = object()
+
+
+def _as(value: Any, kind: Any) -> Any:
+    """The value as a field of this type holds it, `_UNFIT` if it cannot; a whole number beyond floats stays one."""
+    choices, origin = typing.get_args(kind), typing.get_origin(kind)
     if kind in (float, int):
-        return isinstance(value, Real if kind is float else Integral) and not isinstance(value, bool)
-    if typing.get_origin(kind) is Literal:
-        return isinstance(value, str | int) and value in choices
-    if typing.get_origin(kind) in (types.UnionType, typing.Union):
-        return any(_fits(value, choice) for choice in choices)
-    if typing.get_origin(kind) is tuple:
-        if not isinstance(value, tuple | list):
-            return False
-        if choices[1:] == (...,):
-            return all(_fits(each, choices[0]) for each in value)
-        return len(value) == len(choices) and all(map(_fits, value, choices))
-    return isinstance(value, typing.get_origin(kind) or kind)
+        is_number = isinstance(value, Real if kind is float else Integral) and not isinstance(value, bool)
+        return _UNFIT if not is_number else value if type(value) is int and abs(value) > 1e308 else kind(value)
+    if origin in (types.UnionType, typing.Union):
+        return next((found for choice in choices if (found := _as(value, choice)) is not _UNFIT), _UNFIT)
+    if origin is tuple and isinstance(value, tuple | list):
+        kinds = choices[:1] * len(value) if choices[1:] == (...,) else choices
+        found = tuple(map(_as, value, kinds))
+        return _UNFIT if len(value) != len(kinds) or any(each is _UNFIT for each in found) else found
+    is_choice = origin is Literal and isinstance(value, str | int) and value in choices
+    fits = is_choice or kind is Any or (origin is not Literal and isinstance(value, origin or kind))
+    return value if fits else _UNFIT
 
 
 _WORDS: Final = {float: "a number", int: "a whole number", str: "text", bool: "True or False", types.NoneType: "None"}

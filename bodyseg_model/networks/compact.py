@@ -104,10 +104,7 @@ class Compact(Network):
         names = [field.name for field in fields(CompactSettings)]
         if unknown := settings.keys() - {*names}:
             raise TypeError(f"unknown {min(unknown)!r}: they are {', '.join(names)}")
-        shape: dict[str, Any] = {
-            name: tuple(value) if isinstance(value, list) else value for name, value in settings.items()
-        }
-        return cls(CompactSettings(**shape))
+        return cls(CompactSettings(**settings))
 
     def scores(self, range_m: torch.Tensor) -> torch.Tensor:
         """Compute scores of every fourth pixel each way; see `Network.scores`."""

@@ -303,9 +303,9 @@ def test_strengths_left_out_are_the_sensors() -> None:
         ('{"missing_data": {"rates": 0.5}}', "--artifacts: MissingData: rates must be a tuple, .* found 0.5"),
         (
             '{"missing_data": {"rates": [0.2], "between": [0, 1]}}',
-            r"--artifacts: missing data takes rates or between, found \(0.2,\) and \(0, 1\)",
+            r"--artifacts: missing data takes rates or between, found \(0.2,\) and \(0.0, 1.0\)",
         ),
-        ('{"missing_data": {"between": [1]}}', r"--artifacts: MissingData: between must be a tuple .* found \(1,\)"),
+        ('{"missing_data": {"between": [1]}}', r"--artifacts: MissingData: between must be a tuple .* found \[1\]"),
     ],
 )
 def test_json_that_is_no_artifacts_is_one_line(text: str, message: str) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+import json
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -113,6 +114,15 @@ def test_numbers_of_numpy_whole_floats_and_lists_are_accepted() -> None:
     assert made.whole == 2 and Every(number=3, choice=2).number == 3
 
 
+def test_fields_hold_numbers_and_tuples_of_python_which_are_stored_alike() -> None:
+    made = Every(np.float32(1), np.int64(2), many=np.arange(3).tolist(), pair=[np.int64(1), "a"])  # type: ignore[arg-type]
+    assert repr(made) == repr(Every(1.0, 2, many=(0, 1, 2), pair=(1.0, "a")))
+    assert Every(10**400).number == 10**400  # which bounds refuse
+    with pytest.raises(BadConfig, match="^Noise: high_mm must be "):
+        Noise(0.0, 10**400)
+    assert json.dumps(asdict(made)) and hash(made) == hash(Every(1, 2, many=(0, 1, 2), pair=(1, "a")))
+
+
 @dataclass(frozen=True)
 class Bounded:
     open_below: float = bounded(1.0, 0, 10, above=True)
@@ -157,7 +167,7 @@ class Window(Checked):
 def test_a_number_may_not_be_below_that_of_another_field() -> None:
     assert Window(1, 1) != Window(None, 3)
     assert Window() == Window(None, None)
-    for low, high in ((2, 1), (2, None)):
+    for low, high in ((2.0, 1.0), (2.0, None)):
         with pytest.raises(BadConfig, match=f"^Window: low must be at most high, found {low} and {high}$"):
             Window(low, high)
     with pytest.raises(BadConfig, match="^Window: high must be from 0 to 10, found 11$"):

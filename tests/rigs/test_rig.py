@@ -317,3 +317,11 @@ def test_a_camera_alone_is_no_rig(tmp_path: Path) -> None:
     file.write_text('format = "bodyseg rig 1"\nname = "a"\n[camera]\nrows = 4\ncolumns = 3\nfocal_px = 5')
     with pytest.raises(BadConfig, match="^rig .*alone.toml is a camera alone"):
         load_rig(file)
+
+
+def test_a_rig_of_whole_numbers_and_lists_is_written_as_it_is_read_again() -> None:
+    """So that a joined set has the bytes of one that a single writer made."""
+    camera = replace(load_rig().camera, centre_px=[160, 320], position_m=[0, 0, 0], aims_at_m=(0, 0, np.int64(1)))
+    rig = replace(load_rig(), stand_off_m=2, camera=camera)
+    assert json.dumps(rig.to_json()) == json.dumps(rig_from_json(json.loads(json.dumps(rig.to_json()))).to_json())
+    assert hash(rig) == hash(rig_from_json(rig.to_json()))
