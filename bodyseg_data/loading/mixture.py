@@ -381,8 +381,9 @@ class Mixture(SampleDataset):
     ) -> None:
         """Write the arrays of `image` into given ones [H, W]. Raises BadShard, naming the set, for a bad sample."""
         images, within = self._where(index)
+        given = dict(zip(self.planes, planes, strict=False))  # a set may have been asked for them in another order
         try:
-            images.write(within, epoch, image, labels, planes)
+            images.write(within, epoch, image, labels, [given[name] for name in images.planes] if planes else ())
         except BadShard as error:
             raise BadShard(f"{images.path}/{error}") from error
 

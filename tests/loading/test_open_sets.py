@@ -184,3 +184,12 @@ def test_sets_of_other_classes_mix_by_label_maps_alone(cells: Path, tmp_path: Pa
         BadConfig, match="labels 'ours' are of other classes than the set's: found .* 'robot cell' and 'coarse': 0 is"
     ):
         RangeImages(tmp_path, "none", labels=joined)
+
+
+def test_a_mixture_gives_planes_by_their_names_whatever_their_order_in_its_sets(cells: Path) -> None:
+    sets = [RangeImages(cells, "none", planes=names) for names in (NAMES, NAMES[::-1])]
+    for batch in loader(Mixture([(images, 1) for images in sets]), 4, shuffle=False):
+        for row, key in enumerate(batch["key"]):
+            stored = sets[0].clean(sets[0].keys.index(key)).planes
+            for name in NAMES:
+                assert np.array_equal(batch["planes"][name][row].numpy(), stored[name])
