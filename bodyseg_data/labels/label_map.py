@@ -232,8 +232,8 @@ class LabelMap:
 
     @property
     def is_whole(self) -> bool:
-        """True if the classes are those of the set itself, with other names perhaps."""
-        return self.members == tuple((label,) for label in range(len(self.of)))
+        """True if labels stay as they are: the classes are those of the set itself, with other names perhaps."""
+        return not self.has_rest and self.members == tuple((label,) for label in range(len(self.of)))
 
     def joined_to(self, coarser: LabelMap) -> NDArray[np.uint8]:
         """Class label of this map -> that of a map whose classes are unions of this one's, uint8 [256].

@@ -14,7 +14,7 @@ from torch.utils.data import DataLoader
 from bodyseg_data import BodyCrop, CameraImage, Crop, Flip, Mixture, RangeImages, Roll, Zoom, loader
 from bodyseg_data.artifacts import lit_pixels, seen_by_projectors
 from bodyseg_data.core import BadConfig, BadShard
-from bodyseg_data.labels import LabelMap, classes_of
+from bodyseg_data.labels import UNLABELLED, LabelMap, classes_of
 from bodyseg_data.loading import BadTransform
 
 NAMES = tuple(PLANES)
@@ -193,3 +193,16 @@ def test_a_mixture_gives_planes_by_their_names_whatever_their_order_in_its_sets(
             stored = sets[0].clean(sets[0].keys.index(key)).planes
             for name in NAMES:
                 assert np.array_equal(batch["planes"][name][row].numpy(), stored[name])
+
+
+def test_the_rest_has_its_class_where_all_others_are_those_of_the_set(cells: Path) -> None:
+    """As of a set of people and floor of which the floor is to be one class with what has none."""
+    named = tuple((name, (name,)) for name in CELL_CLASSES.names[:-1])
+    label_map = LabelMap("all but one", (*named, ("rest", ("*",))), CELL_CLASSES)
+    assert not label_map.is_whole
+    images, stored = RangeImages(cells, "none", labels=label_map), RangeImages(cells, "none", unlabelled=True)
+    for index in range(len(images)):
+        labels = stored[index]["labels"].numpy()
+        assert (labels == UNLABELLED).any()
+        expected = np.where(labels == UNLABELLED, len(CELL_CLASSES) - 1, labels)
+        assert np.array_equal(images[index]["labels"].numpy(), expected)
