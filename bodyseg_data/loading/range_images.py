@@ -129,7 +129,8 @@ class RangeImages(SampleDataset):
         classes = self.manifest.classes
         self.label_map = whole_map(classes) if labels is None else load_label_map(labels, classes)
         on_template = (TEMPLATE,) if self.label_map.template is not None else ()
-        named = (*named_fields(where), *texts_of("planes", planes), *on_template)
+        asked = (*texts_of("planes", planes), *on_template)
+        named = (*named_fields(where), *asked, *(("subject",) if val_share else ()))  # by subject, val and the rest
         self.columns = open_columns(store, self.manifest, texts_of("columns", columns), named)
         self.manifest = with_columns(self.manifest, self.columns)
         self.split, self.seed = split, seed
@@ -143,7 +144,6 @@ class RangeImages(SampleDataset):
                 f"{path} holds no projector range, which variant {variant!r} needs: use 'none', 'noise' or 'md', or "
                 "occluder='camera', which makes shadows of what the camera sees"
             )
-        asked = (*texts_of("planes", planes), *on_template)
         if TEMPLATE in asked and TEMPLATE not in self.columns and TEMPLATE not in self.manifest.planes:
             need = f", which labels {self.label_map.name!r} need" if on_template else ""
             raise BadConfig(

@@ -11,7 +11,7 @@ import torch
 from open_sets import CELL_CLASSES, CELL_RIGS, PLANES, write_open_set
 from torch.utils.data import DataLoader
 
-from bodyseg_data import BodyCrop, CameraImage, Crop, Flip, Mixture, RangeImages, Roll, Zoom, loader
+from bodyseg_data import BodyCrop, CameraImage, ColumnWriter, Crop, Flip, Mixture, RangeImages, Roll, Zoom, loader
 from bodyseg_data.artifacts import lit_pixels, seen_by_projectors
 from bodyseg_data.core import BadConfig, BadShard
 from bodyseg_data.labels import UNLABELLED, LabelMap, classes_of
@@ -206,3 +206,15 @@ def test_the_rest_has_its_class_where_all_others_are_those_of_the_set(cells: Pat
         assert (labels == UNLABELLED).any()
         expected = np.where(labels == UNLABELLED, len(CELL_CLASSES) - 1, labels)
         assert np.array_equal(images[index]["labels"].numpy(), expected)
+
+
+def test_val_is_the_same_whether_a_column_of_subjects_is_open_or_not(tmp_path: Path) -> None:
+    write_open_set(tmp_path)
+    subject = {key: f"s{number % 3}" for number, key in enumerate(RangeImages(tmp_path, "none").keys)}
+    with ColumnWriter(tmp_path, "subject", "text") as column:
+        for key, name in subject.items():
+            column.write(key, name)
+    train, val = (RangeImages(tmp_path, "none", split, val_share=0.4) for split in ("train", "val"))
+    assert val.keys == RangeImages(tmp_path, "none", "val", val_share=0.4, where="subject=*").keys
+    assert not {subject[key] for key in train.keys} & {subject[key] for key in val.keys}
+    assert len(train) + len(val) == 8
