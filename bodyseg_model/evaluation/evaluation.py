@@ -208,6 +208,8 @@ def evaluate(
     Raises BadConfig for an invalid count, another number of classes than the network's, classes that
     cannot be joined to the images', or confidences outside 0 to 1; otherwise as `loader`.
     """
+    if not isinstance(images, RangeImages):
+        raise BadConfig(f"images must be RangeImages, each set of a mixture by itself, found {type(images).__name__}")
     total = len(images) if count is None else min(check_int("the number of images", count, 1), len(images))
     found = Evaluation(confidences, label_map=images.label_map)
     predicts = images.label_map if label_map is None else label_map

@@ -154,8 +154,12 @@ class Training:
                 f"batch_size must be a multiple of the {processes.world_size} processes, found {recipe.batch_size}"
             )
         check_label_map(network, images.label_map)
-        if any(each.unlabelled == UNLABELLED and not each.label_map.has_rest for each in images.sets):
-            raise BadConfig("images to train on have no class for surfaces of none: open them with unlabelled=False")
+        held_out = () if validation is None else validation.images
+        for each in (*images.sets, *held_out):
+            if each.unlabelled == UNLABELLED and not each.label_map.has_rest:
+                raise BadConfig("images to train on have no class for surfaces of none: open them without unlabelled")
+            if (differing := images.label_map.difference(each.label_map)) is not None:
+                raise BadConfig(f"images to validate on must have the classes of those to train on, found {differing}")
         if recipe.mirror and not images.label_map.has_mirror_image:
             _ = images.label_map.mirrored  # raises, and says for which class
         if network.on_template:
@@ -176,8 +180,8 @@ class Training:
 
     def plan(self) -> dict[str, Any]:
         """Everything that the result depends on, as plain JSON; see `training_plan`."""
-        facts = self.name, self.network, self.images, self.recipe, self.seed, self.validation
-        return training_plan(*facts, self.pretrained)
+        facts = self.name, self.network, self.images, self.recipe
+        return training_plan(*facts, self.seed, self.validation, self.pretrained)
 
     def run(self, resume: bool, report: Report, facts: Mapping[str, Any]) -> None:
         """Train to the end and write the network with its card, which also holds `facts`.

@@ -126,10 +126,10 @@ class Validation:
     keep: CheckpointName = "best"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "images", tuple(self.images))
-        if not self.images:
-            raise BadConfig("a validation needs at least one set of images")
         check_fields(self)
+        if not self.images or not all(isinstance(images, RangeImages) for images in self.images):
+            raise BadConfig(f"a validation needs one or several RangeImages, found {self.images!r:.60}")
+        object.__setattr__(self, "images", tuple(self.images))
 
     def plan(self) -> dict[str, Any]:
         """Facts that the scores depend on beside the network, as plain JSON."""

@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 from small_rig import SMALL
 
-from bodyseg_data import RangeImages, ShardWriter
+from bodyseg_data import Mixture, RangeImages, ShardWriter
 from bodyseg_data.artifacts import sensor_model_names
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND, PART_COUNT
@@ -219,6 +219,9 @@ def test_answers_that_are_none_are_refused(small_set: Path) -> None:
         evaluate(ByRange(40).eval(), images)
     with pytest.raises(BadConfig, match="confidences must be 0 to 1, found nan"):
         evaluate(Undecided().eval(), images)
+    mixed: Any = Mixture([(images, 1)])
+    with pytest.raises(BadConfig, match="^images must be RangeImages, each set of a mixture by itself, found Mixture$"):
+        evaluate(ByRange(33).eval(), mixed)
 
 
 def seen_image(subset: str, labels: list[int], predicted: list[int]) -> PredictedImage:

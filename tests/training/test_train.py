@@ -111,6 +111,21 @@ def test_a_test_split_among_the_images_is_told(small_set: Path, tmp_path: Path) 
 def test_surfaces_that_no_class_has_are_refused(small_set: Path, tmp_path: Path) -> None:
     with pytest.raises(BadConfig, match="^images to train on have no class for surfaces of none: open them with"):
         train(RangeImages(small_set, split="train", unlabelled=True), tmp_path / "run", device="cpu")
+    held_out = Validation([RangeImages(small_set, split="test", unlabelled=True)])
+    with pytest.raises(BadConfig, match="^images to train on have no class for surfaces of none: open them with"):
+        train(RangeImages(small_set, split="train"), tmp_path / "run", validation=held_out, device="cpu")
+
+
+def test_images_to_validate_on_have_the_classes_of_those_to_train_on(small_set: Path, tmp_path: Path) -> None:
+    """At the start: or others of the same number would be scored in silence, and of another number after many steps."""
+    images = RangeImages(small_set, split="train", labels="limbs14")
+    limbs = images.label_map
+    turned_round = dataclasses.replace(limbs, classes=limbs.classes[::-1])
+    message = "^images to validate on must have the classes of those to train on, found the labels 'limbs14' and "
+    for labels in (None, turned_round):
+        held_out = Validation([RangeImages(small_set, split="test", labels=labels)])
+        with pytest.raises(BadConfig, match=message):
+            train(images, tmp_path / "run", validation=held_out, device="cpu")
 
 
 def test_a_network_that_no_file_could_name_is_refused(small_set: Path, tmp_path: Path) -> None:

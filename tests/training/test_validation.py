@@ -114,7 +114,9 @@ def test_a_validated_averaged_training_carries_on_with_the_same_bits(
         ({"every": 0}, "every must be at least 1, found 0"),
         ({"count": 0}, "count must be at least 1, found 0"),
         ({"keep": "worst"}, "keep must be 'best' or 'last', found 'worst'"),
-        ({"images": []}, "a validation needs at least one set of images"),
+        ({"images": []}, "a validation needs one or several RangeImages, found []"),
+        ({"images": [Path("shards")]}, "a validation needs one or several RangeImages, found [PosixPath('shards')]"),
+        ({"images": object()}, "images must be of class Sequence, found "),
     ],
 )
 def test_bad_validations_are_refused(options: dict[str, Any], message: str) -> None:
