@@ -90,8 +90,8 @@ def save_picture(picture: Image.Image, path: Path) -> None:
 
 def new_chart(width: float, height: float) -> Any:
     """Open an empty matplotlib figure, size in inches, without a display. Raises MissingLibrary without matplotlib."""
-    figure = required("matplotlib.figure", "a chart", "bench").Figure(figsize=(width, height), layout="constrained")
-    required("matplotlib.backends.backend_agg", "a chart", "bench").FigureCanvasAgg(figure)
+    figure = required("matplotlib.figure", "a chart", "train").Figure(figsize=(width, height), layout="constrained")
+    required("matplotlib.backends.backend_agg", "a chart", "train").FigureCanvasAgg(figure)
     return figure
 
 

@@ -9,7 +9,7 @@ from email.message import Message
 import pytest
 from benches.__main__ import main
 from benches.licences import STREAMING, brought, extras, families, licence_of
-from folders import ROOT
+from folders import DOCS, ROOT
 
 TEXT = "Copyright (c) 2020\n\nRedistribution and use in source\nand binary forms, with or without modification"
 
@@ -48,6 +48,14 @@ def test_extras_bring_what_their_packages_need() -> None:
     assert {"torch", "sympy", "numpy"} <= {package.name for package in brought(STREAMING)}
     assert "numba" not in {package.name for package in brought(STREAMING)}
     assert {"numba", "llvmlite", "trimesh", "anny"} <= {package.name for package in brought("render")}
+
+
+@pytest.mark.parametrize("page", ["tutorials/your_camera.md", "tutorials/your_renders.md"])
+def test_a_tutorial_installs_what_its_figures_need(page: str) -> None:
+    text = (DOCS / page).read_text()
+    (given,) = re.findall(r"^pip install 'bodyseg\[(.+)\]'", text, re.MULTILINE)
+    assert "--figures" in text
+    assert "matplotlib" in {package.name for extra in given.split(",") for package in brought(extra)}
 
 
 def test_gpl_code_comes_with_one_extra_alone() -> None:
