@@ -71,7 +71,7 @@ class Options:
     split: ReadSplit = option("which split of the sets", "test")
     val_share: float = option("share of train that is the split val, and not train", 0.0)
     where: tuple[str, ...] = option(WHERE_HELP, ())
-    images: int | None = option("how many images of each set, evenly over the split (default: all)", None)
+    images: int | None = option("how many images of each set, drawn from the split by --seed (default: all)", None)
     noise_mm: float | None = option("sigma of the noise, mm, the same for every image (default: drawn, 0 to 100)", None)
     missing: float | None = option("share of pixels missing, the same for every image (default: drawn)", None)
     labels: str | None = option("classes to score, of which the network's are parts (default: the network's)", None)

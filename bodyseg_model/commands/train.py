@@ -107,7 +107,7 @@ class Options:
         "share of the train split to hold out, by subject and motion, to validate on", None
     )
     val_every: int | None = option("steps between validations (default: 500)", None)
-    val_images: int | None = option("images to validate on, evenly over those held out (default: all)", None)
+    val_images: int | None = option("images to validate on, drawn from those held out (default: all)", None)
     keep: CheckpointName | None = option("weights of the run's network (default: the best, if validated)", None)
     seed: int = option("of weights, order, artifacts and all other draws", 0)
     resume: bool = option("carry on from the folder's last checkpoint", False)

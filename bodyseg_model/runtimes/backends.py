@@ -171,11 +171,11 @@ RUNTIMES: Final[dict[str, type[Runtime]]] = {"onnxruntime": OnnxRuntime, "openvi
 
 RUN_HELP: Final = "'large', a training's folder, a .safetensors or .onnx file (default: compact)"
 BACKEND_HELP: Final = (
-    "what computes the network (default: torch; of an .onnx file, onnxruntime); on a processor, openvino takes 0.7 to "
-    "0.8 times as long as torch, in bfloat16 0.4 to 0.6 times"
+    "what computes the network (default: torch; of an .onnx file, onnxruntime); on a processor, openvino takes 0.8 to "
+    "1.0 times as long as torch in the same precision"
 )
 FLIP_HELP: Final = (
-    "label the mirror image, too, and average: 0.9 points more on real people, 1.5 to 2 times the network's time"
+    "label the mirror image, too, and average: 0.6 points more on real people, 1.5 to 2 times the network's time"
 )
 PRECISION_HELP: Final = "arithmetic of the network (default: float32)"
 QUICK_PRECISION_HELP: Final = (

@@ -16,6 +16,8 @@ from benches.results.outdated import without_mark
 from benches.results.page import render_page, sources_of
 from folders import ROOT
 
+from bodyseg_model.runtimes import BACKEND_HELP, FLIP_HELP
+
 RESULTS = ROOT / "docs" / "results"
 CHARTS = RESULTS / "charts"
 EVERY_PAGE = pytest.mark.parametrize("page", PAGES)
@@ -151,3 +153,18 @@ def test_the_card_states_the_scores_on_real_people_with_what_they_are_worth() ->
         for scores in (people["scores"]["all"], real["scores"]):
             assert f"{100 * scores['accuracy']:.1f} %" in text and f"{100 * scores['calibration_error']:.1f} %" in text
     assert "placed by the annotations of the same twenty scans" in text and "doubtful" in text
+
+
+def test_help_texts_state_what_was_measured() -> None:
+    plain, flipped = (
+        json.loads((RESULTS / f"people{ending}.json").read_text())["scores"]["all"]["accuracy"]
+        for ending in ("", "_flip_average")
+    )
+    assert f" {100 * (flipped - plain):.1f} points more on real people" in FLIP_HELP
+    ratios = [
+        row["networks"][f"openvino {precision}"]["ms"] / row["networks"][f"torch {precision}"]["ms"]
+        for record in by_processor(RESULTS)
+        for row in record["runtimes"]["times"]
+        for precision in ("float32", "bfloat16")
+    ]
+    assert f"openvino takes {min(ratios):.1f} to {max(ratios):.1f} times as long as torch" in BACKEND_HELP
