@@ -261,7 +261,8 @@ def _coco(folder: Path, label_map: LabelMap, images: Images, options: Options, p
         for image in _with_ranges(folder, images):
             (rows, columns), things = image.labels.shape, things or image.instances is not None
             size = {"width": columns, "height": rows, "range_step_m": image.step_m}
-            told_images.append({"id": image.number, "file_name": f"range/{image.name}.png", **size})
+            name = f"{'' if image.range is None else 'range/'}{image.name}.png"  # else as in the folder of the frames
+            told_images.append({"id": image.number, "file_name": name, **size})
             entries, ids = list[dict[str, Any]](), np.zeros(image.labels.size, np.uint32)
             for facts, counts in segments(image):
                 ids[np.repeat(np.arange(len(counts)) % 2 > 0, counts)] = facts["id"]

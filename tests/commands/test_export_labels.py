@@ -225,7 +225,7 @@ def labelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, near_is_person: No
 def test_a_folder_of_segment_is_exported_with_its_people(labelled: tuple[Path, Path], tmp_path: Path) -> None:
     frames, folder = labelled
     found = tree(export(tmp_path / "coco", folder, "coco") / "annotations.json")
-    assert [(each["id"], each["file_name"]) for each in found["images"]] == [(1, "range/1.png"), (2, "range/2.png")]
+    assert [(each["id"], each["file_name"]) for each in found["images"]] == [(1, "1.png"), (2, "2.png")]
     assert {(each["image_id"], each["instance"]) for each in found["annotations"]} == {(1, 1), (1, 2)}
     assert not (tmp_path / "coco" / "range").exists()
     again = np.full((60, 80), BACKGROUND)
