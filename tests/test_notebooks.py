@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import pytest
+from benches.demo import Options
 from folders import ROOT
 from nbclient import NotebookClient
 from nbformat import v4
@@ -59,3 +60,10 @@ def test_a_notebook_is_kept_as_it_ran(path: Path) -> None:
     assert not any(output.output_type == "error" for output in outputs)
     assert path.stat().st_size < 200_000
     assert "/tmp/" not in path.read_text()
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_names_the_set_that_its_outputs_show(path: Path) -> None:
+    """That of `make demo`, whose views go all around a body."""
+    packed = f"bodyseg shard --source open --meshes {Options.meshes} --views {Options.views} --azimuth-span 360"
+    assert f"`{packed} --out demo/shards`" in path.read_text()
