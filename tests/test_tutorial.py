@@ -80,6 +80,12 @@ def test_the_tutorial_has_every_step_of_the_way() -> None:
     assert {command[0] for command in tutorial.commands} <= {name.split()[0] for name in COMMANDS}
 
 
+def test_what_is_nearer_leaves_out_the_wall() -> None:
+    """The page asks for a person 2 m away, and a wall half a metre behind at least."""
+    (words,) = [command for command in read_tutorial().commands if command[:2] == ("sensor", "fit")]
+    assert 2.2 < float(words[words.index("--nearer-than") + 1]) < 2.5
+
+
 def test_a_command_is_made_smaller_by_changed_and_added_options() -> None:
     command = ("train", "--steps", "1200", "--out", "run")
     assert smaller(command, {"train --steps": "2", "train --seed": "1", "shard --views": "2"}) == [
