@@ -125,7 +125,7 @@ class HttpTransport:
             if position == 0 and (found := web_page(chunk)):
                 raise PermanentFailure(found)
             if response.status != 206 and not allow_whole_file:
-                raise PermanentFailure("the server ignores byte ranges; a cache with room for whole shards needs none")
+                raise PermanentFailure("the server ignores byte ranges: use a cache for whole shards, or bodyseg pull")
             while True:
                 selected = chunk[max(start - position, 0) : stop - position]
                 position += len(chunk)
