@@ -89,7 +89,7 @@ class Options:
     confidence: float = option("give no label to pixels of less confidence, 0 to 1", 0.0)
     no_overlay: bool = option("write labels and summary alone: no overlay, preview.gif and legend.png", False)
     skip_unreadable: int = option("skip up to this many frames that cannot be read, and list them", 0)
-    fps: float = option("frames per second of preview.gif", 10.0)
+    fps: float = option("frames per second of preview.gif, and of --labels-out where frames have no times", 10.0)
     ahead: bool = option("find the people of the next frame while this one is labelled", False)
     threads: int | None = option("threads that compute the network on the processor (default: all)", None)
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)

@@ -218,7 +218,7 @@ class Segmenter:
         if dense and not self._network.on_template:
             raise BadConfig(
                 "dense answers need a network with places on the template, computed by torch: that of `compact` ships, "
-                f"`train --settings '{{\"template\": true}}'` trains one, found {type(network).__name__} without"
+                "`train --settings '{\"template\": true}'` trains one"
             )
         finds = self.background.mode == "people"
         self.doubted_below = doubted_below if finds else 0.0
