@@ -19,6 +19,8 @@ from benches.site.contents import OUTSIDE, sections
 from benches.site.notebooks import as_markdown
 from folders import DOCS, MADE_PAGES, PAGES, ROOT
 
+import bodyseg_data
+import bodyseg_model
 from bodyseg_model.commands import main as bodyseg_main
 from bodyseg_model.commands.cli import COMMANDS
 
@@ -254,3 +256,15 @@ def test_commands_have_the_options_that_documents_give_them(monkeypatch: pytest.
     assert "--json" in options_of("bench")
     wrong = {name: options - options_of(name) for name, options in given.items() if options}
     assert not {name: options for name, options in wrong.items() if options}
+
+
+def test_names_that_pages_call_are_those_of_the_doors() -> None:
+    """In the running text; blocks of Python run in test_code_blocks.py. Names of other libraries are theirs."""
+    others = {"Arm", "CombinedStreamingDataset", "DataLoader", "Stream", "Trainer"}  # of a mesh, LitData, torch, ...
+    found = set[str]()
+    for page in PAGES:
+        text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+        for code in re.findall(r"`([^`\n]+)`", text):
+            found |= set(re.findall(r"(?<![\w./\"-])([A-Z][a-z]+(?:[A-Z][a-z]*)*)(?=[(.])", code))
+    own = {"Dropouts"}  # the class of noise.md
+    assert found - others - own <= {*bodyseg_data.__all__, *bodyseg_model.__all__}

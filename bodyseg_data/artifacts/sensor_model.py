@@ -37,7 +37,7 @@ class SensorModel:
     """The artifacts of a sensor, in the order in which they apply.
 
         SensorModel("mine", (Occlusion(), Noise(0.0, 5.0), MissingData((0.1,))))
-        load_sensor_model("paper").with_artifacts(Noise(0.0, 50.0), Losses(0.4))
+        load_sensor_model("paper").with_artifacts(Noise(0.0, 50.0))
 
     name: one plain word. title: the sensor's name in prose.
 
