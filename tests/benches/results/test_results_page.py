@@ -85,6 +85,11 @@ def test_the_charts_are_of_the_figures_beside_them(choice: Choice) -> None:
     assert told["left_out"] == []
 
 
+def test_every_chart_is_in_the_page_on_charts() -> None:
+    rows = re.findall(r"^\| `(\w+)` \|", (ROOT / "docs" / "reference" / "charts.md").read_text(), re.MULTILINE)
+    assert sorted(rows) == sorted(choice.name for choice in CHOICES)
+
+
 @pytest.mark.parametrize("workers", ["2", "0"])
 @pytest.mark.parametrize("other", ["webdataset_png", "mds_raw", "litdata", "memory"])
 def test_the_readme_states_the_range_over_processors(other: str, workers: str) -> None:
