@@ -233,14 +233,11 @@ class ProcessWorkers(Workers):
     def submit(self, request: Any) -> None:
         """See `Workers.submit`: the request goes to the next worker in turn."""
         worker = self._submitted % len(self._pipes)
-        lost = False
-        try:
+        with contextlib.suppress(OSError):
             self._pipes[worker].send(request)
-        except OSError:
-            lost = True
-        if lost:  # told here, without the frames of that error: their pickle would be freed late, and with a warning
-            raise self._lost(worker)
-        self._submitted += 1
+            self._submitted += 1
+            return
+        raise self._lost(worker)  # not from that error, whose frames hold a pickle: it would be freed with a warning
 
     def result(self) -> Any:
         worker = self._received % len(self._pipes)
