@@ -32,6 +32,7 @@ __all__ = [
     "Crop",
     "Draws",
     "Flip",
+    "LabelClass",
     "LabelMap",
     "Loader",
     "Mesh",
@@ -90,7 +91,7 @@ if TYPE_CHECKING:
     from bodyseg_data.loading import WorkerLost
     from bodyseg_data.drawing import colour_range
     from bodyseg_data.example import example_set
-    from bodyseg_data.labels import BACKGROUND, PARTS, LabelMap, colour_labels, load_label_map
+    from bodyseg_data.labels import BACKGROUND, PARTS, LabelClass, LabelMap, colour_labels, load_label_map
     from bodyseg_data.loading import (
         Batch,
         BodyCrop,
