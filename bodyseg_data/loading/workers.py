@@ -242,15 +242,14 @@ class ProcessWorkers(Workers):
     def result(self) -> Any:
         worker = self._received % len(self._pipes)
         pipe, process = self._pipes[worker], self._processes[worker]
-        try:
+        with contextlib.suppress(EOFError, OSError):
             while not pipe.poll(_POLL_S):
                 if not process.is_alive() and not pipe.poll():
                     raise EOFError
             found = pipe.recv()
-        except (EOFError, OSError):
-            raise self._lost(worker) from None
-        self._received += 1
-        return checked_result(found, self._name(worker))
+            self._received += 1
+            return checked_result(found, self._name(worker))
+        raise self._lost(worker)
 
     def peaks_mb(self) -> list[float | None]:
         return [peak_mb(process.pid) for process in self._processes]
