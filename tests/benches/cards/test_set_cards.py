@@ -30,6 +30,7 @@ pytestmark = [
     # mlcroissant leaves files open, and rdflib, by which it parses, calls a class of its own that it calls deprecated.
     pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning"),
     pytest.mark.filterwarnings("ignore::DeprecationWarning:rdflib"),
+    pytest.mark.filterwarnings("ignore:Python 3.14 will, by default, filter extracted tar archives:DeprecationWarning"),
 ]
 
 
