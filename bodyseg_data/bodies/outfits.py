@@ -213,7 +213,8 @@ class _Arm:
         distance = _distances(rest, faces, _MEASURED_AT[f"{side} fingertip"])
         self.vertices: NDArray[np.bool_] = distance < distance[_MEASURED_AT[f"{side} armpit"]] + 0.02
         shoulder = (at[f"{side} shoulder"] + at[f"{side} armpit"]) / 2
-        wrist = _ring_centre(rest, distance, distance[_MEASURED_AT[f"{side} wrist"]])
+        ring = rest[np.abs(distance - distance[_MEASURED_AT[f"{side} wrist"]]) < 0.015]
+        wrist = (ring.min(axis=0) + ring.max(axis=0)) / 2
         self.length = float(np.linalg.norm(wrist - shoulder))
         self.axis: Floats = (wrist - shoulder) / self.length
         self.distance = np.where(self.vertices, np.maximum((rest - shoulder) @ self.axis, 0), 0)
@@ -273,11 +274,6 @@ def _below_neck(rest: Floats, at: dict[str, Floats]) -> Floats:
     slope = (nape[1] - front[1]) / (nape[2] - front[2])
     height = rest[:, 1] - front[1] - slope * (rest[:, 2] - front[2])
     return np.asarray(0.5 * np.abs(rest[:, 0]) - 0.012 - height, np.float64)
-
-
-def _ring_centre(rest: Floats, distance: Floats, value: float) -> Floats:
-    ring = rest[np.abs(distance - value) < 0.015]
-    return np.asarray((ring.min(axis=0) + ring.max(axis=0)) / 2, np.float64)
 
 
 def _distances(rest: Floats, faces: NDArray[np.int32], source: int) -> Floats:

@@ -126,7 +126,7 @@ def check_fields(options: Any) -> None:
     what its type says, so that they are stored alike; a bool is no number.
     """
     kind: Any = type(options)
-    hints = _field_types(kind)
+    hints = _hints_of(kind)
     for each in fields(options):
         given, bounds = getattr(options, each.name), each.metadata.get("bounds")
         if (value := _as(given, hints[each.name])) is _UNFIT:
@@ -152,11 +152,7 @@ class Checked:
         check_fields(self)
 
 
-@cache
-def _field_types(kind: Any) -> dict[str, Any]:
-    return typing.get_type_hints(kind)
-
-
+_hints_of: Final = cache(typing.get_type_hints)
 _UNFIT: Final = object()
 
 

@@ -151,7 +151,7 @@ class SampleDataset(Dataset[dict[str, Any]]):
     """Base of `RangeImages` and `Mixture`: a dataset of PyTorch, read by indices or by batches, epoch after epoch."""
 
     epoch: int
-    epochs_set: int
+    epochs_set: int = 0
 
     def set_epoch(self, epoch: int) -> None:
         """Set the epoch of the draws for indexing, and of a loader's next pass."""

@@ -280,8 +280,6 @@ class Mixture(SampleDataset):
         self._samples = self._starts[-1] if samples is None else check_int("samples", samples, 1)
         self._shares = Shares([read_schedule(part[1]) for part in parts], self._samples)
         self._held: tuple[int, Shuffle, Requests] | None = None
-        self.epoch = 0
-        self.epochs_set = 0
         self.set_epoch(epoch)
 
     def __getstate__(self) -> dict[str, Any]:

@@ -168,8 +168,6 @@ class RangeImages(SampleDataset):
         files: list[CheckedFile] = [self.manifest.shards[number] for number in chosen]
         files += [column.shards[number] for column in self.columns.values() if column.planes for number in chosen]
         self.reader = ShardReader(with_cache(store, files, cache, cache_bytes), self.manifest, self.columns)
-        self.epoch = 0
-        self.epochs_set = 0
         self.set_epoch(epoch)
 
     @property
