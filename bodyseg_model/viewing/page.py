@@ -319,8 +319,9 @@ class Page:
 
     def start(self, draw: Callable[[], Drawing]) -> None:
         """Draw once, then after every `request`, in a thread. Raises what the first drawing raises."""
-        first = draw()
-        self._aim(first)
+        first, camera = draw(), self.server.initial_camera
+        place, at = viewpoint(aimed_at(first), [*first.devices.values()], "points", _FOV_RAD, _ASPECT)
+        camera.fov, camera.look_at, camera.position = _FOV_RAD, at, place
         self._show(first)
 
         def redraw() -> None:
@@ -356,12 +357,6 @@ class Page:
             self._redrawing.close()
         with contextlib.redirect_stdout(io.StringIO()):
             self.server.stop()
-
-    def _aim(self, drawing: Drawing) -> None:
-        """Put the first view before the points."""
-        place, at = viewpoint(aimed_at(drawing), [*drawing.devices.values()], "points", _FOV_RAD, _ASPECT)
-        camera = self.server.initial_camera
-        camera.fov, camera.look_at, camera.position = _FOV_RAD, at, place
 
     def _follow(self, client: viser.ClientHandle) -> None:
         """Keep the whole body in one client's window, whatever its shape, until somebody moves the view."""

@@ -179,7 +179,11 @@ class SetPage(Controls):
 
         @self._index.on_update
         def _(_: object) -> None:
-            self._go_to(int(self._index.value))
+            with self._lock:
+                index = min(int(self._index.value), len(self.view) - 1)
+                self._key.value = self.view.images.keys[index]
+            if index != self.shown.index:
+                self.change(index=index)
 
         @step.on_click
         def _(_: object) -> None:
@@ -192,13 +196,6 @@ class SetPage(Controls):
                 self.page.warn(f"no sample of those chosen has the key {self._key.value!r}")
             else:
                 self._index.value = index
-
-    def _go_to(self, index: int) -> None:
-        with self._lock:
-            index = min(index, len(self.view) - 1)
-            self._key.value = self.view.images.keys[index]
-        if index != self.shown.index:
-            self.change(index=index)
 
     def _add_image_controls(self) -> None:
         gui = self.page.server.gui
