@@ -13,7 +13,7 @@ import statistics
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from itertools import pairwise
+from itertools import cycle, pairwise
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -67,7 +67,8 @@ def draw_stability(figures: Tree, path: Path) -> None:
     rows = -(-len(sweeps) // _COLUMNS)
     styles = _styles(groups)
     handles = [_handle(label, group, styles[label]) for label, group in groups.items()]
-    in_a_row = _fitting(handles)
+    longest_in = 1.0 + 0.085 * max(len(handle.get_label()) for handle in handles)  # columns are as wide as this
+    in_a_row = max(1, min(_MOST_IN_A_ROW, len(handles), int(_WIDTH / longest_in)))
     legend_rows = -(-len(handles) // in_a_row)
     figure = new_chart(_WIDTH, 0.9 + 0.3 * legend_rows + 3.0 * rows)
     axes = figure.subplots(rows, _COLUMNS, sharey=True, squeeze=False)
@@ -95,13 +96,10 @@ def draw_stability(figures: Tree, path: Path) -> None:
 
 def _styles(groups: Tree) -> dict[str, _Style]:
     styles: dict[str, _Style] = {}
-    spare = 0
+    spare = cycle(_SPARE)
     for label, group in groups.items():
         style = _STYLES.get(group["variant"])
-        if style is None or style in styles.values():
-            style = _SPARE[spare % len(_SPARE)]
-            spare += 1
-        styles[label] = style
+        styles[label] = next(spare) if style is None or style in styles.values() else style
     return styles
 
 
@@ -148,12 +146,6 @@ def _handle(label: str, group: Tree, style: _Style) -> Any:
 
     count = len(group["seeds"])
     return Line2D([], [], label=f"{label}: {count} seed{'' if count == 1 else 's'}", **_drawn(style))
-
-
-def _fitting(handles: list[Any]) -> int:
-    """Number of legend entries that fit side by side, in columns as wide as the longest entry."""
-    inches = 1.0 + 0.085 * max(len(handle.get_label()) for handle in handles)
-    return max(1, min(_MOST_IN_A_ROW, len(handles), int(_WIDTH / inches)))
 
 
 FEWEST_SEEDS: Final = 3
