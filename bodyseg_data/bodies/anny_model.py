@@ -197,7 +197,10 @@ class AnnyModel:
 
         self._torch = torch
         self._faces: NDArray[np.int32] = self._anny.faces.numpy().astype(np.int32)
-        self._heights, self._height_shapes = self._crown_and_soles()
+        # Heights [N] of vertices that may be the highest or lowest, and each shape's shift of them [shapes, N].
+        heights = self._anny.template_vertices[:, 2]
+        extreme = (heights > heights.max() - _CROWN_M) | (heights < heights.min() + _CROWN_M)
+        self._heights, self._height_shapes = heights[extreme], self._anny.blendshapes[:, extreme, 2].clone()
         self._wardrobe = lru_cache(maxsize=4)(self._cut)
         self._bones = {bone: index for index, bone in enumerate(self._anny.bone_labels)}
 
@@ -249,12 +252,6 @@ class AnnyModel:
         rest = self._posed(who, Pose())
         finer = Refinement(rest, self._faces, FINE_M)
         return finer, Wardrobe(finer(rest), finer.faces, outfit)
-
-    def _crown_and_soles(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return heights [N] of possibly highest or lowest vertices, and each shape's shift of them [shapes, N]."""
-        heights = self._anny.template_vertices[:, 2]
-        extreme = (heights > heights.max() - _CROWN_M) | (heights < heights.min() + _CROWN_M)
-        return heights[extreme], self._anny.blendshapes[:, extreme, 2].clone()
 
     def _height(self, who: Person) -> float:
         """Return the height parameter that gives a person's stature, which is linear in it."""

@@ -88,7 +88,7 @@ class LabelMap:
     template: OnTemplate | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
-        where, kind = f"labels {self.name!r}", self._kind
+        where, kind = f"labels {self.name!r}", "landmark" if self.of == PART_CLASSES else "class"
         names, joined = [name for name, _ in self.classes], [each for _, members in self.classes for each in members]
         most = min(MOST_CLASSES, len(self.of) + (REST in joined))
         if not 1 <= len(names) <= MOST_CLASSES:
@@ -107,11 +107,6 @@ class LabelMap:
         for name, members in self.classes:
             if not members:
                 raise BadConfig(f"{where}: the class {name!r} must have a {kind}, found none")
-
-    @property
-    def _kind(self) -> str:
-        """The word for the set's own classes in messages and files."""
-        return "landmark" if self.of == PART_CLASSES else "class"
 
     def __repr__(self) -> str:
         return f"LabelMap({self.name!r}, {len(self)} classes)"
