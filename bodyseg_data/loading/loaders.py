@@ -315,8 +315,7 @@ def loader(
     if not isinstance(images, ImageSet):
         raise BadConfig(f"images must be RangeImages or a Mixture, found {type(images).__name__}")
     order = BatchOrder(images, batch_size, shuffle, drop_last, rank, world_size)
-    budget = checked_budget(on_error, skip_budget, len(images))
-    ledger = SkipLedger(budget)
+    ledger = SkipLedger(checked_budget(on_error, skip_budget, len(images)))
     flags = check_bool("metres", metres), check_bool("pin_memory", pin_memory)
     options = LoaderOptions(*flags, worker_method, start_method, num_workers, prefetch_factor)
     return Loader(images, order, ledger, options)

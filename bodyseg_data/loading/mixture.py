@@ -145,7 +145,9 @@ class SetStream:
     def __init__(self, images: RangeImages, sample_weights: ArrayLike | None = None) -> None:
         self.images = images
         self._units = None if sample_weights is None else _checked_units(sample_weights, images)
-        self._occurrences = 1 if self._units is None else _most(self._units)
+        self._occurrences = 1  # of a sample in one pass, at most
+        if self._units is not None:
+            self._occurrences = -(-len(images) * int(self._units.max()) // int(self._units.sum()))
         self._held: tuple[int, Shuffle, Requests] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
@@ -212,11 +214,6 @@ def _steps(total: int, count: int, start: int) -> NDArray[np.int64]:
     begin, begin_rest = divmod(start, count)
     at = np.arange(count)
     return begin + at * whole + (begin_rest + at * rest) // count
-
-
-def _most(units: NDArray[np.int64]) -> int:
-    """Return the most times that a sample can come in one pass."""
-    return -(-len(units) * int(units.max()) // int(units.sum()))
 
 
 def _checked_units(sample_weights: ArrayLike, images: RangeImages) -> NDArray[np.int64]:

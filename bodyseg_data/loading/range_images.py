@@ -153,13 +153,11 @@ class RangeImages(SampleDataset):
         self.planes = _chosen_planes(planes, self.manifest)
         """Name -> type of the further images that items and batches hold."""
         self.transforms = check_transforms(transform)
-        self.unlabelled = UNLABELLED if check_bool("unlabelled", unlabelled) else BACKGROUND
+        self.unlabelled = UNLABELLED if check_bool("unlabelled", unlabelled) or self.label_map.has_rest else BACKGROUND
         camera = self.manifest.rig.camera
         self.shape = transformed_shape(self.transforms, camera.rows, camera.columns)
         """Rows and columns of the images, as the transforms leave them."""
         self._joins = not self.label_map.is_whole
-        if self.label_map.has_rest:
-            self.unlabelled = UNLABELLED
         self._regions = self._regions_of(self.path) if on_template else None
         self._read_planes = tuple(dict.fromkeys((*self.planes, *on_template)))
         self.selection = Selection.of(pattern, split, only, where, val_share, self.manifest.fields)

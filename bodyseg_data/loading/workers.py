@@ -164,11 +164,9 @@ class ThreadWorkers(Workers):
         """See `Workers.close`: threads end after their current request, which is waited for unless it takes long."""
         if os.getpid() != self._owner:
             return  # this is a fork of the process that started the threads
-        try:
+        with contextlib.suppress(Empty):
             while True:
                 self._requests.get_nowait()
-        except Empty:
-            pass
         for _ in self._threads:
             self._requests.put(None)
         for thread in self._threads:
@@ -200,14 +198,13 @@ class ProcessWorkers(Workers):
                 "a worker process can have no processes of its own: use num_workers=0 there, or worker_method='thread'"
             )
         context: Any = multiprocessing.get_context(start_method)
-        forked = context.get_start_method() == "fork"
+        self._forked = context.get_start_method() == "fork"
         if context.get_start_method() == "forkserver":
             multiprocessing.forkserver.ensure_running()  # here, or every process it starts would have SIGINT blocked
         self._owner = os.getpid()
         self._pipes: list[Connection] = []
         self._processes: list[Any] = []
         self._submitted = self._received = 0
-        self._forked = forked
         # A process starts with the signals blocked that its parent blocks; workers never unblock SIGINT.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
@@ -215,7 +212,7 @@ class ProcessWorkers(Workers):
                 ours, theirs = context.Pipe()
                 self._pipes.append(ours)
                 with theirs:
-                    inherited = tuple(self._pipes) if forked else ()
+                    inherited = tuple(self._pipes) if self._forked else ()
                     arguments = _Carried(work), theirs, inherited
                     process = context.Process(target=_serve_process, args=arguments, daemon=True)
                     process.start()
