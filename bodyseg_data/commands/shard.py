@@ -134,8 +134,7 @@ def run(options: Options) -> int:
     check_engine(options.engine)
     packing = options.packing()
     if options.plan:
-        _warn_about_missing(packing)
-        _warn_about_split(packing)
+        _warn_about_source(packing)
         sys.stdout.write(json.dumps(plan(packing), indent=2) + "\n")
         return 0
     out = _needed_out(options)
@@ -144,8 +143,7 @@ def run(options: Options) -> int:
             "--on-error skip needs --skip-budget: the number of meshes that may be left out, or their share"
         )
     on_faults = OnFaults(options.on_error, options.skip_budget)
-    _warn_about_missing(packing)
-    _warn_about_split(packing)
+    _warn_about_source(packing)
 
     def make(progress: Progress) -> Manifest:
         return pack_on(options.engine, options.workers, packing, out, progress, on_faults)
@@ -237,7 +235,8 @@ def _needed_out(options: Options) -> Path:
     return options.out
 
 
-def _warn_about_missing(packing: Packing) -> None:
+def _warn_about_source(packing: Packing) -> None:
+    """Name meshes that are missing, and the split of all meshes of a source with files, if it has only one."""
     missing = packing.opened().missing()
     if missing:
         runs = collapsed(missing)
@@ -246,10 +245,6 @@ def _warn_about_missing(packing: Packing) -> None:
             f"bodyseg shard: warning: the source {packing.source} is not complete, {len(missing)} missing: "
             f"{', '.join(runs[:3])}{more}\n"
         )
-
-
-def _warn_about_split(packing: Packing) -> None:
-    """Name the split of all meshes of a source with files, if it has only one."""
     bodies = packing.bodies()
     splits = sorted({body.split for body in bodies})
     if packing.path is not None and len(splits) == 1:
