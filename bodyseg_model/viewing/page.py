@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BodysegError
 from bodyseg_data.files import write_result
-from bodyseg_data.machine import missing_library
+from bodyseg_data.machine import required
 from bodyseg_model.viewing.pictures import (
     VIEWPOINTS,
     Drawing,
@@ -155,10 +155,8 @@ def open_server(host: str, port: int, title: str, guard: Guard) -> viser.ViserSe
     """Start a server. title: above the page's controls. guard: decides who is served. Raises BadConfig as `free_port`,
     MissingLibrary.
     """
-    try:
-        import viser
-    except ImportError as error:
-        raise missing_library("bodyseg view", error, extra="view") from error
+    required("viser", "bodyseg view", "view")
+    import viser
 
     class Server(viser.ViserServer):
         def request_share_url(self, verbose: bool = True) -> str | None:

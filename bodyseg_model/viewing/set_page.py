@@ -214,18 +214,15 @@ class SetPage(Controls):
         gui = self.page.server.gui
         sensor = gui.add_dropdown("model", tuple(self._sensors), initial_value=self.shown.sensor.name)
         again = gui.add_button("Reset strengths")
-        self._sensor = controls = SensorControls(self.page, self.shown.sensor, self._changed_sensor)
+        self._sensor = controls = SensorControls(self.page, self.shown.sensor, lambda model: self.change(sensor=model))
 
         def put(_: object) -> None:
             model = self._sensors[sensor.value]
             controls.put(model)
-            self._changed_sensor(model)
+            self.change(sensor=model)
 
         sensor.on_update(put)
         again.on_click(put)
-
-    def _changed_sensor(self, model: SensorModel) -> None:
-        self.change(sensor=model)
 
 
 def _words(text: str) -> list[str]:
