@@ -236,15 +236,13 @@ def _entry(entry: Mapping[str, Any], where: str) -> Artifact:
 def _artifact(name: str, strengths: Mapping[str, Any], where: str) -> Artifact:
     with reported(where, BadConfig):
         kind = artifact_class(name)
-    known = [field.name for field in fields(kind)]
-    for strength in strengths:
-        check_choice(f"{where}: a strength of {name}", strength, known)
-    try:
-        return kind(**strengths)
-    except BadConfig as error:
-        raise BadConfig(f"{where}: {error}") from error
-    except (TypeError, ValueError, LookupError) as error:
-        raise BadConfig(f"{where}: strengths of {name} must be of the right types, found {dict(strengths)}") from error
+        known = [field.name for field in fields(kind)]
+        for strength in strengths:
+            check_choice(f"a strength of {name}", strength, known)
+        try:
+            return kind(**strengths)
+        except (TypeError, ValueError, LookupError) as error:
+            raise BadConfig(f"strengths of {name} must be of the right types, found {dict(strengths)}") from error
 
 
 def _comment(text: str) -> list[str]:

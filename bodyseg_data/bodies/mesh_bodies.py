@@ -198,12 +198,9 @@ class MeshBodies(ListedBodies[MeshFile]):
         if file.landmarks is None:
             raise BadLandmarks(f"a body needs landmarks, found none for {file.wanted}")
         if file.landmarks not in self._sets:
-            try:
+            with reported("" if file.shared else f"subject {body.subject}", BadLandmarks):
                 path = file.landmarks
                 read = load_landmark_file(path) if isinstance(path, Path) else load_landmarks(path)
-            except BadLandmarks as error:
-                subject = f"subject {body.subject}: " if not file.shared else ""
-                raise BadLandmarks(f"{subject}{error}") from error
             if file.shared and isinstance(read, PointLandmarks):
                 read = self._propagated(read, file.landmarks)
             self._sets[file.landmarks] = read

@@ -23,7 +23,7 @@ from typing import Any, Final, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadSample, check_choice
+from bodyseg_data.core import BadSample, check_choice, reported
 from bodyseg_data.labels import BACKGROUND, PART_COUNT, UNLABELLED
 from bodyseg_data.samples.views import View
 
@@ -286,10 +286,8 @@ def info_from_json(tree: Any, key: str) -> SampleInfo:
     if not isinstance(tree, dict) or "split" not in tree:
         raise BadSample(f"{key}: the description must be an object with a 'split'")
     fields: dict[str, Any] = {name: tuple(each) if isinstance(each, list) else each for name, each in tree.items()}
-    try:
+    with reported(key, BadSample):
         return SampleInfo(fields.pop("split"), fields)
-    except BadSample as error:
-        raise BadSample(f"{key}: {error}") from error
 
 
 def split_by_order(subset: Literal["A", "people"], index: int) -> Split:

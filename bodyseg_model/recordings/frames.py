@@ -192,12 +192,11 @@ class Skipping:
             return frame.read()
         except BadConfig as error:
             entry = {"name": frame.name, "file": frame.where, "error": str(error)}
-            if entry in self.skipped:
-                return None
-            if len(self.skipped) >= self.budget:
-                beyond = f", after {self.budget} that --skip-unreadable allowed" if self.budget else ""
-                raise BadConfig(f"{error}{beyond}") from error
-            self.skipped.append(entry)
+            if entry not in self.skipped:
+                if len(self.skipped) >= self.budget:
+                    beyond = f", after {self.budget} that --skip-unreadable allowed" if self.budget else ""
+                    raise BadConfig(f"{error}{beyond}") from error
+                self.skipped.append(entry)
             return None
 
 
@@ -221,7 +220,7 @@ def parse_frame(data: bytes) -> NDArray[np.uint16]:
     """
     if not data.startswith(SIGNATURE):
         raise BadConfig(f"a frame must be a 16-bit grey PNG, found {'no PNG' if data else 'nothing at all'}")
-    try:
+    with reported("", BadConfig, ValueError):
         chunks = read_chunks(data)
         check_checksums(chunks)
         needed = [chunk for chunk in chunks if chunk.name in _NEEDED]
@@ -231,8 +230,6 @@ def parse_frame(data: bytes) -> NDArray[np.uint16]:
             raise BadConfig(f"a frame must be a 16-bit grey PNG, found {kind}")
         check_pixels((header.rows, header.columns), np.dtype(np.uint16))
         image: NDArray[np.uint16] = decode_chunks(needed)
-    except ValueError as error:
-        raise BadConfig(str(error)) from error
     return image
 
 
