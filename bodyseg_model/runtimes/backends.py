@@ -283,9 +283,7 @@ def to_device(network: Network, device: str | None) -> None:
 
 def _runtime(backend: str) -> type[Runtime]:
     """The class of a runtime. Raises BadConfig for an unknown name."""
-    if backend not in RUNTIMES:
-        raise BadConfig(f"the backend must be one of {', '.join([TORCH, *RUNTIMES])}, found {backend!r}")
-    return RUNTIMES[backend]
+    return RUNTIMES[check_choice("the backend", backend, (TORCH, *RUNTIMES))]
 
 
 def folded(network: Network) -> Network:

@@ -145,8 +145,7 @@ def to_onnx(network: Network, card: dict[str, Any] | None = None) -> OnnxModel:
 def export_trained(trained: Trained) -> OnnxModel:
     """A trained network as an ONNX graph with its card, whose entries name its labels and its rig in any case."""
     check_network(getattr(trained, "network", trained))
-    label_map, rig = trained.label_map, trained.rig
-    card = {**trained.card, "labels": label_map.to_json(), "rig": rig.to_json()}
+    card = {**trained.card, "labels": trained.label_map.to_json(), "rig": trained.rig.to_json()}
     return to_onnx(trained.network, card)
 
 
