@@ -182,7 +182,11 @@ class _Context:
         try:
             self._window = pyrender.OffscreenRenderer(1, 1)
         except Exception as error:  # platforms differ: EGL errors, assertions, X errors, lookups
-            raise _no_driver(error) from error
+            cause = " ".join(str(error).split()) or type(error).__name__
+            where = f"nothing can be opened on PYOPENGL_PLATFORM={_PLATFORM!r} ({cause})"
+            hint = f"egl needs no display, and drivers in software are in {SOFTWARE_DRIVER}"
+            install = f"apt-get install {SOFTWARE_DRIVER}"
+            raise MissingLibrary(f"{_FEATURE}: {where}; {hint}: {install}; {_ALTERNATIVE}") from error
         self._renderer = _SingleSampleRenderer()
         self._window._renderer = self._renderer
         self._release()
@@ -241,13 +245,6 @@ def _shared_context() -> _Context:
             _context = _Context()
         _context.check_process()
         return _context
-
-
-def _no_driver(error: Exception) -> MissingLibrary:
-    cause = " ".join(str(error).split()) or type(error).__name__
-    hint = f"egl needs no display, and drivers in software are in {SOFTWARE_DRIVER}: apt-get install {SOFTWARE_DRIVER}"
-    where = f"nothing can be opened on PYOPENGL_PLATFORM={_PLATFORM!r} ({cause})"
-    return MissingLibrary(f"{_FEATURE}: {where}; {hint}; {_ALTERNATIVE}")
 
 
 def _face_colours(count: int) -> NDArray[np.float32]:
