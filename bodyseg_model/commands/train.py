@@ -148,7 +148,7 @@ def run(options: Options) -> int:
     run_options = RunOptions(options.log_every, options.checkpoint_every, options.num_workers, options.worker_method)
     validation = _validation(options)
     planes = (TEMPLATE,) if _settings(options).get(TEMPLATE) else ()
-    sets = [_open(options, *pair, "train", planes) for pair in _pairs(options)]
+    sets = [_open(options, *pair, "train", planes) for pair in itertools.product(options.data, options.sensor)]
     images = mixed(sets, options.weights, options.samples, options.seed)
     start = _start(options)
     network = _network(options, images.label_map, start)
@@ -185,11 +185,6 @@ def _bf16(options: Options) -> bool | None:
     return {"recipe": False if emulated else None, "float32": False, "bfloat16": True}[options.precision]
 
 
-def _pairs(options: Options) -> list[tuple[str, str]]:
-    """Address and sensor of each set that is read."""
-    return list(itertools.product(options.data, options.sensor))
-
-
 def _open(options: Options, address: str, sensor: str, split: ReadSplit, planes: tuple[str, ...] = ()) -> RangeImages:
     return RangeImages(
         address,
@@ -219,7 +214,7 @@ def _validation(options: Options) -> Validation | None:
                 raise BadConfig(f"{flag} is for a training with images to validate on: give --val-share, like 0.1")
         return None
     return Validation(
-        [_open(options, *pair, "val") for pair in _pairs(options)],
+        [_open(options, *pair, "val") for pair in itertools.product(options.data, options.sensor)],
         DEFAULT_EVERY if options.val_every is None else options.val_every,
         options.val_images,
         options.keep or "best",
