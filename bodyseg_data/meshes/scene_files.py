@@ -3,14 +3,17 @@
 The parts of a glTF file are placed by their nodes, joined, and named by nodes and materials.
 """
 
+import json
 import re
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
+from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadMesh
+from bodyseg_data.core import BadMesh, reported
 from bodyseg_data.machine import required
 from bodyseg_data.meshes.mesh import check_arrays
 from bodyseg_data.meshes.mesh_files import (
@@ -22,13 +25,20 @@ from bodyseg_data.meshes.mesh_files import (
     read_mesh_content,
 )
 
-SCENE_SUFFIXES: Final = (".glb", ".gltf", ".stl")
-"""Suffixes of mesh files that trimesh reads."""
+SCENE_SUFFIXES: Final = (".glb", ".gltf", ".stl")  # of mesh files that trimesh reads
 
 
 def scene_stem(name: str) -> str | None:
     """The name of a file that `mesh_content` reads, without its suffix; None for other files."""
     return Path(name).stem if Path(name).suffix.lower() in SCENE_SUFFIXES else mesh_stem(name)
+
+
+def gltf_buffers(path: Path) -> dict[str, Path]:
+    """URI -> file of the buffers beside a .gltf file; none of other files. Raises BadMesh."""
+    with reported(f"{path} is no glTF 2", BadMesh, OSError, ValueError, TypeError, LookupError, AttributeError):
+        tree = json.loads(path.read_bytes()) if path.suffix.lower() == ".gltf" else {}
+        uris: list[str] = [each["uri"] for each in tree.get("buffers", ())]
+        return {uri: path.parent / unquote(uri) for uri in uris if not uri.startswith("data:")}
 
 
 def mesh_content(path: Path) -> MeshContent:
@@ -39,9 +49,10 @@ def mesh_content(path: Path) -> MeshContent:
     if not path.name.lower().endswith(SCENE_SUFFIXES):
         return read_mesh_content(path)
     trimesh = required("trimesh", f"reading {path.suffix} files")
-    file_bytes(path, "mesh", LARGEST_BYTES, BadMesh)  # trimesh takes files of any size
+    data = BytesIO(file_bytes(path, "mesh", LARGEST_BYTES, BadMesh))  # trimesh takes files of any size
+    beside = {uri: file_bytes(file, "mesh", LARGEST_BYTES, BadMesh) for uri, file in gltf_buffers(path).items()}
     try:
-        scene = trimesh.load(path, force="scene", process=False)
+        scene = trimesh.load(data, path.suffix[1:].lower(), beside, force="scene", process=False)
         posed = [(node, *scene.graph[node]) for node in scene.graph.nodes_geometry]
         parts = [(_file_name(node, scene), pose, scene.geometry[name]) for node, pose, name in posed]
         return _joined([each for each in parts if len(getattr(each[2], "faces", ()))], path)

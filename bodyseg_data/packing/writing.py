@@ -147,10 +147,9 @@ def write_shards(
                         writers[shard.name].note(body.mesh, rendered.notes)
                     progress(done, total)
             for name, writer in writers.items():
-                if writer.record is None:
-                    raise BadShard(f"{name} was not written")
-                records[name] = writer.record
-                record_shard(state, writer.record)
+                if writer.record is not None:
+                    records[name] = writer.record
+                    record_shard(state, writer.record)
     return None, records
 
 
@@ -182,10 +181,8 @@ def claimed(out: Path, description: dict[str, Any], digest: str) -> Iterator[Pat
     check_folder(out)
     state = out / STATE_NAME
     if (out / MANIFEST_NAME).exists() and read_manifest(out).plan != digest:
-        raise BadConfig(
-            f"{out} already holds a set of shards packed with other options or from other files: "
-            "choose another folder, or delete it"
-        )
+        other = "packed with other options or from other files: choose another folder, or delete it"
+        raise BadConfig(f"{out} already holds a set of shards {other}")
     with held_alone(state, "packing"):
         for leftover in filter(lambda path: is_leftover(path.name), out.iterdir()):
             leftover.unlink()  # of a run that could not even clean up

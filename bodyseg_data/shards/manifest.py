@@ -281,10 +281,8 @@ def check_rigs(rigs: Sequence[Rig], where: str) -> None:
         same = (rig.camera.rows, rig.camera.columns) == (first.camera.rows, first.camera.columns)
         same &= len(rig.projectors) == len(first.projectors)
         if not same or rig.projector_shape != first.projector_shape or rig.range_step_m != first.range_step_m:
-            raise BadShard(
-                f"{where}: the rigs of a set have images of one size and one 'range_step_m', found {rig.name!r} beside "
-                f"{first.name!r}"
-            )
+            rule = "the rigs of a set have images of one size and one 'range_step_m'"
+            raise BadShard(f"{where}: {rule}, found {rig.name!r} beside {first.name!r}")
 
 
 def _planes(tree: Any, path: str) -> dict[str, str]:

@@ -295,10 +295,8 @@ def record_from_json(tree: Any, fields: Fields, where: str) -> ShardRecord:
         except BadSample as error:
             raise BadShard(f"{where}: {error}") from error
         if offset != end or not 0 < length <= LARGEST_SAMPLE or length % BLOCK:
-            raise BadShard(
-                f"{where}: {key}: samples must follow each other in whole blocks of {BLOCK} bytes, each of at most "
-                f"{LARGEST_SAMPLE}"
-            )
+            rule = f"samples must follow each other in whole blocks of {BLOCK} bytes, each of at most {LARGEST_SAMPLE}"
+            raise BadShard(f"{where}: {key}: {rule}")
         end = offset + length
     if end > tree["size"]:
         raise BadShard(f"{where}: samples end at byte {end}, the shard at {tree['size']}")

@@ -25,7 +25,7 @@ from bodyseg_data.bodies.sources.folder import body_ref
 from bodyseg_data.core import BadConfig, BadMesh, check_choice, reported
 from bodyseg_data.files import Table, read_json
 from bodyseg_data.labels import BACKGROUND, Classes, classes_from_json, with_sides
-from bodyseg_data.meshes import METRES, Mesh, MeshContent, SceneMesh, mesh_content, scene_stem, welded
+from bodyseg_data.meshes import METRES, Mesh, MeshContent, SceneMesh, gltf_buffers, mesh_content, scene_stem, welded
 from bodyseg_data.samples import SPLITS
 
 SCENE_NAME: Final = "scene.json"
@@ -97,12 +97,11 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
         """Return a digest of every byte of the files. Raises BadMesh for one that cannot be read."""
         digest = hashlib.sha256(repr((self._metres, self._rotation.tolist())).encode())
         files = {self._table.path} if self._table.classes is not None else set()
-        for body in bodies:
-            scene = self.entry(body)
+        for scene in map(self.entry, bodies):
             files.add(scene.path)
             for piece in scene.pieces:
-                files |= {piece.mesh, *([piece.labels] if isinstance(piece.labels, Path) else [])}
-                files |= set(piece.mesh.parent.glob("*.bin")) if piece.mesh.suffix.lower() == ".gltf" else set()
+                files |= {piece.mesh, *gltf_buffers(piece.mesh).values()}
+                files |= {piece.labels} if isinstance(piece.labels, Path) else set()
         for file in sorted(files):
             digest.update(file.name.encode())
             with reported(f"cannot read {file}", BadMesh, OSError):

@@ -181,6 +181,28 @@ def test_a_node_of_two_materials_is_one_name(tmp_path: Path) -> None:
         assert [np.count_nonzero((corners[:, 0] == names.index("base")) & upper), np.count_nonzero(~upper)] == [12, 12]
 
 
+def test_buffers_of_gltf_lie_where_it_says_and_are_in_the_digest(tmp_path: Path) -> None:
+    """Blender writes spaces and umlauts of a buffer's name as %20 and the like."""
+    import trimesh
+
+    whole = trimesh.Scene()
+    for name in ("base", "arm"):
+        whole.add_geometry(trimesh.Trimesh(BOX.vertices, BOX.faces, process=False), node_name=name)
+    files = trimesh.exchange.gltf.export_gltf(whole)
+    tree = json.loads(files.pop("model.gltf"))
+    for buffer in tree["buffers"]:
+        name = buffer["uri"]
+        write(tmp_path / "my buffers" / name, files.pop(name))
+        buffer["uri"] = f"my%20buffers/{name}"
+    write(tmp_path / "a.gltf", tree)
+    assert set(scene(tmp_path)[2]) == {"base", "arm"}
+    source = open_source("labelled", tmp_path)
+    before = source.fingerprint(source.bodies())
+    file = tmp_path / "my buffers" / name
+    file.write_bytes(file.read_bytes()[:-1] + b"\1")
+    assert source.fingerprint(source.bodies()) != before
+
+
 def test_vertices_that_no_face_uses_are_left_out(tmp_path: Path) -> None:
     vertices = np.concatenate([[[9.0, -5.0, 9.0]], BOX.vertices, [[np.nan, 0.0, 0.0]]])
     write(tmp_path / "a.obj", obj(vertices, BOX.faces + np.int32(1)))
@@ -239,7 +261,7 @@ def test_faults_are_one_line(tmp_path: Path) -> None:
 def test_damaged_and_unknown_files_are_one_line(tmp_path: Path) -> None:
     for name, content, why in (
         ("a.glb", b"glTF" + bytes(40), "cannot be read by trimesh"),
-        ("a.gltf", b"{", "cannot be read by trimesh"),
+        ("a.gltf", b"{", "is no glTF 2"),
         ("a.ply", b"ply\n", "the header must end"),
     ):
         assert why in reason(write(tmp_path / name.replace(".", "_") / name, content).parent)
