@@ -243,8 +243,7 @@ class ShardWriter:
         if split not in self._open and layout is not None:
             names = (f"{split}-{number:05d}.tar" for number in itertools.count())
             name = next(name for name in names if name not in self._records)
-            writer = TarWriter(self._out / name, state / f"{name}.part", split, layout.fields)
-            self._open[split] = writer.__enter__()
+            self._open[split] = TarWriter(self._out / name, state / f"{name}.part", split, layout.fields).__enter__()
         self._open[split].write(key, members)
         if len(self._open[split]) == self._shard_samples:
             self._close(split)
@@ -266,6 +265,8 @@ class ShardWriter:
                 writer.__exit__(KeyboardInterrupt, None, None)  # as after any error: its file goes
             self._open.clear()
             self._waiting.clear()
+            if (self._out / MANIFEST_NAME).exists():  # also one that was whole before and got no further scene
+                shutil.rmtree(self._opened(), ignore_errors=True)
             self._state = None
             self._context.close()
         if error is None and self._complete and self._seen:
@@ -297,7 +298,6 @@ class ShardWriter:
                 planes=layout.planes,
             )
             write_manifest(manifest, self._out)
-        shutil.rmtree(self._opened())
 
     def _described(self) -> dict[str, Any]:
         """Everything that shapes the bytes of a sample as far as it is known before the first, as plain JSON."""
@@ -316,19 +316,17 @@ class ShardWriter:
 
     def _learned(self, scene: Render) -> SceneLayout:
         """The layout of all samples, where it is not given as the first scene has it."""
-        fields, planes, projector = self._fields, self._planes, self._projector
-        if fields is None:
-            fields = learned_fields(scene.fields, len(self._rigs), scene.key)
-        if planes is None:
-            planes = learned_planes(scene.planes, scene.key)
-        if projector is None:
-            projector = "none" if scene.projector is None and scene.projector_range_m is None else "shadow"
+        fields = self._fields or learned_fields(scene.fields, len(self._rigs), scene.key)
+        planes = learned_planes(scene.planes, scene.key) if self._planes is None else self._planes
+        unseen = scene.projector is None and scene.projector_range_m is None
+        projector: ProjectorKind = self._projector or ("none" if unseen else "shadow")
         return SceneLayout(self._rigs, self._classes, fields, projector, planes, facing_of(scene), self._codec)
 
     def _learn(self, layout: SceneLayout) -> None:
         self._layout = layout
         stored = {"fields": layout.fields.kinds, "projector": layout.projector, "planes": dict(layout.planes)}
-        write_atomically(self._opened() / _LEARNED, json.dumps({**stored, "facing": layout.facing}).encode())
+        with writing_into(self._out):
+            write_atomically(self._opened() / _LEARNED, json.dumps({**stored, "facing": layout.facing}).encode())
 
     def _carry_on(self, state: Path) -> None:
         """Find the shards that an earlier run finished, and what it had learned."""
@@ -347,8 +345,7 @@ class ShardWriter:
             except FileNotFoundError:
                 return  # no scene was written
             except (OSError, ValueError, KeyError, TypeError, BodysegError) as error:
-                unreadable = f"{state / _LEARNED} cannot be read"
-                raise BadConfig(f"{unreadable}: delete the folder {self._out} and write it again") from error
+                raise BadConfig(f"{state / _LEARNED} cannot be read: delete the folder {self._out}") from error
             names = sorted(path.name.removesuffix(".json") for path in state.glob("*.tar.json"))
         layout = SceneLayout(self._rigs, self._classes, *known, self._codec)
         self._learn(layout)
