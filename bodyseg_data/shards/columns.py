@@ -132,8 +132,8 @@ class ColumnWriter:
 
     def __init__(self, folder: str | Path, name: str, kind: str) -> None:
         self._folder, self._name, self._kind = Path(folder), name, kind
-        self._set = read_manifest(self._folder)
         self._is_plane = kind in PLANE_KINDS
+        self._claim: contextlib.ExitStack | None = None
         with reported(f"a column is of the kind {' or '.join(PLANE_KINDS)}, or a field", BadConfig, BadShard):
             self._fields = Fields(() if self._is_plane else (((name, kind),),))
             if self._is_plane:
@@ -143,13 +143,13 @@ class ColumnWriter:
     def __enter__(self) -> ColumnWriter:
         with contextlib.ExitStack() as claim:
             claim.enter_context(claimed(self._folder, "ColumnWriter"))
-            self._set = read_manifest(self._folder)
             self._begin()  # again: another one may have written it since, or this one
             self._claim = claim.pop_all()
         return self
 
     def _begin(self) -> None:
         """Begin the column anew. Raises BadConfig if it is there."""
+        self._set = read_manifest(self._folder)
         name, shards = self._name, self._set.shards
         if name in (*self._set.planes, *self._set.fields.kinds):
             raise BadConfig(f"{self._folder}: the set itself has {name!r} already")
@@ -165,6 +165,8 @@ class ColumnWriter:
         value: a NumPy array, a torch tensor or a plain value. Raises BadSample for a key that the set has not or that
         was written, or for a value of another kind or size; BadConfig if the disk cannot be written.
         """
+        if self._claim is None:
+            raise BadConfig("a ColumnWriter writes in a with statement: with ColumnWriter(...) as column")
         if key not in self._places:
             raise BadSample(f"column {self._name!r}: the set has no sample {key!r}")
         check_key(key, (self._name,) if self._is_plane else ())
@@ -204,7 +206,8 @@ class ColumnWriter:
         return {"json": json.dumps(info.with_fields(**{self._name: value}).to_json(), sort_keys=True).encode()}
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        with self._claim:
+        with self._claim or contextlib.ExitStack():
+            self._claim = None
             try:
                 if kind is None:
                     self._finish()
@@ -219,10 +222,8 @@ class ColumnWriter:
             key for key, (at, index) in self._places.items() if at not in self._records and index not in self._held[at]
         ]
         if lacking:
-            raise BadSample(
-                f"column {self._name!r} must have every sample of the set: {len(lacking)} of {len(self._places)} are "
-                f"missing, {lacking[0]} the first"
-            )
+            missing = f"{len(lacking)} of {len(self._places)} are missing, {lacking[0]} the first"
+            raise BadSample(f"column {self._name!r} must have every sample of the set: {missing}")
         planes = {self._name: self._kind} if self._is_plane else {}
         records = [self._records[at] for at in range(len(self._records))]
         with reported(f"cannot write {self._folder}", BadConfig, OSError):

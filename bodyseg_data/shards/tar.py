@@ -82,9 +82,8 @@ class TarWriter:
         try:
             if kind is None:
                 # Two empty blocks end an archive, which is padded to whole records.
-                self._append(
-                    bytes(-(-(self._size + 2 * BLOCK) // tarfile.RECORDSIZE) * tarfile.RECORDSIZE - self._size)
-                )
+                whole = -(-(self._size + 2 * BLOCK) // tarfile.RECORDSIZE) * tarfile.RECORDSIZE
+                self._append(bytes(whole - self._size))
                 self._file.flush()
                 os.fsync(self._file.fileno())
                 self._file.close()

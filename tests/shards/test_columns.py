@@ -179,6 +179,18 @@ def test_a_column_finished_since_the_writer_was_made_stays(copy: Path, kind: str
     assert hashes(copy) == written
 
 
+def test_a_writer_without_a_block_says_so(copy: Path) -> None:
+    """Its column would be tars without a manifest."""
+    before = sorted(copy.iterdir())
+    writer = ColumnWriter(copy, "quality", "text")
+    for _ in range(2):
+        with pytest.raises(BadConfig, match=r"writes in a with statement: with ColumnWriter\(...\) as column"):
+            writer.write(RangeImages(copy, "none").keys[0], "good")
+        with pytest.raises(RuntimeError, match="left"), writer:
+            raise RuntimeError("left")
+    assert sorted(path for path in copy.iterdir() if path.name != ".lock") == before
+
+
 def test_a_key_too_long_for_a_plane_is_told_at_once(tmp_path: Path) -> None:
     rig = cell_rig()
     ranges, key = np.ones((rig.camera.rows, rig.camera.columns)), "k" * 80
