@@ -161,10 +161,9 @@ def _at_corners(numbers: NDArray[np.int64], content: MeshContent, where: str, of
     if not fits:
         what = f"{vertices} vertices" if of == "vertices" else f"{polygons} faces"
         both = f"{vertices} vertices or {polygons} faces"
-        raise BadMesh(
-            f"{where}: there must be one label for each of the mesh's {what if of else both}, found {len(numbers)} (a "
-            "program that splits vertices along seams of textures changes their number and order)"
-        )
+        why = "a program that splits vertices along seams of textures changes their number and order"
+        rule = f"there must be one label for each of the mesh's {what if of else both}"
+        raise BadMesh(f"{where}: {rule}, found {len(numbers)} ({why})")
     if len(fits) == 2:
         raise BadMesh(f"{where}: {len(numbers)} vertices and as many faces: call it vertex_labels or face_labels")
     if fits[0] == "vertices":
@@ -247,10 +246,8 @@ def file_labels(content: MeshContent, wanted: str | None, table: ClassTable, whe
     why = "files of this kind hold none" if where.lower().endswith((".stl", ".off")) else "the file holds none"
     if _having(content, _CHANNELS)[0]:
         why = "its colours are labels only where classes.json gives classes colours"
-    raise BadMesh(
-        f"{where}: a mesh needs labels, {why}: put a .labels.json or .labels.npy beside it, or give its 'class' in "
-        "scene.json"
-    )
+    ways = "put a .labels.json or .labels.npy beside it, or give its 'class' in scene.json"
+    raise BadMesh(f"{where}: a mesh needs labels, {why}: {ways}")
 
 
 def _having(content: MeshContent, names: Sequence[str]) -> tuple[str, dict[str, NDArray[Any]]]:

@@ -15,7 +15,7 @@ from bodyseg_data.packing.sampler import body_key
 from bodyseg_data.packing.things import ThingsPlace
 from bodyseg_data.rendering import RendererName
 from bodyseg_data.rigs import Rig, load_rig
-from bodyseg_data.samples import View, ViewGrid
+from bodyseg_data.samples import SPLITS, View, ViewGrid
 from bodyseg_data.shards import CodecName
 
 PACKING_VERSION: Final = 3
@@ -60,8 +60,12 @@ class Packing:
             self.rig.check_reach(max(self.views.distances_cm) / 100)
 
     def bodies(self) -> list[BodyRef]:
-        """The bodies to pack, in the source's order. Raises BadConfig if none is of `poses`, or fewer than `meshes`."""
+        """The bodies to pack, in the source's order. Raises BadConfig if two have one name, a split is none, none is of
+        `poses`, or they are fewer than `meshes`.
+        """
         bodies = self.opened().bodies()
+        if len({body.mesh for body in bodies}) < len(bodies) or {body.split for body in bodies} - {*SPLITS}:
+            raise BadConfig(f"source {self.source!r}: each body has a 'mesh' of its own, and the split train or test")
         wanted = [body for body in bodies if not self.poses or any(fnmatchcase(body.pose, each) for each in self.poses)]
         if not wanted:
             names = ", ".join(collapsed(sorted({body.pose for body in bodies})))

@@ -282,10 +282,9 @@ def _from_normals(rig: Rig, range_m: Images, normals: Images, key: str) -> NDArr
         raise BadSample(f"{key}: normals must be finite where range_m is above 0")
     towards = np.einsum("ijk,ijk->ij", normals, rig.camera.pixel_rays())[measured] < 0
     if towards.size and np.count_nonzero(towards) < towards.size / 2:
-        raise BadSample(
-            f"{key}: normals must point out of the surfaces, in the camera's frame (x right, y down, z forward), so "
-            f"towards the camera: {towards.size - np.count_nonzero(towards)} of {towards.size} point away"
-        )
+        rule = "normals must point out of the surfaces, in the camera's frame (x right, y down, z forward)"
+        away = f"{np.count_nonzero(~towards)} of {towards.size} point away"
+        raise BadSample(f"{key}: {rule}, so towards the camera: {away}")
     return np.array(facing_from_normals(rig, range_m, normals))
 
 

@@ -280,6 +280,17 @@ def test_a_plan_counts_without_rendering() -> None:
     assert counts["subsets"]["people"] == {"meshes": 583, "views": 3498, "train": 467 * 6, "test": 116 * 6}
 
 
+@pytest.mark.parametrize(("mesh", "split"), [("A-0", "train"), ("A-9", "val")])
+def test_a_source_with_two_bodies_of_one_name_or_another_split_is_refused_at_once(
+    mesh: str, split: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pack_figures: Pack
+) -> None:
+    """Its set could not be read when all was packed, or lacked bodies."""
+    bodies = [*Figures().bodies(), BodyRef("people", "bob", mesh, "standing", split)]
+    monkeypatch.setattr(Figures, "bodies", lambda _: bodies)
+    with pytest.raises(BadConfig, match="each body has a 'mesh' of its own, and the split train or test"):
+        pack_figures(tmp_path / "shards")
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
