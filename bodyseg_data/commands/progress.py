@@ -58,8 +58,8 @@ class Progress:
                 self._bar.set_postfix_str(note, refresh=False)
                 self._bar.update(done - self._bar.n)
                 return
-            self._line = f"{self.title}: {done} of {total} {self.unit}"
-            if done == total or time.monotonic() - self._last >= self._interval_s:
+            before, self._line = self._line, f"{self.title}: {done} of {total} {self.unit}"
+            if (done == total and before != self._line) or time.monotonic() - self._last >= self._interval_s:
                 self._write(note)
 
     def _write(self, note: str = "") -> None:

@@ -33,7 +33,8 @@ def test_a_quick_command_says_only_that_it_is_done(capsys: pytest.CaptureFixture
     with Progress("packing", "views", interval_s=100) as progress:
         progress.update(0, 2)
         progress.update(1, 2)
-        progress.update(2, 2, "all there")
+        for _ in range(3):  # as of files smaller than the unit
+            progress.update(2, 2, "all there")
     assert capsys.readouterr().err.splitlines() == [
         "packing: 0 of 2 views, 0 s",
         "packing: 2 of 2 views, 0 s: all there",
