@@ -80,6 +80,14 @@ class Template:
         return np.asarray(self._tree.query(places)[1], np.uint16)
 
     @cached_property
+    def nearest_of_parts(self) -> NDArray[np.uint16]:
+        """Number of the point of each part that is nearest to each point, in a straight line, uint16 [33, P]."""
+        from scipy.spatial import cKDTree
+
+        own = [np.flatnonzero(self.parts == part) for part in range(len(PARTS33))]
+        return np.array([each[cKDTree(self.points[each]).query(self.points)[1]] for each in own], np.uint16)
+
+    @cached_property
     def mirrored(self) -> NDArray[np.uint16]:
         """Number of the point nearest to the mirror image of each point, uint16 [65536]; other numbers stay."""
         nearest = self.nearest(self.points * (-1, 1, 1))

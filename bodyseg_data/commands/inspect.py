@@ -81,19 +81,16 @@ def contact_sheet(images: RangeImages, rows: int) -> Image.Image:
     count = min(rows, len(images))
     lines = []
     for number in range(count):
-        sample = images.clean(_pick(number, count, len(images)))
+        # Drawn from a section each, since even steps would always show the same view.
+        first, end = number * len(images) // count, (number + 1) * len(images) // count
+        draw = Draws(0, 0, f"{number} of {count}").generator("contact sheet")
+        sample = images.clean(int(draw.integers(first, end)))
         makers = [replace(images.augmentation_of(sample), variant=name) for name in VARIANTS]
         able = [each for each in makers if sample.projector_range is not None or not each.needs_projector]
         lines.append(Row(sample, images.step_m, {each.variant: each(sample, images.epoch) for each in able}))
     sources = f"rig {images.manifest.rig.name}, sensor {images.augmentation.sensor.name}"
     title = f"{images.path.rpartition('/')[2]}: {len(images)} samples, {sources}"
     return draw_sheet(lines, images.augmentation.variant, title, images.augmentation.sensor, images.label_map)
-
-
-def _pick(number: int, count: int, length: int) -> int:
-    """Draw a sample from section `number` of `count`, since even steps would always show the same view."""
-    first, end = number * length // count, (number + 1) * length // count
-    return int(Draws(0, 0, f"{number} of {count}").generator("contact sheet").integers(first, end))
 
 
 def summarise(images: RangeImages) -> dict[str, Any]:

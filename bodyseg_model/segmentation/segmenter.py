@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from bodyseg_data.bodies import load_template
 from bodyseg_data.core import BadConfig, Stopwatch
 from bodyseg_data.labels import BACKGROUND, NOWHERE, PART_COUNT, PARTS33, LabelMap
 from bodyseg_data.machine import of_each, required
@@ -285,6 +286,9 @@ class Segmenter:
             with watch("video"):
                 seen = [(body.pixels, body.confidence) for body in bodies]
                 labels = self.video(range_m, labels, seen, self._upright)
+                if all(self._asked):  # the network's points are of the parts that it sees, not of those shown
+                    nearest, shown = load_template().nearest_of_parts, labels.ravel()
+                    bodies = [replace(body, places=nearest[shown[body.pixels], body.places]) for body in bodies]
         for labelled in bodies:
             labels.ravel()[labelled.pixels[labelled.confidence < self.least_confidence]] = BACKGROUND
         made = labels, tuple(bodies), watch.milliseconds, range_m, self.camera, tuple(things)
@@ -315,5 +319,7 @@ class Segmenter:
         if self.finder is not None:
             part_people(room, room > 0, self._upright)
         view_body(np.full_like(room, self.rig.stand_off_m), np.arange(1), self._upright, self.rig, self.mirrored)
+        if self.video is not None and all(self._asked):
+            _ = load_template().nearest_of_parts
         for views in usual_views(self.rig, self._network.together):
             predict_each(self._network, views, *self._asked)

@@ -7,7 +7,7 @@ sliders like those that ship.
 import math
 import typing
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import Field, dataclass, fields, replace
 from typing import Any, Final, TypeVar
 
 from bodyseg_data.artifacts import Artifact
@@ -47,10 +47,10 @@ def sliders_of(artifact: Artifact) -> Iterator[Slider]:
     for field in fields(artifact):
         value = getattr(artifact, field.name)
         if _is_number(value):
-            yield _slider(artifact, field.name, None, value, hints[field.name] is int)
+            yield _slider(artifact, field, None, value, hints[field.name] is int)
         elif isinstance(value, tuple) and all(map(_is_number, value)):
             for item, each in enumerate(value):
-                yield _slider(artifact, field.name, item, each, isinstance(each, int))
+                yield _slider(artifact, field, item, each, isinstance(each, int))
 
 
 def value_of(artifact: Artifact, slider: Slider) -> float:
@@ -82,35 +82,29 @@ def moved(artifact: Kind, slider: Slider, value: float) -> Kind:
         raise
 
 
-def _slider(artifact: Artifact, name: str, item: int | None, value: float, whole: bool) -> Slider:
-    bounds = _bounds(artifact, name)
+def _slider(artifact: Artifact, field: Field[Any], item: int | None, value: float, whole: bool) -> Slider:
+    # Without bounds of its own an artifact may still refuse to be moved somewhere.
+    bounds: Bounds = field.metadata.get("bounds") or Bounds(-math.inf, math.inf)
     rounds = [digit * 10.0**power for power in range(_SMALLEST, _LARGEST + 1) for digit in (1, 2, 5)]
-    wanted = _REACH * (_reference(artifact, name, value) or min(bounds.high, 1.0) / _REACH)
+    wanted = _REACH * (_reference(artifact, field, value) or min(bounds.high, 1.0) / _REACH)
     round_end = next((number for number in rounds if number >= wanted), bounds.high)
     high = max(bounds.high if bounds.high < 2 * round_end else round_end, value)
     step = 1.0 if whole else max((number for number in rounds if number <= high / _STEPS), default=10.0**_SMALLEST)
     low = max(bounds.low, 0.0)
     low = step if bounds.above and low == bounds.low else low
-    return Slider(name, item, min(low, value), high, step, whole)
+    return Slider(field.name, item, min(low, value), high, step, whole)
 
 
-def _bounds(artifact: Artifact, name: str) -> Bounds:
-    """Bounds that the artifact declares (`bounded`), or none: it may still refuse to be moved somewhere."""
-    found: Bounds | None = next(each for each in fields(artifact) if each.name == name).metadata.get("bounds")
-    return found or Bounds(-math.inf, math.inf)
-
-
-def _reference(artifact: Artifact, name: str, value: float) -> float:
+def _reference(artifact: Artifact, field: Any, value: float) -> float:
     """A strength, or its default if that is larger; where both are 0, the artifact's largest number in its unit.
 
     Of a tuple of strengths, the largest.
     """
-    default: Any = next(each.default for each in fields(artifact) if each.name == name)
-    own = max(abs(value), abs(default) if _is_number(default) else 0.0)
-    held = getattr(artifact, name)
+    own = max(abs(value), abs(field.default) if _is_number(field.default) else 0.0)
+    held = getattr(artifact, field.name)
     if isinstance(held, tuple):
         return float(max(map(abs, held)))
-    unit = name.rpartition("_")[2]
+    unit = field.name.rpartition("_")[2]
     alike = (getattr(artifact, each.name) for each in fields(artifact) if each.name.rpartition("_")[2] == unit)
     return own or max((abs(each) for each in alike if _is_number(each)), default=0.0)
 

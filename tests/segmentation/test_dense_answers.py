@@ -23,7 +23,7 @@ from bodyseg_model.networks.body_map import UNIT_M, place_table, point_grids
 from bodyseg_model.networks.labelling import number_pixels
 from bodyseg_model.networks.registry import predict_dense
 from bodyseg_model.runtimes import on_backend
-from bodyseg_model.segmentation import Background, FrameLabeller, Segmenter
+from bodyseg_model.segmentation import Background, CarriedLabels, FrameLabeller, Segmenter
 
 LENS = Camera(60, 80, 100.0, (40.0, 30.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 KEEP = Background("keep")
@@ -113,6 +113,26 @@ def test_points_turn_back_with_labels_and_go_where_a_pixel_has_no_label() -> Non
     assert (
         np.array_equal(some.template, np.where(kept, upright.template, NOWHERE)) and 0 < kept.sum() < (frame > 0).sum()
     )
+
+
+def test_points_of_a_video_are_of_the_part_that_is_shown_and_nearest_to_the_networks() -> None:
+    template, frame = load_template(), standing()
+    draw = np.random.default_rng(4)
+    frames = [np.where(frame > 0, frame + draw.normal(0, 0.02, frame.shape), 0).astype(np.float32) for _ in range(4)]
+    steadied = Segmenter(network(), LENS, KEEP, video=CarriedLabels(), turned=2, dense=True)
+    alone = Segmenter(network(), LENS, KEEP, turned=2, dense=True)
+    other = 0
+    for each in frames:
+        seen, told = alone(each), steadied(each)
+        for label, point, given in zip(
+            told.labels[frame > 0], told.template[frame > 0], seen.template[frame > 0], strict=True
+        ):
+            own = np.flatnonzero(template.parts == label)
+            away = np.linalg.norm(template.points[own] - template.points[given], axis=1)
+            assert template.parts[point] == label
+            assert np.linalg.norm(template.points[point] - template.points[given]) < away.min() + 1e-6
+        other += np.count_nonzero(seen.labels != told.labels)
+    assert other > 20  # labels that the frames before changed
 
 
 def test_a_mirror_image_has_the_mirrored_places() -> None:
