@@ -126,8 +126,8 @@ class Preview:
 
 
 def _palette(label_map: LabelMap) -> NDArray[np.uint8]:
-    """The 256 colours of a preview: every class in `_LEVELS` brightnesses, and greys; uint8 [256, 3]."""
-    brightness = np.linspace(1, _DARKEST, _LEVELS)
+    """The 256 colours of a preview: every class in up to `_LEVELS` brightnesses, and greys; uint8 [256, 3]."""
+    brightness = np.linspace(1, _DARKEST, min(_LEVELS, 254 // len(label_map)))
     parts = (label_map.colours[:, None] * brightness[:, None]).reshape(-1, 3)
     greys = np.linspace(_ROOM_GREYS[1], _UNKNOWN_GREYS[0], 256 - len(parts) - 1)[:, None].repeat(3, axis=1)
     return np.concatenate([parts, greys, [EMPTY]]).astype(np.uint8)

@@ -19,7 +19,7 @@ from PIL import Image
 
 from bodyseg_data.core import BadConfig, MissingLibrary, Stopwatch
 from bodyseg_data.drawing import draw_legend
-from bodyseg_data.labels import BACKGROUND, PARTS33, load_label_map
+from bodyseg_data.labels import BACKGROUND, PARTS33, classes_of, load_label_map, whole_map
 from bodyseg_data.labels.label_map import COLOURS
 from bodyseg_data.rigs import Camera
 from bodyseg_model.segmentation import (
@@ -366,6 +366,13 @@ def test_a_preview_has_the_colours_of_its_classes() -> None:
             animation.seek(label)
             colour = np.asarray(animation.convert("RGB"))[4, 4].astype(int)
             assert np.abs(colour - limbs.colours[label]).max() <= 2
+    for classes in (43, 254):  # of which a palette does not hold all brightnesses
+        many = whole_map(classes_of([f"class {number}" for number in range(classes)]))
+        preview = Preview(10, many)
+        labels = np.full((8, 8), classes - 1, np.uint8)
+        preview.add(draw_overlay(frame, labels, [np.arange(64)], many))
+        with Image.open(io.BytesIO(preview.to_gif())) as animation:
+            assert np.abs(np.asarray(animation.convert("RGB"))[4, 4] - many.colours[-1].astype(int)).max() <= 2
     unknown = draw_overlay(frame, np.full((8, 8), 20, np.uint8), [np.arange(64)], limbs)[4, 4]
     assert len(set(unknown.tolist())) == 1, "a label of no class is grey"
 
