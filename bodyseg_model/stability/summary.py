@@ -151,7 +151,7 @@ def _handle(label: str, group: Tree, style: _Style) -> Any:
 FEWEST_SEEDS: Final = 3
 """With fewer seeds a standard deviation says little."""
 
-_ALIKE: Final = ("network", "settings", "variant", "recipe")
+_ALIKE: Final = ("network", "settings", "variant", "recipe", "pretrained", "data")
 
 
 @dataclass(frozen=True)
@@ -215,7 +215,7 @@ def load_runs(paths: Sequence[Path]) -> list[Run]:
 
 
 def group(runs: Sequence[Run]) -> list[Group]:
-    """Group runs of one network, settings, variant, recipe and data; groups are in the order of their first runs."""
+    """Group runs of one network, settings, variant, recipe, first weights and data, in the order of first runs."""
     alike: dict[str, list[Run]] = {}
     for run in runs:
         alike.setdefault(_identity(run.trained.card), []).append(run)
@@ -236,11 +236,9 @@ def group_of(groups: Sequence[Group], paths: Sequence[Path]) -> Group | None:
 
 
 def _identity(card: dict[str, Any]) -> str:
-    """Everything on a card that identifies a training, except its seed, as JSON text."""
-    data = card.get("data")
-    if isinstance(data, dict):
-        data = {name: value for name, value in data.items() if name != "seed"}
-    return json.dumps([*(card.get(name) for name in _ALIKE), data], sort_keys=True)
+    """All on a card that identifies a training, except seeds, its own and each set's, and names of files, as JSON."""
+    text = json.dumps([card.get(name) for name in _ALIKE])
+    return json.dumps(json.loads(text, object_hook=lambda tree: tree | {"seed": None, "file": None}), sort_keys=True)
 
 
 def _labels(runs: Sequence[Run]) -> list[str]:

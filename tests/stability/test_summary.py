@@ -35,7 +35,8 @@ SETTINGS = [
 
 def made(name: str, seed: int, variant: str = "all", **card: Any) -> Run:
     facts = {"network": "compact", "settings": {}, "variant": variant, "recipe": {"steps": 1}, "seed": seed, **card}
-    return Run(name, Path("runs") / name, Trained(nn.Identity(), facts | {"data": {"set": "x", "seed": seed}}))
+    data = {"data": {"set": "x", "seed": seed}}
+    return Run(name, Path("runs") / name, Trained(nn.Identity(), data | facts))
 
 
 GROUPS = [
@@ -168,8 +169,22 @@ def test_groups_differ_by_more_than_the_seed() -> None:
     assert [each.label for each in group(twice)] == ["a/none", "b/none"]
     same_stem = (made("all-0", 0), made("all-1", 1, network="fcn_alexnet"))
     assert [each.label for each in group(same_stem)] == ["all (compact)", "all (fcn_alexnet)"]
+    first = {"file": "box", "weights_sha256": "aa"}
+    fine = (made("all-0", 0), made("fine-0", 0, pretrained=first), made("fine-1", 1, pretrained={**first, "file": "b"}))
+    assert [len(each.runs) for each in group(fine)] == [1, 2]
     neither = (made("all-0", 0), made("all-1", 1, recipe={"steps": 2}))
     assert [each.label for each in group(neither)] == ["all-0", "all-1"]
+
+
+def test_seeds_of_a_training_on_several_sets_are_a_group() -> None:
+    """Each set of a mixture has the seed, too."""
+
+    def mixed(seed: int, *sets: str) -> Run:
+        data = {"mixture": [{"weight": 1.0, "set": each, "seed": seed} for each in sets], "seed": seed}
+        return made(f"{''.join(sets)}-{seed}", seed, data=data)
+
+    found = group([mixed(0, "x", "y"), mixed(0, "x", "z"), mixed(1, "x", "y")])
+    assert [(each.label, len(each.runs)) for each in found] == [("xy", 2), ("xz", 1)]
 
 
 def test_the_reference_is_one_group() -> None:
