@@ -104,7 +104,7 @@ def draw_confusion(figures: Tree) -> Any:
 
     counts = np.array(figures["confusion"], np.float64)
     shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
-    label_map = _label_map(figures)
+    label_map = label_map_from_json(figures["labels"], "labels of the scores") if "labels" in figures else PARTS33
     side = 5.0 + 0.2 * len(label_map)
     figure = new_chart(side + 1, side)
     axis = figure.subplots()
@@ -136,10 +136,6 @@ def draw_confusion(figures: Tree) -> Any:
     if handles:
         figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=10, frameon=False)
     return figure
-
-
-def _label_map(figures: Tree) -> LabelMap:
-    return label_map_from_json(figures["labels"], "labels of the scores") if "labels" in figures else PARTS33
 
 
 def _outline(axis: Any, mask: NDArray[np.bool_], style: Tree) -> None:

@@ -22,6 +22,7 @@ from bodyseg_data.samples import ReadSplit, Sample, View, metres
 from bodyseg_model.evaluation import KINDS, RigFit, kinds_of, told_kinds
 from bodyseg_model.networks import Trained, device_of, predict
 from bodyseg_model.viewing.pictures import (
+    CONFIDENCE_LEGEND,
     KIND_LEGEND,
     Drawing,
     Layout,
@@ -121,7 +122,7 @@ class SetView:
             answered = self.label_map
             self.label_map = load_label_map(labels, self.images.manifest.classes)
             self._joined = answered.joined_to(self.label_map)
-        if self.label_map.template is not None:
+        if self.label_map.template is not None or self.label_map.has_rest:  # of what samples do not hold as a class
             self.images = opened(labels=self.label_map)
         self.rig = self.images.manifest.rig
         self._clean = lru_cache(maxsize=4)(self.images.clean)
@@ -226,7 +227,9 @@ class SetView:
         return class_image(layers.labels, seen, self.label_map.colours)
 
     def legend_of(self, images: SampleImages, colouring: Colouring) -> Legend:
-        """Names of the colours of points."""
+        """Names of the colours of points; of ranges, those of the panels of labels."""
+        if images.layers.confidence is not None and colouring == "confidence":
+            return CONFIDENCE_LEGEND
         if images.layers.kinds is not None and colouring == "mistakes":
             told = told_kinds(self.label_map)
             return tuple(each for kind, each in zip(KINDS, KIND_LEGEND, strict=True) if kind in told)
@@ -245,7 +248,9 @@ class SetView:
         small = layers.picked(reduced)
         stored = [
             Panel("stored range", colour_range(reduced(sample.range), *span), f"{near:.2f} to {far:.2f} m"),
-            Panel(f"labels, {shown.variant}", self._colours("parts", small), _pixels(layers.range)),
+            Panel(
+                f"labels, {shown.variant}", self._colours("parts", small), f"{np.count_nonzero(layers.range)} pixels"
+            ),
         ]
         if projector is not None:
             view = colour_range(reduced(projector), *span_of(projector))
@@ -272,7 +277,7 @@ class SetView:
         facts = [
             sample.key,
             ", ".join(filter(None, (*body, info.view.words if info.view else "", f"split {info.split}"))),
-            f"{_pixels(image.range)} of {np.count_nonzero(sample.range)} measured in {variant}"
+            f"{np.count_nonzero(image.range)} pixels of {np.count_nonzero(sample.range)} measured in {variant}"
             + (f": {caption}" if caption else ""),
         ]
         if layers.kinds is not None:
@@ -290,7 +295,3 @@ def _share_right(kinds: NDArray[np.uint8]) -> float:
     """Share of the pixels with a true class whose answer is right; kinds: uint8 [H, W]."""
     known = kinds[kinds != BACKGROUND]
     return float((known == 0).mean()) if len(known) else 0.0
-
-
-def _pixels(steps: NDArray[np.uint16]) -> str:
-    return f"{np.count_nonzero(steps)} pixels"

@@ -11,14 +11,14 @@ import pytest
 from label_networks import Places
 from small_rig import SMALL
 
-from bodyseg_data import RangeImages, example_set
+from bodyseg_data import LabelMap, RangeImages, ShardWriter, example_set
 from bodyseg_data.artifacts import MissingData, Noise, load_sensor_model
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import PARTS33, load_label_map
 from bodyseg_data.labels.label_map import COLOURS
 from bodyseg_model.networks import Trained
 from bodyseg_model.viewing import SetView, Shown
-from bodyseg_model.viewing.pictures import KIND_LEGEND, legible, rig_before
+from bodyseg_model.viewing.pictures import CONFIDENCE_LEGEND, KIND_LEGEND, legible, rig_before
 from bodyseg_model.viewing.set_view import COLOURINGS
 
 KINDS = np.array([colour for _, colour in KIND_LEGEND], np.uint8)
@@ -73,6 +73,7 @@ def test_each_colouring_shows_what_it_names(view: SetView) -> None:
     share = f"{right.mean():.1%} of pixels right"
     assert any(share in fact for fact in found["parts"].facts)
     assert found["mistakes"].legend == KIND_LEGEND and len(found["parts"].legend) == 33
+    assert found["confidence"].legend == CONFIDENCE_LEGEND
     assert len(np.unique(found["confidence"].points.colours, axis=0)) == 1
     assert len(np.unique(found["range"].points.colours, axis=0)) > 20
 
@@ -150,3 +151,16 @@ def test_other_classes_can_be_shown(small_set: Path) -> None:
     assert view.chosen("train", (), ()).label_map.names == limbs.names
     with pytest.raises(BadConfig, match="which splits the class"):
         SetView(small_set, Trained(Places(0, 5), {"rig": SMALL.to_json(), "labels": limbs.to_json()}), labels="parts33")
+
+
+def test_surfaces_without_a_class_have_that_of_the_rest(tmp_path: Path) -> None:
+    shape = SMALL.camera.rows, SMALL.camera.columns
+    labels = np.full(shape, 254, np.uint8)
+    labels[:40] = 0
+    with ShardWriter(tmp_path / "set", rig=SMALL, classes=["arm", "wall"]) as out:
+        out.write(key="one", range_m=np.full(shape, 2.0, np.float32), labels=labels, split="train")
+    classes = RangeImages(tmp_path / "set", "none").manifest.classes
+    rest = LabelMap("rest", (("arm", ("arm",)), ("none", ("*",))), of=classes)
+    shown = SetView(tmp_path / "set", labels=rest).images_of(Shown(0, "none")).layers.labels
+    np.testing.assert_array_equal(shown, RangeImages(tmp_path / "set", "none", labels=rest)[0]["labels"])
+    assert (shown == np.where(labels == 254, 1, 0)).all()
