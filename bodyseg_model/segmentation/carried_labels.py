@@ -36,6 +36,7 @@ _NOWHERE: Final = -1.0  # a tolerance within which no range is: evidence starts 
 _JUMP_M: Final = 0.04  # neighbouring cells whose ranges differ by more are of two surfaces
 _GATE_M: Final = 0.05  # cells further from the surface they meet do not count
 _NOISES: Final = 3.0  # standard deviations of a cell's ranges that the gate is at least
+_NEARLY: Final = 1.5  # times as large as they should be, or that much smaller, cells may be
 _RIGID_STEPS: Final = 5
 _RIGID_CELLS: Final = 800  # suffice for a rigid motion: of more, every second, third ... is used
 _STILL: Final = np.repeat([0.002, 1.0], 3)  # weight of no turn, square metres, and of no shift: a cell's is 1
@@ -147,14 +148,13 @@ class Rule(NamedTuple):
 
 @dataclass(frozen=True)
 class _LastFrame:
-    """The frame before: its camera, lens and images; the cells of its bodies, and the gain of shifting the parts of
-    each, summed up over the frames so far.
+    """The frame before: its camera and images; of each of its bodies cells, their lens, and the gain of shifting parts,
+    summed up over the frames so far.
     """
 
     camera: Camera
-    lens: CellLens
     images: Images = field(repr=False)
-    bodies: list[tuple[Cells, float]] = field(repr=False)
+    bodies: list[tuple[Cells, CellLens, float]] = field(repr=False)
 
 
 class CarriedLabels:
@@ -189,31 +189,34 @@ class CarriedLabels:
         last = self._last
         flat, named = np.ascontiguousarray(range_m).ravel(), np.ascontiguousarray(labels).ravel()
         seen = [BodyPixels(*body, flat, named) for body in bodies if len(body[0])]
-        if last is None and not seen:  # nobody was seen yet
-            return np.full(labels.shape, BACKGROUND, np.uint8)
-        lens = self._lens(seen[0], camera) if last is None else last.lens
         slots = np.empty((flat.size, self._loops.SLOTS), np.uint32)
         new = Images(np.zeros(flat.size, np.float32), slots, np.full(flat.size, BACKGROUND, np.uint8))
-        cells = [self._cells(body, lens) for body in seen]
-        known = []
-        for body, own, number in zip(seen, cells, self._pairs(cells), strict=True):
+        lenses = [self._lens(body, camera) for body in seen]
+        cells, known = list(map(self._cells, seen, lenses)), []
+        for body, lens, own, number in zip(seen, lenses, cells, self._pairs(cells), strict=True):
             rigid, field, gain = _UNMOVED, np.zeros_like(own.points), 0.0
             old, rule = new, self._rule(_NOWHERE)
             if last is not None and number is not None:
-                earlier, gain = last.bodies[number]
+                earlier, before, gain = last.bodies[number]
                 if self.carrying.motion != "still":
-                    rigid, field, gain = self._motion(own, earlier, gain, lens)
+                    rigid, field, gain = self._motion(own, earlier, gain, before, (before.side / lens.side) ** 2)
                 noise = float(np.hypot(own.noise_m, earlier.noise_m))
                 rule = self._rule(max(self.carrying.tolerance_m, self.carrying.noises * noise), gain > _BENDS)
                 old = last.images
             self._carry(body, lens, rigid, field, own.grid, old, rule, new)
-            known.append((own, gain))
-        self._last = _LastFrame(camera, lens, new, known)
+            known.append((own, lens, gain))
+        self._last = _LastFrame(camera, new, known)
         return new.shown.reshape(labels.shape).copy()
 
     def _lens(self, body: BodyPixels, camera: Camera) -> CellLens:
-        """The camera's numbers, and cells of the size that `carrying.cell_m` has at the body's range."""
-        side = max(1, round(self.carrying.cell_m * camera.focal_px / float(np.median(body.range_m[body.pixels]))))
+        """The camera's numbers, and cells of the size that `carrying.cell_m` has at the body's range, or, so that it
+        seldom changes, of nearly that size, as a body of the last frame has.
+        """
+        some = body.pixels[:: len(body.pixels) // _LEAST_PIXELS + 1]
+        side = max(1, round(self.carrying.cell_m * camera.focal_px / float(np.median(body.range_m[some]))))
+        for _, lens, _ in [] if self._last is None else self._last.bodies:
+            if max(side, lens.side) <= _NEARLY * min(side, lens.side):
+                return lens
         cells = -(-camera.columns // side), -(-camera.rows // side)
         return CellLens(camera.focal_px, *camera.centre_px, camera.columns, camera.rows, side, *cells)
 
@@ -236,7 +239,7 @@ class CarriedLabels:
         found: list[int | None] = []
         for own in cells:
             away = {
-                number: float(np.linalg.norm(_middle(own) - _middle(earlier))) for number, (earlier, _) in left.items()
+                number: float(np.linalg.norm(_middle(own) - _middle(earlier))) for number, (earlier, *_) in left.items()
             }
             near = {number: metres for number, metres in away.items() if metres <= SAME_BODY_M}
             found.append(min(near, key=near.__getitem__, default=None))
@@ -253,8 +256,11 @@ class CarriedLabels:
         least, tolerance = np.uint32(round(margin * self._loops.UNIT)), np.float32(tolerance_m)
         return Rule(nearest_first(given.reach), given.reach, tolerance, kept, border_kept, border, least)
 
-    def _motion(self, own: Cells, earlier: Cells, gain: float, lens: CellLens) -> tuple[Points, Points, float]:
-        """Motion of a body back to the frame before (`carry`), and the gain of shifting its parts, summed up.
+    def _motion(
+        self, own: Cells, earlier: Cells, gain: float, lens: CellLens, larger: float
+    ) -> tuple[Points, Points, float]:
+        """Motion of a body back to the frame before (`carry`), and the gain of shifting its parts, summed up. lens:
+        of the earlier cells, whose area is so many times `larger`.
 
         A rigid motion, and displacements that fit the surface smoothly. These start from the shifts of parts if ranges
         and labels fit better with them over the last frames: else the body is rigid, and of one that turns, the middles
@@ -265,7 +271,7 @@ class CarriedLabels:
         rigid = self._rigid(own, earlier, lens, gate)
         places, field = moved(rigid, own.points), np.zeros_like(own.points)
         if self.carrying.motion == "parts":
-            shifts, weights = part_shifts(places, own.labels, earlier)
+            shifts, weights = part_shifts(places, own.labels, earlier, larger)
             some = weights > 0
             (away, same), (away_shifted, same_shifted) = (
                 self._fit(each[some], own.labels[some], earlier, lens, gate) for each in (places, places + shifts)
@@ -337,15 +343,18 @@ def moved(rigid: Rigid, points: Points) -> Points:
     return (points @ rigid[:, :3].T + rigid[:, 3]).astype(np.float32)
 
 
-def part_shifts(places: Points, labels: Labels, earlier: Cells) -> tuple[Points, NDArray[np.float32]]:
+def part_shifts(
+    places: Points, labels: Labels, earlier: Cells, larger: float = 1.0
+) -> tuple[Points, NDArray[np.float32]]:
     """Displacement of the part of each cell from the frame before, float32 [M, 3], metres, and its weight, float32 [M]:
     0 where a part is small or would move too far.
 
-    places: the cells after the rigid motion, float32 [M, 3]; labels: uint8 [M]. The displacement is that of the part's
+    places: the cells after the rigid motion, float32 [M, 3]; labels: uint8 [M]; larger: area of an earlier cell, where
+    that of these is 1. The displacement is that of the part's
     middle; parts of which less or more was in view before weigh less.
     """
     (middles, areas), (old_middles, old_areas) = _parts(places, labels), _parts(earlier.points, earlier.labels)
-    shifts = old_middles - middles
+    shifts, old_areas = old_middles - middles, larger * old_areas
     smaller = np.minimum(areas, old_areas)
     counts = (smaller > _PART_CELLS * places[:, 2].mean() ** 2) & (np.linalg.norm(shifts, axis=1) < _PART_REACH_M)
     weights = np.where(counts, _PULL * (smaller / np.maximum(np.maximum(areas, old_areas), 1e-6)) ** 2, 0)

@@ -145,6 +145,7 @@ class FrameLabeller:
             self._finder = put_on_backend(finder or shipped_finder(), backend, precision)
             to_device(self._finder.network, device)
         self._doubted_below = 0.0 if keep_things else least_confidence_of_people(self.trained.card)
+        self.tells_turn = turned == "auto"
         self._turned, self._turns = turned, _Turns()  # of the frames of calls and of the stream
         self._segmenter = partial(
             Segmenter,
@@ -207,11 +208,6 @@ class FrameLabeller:
         millimetres, or a body too large for a view.
         """
         return self._find_in_array(0, range_m, camera)()
-
-    @property
-    def tells_turn(self) -> bool:
-        """True if the turn is "auto"."""
-        return self._turned == "auto"
 
     def restart(self) -> None:
         """Begin another recording: nothing is carried over from frames before, neither labels of `video` nor a turn."""

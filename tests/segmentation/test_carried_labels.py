@@ -259,3 +259,37 @@ def test_without_numba_one_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setitem(sys.modules, "numba", None)
     with pytest.raises(MissingLibrary, match="carrying labels through a video needs the package 'numba'"):
         CarriedLabels()
+
+
+@pytest.mark.parametrize("nobody_between", [False, True])
+def test_whoever_is_elsewhere_has_cells_of_their_size(nobody_between: bool) -> None:
+    """Cells of 2 cm where the first body was are of 16 cm where another comes later, or the same one goes."""
+    camera = Camera(120, 160, 400.0, (80.0, 60.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    steadied = CarriedLabels()
+
+    def side_at(metres: float) -> int:
+        ranges = np.full((120, 160), np.float32(metres))
+        pixels = np.arange(ranges.size) if metres else np.zeros(0, np.intp)
+        shown = steadied(ranges, np.zeros(ranges.shape, np.uint8), [(pixels, np.ones(len(pixels), np.float32))], camera)
+        assert (shown == (0 if metres else 255)).all()
+        last = steadied._last
+        assert last is not None
+        return last.bodies[0][1].side if last.bodies else 0
+
+    assert side_at(0.5) == 16
+    if nobody_between:
+        assert side_at(0.0) == 0
+    sides = [side_at(metres) for metres in (0.7, 0.9, 2.0, 4.0)]  # sizes seldom change
+    assert sides == ([11, 11, 4, 2] if nobody_between else [16, 9, 4, 2])
+
+
+def test_the_area_of_parts_is_that_of_cells_of_either_size() -> None:
+    points = np.zeros((400, 3), np.float32)
+    points[:, 2] = 1
+    labels = np.zeros(400, np.uint8)
+    normals, around = np.zeros((100, 3), np.float32), np.zeros((100, 4), np.int64)
+    earlier = Cells(np.zeros(100, np.int32), points[:100] + np.float32(0.1), normals, around, labels[:100], 0.0)
+    _, alike = part_shifts(points, labels, earlier._replace(points=np.tile(earlier.points, (4, 1)), labels=labels))
+    shifts, weights = part_shifts(points, labels, earlier, larger=4.0)
+    np.testing.assert_allclose(weights, alike)
+    np.testing.assert_allclose(shifts, 0.1, rtol=1e-4)
