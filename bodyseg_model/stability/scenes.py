@@ -282,15 +282,15 @@ class Scenes:
             return [body.image(self.rig, condition) for body in self._bodies(condition.sweep)]
         if condition.sweep == "hard" and self.hard is not None:
             return [
-                labelled_image(sample.range, self.hard.step_m, _surface(sample, self.hard.manifest.rig))
+                labelled_image(sample.range, self.hard.step_m, _surface(sample, self.hard.manifest.rig_of(sample)))
                 for sample in _first(self.hard, self._count)
             ]
-        step_m = self.rig.range_step_m
+        step_m, rig_of = self.rig.range_step_m, self.images.manifest.rig_of
         if condition.sweep == "turned":
             return [turned(image, condition.strength) for image in self.labelled_images(CLEAN["stored"])]
         return [
-            labelled_image(corrupted(sample, condition, self.rig, self.seed), step_m, _surface(sample, self.rig))
-            for sample in self._samples
+            labelled_image(corrupted(sample, condition, rig, self.seed), step_m, _surface(sample, rig))
+            for sample, rig in zip(self._samples, map(rig_of, self._samples), strict=True)
         ]
 
     @cached_property

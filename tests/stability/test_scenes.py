@@ -11,7 +11,7 @@ import pytest
 from fakes import Figures, FiguresEntry
 from shapes import figure
 
-from bodyseg_data import RangeImages
+from bodyseg_data import RangeImages, ShardWriter
 from bodyseg_data.bodies import SOURCES
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND
@@ -61,6 +61,21 @@ def test_clean_scenes_are_the_stored_images(scenes: Scenes, images: RangeImages)
         sample = images.clean(int(images.order(0)[number]))
         np.testing.assert_array_equal(a.range_m, sample.range * np.float32(images.step_m))
         np.testing.assert_array_equal(a.truth, sample.labels[sample.range > 0])
+
+
+def test_each_sample_is_seen_by_its_own_camera(tmp_path: Path) -> None:
+    wide = replace(RIG, camera=replace(RIG.camera, focal_px=RIG.camera.focal_px / 2))
+    shape = RIG.camera.rows, RIG.camera.columns
+    with ShardWriter(tmp_path / "set", rig=[RIG, wide], classes=["wall"]) as out:
+        for number in range(2):
+            range_m, labels = np.full(shape, 2.0, np.float32), np.zeros(shape, np.uint8)
+            out.write(key=f"view-{number}", range_m=range_m, labels=labels, split="test", rig=number)
+    images = RangeImages(tmp_path / "set", "none", "test")
+    for condition in (CLEAN["stored"], SweepPoint("hard", 1)):
+        found = Scenes(images, 2, images).labelled_images(condition)
+        keys = [images.keys[int(index)] for index in images.order(0)]
+        focals = {key: each.surface.camera.focal_px for key, each in zip(keys, found, strict=True)}
+        assert focals == {"view-0": RIG.camera.focal_px, "view-1": wide.camera.focal_px}
 
 
 def test_no_more_images_than_there_are(images: RangeImages) -> None:
