@@ -50,5 +50,7 @@ def run(options: Options) -> int:
         save_network(options.out, trained.network, trained.card["network"], {**facts, **scores}, half=True)
         if confusion is not None:
             write_json(confusion_file(options.out), {"confusion": confusion})
+        elif options.run is None or options.run.resolve() != options.out.resolve():
+            confusion_file(options.out).unlink(missing_ok=True)  # of the network that was there
         sys.stderr.write(f"wrote {options.out}, {options.out.stat().st_size / 1e6:.1f} MB\n")
     return 0

@@ -36,6 +36,10 @@ def test_an_exported_network_is_smaller_and_says_what_it_is(run: Path, tmp_path:
     with torch.no_grad():
         range_m = torch.full((1, 1, 40, 40), 2.0)
         torch.testing.assert_close(given.network(range_m), kept.network(range_m), atol=5e-3, rtol=5e-3)
+    assert main(["export", "--run", str(out), "--out", str(out)]) == 0
+    assert (tmp_path / "given.confusion.json").exists(), "of the same network"
+    assert main(["export", "--run", str(run), "--out", str(out)]) == 0
+    assert not (tmp_path / "given.confusion.json").exists(), "of another network, without scores"
 
 
 def test_bad_targets_get_one_line(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
