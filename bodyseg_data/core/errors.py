@@ -161,7 +161,9 @@ def _as(value: Any, kind: Any) -> Any:
     choices, origin = typing.get_args(kind), typing.get_origin(kind)
     if kind in (float, int):
         is_number = isinstance(value, Real if kind is float else Integral) and not isinstance(value, bool)
-        return _UNFIT if not is_number else value if type(value) is int and abs(value) > 1e308 else kind(value)
+        if not is_number:
+            return _UNFIT
+        return value if type(value) is int and abs(value) > 1e308 else kind(value)
     if origin in (types.UnionType, typing.Union):
         return next((found for choice in choices if (found := _as(value, choice)) is not _UNFIT), _UNFIT)
     if origin is tuple and isinstance(value, tuple | list):

@@ -3,7 +3,6 @@
 The parts of a glTF file are placed by their nodes, joined, and named by nodes and materials.
 """
 
-import json
 import re
 from io import BytesIO
 from pathlib import Path
@@ -13,7 +12,8 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadMesh, reported
+from bodyseg_data.core import BadConfig, BadMesh, reported
+from bodyseg_data.files import parse_json
 from bodyseg_data.machine import required
 from bodyseg_data.meshes.mesh import check_arrays
 from bodyseg_data.meshes.mesh_files import (
@@ -35,9 +35,11 @@ def scene_stem(name: str) -> str | None:
 
 def gltf_buffers(path: Path) -> dict[str, Path]:
     """URI -> file of the buffers beside a .gltf file; none of other files. Raises BadMesh."""
-    with reported(f"{path} is no glTF 2", BadMesh, OSError, ValueError, TypeError, LookupError, AttributeError):
-        tree = json.loads(path.read_bytes()) if path.suffix.lower() == ".gltf" else {}
-        uris: list[str] = [each["uri"] for each in tree.get("buffers", ())]
+    if path.suffix.lower() != ".gltf":
+        return {}
+    data = file_bytes(path, "mesh", LARGEST_BYTES, BadMesh)
+    with reported(f"{path} is no glTF 2", BadMesh, BadConfig, TypeError, LookupError, AttributeError):
+        uris: list[str] = [each["uri"] for each in parse_json(data, "its text").get("buffers", ())]
         return {uri: path.parent / unquote(uri) for uri in uris if not uri.startswith("data:")}
 
 

@@ -345,7 +345,8 @@ class ShardWriter:
             except FileNotFoundError:
                 return  # no scene was written
             except (OSError, ValueError, KeyError, TypeError, BodysegError) as error:
-                raise BadConfig(f"{state / _LEARNED} cannot be read: delete the folder {self._out}") from error
+                unreadable = f"{state / _LEARNED} cannot be read"
+                raise BadConfig(f"{unreadable}: delete the folder {self._out} and write it again") from error
             names = sorted(path.name.removesuffix(".json") for path in state.glob("*.tar.json"))
         layout = SceneLayout(self._rigs, self._classes, *known, self._codec)
         self._learn(layout)

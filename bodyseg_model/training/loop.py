@@ -229,8 +229,9 @@ class Training:
         if self.step == 1 and self.processes.first:
             self.folder.start(self.plan())  # not earlier: a first try that fails leaves the folder usable
         validation = self.validation
-        due = validation is not None and validation.due(self.step, self.recipe.steps)
-        if self.step % self.run_options.log_every and self.step < self.recipe.steps and not due:
+        if validation is not None and not validation.due(self.step, self.recipe.steps):
+            validation = None
+        if self.step % self.run_options.log_every and self.step < self.recipe.steps and validation is None:
             return window
         metrics = window.metrics(self.step, self.optimisers[-1].param_groups[-1]["lr"])
         now = data_loader.stats()
@@ -239,7 +240,7 @@ class Training:
             metrics = replace(metrics, waited_for=slowest)
         self._loaded = now
         if self.processes.first:
-            if due and validation is not None:
+            if validation is not None:
                 metrics = self._validated(metrics, validation, facts)
             peaks = {"process": peak_mb(), "workers": data_loader.worker_peaks_mb()}
             self.folder.log({**metrics.to_json(), "peak_mb": peaks})

@@ -262,6 +262,7 @@ def test_damaged_and_unknown_files_are_one_line(tmp_path: Path) -> None:
     for name, content, why in (
         ("a.glb", b"glTF" + bytes(40), "cannot be read by trimesh"),
         ("a.gltf", b"{", "is no glTF 2"),
+        ("a.gltf", b'{"buffers":' + b"[" * 100_000, "is no glTF 2"),
         ("a.ply", b"ply\n", "the header must end"),
     ):
         assert why in reason(write(tmp_path / name.replace(".", "_") / name, content).parent)
