@@ -162,8 +162,9 @@ def test_beyond_the_cache_ranges_are_read_ahead(web: WebServer, figures_set: Pat
     batches = loader(images, 4, 2, "blocks")
     for _ in range(2):
         assert len(bits(batches)) == 24
-    rest = sum(sum(shard.lengths) for shard in manifest.shards[2:])
-    assert sum(line.sent for line in web.log(".tar")) == limit + 2 * rest
+    lengths = [length for shard in manifest.shards[2:] for length in shard.lengths]
+    sent = sum(line.sent for line in web.log(".tar")) - limit - 2 * sum(lengths)
+    assert 0 <= sent <= 2 * max(lengths)  # a pass's first sample may be due before it is planned: it comes twice then
     assert sum(path.stat().st_size for path in tmp_path.glob("*.tar")) == limit
 
 
