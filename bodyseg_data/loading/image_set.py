@@ -322,8 +322,8 @@ class BatchOrder(Sampler[list[Request]]):
         if not len(self):
             each = f" on each of {self.world_size} ranks" if self.world_size > 1 else ""
             raise BadConfig(
-                f"{len(images)} samples are too few: they do not fill one batch of {self.batch_size}{each}, and what does "
-                "not is left out (drop_last=True); use a smaller batch_size"
+                f"{len(images)} samples are too few: they do not fill one batch of {self.batch_size}{each}, and what "
+                "does not is left out (drop_last=True); use a smaller batch_size"
             )
         self._next = (images.epoch, 0)
         self._reached: tuple[int, int] | None = None

@@ -180,7 +180,7 @@ def _check_fit(options: Options, trained: Trained, sets: list[RangeImages]) -> N
     """Warn of images of another rig or with other artifacts; raises BadConfig for a rig that is far off."""
     for images in sets:
         name = last_name(images.path)
-        fit = RigFit(trained.rig, images.manifest.rig)
+        fit = RigFit.worst(trained.rig, images.manifest.rigs)
         for line in (fit.check(name, options.other_rig), sensor_warning(trained, images.augmentation, name)):
             if line is not None:
                 sys.stderr.write(f"bodyseg evaluate: warning: {line}\n")
@@ -234,8 +234,8 @@ def _describe(images: RangeImages, count: int | None, trained: Trained) -> dict[
         "name": last_name(images.path),
         "source": manifest.source,
         "renderer": manifest.renderer,
-        "rig": manifest.rig.name,
-        "pixels_a_metre_of_trained": round(RigFit(trained.rig, manifest.rig).pixels_a_metre, 4),
+        "rig": ", ".join(rig.name for rig in manifest.rigs),
+        "pixels_a_metre_of_trained": round(RigFit.worst(trained.rig, manifest.rigs).pixels_a_metre, 4),
         "image": [manifest.rig.camera.rows, manifest.rig.camera.columns],
         "samples_of_split": len(images),
         "evaluated": _count(images, count),

@@ -10,9 +10,9 @@ to 65 at half; the network in the box 0 to 1, 2 to 7, 6 and 38.
 
 import math
 import statistics
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -155,6 +155,11 @@ class RigFit:
 
     trained: Rig
     images: Rig
+
+    @classmethod
+    def worst(cls, trained: Rig, rigs: Iterable[Rig]) -> Self:
+        """The fit of the rig of a set that is farthest off."""
+        return max((cls(trained, rig) for rig in rigs), key=lambda fit: fit.factor)
 
     @property
     def pixels_a_metre(self) -> float:

@@ -153,8 +153,10 @@ class SetView:
 
     @property
     def warning(self) -> str | None:
-        """One line if the network was trained for another rig than the set's."""
-        return None if self.trained is None else RigFit(self.trained.rig, self.rig).check(str(self.path), True)
+        """One line if the network was trained for another rig than one of the set's."""
+        if self.trained is None:
+            return None
+        return RigFit.worst(self.trained.rig, self.images.manifest.rigs).check(str(self.path), True)
 
     def images_of(self, shown: Shown) -> SampleImages:
         """Make a sample's images. Raises BadShard for a damaged one, BadConfig or BadSample for artifacts that do not
@@ -186,7 +188,7 @@ class SetView:
             images.devices,
             self.layout_of(images.sample)[0].draw(self._panels(images, shown)),
             self.facts_of(images, shown),
-            point_gap_m(range_m, self.rig.camera),
+            point_gap_m(range_m, images.placed[0].camera),
             len(seen),
             self.legend_of(images, shown.colouring),
         )

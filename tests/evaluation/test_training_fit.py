@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -87,6 +88,11 @@ def test_a_rig_far_off_is_refused_unless_it_is_asked_for(factor: float) -> None:
     told = f"{RIGS}bodies have {factor:.2g} times as many pixels a metre"
     assert str(caught.value) == f"{told}, too far off for a score of it; --other-rig goes on"
     assert fit.check("set", True) == f"{told}, which costs much accuracy"
+
+
+def test_of_several_rigs_the_one_farthest_off_tells() -> None:
+    for rigs in itertools.permutations([PAPER, focused(FAR_OFF - 0.01), focused(0.5)]):
+        assert RigFit.worst(PAPER, rigs) == RigFit(PAPER, focused(0.5))
 
 
 def trained(**card: Any) -> Trained:
