@@ -21,9 +21,11 @@ from bodyseg_data.shards import (
     EXTERNAL,
     MANIFEST_NAME,
     Fields,
+    LocalFolder,
     Manifest,
     ShardReader,
     TarWriter,
+    column_names,
     read_manifest,
     write_manifest,
 )
@@ -40,8 +42,8 @@ def join(
     """Join sets into one in the folder `out` and return its manifest; the sets stay. Carries on where it was stopped.
 
     folders: of the sets, or one that holds all parts of a set. shard_samples: samples a shard. progress: called with
-    samples done and in all. Raises BadConfig for a part that is missing, sets that are no parts of one, a key that two
-    of them have, or a folder `out` that holds something else; BadShard for a set that is damaged.
+    samples done and in all. Raises BadConfig for a part that is missing or has columns, sets that are no parts of one,
+    a key that two of them have, or a folder `out` that holds something else; BadShard for a set that is damaged.
     """
     check_int("shard_samples", shard_samples, 1)
     folders = _parts(folders)
@@ -108,6 +110,8 @@ def _check_part(part: Manifest, folder: Path, first: Manifest, first_folder: Pat
         if getattr(part, name) != getattr(first, name):
             what = "options of their writers" if name == "plan" else f"{name!r}"
             raise BadConfig(f"{folder} and {first_folder} are no parts of one set: their {what} differ")
+    if columns := column_names(LocalFolder(folder)):
+        raise BadConfig(f"{folder}: columns are written for the joined set, found {columns[0]!r} of a part")
 
 
 def _all_fields(parts: Sequence[Manifest], folders: Sequence[Path]) -> Fields:

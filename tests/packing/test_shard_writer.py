@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import torch
 
-from bodyseg_data import VARIANTS, BadConfig, BadSample, RangeImages, ShardWriter, loader
+from bodyseg_data import VARIANTS, BadConfig, BadSample, ColumnWriter, RangeImages, ShardWriter, loader
 from bodyseg_data.artifacts import lit_pixels
 from bodyseg_data.commands import cli
 from bodyseg_data.core import BodysegError
@@ -188,6 +188,9 @@ def test_parts_that_do_not_belong_together_are_refused(tmp_path: Path, capsys: p
         writer.write(**scene(1, fields={"robot": 7}))
     assert said(first, tmp_path / "kind").startswith("kind: field 'robot' is int, elsewhere text: ")
     assert said(first, tmp_path / "nothing") == "no such folder: nothing"
+    with ColumnWriter(other, "visit", "int") as column:
+        column.write("scene-001", 3)
+    assert said(other) == "other: columns are written for the joined set, found 'visit' of a part"
 
 
 def test_a_writer_that_was_stopped_carries_on(tmp_path: Path) -> None:
