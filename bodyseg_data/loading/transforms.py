@@ -50,11 +50,9 @@ class Crop(Checked, Transform):
     at: Place = "axis"
 
     def shape(self, rows: int, columns: int) -> tuple[int, int]:
-        """See `Transform`: the window's."""
         return self.rows, self.columns
 
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
-        """See `Transform`."""
         if self.at == "anywhere":
             height, width = image.range.shape
             top, left = _anywhere(unit(random), height - self.rows), _anywhere(unit(random), width - self.columns)
@@ -90,11 +88,9 @@ class BodyCrop(Checked, Transform):
     margin: float = bounded(0.1, 0, 1)
 
     def shape(self, rows: int, columns: int) -> tuple[int, int]:
-        """See `Transform`: that of the result."""
         return self.rows, self.columns
 
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
-        """See `Transform`."""
         top, bottom, left, right = image.body_box or (0, image.range.shape[0], 0, image.range.shape[1])
         larger = 1 + 2 * self.margin
         scale = min(self.rows / (larger * (bottom - top)), self.columns / (larger * (right - left)))
@@ -125,7 +121,6 @@ class Flip(Checked, Transform):
     share: float = bounded(0.5, 0, 1)
 
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
-        """See `Transform`."""
         if unit(random) >= self.share:
             return image
         planes = {name: plane[:, ::-1] for name, plane in image.planes.items()}
@@ -157,7 +152,6 @@ class Roll(Checked, Transform):
     largest_deg: float = bounded(15.0, 0, 180)
 
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
-        """See `Transform`."""
         angle = self.largest_deg * (2 * unit(random) - 1)
         return turned(image, angle) if angle else image
 
@@ -181,7 +175,6 @@ class Zoom(Checked, Transform):
     largest: float = bounded(1.25, 1, 4)
 
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
-        """See `Transform`."""
         return magnified(image, self.largest ** (2 * unit(random) - 1))
 
 
@@ -210,7 +203,6 @@ class Remnants(Checked, Transform):
     widest_m: float = bounded(0.25, 0, 2)
 
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
-        """See `Transform`."""
         box = ends_of(image.range)
         if unit(random) >= self.share or box is None:
             return image

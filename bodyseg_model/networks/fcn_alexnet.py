@@ -97,7 +97,6 @@ class FcnAlexnet(Network):
         self._drop = nn.Dropout(0.5)
 
     def scores(self, range_m: torch.Tensor) -> torch.Tensor:
-        """Compute scores of every pixel; see `Network.scores`."""
         check_range_images(range_m)
         rows, columns = (torch.arange(side, device=range_m.device) for side in range_m.shape[2:])
         return self.scores_at(range_m, rows, columns)

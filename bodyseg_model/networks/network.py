@@ -142,12 +142,10 @@ class FlipAverage(Network):
         self.train(network.training)
 
     def scores(self, range_m: torch.Tensor) -> torch.Tensor:
-        """Compute scores; see `Network.scores`."""
         own, mirrored = self._both(range_m, self.network.scores)
         return (own + mirrored[:, self._opposite]) / 2
 
     def scores_and_places(self, range_m: torch.Tensor) -> torch.Tensor:
-        """Compute scores and places; see `Network.scores_and_places`."""
         own, mirrored = self._both(range_m, self.network.scores_and_places)
         scores, places = mirrored[:, self._opposite], mirrored[:, self.classes :]
         return (own + torch.cat([scores, -places[:, :1], places[:, 1:]], 1)) / 2

@@ -330,11 +330,9 @@ class Bfloat16(Network):
         self.train(network.training)
 
     def scores(self, range_m: torch.Tensor) -> torch.Tensor:
-        """Compute scores; see `Network.scores`."""
         with torch.autocast(device_of(self.network).type, torch.bfloat16):
             return self.network.scores(range_m)
 
     def scores_and_places(self, range_m: torch.Tensor) -> torch.Tensor:
-        """Compute scores and places; see `Network.scores_and_places`."""
         with torch.autocast(device_of(self.network).type, torch.bfloat16):
             return self.network.scores_and_places(range_m)
