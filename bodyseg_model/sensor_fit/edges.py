@@ -89,13 +89,11 @@ _MARGIN: Final = 3
 class ProjectorShadow:
     """Gaps between bodies and the room behind. baseline_m: by side, width over focal length and difference of inverse
     range, with standard errors. width_px: by side, the median. side: of the wider gap, None if they are alike.
-    gaps: rows counted.
     """
 
     baseline_m: dict[Side, Estimate]
     width_px: dict[Side, float]
     side: Side | None
-    gaps: int
 
 
 def measure_shadow(recording: MarkedRecording) -> ProjectorShadow | None:
@@ -103,8 +101,7 @@ def measure_shadow(recording: MarkedRecording) -> ProjectorShadow | None:
     sides: tuple[Side, Side] = ("left", "right")
     frames, focal_px = recording.frames, recording.camera.focal_px
     rows = {side: np.concatenate([_gaps(frame, focal_px, side) for frame in frames], 1) for side in sides}
-    count = min(found.shape[1] for found in rows.values())
-    if count < LEAST_GAPS:
+    if min(found.shape[1] for found in rows.values()) < LEAST_GAPS:
         return None
     baselines: dict[Side, Estimate] = {}
     widths: dict[Side, float] = {}
@@ -119,7 +116,7 @@ def measure_shadow(recording: MarkedRecording) -> ProjectorShadow | None:
         widths[side] = float(np.median(width))
     narrow, wide = sorted(baselines, key=lambda side: baselines[side].value)
     clear = baselines[wide].value > _ONE_SIDED * baselines[narrow].value
-    return ProjectorShadow(baselines, widths, wide if clear and widths[wide] >= LEAST_PX else None, count)
+    return ProjectorShadow(baselines, widths, wide if clear and widths[wide] >= LEAST_PX else None)
 
 
 class ShadowFrames:
