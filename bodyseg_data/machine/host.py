@@ -86,17 +86,11 @@ def peak_mb(process: int | None = None) -> float | None:
     process: number of another process of this machine, None for this one. None is returned where the system does not
     tell: for a process that has ended, and other processes on systems without /proc.
     """
-    kilobytes = _high_water_kib("self" if process is None else str(process))
-    if kilobytes is not None:
-        return round(kilobytes * 1024 / 1e6, 1)
+    for line in _lines(f"/proc/{'self' if process is None else process}/status"):
+        if line.startswith("VmHWM:"):  # KiB
+            return round(int(line.split()[1]) * 1024 / 1e6, 1)
     if process is not None or "resource" not in globals():
         return None
     # Bytes on macOS, KiB elsewhere. On Linux a process inherits its parent's, so /proc comes first.
     unit = 1 if sys.platform == "darwin" else 1024
     return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6, 1)
-
-
-def _high_water_kib(process: str) -> int | None:
-    """The entry VmHWM of Linux's /proc, KiB."""
-    status = _lines(f"/proc/{process}/status")
-    return next((int(line.split()[1]) for line in status if line.startswith("VmHWM:")), None)

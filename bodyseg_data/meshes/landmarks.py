@@ -274,7 +274,8 @@ def read_lnd(path: Path) -> PointLandmarks:
         name = recognise(written)
         if name is None:
             unknown.append(written)
-        if name is None or _is_placeholder(point):
+        unset = not any(point) or any(not math.isfinite(value) or value == _PLACEHOLDER_MM for value in point)
+        if name is None or unset:
             continue
         if name in found and found[name] != point:
             raise BadLandmarks(f"landmarks {path}, line {number}: {name!r} is given twice, {found[name]} and {point}")
@@ -355,10 +356,6 @@ def _is_number(word: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _is_placeholder(point: tuple[float, ...]) -> bool:
-    return not any(point) or any(not math.isfinite(value) or value == _PLACEHOLDER_MM for value in point)
 
 
 def load_landmark_file(path: Path) -> LandmarkSet | PointLandmarks:

@@ -203,8 +203,9 @@ def edges_collapsed(
     left is one of the mesh's. Raises BadMesh if the result is no body, MissingLibrary without pymeshlab.
     """
     low, high = mesh.surface_vertices.min(axis=0), mesh.surface_vertices.max(axis=0)
-    held = np.zeros(len(mesh.vertices), np.bool_)
-    held[np.concatenate([landmarks, _outermost(mesh), _edged(mesh)])] = True
+    held, edges = np.zeros(len(mesh.vertices), np.bool_), find_edges(mesh.faces)
+    seams = edges.ends[edges.faces != 2].ravel()  # and rims of holes: their sides would part if they moved
+    held[np.concatenate([landmarks, _outermost(mesh), seams])] = True
     if isinstance(mesh, SceneMesh):
         held[_between_labels(mesh)] = True
     fixed = np.asarray(held[mesh.faces].any(axis=1))
@@ -253,12 +254,6 @@ def _decimated(
         np.array(coarse.face_matrix(), np.int32),
         np.abs(coarse.face_scalar_array()).astype(np.int64) - 1,
     )
-
-
-def _edged(mesh: Mesh) -> NDArray[np.int64]:
-    """Vertices at edges that have not two faces: rims of holes, and seams, whose sides would part if they moved."""
-    edges = find_edges(mesh.faces)
-    return np.unique(edges.ends[edges.faces != 2])
 
 
 def _between_labels(mesh: SceneMesh) -> NDArray[np.int64]:

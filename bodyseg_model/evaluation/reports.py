@@ -164,7 +164,8 @@ class RigFit:
     @property
     def pixels_a_metre(self) -> float:
         """Ratio of the images' to the network's; 1 fits."""
-        return _pixels_a_metre(self.images) / _pixels_a_metre(self.trained)
+        images, trained = (rig.camera.focal_px / rig.stand_off_m for rig in (self.images, self.trained))
+        return images / trained
 
     @property
     def factor(self) -> float:
@@ -211,7 +212,3 @@ def sensor_warning(trained: Trained, augmentation: Augmentation, path: str) -> s
     if not lines:
         return None
     return f"{path} has other artifacts than sensor {trained.sensor.name}, trained on: {'; '.join(lines)}"
-
-
-def _pixels_a_metre(rig: Rig) -> float:
-    return rig.camera.focal_px / rig.stand_off_m
