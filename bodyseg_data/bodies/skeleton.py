@@ -238,6 +238,14 @@ def _turn(axis: Matrix, degrees: float) -> Matrix:
     return from_rotation_vector(np.asarray(axis) * math.radians(degrees))
 
 
+def about(angle_rad: float, axis: int = 1) -> Matrix:
+    """Rotation about an axis, [3, 3]: about y, it turns z towards x."""
+    one, two, matrix = (axis + 1) % 3, (axis + 2) % 3, np.eye(3)
+    matrix[one, one] = matrix[two, two] = math.cos(angle_rad)
+    matrix[two, one], matrix[one, two] = math.sin(angle_rad), -math.sin(angle_rad)
+    return matrix
+
+
 def from_rotation_vector(vector: Matrix) -> Matrix:
     """Return the rotation [3, 3] about a vector [3] by its length in radians (Rodrigues' formula)."""
     angle = float(np.linalg.norm(vector))

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.bodies import about
 from bodyseg_data.meshes import Solid, cuboid, together, turned_solid
 from bodyseg_data.packing import FURNITURE, Numbers
 
@@ -94,14 +95,6 @@ def bent(n: Numbers, solid: Solid, by_m: float, wave_m: float = 0.3) -> Solid:
         way = np.array([n.between(-1, 1) for _ in range(3)]) * (by_m / 2)
         moved = moved + np.sin(points @ ray + n.between(0, 6.3))[:, None] * way
     return Solid(points + moved, solid.faces)
-
-
-def about(angle_rad: float, axis: int = 1) -> NDArray[np.float64]:
-    """Rotation about an axis, [3, 3]: about y, it turns z towards x."""
-    one, two, matrix = (axis + 1) % 3, (axis + 2) % 3, np.eye(3)
-    matrix[one, one] = matrix[two, two] = math.cos(angle_rad)
-    matrix[two, one], matrix[one, two] = math.sin(angle_rad), -math.sin(angle_rad)
-    return matrix
 
 
 def tilted(solid: Solid, angle_rad: float, axis: int, at: Point) -> Solid:

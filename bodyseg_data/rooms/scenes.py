@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.bodies import about
 from bodyseg_data.core import Draws
 from bodyseg_data.labels import BACKGROUND, PART_CLASSES, UNLABELLED
 from bodyseg_data.machine import compiled
@@ -24,7 +25,7 @@ from bodyseg_data.packing import Numbers, surface_points
 from bodyseg_data.rendering import RasterRenderer
 from bodyseg_data.renders import Render
 from bodyseg_data.rigs import PlacedCamera, Rig, axes_at
-from bodyseg_data.rooms.furnishings import FURNISHINGS, SEATS, about, ball, bent, both, clutter, coat, sheet, slab
+from bodyseg_data.rooms.furnishings import FURNISHINGS, SEATS, ball, bent, both, clutter, coat, sheet, slab
 from bodyseg_data.samples import HELD, Split
 
 Floats = NDArray[np.float64]

@@ -8,13 +8,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from operator import attrgetter
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.skeleton import Arm, Leg, Matrix, Pose, Trunk, root_rotation
+from bodyseg_data.bodies.skeleton import Arm, Leg, Matrix, Pose, Trunk, about, root_rotation
 
 Vector = NDArray[np.float64]
 
@@ -150,19 +151,11 @@ class Sole:
         return ankle
 
 
-def about_x(degrees: float) -> Matrix:
-    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+def _about(axis: int, degrees: float) -> Matrix:
+    return about(math.radians(degrees), axis)
 
 
-def about_y(degrees: float) -> Matrix:
-    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
-
-
-def about_z(degrees: float) -> Matrix:
-    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+about_x, about_y, about_z = (partial(_about, axis) for axis in range(3))
 
 
 def standing(build: Build, pelvis: Vector, trunk: Trunk, arms: tuple[Arm, Arm], soles: tuple[Sole, Sole]) -> Pose:
