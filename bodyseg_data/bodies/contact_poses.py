@@ -158,7 +158,6 @@ def drawn_kind(body: ArmSurroundings, stance: Stance, draws: np.random.Generator
 
 
 def drawn_task(kind: str, body: ArmSurroundings, draws: np.random.Generator) -> ArmTask:
-    """Draw a task of a kind."""
     if kind == "other hand":
         by = "palm" if draws.random() < 0.7 else "fingertips"
         on = "palm" if draws.random() < 0.5 else "back of the hand"

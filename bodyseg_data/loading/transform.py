@@ -136,7 +136,6 @@ class FunctionTransform(Transform):
         return _name_of(self.function)
 
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
-        """Call the function."""
         return self.function(image, random)
 
 

@@ -204,7 +204,6 @@ def armchair(n: Numbers, seat_m: float | None = None, narrowest: float = 0.5, wi
 
 
 def wheelchair(n: Numbers, seat_m: float | None = None) -> Solid:
-    """A wheelchair."""
     height, x, r = seat_m or n.between(0.46, 0.54), n.between(0.22, 0.27), n.between(0.28, 0.31)
     line = [(0.1, -0.5), (height, -0.22), (height, 0.22), (height + 0.48, 0.24), (height + 0.5, 0.36)]
     side = [tube([(x, up, along) for up, along in line], 0.015), cuboid((0.05, 0.03, 0.3), (x, height + 0.22, -0.02))]

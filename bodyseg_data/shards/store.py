@@ -46,7 +46,6 @@ class Tally(threading.local):
         self._since = now
 
     def count(self, what: Stage, number: float = 1) -> None:
-        """Add to a count."""
         self.row[what] += number
 
     def came(self, at_hand: bool) -> None:

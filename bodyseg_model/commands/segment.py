@@ -55,8 +55,6 @@ _SHADOW_FRAMES: Final = 8  # whose shadows tell whether a recording is mirrored
 
 @dataclass(frozen=True)
 class Options:
-    """Options of `bodyseg segment`."""
-
     frames: tuple[Path, ...] = option(RECORDINGS_HELP, positional=True)
     out: Path = option("folder for labels, overlays, preview.gif, legend.png and summary.json")
     labels_out: Path | None = option("also write labels with their frames' times into this .mcap file", None)

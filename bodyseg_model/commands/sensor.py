@@ -115,8 +115,6 @@ def _background(options: Options) -> Background:
 
 
 class ShowSensor:
-    """`bodyseg sensor show`."""
-
     EXAMPLE = "bodyseg sensor show kinect_v1"
 
     @dataclass(frozen=True)

@@ -26,8 +26,6 @@ _LARGEST: Final = 1 << 28
 
 
 class Push:
-    """`bodyseg push`."""
-
     EXAMPLE = "bodyseg push shards s3://bucket/shards"
 
     @dataclass(frozen=True)
@@ -60,8 +58,6 @@ class Push:
 
 
 class Pull:
-    """`bodyseg pull`."""
-
     EXAMPLE = "bodyseg pull https://host/shards shards"
 
     @dataclass(frozen=True)

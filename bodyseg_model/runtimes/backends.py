@@ -97,8 +97,6 @@ def _limit_memory() -> None:
 
 
 class OpenVino(Runtime):
-    """OpenVINO."""
-
     library, extra = "openvino", "openvino"
     precisions: ClassVar[tuple[Precision, ...]] = ("float32", "bfloat16")
 
