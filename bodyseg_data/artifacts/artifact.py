@@ -109,4 +109,3 @@ class Artifact(Protocol):
         Labels of lost pixels become background afterwards. image.drawn holds the quantities of all artifacts. draws:
         the same numbers whichever other artifacts there are. Raises BadSample for a scene that lacks what is needed.
         """
-        ...

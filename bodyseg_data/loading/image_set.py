@@ -113,23 +113,18 @@ class ImageSet(Protocol):
 
     def identity(self) -> dict[str, Any]:
         """All that batches depend on besides their order, as plain JSON."""
-        ...
 
     def requests(self, epoch: int, shuffle: Shuffle = True) -> Requests:
         """Samples of an epoch in the order of a pass: a function of the seeds and the epoch alone."""
-        ...
 
     def location(self, index: int) -> tuple[str, str, int]:
         """(shard name, key, byte offset in the shard) of a sample."""
-        ...
 
     def places(self, index: int) -> list[Place]:
         """Where the bytes of a sample are."""
-        ...
 
     def clean(self, index: int) -> Sample:
         """Return the stored sample, without artifacts."""
-        ...
 
     def write(
         self,
@@ -140,11 +135,9 @@ class ImageSet(Protocol):
         planes: Sequence[NDArray[Any]] = (),
     ) -> None:
         """Write a sample, as drawn in `epoch`, into arrays [H, W]; planes: one for each of `self.planes`."""
-        ...
 
     def evenly_sampled(self, count: int) -> NDArray[np.int64]:
         """Return indices of about `count` samples that stand for the whole, int64 [M]."""
-        ...
 
 
 class SampleDataset(Dataset[dict[str, Any]]):

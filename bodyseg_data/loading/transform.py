@@ -114,7 +114,6 @@ class Transform(Protocol):
         becomes 254 where surfaces without a class have that. Raises BadSample for a sample that should be left out
         (`on_error="skip"`); any other error ends the run as BadTransform.
         """
-        ...
 
 
 Function = Callable[[CameraImage, np.random.Generator], CameraImage]

@@ -211,7 +211,6 @@ class CheckedFile(Protocol):
 
     def entry(self, index: int) -> Entry:
         """Place of piece `index`; pieces follow each other in the file."""
-        ...
 
 
 @dataclass(frozen=True)
