@@ -8,7 +8,7 @@ import itertools
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -147,11 +147,12 @@ def run(options: Options) -> int:
         recipe = replace(recipe, geometric_augmentation=placed)
     run_options = RunOptions(options.log_every, options.checkpoint_every, options.num_workers, options.worker_method)
     validation = _validation(options)
-    planes = (TEMPLATE,) if _settings(options).get(TEMPLATE) else ()
+    settings = parse_json(options.settings.encode(), "--settings")
+    planes = (TEMPLATE,) if settings.get(TEMPLATE) else ()
     sets = [_open(options, *pair, "train", planes) for pair in itertools.product(options.data, options.sensor)]
     images = mixed(sets, options.weights, options.samples, options.seed)
     start = _start(options)
-    network = _network(options, images.label_map, start)
+    network = _network(options, images.label_map, start, settings)
     pretrained = _pretrained(options, network, start, images)
     first_process = find_rank()[0] == 0
     with contextlib.ExitStack() as stack:
@@ -245,16 +246,12 @@ def _start(options: Options) -> Trained | None:
     return start
 
 
-def _network(options: Options, label_map: LabelMap, start: Trained | None) -> Network:
+def _network(options: Options, label_map: LabelMap, start: Trained | None, given: Mapping[str, Any]) -> Network:
     """A new network for these classes, with the settings of the one it starts from where none are given."""
     theirs = {} if start is None else start.network.settings
     settings = {name: value for name, value in theirs.items() if name not in _OF_HEADS}
     classes = {} if label_map == PARTS33 else {_CLASSES: len(label_map)}
-    return build(options.network, {**settings, **classes, **_settings(options)}, options.seed)
-
-
-def _settings(options: Options) -> dict[str, Any]:
-    return parse_json(options.settings.encode(), "--settings")
+    return build(options.network, {**settings, **classes, **given}, options.seed)
 
 
 def _pretrained(options: Options, network: Network, start: Trained | None, images: ImageSet) -> dict[str, Any] | None:
