@@ -108,11 +108,6 @@ def coarsened(test: ShadowTest, image: Range, x: Floats, y: Floats, away: Floats
     return coarse
 
 
-def _any(four: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    answer: NDArray[np.bool_] = four[0] | four[1] | four[2] | four[3]
-    return answer
-
-
 def texel_indices(shape: tuple[int, ...], x: Floats, y: Floats) -> NDArray[np.intp]:
     """Flat indices [4, N] of the four texels around points, in the order of `four_texels`; the border is repeated."""
     left, top = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
@@ -140,7 +135,7 @@ def texel_bounds(
     away = np.minimum(points[2] - np.float32(1), FARTHEST_STEPS)
     enough = np.ceil(away).astype(np.int32) - int(test.gap_steps) + _MARGIN
     lowest, highest = np.zeros(image.size, np.int32), np.full(image.size, _EMPTY, np.int32)
-    hard = np.flatnonzero(~lit | _any(ranges < enough))
+    hard = np.flatnonzero(~lit | (ranges < enough).any(axis=0))
     read, needed, left = texels.take(hard, axis=1), enough[hard], lit[hard]
     low = np.broadcast_to(needed, read.shape).copy()
     kept = np.flatnonzero(~left)
@@ -156,11 +151,11 @@ def texel_bounds(
         near[marks] = True
         asked = np.flatnonzero(near.take(read[0]) & left)
         near[marks] = False
-        kept = asked[_any(highest.take(read.take(asked, axis=1)) < needed[asked])]
+        kept = asked[(highest.take(read.take(asked, axis=1)) < needed[asked]).any(axis=0)]
         left[kept] = False
     np.maximum.at(lowest, read.ravel(), low.ravel())
-    easy = np.flatnonzero(_any(highest.take(texels) < _EMPTY))
-    easy = easy[lit[easy] & ~_any(ranges.take(easy, axis=1) < enough[easy])]
+    easy = np.flatnonzero((highest.take(texels) < _EMPTY).any(axis=0))
+    easy = easy[lit[easy] & ~(ranges.take(easy, axis=1) < enough[easy]).any(axis=0)]
     for texel in texels.take(easy, axis=1):
         np.maximum.at(lowest, texel, enough[easy])  # not all four at once: numpy 2.4 mixes up what it repeats
     return lowest, highest

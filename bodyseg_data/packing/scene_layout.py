@@ -6,7 +6,7 @@ mistake is reported there and buffers may be used again; the rest (`SceneLayout.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,6 @@ from bodyseg_data.samples import Sample, SampleInfo, Value, check_key, kind_of, 
 from bodyseg_data.shards import EXTERNAL, FACING_FROM_RANGE, RIG_FIELD, Fields, ProjectorKind, check_plane
 
 Images = NDArray[Any]
-
-_ROWS: Final = 64
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,7 @@ class SceneLayout:
         as the set stores it. Raises BadSample.
         """
         rig, key = self.rigs[taken.rig], taken.key
-        range_image = _in_steps(taken.range_m, rig, f"{key}: range_m")
+        range_image = steps(taken.range_m, rig.range_step_m, f"{key}: range_m")
         measured = range_image > 0
         labels = taken.labels.copy()
         labels[measured & (labels == BACKGROUND)] = UNLABELLED
@@ -76,7 +74,7 @@ class SceneLayout:
         facing = [np.ascontiguousarray(mask & measured) for mask in found]
         occluder = None
         if taken.projector_range_m is not None:
-            occluder = _in_steps(taken.projector_range_m, rig, f"{key}: the projector's range")
+            occluder = steps(taken.projector_range_m, rig.range_step_m, f"{key}: the projector's range")
             if self.projector == "shadow":
                 occluder = _coarse(rig, range_image, facing, occluder)
         second = facing[1] if len(facing) == 2 else None
@@ -166,7 +164,7 @@ class SceneLayout:
         if self.projector == "exact":
             ask(np.arange(image.size))
             return image
-        range_image, first = _in_steps(range_m, rig, f"{key}: range_m"), 0
+        range_image, first = steps(range_m, rig.range_step_m, f"{key}: range_m"), 0
         for test, mask in zip(shadow_tests(rig), facing, strict=True):
 
             def ranges(texels: NDArray[np.intp], first: int = first) -> NDArray[np.uint16]:
@@ -246,14 +244,6 @@ def _ranges(given: Any, name: str, shape: tuple[int, ...], rig: Rig, key: str) -
         wrong = ~((image >= 0) & (image <= reach))
         raise BadSample(f"{key}: {name} must be metres, 0 to {reach:.5g}, found {_first(image, wrong)}")
     return image.copy()
-
-
-def _in_steps(range_m: Images, rig: Rig, where: str) -> NDArray[np.uint16]:
-    """As `steps`, some rows at once, so that its arrays stay in the cache."""
-    found = np.empty(range_m.shape, np.uint16)
-    for start in range(0, len(range_m), _ROWS):
-        found[start : start + _ROWS] = steps(range_m[start : start + _ROWS], rig.range_step_m, where)
-    return found
 
 
 def _integers(given: Any, name: str, size: tuple[int, int], key: str) -> Images:

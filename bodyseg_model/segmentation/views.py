@@ -102,13 +102,13 @@ def view_body(
     if turn is None:
         with np.errstate(invalid="ignore"):  # what is no range is refused below
             sides = across * depths
-        turn = math.atan2((sides.min() + sides.max()) / 2, _median(depths) * camera.focal_px)
+        turn = math.atan2((sides.min() + sides.max()) / 2, float(np.median(depths)) * camera.focal_px)
     sine, cosine = math.sin(turn), math.cos(turn)
     depths *= across / camera.focal_px * sine + cosine
     seen = (depths > 0) & (depths < np.inf)
     if not seen.all():  # a loop below writes where these ranges say
         raise BadConfig(f"a body's ranges must be finite and in front of its view, found {depths[~seen][0]:g} m")
-    median_m = _median(depths)
+    median_m = float(np.median(depths))
     focal_px = rig.camera.focal_px / rig.stand_off_m * median_m
     sign = -1.0 if mirrored else 1.0
     mapping = Turn(*camera.centre_px, camera.focal_px, *rig.camera.centre_px, focal_px, sine, cosine, sign)
@@ -139,13 +139,6 @@ def view_body(
     inside = view[top - corner[0] : bottom - corner[0], left - corner[1] : right - corner[1]]
     inside[:] = np.where(box > 0, np.clip(box + (rig.stand_off_m - median_m), nearest, farthest), 0)
     return BodyView(view, corner, view_pixels, turn, median_m, scale)
-
-
-def _median(values: NDArray[np.float64]) -> float:
-    """As `np.median` of values [N], at least one, in a third of its time."""
-    middle = len(values) // 2
-    parted = np.partition(values, middle)
-    return float(parted[middle] if len(values) % 2 else (parted[:middle].max() + parted[middle]) / 2)
 
 
 def usual_views(rig: Rig, together: bool) -> Iterator[list[NDArray[np.float32]]]:
