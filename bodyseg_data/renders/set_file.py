@@ -270,8 +270,8 @@ def _csv_rows(text: str, path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
 
 
 def _typed(column: Sequence[str]) -> Sequence[Value | None]:
-    flags = {"true": True, "false": False}
-    for read in (int, float, lambda word: flags[word.lower()], str):
+    numbers = () if any("_" in word for word in column) else (int, float)  # they take 1_1 for 11
+    for read in (*numbers, lambda word: {"true": True, "false": False}[word.lower()], str):
         with contextlib.suppress(ValueError, KeyError):
             return [read(word) if word else None for word in column]
     return []

@@ -184,6 +184,16 @@ def test_planes_facing_normals_and_a_table_of_csv_go_with_samples(tmp_path: Path
     assert images.manifest.renderer == "external"
 
 
+def test_a_column_of_csv_with_underscores_is_text(tmp_path: Path) -> None:
+    folder = plain(tmp_path / "cell")
+    (folder / "samples.jsonl").unlink()
+    subjects = ["1_1", "11", "2_0", "1_1"]  # Python reads the first as the second
+    lines = ["key,subject,take", *(f"scene-00{number},{subject},{number}" for number, subject in enumerate(subjects))]
+    (folder / "samples.csv").write_text("\n".join(lines) + "\n")
+    table = packed(folder).table()
+    assert (table["subject"].tolist(), table["take"].tolist()) == (subjects, [0, 1, 2, 3])
+
+
 def test_labels_in_colours_and_several_numbers_for_a_class(tmp_path: Path) -> None:
     folder = plain(tmp_path / "cell")
     classes = '[{name="floor", label=[1, 7]}, {name="arm", colour="#00FF00"}, {name="box", colour="#0000ff"}]'
