@@ -254,17 +254,17 @@ class CachedStore:
         return self.remote.size(name)
 
     def prepare_reread(self, name: str) -> bool:
-        """See `Store.prepare_reread`. A cached shard with a wrong hash is removed, to be downloaded again."""
+        """See `Store.prepare_reread`. A cached shard with a wrong hash is removed, to be downloaded again.
+
+        Of one that is right, what was read may have come of its part, before the download began anew.
+        """
         self._spoiled.add(name)  # not read again before it is whole
         path = self._cache.path(self._records[name])
-        try:
-            with path.open("rb") as file:
-                spoiled = hashlib.file_digest(file, "sha256").hexdigest() != self._records[name].sha256
-                if spoiled and is_same_file(file.fileno(), path):  # else another process has replaced it meanwhile
-                    path.unlink(missing_ok=True)
-        except OSError:
-            return True
-        return spoiled
+        with contextlib.suppress(OSError), path.open("rb") as file:
+            spoiled = hashlib.file_digest(file, "sha256").hexdigest() != self._records[name].sha256
+            if spoiled and is_same_file(file.fileno(), path):  # else another process has replaced it meanwhile
+                path.unlink(missing_ok=True)
+        return True
 
     def _from_cache(self, record: CheckedFile, offset: int, length: int) -> bytes | None:
         try:

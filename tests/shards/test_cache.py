@@ -35,7 +35,7 @@ from bodyseg_data.shards import (
     with_cache,
 )
 from bodyseg_data.shards.cache import BUSY, CachedStore, ShardCache, default_folder
-from bodyseg_data.shards.records import BODY_FIELDS, describe
+from bodyseg_data.shards.records import BODY_FIELDS, describe, read_checked
 
 fsspec = pytest.importorskip("fsspec")
 
@@ -347,6 +347,26 @@ def test_a_shard_that_another_process_has_fetched_anew_is_not_dropped(
     monkeypatch.setattr(hashlib, "file_digest", slowly)
     assert store.prepare_reread(record(3).name), "what was read was wrong"
     assert cache.read(record(3), 1020, 100) == b"\3" * 4
+
+
+def test_altered_bytes_of_a_part_are_read_again_from_the_shard_that_has_come_meanwhile(
+    memory: str, manifest: Manifest, paper_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, cache = manifest.shards[0], ShardCache(tmp_path, 1 << 20)
+    whole = (paper_set / first.name).read_bytes()
+    store = CachedStore(RemoteFolder(memory, {}, RetryPolicy()), [first], cache)
+    again = store.prepare_reread
+
+    def late(name: str) -> bool:
+        cache.part(first).write_bytes(whole)  # another process, which has fetched it anew
+        cache.finish(first)
+        return again(name)
+
+    monkeypatch.setattr(store, "prepare_reread", late)
+    with cache.claim(first) as handle:
+        assert handle not in (None, BUSY)
+        cache.part(first).write_bytes(bytes(len(whole)))
+        assert read_checked(store, first, 0) == whole[: first.lengths[0]]
 
 
 def test_a_fork_while_a_shard_is_fetched_keeps_nobody_waiting(tmp_path: Path) -> None:
