@@ -40,18 +40,18 @@ class ProcessGroup:
 
 @contextlib.contextmanager
 def joined_process_group(device: str | None = None) -> Iterator[ProcessGroup]:
-    """Join torchrun's process group, if there is one, while the context lasts.
+    """Join torchrun's process group, if there is one, while the context lasts; the caller's own, if it has joined.
 
     device: see `find_device`. Raises BadConfig.
     """
     rank, world_size = find_rank()
     chosen = find_device(device)
-    if world_size > 1:
+    if joins := world_size > 1 and not torch.distributed.is_initialized():
         torch.distributed.init_process_group("nccl" if chosen.type == "cuda" else "gloo")
     try:
         yield ProcessGroup(rank, world_size, chosen)
     finally:
-        if world_size > 1:
+        if joins:
             torch.distributed.destroy_process_group()
 
 

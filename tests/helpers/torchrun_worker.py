@@ -34,14 +34,16 @@ def batches(out: Path, folder: str, count: int) -> None:
     torch.distributed.all_gather_object(everyone, keys)
     assert everyone[rank] == keys
     (out / f"{rank}-of-{world_size}.json").write_text(json.dumps({"keys": keys, "state": batches.state_dict()}))
-    torch.distributed.destroy_process_group()
 
 
 def train(port: int, words: list[str]) -> None:
-    """Run a training whose process group meets at a port of its own."""
+    """Run a training, the first in the loader's process group, others in one that meets at a port of its own."""
     os.environ["MASTER_PORT"] = str(port)
-    if main(words) != 0:
+    joined = torch.distributed.is_initialized()
+    if main(words) != 0 or torch.distributed.is_initialized() != joined:
         sys.exit(f"failed: {words}")
+    if joined:
+        torch.distributed.destroy_process_group()
 
 
 if __name__ == "__main__":
