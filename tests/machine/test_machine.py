@@ -11,12 +11,13 @@ from bodyseg_data.machine import host as machine
 @pytest.mark.parametrize(
     ("name", "flags", "shown"),
     [
-        ("Intel(R) Xeon(R) Processor", "fpu amx_bf16 amx_tile", "Intel Xeon Processor with AMX"),
+        ("Intel(R) Xeon(R) Processor", "fpu amx_bf16 amx_tile avx512f", "Intel Xeon Processor with AMX"),
         ("Intel(R) Core(TM) i7-8650U CPU @ 1.90GHz", "fpu avx2", "Intel Core i7-8650U CPU @ 1.90GHz"),
-        ("AMD EPYC", "fpu avx512_vnni", "AMD EPYC"),
+        ("AMD EPYC", "fpu avx2 avx512f avx512_vnni", "AMD EPYC with AVX-512"),
+        ("AMD EPYC", "fpu avx2", "AMD EPYC"),
     ],
 )
-def test_a_processor_is_named_without_trade_marks_and_with_amx(
+def test_a_processor_is_named_without_trade_marks_and_with_its_widest_instructions(
     name: str, flags: str, shown: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     about = [f"model name\t: {name}", f"flags\t\t: {flags}"]

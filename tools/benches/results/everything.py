@@ -43,7 +43,7 @@ KINECT: Final = "data/real/kinect_v1"
 MIT: Final = "data/mit"
 REAL: Final = "data/real"
 
-PROCESSORS: Final = ("amd-epyc-2-cores", "intel-xeon-processor-with-amx-2-cores")
+PROCESSORS: Final = ("amd-epyc-2-cores", "amd-epyc-with-avx-512-2-cores", "intel-xeon-processor-with-amx-2-cores")
 """Those whose results are published, as `benches.charts.processors.folder_name` names them."""
 
 
