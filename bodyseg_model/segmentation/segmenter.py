@@ -164,11 +164,15 @@ def _turned_back(answer: Segmentation, quarters: int) -> Segmentation:
     return replace(answer, labels=labels, bodies=bodies, things=things, range_m=range_m)
 
 
-def _leans_away(range_m: NDArray[np.float32]) -> bool:
-    """True for a view, [h, w], metres, whose upper third of pixels is 0.15 m farther away than its lower third."""
-    seen = range_m[range_m > 0]
-    third = max(1, len(seen) // 3)
-    return bool(seen[:third].mean() > seen[-third:].mean() + 0.15)
+def _may_lie(range_m: NDArray[np.float32]) -> bool:
+    """True for a view, [h, w], metres, that is wider by a fifth than high, as who lies is from the height of the floor;
+    or whose upper third of pixels is 0.15 m farther away than its lower third, as from above.
+    """
+    seen = range_m > 0
+    high, wide = (np.count_nonzero(seen.any(axis=axis)) for axis in (1, 0))
+    ranges = range_m[seen]
+    third = max(1, len(ranges) // 3)
+    return bool(wide > 1.2 * high or ranges[:third].mean() > ranges[-third:].mean() + 0.15)
 
 
 class Segmenter:
@@ -297,10 +301,10 @@ class Segmenter:
 
     def _turn_unsure(self, found: FoundBodies, answers: list[tuple[NDArray[Any], ...]]) -> None:
         """Replace answers of which the network is unsure by those to views upside down, where it is surer of these: of
-        people who lie, whose upper end in a view is farther away, it has seen more from one end than from the other.
+        people who lie it has seen more from one end than from the other.
         """
         unsure = [n for n, (_, sure, *_) in enumerate(answers) if sure.sum() < _SURE * np.count_nonzero(sure)]
-        views = {n: view for n in unsure if self._either_way and _leans_away(view := found.bodies[n][1].range_m)}
+        views = {n: view for n in unsure if self._either_way and _may_lie(view := found.bodies[n][1].range_m)}
         others = predict_each(self._network, [turned_image(view, 2) for view in views.values()], *self._asked)
         for n, answer in zip(views, others, strict=True):
             if answer[1].sum() > answers[n][1].sum():

@@ -246,10 +246,22 @@ def test_a_person_of_whom_the_network_is_sure_upside_down_is_labelled_so() -> No
     assert len(sure._network.seen) == 1  # who is seen well is looked at once
 
 
-@pytest.mark.parametrize(("above_m", "name", "looks"), [(3.5, "parts33", 2), (3.1, "parts33", 1), (3.5, "own", 1)])
-def test_only_parts_of_bodies_that_lean_away_are_looked_at_twice(above_m: float, name: str, looks: int) -> None:
+@pytest.mark.parametrize(
+    ("above_m", "columns", "name", "looks"),
+    [
+        (3.5, 12, "parts33", 2),
+        (3.1, 12, "parts33", 1),
+        (3.5, 12, "own", 1),
+        (3.0, 44, "parts33", 1),
+        (3.0, 60, "parts33", 2),
+        (3.0, 60, "own", 1),
+    ],
+)
+def test_only_parts_of_bodies_that_may_lie_are_looked_at_twice(
+    above_m: float, columns: int, name: str, looks: int
+) -> None:
     frame = np.zeros((60, 80), np.float32)
-    frame[10:52, 30:42] = np.linspace(above_m, 3.0, 42, dtype=np.float32)[:, None]
+    frame[10:52, 40 - columns // 2 : 40 + columns // 2] = np.linspace(above_m, 3.0, 42, dtype=np.float32)[:, None]
     label_map = PARTS33 if name == "parts33" else replace(PARTS33, name=name)
     network = Places(0, 5, sure_m=0.5)
     Segmenter(network, UPRIGHT, Background("keep"), rig=SMALL, label_map=label_map)(frame)
