@@ -169,6 +169,7 @@ def test_help_texts_state_what_was_measured() -> None:
     ratios = [
         row["networks"][f"openvino {precision}"]["ms"] / row["networks"][f"torch {precision}"]["ms"]
         for record in by_processor(RESULTS)
+        if "runtimes" in record
         for row in record["runtimes"]["times"]
         for precision in ("float32", "bfloat16")
     ]
