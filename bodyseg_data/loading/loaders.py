@@ -190,7 +190,7 @@ class Loader:
         try:
             state = self._idle_workers()
             ahead.start(images.reader.store for images in self.images.sets)
-            self._tallied += ahead.rows
+            self._tallied = [np.sum(self._tallied, axis=0), *ahead.rows]  # of earlier passes, the sum alone
             for number in range(min(self._prefetched, len(plan))):
                 _submit(state, plan, number)
             for number in range(len(plan)):

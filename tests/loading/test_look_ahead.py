@@ -307,3 +307,7 @@ def test_a_loader_says_where_its_time_goes(figures_set: Path) -> None:
     assert stats["samples"] >= 24 and stats["transform"] >= 24 * 0.002
     assert min(stats[name] for name in ("store", "decode", "artifacts", "deliver", "waited")) > 0
     assert {stats[name] for name in ("fetch", "bytes", "requests", "hits", "stalls", "ready", "in_flight")} == {0}
+    rows = len(batches._tallied)
+    bits(batches)
+    assert batches.stats()["samples"] == stats["samples"] + 24
+    assert len(batches._tallied) == rows, "rows of earlier passes are summed up, or every pass would take longer"
