@@ -103,9 +103,12 @@ class OutputFolder:
         """
         with reported(f"cannot write {self.path}", BadConfig, OSError):
             kept = {self.image(folder, frame["name"]) for folder in self.folders for frame in self._frames}
-            for folder in {image.parent for image in kept}:
+            self.path.mkdir(parents=True, exist_ok=True)
+            write_json(self.path / UNFINISHED, {"format": FORMAT, "each": self._frames})  # first: it says whose all is
+            for folder in {self.path, *(image.parent for image in kept)}:
                 folder.mkdir(parents=True, exist_ok=True)
-            write_json(self.path / UNFINISHED, {"format": FORMAT, "each": self._frames})
+                for part in folder.glob(".*.part"):  # of a call that was killed
+                    part.unlink()
             for name in (SUMMARY, PREVIEW, LEGEND):
                 (self.path / name).unlink(missing_ok=True)
             for frame in self._earlier:

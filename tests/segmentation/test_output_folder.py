@@ -12,7 +12,7 @@ import pytest
 from pngs import png
 
 from bodyseg_data.core import BadConfig
-from bodyseg_data.files import write_result
+from bodyseg_data.files import part_beside, write_result
 from bodyseg_model.commands import main
 from bodyseg_model.recordings import find_frames
 from bodyseg_model.segmentation import OutputFolder
@@ -148,6 +148,23 @@ def test_a_call_that_was_cut_short_is_carried_on_without_its_bad_frame(recording
     filled(tmp_path / "again", recorded(tmp_path / "more", "1", "2"), done=False)
     (tmp_path / "more" / "1.png").unlink()
     assert "must not hold results of other frames" in refusal(tmp_path / "again", tmp_path / "more")
+
+
+def test_the_call_after_one_that_was_killed_goes_on_and_leaves_nothing_of_it(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def kill(path: Path, content: object) -> None:
+        raise KeyboardInterrupt
+
+    out = tmp_path / "out"
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr("bodyseg_model.segmentation.output_folder.write_json", kill)
+        opened(out, recording).begin()
+    filled(out, recording, done=False)
+    for name in ("labels/2.png", "preview.gif"):
+        part_beside(out / name).write_text("cut short")
+    filled(out, recording)
+    assert files(out) == ["labels/1.png", "labels/2.png", "overlay/1.png", "overlay/2.png", "summary.json"]
 
 
 @pytest.mark.parametrize(
