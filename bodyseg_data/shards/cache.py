@@ -49,6 +49,7 @@ def default_folder() -> Path:
 class _Entry:
     path: Path
     used: float
+    """Time of the last read; 0 where a clock that was set back since had marked one to come."""
     size: int
 
 
@@ -78,7 +79,7 @@ class ShardCache:
         """
         try:
             with (self.part if part else self.path)(record).open("rb", buffering=0) as file:
-                if time.time() - os.fstat(file.fileno()).st_mtime > self.in_use_s / 4:
+                if abs(time.time() - os.fstat(file.fileno()).st_mtime) > self.in_use_s / 4:
                     with contextlib.suppress(OSError):  # the file of another user
                         os.utime(file.fileno())
                 data = os.pread(file.fileno(), length, offset)
@@ -157,7 +158,8 @@ class ShardCache:
                     with contextlib.suppress(FileNotFoundError):  # finished or evicted meanwhile
                         status = file.stat(follow_symlinks=False)
                         size = int(match[1]) if match[1] else status.st_size
-                        entries.append(_Entry(Path(file.path), status.st_mtime, size))
+                        used = status.st_mtime if status.st_mtime <= time.time() + self.in_use_s else 0.0
+                        entries.append(_Entry(Path(file.path), used, size))
         return entries
 
 

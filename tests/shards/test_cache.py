@@ -265,6 +265,18 @@ def test_what_is_in_use_stays_and_nothing_goes_in_vain(tmp_path: Path) -> None:
     assert not fill(cache, record(5, size=5000)), "larger than the cache"
 
 
+def test_a_clock_that_was_set_back_keeps_nothing_for_ever(tmp_path: Path) -> None:
+    """As of a robot without a battery for its clock: what it read yesterday was read next year."""
+    cache = ShardCache(tmp_path, 3072, in_use_s=60)
+    year = 365 * 24 * 3600
+    assert all(fill(cache, record(number), age_s=-year) for number in range(3))
+    assert cache.read(record(1), 0, 4) == b"\1\1\1\1"
+    assert abs(cache.path(record(1)).stat().st_mtime - time.time()) < 60
+    assert fill(cache, record(3)) and fill(cache, record(4))
+    assert [cache.path(record(number)).exists() for number in range(5)] == [False, True, False, True, True]
+    assert not fill(cache, record(5)), "all of them are in use"
+
+
 def test_files_that_are_not_the_caches_own_stay(tmp_path: Path) -> None:
     for name in ("thesis.tar", f"{'a' * 63}.tar", f"{'a' * 64}.tar.bak"):
         (tmp_path / name).write_bytes(b"x" * 9999)
