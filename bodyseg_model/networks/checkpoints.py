@@ -134,7 +134,8 @@ class Checkpoint:
         digest = write_tensors(folder / self.file, self.tensors)
         note = {"step": self.step, "loader_state": self.loader_state, "tensors": self.file, "sha256": digest}
         write_json(folder / _CHECKPOINT, note)
-        for old in folder.glob("checkpoint-*.safetensors"):
+        killed = folder.glob(".checkpoint-*.part")  # of a training that was killed while it wrote one
+        for old in (*folder.glob("checkpoint-*.safetensors"), *killed):
             if old.name != self.file:
                 with contextlib.suppress(OSError):
                     old.unlink()

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from bodyseg_data.core import BadConfig, reported
-from bodyseg_data.files import is_leftover, make_folder, read_json, write_json
+from bodyseg_data.files import is_leftover, make_folder, read_json, write_json, write_result
 from bodyseg_data.labels import PARTS33
 from bodyseg_data.loading import ImageSet, first_difference
 from bodyseg_model.networks import CardWords, Checkpoint, Network, RunFiles, read_checkpoint
@@ -192,4 +192,4 @@ class RunFolder:
             with contextlib.suppress(ValueError, KeyError, TypeError):
                 if json.loads(line)["step"] <= step:
                     kept.append(line + "\n")
-        file.write_text("".join(kept))
+        write_result(file, "".join(kept).encode())

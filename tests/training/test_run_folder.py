@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import resource
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,10 @@ from small_training import RECIPE, TINY, CutError, GivenScores, cut_at, log, tra
 from bodyseg_data import RangeImages
 from bodyseg_data.artifacts import Noise, load_sensor_model
 from bodyseg_data.core import BadConfig
+from bodyseg_data.files import part_beside
 from bodyseg_model.networks import load_network
 from bodyseg_model.training import RunOptions
-from bodyseg_model.training.plan import check_plan
+from bodyseg_model.training.plan import RunFolder, check_plan
 
 SELDOM = RunOptions(1, 100, 0)
 
@@ -50,6 +52,28 @@ def test_a_training_without_a_checkpoint_repeats_its_log(small_set: Path, tmp_pa
         train(small_set, tmp_path, options=SELDOM)
     train(small_set, tmp_path, options=SELDOM, resume=True)
     assert [line["step"] for line in log(tmp_path)] == [1, 2, 3, 4]
+
+
+def test_a_log_stays_whole_where_a_full_disk_ends_the_training_that_goes_on(small_set: Path, tmp_path: Path) -> None:
+    train(small_set, tmp_path, steps=2)
+    file = tmp_path / "log.jsonl"
+    before = file.read_bytes()
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) // 2, limit[1]))
+    try:
+        with pytest.raises(BadConfig, match=r"^cannot write .*log\.jsonl: "):
+            RunFolder(tmp_path).forget_after(2)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+    assert file.read_bytes() == before
+
+
+def test_a_checkpoint_that_a_kill_cut_short_goes_with_the_next(small_set: Path, tmp_path: Path) -> None:
+    train(small_set, tmp_path, steps=2)
+    cut = part_beside(tmp_path / "checkpoint-00000003.safetensors")
+    cut.write_bytes(bytes(1000))
+    train(small_set, tmp_path, steps=4, resume=True)
+    assert not cut.exists() and (tmp_path / "checkpoint-00000004.safetensors").exists()
 
 
 def test_steps_may_grow_and_the_rate_follows_the_new_schedule(small_set: Path, tmp_path: Path) -> None:
