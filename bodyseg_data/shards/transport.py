@@ -34,7 +34,7 @@ _CHUNK_S: Final = 0.2
 _BLOCK_BYTES: Final = 4 << 20
 """Size of requests to filesystems that give no partial ranges: the most that a broken connection loses."""
 
-_TRANSIENT_STATUSES: Final = frozenset({408, 425, 429, 500, 502, 503, 504})
+_TRANSIENT_STATUSES: Final = frozenset({408, 425, 429, *range(500, 600)})
 _PERMANENT_ERRORS: Final = (PermissionError, IsADirectoryError, ValueError, TypeError, NotImplementedError)
 _PERMANENT_ERROR_NAMES: Final = frozenset(
     {"NoCredentialsError", "PartialCredentialsError", "ProfileNotFound", "ParamValidationError"}

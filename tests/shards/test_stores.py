@@ -354,13 +354,14 @@ def test_a_shard_that_is_too_short_or_a_web_page_is_told(
 
 
 def test_a_row_of_failures_is_bounded_in_number_and_time(web: WebServer, manifest: Manifest) -> None:
-    web.faults.act = lambda reply, before: replace(reply, status=500)
-    for retry_policy, least, most in (
-        (RetryPolicy(tries=4, first_wait_s=0.001), 4, 4),
-        (RetryPolicy(tries=99, first_wait_s=0.02, total_s=0.2), 3, 7),
+    for status, words, retry_policy, least, most in (
+        (500, "Internal Server Error", RetryPolicy(tries=4, first_wait_s=0.001), 4, 4),
+        (507, "Insufficient Storage", RetryPolicy(tries=4, first_wait_s=0.001), 4, 4),
+        (500, "Internal Server Error", RetryPolicy(tries=99, first_wait_s=0.02, total_s=0.2), 3, 7),
     ):
+        web.faults.act = lambda reply, before, status=status: replace(reply, status=status)
         web.faults.asked.clear()
-        with pytest.raises(Unreachable, match=r"train-00000.tar: 500 Internal Server Error \(\d attempts\)$"):
+        with pytest.raises(Unreachable, match=rf"train-00000.tar: {status} {words} \(\d attempts\)$"):
             RemoteFolder(web.url("faulty"), {}, retry_policy).read("train-00000.tar", 0, 512)
         assert least <= web.faults.asked["train-00000.tar"] <= most
 
