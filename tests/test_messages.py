@@ -317,7 +317,7 @@ LOADER: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "a budget of more than all": (
         {"on_error": "skip", "skip_budget": 1.5},
-        "skip_budget must be a number of samples, or a share from 0 to 1, found 1.5",
+        "skip_budget must be a number of samples, or a share below 1, found 1.5",
     ),
 }
 

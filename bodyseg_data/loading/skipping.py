@@ -89,4 +89,4 @@ def checked_budget(on_error: str, budget: float | None, samples: int) -> int | N
         return budget
     if isinstance(budget, float) and 0 <= budget < 1:
         return int(budget * samples * (1 + 1e-12))  # 29 for 0.29 of 100, which is 28.999... as a float
-    raise BadConfig(f"skip_budget must be a number of samples, or a share from 0 to 1, found {budget!r}")
+    raise BadConfig(f"skip_budget must be a number of samples, or a share below 1, found {budget!r}")
