@@ -72,22 +72,22 @@ class RangeImages(SampleDataset):
     """Dataset over a set of shards with the artifacts of one of the five variants. Random access; `len()` is exact.
 
     path: the folder of a set, or a glob that picks some of its shards ("shards/train-*.tar"), on this machine or at an
-    address like https://host/shards or s3://bucket/shards. variant: "none", "occ", "noise", "md" or "all". split:
-    "train", "test", "val" (with `val_share`), or None for train and test. seed: of all draws and of the order. epoch:
-    the first epoch. sensor: the artifacts, of which the variant takes those of its kinds: a model, the name of one that
-    ships with the package, or a TOML file (docs/how-to/sensors.md). transform: of the samples, applied in the workers,
-    one or several in their order (docs/how-to/transforms.md). labels: classes that take the place of the set's own: a
-    map, the name of one that ships with the package, or a TOML file (docs/how-to/label_maps.md); a map of regions of
-    the template takes them from the column `template`. unlabelled: give 254
-    and not 255 to surfaces that have no class, so that 255 means that nothing was measured. planes: names of further
-    images of the set, like "instances", that items and batches hold, too, as stored, also where artifacts lose pixels.
-    occluder: "camera" makes the projector's range out of what the camera sees, also for a set that holds none; what the
-    camera does not see then casts no shadow (docs/how-to/streaming.md). only: patterns as for file names ("open-A-*",
-    "*-d255-*"), one or several; a sample's key must match one of them. where: conditions like "distance_cm<=255", one
-    or several, which a sample's description must all meet (docs/how-to/streaming.md). columns: names of columns to
-    open, planes or fields that the set got later (docs/how-to/columns.md); those that `where` and `planes` name are
-    opened in any case. val_share: share of train, 0 to 1, that is read as "val" and not as "train": whole people and
-    motions (docs/how-to/splits.md).
+    address like https://host/shards or s3://bucket/shards. variant: "none", "occ", "noise", "md", "all", or two
+    artifacts, like "noise+md". split: "train", "test", "val" (with `val_share`), or None for train and test. seed: of
+    all draws and of the order. epoch: the first epoch. sensor: the artifacts, of which the variant takes those of its
+    kinds: a model, the name of one that ships with the package, or a TOML file (docs/how-to/sensors.md). transform: of
+    the samples, applied in the workers, one or several in their order (docs/how-to/transforms.md). labels: classes that
+    take the place of the set's own: a map, the name of one that ships with the package, or a TOML file
+    (docs/how-to/label_maps.md); a map of regions of the template takes them from the column `template`. unlabelled:
+    give 254 and not 255 to surfaces that have no class, so that 255 means that nothing was measured. planes: names of
+    further images of the set, like "instances", that items and batches hold, too, as stored, also where artifacts lose
+    pixels. occluder: "camera" makes the projector's range out of what the camera sees, also for a set that holds none;
+    what the camera does not see then casts no shadow (docs/how-to/streaming.md). only: patterns as for file names
+    ("open-A-*", "*-d255-*"), one or several; a sample's key must match one of them. where: conditions like
+    "distance_cm<=255", one or several, which a sample's description must all meet (docs/how-to/streaming.md). columns:
+    names of columns to open, planes or fields that the set got later (docs/how-to/columns.md); those that `where` and
+    `planes` name are opened in any case. val_share: share of train, 0 to 1, that is read as "val" and not as "train":
+    whole people and motions (docs/how-to/splits.md).
 
     For remote sets (docs/how-to/remote.md): cache: folder that keeps fetched shards, None for `bodyseg` in the user's
     cache folder. cache_bytes: its limit, None for 20 GB, 0 for no cache. storage_options: for the fsspec filesystem.
