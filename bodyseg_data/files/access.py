@@ -70,8 +70,10 @@ def naming(path: Path) -> Iterator[None]:
 
 
 def part_beside(path: Path) -> Path:
-    """A name that no other writer takes, beside a file or folder that is renamed to `path` when it is whole."""
-    return path.with_name(f".{path.name}.{secrets.token_hex(4)}{_PART}")
+    """A name that no other writer takes, beside a file or folder that is renamed to `path` when it is whole: of 255
+    bytes at most, as file systems ask, where a letter takes up to four.
+    """
+    return path.with_name(f".{path.name[:50]}.{secrets.token_hex(4)}{_PART}")
 
 
 def is_leftover(name: str) -> bool:

@@ -63,6 +63,13 @@ def test_a_full_disk_is_named_and_leaves_nothing(tmp_path: Path) -> None:
         write_result(tmp_path / "none" / "file", b"")
 
 
+@pytest.mark.parametrize("letter", ["x", "é", "走", "🚶"])
+def test_a_name_may_be_as_long_as_the_disk_allows(letter: str, tmp_path: Path) -> None:
+    name = letter * (255 // len(letter.encode()))
+    write_result(tmp_path / name, b"figures")
+    assert [each.name for each in tmp_path.iterdir()] == [name]
+
+
 def test_a_folder_is_held_by_one(tmp_path: Path) -> None:
     folder = tmp_path / "new" / "out"
     with claimed(folder, "training"):
