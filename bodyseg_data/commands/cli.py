@@ -62,6 +62,8 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
     for stream in ("stdout", "stderr"):
         if getattr(sys, stream) is None:  # closed by the parent process
             setattr(sys, stream, Path(os.devnull).open("w"))  # noqa: SIM115  open as long as the process
+    if getattr(sys.stdout, "errors", "") == "strict":  # a path may have letters that the terminal has not
+        sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]  # only a TextIOWrapper is strict
     before = _handle_signals()
     try:
         status = _run(program, commands, name, words)
@@ -88,6 +90,8 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
     except Exception as error:
         if os.environ.get("BODYSEG_TRACEBACK"):
             raise
+        if isinstance(error, UnicodeEncodeError) and error.encoding == "utf-8":  # of a library that opens files itself
+            return _say(f"{program}{name}", f"a path must be UTF-8 here, found {error.object!r:.200}", 2)
         what = f"{type(error).__name__}: {error}"
         return _say(f"{program}{name}", f"internal error: {what} (BODYSEG_TRACEBACK=1 shows where)", INTERNAL_ERROR)
     finally:

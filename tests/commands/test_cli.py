@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import io
 import json
 import os
 import signal
@@ -251,6 +252,30 @@ def test_a_surprise_is_one_line_unless_the_trace_is_asked_for(
     monkeypatch.setenv("BODYSEG_TRACEBACK", "1")
     with pytest.raises(ZeroDivisionError):
         main(["verify", "x"])
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "utf-8"])
+def test_paths_are_printed_whatever_their_letters(
+    encoding: str, figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "people é \udcff"
+    folder.symlink_to(figures_set)
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), encoding))
+    assert main(["verify", str(folder)]) == 0
+    sys.stdout.seek(0)
+    assert sys.stdout.read().endswith("no fault\n")
+
+
+def test_a_path_that_a_library_cannot_open_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def opens(options: object) -> int:
+        "/runs/\udcff".encode()  # as TensorBoard and pyarrow do
+        return 0
+
+    monkeypatch.setattr(verify, "run", opens)
+    assert main(["verify", "x"]) == 2
+    assert capsys.readouterr().err == "bodyseg verify: a path must be UTF-8 here, found '/runs/\\udcff'\n"
 
 
 def test_an_interrupt_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
