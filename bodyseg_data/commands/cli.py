@@ -5,6 +5,7 @@
 
 import contextlib
 import importlib
+import io
 import os
 import signal
 import sys
@@ -62,8 +63,8 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
     for stream in ("stdout", "stderr"):
         if getattr(sys, stream) is None:  # closed by the parent process
             setattr(sys, stream, Path(os.devnull).open("w"))  # noqa: SIM115  open as long as the process
-    if getattr(sys.stdout, "errors", "") == "strict":  # a path may have letters that the terminal has not
-        sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]  # only a TextIOWrapper is strict
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="backslashreplace")  # a path may have letters that the terminal has not
     before = _handle_signals()
     try:
         status = _run(program, commands, name, words)
