@@ -153,7 +153,8 @@ class ColumnWriter:
         name, shards = self._name, self._set.shards
         if name in (*self._set.planes, *self._set.fields.kinds):
             raise BadConfig(f"{self._folder}: the set itself has {name!r} already")
-        if (self._folder / column_file(name)).exists():
+        listed = name in column_names(LocalFolder(self._folder))  # not yet where a writer was killed before its end
+        if listed and (self._folder / column_file(name)).exists():
             raise BadConfig(f"{self._folder} has the column {name!r}: delete {column_file(name)} to write it anew")
         self._places = {key: (at, index) for at, shard in enumerate(shards) for index, key in enumerate(shard.keys)}
         self._held: list[dict[int, dict[str, bytes]]] = [{} for _ in shards]

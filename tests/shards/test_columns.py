@@ -179,6 +179,15 @@ def test_a_column_finished_since_the_writer_was_made_stays(copy: Path, kind: str
     assert hashes(copy) == written
 
 
+def test_a_column_whose_writer_was_killed_before_it_was_listed_is_written_anew(copy: Path) -> None:
+    written = hashes(with_both(copy))
+    (copy / "columns.json").write_text('{"columns": ["instances"]}')
+    with ColumnWriter(copy, "age", "int") as column:
+        for number, key in enumerate(RangeImages(copy, "none").keys):
+            column.write(key, 20 + number)
+    assert hashes(copy) == written
+
+
 def test_a_writer_without_a_block_says_so(copy: Path) -> None:
     """Its column would be tars without a manifest."""
     before = sorted(copy.iterdir())
