@@ -91,7 +91,8 @@ def run(options: Options) -> int:
     """Write the export: its folder appears when it is whole, in place of one of an earlier export."""
     check_int("--fps", options.fps, 1)
     facts = {"format": _FORMAT, **provenance(command_line("bodyseg export-labels", options))}
-    out, part, old = options.out, part_beside(options.out), part_beside(options.out)
+    out = options.out.resolve() if options.out.is_symlink() else options.out  # the link stays
+    part, old = part_beside(out), part_beside(out)
     opened = _frames if (Path(options.folder) / "summary.json").is_file() else _samples
     try:
         held = sorted(entry.name for entry in out.iterdir()) if out.exists() else []
@@ -114,7 +115,7 @@ def run(options: Options) -> int:
         shutil.rmtree(part, ignore_errors=True)
         if old.exists():
             shutil.rmtree(old) if out.exists() else old.rename(out)
-    sys.stderr.write(f"wrote {out}\n")
+    sys.stderr.write(f"wrote {options.out}\n")
     return 0
 
 

@@ -293,6 +293,16 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     assert not out.exists() and not list(tmp_path.glob(".*"))
 
 
+def test_a_link_to_a_folder_elsewhere_stays_one(figures_set: Path, tmp_path: Path) -> None:
+    disk, link = tmp_path / "disk", tmp_path / "out"
+    disk.mkdir()
+    link.symlink_to(disk)
+    for _ in range(2):  # into an empty folder, and in place of an earlier export
+        export(link, figures_set, "png")
+        assert link.is_symlink() and (disk / "labels").is_dir()
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["disk", "out"]
+
+
 def test_a_full_disk_is_one_line_and_leaves_the_earlier_export(
     figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
