@@ -7,7 +7,7 @@ the point. Where they show one surface, their bilinear interpolation is its rang
 surface gap behind it. Where they straddle an edge, interpolating ranges would invent a surface, so each texel votes
 instead ("not more than an edge's difference in front of the point") with its bilinear weight, and half the weight
 decides (percentage-closer filtering: Reeves, Salesin and Cook, SIGGRAPH 1987). With two projectors, shadow is where
-neither lights. Both thresholds belong to the format of shards (`core.sample.ShadowThresholds`).
+neither lights. Both thresholds belong to the format of shards (`SHADOW_THRESHOLDS`).
 docs/results/occlusion.md has the test beside its rivals.
 """
 

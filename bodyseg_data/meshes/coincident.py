@@ -50,7 +50,7 @@ def separate(
     vertices: int64 [33], of `mesh`. points: float64 [33, 3], where the landmarks were measured, metres, in the frame of
     the mesh. where: names file and mesh in messages.
 
-    Of two landmarks, the second in the order of `parts.LANDMARKS` moves; the first, if only that one is on a foreign
+    Of two landmarks, the second in the order of `LANDMARKS` moves; the first, if only that one is on a foreign
     limb, as measured along edges from the landmark before it on its own limb. It moves to the free vertex nearest to
     its point that is nearer to its own limb than the shared vertex. The same mesh gives the same vertices. Raises
     BadLandmarks for three landmarks in one place, or without a free vertex near.
