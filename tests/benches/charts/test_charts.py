@@ -99,5 +99,7 @@ def test_a_chart_says_all_and_covers_nothing(name: str, matplotlib: Any) -> None
         assert names >= {point.label for point in best} | {limit.label for limit in panel.limits}
         boxes = [text.get_window_extent(renderer).extents for text in axis.texts]
         assert not any(overlap(one, other) for one, other in itertools.combinations(boxes, 2))
+        corner = axis.get_position().p0.tolist()
+        assert corner == [round(side, 9) for side in corner], "further digits differ from run to run"
         edge = axis.get_window_extent(renderer).extents
         assert all((box[:2] >= edge[:2]).all() and (box[2:] <= edge[2:]).all() for box in boxes)

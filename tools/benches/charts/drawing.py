@@ -80,6 +80,8 @@ def chart(choice: Choice, panels: Sequence[Panel], sources: Sequence[Source]) ->
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # names are placed for axes that move no more
         for axis, panel in zip(axes, panels, strict=False):
+            # The layout's solver adds up in the order of addresses: its last digits differ from run to run.
+            axis.set_position([round(side, 9) for side in axis.get_position().bounds])
             _name(figure, axis, choice, panel)
     return figure
 
