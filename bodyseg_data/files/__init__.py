@@ -15,6 +15,7 @@ if TYPE_CHECKING:
         naming,
         parse_json,
         part_beside,
+        parts_left,
         read_bytes,
         read_json,
         refuse_special,

@@ -76,6 +76,13 @@ def part_beside(path: Path) -> Path:
     return path.with_name(f".{path.name[:50]}.{secrets.token_hex(4)}{_PART}")
 
 
+def parts_left(folder: Path, names: str = "*") -> Iterator[Path]:
+    """What killed processes left of `part_beside` in a folder where nobody else is at work, for files whose names match
+    a pattern.
+    """
+    return folder.glob(f".{names}{_PART}")
+
+
 def is_leftover(name: str) -> bool:
     """True for the name of a file that a killed process may leave: of `part_beside`, or of `claimed`."""
     return name == _LOCK or (name.startswith(".") and name.endswith(_PART))

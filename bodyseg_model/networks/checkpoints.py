@@ -20,7 +20,7 @@ from torch.nn.modules.module import register_module_parameter_registration_hook
 
 from bodyseg_data.artifacts import SensorModel, load_sensor_model, sensor_model_from_json
 from bodyseg_data.core import BadConfig, reported
-from bodyseg_data.files import read_bytes, read_json, write_json, write_result
+from bodyseg_data.files import parts_left, read_bytes, read_json, write_json, write_result
 from bodyseg_data.labels import PARTS33, LabelClass, LabelMap, classes_of, label_map_from_json, whole_map
 from bodyseg_data.rigs import Rig, load_rig, rig_from_json
 from bodyseg_model.networks.network import Network, WrappedModule, check_label_map
@@ -134,8 +134,7 @@ class Checkpoint:
         digest = write_tensors(folder / self.file, self.tensors)
         note = {"step": self.step, "loader_state": self.loader_state, "tensors": self.file, "sha256": digest}
         write_json(folder / _CHECKPOINT, note)
-        killed = folder.glob(".checkpoint-*.part")  # of a training that was killed while it wrote one
-        for old in (*folder.glob("checkpoint-*.safetensors"), *killed):
+        for old in (*folder.glob("checkpoint-*.safetensors"), *parts_left(folder, "checkpoint-*")):
             if old.name != self.file:
                 with contextlib.suppress(OSError):
                     old.unlink()

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, Stopwatch, reported
 from bodyseg_data.drawing import draw_legend, save_picture
-from bodyseg_data.files import claimed, read_json, sync, write_json, write_result
+from bodyseg_data.files import claimed, parts_left, read_json, sync, write_json, write_result
 from bodyseg_data.labels import TEMPLATE, LabelMap
 from bodyseg_data.machine import peak_mb
 from bodyseg_model.recordings import Frame
@@ -107,7 +107,7 @@ class OutputFolder:
             write_json(self.path / UNFINISHED, {"format": FORMAT, "each": self._frames})  # first: it says whose all is
             for folder in {self.path, *(image.parent for image in kept)}:
                 folder.mkdir(parents=True, exist_ok=True)
-                for part in folder.glob(".*.part"):  # of a call that was killed
+                for part in parts_left(folder):
                     part.unlink()
             for name in (SUMMARY, PREVIEW, LEGEND):
                 (self.path / name).unlink(missing_ok=True)
