@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable
 from functools import cache
 from pathlib import Path
 from typing import Final
@@ -12,51 +12,38 @@ from benches.results.records import Records
 from benches.results.step import Places
 from benches.results.survey import Survey
 
-NEVER: Final = "never made"
-"""The reason of a result without a record: `tools/bench all` has not made it, and nothing says by which code it was."""
-
-MARK: Final = "**Not measured by the code of today"
+MARK: Final = "**Measured by earlier code"
 """Begins the paragraph that names them on a page."""
 
 _FOLDER: Final = "processors/"
 _OF_PROCESSORS: Final = "[those by processor](tables.md#by-processor)"
 """One link for the many files of that folder."""
+_COMMITS: Final = "[last table](tables.md#repeat-it)"
 
 _NOWHERE: Final = Path("no work folder")
 
 
 @cache
-def stale_results(folder: Path) -> dict[str, str]:
-    """File of a folder of results -> why it is stale, as `tools/bench all --list` says it in a fresh checkout."""
+def stale_results(folder: Path) -> frozenset[str]:
+    """Files of a folder of results that are stale, as `tools/bench all --list` says in a fresh checkout."""
     graph = everything()
     places = Places(_NOWHERE, _NOWHERE, folder.absolute())
-    records = Records(graph, places)
-    statuses = Survey(graph, places, records).statuses()
-    return {
-        name: NEVER if records.get(step) is None else statuses[step.name].reason
+    statuses = Survey(graph, places, Records(graph, places)).statuses()
+    return frozenset(
+        name
         for step in graph.steps.values()
         if step.kind == "results" and statuses[step.name].state not in ("fresh", "absent")
         for _, name in step.results
-    }
+    )
 
 
-def outdated(stale: Mapping[str, str], results: Iterable[str]) -> str:
+def outdated(stale: Collection[str], results: Iterable[str]) -> str:
     """A paragraph that names those of `results` that are stale; "" if none is."""
-    links = {
-        name: _OF_PROCESSORS if name.startswith(_FOLDER) else f"[{name}]({name})" for name in results if name in stale
-    }
+    links = [_OF_PROCESSORS if name.startswith(_FOLDER) else f"[{name}]({name})" for name in results if name in stale]
     if not links:
         return ""
-    known, unknown = (
-        list(dict.fromkeys(link for name, link in links.items() if (stale[name] == NEVER) is never))
-        for never in (False, True)
-    )
-    parts = []
-    if known:
-        parts.append(f"the code, a command or the data has changed since: {', '.join(known)}")
-    if unknown:
-        parts.append(f"measured by hand, so that nothing records the code: {', '.join(unknown)}")
-    return f"{MARK}**, and to be measured anew: {'; '.join(parts)}. `tools/bench all --list` says why.\n"
+    named = ", ".join(dict.fromkeys(links))
+    return f"{MARK}**, at the commits of the {_COMMITS}: {named}. `tools/bench all --list` says what has changed.\n"
 
 
 def without_mark(page: str) -> str:
