@@ -89,8 +89,7 @@ def _outlines(frames: Sequence[MarkedFrame], recording: MarkedRecording) -> list
     shown = np.asarray(seen >= max(1.0, SEEN_SHARE * len(frames))) & ~room
     if len(frames) == 1:
         shown = _bridged(shown)
-    mean, known = mean_of(frames)
-    noise_m = frames[0].noise_m / np.sqrt(len(frames))
+    mean, known, noise_m = mean_of(frames)
     surface = partial(smooth_surface, mean, known, noise_m, recording.camera)
     full = _without_gaps(filled(shown, room), shown, surface)
     edges = jumps(mean, known, _JUMP_M + _NOISES * noise_m)

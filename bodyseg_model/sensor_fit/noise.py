@@ -71,8 +71,8 @@ def measure_noise(recording: MarkedRecording) -> Finding:
 
 
 def _temporal(recording: MarkedRecording) -> Iterator[Row]:
-    mean, known = mean_of(recording.frames)
-    usable = _inner(mean, known, 0.0)
+    mean, known, noise_m = mean_of(recording.frames)
+    usable = _inner(mean, known, noise_m)
     for a, b in recording.pairs:
         first, second = recording.frames[a], recording.frames[b]
         both = usable & first.body & second.body

@@ -176,12 +176,13 @@ class MarkedRecording:
         return bool(_robust(sums[full] / counts[full]) <= limit)
 
 
-def mean_of(frames: Sequence[MarkedFrame]) -> tuple[Floats, Mask]:
-    """Mean range of a still body over frames [H, W], metres, and the pixels measured in at least a fifth of them."""
+def mean_of(frames: Sequence[MarkedFrame]) -> tuple[Floats, Mask, float]:
+    """Mean range of a still body [H, W], the pixels measured in a fifth of its frames or more, and the mean's noise."""
     counts = sum(frame.body.astype(np.int64) for frame in frames)
     total = sum(np.where(frame.body, frame.range_m, 0).astype(np.float64) for frame in frames)
     known = np.asarray(counts >= max(1, len(frames) // 5))
-    return np.where(known, total / np.maximum(counts, 1), 0), known
+    noise_m = float(np.linalg.norm([frame.noise_m for frame in frames])) / len(frames)
+    return np.where(known, total / np.maximum(counts, 1), 0), known, noise_m
 
 
 def read_recording(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from known_sensors import recorded
 
-from bodyseg_data.artifacts import MissingData
+from bodyseg_data.artifacts import MissingData, Noise
 from bodyseg_data.artifacts.lost_pixels import PatchLoss, StripeLoss
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Finding
 from bodyseg_model.sensor_fit.losses import measure_losses, outlines_of
@@ -29,6 +29,13 @@ def test_pixels_lost_at_random(share: float, moving: bool) -> None:
     found = losses_of(recorded(MissingData((share,)), frames=6, moving=moving))
     assert needed(found) == ["missing_data"]
     assert found["missing_data"].strengths["rates"] == (pytest.approx(share, rel=0.1),)
+
+
+def test_pixels_lost_at_random_beside_noise_of_which_the_first_frame_has_least() -> None:
+    recording = recorded(Noise(60.0, 60.0), MissingData((0.05,)))
+    first = recorded(MissingData((0.05,)), frames=1).frames
+    found = losses_of(replace(recording, frames=(*first, *recording.frames[1:])))["missing_data"]
+    assert found.strengths["rates"] == (pytest.approx(0.05, rel=0.1),)
 
 
 def test_rates_that_frames_change_between() -> None:

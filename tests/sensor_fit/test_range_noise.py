@@ -13,7 +13,7 @@ from bodyseg_model.sensor_fit.noise import before_equal_rounding, clipped_varian
 
 
 @pytest.mark.parametrize("moving", [False, True])
-@pytest.mark.parametrize("sigma_mm", [1.0, 12.0])
+@pytest.mark.parametrize("sigma_mm", [1.0, 12.0, 80.0])
 def test_noise_of_one_deviation(sigma_mm: float, moving: bool) -> None:
     found = measure_noise(recorded(Noise(sigma_mm, sigma_mm), moving=moving))
     assert found.verdict == NEEDED and found.estimates["sigma_mm"].error < 0.1 * sigma_mm
