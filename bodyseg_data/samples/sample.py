@@ -311,7 +311,7 @@ def holds_postures(subset: str) -> bool:
 
 
 def metres(steps: NDArray[np.uint16], step_m: float, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-    """Convert stored steps to metres, rounded once: float32(steps) * float32(step_m).
+    """Convert stored steps to metres: float32(steps) * float32(step_m).
 
     step_m: one step, metres (`RangeImages.step_m`). out: float32 array to write into, of the same shape.
     """
