@@ -2,7 +2,7 @@
 
 Every vertex of an open body, clothed or not, lies at one place of the template, and a point of a triangle between the
 places of its corners. So the surface that a pixel sees has a place on the template, too, and is stored as the number of
-the nearest point: at most 11 mm away, 5 mm on average. docs/how-to/label_maps.md says how to use it.
+the nearest point: at most 13 mm away, 5 mm on average. docs/how-to/label_maps.md says how to use it.
 
 The template is Anny's man of medium build at rest (Apache-2.0, data CC0).
 """
