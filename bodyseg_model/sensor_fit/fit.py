@@ -2,7 +2,7 @@
 
 import textwrap
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -139,7 +139,7 @@ def draw_comparison(recording: MarkedRecording, sensor: SensorModel) -> Image.Im
 def simulate(clean_m: Floats, recording: MarkedRecording, sensor: SensorModel) -> Floats:
     """A clean body [H, W], metres, as a sensor shows it, metres; without shadows, which need what a projector sees."""
     without = SensorModel(sensor.name, tuple(artifact for artifact in sensor if artifact.name != "occlusion"))
-    rig = Rig("frame", 1.0, recording.camera, recording.camera)
+    rig = Rig("frame", 1.0, recording.camera, replace(recording.camera, distortion=None))
     steps = np.rint(clean_m / rig.range_step_m).clip(0, 65535).astype(np.uint16)
     labels = np.where(steps > 0, 0, BACKGROUND).astype(np.uint8)
     sample = Sample("frame", steps, None, labels, steps > 0, SampleInfo("test"))

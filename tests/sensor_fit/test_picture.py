@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 from known_sensors import recorded
 
 from bodyseg_data.artifacts import MissingData, Noise, Occlusion, SensorModel
+from bodyseg_data.rigs import Distortion
 from bodyseg_model.sensor_fit import draw_comparison
 from bodyseg_model.sensor_fit.fit import HEIGHT, simulate
 
@@ -20,7 +24,10 @@ def test_a_simulation_has_the_sensors_artifacts_but_no_shadow() -> None:
     assert abs(1 - both.sum() / (clean > 0).sum() - 0.2) < 0.01 and not shown[clean == 0].any()
 
 
-def test_the_picture_has_four_panels() -> None:
-    picture = draw_comparison(recorded(Noise(5.0, 5.0), frames=1), SensorModel("mine", (Noise(5.0, 5.0),)))
+@pytest.mark.parametrize("lens", [None, Distortion(k1=0.05)])
+def test_the_picture_has_four_panels(lens: Distortion | None) -> None:
+    recording = recorded(Noise(5.0, 5.0), frames=1)
+    recording = replace(recording, camera=replace(recording.camera, distortion=lens))
+    picture = draw_comparison(recording, SensorModel("mine", (Noise(5.0, 5.0),)))
     assert picture.height > HEIGHT and picture.width > 4 * 240
     assert len(np.unique(np.asarray(picture).reshape(-1, 3), axis=0)) > 50
