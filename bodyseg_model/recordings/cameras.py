@@ -25,8 +25,8 @@ _FOCAL_SHARES: Final = (0.2, 50.0)  # of the longer side: 136 degrees and 1 degr
 def check_intrinsics(focal_px: float, centre_px: tuple[float, float], shape: tuple[int, int], where: str) -> None:
     """Raise BadConfig for a focal length that no camera of images of `shape` (rows, columns) has, as in another unit.
 
-    centre_px: principal point (x, y), pixels; shares of the image are refused. where: the camera, for messages. What is
-    no length at all is left to `Camera`.
+    centre_px: principal point (x, y), pixels; shares of the image are refused, and points 79 degrees beside it. where:
+    the camera, for messages. What is no length at all is left to `Camera`.
     """
     rows, columns = shape
     least, most = (share * max(shape) for share in _FOCAL_SHARES)
@@ -36,10 +36,11 @@ def check_intrinsics(focal_px: float, centre_px: tuple[float, float], shape: tup
             f"{where}: a focal length must be in pixels, {least:.4g} to {most:.5g} for images of {rows} x {columns}, "
             f"found {focal_px:.5g}: is it {hint}?"
         )
-    if min(shape) > 16 and all(0 < value <= 1.5 for value in centre_px):
+    shares = min(shape) > 16 and all(0 < value <= 1.5 for value in centre_px)
+    if shares or max(map(abs, centre_px)) > max(shape) + 5 * abs(focal_px):
         raise BadConfig(
             f"{where}: a principal point must be in pixels, found {centre_px[0]:g} and {centre_px[1]:g} for images of "
-            f"{rows} x {columns}: are they shares of the image?"
+            f"{rows} x {columns}: are they {'shares of the image' if shares else 'in another unit'}?"
         )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -154,6 +155,11 @@ def test_focal_lengths_in_other_units_are_named(focal: float, hint: str, tmp_pat
     assert str(caught.value) == f"{tmp_path / 'a.json'}: {message}"
 
 
-def test_a_principal_point_in_shares_is_named() -> None:
-    with pytest.raises(BadConfig, match=r"x.png: a principal point must be in pixels, found 0.5 and 0.5 for images of"):
-        frame_camera((480, 640), "x.png", focal_px=525.0, centre_px=(0.5, 0.5))
+@pytest.mark.parametrize(
+    ("centre", "hint"), [((0.5, 0.5), "shares of the image"), ((319_500.0, -239_500.0), "in another unit")]
+)
+def test_a_principal_point_in_another_unit_is_named(centre: tuple[float, float], hint: str) -> None:
+    found = f"found {centre[0]:g} and {centre[1]:g} for images of 480 x 640: are they {hint}?"
+    with pytest.raises(BadConfig, match=rf"x.png: a principal point must be in pixels, {re.escape(found)}"):
+        frame_camera((480, 640), "x.png", focal_px=525.0, centre_px=centre)
+    assert frame_camera((48, 64), "x.png", focal_px=525.0, centre_px=(-1900.0, 1000.0)).camera.rows == 48
