@@ -139,7 +139,7 @@ def apply(image: Any, sample: Sample, given: Any, x: Any, y: Any, optics: Any, t
     shape, size = (rows + 2 * MARGIN, width + 2 * MARGIN), rows * width
     padded = kept_array("padded", shape[0] * shape[1] + int(_LANES), np.uint16, shape)
     padded[: -int(_LANES)].reshape(shape)[MARGIN:-MARGIN, MARGIN:-MARGIN] = sample.range
-    changes = kept_array("changes", size // 8 * 8 + 8, np.uint8)
+    changes = kept_array("changes", size // 8 * 8 + 8, np.uint8, size)
     runs = kept_array("runs", 3 * size, np.int32).reshape(size, 3)
     sums, tables = np.zeros((4, _LABELS), np.int64), np.zeros((_LABELS, _LOOKS), np.float32)
     flat = sample.range.reshape(-1), sample.labels.reshape(-1)

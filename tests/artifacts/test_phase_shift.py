@@ -14,14 +14,14 @@ from kernel_forms import by_both
 from numpy.typing import NDArray
 
 from bodyseg_data import ShardWriter
-from bodyseg_data.artifacts import Scene, SensorModel, load_sensor_model
+from bodyseg_data.artifacts import Augmentation, Scene, SensorModel, load_sensor_model
 from bodyseg_data.artifacts.fringes import REACH, decode
 from bodyseg_data.artifacts.phase_shift import PhaseShift
 from bodyseg_data.core import BadConfig, Draws
 from bodyseg_data.labels import PART_CLASSES
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.rigs import load_rig
-from bodyseg_data.samples import metres
+from bodyseg_data.samples import Sample, SampleInfo, metres
 
 RIG: Final = load_rig("paper")
 QUIET: Final = PhaseShift(
@@ -225,6 +225,23 @@ def test_both_forms_give_the_same_bits_for_any_strengths(figures_set: Path, rig_
     for index in range(0, 12, 3):
         ours, theirs = by_both(partial(images.image, index))
         np.testing.assert_array_equal(ours.range, theirs.range)
+
+
+def test_an_image_leaves_no_marks_for_a_smaller_one() -> None:
+    """Of 315 pixels and 312, for whose marks there is equally much memory."""
+    rig = replace(RIG, camera=replace(RIG.camera, rows=15, columns=26, centre_px=(13.0, 7.5)))
+    steps, labels = np.repeat(np.uint16([2400, 60_000]), (312, 3)), np.zeros(315, np.uint8)
+    noise = Augmentation(rig, "noise", sensor=SensorModel("moving", (PhaseShift(slowest_m_s=0.5, fastest_m_s=0.5),)))
+
+    def last_of_two() -> Any:
+        for shape in ((15, 21), (12, 26)):
+            ranges, parts = (each[: math.prod(shape)].reshape(shape) for each in (steps, labels))
+            found = noise(Sample("a", ranges, None, parts, ranges > 0, SampleInfo("train"))).range
+        return found
+
+    ours, theirs = by_both(last_of_two)
+    np.testing.assert_array_equal(ours, theirs)
+    assert ours.any()
 
 
 def test_motion_is_continuous_where_parts_meet_and_clothes_cover_their_parts(figures_set: Path) -> None:
