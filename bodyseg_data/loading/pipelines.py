@@ -8,6 +8,7 @@ Readers of streams check no bytes, and their order depends on workers: `loader` 
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 
 from bodyseg_data.core import BadSample, reported
 from bodyseg_data.labels import UNLABELLED
+from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import Sample, info_from_json
 from bodyseg_data.shards import CODECS, decode_sample, facing_masks, parse_info
 
@@ -46,17 +48,24 @@ def _decoded(name: str, data: bytes) -> Any:
     return None
 
 
-def sample_of(read: Mapping[str, Any], projectors: int, unlabelled: int) -> Sample:
+def sample_of(read: Mapping[str, Any], rig: Rig, unlabelled: int) -> Sample:
     """The clean sample that `webdataset` has read: `__key__` and members, as bytes or decoded by `decoder`.
 
-    projectors: of the rig. unlabelled: the label of surfaces of no class, 254 or 255. Raises BadSample.
+    rig: of the set. unlabelled: the label of surfaces of no class, 254 or 255. Raises BadSample.
     """
-    key, images = read["__key__"], read.get("bsi")
+    key, images, projectors = read["__key__"], read.get("bsi"), len(rig.projectors)
     members = {name: each for name, each in read.items() if not name.startswith("__")}
-    if not isinstance(images, dict):
-        return decode_sample(key, members, True, None, projectors, unlabelled)
-    labels = np.where(images["labels"] == UNLABELLED, np.uint8(unlabelled), images["labels"])
-    first, second = facing_masks(images["facing"], projectors)
-    planes = {name.split(".")[1]: plane for name, plane in members.items() if name.startswith("plane.")}
-    info = info_from_json(members.get("json"), key)
-    return Sample(key, images["range"], images["projector"], labels, first, info, None, second, planes)
+    info = members.get("json")
+    if isinstance(images, dict):
+        labels = np.where(images["labels"] == UNLABELLED, np.uint8(unlabelled), images["labels"])
+        first, second = facing_masks(images["facing"], projectors)
+        planes = {name.split(".")[1]: plane for name, plane in members.items() if name.startswith("plane.")}
+        info = info_from_json(info, key)
+        sample = Sample(key, images["range"], images["projector"], labels, first, info, None, second, planes)
+    else:
+        members |= {"json": json.dumps(info).encode()} if isinstance(info, dict) else {}
+        for name, each in members.items():
+            if not isinstance(each, bytes):
+                raise BadSample(f"{key}: {name} must be bytes, or decoded by decoder(), found {type(each).__name__}")
+        sample = decode_sample(key, members, True, None, projectors, unlabelled)
+    return sample

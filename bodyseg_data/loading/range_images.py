@@ -326,7 +326,7 @@ class RangeImages(SampleDataset):
         same bits, with draws of the epoch last set in this process; and `__key__`, which further steps need. Raises
         BadSample for members that are damaged or of another set, BadTransform.
         """
-        clean = sample_of(sample, len(self.manifest.rig.projectors), self.unlabelled)
+        clean = sample_of(sample, self.manifest.rig, self.unlabelled)
         arrays = np.empty(clean.range.shape, np.uint16), np.empty(clean.range.shape, np.uint8)
         return {"__key__": clean.key, **self._item(self._made_of(clean, self.epoch, *arrays))}
 
