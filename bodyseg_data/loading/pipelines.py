@@ -51,7 +51,8 @@ def _decoded(name: str, data: bytes) -> Any:
 def sample_of(read: Mapping[str, Any], rig: Rig, unlabelled: int) -> Sample:
     """The clean sample that `webdataset` has read: `__key__` and members, as bytes or decoded by `decoder`.
 
-    rig: of the set. unlabelled: the label of surfaces of no class, 254 or 255. Raises BadSample.
+    rig: of the set. unlabelled: the label of surfaces of no class, 254 or 255. Raises BadSample, also for images of
+    another size than the rig's.
     """
     key, images, projectors = read["__key__"], read.get("bsi"), len(rig.projectors)
     members = {name: each for name, each in read.items() if not name.startswith("__")}
@@ -68,4 +69,6 @@ def sample_of(read: Mapping[str, Any], rig: Rig, unlabelled: int) -> Sample:
             if not isinstance(each, bytes):
                 raise BadSample(f"{key}: {name} must be bytes, or decoded by decoder(), found {type(each).__name__}")
         sample = decode_sample(key, members, True, None, projectors, unlabelled)
+    if sample.range.shape != (shape := (rig.camera.rows, rig.camera.columns)):
+        raise BadSample(f"{key}: images must be {shape}, as in the set, found {sample.range.shape}")
     return sample

@@ -6,6 +6,7 @@ import gc
 import pickle
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,8 @@ import webdataset as wds
 from folders import GOLDEN
 from torch.utils.data import DataLoader
 
-from bodyseg_data import BadSample, RangeImages, decoder
+from bodyseg_data import BadSample, LabelClass, RangeImages, decoder
+from bodyseg_data.labels import classes_of
 
 pytestmark = pytest.mark.filterwarnings(  # webdataset leaves closing its files to the garbage collector
     "ignore::pytest.PytestUnraisableExceptionWarning", "ignore::ResourceWarning"
@@ -102,3 +104,15 @@ def test_what_is_damaged_in_a_pipeline_is_one_line(figures_set: Path, tmp_path: 
         images.make({"__key__": "a", "cls": b"3"})
     with pytest.raises(BadSample, match=r"a: cls must be bytes, or decoded by decoder\(\), found int"):
         images.make({"__key__": "a", "cls": 3})
+
+
+@pytest.mark.parametrize("decoded", [False, True])
+def test_a_maker_refuses_samples_of_another_set(decoded: bool, figures_set: Path) -> None:
+    raw = wds.WebDataset(urls(figures_set), shardshuffle=False)
+    sample = next(iter(raw.decode(decoder()) if decoded else raw))
+    with pytest.raises(BadSample, match=f"{sample['__key__']}: images must be .*, as in the set, found \\(160, 82\\)"):
+        RangeImages(GOLDEN / "format_7", "none").make(sample)
+    images = RangeImages(figures_set, "none")
+    images.manifest = replace(images.manifest, classes=classes_of((LabelClass("floor"),), "rooms"))
+    with pytest.raises(BadSample, match=f"{sample['__key__']}: labels must be 0 to 0, as in the set"):
+        images.make(sample)
