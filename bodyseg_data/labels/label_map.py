@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, reported
+from bodyseg_data.core import BadConfig, check_fields, reported
 from bodyseg_data.files import Table, TomlFiles
 from bodyseg_data.labels.classes import (
     BACKGROUND,
@@ -88,6 +88,7 @@ class LabelMap:
     template: OnTemplate | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
+        check_fields(self)
         where, kind = f"labels {self.name!r}", "landmark" if self.of == PART_CLASSES else "class"
         names, joined = [name for name, _ in self.classes], [each for _, members in self.classes for each in members]
         most = min(MOST_CLASSES, len(self.of) + (REST in joined))

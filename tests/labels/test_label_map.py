@@ -328,6 +328,17 @@ def test_the_rest_is_one_class_alone() -> None:
         LabelMap("bad", (("else", ("*",)), ("more", ("*",))))
 
 
+def test_lists_are_taken_for_tuples_and_nothing_else_is() -> None:
+    given: Any = [["hands", ["Rt. Dactylion"]], ["else", ["*"]]]
+    lists = LabelMap("hands", given)
+    assert lists == LabelMap("hands", (("hands", ("Rt. Dactylion",)), ("else", ("*",)))) and lists.has_rest
+    for wrong in ({"hands": ("Rt. Dactylion",)}, (("hands", "Rt. Dactylion"),)):
+        with pytest.raises(
+            BadConfig, match="LabelMap: classes must be a tuple, each entry a tuple of text and a tuple"
+        ):
+            LabelMap("hands", wrong)  # type: ignore[arg-type]
+
+
 def test_runs_of_foreground_hold_surfaces_of_no_class_too() -> None:
     labels = np.array([[BACKGROUND, 4, UNLABELLED, UNLABELLED, BACKGROUND, 9]], np.uint8)
     load_label_map("people").write(labels, np.array([1, 4, 5, 6], np.int32), UNLABELLED)
