@@ -228,6 +228,10 @@ def _kind(value: Value, name: str, key: str) -> str:
 
 def _array(given: Any, name: str, key: str) -> Images:
     """An argument as a NumPy array, which may share its memory. Raises BadSample."""
+    if np.ma.is_masked(given):  # the mask would be lost
+        raise BadSample(
+            f"{key}: {name} must have no masked values, but 0 as a range and 255 as a label where it has any"
+        )
     with reported(f"{key}: {name} must be an array", BadSample, TypeError, ValueError, RuntimeError):
         # A tensor of torch, without importing it.
         return np.asarray(given.detach().cpu().numpy() if hasattr(given, "detach") else given)
