@@ -23,7 +23,7 @@ from bodyseg_data.core import BadConfig, BadSample, Draws, check_choice, check_e
 from bodyseg_data.labels import BACKGROUND, PART_CLASSES, Classes
 from bodyseg_data.machine import if_ready, loops
 from bodyseg_data.rigs import Rig
-from bodyseg_data.samples import Sample
+from bodyseg_data.samples import Sample, shape_of
 
 _LOOPS: Final = "bodyseg_data.artifacts.fused_loops"
 
@@ -118,7 +118,7 @@ class Augmentation:
         that lacks the projector's range.
         """
         draws = Draws(self.seed, check_epoch(epoch), sample.key)
-        _check_sample(sample)
+        _check_sample(sample, self.rig)
         _check_fit(sample, "the image", image, np.uint16)
         _check_fit(sample, "the image of labels", labels, np.uint8)
         drawn: dict[str, float] = {}
@@ -179,13 +179,20 @@ def _apart(sample: Sample, image: RangeImage) -> Sample:
     return replace(sample, range=sample.range.copy(), labels=sample.labels.copy())
 
 
-def _check_sample(sample: Sample) -> None:
-    """Raise BadSample unless there is a label for every range: compiled loops check no length."""
-    ranges, labels = sample.range, sample.labels
+def _check_sample(sample: Sample, rig: Rig) -> None:
+    """Raise BadSample unless there is a label for every range, and a range for every pixel of the rig's camera.
+
+    Compiled loops check no length.
+    """
+    ranges, labels, camera = sample.range, sample.labels, rig.camera
     if ranges.dtype != np.uint16 or labels.dtype != np.uint8 or ranges.shape != labels.shape:
         raise BadSample(
             f"{sample.key}: range and labels must be uint16 and uint8 of one shape, "
             f"found {ranges.dtype} {ranges.shape} and {labels.dtype} {labels.shape}"
+        )
+    if ranges.shape != (camera.rows, camera.columns):
+        raise BadSample(
+            f"{sample.key}: images must be {camera.rows} x {camera.columns}, as in the rig, found {shape_of(ranges)}"
         )
 
 

@@ -16,7 +16,6 @@ import numpy as np
 
 from bodyseg_data.core import BadSample, reported
 from bodyseg_data.labels import UNLABELLED
-from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import Sample, info_from_json
 from bodyseg_data.shards import CODECS, decode_sample, facing_masks, parse_info
 
@@ -48,13 +47,12 @@ def _decoded(name: str, data: bytes) -> Any:
     return None
 
 
-def sample_of(read: Mapping[str, Any], rig: Rig, unlabelled: int) -> Sample:
+def sample_of(read: Mapping[str, Any], projectors: int, unlabelled: int) -> Sample:
     """The clean sample that `webdataset` has read: `__key__` and members, as bytes or decoded by `decoder`.
 
-    rig: of the set. unlabelled: the label of surfaces of no class, 254 or 255. Raises BadSample, also for images of
-    another size than the rig's.
+    projectors: of the rig. unlabelled: the label of surfaces of no class, 254 or 255. Raises BadSample.
     """
-    key, images, projectors = read["__key__"], read.get("bsi"), len(rig.projectors)
+    key, images = read["__key__"], read.get("bsi")
     members = {name: each for name, each in read.items() if not name.startswith("__")}
     info = members.get("json")
     if isinstance(images, dict):
@@ -62,13 +60,9 @@ def sample_of(read: Mapping[str, Any], rig: Rig, unlabelled: int) -> Sample:
         first, second = facing_masks(images["facing"], projectors)
         planes = {name.split(".")[1]: plane for name, plane in members.items() if name.startswith("plane.")}
         info = info_from_json(info, key)
-        sample = Sample(key, images["range"], images["projector"], labels, first, info, None, second, planes)
-    else:
-        members |= {"json": json.dumps(info).encode()} if isinstance(info, dict) else {}
-        for name, each in members.items():
-            if not isinstance(each, bytes):
-                raise BadSample(f"{key}: {name} must be bytes, or decoded by decoder(), found {type(each).__name__}")
-        sample = decode_sample(key, members, True, None, projectors, unlabelled)
-    if sample.range.shape != (shape := (rig.camera.rows, rig.camera.columns)):
-        raise BadSample(f"{key}: images must be {shape}, as in the set, found {sample.range.shape}")
-    return sample
+        return Sample(key, images["range"], images["projector"], labels, first, info, None, second, planes)
+    members |= {"json": json.dumps(info).encode()} if isinstance(info, dict) else {}
+    for name, each in members.items():
+        if not isinstance(each, bytes):
+            raise BadSample(f"{key}: {name} must be bytes, or decoded by decoder(), found {type(each).__name__}")
+    return decode_sample(key, members, True, None, projectors, unlabelled)

@@ -326,7 +326,8 @@ class RangeImages(SampleDataset):
         same bits, with draws of the epoch last set in this process; and `__key__`, which further steps need. Raises
         BadSample for members that are damaged or of another set, BadTransform.
         """
-        clean, count = sample_of(sample, self.manifest.rig, self.unlabelled), len(self.manifest.classes)
+        projectors, count = len(self.manifest.rig.projectors), len(self.manifest.classes)
+        clean = sample_of(sample, projectors, self.unlabelled)
         if self._regions is None and (clean.labels[clean.labels < self.unlabelled] >= count).any():
             raise BadSample(f"{clean.key}: labels must be 0 to {count - 1}, as in the set, found others")
         arrays = np.empty(clean.range.shape, np.uint16), np.empty(clean.range.shape, np.uint8)
