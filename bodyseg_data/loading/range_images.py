@@ -144,7 +144,7 @@ class RangeImages(SampleDataset):
                 f"{path} holds no projector range, which variant {variant!r} needs: use 'none', 'noise' or 'md', or "
                 "occluder='camera', which makes shadows of what the camera sees"
             )
-        if TEMPLATE in asked and TEMPLATE not in self.columns and TEMPLATE not in self.manifest.planes:
+        if TEMPLATE in asked and TEMPLATE not in (self.columns if on_template else self.manifest.planes):
             need = f", which labels {self.label_map.name!r} need" if on_template else ""
             raise BadConfig(
                 f"{path} has no map of the body, the column {TEMPLATE!r}{need}: `shard --template` packs it for the "

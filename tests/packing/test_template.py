@@ -18,7 +18,7 @@ from shapes import evenly_drawn, figure
 from small_rig import SMALL
 from spheres import icosphere
 
-from bodyseg_data import RangeImages, load_template, loader
+from bodyseg_data import RangeImages, ShardWriter, load_template, loader
 from bodyseg_data.bodies import Body, BodyRef, region_labels
 from bodyseg_data.commands import main
 from bodyseg_data.core import BadConfig, BadSample, BadShard
@@ -220,11 +220,18 @@ def test_states_and_stored_maps_name_their_regions(mapped: Path, tmp_path: Path,
         RangeImages(mapped, "none", labels=renamed)
 
 
-def test_a_set_without_the_map_says_so(mapped: Path, figures_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(
-        BadConfig, match="no map of the body, the column 'template', which labels 'joints24' need: `shard"
-    ):
-        RangeImages(figures_set, "none", labels="joints24")
+def test_a_set_without_the_map_says_so(
+    mapped: Path, figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shape = (SMALL.camera.rows, SMALL.camera.columns)
+    with ShardWriter(tmp_path, rig=SMALL, classes=["wall"]) as out:
+        plane = np.zeros(shape, np.uint16)
+        out.write(key="a", range_m=np.full(shape, 2.0), labels=plane, planes={"template": plane})  # its own: no column
+    for folder in (figures_set, tmp_path):
+        with pytest.raises(
+            BadConfig, match="no map of the body, the column 'template', which labels 'joints24' need: `shard"
+        ):
+            RangeImages(folder, "none", labels="joints24")
     images = RangeImages(mapped, "none", labels="joints24")
     with pytest.raises(BadSample, match="labels 'joints24' need the column 'template'"):
         images.make({"__key__": images.keys[0], **images.reader.members(0, 0)[1]})
