@@ -425,13 +425,14 @@ class RangeImages(SampleDataset):
     def webdataset(self, epoch: int | None = None) -> Any:
         """Return a `webdataset` pipeline over the chosen shards that yields this variant's images, in stored order.
 
-        Chain `.shuffle(1000)` and other steps to it; workers divide the shards among them. Each sample is read by its
-        offset in the manifest, as by index: to a reader of streams, a tar that is cut or has an altered header may look
-        complete. Raises BadShard for a sample that is altered or missing.
+        epoch: of the draws, None for the one set last before a pass. Chain `.shuffle(1000)` and other steps to it;
+        workers divide the shards among them. Each sample is read by its offset in the manifest, as by index: to a
+        reader of streams, a tar that is cut or has an altered header may look complete. Raises BadShard for a sample
+        that is altered or missing.
         """
         import webdataset
 
-        chosen = self.epoch if epoch is None else check_epoch(epoch)
+        chosen = None if epoch is None else check_epoch(epoch)
         ends = np.cumsum(self._samples.counts).tolist()
         held = {
             url: range(end - count, end)
@@ -441,7 +442,7 @@ class RangeImages(SampleDataset):
         def images(shards: Iterable[dict[str, str]]) -> Iterator[dict[str, Any]]:
             for shard in shards:
                 for index in held[shard["url"]]:
-                    yield self[chosen, index]
+                    yield self._item(self.image(index, chosen))
 
         pipeline = webdataset.FluidWrapper(webdataset.SimpleShardList(list(held)))
         return pipeline.compose(webdataset.single_node_only, webdataset.split_by_worker, images)

@@ -169,8 +169,10 @@ def test_a_plain_dataloader_works_as_well(small_set: Path) -> None:
 # webdataset leaves closing its files to the garbage collector.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore::ResourceWarning")
 def test_a_webdataset_pipeline_gives_the_same_bits(small_set: Path) -> None:
-    images = RangeImages(small_set, "all", "train", epoch=3)
-    streamed = list(images.webdataset())
+    images = RangeImages(small_set, "all", "train")
+    pipeline = images.webdataset()
+    images.set_epoch(3)
+    streamed = list(pipeline)
     gc.collect()
     assert [sample["key"] for sample in streamed] == images.keys
     for index in (0, 7, 15):
