@@ -42,8 +42,8 @@ class SensorModel:
     name: one plain word. title: the sensor's name in prose.
 
     Draws belong to (seed, epoch, sample key, purpose), so an artifact draws the same numbers in every model. Raises
-    BadConfig for an object that is no artifact, for one artifact given twice, and for artifacts that share a purpose of
-    random numbers or the name of a drawn quantity.
+    BadConfig for an object that is no artifact, for a strength that is no plain JSON, for one artifact given twice, and
+    for artifacts that share a purpose of random numbers or the name of a drawn quantity.
     """
 
     name: str
@@ -61,6 +61,8 @@ class SensorModel:
         object.__setattr__(self, "artifacts", tuple(given))
         for artifact in self.artifacts:
             check_artifact_class(type(artifact), f"sensor {self.name}")
+        with reported(f"sensor {self.name}: strengths must be plain JSON", BadConfig, TypeError, ValueError):
+            artifacts_to_json(self.artifacts)
         for what, names in _DISTINCT.items():
             owners: dict[str, str] = {}
             for artifact in self.artifacts:

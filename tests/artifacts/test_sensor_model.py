@@ -110,7 +110,7 @@ def test_other_objects_are_refused(name: Any, artifacts: Any, message: str) -> N
     assert str(refused.value) == message
 
 
-def test_an_artifact_must_be_frozen_and_of_a_kind() -> None:
+def test_an_artifact_must_be_frozen_and_of_a_kind_with_strengths_in_json() -> None:
     @dataclass
     class Thawed(Artifact):
         name, kind = "thawed", "noise"
@@ -120,6 +120,13 @@ def test_an_artifact_must_be_frozen_and_of_a_kind() -> None:
         name = "strange"
         kind = "dust"  # type: ignore[assignment]
 
+    @dataclass(frozen=True)
+    class Filed(Artifact):
+        name, kind = "filed", "noise"
+        table: Path = Path("table.npy")
+
+    with pytest.raises(BadConfig, match="sensor mine: strengths must be plain JSON: Object of type PosixPath is not"):
+        SensorModel("mine", (Filed(),))
     with pytest.raises(BadConfig, match="an artifact must be a frozen dataclass, found Thawed"):
         SensorModel("mine", (Thawed(),))
     with pytest.raises(BadConfig, match="one kind of occlusion, noise, missing_data, found Strange"):
