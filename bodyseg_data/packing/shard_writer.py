@@ -95,10 +95,10 @@ class ShardWriter:
         check_choice("projector", projector, (*get_args(ProjectorKind), None))
         if not source or not source.isprintable():
             raise BadConfig(f"source must be a name that can be printed, found {source!r}")
-        several = [rig] if isinstance(rig, RigLike) else list(rig)
+        several = list(rig) if isinstance(rig, Sequence) and not isinstance(rig, str) else [rig]
+        if not several or not all(isinstance(each, RigLike) for each in several):
+            raise BadConfig(f"a set needs at least one rig, a Rig or its name or file, found {rig!r:.100}")
         self._rigs = tuple(each if isinstance(each, Rig) else load_rig(each) for each in several)
-        if not self._rigs:
-            raise BadConfig("a set needs at least one rig, found none")
         check_rigs(self._rigs, "rig")
         self._classes = classes_of(classes)
         self._projector, self._source, self._codec = projector, source, check_choice("the codec", codec, CODECS)

@@ -396,7 +396,8 @@ def test_options_out_of_range_are_one_line(tmp_path: Path) -> None:
 
     for options, message in (
         ({"projector": "half"}, "projector must be one of shadow, exact, none, None, found 'half'"),
-        ({"rig": []}, "a set needs at least one rig"),
+        ({"rig": []}, r"a set needs at least one rig, .*, found \[\]"),
+        ({"rig": CAMERA}, r"a set needs at least one rig, a Rig or its name or file, found Camera\("),
         ({"classes": "floor"}, "classes must be a list of names"),
         ({"codec": "jpeg"}, "the codec must be one of"),
         ({"part": (2, 2)}, r"part must be \(i, n\), i from 0 to n - 1, found \(2, 2\)"),
