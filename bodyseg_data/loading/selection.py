@@ -156,7 +156,8 @@ class Selection:
     def _filtered(self, manifest: Manifest, numbers: Sequence[int]) -> ChosenSamples:
         """Choose the samples of some shards whose keys and descriptions fit, one shard after the other."""
         parts = self._parts_of_train(manifest) if self.divides_train else {}
-        patterns = [re.compile(fnmatch.translate(pattern)).match for pattern in self.only]
+        named = set(self.only)  # keys, of which there may be as many as samples: no key has a mark of a pattern
+        patterns = [re.compile(fnmatch.translate(each)).match for each in named if any(mark in each for mark in "*?[")]
         marks = []
         for number in numbers:
             shard = manifest.shards[number]
@@ -165,9 +166,10 @@ class Selection:
                 table = SampleTable.of(manifest.fields, [shard])
                 for condition in self.where:
                     own &= condition.marks(table)
-            if patterns:
+            if named:
                 for sample in np.flatnonzero(own).tolist():
-                    own[sample] = any(match(shard.keys[sample]) for match in patterns)
+                    key = shard.keys[sample]
+                    own[sample] = key in named or any(match(key) for match in patterns)
             marks.append(own)
         return ChosenSamples.marked(numbers, marks)
 

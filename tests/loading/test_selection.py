@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 import re
 import shutil
 from collections import Counter
@@ -248,6 +249,14 @@ def test_one_text_is_one_pattern(figures_set: Path) -> None:
     assert one.keys == RangeImages(figures_set, only=["open-A-*"]).keys == [key for key in one.keys if "-A-" in key]
     assert one.identity()["only"] == ["open-A-*"]
     assert len(RangeImages(figures_set, where="subset=people")) == 24 - len(one) == 12
+
+
+def test_keys_are_looked_up_and_patterns_alone_are_matched(figures_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    keys = RangeImages(figures_set).keys
+    chosen = [key for index, key in enumerate(keys) if index % 3 == 0 or key.endswith("-a080")]
+    known = {"*-a080": fnmatch.translate("*-a080")}
+    monkeypatch.setattr(fnmatch, "translate", known.__getitem__)
+    assert RangeImages(figures_set, only=[*keys[::3], "*-a080", "none-of-these"]).keys == chosen
 
 
 def test_conditions_select_what_samples_say_of_themselves(figures_set: Path) -> None:
