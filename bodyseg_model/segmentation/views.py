@@ -169,6 +169,7 @@ def metres_of(frame: Any, camera: Camera) -> NDArray[np.float32]:
     Raises BadConfig for another size than the camera's; for whole numbers, which are a sensor's steps; and where
     nothing that was measured is nearer than `_FARTHEST_M`, as in millimetres, but for one value, as of a sky.
     """
+    frame = frame.filled(0) if np.ma.isMaskedArray(frame) else frame  # what is masked was not measured
     values = np.asarray(frame.cpu() if hasattr(frame, "cpu") else frame)
     check_size(values.shape, camera)
     if values.dtype.kind != "f":

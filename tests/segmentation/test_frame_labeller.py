@@ -120,6 +120,14 @@ def test_metres_of_any_precision_and_kind_are_a_frame(given: Any) -> None:
     assert answer.bodies
 
 
+def test_what_is_masked_was_not_measured() -> None:
+    frame = standing(30)
+    hole = np.indices(frame.shape).sum(axis=0) % 7 == 0
+    masked = labeller()(np.ma.masked_array(frame, mask=hole), CAMERA)
+    np.testing.assert_array_equal(masked.range_m, labeller()(np.where(hole, 0, frame), CAMERA).range_m)
+    assert masked.bodies and not masked.range_m[hole].any()
+
+
 @pytest.mark.parametrize(
     ("frame", "message"),
     [
