@@ -316,8 +316,8 @@ def load_label_map(labels: str | Path | LabelMap, of: Classes = PART_CLASSES) ->
         return labels
     if not isinstance(labels, str | Path):
         raise BadConfig(f"labels must be a LabelMap, a name, or the path of a .toml file, found {labels!r}")
-    if str(labels) == of.name:
-        return whole_map(of)
+    if str(labels) in (of.name, PARTS33.name):
+        return whole_map(of) if str(labels) == of.name else load_label_map(PARTS33, of)
     where = f"label map {labels}"
     tree = _FILES.parse(_FILES.read(labels), str(labels))
     classes, template = tree.pop("classes", None), None

@@ -204,6 +204,8 @@ def test_a_map_of_a_users_own_classes(tmp_path: Path) -> None:
         BadConfig, match="labels 'robot' are of other classes than the set's: found the labels 'cell' and 'parts33'"
     ):
         load_label_map(robot)
+    with pytest.raises(BadConfig, match="labels 'parts33' are of other classes than the set's: found the labels"):
+        load_label_map("parts33", CELL)
     with pytest.raises(BadConfig, match="'Sellion' is none of the classes 'cell'"):
         LabelMap("x", (("a", ("Sellion",)),), CELL)
     with pytest.raises(
