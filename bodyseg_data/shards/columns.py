@@ -190,6 +190,8 @@ class ColumnWriter:
     def _plane(self, value: Any) -> dict[str, bytes]:
         plane, kind, camera = np.asarray(value), np.dtype(self._kind), self._set.rig.camera
         shape = (camera.rows, camera.columns)
+        if np.ma.is_masked(value):  # the mask would be lost
+            raise BadSample(f"plane {self._name!r} must have no masked values, but a number for them")
         if plane.dtype.kind not in "iu" or plane.shape != shape:
             raise BadSample(f"plane {self._name!r} must hold whole numbers {shape}, found {plane.dtype} {plane.shape}")
         if plane.min() < 0 or plane.max() > np.iinfo(kind).max:
