@@ -387,7 +387,7 @@ class Mixture(SampleDataset):
 
         index: a position in the epoch last set in this process, or (epoch of the draws, index) as `batches` yields.
         """
-        if isinstance(index, tuple):
+        if isinstance(index, tuple) and len(index) == 2:
             epoch, stored = index
         else:
             position = check_index(index, len(self))

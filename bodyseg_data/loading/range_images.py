@@ -316,7 +316,7 @@ class RangeImages(SampleDataset):
         index: the sample's index, or (epoch, index) as `batches` yields. An index alone takes the epoch last set in
         this process; `set_epoch` does not reach workers that are already running.
         """
-        epoch, index = index if isinstance(index, tuple) else (None, index)
+        epoch, index = index if isinstance(index, tuple) and len(index) == 2 else (None, index)
         return self._item(self.image(index, epoch))
 
     def make(self, sample: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,7 +14,7 @@ import pytest
 import torch
 import warm
 
-from bodyseg_data import RangeImages, loader
+from bodyseg_data import Mixture, RangeImages, loader
 from bodyseg_data.artifacts import Augmentation
 from bodyseg_data.core import BadConfig
 from bodyseg_data.loading import CameraImage, WorkerLost
@@ -84,9 +84,10 @@ def test_a_loader_needs_images(value: Any) -> None:
 
 
 def test_an_index_is_a_whole_number_within_the_set(images: RangeImages) -> None:
-    ways: tuple[Callable[[Any], Any], ...] = (images.__getitem__, images.image, images.clean, images.location)
+    items = images.__getitem__, Mixture([(images, 1)]).__getitem__
+    ways: tuple[Callable[[Any], Any], ...] = (*items, images.image, images.clean, images.location)
     for way in ways:
-        for value in (None, "0", 1.0, [0], slice(0, 2)):
+        for value in (None, "0", 1.0, [0], slice(0, 2), (0,), (0, 1, 2)):
             with pytest.raises(BadConfig, match=r"^a sample's index must be a whole number, found "):
                 way(value)
         for value in (len(images), -len(images) - 1, 10**30):
