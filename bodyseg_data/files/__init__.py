@@ -10,6 +10,7 @@ if TYPE_CHECKING:
         TomlFiles,
         claimed,
         contents,
+        held_part,
         is_leftover,
         make_folder,
         naming,

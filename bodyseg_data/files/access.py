@@ -7,13 +7,15 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import glob
 import gzip
 import json
 import os
 import re
 import secrets
+import shutil
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -83,6 +85,42 @@ def parts_left(folder: Path, names: str = "*") -> Iterator[Path]:
     return folder.glob(f".{names}{_PART}")
 
 
+@contextlib.contextmanager
+def held_part(path: Path, make: Callable[[Path], object]) -> Iterator[Path]:
+    """Make the file or folder `part_beside` of `path`, which goes when the context ends unless it was renamed, and
+    remove what killed processes left of such ones: they are locked as long as their process lives. Raises OSError.
+    """
+    import fcntl  # as below
+
+    for left in parts_left(path.parent, f"{glob.escape(path.name[:50])}.????????"):
+        with contextlib.suppress(OSError), _opened(left) as handle:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            _remove(left)
+    part = part_beside(path)
+    make(part)
+    try:
+        with _opened(part) as handle:
+            fcntl.flock(handle, fcntl.LOCK_EX)
+            yield part
+    finally:
+        _remove(part)
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[int]:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        yield handle
+    finally:
+        os.close(handle)
+
+
+def _remove(path: Path) -> None:
+    """Remove a file or a folder with all that is in it, as far as that can be done."""
+    with contextlib.suppress(OSError):
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+
 def is_leftover(name: str) -> bool:
     """True for the name of a file that a killed process may leave: of `part_beside`, or of `claimed`."""
     return name == _LOCK or (name.startswith(".") and name.endswith(_PART))
@@ -142,11 +180,8 @@ def _locked(path: Path) -> int:
 
 def sync(path: Path) -> None:
     """Wait until the disk holds a file, or a folder's entries, so that renames within it survive a power cut."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
+    with _opened(path) as handle:
         os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def refuse_special(path: Path) -> None:

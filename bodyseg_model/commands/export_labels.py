@@ -23,7 +23,7 @@ from PIL import Image
 from bodyseg_data.artifacts import PAPER_SENSOR, VariantName
 from bodyseg_data.commands import WHERE_HELP, Progress, command_line, option, provenance
 from bodyseg_data.core import BadConfig, MissingLibrary, ProgressCallback, check_int
-from bodyseg_data.files import part_beside, read_json, write_json
+from bodyseg_data.files import held_part, part_beside, read_json, write_json
 from bodyseg_data.labels import BACKGROUND, PART_CLASSES, PARTS33, LabelMap, label_map_from_json
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.renders import read_array
@@ -92,27 +92,27 @@ def run(options: Options) -> int:
     check_int("--fps", options.fps, 1)
     facts = {"format": _FORMAT, **provenance(command_line("bodyseg export-labels", options))}
     out = options.out.resolve() if options.out.is_symlink() else options.out  # the link stays
-    part, old = part_beside(out), part_beside(out)
-    opened = _frames if (Path(options.folder) / "summary.json").is_file() else _samples
+    old, opened = part_beside(out), _frames if (Path(options.folder) / "summary.json").is_file() else _samples
     try:
         held = sorted(entry.name for entry in out.iterdir()) if out.exists() else []
         if held and (_NOTE not in held or read_json(out / _NOTE).get("format") != _FORMAT):
             raise BadConfig(f"--out must be a new folder, or one of an earlier export: {out} holds {held[0]}")
         with Progress("exporting", "images") as progress:
             label_map, images = opened(options, progress.update)
-            part.mkdir(parents=True)
-            FORMATS[options.format](part, label_map, images, options)
-        colours = zip(label_map.names, label_map.colours, strict=True)
-        rows = [{"name": name, "color": f"#{bytes(colour).hex()}", "attributes": []} for name, colour in colours]
-        (part / "classes.json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-        write_json(part / _NOTE, {**facts, "kind": options.format, "labels": label_map.to_json()})
-        if out.exists():
-            out.rename(old)
-        part.rename(out)
+            with held_part(out, partial(Path.mkdir, parents=True)) as part:
+                FORMATS[options.format](part, label_map, images, options)
+                colours = zip(label_map.names, label_map.colours, strict=True)
+                rows = [
+                    {"name": name, "color": f"#{bytes(colour).hex()}", "attributes": []} for name, colour in colours
+                ]
+                (part / "classes.json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+                write_json(part / _NOTE, {**facts, "kind": options.format, "labels": label_map.to_json()})
+                if out.exists():
+                    out.rename(old)
+                part.rename(out)
     except OSError as error:
         raise BadConfig(f"cannot write {out}: {(error.strerror or str(error)).splitlines()[0]}") from error
     finally:
-        shutil.rmtree(part, ignore_errors=True)
         if old.exists():
             shutil.rmtree(old) if out.exists() else old.rename(out)
     sys.stderr.write(f"wrote {options.out}\n")

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, reported
-from bodyseg_data.files import part_beside
+from bodyseg_data.files import held_part
 from bodyseg_data.labels import BACKGROUND, LabelMap
 from bodyseg_model.recordings.bag_messages import IMAGE, bag_library, typestore
 from bodyseg_model.recordings.recording import Frame, Stamp
@@ -41,18 +41,14 @@ def labels_out(path: Path, label_map: LabelMap, frames_per_second: float) -> Ite
     """
     if path.suffix.lower() != ".mcap":
         raise BadConfig(f"labels are written into an .mcap file, found {path}")
-    part = part_beside(path)
-    with reported(f"cannot write {path}", BadConfig, OSError):
-        try:
-            with part.open("wb") as file:
-                writer = bag_library("mcap.writer").Writer(file)
-                writer.start("ros2")
-                yield LabelsOut(writer, frames_per_second)
-                writer.add_metadata(LEGEND, legend(label_map))
-                writer.finish()
-            part.replace(path)
-        finally:
-            part.unlink(missing_ok=True)
+    with reported(f"cannot write {path}", BadConfig, OSError), held_part(path, Path.touch) as part:
+        with part.open("wb") as file:
+            writer = bag_library("mcap.writer").Writer(file)
+            writer.start("ros2")
+            yield LabelsOut(writer, frames_per_second)
+            writer.add_metadata(LEGEND, legend(label_map))
+            writer.finish()
+        part.replace(path)
 
 
 def legend(label_map: LabelMap) -> dict[str, str]:

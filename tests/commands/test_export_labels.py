@@ -16,6 +16,7 @@ from PIL import Image
 from small_rig import SMALL
 
 from bodyseg_data import RangeImages, ShardWriter
+from bodyseg_data.files import part_beside
 from bodyseg_data.labels import BACKGROUND, PARTS, PARTS33, LabelClass, load_label_map
 from bodyseg_model.commands import cli, segment
 from bodyseg_model.commands.export_labels import DENSE_POSE, LabelImage, compressed, persons, segments
@@ -297,6 +298,7 @@ def test_a_link_to_a_folder_elsewhere_stays_one(figures_set: Path, tmp_path: Pat
     disk, link = tmp_path / "disk", tmp_path / "out"
     disk.mkdir()
     link.symlink_to(disk)
+    part_beside(disk).mkdir()  # as a killed export leaves it
     for _ in range(2):  # into an empty folder, and in place of an earlier export
         export(link, figures_set, "png")
         assert link.is_symlink() and (disk / "labels").is_dir()

@@ -5,13 +5,13 @@ from __future__ import annotations
 import errno
 import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from bodyseg_data.core import BadConfig
-from bodyseg_data.files import claimed, is_leftover, naming, part_beside, write_atomically, write_result
+from bodyseg_data.files import claimed, held_part, is_leftover, naming, part_beside, write_atomically, write_result
 
 
 def test_a_second_writer_does_not_touch_what_the_first_one_writes(tmp_path: Path) -> None:
@@ -115,3 +115,15 @@ def test_a_lock_that_its_holder_removes_meanwhile_is_taken_anew(
     monkeypatch.setattr(fcntl, "flock", late)
     with claimed(tmp_path, "training"):
         assert len(calls) == 2 and (tmp_path / ".lock").exists()
+
+
+@pytest.mark.parametrize("make", [Path.touch, Path.mkdir], ids=["file", "folder"])
+def test_what_killed_processes_left_goes_and_no_other_part(make: Callable[[Path], None], tmp_path: Path) -> None:
+    out = tmp_path / "out[1].mcap"
+    killed, other = part_beside(out), part_beside(tmp_path / "out1.mcap")
+    make(killed)
+    make(other)
+    with held_part(out, make) as first, held_part(out, make) as second:
+        assert set(tmp_path.iterdir()) == {other, first, second}
+        second.rename(out)
+    assert set(tmp_path.iterdir()) == {other, out}
