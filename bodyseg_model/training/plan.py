@@ -12,6 +12,7 @@ network.safetensors, network.json   the trained network and its card
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from bodyseg_data.core import BadConfig, reported
-from bodyseg_data.files import is_leftover, make_folder, read_json, write_json, write_result
+from bodyseg_data.files import is_leftover, make_folder, read_bytes, read_json, write_json, write_result
 from bodyseg_data.labels import PARTS33
 from bodyseg_data.loading import ImageSet, first_difference
 from bodyseg_model.networks import CardWords, Checkpoint, Network, RunFiles, read_checkpoint
@@ -178,12 +179,16 @@ class RunFolder:
 
     def forget_after(self, step: int) -> None:
         """Drop lines of the log after `step`, which a resumed training repeats, and a line that a kill cut short; and a
-        best validation after it, where another number of steps, and so other learning rates, follow.
+        best validation after it, where another number of steps, and so other learning rates, follow: also one of which
+        a kill left the weights alone, beside the card of the best before.
         """
         changes = self.plan().get("earlier_steps") if (self.path / RunFiles.PLAN).exists() else None
-        if changes and (best := self.best()) is not None and changes[-1]["until"] == step < best.step:
-            for suffix in (".json", ".safetensors"):
-                (self.path / RunFiles.BEST).with_suffix(suffix).unlink()
+        if changes and (best := self.best()) is not None and changes[-1]["until"] == step:
+            weights = self.path / RunFiles.BEST
+            digest = hashlib.sha256(read_bytes(weights)).hexdigest()
+            if best.step > step or read_json(weights.with_suffix(".json"))[CardWords.WEIGHTS_SHA256] != digest:
+                weights.with_suffix(".json").unlink()
+                weights.unlink()
         file = self.path / "log.jsonl"
         if not file.exists():
             return

@@ -105,6 +105,17 @@ def test_the_best_of_a_schedule_that_was_left_is_no_result(small_set: Path, tmp_
         assert [line["step"] for line in log(out)] == [*range(1, steps + 1)]
 
 
+def test_weights_that_a_kill_left_without_their_card_are_no_best(small_set: Path, tmp_path: Path) -> None:
+    images, few = [RangeImages(small_set, "all", "test")], RunOptions(1, 2, 0)
+    with pytest.raises(CutError):
+        before = GivenScores(images, 1, accuracies=(0.8, 0.2, 0.1))
+        train(small_set, tmp_path, steps=9, options=few, validation=before, report=cut_at(3))
+    (tmp_path / "best.safetensors").write_bytes(b"those of step 3, beside the card of step 1")
+    after = GivenScores(images, 1, accuracies=(0.3, 0.4))
+    train(small_set, tmp_path, steps=4, options=few, resume=True, validation=after)
+    assert load_network(tmp_path).card["step"] == load_network(tmp_path, "best").card["step"] == 4
+
+
 def test_steps_may_shrink_to_those_done(small_set: Path, tmp_path: Path) -> None:
     with pytest.raises(CutError):
         train(small_set, tmp_path, steps=9, report=cut_at(4))
