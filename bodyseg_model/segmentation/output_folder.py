@@ -99,21 +99,25 @@ class OutputFolder:
 
     def begin(self) -> None:
         """Make the folders. An earlier summary goes first, so that a summary is always of all results; then images of
-        the earlier call that this one does not replace, and its preview and legend. Raises BadConfig.
+        the earlier call that this one does not replace, the folders that they leave empty, and its preview and legend.
+        Raises BadConfig.
         """
         with reported(f"cannot write {self.path}", BadConfig, OSError):
             kept = {self.image(folder, frame["name"]) for folder in self.folders for frame in self._frames}
             self.path.mkdir(parents=True, exist_ok=True)
             write_json(self.path / UNFINISHED, {"format": FORMAT, "each": self._frames})  # first: it says whose all is
-            for folder in {self.path, *(image.parent for image in kept)}:
+            stale = {image for frame in self._earlier for image in self._images(frame["name"])} - kept
+            above = {folder for image in stale for folder in image.parents if folder.is_relative_to(self.path)}
+            needed = {self.path, *(image.parent for image in kept)}
+            for folder in needed:
                 folder.mkdir(parents=True, exist_ok=True)
-                for part in parts_left(folder):
-                    part.unlink()
+            for leftover in (*stale, *(part for folder in needed | above for part in parts_left(folder))):
+                leftover.unlink(missing_ok=True)
             for name in (SUMMARY, PREVIEW, LEGEND):
                 (self.path / name).unlink(missing_ok=True)
-            for frame in self._earlier:
-                for stale in self._images(frame["name"]) - kept:
-                    stale.unlink(missing_ok=True)
+            for folder in sorted(above - needed, reverse=True):  # those within others first
+                with contextlib.suppress(OSError):  # it is not there, or holds something else
+                    folder.rmdir()
 
     def _images(self, name: str) -> set[Path]:
         """Paths of all images that a call may have written of a frame."""

@@ -105,6 +105,11 @@ def test_results_of_the_same_frames_are_replaced(recording: Path, tmp_path: Path
     left = ["labels/1.png", "labels/2.png", "overlay/1.png", "overlay/2.png", "unfinished.json"]
     assert files(out) == left, "what this call does not write is gone, and so is the old summary"
     place.finish({"each": [{}, {}]})
+    (out / "overlay" / "mine.txt").touch()
+    part_beside(out / "overlay" / "1.png").touch()  # as a killed call leaves it
+    opened(out, recording, folders=IMAGES[:1]).begin()
+    assert files(out) == ["labels/1.png", "labels/2.png", "overlay/mine.txt", "unfinished.json"]
+    assert {path.name for path in out.iterdir() if path.is_dir()} == {"labels", "overlay"}, "no empty folder is left"
 
 
 def test_frames_are_the_same_from_any_folder_and_others_of_their_path_are_not(
