@@ -135,6 +135,9 @@ def pack_rooms(
             progress=lambda done, _: progress(done, samples),
         ) as writer,
     ):
+        places = {key: f"{split}-{place // shard_samples:05d}.tar" for place, key in enumerate(keys)}
+        if any(places.get(key) != file.name for key, file in writer.finished().items()):
+            raise BadConfig(f"{out} holds rooms of another number or split: choose another folder, or delete it")
         progress(sum(key in writer for key in keys), samples)
         new = {key: room for key, room in keys.items() if key not in writer}
         writer.write_all(new, partial(_made, rig, split, kinds, own, digest, (out / STATE_NAME).absolute()))
