@@ -214,10 +214,10 @@ def plain_value(value: Any) -> Any:
         return value.item()
     if isinstance(value, list | tuple | np.ndarray) or hasattr(value, "detach"):
         try:
-            flat = np.asarray(value.detach().cpu() if hasattr(value, "detach") else value, np.float64)
+            flat = np.asarray(value.detach().cpu() if hasattr(value, "detach") else value)
         except (TypeError, ValueError):
             return value
-        return tuple(flat.tolist()) if flat.ndim == 1 else value
+        return tuple(flat.astype(np.float64).tolist()) if flat.ndim == 1 and flat.dtype.kind in "biuf" else value
     return value
 
 

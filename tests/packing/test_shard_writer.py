@@ -377,6 +377,12 @@ def test_fields_keep_the_kind_of_single_numbers(given: Any, stored: Any, tmp_pat
     assert found == stored and type(found) is type(stored)
 
 
+@pytest.mark.parametrize("given", [["7", "42"], np.array(["7"]), [None], np.array([1 + 2j])])
+def test_a_list_of_what_are_no_numbers_is_refused(given: Any, tmp_path: Path) -> None:
+    with pytest.raises(BadSample, match="field 'frame' must be"):
+        one(tmp_path / "set", fields={"frame": given})
+
+
 def test_normals_of_another_frame_are_seen(tmp_path: Path) -> None:
     normals = np.zeros((16, 20, 3))
     normals[..., 2] = 1
