@@ -258,6 +258,17 @@ def test_commands_have_the_options_that_documents_give_them(monkeypatch: pytest.
     assert not {name: options for name, options in wrong.items() if options}
 
 
+def test_documents_and_programs_beside_them_import_from_the_two_doors_alone() -> None:
+    texts = {path: path.read_text() for path in PAGES} | {path: as_markdown(path.read_text()) for path in NOTEBOOKS}
+    programs = sorted((DOCS / "examples").glob("*.py"))
+    texts |= {path: f"```python\n{path.read_text()}```" for path in programs}
+    past = {
+        str(path.relative_to(DOCS)): [name for name in imported(text) if name.count(".") > 1]
+        for path, text in texts.items()
+    }
+    assert programs and not {name: names for name, names in past.items() if names}
+
+
 def test_names_that_pages_call_are_those_of_the_doors() -> None:
     """In the running text; blocks of Python run in test_code_blocks.py. Names of other libraries are theirs."""
     others = {"Arm", "CombinedStreamingDataset", "DataLoader", "Stream", "Trainer"}  # of a mesh, LitData, torch, ...

@@ -25,10 +25,11 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 from vision_msgs.msg import LabelInfo, VisionClass
 
-from bodyseg_data import BodysegError
-from bodyseg_model import FrameLabeller, LiveRecording, to_metres
-from bodyseg_model.recordings.bag_messages import IMAGE, camera_of, pixels
-from bodyseg_model.recordings.label_bags import cloud_fields
+from bodyseg_data import BadConfig, BodysegError
+from bodyseg_model import FrameLabeller, LiveRecording, driver_camera, to_metres
+
+PIXELS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}  # steps of a millimetre, or metres
+DATATYPES = {"u1": 2, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}  # of sensor_msgs/msg/PointField
 
 
 class LabelNode(Node):
@@ -51,18 +52,25 @@ class LabelNode(Node):
     def on_camera(self, message: CameraInfo) -> None:
         try:
             if self.camera is None or self.camera.size != (message.height, message.width):  # drivers change modes
-                self.camera = camera_of(message, "camera_info", rectified=True)
-            said = "" if self.camera else "camera_info: the camera is not calibrated"
+                self.camera = self.rectified(message)
         except BodysegError as error:
-            said = str(error)
-        if said:
-            self.get_logger().error(said)
+            self.get_logger().error(str(error))
+
+    def rectified(self, message: CameraInfo) -> object:
+        """The camera of rectified images, which is that of the projection matrix."""
+        fx, _, cx, _, _, fy, cy = map(float, message.p[:7])
+        region = message.roi
+        if max(message.binning_x, message.binning_y) > 1 or region.x_offset or region.y_offset:
+            raise BadConfig("camera_info: images must be neither binned nor cut")
+        if not (fx > 0 and fy > 0):
+            raise BadConfig("camera_info: the camera is not calibrated")
+        return driver_camera("", [], (fx, fy, cx, cy), (message.height, message.width), "camera_info")
 
     def on_image(self, message: Image) -> None:
         if self.camera is None:
             return
         try:
-            (frame,) = LiveRecording([pixels(message, IMAGE)])
+            (frame,) = LiveRecording([self.pixels(message)])
             range_m = to_metres(frame.read(), frame.step_m)
             answer = self.labeller(range_m, self.camera.frame_camera(range_m.shape).camera)
         except BodysegError as error:
@@ -80,16 +88,27 @@ class LabelNode(Node):
                 made.header = message.header
                 self.out[topic].publish(made)
 
+    def pixels(self, message: Image) -> np.ndarray:
+        kind, step = PIXELS.get(message.encoding), message.step
+        if kind is None or len(message.data) != message.height * step or step < message.width * int(kind[1]):
+            raise BadConfig(f"depth: an image must be one of {', '.join(PIXELS)}, whole, found {message.encoding!r}")
+        rows = np.frombuffer(message.data, np.uint8).reshape(message.height, step)[:, : message.width * int(kind[1])]
+        return np.ascontiguousarray(rows).view(">"[: message.is_bigendian] + kind)
+
     def image(self, values: np.ndarray, encoding: str) -> Image:
         rows, columns = values.shape
         data = array("B", values.astype(values.dtype.newbyteorder("<")).tobytes())  # rclpy checks lists byte by byte
         return Image(height=rows, width=columns, encoding=encoding, step=columns * values.itemsize, data=data)
 
     def cloud(self, records: np.ndarray, xyz: str | None = None) -> PointCloud2:
-        fields = cloud_fields(records, xyz)
-        fields["fields"] = [PointField(**each) for each in fields["fields"]]
-        fields["data"] = array("B", fields["data"].tobytes())
-        return PointCloud2(**fields)
+        fields, size = [], records.itemsize
+        for name, (kind, offset, *_) in records.dtype.fields.items():
+            for part, letter in enumerate("xyz" if name == xyz else " "):
+                base, count = kind.base, 1 if name == xyz else int(np.prod(kind.shape))
+                place = {"name": letter.strip() or name, "offset": offset + part * base.itemsize}
+                fields.append(PointField(datatype=DATATYPES[base.str[1:]], count=count, **place))
+        data, shape = array("B", records.tobytes()), {"height": 1, "width": len(records), "is_dense": True}
+        return PointCloud2(fields=fields, point_step=size, row_step=records.nbytes, data=data, **shape)
 
 
 if __name__ == "__main__":
