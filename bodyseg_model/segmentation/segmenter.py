@@ -256,6 +256,7 @@ class Segmenter:
         watch, camera = Stopwatch(STAGES), self._upright
         with watch("find"):
             range_m = turned_image(range_m, self.turned)
+            # Mirrored ones as they are: half of the images that finders are trained on are mirrored.
             bodies = find_bodies(range_m, camera, self.background, self.finder)
         with watch("resample"):
             resample = partial(view_body, range_m, camera=camera, rig=self.rig, mirrored=self.mirrored)
