@@ -93,6 +93,11 @@ def test_times_come_with_arrays_and_lists(tmp_path: Path) -> None:
     np.savez(tmp_path / "d.npz", depth=STACK, times=np.array([0, 1, 2]) + 1_700_000_000_000)
     said = "'times' must hold seconds, found 1.7e+12: are they milli- or nanoseconds?"
     assert said in refusal(tmp_path / "d.npz"), "no message can have such a time"
+    for time, written in ((2**31, "2.14748e+09"), (-(2**31), "-2.14748e+09"), (np.nan, "nan")):
+        np.savez(tmp_path / "e.npz", depth=STACK, times=np.array([0, time, 1]))
+        assert f"seconds, found {written}: are" in refusal(tmp_path / "e.npz")
+    np.savez(tmp_path / "f.npz", depth=STACK, times=np.array([0, 2**31 - 1, 1 - 2**31]))
+    assert open_recording(tmp_path / "f.npz")[2].time_s == 1 - 2**31
 
 
 def tum(folder: Path, lines: str) -> Path:
@@ -112,6 +117,8 @@ def test_a_list_with_times_gives_order_and_unit(tmp_path: Path) -> None:
     ]
     np.testing.assert_array_equal(frames[0].read(), RAMP)
     assert find_frames([folder], step_m=0.01)[0].step_m == 0.01
+    (folder / "depth.txt").write_text("-2147483647.5 depth/1.25.png\n2147483647.5 depth/0.75.png\n")
+    assert [frame.time_s for frame in find_frames([folder])] == [0.5 - 2**31, 2**31 - 0.5]
     (folder / "seen.png").write_bytes(png())
     assert [frame.name for frame in find_frames([folder])] == ["seen"], "a folder's own PNGs come first, as ever"
 
@@ -122,7 +129,7 @@ def test_a_list_with_times_gives_order_and_unit(tmp_path: Path) -> None:
         ("1.25 ../../etc/passwd", "a line must hold a time, seconds, and a file in the folder"),
         ("1.25 /etc/passwd", "a line must hold a time, seconds, and a file in the folder"),
         ("nan depth/1.25.png", "a line must hold a time"),
-        ("1403636579763555584 depth/1.25.png", "a line must hold a time, seconds, and"),
+        ("2147483648 depth/1.25.png", "a line must hold a time, seconds, and"),
         ("depth/1.25.png", "a line must hold a time"),
         ("1.25 depth/no.png", "No such file"),
         ("# nothing", "must name at least one, found none"),

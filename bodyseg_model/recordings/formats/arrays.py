@@ -210,8 +210,9 @@ def _times(archive: zipfile.ZipFile, array: _Array) -> list[float]:
         file.seek(array.start)
         data = file.read(array.shape[0] * array.kind.itemsize)
     times = [float(time) for time in np.frombuffer(data, array.kind, array.shape[0])]
-    if not all(abs(time) < 1 << 31 for time in times):  # as the time of a message
-        raise BadConfig(f"{array.title!r} must hold seconds, found {times[-1]:g}: are they milli- or nanoseconds?")
+    for time in times:
+        if not abs(time) < 1 << 31:  # as the time of a message
+            raise BadConfig(f"{array.title!r} must hold seconds, found {time:g}: are they milli- or nanoseconds?")
     return times
 
 
