@@ -111,7 +111,8 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class LiveRecording:
-    """A recording of arrays that `arrays` yields: uint16 in steps of `step_m` metres, or floating point in metres.
+    """A recording of arrays that `arrays` yields: uint16 in steps of `step_m` metres, or floating point in metres;
+    masked pixels are 0.
 
     Nothing is kept: a frame lives as long as its caller holds it. where: name in messages and of frames.
     """
@@ -124,6 +125,9 @@ class LiveRecording:
     def __iter__(self) -> Iterator[Frame]:
         for index, item in enumerate(self.arrays):
             time_s, pixels = item if isinstance(item, tuple) else (None, item)
+            pixels = np.array(
+                np.ma.filled(np.asanyarray(pixels), 0)
+            )  # drivers write the next frame into the same array
             step_m = FLOAT_STEP_M if pixels.dtype.kind == "f" else self.step_m
             name = f"{self.where}-{index:06d}"
             held, within = ArrayFrames(pixels[np.newaxis]), ("", index)

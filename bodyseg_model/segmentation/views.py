@@ -164,13 +164,15 @@ def check_size(shape: tuple[int, ...], camera: Camera) -> None:
 
 
 def metres_of(frame: Any, camera: Camera) -> NDArray[np.float32]:
-    """A copy of a frame, float32 [H, W], metres: an array or tensor of floating point, of any precision.
+    """A copy of a frame, float32 [H, W], metres: an array, whose masked pixels are 0, or tensor of floating point.
 
     Raises BadConfig for another size than the camera's; for whole numbers, which are a sensor's steps; and where
     nothing that was measured is nearer than `_FARTHEST_M`, as in millimetres, but for one value, as of a sky.
     """
-    frame = frame.filled(0) if np.ma.isMaskedArray(frame) else frame  # what is masked was not measured
-    values = np.asarray(frame.cpu() if hasattr(frame, "cpu") else frame)
+    if hasattr(frame, "detach"):  # a tensor, also of bfloat16, which NumPy has not
+        frame = frame.detach().cpu()
+        frame = frame.float() if frame.is_floating_point() else frame
+    values: NDArray[Any] = np.ma.filled(np.asanyarray(frame), 0)
     check_size(values.shape, camera)
     if values.dtype.kind != "f":
         raise BadConfig(f"a frame must be of floating point, metres, found {values.dtype}: {_AS_METRES}")

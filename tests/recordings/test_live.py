@@ -45,6 +45,18 @@ def test_any_iterable_is_a_recording_and_is_read_as_it_comes() -> None:
         next(iter(LiveRecording([np.zeros((3, 3), complex)]))).read()
 
 
+def test_frames_stay_what_they_were_where_a_driver_fills_one_array_again() -> None:
+    held = np.zeros_like(RAMP)
+
+    def live() -> Iterator[Any]:
+        for number in (1, 2):
+            held[:] = number
+            yield np.ma.masked_array(held, RAMP > 9)
+
+    for number, frame in enumerate(list(LiveRecording(live())), 1):
+        np.testing.assert_array_equal(frame.read(), np.where(RAMP > 9, 0, number))
+
+
 def test_a_realsense_camera_is_a_recording(monkeypatch: pytest.MonkeyPatch) -> None:
     fake = FakeRealSense(coeffs=(0.1, 0.2, 0.3, 0.4, 0.5))
     monkeypatch.setitem(sys.modules, "pyrealsense2", fake)

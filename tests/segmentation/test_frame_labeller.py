@@ -120,12 +120,18 @@ def test_metres_of_any_precision_and_kind_are_a_frame(given: Any) -> None:
     assert answer.bodies
 
 
-def test_what_is_masked_was_not_measured() -> None:
+def test_a_tensor_of_bfloat16_or_with_a_gradient_is_a_frame() -> None:
     frame = standing(30)
-    hole = np.indices(frame.shape).sum(axis=0) % 7 == 0
-    masked = labeller()(np.ma.masked_array(frame, mask=hole), CAMERA)
-    np.testing.assert_array_equal(masked.range_m, labeller()(np.where(hole, 0, frame), CAMERA).range_m)
-    assert masked.bodies and not masked.range_m[hole].any()
+    for made in (torch.from_numpy(frame).bfloat16(), torch.from_numpy(frame).requires_grad_()):
+        np.testing.assert_array_equal(labeller()(made, CAMERA).labels, labeller()(frame, CAMERA).labels)
+
+
+def test_masked_pixels_are_not_measured() -> None:
+    frame, doubtful = standing(30), np.zeros((60, 80), np.bool_)
+    doubtful[:, :36] = True
+    for camera in (CAMERA, BENT):
+        masked = labeller()(np.ma.masked_array(frame, doubtful), camera)
+        np.testing.assert_array_equal(masked.range_m, labeller()(np.where(doubtful, 0, frame), camera).range_m)
 
 
 @pytest.mark.parametrize(
