@@ -39,7 +39,7 @@ def labels_out(path: Path, label_map: LabelMap, frames_per_second: float) -> Ite
     path: an .mcap file. frames_per_second: of frames without times.
     Raises BadConfig for another path or one that cannot be written, MissingLibrary.
     """
-    if path.suffix.lower() != ".mcap":
+    if path.suffix.lower() != ".mcap" or path.is_dir():
         raise BadConfig(f"labels are written into an .mcap file, found {path}")
     with reported(f"cannot write {path}", BadConfig, OSError), held_part(path, Path.touch) as part:
         with part.open("wb") as file:

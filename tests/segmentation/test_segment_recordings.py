@@ -151,7 +151,8 @@ def test_labels_go_out_with_times_of_their_own(tmp_path: Path, capsys: pytest.Ca
     times = [number * 250_000_000 for number in range(5)]
     for topic in ("/bodyseg/labels", "/bodyseg/points"):
         assert [time for name, time in found if name == topic] == times, "frames without times follow --fps"
-    for name in ("labels.txt", "bag"):
+    (tmp_path / "folder.mcap").mkdir()
+    for name in ("labels.txt", "bag", "folder.mcap"):
         assert "labels are written into an .mcap file, found" in refused(capsys, *words, tmp_path / name)
     assert "--labels-out must lie outside --out" in refused(capsys, *words, tmp_path / "out" / "a.mcap")
     assert "No such file or directory" in refused(capsys, *words, tmp_path / "no" / "a.mcap")
