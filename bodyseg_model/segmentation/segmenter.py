@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from typing import Any, Final
 
 import numpy as np
@@ -175,6 +176,12 @@ def _may_lie(range_m: NDArray[np.float32]) -> bool:
     return bool(wide > 1.2 * high or ranges[:third].mean() > ranges[-third:].mean() + 0.15)
 
 
+@cache
+def _compute_alone_in_forks() -> None:
+    """Have forks of this process compute in one thread: OpenMP waits for ever for those that they do not have."""
+    os.register_at_fork(after_in_child=partial(torch.set_num_threads, 1))
+
+
 class Segmenter:
     """Labels the frames of one camera, each independently or, with `video`, steadied by those before it.
 
@@ -214,6 +221,7 @@ class Segmenter:
             raise BadConfig(f"frames must be undistorted before they are labelled, found {camera.distortion}")
         required("numba", "labelling frames", "segment")
         compile_loops()
+        _compute_alone_in_forks()
         self.camera, self.mirrored, self.least_confidence = camera, mirrored, least_confidence
         self.turned, self._upright = turned % 4, camera.turned(turned)
         self.background = background or Background()

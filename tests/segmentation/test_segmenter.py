@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import os
 import re
+import signal
 import sys
 from collections import Counter
 from pathlib import Path
@@ -146,6 +148,19 @@ def test_a_body_that_touches_all_borders() -> None:
     frame = np.full((60, 80), 2.0, np.float32)
     frame[:5, :30] = 0
     assert (Segmenter(Places(0, 10), LENS, KEEP)(frame).labels != BACKGROUND).sum() == np.count_nonzero(frame)
+
+
+def test_a_fork_labels_though_its_parent_has_computed_in_threads() -> None:
+    segmenter, frame = Segmenter(Places(axis=0, step=11), LENS, KEEP), standing(34, 2.0)
+    torch.set_num_threads(2)
+    torch.ones(1 << 20).exp()  # from here on there are two
+    child = os.fork()
+    if child == 0:
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(30)  # ends a hang
+        torch.ones(1 << 20).exp()
+        os._exit(len(segmenter(frame).bodies))
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 1
 
 
 def test_every_stage_is_timed() -> None:
