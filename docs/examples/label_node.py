@@ -21,7 +21,7 @@ from array import array
 import numpy as np
 import rclpy
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 from vision_msgs.msg import LabelInfo, VisionClass
 
@@ -42,7 +42,8 @@ class LabelNode(Node):
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.create_publisher(LabelInfo, "label_info", latched).publish(self.label_info())
         self.create_subscription(CameraInfo, "camera_info", self.on_camera, qos_profile_sensor_data)
-        self.create_subscription(Image, "depth", self.on_image, qos_profile_sensor_data)
+        newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)  # no queue: its answers would be late
+        self.create_subscription(Image, "depth", self.on_image, newest)
 
     def label_info(self) -> LabelInfo:
         names = {**dict(enumerate(self.labeller.label_map.names)), 255: "unlabelled"}

@@ -32,6 +32,7 @@ class StubNode:
     def __init__(self, name: str) -> None:
         self.name, self.sent, self.said = name, [], []
         self.heard: dict[str, Any] = {}
+        self.asked: dict[str, Any] = {}
         self.listeners = {"labels": 1, "persons": 1, "points": 1, "parts": 1}
 
     def create_publisher(self, kind: Any, topic: str, profile: Any) -> Any:
@@ -42,7 +43,7 @@ class StubNode:
         return SimpleNamespace(publish=publish, get_subscription_count=lambda: self.listeners[topic])
 
     def create_subscription(self, kind: Any, topic: str, callback: Any, profile: Any) -> None:
-        self.heard[topic] = callback
+        self.heard[topic], self.asked[topic] = callback, profile
 
     def get_logger(self) -> Any:
         return SimpleNamespace(error=self.said.append)
@@ -82,6 +83,7 @@ def node(monkeypatch: pytest.MonkeyPatch) -> Any:
             "qos_profile_sensor_data": "best effort",
             "QoSProfile": SimpleNamespace,
             "DurabilityPolicy": SimpleNamespace(TRANSIENT_LOCAL=1),
+            "ReliabilityPolicy": SimpleNamespace(BEST_EFFORT=2),
         },
         "sensor_msgs": {},
         "sensor_msgs.msg": {"Image": Image, "CameraInfo": object, "PointCloud2": PointCloud2, "PointField": PointField},
@@ -118,6 +120,7 @@ def see_camera(node: Any) -> None:
 
 def test_the_node_answers_range_images_with_labels(node: Any) -> None:
     assert node.name == "bodyseg" and set(node.heard) == {"camera_info", "depth"}
+    assert vars(node.asked["depth"]) == {"depth": 1, "reliability": 2}, "the newest frame, whatever the sensor offers"
     ((topic, info),) = node.sent
     assert topic == "label_info" and info.threshold == 0
     assert [each.class_id for each in info.class_map] == [*range(33), 255]
