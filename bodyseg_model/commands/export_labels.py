@@ -8,7 +8,7 @@ import io
 import json
 import shutil
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
@@ -153,8 +153,9 @@ def _frames(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Ima
     try:
         summary = read_json(folder / "summary.json")
         label_map = label_map_from_json(summary["labels"], f"{folder}, labels")
-        each = [(at["name"], at["path_id"], [body["box"] for body in at["bodies"]]) for at in summary["each"]]
-    except (KeyError, TypeError) as error:
+        boxes = [np.array([body["box"] for body in at["bodies"]], int).reshape(-1, 4) for at in summary["each"]]
+        each = [(at["name"], at["path_id"], own) for at, own in zip(summary["each"], boxes, strict=True)]
+    except (KeyError, TypeError, ValueError) as error:
         raise BadConfig(f"{folder / 'summary.json'} is none of `bodyseg segment`: {error!r}") from error
     given = find_frames(options.frames, options.topic, summary.get("given_unit_m")) if options.frames else []
     frames = {each.path_id: each for each in given}
@@ -165,6 +166,8 @@ def _frames(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Ima
             labels = read_array(folder / LABELS / f"{name}.png")
             if labels.ndim != 2 or labels.dtype != np.uint8:
                 raise BadConfig(f"labels must be uint8 [H, W], found {labels.dtype} {labels.shape}: {name}")
+            if len(wrong := labels[(labels >= len(label_map)) & (labels != BACKGROUND)]):
+                raise BadConfig(f"labels must be below {len(label_map)}, or {BACKGROUND}, found {wrong[0]}: {name}")
             counted = persons(labels, boxes) if label_map.of == PART_CLASSES else (None, frozenset[int]())
             if frames:
                 if path_id not in frames:
@@ -180,7 +183,7 @@ def _frames(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Ima
     return label_map, images()
 
 
-def persons(labels: NDArray[np.uint8], boxes: Sequence[Sequence[int]]) -> tuple[NDArray[np.uint16], frozenset[int]]:
+def persons(labels: NDArray[np.uint8], boxes: Iterable[Iterable[int]]) -> tuple[NDArray[np.uint16], frozenset[int]]:
     """Number, from 1, of each labelled pixel's body, by the bodies' boxes (first row and column, end row and column);
     and numbers that several share, as they have a labelled pixel in both boxes and are not told apart.
     """

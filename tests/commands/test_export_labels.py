@@ -283,12 +283,18 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     assert f"--out must be a new folder, or one of an earlier export: {frames} holds 1.png" in refused(
         capsys, *words[:5], frames
     )
+    Image.fromarray(np.full((60, 80), 33, np.uint8)).save(folder / "labels" / "2.png")
+    said = refused(capsys, *words[:2], "--format", "coco", "--out", out)
+    assert said == "labels must be below 33, or 255, found 33: 2"
     (folder / "labels" / "2.png").write_bytes(b"none")
     assert "2.png: cannot be read as an image" in refused(capsys, *words[:2], "--format", "coco", "--out", out)
     summary = tree(folder / "summary.json")
     summary["each"][0]["name"] = "../labels/1"
     (folder / "summary.json").write_text(json.dumps(summary))
     assert "must stay in its folder" in refused(capsys, *words[:2], "--format", "png", "--out", out)
+    summary["each"][0]["bodies"] = [{"box": [1, 2]}]
+    (folder / "summary.json").write_text(json.dumps(summary))
+    assert "summary.json is none of `bodyseg segment`: ValueError(" in refused(capsys, *words)
     (folder / "summary.json").write_text("{}")
     assert "summary.json is none of `bodyseg segment`: KeyError('labels')" in refused(capsys, *words)
     assert not out.exists() and not list(tmp_path.glob(".*"))
