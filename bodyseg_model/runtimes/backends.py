@@ -12,6 +12,7 @@ import itertools
 from abc import ABC, abstractmethod
 from functools import cache
 from pathlib import Path
+from threading import Lock
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, get_args
 
 import numpy as np
@@ -109,9 +110,11 @@ class OpenVino(Runtime):
             "ENABLE_CPU_PINNING": False,  # other work of the process runs beside it
         }
         self._request = core.compile_model(core.read_model(io.BytesIO(graph)), "CPU", settings).create_infer_request()
+        self._one_at_a_time = Lock()  # else a thread gets the scores of another one's images
 
     def scores(self, range_m: NDArray[np.float32]) -> NDArray[np.float32]:
-        found: NDArray[np.float32] = self._request.infer([range_m], share_inputs=True)[0]
+        with self._one_at_a_time:
+            found: NDArray[np.float32] = self._request.infer([range_m], share_inputs=True)[0]
         return found
 
 

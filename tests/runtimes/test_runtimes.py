@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +77,17 @@ def test_runtimes_give_torchs_labels(backend: str, precision: Any) -> None:
     expected, found = predict(network, range_m), predict(on_backend(network, backend, precision), range_m)
     assert (found.labels != expected.labels).float().mean() < 1e-4
     torch.testing.assert_close(found.confidence, expected.confidence, atol=2e-4, rtol=0)
+
+
+@pytest.mark.parametrize("backend", ["onnxruntime", "openvino"])
+def test_threads_that_share_a_network_get_their_own_scores(backend: str) -> None:
+    pytest.importorskip(backend)
+    network = on_backend(load_network().network, backend)
+    images = [1 + torch.rand(1, 1, 64, 64) for _ in range(4)]
+    expected = list(map(network.scores, images))
+    with ThreadPoolExecutor(4) as threads:
+        found = list(threads.map(network.scores, 50 * images))
+    assert all(torch.equal(scores, expected[number % 4]) for number, scores in enumerate(found))
 
 
 def test_batch_normalisation_is_folded_into_convolutions() -> None:
