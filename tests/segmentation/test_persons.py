@@ -102,6 +102,16 @@ def test_points_are_those_of_all_people_with_a_range(seed: int) -> None:
     np.testing.assert_allclose(found, [point_of(answer, *place) for place in places], rtol=1e-5, atol=1e-6)
 
 
+def test_one_answer_gives_one_set_of_bytes() -> None:
+    """They are sent as messages, with those between fields."""
+    answer = drawn(3)
+    found = set()
+    for number in range(20):  # is left in memory that is used again
+        _ = [np.full(answer.parts().nbytes, number, np.uint8) for _ in range(20)]
+        found.add((answer.parts().tobytes(), answer.points().tobytes()))
+    assert len(found) == 1
+
+
 def test_persons_are_numbered_as_bodies_are() -> None:
     answer = drawn(1)
     assert answer.persons.dtype == np.uint16 and answer.persons.max() == len(answer.bodies) == 3
