@@ -68,12 +68,13 @@ def test_a_log_stays_whole_where_a_full_disk_ends_the_training_that_goes_on(smal
     assert file.read_bytes() == before
 
 
-def test_a_checkpoint_that_a_kill_cut_short_goes_with_the_next(small_set: Path, tmp_path: Path) -> None:
+def test_what_a_kill_cut_short_goes_with_the_next_checkpoint(small_set: Path, tmp_path: Path) -> None:
     train(small_set, tmp_path, steps=2)
-    cut = part_beside(tmp_path / "checkpoint-00000003.safetensors")
-    cut.write_bytes(bytes(1000))
+    cut = [part_beside(tmp_path / name) for name in ("checkpoint-00000003.safetensors", "best.safetensors")]
+    for part in cut:
+        part.write_bytes(bytes(1000))
     train(small_set, tmp_path, steps=4, resume=True)
-    assert not cut.exists() and (tmp_path / "checkpoint-00000004.safetensors").exists()
+    assert not any(part.exists() for part in cut) and (tmp_path / "checkpoint-00000004.safetensors").exists()
 
 
 def test_steps_may_grow_and_the_rate_follows_the_new_schedule(small_set: Path, tmp_path: Path) -> None:
