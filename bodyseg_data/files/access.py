@@ -100,7 +100,8 @@ def held_part(path: Path, make: Callable[[Path], object]) -> Iterator[Path]:
     make(part)
     try:
         with _opened(part) as handle:
-            fcntl.flock(handle, fcntl.LOCK_EX)
+            with contextlib.suppress(OSError):  # some file systems have no locks, and then nothing is removed above
+                fcntl.flock(handle, fcntl.LOCK_EX)
             yield part
     finally:
         _remove(part)

@@ -125,9 +125,8 @@ class LiveRecording:
     def __iter__(self) -> Iterator[Frame]:
         for index, item in enumerate(self.arrays):
             time_s, pixels = item if isinstance(item, tuple) else (None, item)
-            pixels = np.array(
-                np.ma.filled(np.asanyarray(pixels), 0)
-            )  # drivers write the next frame into the same array
+            # A copy: drivers write the next frame into the same array.
+            pixels = np.array(np.ma.filled(np.asanyarray(pixels), 0))
             step_m = FLOAT_STEP_M if pixels.dtype.kind == "f" else self.step_m
             name = f"{self.where}-{index:06d}"
             held, within = ArrayFrames(pixels[np.newaxis]), ("", index)
