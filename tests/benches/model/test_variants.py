@@ -2,16 +2,19 @@ from __future__ import annotations
 
 import json
 import math
+import multiprocessing
 import shutil
 import statistics
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from benches.model.ablation import costs
+from benches.model.variants import bench as variants_bench
 from benches.model.variants import runs as variants_runs
 from benches.model.variants import scores
 from benches.model.variants.bench import Results, bench_variants
@@ -116,6 +119,9 @@ def test_networks_scored_together_get_the_same_scores(
         shutil.copytree(measured[0] / f"{variant}-0", folder / f"{variant}-0")
         (folder / f"{variant}-0" / scores.FILE).unlink()
     monkeypatch.setattr(scores, "evaluate", None)  # this process scores nothing itself
+    # In place of spawned processes, whose start takes seconds, those that have PyTorch imported.
+    forks = SimpleNamespace(get_context=lambda method: multiprocessing.get_context("forkserver"))
+    monkeypatch.setattr(variants_bench, "multiprocessing", forks)
     found = bench_variants(str(figures_set), (folder,), 1, images=IMAGES, only_finished=True, together=2)
     assert found["table"] == {variant: measured[1]["table"][variant] for variant in ("none", "all")}
     assert found["missing"] == ["occ-0", "noise-0", "md-0"]
