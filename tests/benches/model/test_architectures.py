@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from benches.model.chosen import parameters
 from benches.model.networks import architectures as bench
-from benches.model.networks import architectures_runs
+from benches.model.networks import architectures_runs, network_times
 from benches.model.networks.architectures import bench_architectures
 from benches.model.networks.architectures_forest import ForestScale, fit_forest
 from benches.model.networks.architectures_runs import groups_in
@@ -37,10 +37,11 @@ def person() -> np.ndarray[Any, np.dtype[np.float32]]:
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Small frames, one thread, five rounds, a small forest; what ships is a tiny network."""
+    """Small frames, one thread, five rounds, one run before each, a small forest; what ships is a tiny network."""
     monkeypatch.setattr(bench, "processors", lambda: 1)
     monkeypatch.setattr(bench, "typical_frames", lambda count: [person() for _ in range(count)])
     monkeypatch.setattr(bench, "MOST_ROUNDS", LEAST_ROUNDS)
+    monkeypatch.setattr(network_times, "WARM_S", 0.0)
     monkeypatch.setattr(bench, "ForestScale", small_forest)
     shipped = tmp_path / "shipped.safetensors"
     save_network(shipped, build("compact", TINY, 9), "compact", {})

@@ -11,6 +11,7 @@ import torch
 from benches.__main__ import main
 from benches.model import gpu
 from benches.model.gpu import COMPACT, FILLED, SENSOR, measured, real_time
+from benches.model.networks import network_times
 
 from bodyseg_data import RangeImages
 from bodyseg_model.networks import build
@@ -23,6 +24,7 @@ def frame(rows: int, columns: int) -> np.ndarray:
 def test_all_is_measured_on_any_device(small_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gpu, "MOST_ROUNDS", 5)
     monkeypatch.setattr(gpu, "ROUNDS", 1)
+    monkeypatch.setattr(network_times, "WARM_S", 0.0)
     networks = {COMPACT: build(COMPACT, {"patch": 16, "widths": [8], "blocks": [1]}, 0).eval()}
     frames = {FILLED: frame(64, 48), SENSOR: frame(96, 64)}
     done: list[tuple[int, int]] = []

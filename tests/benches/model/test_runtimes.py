@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benches.model.networks import network_times
 from benches.model.networks import runtimes as bench
 from benches.model.networks.runtimes import PAPERS, REFERENCE, bench_runtimes
 from benches.model.networks.runtimes_figure import _COLOURS, draw_runtimes
@@ -21,6 +22,7 @@ def test_every_backend_is_timed_and_scored(small_set: Path, tmp_path: Path, monk
     frame[10:60, 10:40] = np.linspace(2, 3, 30, dtype=np.float32)
     monkeypatch.setattr(bench, "typical_frames", lambda views: [frame] * views)
     monkeypatch.setattr(bench, "ROUNDS", 4)
+    monkeypatch.setattr(network_times, "WARM_S", 0.0)
     monkeypatch.setattr(bench, "build", lambda name, seed: build(name, {"width": 1 / 16}, seed))
     save_network(tmp_path / "network.safetensors", build("compact", {"widths": [8], "blocks": [1]}, 0), "compact", {})
     done: list[tuple[int, int]] = []

@@ -10,7 +10,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from benches.model.networks import shipped  # noqa: E402
+from benches.model.networks import network_times, shipped  # noqa: E402
 from small_training import TINY  # noqa: E402
 
 from bodyseg_model.networks import Trained, build  # noqa: E402
@@ -31,6 +31,7 @@ def small(monkeypatch: pytest.MonkeyPatch, small_set: Path) -> None:
     monkeypatch.setattr(shipped, "annotated_bodies", lambda people, poses: [])
     monkeypatch.setattr(shipped, "typical_frames", lambda count: [frame] * count)
     monkeypatch.setattr(shipped, "BUDGET_S", 0.0)
+    monkeypatch.setattr(network_times, "WARM_S", 0.0)
     monkeypatch.setattr(shipped, "load_network", untrained)
 
 
