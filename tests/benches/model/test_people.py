@@ -286,11 +286,13 @@ def test_landmarks_wander_by_what_the_lengths_of_bones_do() -> None:
     assert found["skull"] == {"ann": 3.0} and found["breastbone"] == {"ann": 0.0}
 
 
-def test_cross_person_needs_a_network_for_each_of_several_people(two_people: Path) -> None:
+def test_cross_person_needs_a_network_for_each_of_several_people(tmp_path: Path) -> None:
+    for who in ("ann", "bob"):
+        write(tmp_path / who, who, ball(), ball().vertices[:33])
     with pytest.raises(BadConfig, match="--runs, a network trained on the landmarks of each, found 2 and 1"):
-        cross_person.bench_cross_person(str(two_people), [Path("a")])
+        cross_person.bench_cross_person(str(tmp_path), [Path("a")])
     with pytest.raises(BadConfig, match="found 1 and 1"):
-        cross_person.bench_cross_person(str(two_people / "ann"), [Path("a")])
+        cross_person.bench_cross_person(str(tmp_path / "ann"), [Path("a")])
 
 
 @pytest.mark.parametrize("person", [0, 1])
