@@ -23,6 +23,7 @@ from bodyseg_data.core import BadSample, Draws
 from bodyseg_data.rigs import Rig
 from bodyseg_data.samples import FARTHEST_STEPS, SHADOW_THRESHOLDS, Sample
 
+Range = NDArray[np.uint16]
 Floats = NDArray[np.float32]
 
 # Everything below computes in float32, in steps of a stored range image, in one fixed order of operations, so that
@@ -100,9 +101,7 @@ class ShadowTest:
         projection.flags.writeable = False
         return projection
 
-    def lit(
-        self, camera_range: NDArray[np.uint16], projector_range: NDArray[np.uint16], faces_projector: NDArray[np.bool_]
-    ) -> NDArray[np.bool_]:
+    def lit(self, camera_range: Range, projector_range: Range, faces_projector: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Mark the camera pixels that see a surface which the projector lights, bool [H, W]; False on background.
 
         camera_range: uint16 [H, W] and projector_range: uint16 [Hp, Wp], in the rig's steps along the optical axis of
@@ -115,7 +114,7 @@ class ShadowTest:
         answer.ravel()[pixels] = self.reached(projector_range, x, y, away)
         return answer
 
-    def reached(self, projector_range: NDArray[np.uint16], x: Floats, y: Floats, away: Floats) -> NDArray[np.bool_]:
+    def reached(self, projector_range: Range, x: Floats, y: Floats, away: Floats) -> NDArray[np.bool_]:
         """As the function `reached`, with the thresholds in the rig's steps."""
         return reached(projector_range, x, y, away, self.gap_steps, self.edge_steps)
 
@@ -126,9 +125,7 @@ class ShadowTest:
         _check("the projector range", projector_range, np.uint16, (projector.rows, projector.columns))
         _check("the facing bit", faces_projector, np.bool_, (camera.rows, camera.columns))
 
-    def project(
-        self, camera_range: NDArray[np.uint16], pixels: NDArray[np.intp]
-    ) -> tuple[NDArray[np.intp], Floats, Floats, Floats]:
+    def project(self, camera_range: Range, pixels: NDArray[np.intp]) -> tuple[NDArray[np.intp], Floats, Floats, Floats]:
         """Project foreground pixels, flat indices [N], into the projector's image.
 
         Returns the pixels that fall inside its frame, their texel coordinates x and y, float32, whole at texel centres,
@@ -163,7 +160,7 @@ class ProjectorView(NamedTuple):
     """One projector's share of a sample. texels: as in `Occupancy`, of this image."""
 
     test: ShadowTest
-    projector_range: NDArray[np.uint16]
+    projector_range: Range
     facing: NDArray[np.bool_]
     texels: NDArray[np.int32] | None
 
@@ -209,12 +206,7 @@ def lit_pixels(rig: Rig, sample: Sample) -> NDArray[np.bool_]:
 
 
 def reached(
-    projector_range: NDArray[np.uint16],
-    x: Floats,
-    y: Floats,
-    away: Floats,
-    gap_steps: np.float32,
-    edge_steps: np.float32,
+    projector_range: Range, x: Floats, y: Floats, away: Floats, gap_steps: np.float32, edge_steps: np.float32
 ) -> NDArray[np.bool_]:
     """Decide whether light reaches points inside the projector's frame, bool [N].
 
@@ -244,9 +236,7 @@ def reached(
     return lit
 
 
-def four_texels(
-    projector_range: NDArray[np.uint16], x: Floats, y: Floats
-) -> tuple[list[NDArray[np.uint16]], Floats, Floats]:
+def four_texels(projector_range: Range, x: Floats, y: Floats) -> tuple[list[Range], Floats, Floats]:
     """The texels around points, [upper left, upper right, lower left, lower right], uint16 [N] each, *less one step*,
     and how far each point is from the left and from the upper ones, float32 [N], 0 to 1.
     """
@@ -259,7 +249,7 @@ def four_texels(
     return [flat[shift:].take(start) for shift in (0, 1, width, width + 1)], x - left, y - top
 
 
-def framed(projector_range: NDArray[np.uint16]) -> NDArray[np.uint16]:
+def framed(projector_range: Range) -> Range:
     """A projector image less one step, uint16 [Hp + 2, Wp + 2], with its border repeated: every point in the frame has
     four texels around it.
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadMesh
 from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.meshes.mending import welded
-from bodyseg_data.meshes.mesh import face_components, face_normals
+from bodyseg_data.meshes.mesh import Floats, face_components, face_normals
 
 _TRUNK_M: Final = 0.5  # from the PSIS to the Cervicale of a person; the lengths below are for that and grow with it
 _LEAST_TRUNK_M: Final = 0.1
@@ -25,9 +25,7 @@ _AWAY_M: Final = 0.2  # little of a body's underside is as far from all landmark
 _FLOOR_M2: Final = 0.13
 
 
-def check_body(
-    vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]], landmarks: NDArray[np.float64], where: str
-) -> None:
+def check_body(vertices: Floats, faces: NDArray[np.integer[Any]], landmarks: Floats, where: str) -> None:
     """Raise BadMesh, naming `where`, for a mirrored body, or one with a floor, a plate or a wall in its mesh.
 
     vertices: [V, 3]; faces: [F, 3]; landmarks: [33, 3]; metres, body frame.
@@ -50,26 +48,19 @@ def check_body(
     _check_plates(vertices, faces, landmarks, size, where)
 
 
-def _handed(
-    points: dict[str, NDArray[np.float64]], pairs: tuple[str, ...], up: NDArray[np.float64], front: NDArray[np.float64]
-) -> float:
+def _handed(points: dict[str, Floats], pairs: tuple[str, ...], up: Floats, front: Floats) -> float:
     """1 where left x up is the front, -1 where it is the back; left: from the right ones of pairs to the left ones."""
     left = np.sum([points[f"Lt. {name}"] - points[f"Rt. {name}"] for name in pairs], axis=0)
     lengths = float(np.linalg.norm(left) * np.linalg.norm(up) * np.linalg.norm(front))
     return float(np.cross(left, up) @ front) / max(lengths, 1e-12)
 
 
-def _middle(points: dict[str, NDArray[np.float64]], *names: str) -> NDArray[np.float64]:
-    middle: NDArray[np.float64] = np.mean([points[name] for name in names], axis=0)
-    return middle
+def _middle(points: dict[str, Floats], *names: str) -> Floats:
+    return np.asarray(np.mean([points[name] for name in names], axis=0))
 
 
 def _check_plates(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.integer[Any]],
-    landmarks: NDArray[np.float64],
-    size: float,
-    where: str,
+    vertices: Floats, faces: NDArray[np.integer[Any]], landmarks: Floats, size: float, where: str
 ) -> None:
     """Raise BadMesh for a flat piece without a landmark, or a level surface away from all of them at the bottom."""
     from scipy.spatial import KDTree

@@ -3,13 +3,12 @@
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bodyseg_data.core import BadLandmarks
 from bodyseg_data.labels import LANDMARKS, PART_COUNT
 from bodyseg_data.meshes.geodesics import nearest_sources
 from bodyseg_data.meshes.mending import MendedSurface, mend
-from bodyseg_data.meshes.mesh import Mesh
+from bodyseg_data.meshes.mesh import Floats, Indices, Mesh
 from bodyseg_data.meshes.repairing import SAME_POINT_M
 
 REACH_M: Final = 0.03
@@ -42,9 +41,7 @@ _TOWARDS: Final = {
 """Landmark -> the landmark of the same side from which its own limb, or its part of the trunk, is reached."""
 
 
-def separate(
-    mesh: Mesh, vertices: NDArray[np.int64], points: NDArray[np.float64], where: str
-) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+def separate(mesh: Mesh, vertices: Indices, points: Floats, where: str) -> tuple[Indices, tuple[str, ...]]:
     """Give landmarks in one place different places; also returns a note on each that moves.
 
     vertices: int64 [33], of `mesh`. points: float64 [33, 3], where the landmarks were measured, metres, in the frame of
@@ -76,12 +73,7 @@ def separate(
 
 
 def _moved(
-    mesh: Mesh,
-    surface: MendedSurface,
-    vertices: NDArray[np.int64],
-    points: NDArray[np.float64],
-    pair: tuple[int, int],
-    where: str,
+    mesh: Mesh, surface: MendedSurface, vertices: Indices, points: Floats, pair: tuple[int, int], where: str
 ) -> tuple[int, int]:
     """The landmark of a pair that moves, and its new vertex."""
     shared = int(vertices[pair[1]])
@@ -119,7 +111,7 @@ def _before(landmark: int) -> int:
     return LANDMARKS.index(f"{side}{dot}{_TOWARDS[name]}")
 
 
-def _along_edges(mesh: Mesh, surface: MendedSurface, source: int) -> NDArray[np.float64]:
+def _along_edges(mesh: Mesh, surface: MendedSurface, source: int) -> Floats:
     """Distance of every vertex from one of them along edges, metres, [V]; infinite where none leads."""
     used, corners = np.unique(surface.faces, return_inverse=True)
     distance = np.full(len(mesh.vertices), np.inf)

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bodyseg_data.core import BadMesh, check_choice
 from bodyseg_data.machine import required
 from bodyseg_data.meshes.mending import find_fans
-from bodyseg_data.meshes.mesh import Edges, face_components, find_edges
+from bodyseg_data.meshes.mesh import Edges, Floats, Indices, face_components, find_edges
 from bodyseg_data.meshes.repairing import SAME_POINT_M
 
 
@@ -26,9 +25,6 @@ GeodesicMethod = Literal["exact", "unfolded", "edges"]
 
 FALLBACK_METHOD: Final[GeodesicMethod] = "unfolded"
 """The most accurate of the methods that work on any surface."""
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

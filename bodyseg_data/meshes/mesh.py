@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadMesh
 from bodyseg_data.machine import required
 
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
 HEIGHT_RANGE_M: Final = (0.5, 2.5)
 """A body's largest extent must lie in this range, which catches millimetres, centimetres and inches."""
 
@@ -25,16 +28,16 @@ class Edges:
     faces at the edge. of_side: int64 [F, 3], index of the edge from corner k to k + 1 of each face.
     """
 
-    ends: NDArray[np.int64]
-    faces: NDArray[np.int64]
-    of_side: NDArray[np.int64]
+    ends: Indices
+    faces: Indices
+    of_side: Indices
 
-    def lengths(self, vertices: NDArray[np.float64]) -> NDArray[np.float64]:
+    def lengths(self, vertices: Floats) -> Floats:
         """Lengths of all edges, float64 [E], metres. vertices: [V, 3]."""
         length: NDArray[np.float64] = np.linalg.norm(vertices[self.ends[:, 0]] - vertices[self.ends[:, 1]], axis=1)
         return length
 
-    def two_sides(self) -> NDArray[np.int64]:
+    def two_sides(self) -> Indices:
         """Pairs of sides of all edges with two faces, int64 [N, 2], edge by edge; a side is 3 * face + k."""
         side = self.of_side.ravel()
         two = np.flatnonzero(self.faces[side] == 2)
@@ -102,7 +105,7 @@ class Mesh:
     """
 
     name: str
-    vertices: NDArray[np.float64]
+    vertices: Floats
     faces: NDArray[np.int32]
 
     _kind: ClassVar[str] = "body"
@@ -113,7 +116,7 @@ class Mesh:
         return f"Mesh({self.name!r}, {len(self.vertices)} vertices, {len(self.faces)} faces)"
 
     def __post_init__(self) -> None:
-        vertices: NDArray[np.float64] = np.asarray(self.vertices, np.float64)
+        vertices: Floats = np.asarray(self.vertices, np.float64)
         faces: NDArray[Any] = np.asarray(self.faces)
         check_arrays(f"mesh {self.name}", vertices, faces)
         self._check_extent(vertices, faces)
@@ -123,7 +126,7 @@ class Mesh:
             object.__setattr__(self, field, frozen)
         self._check_orientation()
 
-    def _check_extent(self, vertices: NDArray[np.float64], faces: NDArray[Any]) -> None:
+    def _check_extent(self, vertices: Floats, faces: NDArray[Any]) -> None:
         extent = float(np.ptp(vertices[np.unique(faces)], axis=0).max())
         low, high = self._range_m
         if not low <= extent <= high:
@@ -169,27 +172,27 @@ class Mesh:
         return face_components(len(self.vertices), self.faces)
 
     @cached_property
-    def surface_vertices(self) -> NDArray[np.float64]:
+    def surface_vertices(self) -> Floats:
         """The vertices that faces use, float64 [N, 3], metres."""
         return self.vertices[np.unique(self.faces)]
 
     @cached_property
-    def centre(self) -> NDArray[np.float64]:
+    def centre(self) -> Floats:
         """Centre of the surface's bounding box, float64 [3], metres."""
         middle: NDArray[np.float64] = (self.surface_vertices.min(axis=0) + self.surface_vertices.max(axis=0)) / 2
         return middle
 
     @cached_property
-    def normals(self) -> NDArray[np.float64]:
+    def normals(self) -> Floats:
         """Outward normals of all faces, float64 [F, 3]; length twice the face's area, 0 if degenerate."""
         return face_normals(self.vertices, self.faces)
 
     @cached_property
-    def vertex_normals(self) -> NDArray[np.float64]:
+    def vertex_normals(self) -> Floats:
         """Area-weighted mean normals of the faces at each vertex, float64 [V, 3], unit length; zero without faces."""
         return vertex_normals(self.vertices, self.faces)
 
-    def barycentric(self, faces: NDArray[np.int32], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def barycentric(self, faces: NDArray[np.int32], points: Floats) -> Floats:
         """Barycentric weights [N, 3] of points [N, 3] in the planes of their triangles (Ericson 2005, section 3.4)."""
         a, b, c = np.moveaxis(self.vertices[self.faces[faces]], 1, 0)
         ab, ac, ap = b - a, c - a, points - a
@@ -214,7 +217,7 @@ class SceneMesh(Mesh):
     """
 
     labels: NDArray[np.uint8]
-    middle: NDArray[np.float64] | None = None
+    middle: Floats | None = None
 
     _kind = "scene"
     _range_m = (0.02, 100.0)
@@ -227,24 +230,24 @@ class SceneMesh(Mesh):
         """Labels at the corners of all triangles, uint8 [F, 3]."""
         return self.labels
 
-    def labels_at(self, _: Mesh, faces: NDArray[np.int32], points: NDArray[np.float64]) -> NDArray[np.uint8]:
+    def labels_at(self, _: Mesh, faces: NDArray[np.int32], points: Floats) -> NDArray[np.uint8]:
         """Labels of `points` [N, 3], metres, in the triangles `faces` [N], uint8 [N]."""
         nearest: NDArray[np.uint8] = self.labels[faces, self.barycentric(faces, points).argmax(axis=1)]
         return nearest
 
     @cached_property
-    def centre(self) -> NDArray[np.float64]:
+    def centre(self) -> Floats:
         """Point that views aim at, float64 [3], metres."""
         return super().centre if self.middle is None else self.middle
 
 
-def face_normals(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
+def face_normals(vertices: Floats, faces: NDArray[np.integer[Any]]) -> Floats:
     """Normals of triangles, float64 [F, 3], by the right-hand rule; length twice the triangle's area."""
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     return np.cross(b - a, c - a)
 
 
-def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
+def vertex_normals(vertices: Floats, faces: NDArray[np.integer[Any]]) -> Floats:
     """Unit normals of vertices, float64 [V, 3], of the faces at each weighted by area; zero without faces."""
     across = face_normals(vertices, faces)
     sums = [np.bincount(faces.ravel(), np.repeat(across[:, axis], 3), len(vertices)) for axis in range(3)]
@@ -253,7 +256,7 @@ def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]
     return units
 
 
-def signed_volumes(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def signed_volumes(corners: Floats) -> Floats:
     """Signed volumes [F], m3, of the tetrahedra between the origin and triangles [F, 3, 3]."""
     volumes: NDArray[np.float64] = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
     return volumes

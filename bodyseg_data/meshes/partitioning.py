@@ -21,7 +21,7 @@ from bodyseg_data.labels import BACKGROUND, LANDMARKS
 from bodyseg_data.meshes.geodesics import FALLBACK_METHOD, GeodesicMethod, Unanswerable, nearest_sources
 from bodyseg_data.meshes.landmarks import nearest_corner
 from bodyseg_data.meshes.mending import MendedSurface, mend
-from bodyseg_data.meshes.mesh import Mesh, face_components
+from bodyseg_data.meshes.mesh import Floats, Indices, Mesh, face_components
 from bodyseg_data.meshes.solids import SurfacePiece, label_pieces
 
 _ROUNDS: Final = 4  # triangles by which distances are extended across a border
@@ -41,10 +41,10 @@ class Partition:
     """
 
     labels: NDArray[np.uint8]
-    distance: NDArray[np.float64]
+    distance: Floats
     borders: Borders
     note: str | None = None
-    below: NDArray[np.int64] | None = None
+    below: Indices | None = None
 
     @property
     def holding(self) -> bool:
@@ -55,7 +55,7 @@ class Partition:
         """Labels at the corners of all triangles, uint8 [F, 3]."""
         return self.labels[mesh.faces]
 
-    def labels_at(self, mesh: Mesh, faces: NDArray[np.int32], points: NDArray[np.float64]) -> NDArray[np.uint8]:
+    def labels_at(self, mesh: Mesh, faces: NDArray[np.int32], points: Floats) -> NDArray[np.uint8]:
         """Labels of `points` [N, 3], metres, which lie in the triangles `faces` [N] of `mesh`, uint8 [N].
 
         Within a triangle that parts share, a point gets the part of the landmark nearest to *it*: borders cross
@@ -71,7 +71,7 @@ class Partition:
 
 def partition(
     mesh: Mesh,
-    landmarks: NDArray[np.int64],
+    landmarks: Indices,
     method: GeodesicMethod = "exact",
     pieces: Sequence[SurfacePiece] = (),
     names: Sequence[str] = LANDMARKS,
@@ -109,8 +109,8 @@ def partition(
 
 
 def _nearest_landmarks(
-    mesh: Mesh, landmarks: NDArray[np.int64], surface: MendedSurface, method: GeodesicMethod
-) -> tuple[NDArray[np.uint8], NDArray[np.float64], str | None]:
+    mesh: Mesh, landmarks: Indices, surface: MendedSurface, method: GeodesicMethod
+) -> tuple[NDArray[np.uint8], Floats, str | None]:
     """Labels [V] and distances [V] from the landmarks along `surface`, and the method's note. Raises Unanswerable."""
     sources = surface.representative[landmarks]
     piece = face_components(len(mesh.vertices), surface.faces)
@@ -128,7 +128,7 @@ def _with_borders(
     mesh: Mesh,
     surface: MendedSurface,
     labels: NDArray[np.uint8],
-    distance: NDArray[np.float64],
+    distance: Floats,
     note: str | None,
     pieces: Sequence[SurfacePiece],
 ) -> Partition:
@@ -148,7 +148,7 @@ def _with_borders(
     return Partition(labels, distance, find_borders(mesh, labels, distance, surface.representative), note, below)
 
 
-def _checked_landmarks(mesh: Mesh, landmarks: NDArray[Any], names: Sequence[str]) -> NDArray[np.int64]:
+def _checked_landmarks(mesh: Mesh, landmarks: NDArray[Any], names: Sequence[str]) -> Indices:
     landmarks = np.asarray(landmarks)
     if landmarks.shape != (len(names),) or not np.issubdtype(landmarks.dtype, np.integer):
         found = f"{landmarks.dtype} {landmarks.shape}"
@@ -159,9 +159,7 @@ def _checked_landmarks(mesh: Mesh, landmarks: NDArray[Any], names: Sequence[str]
     return landmarks.astype(np.int64)
 
 
-def _check_distinct_points(
-    mesh: Mesh, landmarks: NDArray[np.int64], mended: MendedSurface, names: Sequence[str]
-) -> None:
+def _check_distinct_points(mesh: Mesh, landmarks: Indices, mended: MendedSurface, names: Sequence[str]) -> None:
     """Raise BadLandmarks unless the landmarks are distinct points of the mended surface."""
     first: dict[int, str] = {}
     for name, vertex in zip(names, mended.representative[landmarks].tolist(), strict=True):
@@ -180,9 +178,9 @@ class Borders:
     """
 
     faces: NDArray[np.int32]
-    distance: NDArray[np.float64]
+    distance: Floats
 
-    def nearest_corner(self, faces: NDArray[np.int32], weights: NDArray[np.float64]) -> NDArray[np.intp]:
+    def nearest_corner(self, faces: NDArray[np.int32], weights: Floats) -> NDArray[np.intp]:
         """Find the corner, 0 to 2, whose landmark is nearest to each point, [N].
 
         faces: [N], each one of `self.faces`. weights: [N, 3], barycentric. Distances are linear within a triangle.
@@ -193,10 +191,7 @@ class Borders:
 
 
 def find_borders(
-    mesh: Mesh,
-    labels: NDArray[np.uint8],
-    distance: NDArray[np.float64],
-    representative: NDArray[np.int64] | None = None,
+    mesh: Mesh, labels: NDArray[np.uint8], distance: Floats, representative: Indices | None = None
 ) -> Borders:
     """Find the borders of a labelled mesh. labels: uint8 [V]. distance: float64 [V], metres, to the landmark of that
     label. representative: int64 [V], as in `MendedSurface`; each vertex itself if None.
@@ -217,12 +212,8 @@ def find_borders(
 
 
 def _extended_distances(
-    points: NDArray[np.float64],
-    faces: NDArray[Any],
-    labels: NDArray[np.uint8],
-    distance: NDArray[np.float64],
-    wanted: NDArray[np.int64],
-) -> NDArray[np.float64]:
+    points: Floats, faces: NDArray[Any], labels: NDArray[np.uint8], distance: Floats, wanted: Indices
+) -> Floats:
     """Distances [P], metres, of the pairs `wanted` [P], vertex * _PARTS + part, ascending."""
     vertices, parts = np.divmod(wanted, _PARTS)
     known = np.where(labels[vertices] == parts, distance[vertices], np.inf)
@@ -250,13 +241,7 @@ def _extended_distances(
     return known
 
 
-def _beyond_edge(
-    a: NDArray[np.float64],
-    b: NDArray[np.float64],
-    tip: NDArray[np.float64],
-    at_a: NDArray[np.float64],
-    at_b: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _beyond_edge(a: Floats, b: Floats, tip: Floats, at_a: Floats, at_b: Floats) -> Floats:
     """Distance [N] of `tip` [N, 3] from a source at the distances `at_a` and `at_b` [N] from the ends of the edge a b.
 
     In the plane, with a at the origin and b on the x axis, the source lies below the edge at those distances from its

@@ -17,9 +17,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadLandmarks
 from bodyseg_data.labels import BACKGROUND, PART_COUNT
-from bodyseg_data.meshes.mesh import Mesh, face_normals, signed_volumes
-
-Floats = NDArray[np.float64]
+from bodyseg_data.meshes.mesh import Floats, Indices, Mesh, face_normals, signed_volumes
 
 _CORNERS: Final = np.array([[x, y, z] for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
 _SIDES: Final = np.array([[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]])
@@ -118,8 +116,8 @@ def label_pieces(
     pieces: Sequence[SurfacePiece],
     piece_of_vertex: NDArray[np.int32],
     labels: NDArray[np.uint8],
-    distance: NDArray[np.float64],
-) -> NDArray[np.int64]:
+    distance: Floats,
+) -> Indices:
     """Label the vertices of `pieces` in place, and return `Partition.below`, int64 [V].
 
     piece_of_vertex: int32 [V], index of the connected piece of each vertex. labels: uint8 [V], right wherever

@@ -22,7 +22,8 @@ from bodyseg_data.samples import HELD, Sample, SampleInfo, Value, View, steps
 _SHARED: Final = 254  # stands for a triangle that parts share; no part has this number
 _SURE_M: Final = 1e-4  # a light this far from a triangle's plane is on one side of it, however its points are rounded
 
-PointsAt = Callable[[NDArray[np.intp]], NDArray[np.float64]]
+Floats = NDArray[np.float64]
+PointsAt = Callable[[NDArray[np.intp]], Floats]
 """Numbers [N] of pixels that see the body -> the points [N, 3] that they see."""
 
 
@@ -54,7 +55,7 @@ class Sampler:
         body: BodyRef,
         things: ThingsPlace = "none",
         classes: int = PART_COUNT,
-        template: NDArray[np.float64] | None = None,
+        template: Floats | None = None,
     ) -> None:
         self._renderer, self._rig, self._mesh, self._parts = renderer, rig, mesh, parts
         self._source, self._body, self._place, self._classes = source, body, things, classes
@@ -85,7 +86,7 @@ class Sampler:
             on_thing = of_thing >= 0
             pixels, faces = measured[~on_thing], faces[~on_thing]
 
-        def points(chosen: NDArray[np.intp]) -> NDArray[np.float64]:
+        def points(chosen: NDArray[np.intp]) -> Floats:
             return surface_points(seen, camera, *np.divmod(pixels[chosen], camera.camera.columns))
 
         range_image = np.zeros(seen.face.shape, np.uint16)
@@ -146,9 +147,7 @@ class Sampler:
         labels[labels == BACKGROUND] = UNLABELLED  # a thing that is held or worn
         return labels
 
-    def _places(
-        self, faces: NDArray[np.int32], points: NDArray[np.float64], template: NDArray[np.float64]
-    ) -> NDArray[np.uint16]:
+    def _places(self, faces: NDArray[np.int32], points: Floats, template: Floats) -> NDArray[np.uint16]:
         """Numbers, uint16 [N], of the template's points nearest to `points` [N, 3] of triangles [N], or `NOWHERE`."""
         corners, weights = self._mesh.faces[faces], self._mesh.barycentric(faces, points)
         if self._below is not None:
@@ -159,9 +158,7 @@ class Sampler:
         numbers[corners[:, 0] < 0] = NOWHERE
         return numbers
 
-    def _facing(
-        self, faces: NDArray[np.int32], points: PointsAt, source: NDArray[np.float64], eye: NDArray[np.float64]
-    ) -> NDArray[np.bool_]:
+    def _facing(self, faces: NDArray[np.int32], points: PointsAt, source: Floats, eye: Floats) -> NDArray[np.bool_]:
         """As `faces_towards`, computed once a triangle wherever rounding of its points cannot change the answer.
 
         Of a scene, whose triangles have no outside, what the camera at `eye` [3] and the light see of the same side.
@@ -176,18 +173,14 @@ class Sampler:
         return answer
 
 
-def surface_points(
-    seen: Surface, camera: PlacedCamera, rows: NDArray[np.intp], columns: NDArray[np.intp]
-) -> NDArray[np.float64]:
+def surface_points(seen: Surface, camera: PlacedCamera, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Floats:
     """The points [N, 3] of the body's frame that the given pixels see."""
     x, y = camera.camera.slopes
     rays = np.stack([x[columns], y[rows], np.ones(len(rows))], axis=1)
     return camera.to_body(rays * seen.range[rows, columns, None])
 
 
-def faces_towards(
-    mesh: Mesh, faces: NDArray[np.int32], points: NDArray[np.float64], source: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def faces_towards(mesh: Mesh, faces: NDArray[np.int32], points: Floats, source: Floats) -> NDArray[np.bool_]:
     """Mark the triangles seen at `points` [N, 3] that turn their outside to a light at `source` [3], bool [N]."""
     towards: NDArray[np.bool_] = np.einsum("ij,ij->i", mesh.normals[faces], source - points) > 0
     return towards

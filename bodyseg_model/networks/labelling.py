@@ -35,17 +35,13 @@ _NOTHING = np.float32(0)
 _PIECES: Final = 6  # of an image for several threads: a body is not evenly divided among its rows
 _LEAST_PIXELS: Final = 1 << 13  # measured, of a thread: to start and await one takes as long as labelling some thousand
 
-Axis = tuple[NDArray[np.int64], NDArray[np.float32]]
+Floats = NDArray[np.float32]
+Axis = tuple[NDArray[np.int64], Floats]
 """Of every pixel along an axis, the index of the score before it, from -1, and the weight of the score after it."""
 
 
 def label_pixels(
-    scores: NDArray[np.float32],
-    range_m: NDArray[np.float32],
-    stride: int,
-    labels: NDArray[np.uint8],
-    confidence: NDArray[np.float32],
-    threads: int = 1,
+    scores: Floats, range_m: Floats, stride: int, labels: NDArray[np.uint8], confidence: Floats, threads: int = 1
 ) -> None:
     """Write labels and confidences of images' measured pixels, uint8 and float32 [B, H, W]; others stay as they are.
 
@@ -67,11 +63,7 @@ def label_pixels(
 
 
 def number_pixels(
-    places: NDArray[np.float32],
-    range_m: NDArray[np.float32],
-    stride: int,
-    labels: NDArray[np.uint8] | None,
-    numbers: NDArray[np.uint16],
+    places: Floats, range_m: Floats, stride: int, labels: NDArray[np.uint8] | None, numbers: NDArray[np.uint16]
 ) -> None:
     """Write the point of the template at images' measured pixels, uint16 [B, H, W]; others stay as they are.
 

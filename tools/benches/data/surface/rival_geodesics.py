@@ -16,8 +16,8 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
 from bodyseg_data.meshes import GeodesicMethod, find_edges
-from bodyseg_data.meshes.geodesics import METHODS, Floats, Indices, NearestSources, Unanswerable, refuse_unsupported
-from bodyseg_data.meshes.mesh import components
+from bodyseg_data.meshes.geodesics import METHODS, NearestSources, Unanswerable, refuse_unsupported
+from bodyseg_data.meshes.mesh import Floats, Indices, components
 
 
 @contextmanager
