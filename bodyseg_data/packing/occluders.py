@@ -30,14 +30,14 @@ _MARGIN: Final = 1  # the test computes in single precision, which is off by far
 Range = NDArray[np.uint16]
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int32]
+Mask = NDArray[np.bool_]
+Indices = NDArray[np.intp]
 
-Ranges = Callable[[NDArray[np.intp]], NDArray[np.uint16]]
+Ranges = Callable[[Indices], Range]
 """Texels [N], row * columns + column, ascending -> projector ranges, uint16 [N], in steps."""
 
 
-def occluder_range(
-    test: ShadowTest, camera_range: NDArray[np.uint16], faces_projector: NDArray[np.bool_], ranges: Ranges
-) -> NDArray[np.uint16]:
+def occluder_range(test: ShadowTest, camera_range: Range, faces_projector: Mask, ranges: Ranges) -> Range:
     """The projector's range where it shades a view, as coarse as the shadows permit, 0 elsewhere, uint16 [Hp, Wp], in
     steps. The shadow test gives the same bits from it as from the whole exact image. Arguments as `exact_range`'s.
     """
@@ -46,8 +46,8 @@ def occluder_range(
 
 
 def exact_range(
-    test: ShadowTest, camera_range: NDArray[np.uint16], faces_projector: NDArray[np.bool_], ranges: Ranges
-) -> tuple[NDArray[np.uint16], Floats, Floats, Floats]:
+    test: ShadowTest, camera_range: Range, faces_projector: Mask, ranges: Ranges
+) -> tuple[Range, Floats, Floats, Floats]:
     """The projector's exact range where it can shade, 0 elsewhere, and the points that it may shade (`reached`).
 
     camera_range: uint16 [H, W], in steps. faces_projector: bool [H, W], False on background. ranges: called once, for
@@ -70,13 +70,13 @@ def exact_range(
     return image, x, y, away
 
 
-def _starts(shape: tuple[int, ...], x: Floats, y: Floats) -> NDArray[np.intp]:
+def _starts(shape: tuple[int, ...], x: Floats, y: Floats) -> Indices:
     """The upper left ones of the four texels around points, [N], as flat indices into the framed image."""
     found = (np.floor(y).astype(np.int32) + 1) * np.int32(shape[1] + 2) + np.floor(x).astype(np.int32) + np.int32(1)
     return found.astype(np.intp)
 
 
-def _footprint(start: NDArray[np.intp], shape: tuple[int, int]) -> NDArray[np.bool_]:
+def _footprint(start: Indices, shape: tuple[int, int]) -> Mask:
     """The texels that points read, bool [Hp, Wp]; start: upper left ones, as flat indices into the framed image."""
     rows, columns = shape
     read = np.zeros((rows + 2, columns + 2), np.bool_)
@@ -108,7 +108,7 @@ def coarsened(test: ShadowTest, image: Range, x: Floats, y: Floats, away: Floats
     return coarse
 
 
-def texel_indices(shape: tuple[int, ...], x: Floats, y: Floats) -> NDArray[np.intp]:
+def texel_indices(shape: tuple[int, ...], x: Floats, y: Floats) -> Indices:
     """Flat indices [4, N] of the four texels around points, in the order of `four_texels`; the border is repeated."""
     left, top = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
     rows = [np.clip(top + below, 0, shape[0] - 1) * shape[1] for below in (0, 1)]
@@ -117,11 +117,7 @@ def texel_indices(shape: tuple[int, ...], x: Floats, y: Floats) -> NDArray[np.in
 
 
 def texel_bounds(
-    test: ShadowTest,
-    image: Range,
-    texels: NDArray[np.intp],
-    points: tuple[Floats, Floats, Floats],
-    lit: NDArray[np.bool_],
+    test: ShadowTest, image: Range, texels: Indices, points: tuple[Floats, Floats, Floats], lit: Mask
 ) -> tuple[Ints, Ints]:
     """The least and the greatest value of every texel, flat [Hp * Wp], less one step as in the test, if all texels that
     may be empty are emptied.
@@ -161,9 +157,7 @@ def texel_bounds(
     return lowest, highest
 
 
-def _as_they_are(
-    test: ShadowTest, ranges: Ints, points: tuple[Floats, Floats, Floats], lit: NDArray[np.bool_]
-) -> tuple[Ints, Ints]:
+def _as_they_are(test: ShadowTest, ranges: Ints, points: tuple[Floats, Floats, Floats], lit: Mask) -> tuple[Ints, Ints]:
     """Bounds [4, N] around the texels [4, N] of each point that keep its answer.
 
     points: x, y, and their range as in the test, less one step.

@@ -48,10 +48,7 @@ Floats = NDArray[np.float32]
 
 
 def draw_overlay(
-    range_m: NDArray[np.float32],
-    labels: NDArray[np.uint8],
-    bodies: Sequence[NDArray[np.intp]],
-    label_map: LabelMap = PARTS33,
+    range_m: Floats, labels: NDArray[np.uint8], bodies: Sequence[NDArray[np.intp]], label_map: LabelMap = PARTS33
 ) -> NDArray[np.uint8]:
     """Draw one frame, sRGB uint8 [H, W, 3].
 

@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 from bodyseg_data.labels import BACKGROUND, UNLABELLED
 from bodyseg_data.machine import if_ready, loops
 from bodyseg_data.rigs import MAX_SIDE
-from bodyseg_data.shards.codecs.codec import FACING, SECOND_FACING, DecodedImages, OutputArrays
+from bodyseg_data.shards.codecs.codec import FACING, SECOND_FACING, Bytes, DecodedImages, OutputArrays, Range
 from bodyseg_data.shards.codecs.residuals import (
     ESCAPE,
     Box,
-    Bytes,
     Runs,
     Slopes,
     bounding_box,
@@ -55,7 +54,6 @@ _EARLIER_PROJECTOR: Final = struct.Struct("<6H2I")
 _PLANE: Final = struct.Struct("<H2H2I")  # bytes a pixel, rows, columns, runs, long runs
 _NONE, _RUNS, _SLOPES = 0, 1, 2  # how the projector's range is stored
 
-Range = NDArray[np.uint16]
 PixelIndices = NDArray[np.int32]
 
 

@@ -6,13 +6,16 @@ from typing import Final, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+Range = NDArray[np.uint16]
+Bytes = NDArray[np.uint8]
+
 FACING: Final = 1
 """Bit of a facing image, set where the surface is turned towards the projector."""
 
 SECOND_FACING: Final = 2
 """The same for a rig's second projector."""
 
-OutputArrays = tuple[NDArray[np.uint16], NDArray[np.uint8]]
+OutputArrays = tuple[Range, Bytes]
 """Arrays for range and labels, uint16 and uint8 [H, W], contiguous."""
 
 
@@ -24,10 +27,10 @@ class DecodedImages(NamedTuple):
     `occluder` is not 0. Both are None if decoding did not give them.
     """
 
-    range: NDArray[np.uint16]
-    labels: NDArray[np.uint8]
-    facing: NDArray[np.uint8]
-    occluder: NDArray[np.uint16] | None
+    range: Range
+    labels: Bytes
+    facing: Bytes
+    occluder: Range | None
     edges: NDArray[np.int32] | None
     texels: NDArray[np.int32] | None
 
@@ -41,13 +44,7 @@ class ImageCodec(Protocol):
     @property
     def members(self) -> tuple[str, ...]: ...
 
-    def encode(
-        self,
-        camera: NDArray[np.uint16],
-        labels: NDArray[np.uint8],
-        facing: NDArray[np.uint8],
-        projector: NDArray[np.uint16] | None,
-    ) -> dict[str, bytes]:
+    def encode(self, camera: Range, labels: Bytes, facing: Bytes, projector: Range | None) -> dict[str, bytes]:
         """Encode as members: name -> bytes. camera [H, W] and projector [Hp, Wp]: ranges, steps, 0 background.
 
         labels: of the set's classes, 254 on surfaces of none, 255 exactly where camera is 0. facing: bits `FACING` and
@@ -64,8 +61,8 @@ class ImageCodec(Protocol):
         bytes that `encode` did not produce; sizes are checked before memory is allocated.
         """
 
-    def encode_plane(self, plane: NDArray[np.uint8] | NDArray[np.uint16]) -> dict[str, bytes]:
+    def encode_plane(self, plane: Bytes | Range) -> dict[str, bytes]:
         """Encode a further image of integers [H, W] as one member, {ending of its name: bytes}."""
 
-    def decode_plane(self, data: bytes) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    def decode_plane(self, data: bytes) -> Bytes | Range:
         """Decode what `encode_plane` gave. Raises ValueError."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core import reported
 from bodyseg_data.labels import UNLABELLED
 from bodyseg_data.rigs import MAX_SIDE
-from bodyseg_data.shards.codecs.codec import FACING, SECOND_FACING, DecodedImages, OutputArrays
+from bodyseg_data.shards.codecs.codec import FACING, SECOND_FACING, Bytes, DecodedImages, OutputArrays, Range
 from bodyseg_data.shards.earlier import split_label_bytes
 
 SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
@@ -120,13 +120,7 @@ class PngImages:
 
     members: ClassVar[tuple[str, ...]] = ("range.png", "projector.png", "labels.png", "facing.png")
 
-    def encode(
-        self,
-        camera: NDArray[np.uint16],
-        labels: NDArray[np.uint8],
-        facing: NDArray[np.uint8],
-        projector: NDArray[np.uint16] | None,
-    ) -> dict[str, bytes]:
+    def encode(self, camera: Range, labels: Bytes, facing: Bytes, projector: Range | None) -> dict[str, bytes]:
         """See `ImageCodec.encode`; the projector's range is one pixel, 0, where there is none."""
         nothing = np.zeros((1, 1), np.uint16)
         images: list[NDArray[Any]] = [camera, nothing if projector is None else projector, labels, facing]
@@ -152,16 +146,16 @@ class PngImages:
             occluder = None
         return DecodedImages(images["range.png"], labels, facing, occluder, None, None)
 
-    def _labels(self, images: Mapping[str, NDArray[Any]]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    def _labels(self, images: Mapping[str, NDArray[Any]]) -> tuple[Bytes, Bytes]:
         labels, facing = images["labels.png"], images["facing.png"]
         if facing.max() > FACING + SECOND_FACING:
             raise ValueError("facing.png: must hold bits 0 and 1 alone")
         return labels, facing
 
-    def encode_plane(self, plane: NDArray[np.uint8] | NDArray[np.uint16]) -> dict[str, bytes]:
+    def encode_plane(self, plane: Bytes | Range) -> dict[str, bytes]:
         return {"png": encode_png(plane)}
 
-    def decode_plane(self, data: bytes) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    def decode_plane(self, data: bytes) -> Bytes | Range:
         return decode_png(data)
 
 
@@ -170,5 +164,5 @@ class EarlierPngImages(PngImages):
 
     members: ClassVar[tuple[str, ...]] = ("range.png", "projector.png", "labels.png")
 
-    def _labels(self, images: Mapping[str, NDArray[Any]]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    def _labels(self, images: Mapping[str, NDArray[Any]]) -> tuple[Bytes, Bytes]:
         return split_label_bytes(images["labels.png"])

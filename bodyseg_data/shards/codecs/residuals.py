@@ -20,13 +20,12 @@ from numpy.typing import NDArray
 
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import if_ready, loops
+from bodyseg_data.shards.codecs.codec import Bytes, Range
 
 ESCAPE: Final = 255
 """The byte that marks a number above 254; the number follows among the escapes."""
 
 Image = NDArray[Any]
-Bytes = NDArray[np.uint8]
-Range = NDArray[np.uint16]
 
 
 class Box(NamedTuple):
