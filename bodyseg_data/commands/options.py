@@ -11,6 +11,7 @@ import sys
 import types
 import typing
 from collections.abc import Sequence
+from dataclasses import MISSING
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar
@@ -31,11 +32,7 @@ _NEGATIVE_RANGE: Final = re.compile(r"-[0-9]+\.\.[+-]?[0-9]+")
 
 
 def option(
-    text: str,
-    default: Any = dataclasses.MISSING,
-    positional: bool = False,
-    address: bool = False,
-    flag: str | None = None,
+    text: str, default: Any = MISSING, positional: bool = False, address: bool = False, flag: str | None = None
 ) -> Any:
     """Declare a field of an options class: its help text and its default (none: required).
 
@@ -167,7 +164,7 @@ def _parameter(field: dataclasses.Field[Any], hint: Any) -> inspect.Parameter:
     return inspect.Parameter(
         field.name,
         inspect.Parameter.POSITIONAL_ONLY if positional else inspect.Parameter.KEYWORD_ONLY,
-        default=inspect.Parameter.empty if default is dataclasses.MISSING else default,
+        default=inspect.Parameter.empty if default is MISSING else default,
         annotation=Annotated[types.GenericAlias(tuple, (kind, ...)) if many else kind, settings],
     )
 

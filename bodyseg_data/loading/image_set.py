@@ -39,6 +39,9 @@ def check_bool(name: str, value: Any, choices: str = "True or False") -> bool:
     return bool(value)
 
 
+Range = NDArray[np.uint16]
+Labels = NDArray[np.uint8]
+
 Shuffle = bool | Literal["blocks"]
 """Whether samples come in another order in each epoch: of all samples, or by blocks of neighbours."""
 
@@ -126,14 +129,7 @@ class ImageSet(Protocol):
     def clean(self, index: int) -> Sample:
         """Return the stored sample, without artifacts."""
 
-    def write(
-        self,
-        index: int,
-        epoch: int,
-        image: NDArray[np.uint16],
-        labels: NDArray[np.uint8],
-        planes: Sequence[NDArray[Any]] = (),
-    ) -> None:
+    def write(self, index: int, epoch: int, image: Range, labels: Labels, planes: Sequence[NDArray[Any]] = ()) -> None:
         """Write a sample, as drawn in `epoch`, into arrays [H, W]; planes: one for each of `self.planes`."""
 
     def evenly_sampled(self, count: int) -> NDArray[np.int64]:

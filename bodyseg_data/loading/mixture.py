@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bodyseg_data.artifacts import RangeImage
 from bodyseg_data.core import BadConfig, BadShard, Draws, check_epoch, check_int, check_seed
-from bodyseg_data.loading.image_set import Request, Requests, SampleDataset, Shuffle, check_index
+from bodyseg_data.loading.image_set import Labels, Range, Request, Requests, SampleDataset, Shuffle, check_index
 from bodyseg_data.loading.range_images import RangeImages
 from bodyseg_data.loading.selection import permutation
 from bodyseg_data.samples import Sample
@@ -366,14 +366,7 @@ class Mixture(SampleDataset):
         images, within = self._where(index)
         return images.image(within, epoch)
 
-    def write(
-        self,
-        index: int,
-        epoch: int,
-        image: NDArray[np.uint16],
-        labels: NDArray[np.uint8],
-        planes: Sequence[NDArray[Any]] = (),
-    ) -> None:
+    def write(self, index: int, epoch: int, image: Range, labels: Labels, planes: Sequence[NDArray[Any]] = ()) -> None:
         """Write the arrays of `image` into given ones [H, W]. Raises BadShard, naming the set, for a bad sample."""
         images, within = self._where(index)
         given = dict(zip(self.planes, planes, strict=False))  # a set may have been asked for them in another order

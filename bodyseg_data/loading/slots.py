@@ -36,13 +36,7 @@ class Slots:
     """
 
     def __init__(
-        self,
-        in_flight: int,
-        batch_size: int,
-        rows: int,
-        columns: int,
-        metres: bool,
-        planes: Iterable[np.dtype[Any]] = (),
+        self, in_flight: int, batch_size: int, rows: int, columns: int, metres: bool, planes: Iterable[np.dtype[Any]]
     ) -> None:
         self._shape = (batch_size, rows, columns)
         self._dtypes = [np.dtype(np.float32 if metres else np.uint16), np.dtype(np.uint8), *planes]

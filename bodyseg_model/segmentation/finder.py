@@ -52,6 +52,7 @@ _FREE_M: Final = 0.05  # half the width over a top in which there is nothing els
 _CROSS: Final = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.bool_)
 
 Pixels = NDArray[np.intp]
+Ranges = NDArray[np.float32]
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
@@ -100,7 +101,7 @@ class Found(NamedTuple):
 
 
 def find_bodies(
-    range_m: NDArray[np.float32], camera: Camera, background: Background, finder: Network | None = None
+    range_m: Ranges, camera: Camera, background: Background, finder: Network | None = None
 ) -> tuple[Found, ...]:
     """Find the bodies in a frame, the largest first; a pixel belongs to at most one.
 
@@ -152,7 +153,7 @@ class FinderView:
         same = [len(there) for there in self._there] == [camera.rows, camera.columns]
         self._same = same and max(shifts) <= 1
 
-    def __call__(self, range_m: NDArray[np.float32]) -> NDArray[np.float32]:
+    def __call__(self, range_m: Ranges) -> Ranges:
         """Probability of a person at every pixel of a frame, float32 [H, W]; 0 where nothing is measured (0)."""
         seen = range_m if self._same else np.pad(range_m, ((0, 1), (0, 1)))[np.ix_(*self._there)]
         image = torch.from_numpy(np.ascontiguousarray(seen))
@@ -184,11 +185,7 @@ def _resampled(side: int, centre: float, scale: float) -> tuple[Pixels, Pixels]:
 
 
 def _nearest_in_range(
-    of_range: NDArray[np.float32],
-    places: tuple[Pixels, Pixels],
-    seen: NDArray[np.float32],
-    values: NDArray[Any],
-    nothing: Any,
+    of_range: Ranges, places: tuple[Pixels, Pixels], seen: Ranges, values: NDArray[Any], nothing: Any
 ) -> NDArray[Any]:
     """Values [h, w] of the samples at places, rows and columns [N] each; where one's range, `seen` [h, w], is not of
     the surface of the pixel, `of_range` [N], that of the neighbour of nearest range; `nothing` where none is either.
@@ -245,7 +242,7 @@ class _Samples(NamedTuple):
         return _Samples(self.rows[chosen], self.columns[chosen], self.points[chosen], self.area_m2[chosen], edges)
 
 
-def part_people(range_m: NDArray[np.float32], people: Mask, camera: Camera) -> list[Pixels]:
+def part_people(range_m: Ranges, people: Mask, camera: Camera) -> list[Pixels]:
     """Divide the pixels that show people, bool [H, W], all measured, into people: the pixels of each, ascending flat
     indices, the largest surface first. Pieces too small for a person that belong to nobody are left out.
 
@@ -278,7 +275,7 @@ def part_people(range_m: NDArray[np.float32], people: Mask, camera: Camera) -> l
     return [pixels[of_pixels == number] for number in np.argsort(-area_m2, kind="stable")]
 
 
-def _sampled(grid: NDArray[np.float32], first: tuple[float, float], step: int, focal_px: float) -> _Samples:
+def _sampled(grid: Ranges, first: tuple[float, float], step: int, focal_px: float) -> _Samples:
     """Samples where a grid of ranges is not 0. first: of its first sample, rows and columns from the optical axis."""
     shown, number = grid > 0, np.full(grid.shape, -1)
     rows, columns = np.nonzero(shown)

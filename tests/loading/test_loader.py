@@ -123,7 +123,7 @@ def test_without_workers_a_batch_is_made_when_it_is_asked_for(small_set: Path) -
 
 
 def test_slots_come_back_when_nobody_holds_them() -> None:
-    slots = Slots(2, 4, 5, 3, True)
+    slots = Slots(2, 4, 5, 3, True, ())
     taken = [slots.acquire() for _ in range(2)]
     ranges, labels = slots.arrays(taken[0])
     assert (ranges.shape, ranges.dtype, labels.shape, labels.dtype) == ((4, 1, 5, 3), np.float32, (4, 5, 3), np.uint8)
