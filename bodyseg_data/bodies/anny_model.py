@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies.anny_people import Person
 from bodyseg_data.bodies.outfits import Outfit
-from bodyseg_data.bodies.skeleton import Pose, bone_rotations
+from bodyseg_data.bodies.skeleton import Floats, Pose, bone_rotations
 from bodyseg_data.bodies.template import load_template
 from bodyseg_data.core import BadConfig, ProgressCallback, silent
 from bodyseg_data.machine import required, torch_threads
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
 BODY_FROM_ANNY: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 """From Anny's axes (x left, -y front, z up) to the body frame."""
-
-Floats = NDArray[np.float64]
 
 _DECIMALS: Final = 6
 _CROWN_M: Final = 0.06  # generous: the highest and lowest vertices of people differ by far less in height

@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 from bodyseg_data.bodies.limb_reaching import Side, chosen, uniform
 from bodyseg_data.bodies.outfits import Outfit
 from bodyseg_data.bodies.shells import Hair, Shoes, Wearer, bun, long_hair, scalp, shoe
+from bodyseg_data.bodies.skeleton import Floats
 from bodyseg_data.bodies.worn import IN_HAND, Drape, Held, held_thing
 from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.meshes import Solid, SurfacePiece
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

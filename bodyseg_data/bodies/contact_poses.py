@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bodyseg_data.bodies.anny_model import Posable
 from bodyseg_data.bodies.limb_reaching import (
@@ -32,11 +31,9 @@ from bodyseg_data.bodies.limb_reaching import (
     uniform,
     within,
 )
-from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, bone_rotations
+from bodyseg_data.bodies.skeleton import Arm, Floats, Leg, Pose, Trunk, bone_rotations
 from bodyseg_data.bodies.stances import CANDIDATE_STANCES, LegTask, Places, Stance
 from bodyseg_data.meshes import vertex_normals
-
-Floats = NDArray[np.float64]
 
 _UP: Final = np.array([0.0, 1.0, 0.0])
 _AROUND: Final = np.array([0.3, 1.0, 0.3])  # the height matters, the place not much

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.anny_model import Posable
-from bodyseg_data.bodies.skeleton import Arm, Leg, arm_rotations, finger_rotations, leg_rotations
+from bodyseg_data.bodies.skeleton import Arm, Floats, Leg, arm_rotations, finger_rotations, leg_rotations
 
 Name = TypeVar("Name", bound=str)
 
@@ -40,7 +40,6 @@ CROSSED_TWIST: Final = (-40.0, 75.0)
 MOST_RAISED: Final = 185.0
 """Sum of an arm's flexion and abduction beyond which the shoulder would have to turn over."""
 
-Floats = NDArray[np.float64]
 Side = Literal["L", "R"]
 
 _MIRROR: Final = np.diag([-1.0, 1.0, 1.0])

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.bodies.skeleton import Floats
 from bodyseg_data.meshes import find_edges, nearest_sources
 
 _GATHERED: Final = 0.25  # share of loose outfits with bands
@@ -25,8 +26,6 @@ _CLOSE: Final[dict[str, tuple[float, float]]] = _LOOSE | {
     "top_loose_m": (0.0, 0.004), "leg_loose_m": (0.0, 0.004), "top_taper": (0.35, 0.8), "sleeve_taper": (0.35, 0.8),
     "leg_taper": (0.35, 0.8), "slack": (0.0, 0.03), "crumple": (0.0, 0.05),
 }  # fmt: skip
-
-Floats = NDArray[np.float64]
 
 _BAND_M: Final = 0.05  # over which a band at hem or wrist pulls the cloth in
 _END_M: Final = 0.16  # over which cloth gathers above the end of a sleeve or a trouser leg

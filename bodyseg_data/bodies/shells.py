@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies.anny_model import Posable
 from bodyseg_data.bodies.limb_reaching import Side
-from bodyseg_data.bodies.skeleton import Pose, bone_rotations
+from bodyseg_data.bodies.skeleton import Floats, Pose, bone_rotations
 from bodyseg_data.bodies.stances import Places
 from bodyseg_data.core import Draws
 from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.meshes import Solid, load_landmarks, vertex_normals
 
-Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _ARM: Final = ("upperarm", "lowerarm", "wrist", "metacarpal", "finger")

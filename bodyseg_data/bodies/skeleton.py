@@ -18,7 +18,8 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-Matrix = NDArray[np.float64]
+Floats = NDArray[np.float64]
+Matrix = Floats
 
 
 @dataclass(frozen=True)

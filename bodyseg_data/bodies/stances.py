@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies.anny_model import Posable
 from bodyseg_data.bodies.limb_reaching import Ranges
-from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, bone_rotations
+from bodyseg_data.bodies.skeleton import Arm, Floats, Leg, Pose, Trunk, bone_rotations
 from bodyseg_data.meshes import vertex_normals
 
-Floats = NDArray[np.float64]
 Vertices = NDArray[np.int64]
 
 _UPRIGHT: Final = Pose(

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.outfits import Outfit, cut
+from bodyseg_data.bodies.skeleton import Floats
 from bodyseg_data.core import Draws
 from bodyseg_data.meshes import face_normals, find_edges
 
-Floats = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 DIRECTIONS: Final = (0.0, 0.25 * np.pi, 0.5 * np.pi, 0.75 * np.pi)

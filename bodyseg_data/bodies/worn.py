@@ -13,11 +13,9 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies.limb_reaching import Side
 from bodyseg_data.bodies.shells import Wearer, hull_radius, ringed, settled, shell
-from bodyseg_data.bodies.skeleton import Pose
+from bodyseg_data.bodies.skeleton import Floats, Pose
 from bodyseg_data.bodies.wardrobe import fold_patterns
 from bodyseg_data.meshes import Solid, cuboid, turned_solid
-
-Floats = NDArray[np.float64]
 
 _RING_STEP_M: Final = 0.025  # between rings
 _BAND_M: Final = 0.035  # to each side of a ring, whose skin it encloses: longer than the skin's edges
