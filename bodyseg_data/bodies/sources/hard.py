@@ -11,7 +11,7 @@ from typing import Final
 from bodyseg_data.bodies.anny_model import Figure
 from bodyseg_data.bodies.anny_people import PEOPLE, person
 from bodyseg_data.bodies.outfits import OUTFITS, Outfit
-from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk
+from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, symmetric
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.bodies.sources.open_bodies import Listed, MadeBodies
 
@@ -25,11 +25,6 @@ _FOLDED: Final = Leg(flex=118, abduct=12, twist=10, knee=126, planted=0, ankle=1
 def _same_legs(trunk: Trunk, left: Arm, right: Arm, legs: Leg = _STANDING) -> Pose:
     """Return the pose whose legs have the same angles."""
     return Pose(trunk, left, right, legs, legs)
-
-
-def _symmetric(trunk: Trunk, arms: Arm, legs: Leg = _STANDING) -> Pose:
-    """Return the pose whose left and right limbs have the same angles."""
-    return Pose(trunk, arms, arms, legs, legs)
 
 
 _POSES: Final[dict[str, Pose]] = {
@@ -50,31 +45,31 @@ _POSES: Final[dict[str, Pose]] = {
         Arm(flex=58, abduct=-2, twist=-46, elbow=116),
     ),
     "hand_on_shoulder": _same_legs(Trunk(look=10), _HANGING, Arm(flex=62, abduct=0, twist=-44, elbow=126)),
-    "hands_on_hips": _symmetric(Trunk(), _HIP_HAND, Leg(abduct=5, twist=10)),
+    "hands_on_hips": symmetric(Trunk(), _HIP_HAND, Leg(abduct=5, twist=10)),
     "hand_on_hip": _same_legs(Trunk(roll=4, side=-6, look=20), _HIP_HAND, Arm(abduct=12), Leg(abduct=4, twist=10)),
-    "hands_clasped": _symmetric(Trunk(nod=6), Arm(flex=20, abduct=10, twist=-48, elbow=52, supinate=-20)),
-    "praying": _symmetric(Trunk(nod=14), Arm(flex=44, abduct=14, twist=-36, elbow=112, wrist=-30)),
+    "hands_clasped": symmetric(Trunk(nod=6), Arm(flex=20, abduct=10, twist=-48, elbow=52, supinate=-20), _STANDING),
+    "praying": symmetric(Trunk(nod=14), Arm(flex=44, abduct=14, twist=-36, elbow=112, wrist=-30), _STANDING),
     "hand_behind_back": _same_legs(
         Trunk(), Arm(flex=-46, abduct=20, twist=-58, elbow=72, supinate=30), Arm(abduct=12, elbow=14)
     ),
-    "hands_behind_back": _symmetric(Trunk(bend=-4), Arm(flex=-38, abduct=18, twist=-58, elbow=60, supinate=20)),
+    "hands_behind_back": symmetric(
+        Trunk(bend=-4), Arm(flex=-38, abduct=18, twist=-58, elbow=60, supinate=20), _STANDING
+    ),
     "hand_at_face": _same_legs(
         Trunk(nod=10), Arm(flex=42, abduct=6, twist=-20, elbow=136, wrist=10), Arm(flex=10, elbow=20)
     ),
-    "hands_at_face": _symmetric(Trunk(nod=12), Arm(flex=62, abduct=8, twist=-14, elbow=132, wrist=6)),
+    "hands_at_face": symmetric(Trunk(nod=12), Arm(flex=62, abduct=8, twist=-14, elbow=132, wrist=6), _STANDING),
     "phone_at_ear": _same_legs(
         Trunk(tilt=6, look=8), Arm(flex=24, abduct=44, twist=34, elbow=142, wrist=10, fist=0.5), Arm(abduct=10)
     ),
-    "hands_behind_head": _symmetric(Trunk(bend=-4), Arm(flex=12, abduct=108, twist=92, elbow=136, fist=0.2)),
+    "hands_behind_head": symmetric(Trunk(bend=-4), Arm(flex=12, abduct=108, twist=92, elbow=136, fist=0.2), _STANDING),
     "scratching_head": _same_legs(Trunk(tilt=-8, nod=8), Arm(flex=60, abduct=96, twist=70, elbow=122), Arm(abduct=10)),
     # Bent double.
-    "touching_toes": _symmetric(
-        Trunk(lean=62, bend=66, nod=12), Arm(flex=112, abduct=4, elbow=6), Leg(flex=58, knee=6)
-    ),
-    "hanging_forward": _symmetric(
+    "touching_toes": symmetric(Trunk(lean=62, bend=66, nod=12), Arm(flex=112, abduct=4, elbow=6), Leg(flex=58, knee=6)),
+    "hanging_forward": symmetric(
         Trunk(lean=70, bend=58, nod=20), Arm(flex=124, abduct=10, elbow=20), Leg(flex=72, abduct=5, knee=16)
     ),
-    "hands_on_knees": _symmetric(
+    "hands_on_knees": symmetric(
         Trunk(lean=42, bend=22, nod=-26),
         Arm(flex=52, abduct=2, elbow=12, supinate=-40, fist=0.3),
         Leg(flex=72, abduct=6, knee=44),
@@ -86,8 +81,8 @@ _POSES: Final[dict[str, Pose]] = {
         Leg(flex=74, abduct=10, knee=42),
     ),
     # Sitting, on a chair (which is not modelled) and on the floor.
-    "sitting_upright": _symmetric(Trunk(lean=-2, bend=6), _THIGH_HAND, Leg(88, 8, 8, 88)),
-    "sitting_bent": _symmetric(
+    "sitting_upright": symmetric(Trunk(lean=-2, bend=6), _THIGH_HAND, Leg(88, 8, 8, 88)),
+    "sitting_bent": symmetric(
         Trunk(lean=10, bend=26, nod=-12), Arm(flex=64, abduct=8, twist=-28, elbow=58), Leg(104, 10, 8, 96)
     ),
     "sitting_legs_crossed": Pose(
@@ -97,7 +92,7 @@ _POSES: Final[dict[str, Pose]] = {
         Leg(flex=101, abduct=18, twist=66, knee=94, planted=0, ankle=10),
         Leg(74, 6, 6, 82),
     ),
-    "sitting_on_floor": _symmetric(
+    "sitting_on_floor": symmetric(
         Trunk(lean=-24, bend=8, nod=8),
         Arm(flex=-46, abduct=18, twist=10, elbow=8, wrist=-60),
         Leg(flex=62, abduct=8, twist=12, knee=4, planted=0, ankle=14),
@@ -109,14 +104,14 @@ _POSES: Final[dict[str, Pose]] = {
         Leg(flex=76, abduct=50, twist=78, knee=128, planted=0, ankle=24),
         Leg(flex=74, abduct=48, twist=74, knee=92, planted=0, ankle=24),
     ),
-    "hugging_knees": _symmetric(
+    "hugging_knees": symmetric(
         Trunk(lean=-24, bend=34, nod=12),
         Arm(flex=78, abduct=10, twist=-36, elbow=44),
         Leg(flex=116, abduct=0, knee=112),
     ),
     # Kneeling and on all fours.
-    "kneeling": _symmetric(Trunk(), Arm(elbow=22, flex=8), Leg(4, 4, 0, 92, planted=0, ankle=38)),
-    "sitting_on_heels": _symmetric(Trunk(lean=-2, bend=8), _THIGH_HAND, Leg(49, 4, 0, 136, planted=0, ankle=48)),
+    "kneeling": symmetric(Trunk(), Arm(elbow=22, flex=8), Leg(4, 4, 0, 92, planted=0, ankle=38)),
+    "sitting_on_heels": symmetric(Trunk(lean=-2, bend=8), _THIGH_HAND, Leg(49, 4, 0, 136, planted=0, ankle=48)),
     "half_kneeling": Pose(
         Trunk(lean=10, bend=12),
         Arm(flex=48, abduct=12, twist=-20, elbow=56),
@@ -124,16 +119,16 @@ _POSES: Final[dict[str, Pose]] = {
         Leg(flex=98, abduct=8, knee=92),
         Leg(flex=8, twist=0, knee=98, planted=0, ankle=-14, toes=55),
     ),
-    "on_all_fours": _symmetric(
+    "on_all_fours": symmetric(
         Trunk(lean=82, bend=4, nod=-24),
         Arm(flex=86, abduct=8, twist=-6, elbow=6, supinate=-70, wrist=-78),
         Leg(flex=84, abduct=4, twist=0, knee=88, planted=0, ankle=40),
     ),
     # Lying.
-    "lying_on_back": _symmetric(
+    "lying_on_back": symmetric(
         Trunk(lean=-90), Arm(abduct=18, flex=-2, elbow=10), Leg(abduct=5, twist=18, planted=0, ankle=26)
     ),
-    "lying_knees_up": _symmetric(
+    "lying_knees_up": symmetric(
         Trunk(lean=-90, turn=35), Arm(flex=14, abduct=22, twist=-50, elbow=72), Leg(52, 4, 0, 104, planted=0, ankle=36)
     ),
     "lying_arms_up": Pose(
@@ -164,7 +159,7 @@ _POSES: Final[dict[str, Pose]] = {
         replace(_FOLDED, flex=108, abduct=-2),
         replace(_FOLDED, flex=98, abduct=-12),
     ),
-    "lying_on_elbows": _symmetric(
+    "lying_on_elbows": symmetric(
         Trunk(lean=88, bend=-32, nod=-26, turn=150),
         Arm(flex=56, abduct=8, twist=-10, elbow=86, supinate=-40),
         Leg(flex=-4, abduct=7, planted=0, ankle=44),
