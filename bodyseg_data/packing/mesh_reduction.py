@@ -7,6 +7,7 @@ tolerance limits: ranges that the rig's camera sees, by casting rays at the coar
 
 import math
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -138,11 +139,8 @@ def probe_cameras(
 
 def seen_ranges(mesh: Mesh, cameras: Sequence[PlacedCamera]) -> list[NDArray[np.float32]]:
     """Ranges that cameras see of a mesh, by casting rays: float32 [H, W], metres, 0 where there is no body."""
-    renderer = open_renderer("embree", mesh)
-    try:
+    with closing(open_renderer("embree", mesh)) as renderer:
         return [renderer.render(camera).range for camera in cameras]
-    finally:
-        renderer.close()
 
 
 def range_error(ranges: Sequence[NDArray[np.float32]], wanted: Sequence[NDArray[np.float32]]) -> float:

@@ -10,6 +10,7 @@ samples are those of a source without them.
 import shutil
 from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -120,16 +121,13 @@ def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...], plan: s
     seen_from = packing.rig, min(packing.views.distances_cm), packing.views.pitches_deg
     built = reduced_body(source.build(body), packing.tolerance_mm, *seen_from, packing.pymeshlab)
     parts = built.surface_labels(packing.geodesics)
-    renderer = open_renderer(packing.renderer, built.mesh)
-    try:
+    with closing(open_renderer(packing.renderer, built.mesh)) as renderer:
         places = built.template() if packing.template and built.template is not None else None
         options = packing.things, len(classes_from(source)), places
         sampler = Sampler(renderer, packing.rig, built.mesh, parts, source.name, body, *options)
         samples = (sampler.take(view) for view in views)
         notes = (*built.notes, *(() if (note := getattr(parts, "note", None)) is None else (note,)))
         return Rendered([(sample.key, encode_sample(sample, packing.codec)) for sample in samples], notes)
-    finally:
-        renderer.close()
 
 
 def pack(

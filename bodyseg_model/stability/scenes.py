@@ -30,7 +30,7 @@ from bodyseg_data.bodies import Body, BodyRef, open_source
 from bodyseg_data.core import BadConfig, Draws, ProgressCallback, check_choice, silent
 from bodyseg_data.labels import BACKGROUND, LANDMARKS
 from bodyseg_data.loading import CameraImage, RangeImages, Remnants
-from bodyseg_data.meshes import Mesh, Partition
+from bodyseg_data.meshes import Partition
 from bodyseg_data.packing import Sampler, draw_things, in_front, surface_points
 from bodyseg_data.rendering import Renderer, Surface, open_renderer
 from bodyseg_data.rigs import Camera, PlacedCamera, Rig, axes_at, load_rig
@@ -329,10 +329,6 @@ class _PosedBody:
     renderer: Renderer
     azimuth_deg: int
 
-    @property
-    def mesh(self) -> Mesh:
-        return self.body.mesh
-
     def image(self, rig: Rig, condition: SweepPoint) -> LabelledImage:
         sweep, strength = condition.sweep, condition.strength
         if sweep == "occlusion":
@@ -353,12 +349,12 @@ class _PosedBody:
 
     def _behind_things(self, rig: Rig, share: float, shown: bool) -> LabelledImage:
         """Image of a body of which things hide a share, 5 % more or less. shown: leave their ranges in the image."""
-        placed = looking_down(rig.camera, self.mesh.centre, self.azimuth_deg, rig.stand_off_m, 0.0)
+        placed = looking_down(rig.camera, self.body.mesh.centre, self.azimuth_deg, rig.stand_off_m, 0.0)
         seen = self.renderer.render(placed)
         things = draw_things(
             "before",
             f"{self.ref.mesh} {self.azimuth_deg} {share:g}",
-            self.mesh,
+            self.body.mesh,
             View(round(100 * rig.stand_off_m), self.azimuth_deg),
             placed,
             seen,
@@ -376,14 +372,14 @@ class _PosedBody:
         landmark.
         """
         camera = sensor(_FOCALS_PX[0])
-        border = self.mesh.vertices[self.body.landmarks[LANDMARKS.index(landmark)]]
+        border = self.body.mesh.vertices[self.body.landmarks[LANDMARKS.index(landmark)]]
         above = _DESK_M * (camera.rows - camera.centre_px[1]) / camera.focal_px
         placed = looking_down(camera, np.add(border, (0, above, 0)), self.azimuth_deg, _DESK_M, 0.0)
         return resampled(self._seen_by(placed, rig), camera, rig)
 
     def _rendered(self, rig: Rig, camera: Camera, distance_m: float, tilt_deg: float = 0.0) -> LabelledImage:
         """Image of a camera in the rig's steps, without shadows of a projector."""
-        placed = looking_down(camera, self.mesh.centre, self.azimuth_deg, distance_m, tilt_deg)
+        placed = looking_down(camera, self.body.mesh.centre, self.azimuth_deg, distance_m, tilt_deg)
         return self._seen_by(placed, rig)
 
     def _seen_by(self, placed: PlacedCamera, rig: Rig) -> LabelledImage:
@@ -396,12 +392,12 @@ class _PosedBody:
         """Label image of what a camera sees of the body, uint8 [H, W], BACKGROUND beside it."""
         labels, (rows, columns) = np.full(seen.face.shape, BACKGROUND, np.uint8), np.nonzero(seen.face >= 0)
         points = surface_points(seen, camera, rows, columns)
-        labels[rows, columns] = self.parts.labels_at(self.mesh, seen.face[rows, columns], points)
+        labels[rows, columns] = self.parts.labels_at(self.body.mesh, seen.face[rows, columns], points)
         return labels
 
     def _lit(self, rig: Rig) -> LabelledImage:
         """Image of a rig, with the shadows of its projector."""
-        sampler = Sampler(self.renderer, rig, self.mesh, self.parts, "open", self.ref)
+        sampler = Sampler(self.renderer, rig, self.body.mesh, self.parts, "open", self.ref)
         sample = sampler.take(View(round(100 * rig.stand_off_m), self.azimuth_deg))
         return labelled_image(sample.range * lit_pixels(rig, sample), rig.range_step_m, _surface(sample, rig))
 
