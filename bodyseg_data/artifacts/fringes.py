@@ -232,8 +232,7 @@ _LIMB_M: Final = 0.6
 """From the joint of an arm to its end: what turns with the speed of an image over this moves about so fast there."""
 
 _SKIN, _HAIR, _COAT, _TROUSERS, _SHOES, _THINGS = range(6)
-_WORN: Final = np.full(PART_COUNT + 1, _COAT)
-"""Garment of each part; the last one is of what has no part."""
+_WORN: Final = np.full(PART_COUNT + 1, _COAT)  # garment of each part; the last one is of what has no part
 _WORN[[0, 2, 21, 22]], _WORN[1], _WORN[31:33], _WORN[PART_COUNT] = _SKIN, _HAIR, _SHOES, _THINGS
 _WORN[[7, 8, 11, 12, *range(23, 31)]] = _TROUSERS
 

@@ -31,8 +31,7 @@ MOST_CLASSES: Final = 254
 _DARKEST: Final = 70.0
 _LIGHTEST: Final = 225.0
 _STRONG: Final = 0.9
-_PALE: Final = 0.4
-"""Saturation of pairs, and of classes of the middle."""
+_PALE: Final = 0.4  # saturation of pairs, and of classes of the middle
 
 _ORDER: Final = ("right", "middle", "left")
 _GOLDEN: Final = 0.6180339887

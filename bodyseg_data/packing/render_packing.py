@@ -21,8 +21,7 @@ from bodyseg_data.renders import Render, RenderSource
 from bodyseg_data.rigs import Camera, Rig
 from bodyseg_data.shards import CodecName, Manifest, ProjectorKind, read_manifest
 
-_NOTE: Final = ".renders.json"
-"""File beside the shards: key -> fingerprint of the render that its sample was made from."""
+_NOTE: Final = ".renders.json"  # beside the shards: key -> fingerprint of the render that its sample was made from
 
 _CHECKED: Final = 4  # number of renders whose two views are compared: a mistake in a set is in all of it
 _POINTS: Final = 4000

@@ -63,8 +63,7 @@ from bodyseg_model.training import (
 
 _WAIT_ADVISED: Final = 0.2  # share of a training's waiting from which on there is advice
 _CLASSES: Final = "classes"
-_OF_HEADS: Final = {_CLASSES, TEMPLATE}
-"""Settings in which a network may differ from the one that it starts from."""
+_OF_HEADS: Final = {_CLASSES, TEMPLATE}  # settings in which a network may differ from the one that it starts from
 
 EXAMPLE = "bodyseg train --data shards --variant all --network compact --out runs/all-0"
 

@@ -26,8 +26,7 @@ from bodyseg_data.rigs import Rig, load_rig, rig_from_json
 from bodyseg_model.networks.network import Network, WrappedModule, check_label_map
 from bodyseg_model.networks.registry import build
 
-_CHECKPOINT: Final = "checkpoint.json"
-"""Step, loader state and tensors' name of a run's last checkpoint."""
+_CHECKPOINT: Final = "checkpoint.json"  # step, loader state and tensors' name of a run's last checkpoint
 
 CheckpointName = Literal["best", "last"]
 

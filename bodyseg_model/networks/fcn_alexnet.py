@@ -44,8 +44,7 @@ _LAYER: Final = {"fc6": "conv6", "fc7": "conv7"}
 
 Arrays = dict[str, tuple[NDArray[np.float32], NDArray[np.float32]]]
 
-_TENSOR: Final = re.compile(r"(conv[1-5]|fc[67])_([wb])(?:_0)?")
-"""Names of AlexNet's tensors in the file."""
+_TENSOR: Final = re.compile(r"(conv[1-5]|fc[67])_([wb])(?:_0)?")  # names of AlexNet's tensors in the file
 
 STRIDE: Final = 32
 _PADDING: Final = 100

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from bodyseg_model.recordings import FrameCamera, evenly_apart
 from bodyseg_model.segmentation import LabelledFrame
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Estimate, Finding, rounded
-from bodyseg_model.sensor_fit.recording import MarkedFrame, MarkedRecording
+from bodyseg_model.sensor_fit.recording import Floats, MarkedFrame, MarkedRecording
 
 LEAST_EDGES: Final = 200
 """Fewest edges at which one surface ends beside a farther one, both measured, for a verdict."""
@@ -23,8 +23,6 @@ JUMP_M: Final = 0.03
 
 _WIDE: Final = 6.0  # jumps that a gap must have: limbs that turn away bridge smaller ones
 _NOISES: Final = 8.0
-
-Floats = NDArray[np.float64]
 
 
 def measure_mixed_pixels(recording: MarkedRecording) -> Finding:

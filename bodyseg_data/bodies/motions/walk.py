@@ -10,12 +10,9 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bodyseg_data.bodies.motions.curves import Build, Sole, Track, about_y, reach, wander
+from bodyseg_data.bodies.motions.curves import Build, Sole, Track, Vector, about_y, reach, wander
 from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, root_rotation
-
-Vector = NDArray[np.float64]
 
 STANCE: Final = 0.62
 """Share of a stride for which a foot is on the floor; a stride is two steps."""
