@@ -1,15 +1,7 @@
 """One clean sample: what is stored, before any artifact; and its split by the paper's protocol.
 
-That protocol (section 3.5) splits by mesh, so that no mesh has views in both.
-
-Splits are stored in shards. The split "val" is not: it is chosen out of train while reading (docs/how-to/splits.md).
-
-| subset          | train                           | test               |
-| --------------- | ------------------------------- | ------------------ |
-| A, 71 postures  | the first 57                    | the remaining 14   |
-| B, 4 motions    | crane, march, squat             | jumping            |
-| C, 4 motions    | bouncing, handstand, march      | squat              |
-| people, 583     | the first 467                   | the remaining 116  |
+That protocol (section 3.5) splits by mesh, so that no mesh has views in both: docs/how-to/splits.md has the table,
+and the split "val", which is not stored: it is chosen out of train while reading.
 """
 
 from __future__ import annotations
