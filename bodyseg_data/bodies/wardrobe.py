@@ -152,7 +152,7 @@ class Refinement:
     faces: int32 [F', 3]. Old vertices keep their numbers and new ones follow, so landmarks by vertex stay valid.
     """
 
-    def __init__(self, rest: NDArray[np.float64], faces: NDArray[np.int32], longest_m: float, rounds: int = 2) -> None:
+    def __init__(self, rest: Floats, faces: NDArray[np.int32], longest_m: float, rounds: int = 2) -> None:
         self._ends: list[NDArray[np.int64]] = []
         points, self.faces = rest, faces
         for _ in range(rounds):
@@ -160,16 +160,14 @@ class Refinement:
             self._ends.append(ends)
             points = np.concatenate([points, points[ends].mean(axis=1)])
 
-    def __call__(self, vertices: NDArray[np.float64]) -> NDArray[np.float64]:
+    def __call__(self, vertices: Floats) -> Floats:
         """Refine vertices [V, 3] of the coarse mesh in any pose to [V', 3]."""
         for ends in self._ends:
             vertices = np.concatenate([vertices, vertices[ends].mean(axis=1)])
         return vertices
 
 
-def _split(
-    points: NDArray[np.float64], faces: NDArray[np.int32], longest_m: float
-) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+def _split(points: Floats, faces: NDArray[np.int32], longest_m: float) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """Return the ends [N, 2] of split edges, whose middles are numbered after the last vertex, and the new faces."""
     edges = find_edges(faces)
     long = edges.lengths(points) > longest_m

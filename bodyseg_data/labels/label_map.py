@@ -34,6 +34,8 @@ from bodyseg_data.labels.classes import (
 from bodyseg_data.labels.parts import COLOURS, PART_CLASSES
 from bodyseg_data.machine import if_ready, loops
 
+Bytes = NDArray[np.uint8]
+
 LABEL_MAP_FORMAT: Final = "bodyseg labels 1"
 REST: Final = "*"
 """Stands, alone, for all that a class may join which no other class does, and for surfaces of no class."""
@@ -45,9 +47,7 @@ _LOOPS: Final = "bodyseg_data.labels.label_loops"
 _REGIONS: Final = ("parts33", "bones", "landmarks")
 
 
-def colour_labels(
-    labels: NDArray[np.uint8], background: tuple[int, int, int] = (24, 26, 32), colours: NDArray[np.uint8] = COLOURS
-) -> NDArray[np.uint8]:
+def colour_labels(labels: Bytes, background: tuple[int, int, int] = (24, 26, 32), colours: Bytes = COLOURS) -> Bytes:
     """Draw a label image: uint8 [H, W] -> sRGB uint8 [H, W, 3]; `background` where a label has no colour.
 
     colours: sRGB of every label from 0 on, uint8 [N, 3]; by default those of the 33 parts.
@@ -135,7 +135,7 @@ class LabelMap:
         return any(members == (REST,) for _, members in self.classes)
 
     @cached_property
-    def table(self) -> NDArray[np.uint8]:
+    def table(self) -> Bytes:
         """Label of the set -> label of a class, uint8 [256]; `BACKGROUND` for all else."""
         found = np.full(256, BACKGROUND, np.uint8)
         for label, (members, (_, names)) in enumerate(zip(self.members, self.classes, strict=True)):
@@ -143,15 +143,13 @@ class LabelMap:
         return found
 
     @cached_property
-    def _tables(self) -> dict[int, NDArray[np.uint8]]:
+    def _tables(self) -> dict[int, Bytes]:
         """The table of `write` by what surfaces of no class get."""
         kept = self.table.copy()
         kept[:BACKGROUND][kept[:BACKGROUND] == BACKGROUND] = UNLABELLED
         return {BACKGROUND: self.table, UNLABELLED: kept}
 
-    def write(
-        self, labels: NDArray[np.uint8], edges: NDArray[np.int32] | None = None, unlabelled: int = BACKGROUND
-    ) -> None:
+    def write(self, labels: Bytes, edges: NDArray[np.int32] | None = None, unlabelled: int = BACKGROUND) -> None:
         """Replace a set's labels by class labels in place.
 
         labels: uint8 [H, W], contiguous. edges: int32 [2 N], flat indices in reading order where foreground begins,
@@ -167,7 +165,7 @@ class LabelMap:
         flat[:] = looked_up(flat, table)
 
     @cached_property
-    def mirrored(self) -> NDArray[np.uint8]:
+    def mirrored(self) -> Bytes:
         """Class label -> class label in the mirror image, uint8 [256]; other values stay as they are.
 
         Raises BadConfig where the mirror images of a class's members are not the members of one class: a flipped image
@@ -193,7 +191,7 @@ class LabelMap:
         return None
 
     @cached_property
-    def _opposites(self) -> NDArray[np.uint8]:
+    def _opposites(self) -> Bytes:
         """As `mirrored`; a class without a mirror image stays as it is."""
         found = np.arange(256, dtype=np.uint8)
         if self._lopsided is None:
@@ -220,7 +218,7 @@ class LabelMap:
         return tuple(found)
 
     @cached_property
-    def colours(self) -> NDArray[np.uint8]:
+    def colours(self) -> Bytes:
         """Colours of the classes, sRGB, uint8 [len(self), 3]; of a map that changes nothing, those of the set."""
         if self.is_whole:
             return self.of.colours
@@ -231,7 +229,7 @@ class LabelMap:
         """True if labels stay as they are: the classes are those of the set itself, with other names perhaps."""
         return not self.has_rest and self.members == tuple((label,) for label in range(len(self.of)))
 
-    def joined_to(self, coarser: LabelMap) -> NDArray[np.uint8]:
+    def joined_to(self, coarser: LabelMap) -> Bytes:
         """Class label of this map -> that of a map whose classes are unions of this one's, uint8 [256].
 
         Values that are no label become `BACKGROUND`. Raises BadConfig if `coarser` splits a class or leaves members of

@@ -44,7 +44,7 @@ from bodyseg_data.labels import LANDMARKS, PART_COUNT
 from bodyseg_data.machine import required
 from bodyseg_data.meshes.coincident import separate
 from bodyseg_data.meshes.mending import welded
-from bodyseg_data.meshes.mesh import Mesh, face_components, face_normals
+from bodyseg_data.meshes.mesh import Floats, Indices, Mesh, face_components, face_normals
 from bodyseg_data.meshes.mesh_files import file_bytes
 
 LANDMARKS_FORMAT: Final = "bodyseg landmarks 1"
@@ -87,7 +87,7 @@ class LandmarkSet:
     vertices: tuple[int, ...]
     ignored: tuple[str, ...] = ()
 
-    def for_mesh(self, mesh: Mesh) -> NDArray[np.int64]:
+    def for_mesh(self, mesh: Mesh) -> Indices:
         """Vertices of the landmarks on `mesh`, int64 [33], in the order of `PARTS`; two may be the same.
 
         Raises BadLandmarks, naming set and mesh, if the mesh has another number of vertices or faces, or if no face
@@ -153,8 +153,8 @@ class SnappedLandmarks:
     each point to the surface, metres. Both in the order of `PARTS`. notes: lines on landmarks that moved.
     """
 
-    vertices: NDArray[np.int64]
-    distance_m: NDArray[np.float64]
+    vertices: Indices
+    distance_m: Floats
     notes: tuple[str, ...] = ()
 
 
@@ -168,11 +168,11 @@ class PointLandmarks:
     """
 
     source: str
-    points: NDArray[np.float64]
+    points: Floats
     ignored: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        points: NDArray[np.float64] = np.array(self.points, np.float64)
+        points: Floats = np.array(self.points, np.float64)
         if points.shape != (PART_COUNT, 3):
             raise BadLandmarks(f"landmarks {self.source}: there must be {PART_COUNT} points, found {points.shape}")
         bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
@@ -182,7 +182,7 @@ class PointLandmarks:
         points.flags.writeable = False
         object.__setattr__(self, "points", points)
 
-    def transformed(self, scale: float, rotation: NDArray[np.float64]) -> PointLandmarks:
+    def transformed(self, scale: float, rotation: Floats) -> PointLandmarks:
         """The same landmarks, scaled and then rotated by `rotation` [3, 3], as the mesh was to reach the body frame."""
         return replace(self, points=self.points @ rotation.T * scale)
 
@@ -372,9 +372,7 @@ def load_landmark_file(path: Path) -> LandmarkSet | PointLandmarks:
     return (parse_points if "points" in json_table(data, str(path)) else parse_landmarks)(data, str(path))
 
 
-def nearest_corner(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32], points: NDArray[np.float64]
-) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+def nearest_corner(vertices: Floats, faces: NDArray[np.int32], points: Floats) -> tuple[NDArray[np.int32], Floats]:
     """Find the triangle nearest to each of `points` [P, 3]: its corner nearest to the point, int32 [P], and the
     distance from the point to the triangle, float64 [P], metres.
 

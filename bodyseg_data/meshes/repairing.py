@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadMesh
 from bodyseg_data.machine import missing_library, require_libraries
-from bodyseg_data.meshes.mesh import check_arrays, face_components, signed_volumes
+from bodyseg_data.meshes.mesh import Floats, check_arrays, face_components, signed_volumes
 
 _Result = TypeVar("_Result")
 
@@ -42,9 +42,7 @@ SAME_POINT_M: Final = 1e-6
 _FEATURE: Final = "mesh repair"
 
 
-def repair(
-    name: str, vertices: NDArray[np.float64], faces: NDArray[Any]
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def repair(name: str, vertices: Floats, faces: NDArray[Any]) -> tuple[Floats, NDArray[np.int32]]:
     """Repair a surface for `Mesh` and geodesics: returns vertices float64 [V, 3], metres, and faces int32 [F, 3].
 
     name: of the mesh, for messages. vertices: float [V, 3], metres. faces: int [F, 3].
@@ -156,8 +154,8 @@ if hasattr(os, "register_at_fork"):
 
 
 def _filtered(
-    pymeshlab: Any, name: str, vertices: NDArray[np.float64], faces: NDArray[np.int32]
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    pymeshlab: Any, name: str, vertices: Floats, faces: NDArray[np.int32]
+) -> tuple[Floats, NDArray[np.int32]]:
     """All steps of `repair` but the last orientation, in pymeshlab's thread."""
     meshes = pymeshlab.MeshSet()
     meshes.add_mesh(pymeshlab.Mesh(vertices, faces))
@@ -177,7 +175,7 @@ def _filtered(
     return np.array(whole.vertex_matrix(), np.float64), np.array(whole.face_matrix(), np.int32)
 
 
-def _outward(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.int32]:
+def _outward(vertices: Floats, faces: NDArray[np.int32]) -> NDArray[np.int32]:
     """The faces [F, 3], inverted in every connected piece that encloses a negative volume."""
     piece_of_vertex = face_components(len(vertices), faces)
     count = int(piece_of_vertex.max()) + 1

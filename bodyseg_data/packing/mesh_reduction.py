@@ -21,6 +21,9 @@ from bodyseg_data.rendering import open_renderer
 from bodyseg_data.rigs import PlacedCamera, Rig
 from bodyseg_data.samples import View
 
+Range = NDArray[np.float32]
+Indices = NDArray[np.int64]
+
 TOLERANCE_M: Final = 2e-4
 """An independent error of 0.2 mm makes a sensor's uncertainty of 1 mm one of 1.02 mm."""
 
@@ -55,7 +58,7 @@ class Reduction:
     """
 
     mesh: Mesh
-    landmarks: NDArray[np.int64]
+    landmarks: Indices
     error_m: float
     note: str | None = None
 
@@ -89,7 +92,7 @@ def reduced_body(
 
 def reduce(
     mesh: Mesh,
-    landmarks: NDArray[np.int64],
+    landmarks: Indices,
     tolerance_m: float,
     rig: Rig,
     distance_cm: int = 215,
@@ -137,13 +140,13 @@ def probe_cameras(
     return tuple(few.placed(mesh.centre, view)[0] for view in views)
 
 
-def seen_ranges(mesh: Mesh, cameras: Sequence[PlacedCamera]) -> list[NDArray[np.float32]]:
+def seen_ranges(mesh: Mesh, cameras: Sequence[PlacedCamera]) -> list[Range]:
     """Ranges that cameras see of a mesh, by casting rays: float32 [H, W], metres, 0 where there is no body."""
     with closing(open_renderer("embree", mesh)) as renderer:
         return [renderer.render(camera).range for camera in cameras]
 
 
-def range_error(ranges: Sequence[NDArray[np.float32]], wanted: Sequence[NDArray[np.float32]]) -> float:
+def range_error(ranges: Sequence[Range], wanted: Sequence[Range]) -> float:
     """The 95th percentile (`WITHIN`) of the difference of ranges, metres, over all pixels where either is not 0.
 
     A pixel that only one of them sees counts with its whole range: 5 % of those break any tolerance.
@@ -153,7 +156,7 @@ def range_error(ranges: Sequence[NDArray[np.float32]], wanted: Sequence[NDArray[
 
 
 def _descended(
-    best: Reduction, tolerance_m: float, cameras: Sequence[PlacedCamera], wanted: Sequence[NDArray[np.float32]]
+    best: Reduction, tolerance_m: float, cameras: Sequence[PlacedCamera], wanted: Sequence[Range]
 ) -> tuple[Reduction, Reduction]:
     """Reduce stage by stage; returns the coarsest mesh within the tolerance, and the first beyond it or the same."""
     while (share := max(_STEP, (best.error_m / (_AIM * tolerance_m)) ** (1 / _STEEPEST))) < _LITTLE:
@@ -166,9 +169,7 @@ def _descended(
     return best, best
 
 
-def _coarser(
-    before: Reduction, share: float, cameras: Sequence[PlacedCamera], wanted: Sequence[NDArray[np.float32]]
-) -> Reduction:
+def _coarser(before: Reduction, share: float, cameras: Sequence[PlacedCamera], wanted: Sequence[Range]) -> Reduction:
     """Reduce `before` to about `share` of its triangles; an infinite error and a note if that makes no sound mesh."""
     try:
         mesh, landmarks = edges_collapsed(before.mesh, before.landmarks, round(len(before.mesh.faces) * share))
@@ -192,9 +193,7 @@ def _share_between(finer: Reduction, coarser: Reduction, tolerance_m: float) -> 
     return float((len(coarser.mesh.faces) / len(finer.mesh.faces)) ** way)
 
 
-def edges_collapsed(
-    mesh: Mesh, landmarks: NDArray[np.int64], count: int, optimal: bool = True
-) -> tuple[Mesh, NDArray[np.int64]]:
+def edges_collapsed(mesh: Mesh, landmarks: Indices, count: int, optimal: bool = True) -> tuple[Mesh, Indices]:
     """`mesh` with edges collapsed until about `count` triangles are left, and its landmarks' vertices in the result.
 
     optimal: put the vertex that an edge becomes where the error is least; else at one of its ends, so that every vertex
@@ -223,7 +222,7 @@ def edges_collapsed(
 
 def _decimated(
     pymeshlab: Any, mesh: Mesh, fixed: NDArray[np.bool_], count: int, optimal: bool
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32], NDArray[np.int64]]:
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32], Indices]:
     """Collapse edges in pymeshlab's thread; returns [V] the number each vertex had in `mesh`, [V, 3] metres, [F, 3],
     and [F] the number that each triangle had.
     """
@@ -254,7 +253,7 @@ def _decimated(
     )
 
 
-def _between_labels(mesh: SceneMesh) -> NDArray[np.int64]:
+def _between_labels(mesh: SceneMesh) -> Indices:
     """Vertices whose triangles have more than one label."""
     low, high = np.full(len(mesh.vertices), 255, np.uint8), np.zeros(len(mesh.vertices), np.uint8)
     np.minimum.at(low, mesh.faces, mesh.labels.min(axis=1)[:, None])
@@ -262,7 +261,7 @@ def _between_labels(mesh: SceneMesh) -> NDArray[np.int64]:
     return np.flatnonzero(low < high)
 
 
-def _outermost(mesh: Mesh) -> NDArray[np.int64]:
+def _outermost(mesh: Mesh) -> Indices:
     """Six vertices that hold the bounding box where it is."""
     used = np.flatnonzero(np.bincount(mesh.faces.ravel(), minlength=len(mesh.vertices)))
     points = mesh.vertices[used]

@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 
 from bodyseg_data.rigs import Rig
 
+Masks = list[NDArray[np.bool_]]
+Image = NDArray[np.floating[Any]]
+
 _ONE_SURFACE: Final = 1.5  # slopes on both sides of a pixel that differ by more than this factor are not of one surface
 _LEVEL: Final = 1e-6
 """Slopes below this, 1 / m a pixel, are 0 as far as facing goes: the last bits of a surface square to the axis."""
@@ -28,7 +31,7 @@ def projector_places(rig: Rig) -> list[NDArray[np.float64]]:
     return [-rotation.T @ shift for rotation, shift in poses]
 
 
-def facing_from_range(rig: Rig, range_m: NDArray[np.floating[Any]]) -> list[NDArray[np.bool_]]:
+def facing_from_range(rig: Rig, range_m: Image) -> Masks:
     """For each projector, the pixels whose surface is turned towards it, bool [H, W], False where range is 0.
 
     range_m: float [H, W], metres along the camera's axis, 0 where nothing was measured. A pixel without neighbours is
@@ -44,9 +47,7 @@ def facing_from_range(rig: Rig, range_m: NDArray[np.floating[Any]]) -> list[NDAr
     return answers
 
 
-def _facing(
-    rig: Rig, places: list[NDArray[np.float64]], range_m: NDArray[np.floating[Any]], first: int
-) -> list[NDArray[np.bool_]]:
+def _facing(rig: Rig, places: list[NDArray[np.float64]], range_m: Image, first: int) -> Masks:
     """As `facing_from_range` for some rows of an image, from row `first` on, as if there were no others."""
     camera, measured = rig.camera, range_m > 0
     inverse = np.zeros(range_m.shape, np.float32)
@@ -99,9 +100,7 @@ def _along(axis: int, start: int | None, end: int | None) -> tuple[slice, slice]
     return (part, slice(None)) if axis == 0 else (slice(None), part)
 
 
-def facing_from_normals(
-    rig: Rig, range_m: NDArray[np.floating[Any]], normals: NDArray[np.floating[Any]]
-) -> list[NDArray[np.bool_]]:
+def facing_from_normals(rig: Rig, range_m: Image, normals: Image) -> Masks:
     """As `facing_from_range`, from outward normals [H, W, 3] of the surfaces in the camera's frame, of any length."""
     points = rig.camera.pixel_rays() * range_m[..., None]
     measured = range_m > 0

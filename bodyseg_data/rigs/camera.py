@@ -77,7 +77,7 @@ class Camera:
             raise BadConfig(f"lens distortion must not fold the image over, found {self.distortion}")
 
     @property
-    def axes(self) -> NDArray[np.float64]:
+    def axes(self) -> Floats:
         """Rows are this camera's x, y and z axes in the rig's frame, [3, 3]: local = axes @ (point - position)."""
         forward = np.subtract(self.aims_at_m, self.position_m)
         forward = forward / np.linalg.norm(forward)
@@ -85,7 +85,7 @@ class Camera:
         right /= np.linalg.norm(right)
         return rolled(np.stack([right, np.cross(forward, right), forward]), self.roll_deg)
 
-    def pixel_rays(self) -> NDArray[np.float64]:
+    def pixel_rays(self) -> Floats:
         """Directions through all pixel centres in this camera's own frame, [rows, columns, 3], scaled to z = 1.
 
         With that scale the parameter of a point on the ray *is* its range.
@@ -95,7 +95,7 @@ class Camera:
         return rays
 
     @property
-    def slopes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def slopes(self) -> tuple[Floats, Floats]:
         """The x of the rays through each column [columns] and the y of those through each row [rows], at z = 1."""
         across = np.divide(np.arange(self.columns) + 0.5 - self.centre_px[0], self.focal_px)
         return across, np.divide(np.arange(self.rows) + 0.5 - self.centre_px[1], self.focal_px)
@@ -118,7 +118,7 @@ class Camera:
             )
         return camera
 
-    def _image_plane(self, nodes: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _image_plane(self, nodes: int) -> tuple[Floats, Floats]:
         """Coordinates x and y, at z = 1, of a lattice that spans the image, each float64 [nodes, nodes]."""
         across = (np.linspace(0, self.columns, nodes) - self.centre_px[0]) / self.focal_px
         down = (np.linspace(0, self.rows, nodes) - self.centre_px[1]) / self.focal_px
@@ -151,24 +151,24 @@ class PlacedCamera:
     """A camera in a body's frame: `axes` [3, 3] (rows: its x, y, z), `position` [3], both float64."""
 
     camera: Camera
-    axes: NDArray[np.float64]
-    position: NDArray[np.float64]
+    axes: Floats
+    position: Floats
 
-    def to_local(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_local(self, points: Floats) -> Floats:
         """Points of the body's frame [..., 3] in this camera's frame, metres."""
         return (points - self.position) @ self.axes.T
 
-    def to_body(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_body(self, points: Floats) -> Floats:
         """Points of this camera's frame [..., 3] in the body's frame, metres."""
         return points @ self.axes + self.position
 
-    def project(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def project(self, points: Floats) -> tuple[Floats, Floats]:
         """Image coordinates [..., 2] (x, y) and range [...] of points [..., 3] in front of the camera."""
         local = self.to_local(points)
         return local[..., :2] / local[..., 2:] * self.camera.focal_px + self.camera.centre_px, local[..., 2]
 
 
-def axes_at(azimuth_deg: int, pitch_deg: float = 0.0, roll_deg: float = 0.0) -> NDArray[np.float64]:
+def axes_at(azimuth_deg: int, pitch_deg: float = 0.0, roll_deg: float = 0.0) -> Floats:
     """Axes [3, 3], rows x, y, z in the body's frame, of a camera that looks at the body from an azimuth.
 
     pitch_deg: angle of the optical axis above the horizontal; negative looks down. roll_deg: as of `rolled`.
@@ -183,7 +183,7 @@ def axes_at(azimuth_deg: int, pitch_deg: float = 0.0, roll_deg: float = 0.0) -> 
     return rolled(axes, roll_deg)
 
 
-def rolled(axes: NDArray[np.float64], roll_deg: float) -> NDArray[np.float64]:
+def rolled(axes: Floats, roll_deg: float) -> Floats:
     """Axes [3, 3] of a camera turned about its optical axis, clockwise as seen from behind it."""
     if not roll_deg:
         return axes
