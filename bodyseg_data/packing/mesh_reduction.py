@@ -131,9 +131,7 @@ def reduce(
     return replace(best, note=f"reduced from {len(mesh.faces)} to {len(best.mesh.faces)} triangles, {within}")
 
 
-def probe_cameras(
-    mesh: Mesh, rig: Rig, distance_cm: int, pitches_deg: Sequence[int] = (0,)
-) -> tuple[PlacedCamera, ...]:
+def probe_cameras(mesh: Mesh, rig: Rig, distance_cm: int, pitches_deg: Sequence[int]) -> tuple[PlacedCamera, ...]:
     """The rig's camera on four sides of a mesh at each pitch, with fewer, larger pixels."""
     few = replace(rig, camera=rig.camera.scaled(1 / _COARSER_PIXELS))
     views = (View(distance_cm, azimuth, pitch) for pitch in pitches_deg for azimuth in _AZIMUTHS_DEG)

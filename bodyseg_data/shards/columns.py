@@ -80,9 +80,7 @@ def column_files(store: Store, manifest: Manifest) -> tuple[list[ShardRecord], l
     return tars, [*map(column_file, names), *([COLUMNS_NAME] if names else ())]
 
 
-def open_columns(
-    store: Store, manifest: Manifest, asked: Sequence[str], tried: Sequence[str] = ()
-) -> dict[str, Manifest]:
+def open_columns(store: Store, manifest: Manifest, asked: Sequence[str], tried: Sequence[str]) -> dict[str, Manifest]:
     """Read the columns `asked` for, and of the names `tried` those that the set itself has not and that are columns.
 
     Raises as `read_column`.

@@ -98,9 +98,7 @@ def predict(network: Network, range_m: torch.Tensor) -> Prediction:
 
 
 @torch.inference_mode()
-def predict_dense(
-    network: Network, range_m: torch.Tensor, by_part: bool = False
-) -> tuple[Prediction, NDArray[np.uint16]]:
+def predict_dense(network: Network, range_m: torch.Tensor, by_part: bool) -> tuple[Prediction, NDArray[np.uint16]]:
     """As `predict`, and the number of the template's point that each pixel shows, uint16 [B, H, W], `NOWHERE` where
     nothing was measured (`bodyseg_data.load_template`). by_part: classes are the 33 parts, and points are of the
     label's part: a hand's of the hand, however near a place is to the hip.

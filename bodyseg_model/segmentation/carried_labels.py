@@ -19,7 +19,8 @@ from bodyseg_data.machine import in_threads, pieces
 from bodyseg_data.rigs import Camera
 
 Labels = NDArray[np.uint8]
-SeenBody = tuple[NDArray[np.intp], NDArray[np.float32]]
+Floats = NDArray[np.float32]
+SeenBody = tuple[NDArray[np.intp], Floats]
 """Pixels of a body in a frame and the confidence of each, both [N]."""
 
 Points = NDArray[np.float32]
@@ -100,7 +101,7 @@ class Images(NamedTuple):
     carried_loops.SLOTS]; the label shown, uint8 [H * W].
     """
 
-    range_m: NDArray[np.float32]
+    range_m: Floats
     slots: NDArray[np.uint32]
     shown: NDArray[np.uint8]
 
@@ -111,8 +112,8 @@ class BodyPixels(NamedTuple):
     """
 
     pixels: NDArray[np.intp]
-    confidence: NDArray[np.float32]
-    range_m: NDArray[np.float32]
+    confidence: Floats
+    range_m: Floats
     labels: NDArray[np.uint8]
 
 
@@ -124,8 +125,8 @@ class Cells(NamedTuple):
     """
 
     grid: NDArray[np.int32]
-    points: NDArray[np.float32]
-    normals: NDArray[np.float32]
+    points: Floats
+    normals: Floats
     neighbours: NDArray[np.int64]
     labels: NDArray[np.uint8]
     noise_m: float
@@ -176,9 +177,7 @@ class CarriedLabels:
         """Forget all frames, as at the start of a recording."""
         self._last = None
 
-    def __call__(
-        self, range_m: NDArray[np.float32], labels: Labels, bodies: Sequence[SeenBody], camera: Camera
-    ) -> Labels:
+    def __call__(self, range_m: Floats, labels: Labels, bodies: Sequence[SeenBody], camera: Camera) -> Labels:
         """Steady the labels of the next frame; returns the label image, uint8 [H, W], 255 off the bodies.
 
         range_m: float32 [H, W], metres, 0 = nothing measured. labels: uint8 [H, W], the network's. bodies: pixels,
@@ -343,9 +342,7 @@ def moved(rigid: Rigid, points: Points) -> Points:
     return (points @ rigid[:, :3].T + rigid[:, 3]).astype(np.float32)
 
 
-def part_shifts(
-    places: Points, labels: Labels, earlier: Cells, larger: float = 1.0
-) -> tuple[Points, NDArray[np.float32]]:
+def part_shifts(places: Points, labels: Labels, earlier: Cells, larger: float = 1.0) -> tuple[Points, Floats]:
     """Displacement of the part of each cell from the frame before, float32 [M, 3], metres, and its weight, float32 [M]:
     0 where a part is small or would move too far.
 

@@ -85,7 +85,7 @@ def test_the_head_of_places_that_ships_changes_no_label() -> None:
     range_m = np.where(np.hypot((rows - 320) / 280, (columns - 164) / 90) < 1, 2.5, 0).astype(np.float32)
     image = torch.from_numpy(range_m)[None, None]
     labels = predict(plain.network, image)
-    found, numbers = predict_dense(dense.network, image)
+    found, numbers = predict_dense(dense.network, image, by_part=False)
     assert torch.equal(labels.labels, found.labels) and torch.equal(labels.confidence, found.confidence)
     assert ((numbers[0] < len(load_template().points)) == (range_m > 0)).all()
 

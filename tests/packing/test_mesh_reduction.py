@@ -313,7 +313,7 @@ def test_a_packing_reduces_and_says_so(tmp_path: Path, pack_figures: Callable[..
 
 
 def test_probes_see_the_body_from_all_sides() -> None:
-    cameras = probe_cameras(BALL, RIG, 295)
+    cameras = probe_cameras(BALL, RIG, 295, (0,))
     assert [np.linalg.norm(camera.position - BALL.centre) for camera in cameras] == pytest.approx([2.95] * 4)
     full = RIG.camera
     for camera in cameras:
