@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.alignment import UPRIGHT_DEG, Alignment, UpAxis, find_alignment, metres_a_unit
-from bodyseg_data.bodies.source import DEFAULTS, Body, BodyRef, ListedBodies, MeshOptions
+from bodyseg_data.bodies.source import Body, BodyRef, ListedBodies, MeshOptions
 from bodyseg_data.core import BadConfig, BadLandmarks, BadMesh, reported
 from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.meshes import (
@@ -122,9 +122,7 @@ class MeshFile:
 class MeshBodies(ListedBodies[MeshFile]):
     """Bodies read from mesh files. A source derives from it and lists the files."""
 
-    def __init__(
-        self, files: Mapping[BodyRef, MeshFile], missing: Sequence[str], options: MeshOptions = DEFAULTS
-    ) -> None:
+    def __init__(self, files: Mapping[BodyRef, MeshFile], missing: Sequence[str], options: MeshOptions) -> None:
         super().__init__(files, missing)
         self._options = options
         self._sets: dict[Path | str, LandmarkSet | PointLandmarks] = {}
