@@ -56,7 +56,8 @@ def _handed(points: dict[str, Floats], pairs: tuple[str, ...], up: Floats, front
 
 
 def _middle(points: dict[str, Floats], *names: str) -> Floats:
-    return np.asarray(np.mean([points[name] for name in names], axis=0))
+    middle: Floats = np.mean([points[name] for name in names], axis=0)
+    return middle
 
 
 def _check_plates(
