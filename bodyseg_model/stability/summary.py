@@ -198,7 +198,8 @@ def load_runs(paths: Sequence[Path]) -> list[Run]:
     A run is named after its folder, with as many parent folders as are needed to tell it from the others.
     """
     given = {path.resolve(): path for path in paths}
-    every = [full.with_suffix("").parts for full in given]
+    plain = {full: full.with_suffix("") if full.suffix == ".safetensors" else full for full in given}
+    every = [(full if plain[full] in given else plain[full]).parts for full in given]
     runs = []
     for parts, path in zip(every, given.values(), strict=True):
         depth = 1

@@ -142,6 +142,12 @@ def test_names_tell_runs_apart_and_each_counts_once(runs: Path, tmp_path: Path) 
     found = load_runs([runs / "all-0", other, runs / "all-1", runs / "all-0", runs / "none-0" / "network.safetensors"])
     assert [run.name for run in found] == [f"{runs.name}/all-0", "other/all-0", "all-1", "network"]
     assert [run.seed for run in found] == [0, 0, 1, 0]
+    paths = [tmp_path / name for name in ("lr0.1", "lr0.2", "mine", "mine.safetensors")]
+    for path in paths[:3]:
+        shutil.copytree(runs / "all-0", path)
+    for suffix in (".safetensors", ".json"):
+        shutil.copy(runs / "all-1" / f"network{suffix}", paths[3].with_suffix(suffix))
+    assert [run.name for run in load_runs(paths)] == [path.name for path in paths], "a name for two hides one"
 
 
 def test_networks_of_other_classes_are_refused(figures_set: Path, runs: Path, tmp_path: Path) -> None:
