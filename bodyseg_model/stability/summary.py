@@ -151,7 +151,9 @@ def _handle(label: str, group: Tree, style: _Style) -> Any:
 FEWEST_SEEDS: Final = 3
 """With fewer seeds a standard deviation says little."""
 
-_ALIKE: Final = ("network", "settings", "variant", "recipe", "pretrained", "data")
+_ALIKE: Final = (
+    "network", "settings", "variant", "recipe", "pretrained", "data", "validation", "earlier_steps", "last_step"
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -216,7 +218,7 @@ def load_runs(paths: Sequence[Path]) -> list[Run]:
 
 
 def group(runs: Sequence[Run]) -> list[Group]:
-    """Group runs of one network, settings, variant, recipe, first weights and data, in the order of first runs."""
+    """Group runs of one network and training, as far as it has come, but for seeds, in the order of first runs."""
     alike: dict[str, list[Run]] = {}
     for run in runs:
         alike.setdefault(_identity(run.trained.card), []).append(run)

@@ -172,6 +172,8 @@ def test_groups_differ_by_more_than_the_seed() -> None:
     first = {"file": "box", "weights_sha256": "aa"}
     fine = (made("all-0", 0), made("fine-0", 0, pretrained=first), made("fine-1", 1, pretrained={**first, "file": "b"}))
     assert [len(each.runs) for each in group(fine)] == [1, 2]
+    for facts in ({"last_step": 1}, {"earlier_steps": [{"steps": 3, "until": 2}]}, {"validation": {"every": 5}}):
+        assert [len(each.runs) for each in group([made("all-0", 0), made("all-1", 1, **facts)])] == [1, 1]
     neither = (made("all-0", 0), made("all-1", 1, recipe={"steps": 2}))
     assert [each.label for each in group(neither)] == ["all-0", "all-1"]
 
