@@ -281,7 +281,7 @@ class Training:
         accuracy = scores.confusion.average_per_class_accuracy()
         if math.isnan(accuracy):  # these images show no body
             return metrics
-        if self._best is None or accuracy > self._best.accuracy:
+        if self._best is None or accuracy > self._best.accuracy or self.recipe.only_places:  # which alters no label
             self._best = Best(self.step, accuracy)
             save_network(self.folder.path / RunFiles.BEST, self.result, self.name, self._card(facts, self.step))
         right = round(scores.confusion.pixel_accuracy(), 5)

@@ -115,7 +115,7 @@ class Validation:
     every: steps between two validations; one more follows the last step.
 
     keep: whether the network of the run has the weights of the best validation, the first of highest average per-class
-    accuracy, or those of the last step.
+    accuracy (the last, where the head of places alone is trained), or those of the last step.
 
     Raises BadConfig for a value out of range, or no images.
     """

@@ -136,6 +136,8 @@ def test_the_command_trains_places_and_starts_from_networks_without(
     assert main([*alone, "--pretrained", str(tmp_path / "plain"), "--labels", "limbs14"]) == 2
     assert f"needs the labels of --pretrained {tmp_path / 'plain'}, 'parts33'" in capsys.readouterr().err
     assert main([*alone, "--pretrained", str(tmp_path / "plain"), "--val-share", "0.3", "--val-every", "1"]) == 0
+    cards = [json.loads((tmp_path / "alone" / f"{name}.json").read_text()) for name in ("best", "network")]
+    assert [card["step"] for card in cards] == [cards[1]["last_step"]] * 2 != [1, 1]
     trained = load_network(tmp_path / "alone").network.state_dict()
     assert all(torch.equal(trained[name], weights) for name, weights in first.state_dict().items())
     drawn = build("compact", ON_TEMPLATE, 0).state_dict()
