@@ -166,7 +166,7 @@ class Training:
             check_template(images)
         if recipe.only_places:
             if not network.on_template:
-                raise BadConfig(f"only_places needs a network with places on the template, found {network!r}")
+                raise BadConfig(f"only_places needs a network of the setting {TEMPLATE!r}, found a {name} without")
             network.requires_grad_(False).get_submodule(TEMPLATE).requires_grad_(True)
         self.name, self.images, self.recipe, self.folder = name, images, recipe, folder
         self.processes, self.seed, self.run_options = processes, seed, run_options or RunOptions()
