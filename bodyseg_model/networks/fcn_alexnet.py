@@ -119,10 +119,12 @@ class FcnAlexnet(Network):
         """Fill conv1 to conv7 from the AlexNet in the .onnx file `path`.
 
         conv1 becomes the mean of its three channels, for a range image has one; fc6 becomes the 6 x 6 convolution and
-        fc7 the 1 x 1 convolution that give the same numbers (section 3.5). Raises BadConfig, naming file and layer, and
-        MissingLibrary without onnx; then the network is as it was.
+        fc7 the 1 x 1 convolution that give the same numbers (section 3.5). Raises BadConfig, naming file and layer, or
+        for a network of another width, and MissingLibrary without onnx; then the network is as it was.
         """
         arrays = read_alexnet(path)
+        if self.conv7.out_channels != SHAPES["fc7"][0]:
+            raise BadConfig(f"{path} is for a network of width 1, found width {self.settings['width']}")
         with torch.no_grad():
             for name, (weight, bias) in arrays.items():
                 layer = self.get_submodule(_LAYER.get(name, name))

@@ -220,6 +220,8 @@ def test_alexnet_is_imported_weight_by_weight(tmp_path: Path, monkeypatch: pytes
         np.testing.assert_array_equal(got[f"{kept}.bias"], bias)
     for key, value in new.items():
         assert torch.equal(network.state_dict()[key], value), "layers that AlexNet has not are left alone"
+    with pytest.raises(BadConfig, match=r"a\.onnx is for a network of width 1, found width 0\.125$"):
+        FcnAlexnet(width=1 / 8).load_pretrained(path)
 
 
 def small(name: str = "conv1_b_0", count: int = 96, value: float = 0.0) -> bytes:
