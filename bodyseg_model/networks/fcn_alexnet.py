@@ -74,8 +74,8 @@ class FcnAlexnet(Network):
 
     def __init__(self, normalise: bool = False, width: float = 1.0, classes: int = PART_COUNT) -> None:
         super().__init__({"normalise": normalise, "width": width}, classes)
-        if not 1 / 16 <= width <= 4:
-            raise BadConfig(f"width must be from 1/16 to 4, found {width!r}")
+        if normalise not in (True, False) or not 1 / 16 <= width <= 4:
+            raise BadConfig(f"normalise must be true or false, width from 1/16 to 4, found {normalise!r} and {width!r}")
         c1, c2, c3, c4, c5, c6 = (2 * round(count * width / 2) for count in (96, 256, 384, 384, 256, 4096))
         self.conv1 = nn.Conv2d(1, c1, 11, stride=4, padding=_PADDING)
         self.conv2 = nn.Conv2d(c1, c2, 5, padding=2, groups=2)

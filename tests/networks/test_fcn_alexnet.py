@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -57,6 +58,12 @@ def test_new_layers_are_gaussian_and_upfeat_is_frozen(network: FcnAlexnet) -> No
         assert layer.weight.std().item() == pytest.approx(0.01, rel=0.15)
         assert abs(layer.weight.mean().item()) < 0.002 and not layer.get_parameter("bias").any()
     assert [name for name, value in network.named_parameters() if not value.requires_grad] == ["upfeat.weight"]
+
+
+@pytest.mark.parametrize("settings", [{"normalise": "false"}, {"normalise": None}, {"width": 5}])
+def test_settings_out_of_range_are_refused(settings: dict[str, Any]) -> None:
+    with pytest.raises(BadConfig, match=r"^normalise must be true or false, width from 1/16 to 4, found .* and "):
+        FcnAlexnet.from_settings(settings)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (640, 329), (31, 33), (64, 200)])
