@@ -297,12 +297,14 @@ def reporting(folder: Path, steps: int, log_every: int) -> Iterator[Report]:
     board: Any = None
     start = time.monotonic()
     first: int | None = None
+    before = 0  # step of the last line
     waits: dict[str, float] = defaultdict(float)
 
     def report(metrics: Metrics) -> None:
-        nonlocal board, first
+        nonlocal board, first, before
         if metrics.waited_for is not None:
-            waits[metrics.waited_for] += metrics.data_wait * min(log_every, steps) / steps
+            waits[metrics.waited_for] += metrics.data_wait * min(log_every, metrics.step - before) / steps
+        before = metrics.step
         first = max(0, metrics.step - log_every) if first is None else first
         left = (time.monotonic() - start) / max(1, metrics.step - first) * (steps - metrics.step)
         validated = ""

@@ -13,8 +13,10 @@ import torch
 from small_training import TINY, log, written
 
 from bodyseg_model.commands import main
+from bodyseg_model.commands.train import reporting
 from bodyseg_model.networks import CardWords, Trained, load_network
 from bodyseg_model.networks.compact import Compact
+from bodyseg_model.training import Metrics
 
 VALIDATED = ["--val-share", "0.5", "--val-every", "2", "--val-images", "3"]
 
@@ -190,6 +192,16 @@ def test_a_training_of_other_classes_keeps_all_but_the_last_layer(
         before, after = (parameters(load_network(run)) for run in (earlier, out))
         for name in after.keys() - {"head.weight", "head.bias"}:
             torch.testing.assert_close(after[name], before[name], atol=1e-7, rtol=0)
+
+
+@pytest.mark.parametrize(("wait", "advised"), [(0.15, False), (0.25, True)])
+def test_advice_is_for_a_fifth_of_waiting_however_often_lines_come(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], wait: float, advised: bool
+) -> None:
+    with reporting(tmp_path, 40, 20) as report:
+        for step in range(5, 45, 5):  # each validated
+            report(Metrics(step, 1.0, 0.5, 0.5, 1e-3, 10.0, wait, "decode"))
+    assert ("waited mostly for decode" in capsys.readouterr().err) is advised
 
 
 def test_settings_are_those_of_the_network_that_a_training_starts_from(small_set: Path, tmp_path: Path) -> None:
