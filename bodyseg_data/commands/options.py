@@ -118,7 +118,7 @@ def version_line() -> str:
 def command_line(program: str, options: Any) -> str:
     """Return the command line that gives these options, to be stored with results.
 
-    Paths are shortened to their last names, to keep this machine's folders out of published results.
+    Paths are shortened to their last names, to keep this machine's folders out of published results; see `last_name`.
     """
     hints = typing.get_type_hints(type(options))
     words = [program]
@@ -137,8 +137,9 @@ def command_line(program: str, options: Any) -> str:
 
 
 def last_name(path: str) -> str:
-    """Return an address as it is, or the last name of a path."""
-    return path if "://" in path else Path(path).name
+    """Return an address without its user and query, which may be secret, or the last name of a path."""
+    plain = path.partition("?")[0] if path.startswith(("http://", "https://")) else path
+    return re.sub(r"(?<=://)[^/@]*@", "", plain) if "://" in path else Path(path).name
 
 
 def flag_of(field: dataclasses.Field[Any]) -> str:

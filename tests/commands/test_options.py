@@ -32,6 +32,18 @@ def test_only_what_differs_from_defaults_is_said_and_no_folder_of_this_machine()
     assert command_line("program", local) == "program a.png --data shards"
 
 
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("https://me:secret@host/set/train-*.tar?token=secret", "https://host/set/train-*.tar"),
+        ("s3://bucket/set/train-0000?.tar", "s3://bucket/set/train-0000?.tar"),
+        ("hf://datasets/OWNER/NAME@v1.0", "hf://datasets/OWNER/NAME@v1.0"),
+    ],
+)
+def test_no_secret_of_an_address_is_said(given: str, said: str) -> None:
+    assert command_line("program", Options((Path("a.png"),), given)) == f"program a.png --data {said}"
+
+
 @dataclass(frozen=True)
 class Ranges:
     pitch: tuple[str, ...] = option("numbers or a range", ("0",))
