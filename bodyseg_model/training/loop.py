@@ -105,7 +105,8 @@ def train(
         options = seed, run_options, validation, pretrained
         training = Training(network, name_of(network), images, recipe, folder, processes, *options)
         with claimed(folder.path, "training") if processes.first else contextlib.nullcontext():
-            read_from = {"read_from": [each.path for each in images.sets]}
+            paths = [each.path for each in images.sets]  # folders of this machine are not for published cards
+            read_from = {"read_from": [path if "://" in path else Path(path).name for path in paths]}
             training.run(resume, report or (lambda metrics: None), {**read_from, **(facts or {})})
         processes.wait()  # the others, until the first has written the network
     return load_network(folder.path)

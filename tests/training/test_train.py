@@ -33,6 +33,7 @@ def test_a_network_by_name_is_trained_and_returned(small_set: Path, tmp_path: Pa
     assert again.card == trained.card
     for name, weight in trained.network.state_dict().items():
         assert torch.equal(weight, again.network.state_dict()[name])
+    assert again.card["read_from"] == [small_set.name]
 
 
 def test_without_a_recipe_a_network_has_its_own(
