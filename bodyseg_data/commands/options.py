@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar
 
 import bodyseg_data
 from bodyseg_data.core import BadConfig
+from bodyseg_data.files import last_name
 
 if TYPE_CHECKING:
     from cyclopts import App
@@ -134,12 +135,6 @@ def command_line(program: str, options: Any) -> str:
         if hints[field.name] is not bool:
             words += texts
     return " ".join(words)
-
-
-def last_name(path: str) -> str:
-    """Return an address without its user and query, which may be secret, or the last name of a path."""
-    plain = path.partition("?")[0] if path.startswith(("http://", "https://")) else path
-    return re.sub(r"(?<=://)[^/@]*@", "", plain) if "://" in path else Path(path).name
 
 
 def flag_of(field: dataclasses.Field[Any]) -> str:

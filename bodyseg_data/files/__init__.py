@@ -12,6 +12,7 @@ if TYPE_CHECKING:
         contents,
         held_part,
         is_leftover,
+        last_name,
         make_folder,
         naming,
         parse_json,

@@ -179,6 +179,12 @@ def _locked(path: Path) -> int:
         os.close(handle)  # its holder has just removed it
 
 
+def last_name(path: str) -> str:
+    """Return an address without its user and query, which may be secret, or the last name of a path."""
+    plain = path.partition("?")[0] if path.startswith(("http://", "https://")) else path
+    return re.sub(r"(?<=://)[^/@]*@", "", plain) if "://" in path else Path(path).name
+
+
 def sync(path: Path) -> None:
     """Wait until the disk holds a file, or a folder's entries, so that renames within it survive a power cut."""
     with _opened(path) as handle:

@@ -7,19 +7,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from bodyseg_data.artifacts import PAPER_SENSOR, VariantName, load_sensor_model, parse_artifacts
-from bodyseg_data.commands import (
-    OCCLUDER_HELP,
-    WHERE_HELP,
-    Progress,
-    check_target,
-    command_line,
-    last_name,
-    option,
-    provenance,
-)
+from bodyseg_data.commands import OCCLUDER_HELP, WHERE_HELP, Progress, check_target, command_line, option, provenance
 from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import new_chart, save_picture
-from bodyseg_data.files import make_folder, write_json
+from bodyseg_data.files import last_name, make_folder, write_json
 from bodyseg_data.labels import LabelMap
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, OccluderName, RangeImages, WorkerMethod
 from bodyseg_data.machine import peak_mb

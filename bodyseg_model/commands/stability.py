@@ -9,10 +9,10 @@ from typing import Any, Final
 
 import torch
 
-from bodyseg_data.commands import WHERE_HELP, Progress, command_line, last_name, option, provenance
+from bodyseg_data.commands import WHERE_HELP, Progress, command_line, option, provenance
 from bodyseg_data.core import BadConfig, check_int
 from bodyseg_data.drawing import new_chart
-from bodyseg_data.files import make_folder, write_json
+from bodyseg_data.files import last_name, make_folder, write_json
 from bodyseg_data.labels import PART_CLASSES
 from bodyseg_data.loading import RangeImages
 from bodyseg_model.networks import find_device

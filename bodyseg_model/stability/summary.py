@@ -151,9 +151,8 @@ def _handle(label: str, group: Tree, style: _Style) -> Any:
 FEWEST_SEEDS: Final = 3
 """With fewer seeds a standard deviation says little."""
 
-_ALIKE: Final = (
-    "network", "settings", "variant", "recipe", "pretrained", "data", "validation", "earlier_steps", "last_step"
-)  # fmt: skip
+_AS_DECLARED: Final = ("network", "settings", "variant", "recipe", "pretrained", "data", "validation")
+_ALIKE: Final = (*_AS_DECLARED, "earlier_steps", "last_step")
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from torch import nn
 
 from bodyseg_data import Mixture, RangeImages, load_template, loader
 from bodyseg_data.core import BadConfig, BodysegError, Checked, Draws, bounded, reported
-from bodyseg_data.files import claimed
+from bodyseg_data.files import claimed, last_name
 from bodyseg_data.labels import PARTS33, TEMPLATE, UNLABELLED
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, Batch, ImageSet, Loader, WorkerMethod
 from bodyseg_data.machine import peak_mb, signals_held
@@ -105,9 +105,8 @@ def train(
         options = seed, run_options, validation, pretrained
         training = Training(network, name_of(network), images, recipe, folder, processes, *options)
         with claimed(folder.path, "training") if processes.first else contextlib.nullcontext():
-            paths = [each.path for each in images.sets]  # folders of this machine are not for published cards
-            read_from = {"read_from": [path if "://" in path else Path(path).name for path in paths]}
-            training.run(resume, report or (lambda metrics: None), {**read_from, **(facts or {})})
+            read_from = [last_name(each.path) for each in images.sets]  # cards are published
+            training.run(resume, report or (lambda metrics: None), {"read_from": read_from, **(facts or {})})
         processes.wait()  # the others, until the first has written the network
     return load_network(folder.path)
 

@@ -7,8 +7,9 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from benches.measuring import counter
-from bodyseg_data.commands import last_name, provenance
+from bodyseg_data.commands import provenance
 from bodyseg_data.core import ProgressCallback, check_int, silent
+from bodyseg_data.files import last_name
 from bodyseg_data.loading import BodyCrop, RangeImages
 from bodyseg_model.evaluation import evaluate, over_seeds
 from bodyseg_model.networks import build

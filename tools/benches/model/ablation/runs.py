@@ -10,9 +10,8 @@ from typing import Any, Final
 
 from benches.model.ablation.rows import BASE, ROW_OF_BASE, ROWS, AblationRow, Source, Tree
 from benches.model.chosen import recipe_from_json
-from bodyseg_data.commands import last_name
 from bodyseg_data.core import BadConfig
-from bodyseg_data.files import read_json
+from bodyseg_data.files import last_name, read_json
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.samples import split_key
 from bodyseg_model.networks import build

@@ -25,8 +25,9 @@ from bodyseg_data.bodies import BodyRef
 from bodyseg_data.bodies.contact_poses import DEEPEST_M
 from bodyseg_data.bodies.sources.hard import HardBodies
 from bodyseg_data.bodies.sources.open_bodies import CandidateBodies, WideBodies
-from bodyseg_data.commands import last_name, provenance
+from bodyseg_data.commands import provenance
 from bodyseg_data.core import BadConfig, Draws, ProgressCallback, check_int, silent
+from bodyseg_data.files import last_name
 from bodyseg_data.labels import LANDMARKS
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.samples import split_key

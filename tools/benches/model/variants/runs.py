@@ -14,9 +14,9 @@ from typing import Any, Final
 
 from benches.model.chosen import recipe_from_json
 from bodyseg_data.artifacts import VARIANTS, SensorModel, VariantName, sensor_model_from_json
-from bodyseg_data.commands import last_name, provenance
+from bodyseg_data.commands import provenance
 from bodyseg_data.core import BadConfig, check_int
-from bodyseg_data.files import read_json
+from bodyseg_data.files import last_name, read_json
 from bodyseg_data.loading import RangeImages
 from bodyseg_model.networks import build
 from bodyseg_model.training import Recipe, Report, RunFolder, RunOptions, Training, recipe_for
