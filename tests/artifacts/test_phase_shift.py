@@ -229,14 +229,15 @@ def test_both_forms_give_the_same_bits_for_any_strengths(figures_set: Path, rig_
 
 def test_an_image_leaves_no_marks_for_a_smaller_one() -> None:
     """Of 315 pixels and 312, for whose marks there is equally much memory."""
-    rig = replace(RIG, camera=replace(RIG.camera, rows=15, columns=26, centre_px=(13.0, 7.5)))
     steps, labels = np.repeat(np.uint16([2400, 60_000]), (312, 3)), np.zeros(315, np.uint8)
-    noise = Augmentation(rig, "noise", sensor=SensorModel("moving", (PhaseShift(slowest_m_s=0.5, fastest_m_s=0.5),)))
+    sensor = SensorModel("moving", (PhaseShift(slowest_m_s=0.5, fastest_m_s=0.5),))
 
     def last_of_two() -> Any:
-        for shape in ((15, 21), (12, 26)):
-            ranges, parts = (each[: math.prod(shape)].reshape(shape) for each in (steps, labels))
-            found = noise(Sample("a", ranges, None, parts, ranges > 0, SampleInfo("train"))).range
+        for rows, columns in ((15, 21), (12, 26)):
+            rig = replace(RIG, camera=replace(RIG.camera, rows=rows, columns=columns, centre_px=(13.0, 7.5)))
+            ranges, parts = (each[: rows * columns].reshape(rows, columns) for each in (steps, labels))
+            sample = Sample("a", ranges, None, parts, ranges > 0, SampleInfo("train"))
+            found = Augmentation(rig, "noise", sensor=sensor)(sample).range
         return found
 
     ours, theirs = by_both(last_of_two)
