@@ -46,9 +46,10 @@ def lit(
     camera_range: NDArray[np.uint16],
     projector_range: NDArray[np.uint16],
     faces_projector: NDArray[np.bool_],
+    texels: NDArray[np.int32] | None = None,
 ) -> NDArray[np.bool_]:
-    """As `ShadowTest.lit`, with the same bits and errors."""
-    shadow = shadow_of(test, camera_range, projector_range, faces_projector)
+    """As `ShadowTest.lit`, with the same bits and errors; texels: as of `shadow_of`."""
+    shadow = shadow_of(test, camera_range, projector_range, faces_projector, texels)
     answer = np.empty(camera_range.shape, np.bool_)
     lit_image(shadow, scratch_for(camera_range.size, *projector_range.shape), answer.ravel())
     return answer

@@ -69,9 +69,9 @@ def _points(pixels: int) -> tuple[NDArray[Any], ...]:
     return tuple(np.empty(pixels, kind) for kind in (np.float32, np.float32, np.float32, np.int32, np.uint8))
 
 
-def lit(test: ShadowTest, images: Images, bias_mm: float) -> NDArray[np.bool_]:
-    """The mask, bool [H, W], as the NumPy form of the rule with the facing bit gives it."""
-    shadow = shadow_of(test, *images)
+def lit(test: ShadowTest, images: Images, texels: NDArray[np.int32], bias_mm: float) -> NDArray[np.bool_]:
+    """The mask, bool [H, W], as the NumPy form of the rule with the facing bit gives it; texels: as of `shadow_of`."""
+    shadow = shadow_of(test, *images, texels)
     lit_mask = np.empty(images[0].shape, np.bool_)
     scratch, points = scratch_for(images[0].size, *images[1].shape), _points(images[0].size)
     bias = np.float32(round(bias_mm / 1000 / test.rig.range_step_m))

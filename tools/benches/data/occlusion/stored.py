@@ -23,7 +23,6 @@ from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.packing.occluders import coarsened
 from bodyseg_data.samples import FARTHEST_STEPS
 from bodyseg_data.shards.codecs.bodyseg_images import decode_images, encode_images
-from bodyseg_data.shards.earlier import split_label_bytes
 
 MASK_IMAGE: Final = "image by the codec"
 _ROUNDS: Final = 4
@@ -186,9 +185,13 @@ def exact_masks(view: ExactView) -> dict[str, Cost]:
         bits = np.frombuffer(unpack.decompress(packed), np.uint8)
         return np.unpackbits(bits, count=lit.size).reshape(lit.shape).view(np.bool_)
 
+    def from_labels() -> NDArray[np.bool_]:
+        bits: NDArray[np.bool_] = np.logical_and(byte & np.uint8(0x40), byte != BACKGROUND)
+        return bits
+
     in_labels = _label_bytes(view, lit) - _label_bytes(view, np.zeros_like(lit))
     return {
-        "bit of the label byte": (in_labels, median_time(lambda: split_label_bytes(byte), _ROUNDS)[0]),
+        "bit of the label byte": (in_labels, median_time(from_labels, _ROUNDS)[0]),
         MASK_IMAGE: coded(_NOTHING, _NO_LABELS, lit.astype(np.uint16)),
         "packed bits, zstd": (len(packed), median_time(from_packed, _ROUNDS)[0]),
     }
