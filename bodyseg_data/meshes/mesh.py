@@ -34,7 +34,7 @@ class Edges:
 
     def lengths(self, vertices: Floats) -> Floats:
         """Lengths of all edges, float64 [E], metres. vertices: [V, 3]."""
-        length: NDArray[np.float64] = np.linalg.norm(vertices[self.ends[:, 0]] - vertices[self.ends[:, 1]], axis=1)
+        length: Floats = np.linalg.norm(vertices[self.ends[:, 0]] - vertices[self.ends[:, 1]], axis=1)
         return length
 
     def two_sides(self) -> Indices:
@@ -179,7 +179,7 @@ class Mesh:
     @cached_property
     def centre(self) -> Floats:
         """Centre of the surface's bounding box, float64 [3], metres."""
-        middle: NDArray[np.float64] = (self.surface_vertices.min(axis=0) + self.surface_vertices.max(axis=0)) / 2
+        middle: Floats = (self.surface_vertices.min(axis=0) + self.surface_vertices.max(axis=0)) / 2
         return middle
 
     @cached_property
@@ -252,11 +252,11 @@ def vertex_normals(vertices: Floats, faces: NDArray[np.integer[Any]]) -> Floats:
     across = face_normals(vertices, faces)
     sums = [np.bincount(faces.ravel(), np.repeat(across[:, axis], 3), len(vertices)) for axis in range(3)]
     normals = np.stack(sums, axis=1)
-    units: NDArray[np.float64] = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15)
+    units: Floats = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15)
     return units
 
 
 def signed_volumes(corners: Floats) -> Floats:
     """Signed volumes [F], m3, of the tetrahedra between the origin and triangles [F, 3, 3]."""
-    volumes: NDArray[np.float64] = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
+    volumes: Floats = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
     return volumes

@@ -263,5 +263,5 @@ def _outermost(mesh: Mesh) -> Indices:
     """Six vertices that hold the bounding box where it is."""
     used = np.flatnonzero(np.bincount(mesh.faces.ravel(), minlength=len(mesh.vertices)))
     points = mesh.vertices[used]
-    outermost: NDArray[np.int64] = used[np.concatenate([points.argmin(axis=0), points.argmax(axis=0)])]
+    outermost: Indices = used[np.concatenate([points.argmin(axis=0), points.argmax(axis=0)])]
     return outermost

@@ -17,6 +17,7 @@ from typing import Any, Final, TypeVar
 from urllib.parse import parse_qsl, unquote, urlsplit
 
 from bodyseg_data.core import BadConfig, BodysegError, Checked, MissingLibrary, bounded, reported
+from bodyseg_data.files import last_name
 from bodyseg_data.shards.manifest import MANIFEST_NAME
 from bodyseg_data.shards.store import TALLY, LocalFolder, Pieces, Stage, Store
 from bodyseg_data.shards.transport import FileMissing, PermanentFailure, TransientFailure, open_transport, pinned
@@ -73,7 +74,7 @@ class RemoteFolder:
         self._retry_policy, self.pieces = retry_policy, Pieces()
         with reported("not an address", BadConfig, ValueError):
             self._secrets = sorted(_secrets(url, options), key=len, reverse=True)
-        self.name = re.sub(r"(?<=://)[^/@]*@", "", self._base)
+        self.name = last_name(self._base)
         if protocol == "hf":  # one commit for all reads, also of other processes
             stall_s = retry_policy.stall_s
             self.name, self._base, options = self._with_retries("", lambda _: pinned(self.name, options, stall_s))
