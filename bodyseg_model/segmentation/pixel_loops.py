@@ -73,6 +73,62 @@ def spread_odds(odds: Any, agreed: Any, range_m: Any, stride: Any, found: Any) -
                         found[row, column] = one / (one + np.float32(exp(-weighed / total)))
 
 
+@_kernel
+def take_nearest(range_m: Any, jump: Any, rows: Any, columns: Any, seen: Any, values: Any, found: Any) -> None:
+    """Write into `found`, [H, W], at every measured pixel of a frame, float32 [H, W], the value of the sample that row
+    and column name, int [H] and [W], of `seen`, float32 [h, w], and `values`, [h, w]. Where that one's range is not of
+    the pixel's surface, the value of the neighbour of nearest range; nothing where none is either.
+
+    jump: float32 [2], greatest difference on one surface: metres, or a share of the range if that is more.
+    """
+    last_row, last_column = seen.shape[0] - 1, seen.shape[1] - 1
+    for i in range(range_m.shape[0]):
+        for j in range(range_m.shape[1]):
+            z = range_m[i, j]
+            if z == 0:
+                continue
+            row, column, best = rows[i], columns[j], max(z * jump[1], jump[0])
+            if abs(seen[row, column] - z) <= best:
+                found[i, j] = values[row, column]
+                continue
+            for k in range(row - 1, row + 2):
+                for m in range(column - 1, column + 2):
+                    place = min(max(k, 0), last_row), min(max(m, 0), last_column)
+                    away = abs(seen[place] - z)
+                    if away < best:
+                        best, found[i, j] = away, values[place]
+
+
+@_kernel
+def first_of(above: Any, cell: Any) -> Any:
+    """The first cell, in reading order, of a cell's surface; see `join_rows`."""
+    while above[cell] != cell:
+        above[cell] = above[above[cell]]
+        cell = above[cell]
+    return cell
+
+
+@_kernel
+def join_rows(whole: Any, first: Any, last: Any, above: Any, cells: Any) -> None:
+    """Join the cells of rows `first` to `last` of `whole`, bool [H, W], that touch at a side, to each other and to
+    those of the rows before, by unions of trees (Hoshen and Kopelman 1976). above: int [H * W], an earlier cell of the
+    same surface, or itself; -1 elsewhere. cells: int [H * W], how many a surface has, at its first.
+    """
+    width = whole.shape[1]
+    for i in range(first, last):
+        for j in range(width):
+            if not whole[i, j]:
+                continue
+            own = i * width + j
+            above[own], cells[own] = own, 1
+            for beside, touch in ((own - 1, j > 0 and whole[i, j - 1]), (own - width, i > 0 and whole[i - 1, j])):
+                if touch:
+                    one, other = first_of(above, beside), first_of(above, own)
+                    if one != other:
+                        above[max(one, other)] = min(one, other)
+                        cells[min(one, other)] += cells[max(one, other)]
+
+
 # Views.
 
 
