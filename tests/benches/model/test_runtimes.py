@@ -28,9 +28,10 @@ def test_every_backend_is_timed_and_scored(small_set: Path, tmp_path: Path, monk
     done: list[tuple[int, int]] = []
     found = bench_runtimes(str(small_set), 2, 3, (tmp_path,), lambda *numbers: done.append(numbers))
     assert done[-1][0] == done[-1][1] == len(done)
-    assert found["networks"].keys() | {PAPERS} == found["times"][0]["networks"].keys() and len(found["networks"]) == 5
+    assert found["networks"].keys() | {PAPERS} == found["times"][0]["networks"].keys() and len(found["networks"]) == 7
     assert found["networks"][REFERENCE]["labels_that_differ"] == 0
     assert found["networks"]["onnxruntime float32"]["labels_that_differ"] < 0.001
+    assert 0 < found["networks"]["onnxruntime int8"]["labels_that_differ"] < 0.1
     assert found["test_images"] == 3
     for row in found["times"]:
         assert row["networks"][REFERENCE]["times_as_fast"] == 1

@@ -11,7 +11,9 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from importlib import import_module
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
@@ -20,12 +22,14 @@ import torch
 from benches.model.chosen import chosen_network
 from benches.model.networks.network_frames import as_batch, stretched, typical_frames
 from benches.model.networks.network_times import warm_up
+from bodyseg_data import RangeImages, example_set
 from bodyseg_data.core import MissingLibrary, ProgressCallback, check_int, silent
 from bodyseg_data.machine import processors, torch_threads
 from bodyseg_model.evaluation import evaluate, open_images
-from bodyseg_model.networks import Network, build, predict
-from bodyseg_model.runtimes import Precision, on_backend
+from bodyseg_model.networks import Network, Trained, build, predict
+from bodyseg_model.runtimes import Precision, load_run, on_backend, write_onnx
 from bodyseg_model.runtimes.backends import TORCH
+from bodyseg_model.runtimes.onnx_files import RANGE
 
 REFERENCE: Final = "torch float32"
 PAPERS: Final = "fcn_alexnet torch float32"
@@ -54,7 +58,8 @@ def bench_runtimes(
     runs: Sequence[Path] = (),
     progress: ProgressCallback = silent,
 ) -> dict[str, Any]:
-    """Milliseconds from range to labels and confidences, and accuracy, of a network on every backend and precision.
+    """Milliseconds from range to labels and confidences, and accuracy, of a network on every backend and precision,
+    convolutions of 8 bits among them where both runtimes are installed.
 
     data: set on whose test images of `all` accuracy is measured, `images` of them. views: typical frames to take turns
     with. runs: the network is in the first of them; without, it is the one that ships. Each is timed with one thread
@@ -71,6 +76,9 @@ def bench_runtimes(
         except MissingLibrary as error:
             left_out.append(f"{backend} {precision}")
             sys.stderr.write(f"{backend} is left out: {error}\n")
+    if not left_out:
+        in_8_bits = _in_8_bits(trained)
+        networks |= {f"{backend} int8": on_backend(in_8_bits, backend) for backend in ("onnxruntime", "openvino")}
     typical = typical_frames(views)
     largest = max(typical, key=lambda frame: int((frame > 0).sum()))
     frames = [
@@ -110,6 +118,29 @@ def bench_runtimes(
 
 def _networks(network: Network) -> dict[str, Network]:
     return {PAPERS: build("fcn_alexnet", seed=0).eval(), REFERENCE: on_backend(network, TORCH)}
+
+
+class _Images:
+    """Images to calibrate on, as ONNX Runtime asks for them."""
+
+    def __init__(self, images: RangeImages) -> None:
+        self._images = iter(images)
+
+    def get_next(self) -> dict[str, Any] | None:
+        image = next(self._images, None)
+        return None if image is None else {RANGE: image["range"].numpy()[None]}
+
+
+def _in_8_bits(trained: Trained) -> Network:
+    """The network with convolutions of 8 bits, as docs/how-to/runtimes.md makes it; ONNX Runtime computes it."""
+    quantize_static = import_module("onnxruntime.quantization").quantize_static
+    images = _Images(RangeImages(example_set(), variant="all", split="train"))
+    layers = {"op_types_to_quantize": ["Conv", "Add", "Relu"], "per_channel": True, "reduce_range": True}
+    with TemporaryDirectory() as folder:
+        whole, quantised = Path(folder) / "whole.onnx", Path(folder) / "int8.onnx"
+        write_onnx(whole, trained)
+        quantize_static(whole, quantised, images, **layers)
+        return load_run(quantised).network
 
 
 def _timed(networks: Mapping[str, Network], images: Sequence[torch.Tensor], count: int) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from bodyseg_data.drawing import new_chart, save_chart
 Tree = dict[str, Any]
 
 _MARKS: Final = {"torch": "o", "onnxruntime": "s", "openvino": "^"}
-_COLOURS: Final = {"float32": "#1f4fa8", "bfloat16": "#c25a00"}
+_COLOURS: Final = {"float32": "#1f4fa8", "bfloat16": "#c25a00", "int8": "#2a8a5a"}
 
 
 def draw_runtimes(figures: Tree, path: Path) -> None:
