@@ -131,12 +131,14 @@ _AHEAD_DEG: Final = 85, 3  # 18 azimuths over half a circle become as many from 
 def chosen(names: tuple[str, ...], hard: bool) -> dict[str, Sweep]:
     """The sweeps of the given names, or all if none is given. hard: True if a set of hard poses is given.
 
-    Raises BadConfig for an unknown name, or "hard" without such a set.
+    Raises BadConfig for an unknown name, "hard" without such a set, or a set without "hard".
     """
     for name in names:
         check_choice("a sweep", name, SWEEPS)
     if "hard" in names and not hard:
         raise BadConfig("the sweep 'hard' needs a set of hard poses: give --hard")
+    if hard and names and "hard" not in names:
+        raise BadConfig(f"--hard is the set of the sweep 'hard', which is not among {', '.join(names)}")
     return {name: sweep for name, sweep in SWEEPS.items() if name in names or (not names and (hard or name != "hard"))}
 
 

@@ -180,3 +180,5 @@ def test_sweeps_are_chosen_by_name() -> None:
         chosen(("rain",), hard=False)
     with pytest.raises(BadConfig, match="needs a set of hard poses: give --hard"):
         chosen(("hard",), hard=False)
+    with pytest.raises(BadConfig, match="'hard', which is not among noise, tilt"):
+        chosen(("noise", "tilt"), hard=True)
