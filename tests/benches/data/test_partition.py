@@ -62,6 +62,12 @@ def test_a_broken_body_is_a_body_whose_triangles_lie_in_the_sound_one(case: str)
         assert len(broken.faces) == 12_000
 
 
+def test_slivers_get_flaps_too() -> None:
+    for seed in (0, 1, 2):
+        broken = CASES["all of these"](sound(round_body()), np.random.default_rng(seed))
+        assert np.isfinite(broken.vertices).all()
+
+
 def test_wrong_surface_is_the_share_of_the_area() -> None:
     body = round_body(3)
     exact = partition(body.mesh, body.landmarks)

@@ -74,7 +74,8 @@ def flaps_and_pockets(body: Broken, rng: np.random.Generator) -> Broken:
     chosen = rng.choice(np.flatnonzero(body.inside()), 100, replace=False)
     a, b, c = np.moveaxis(body.vertices[body.faces[chosen]], 1, 0)
     normal = np.cross(b - a, c - a)
-    up = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    up = normal / np.where(length > 0, length, 1)  # a sliver has no height
     tips = len(body.vertices) + np.arange(100)
     flaps = np.stack([*body.faces[chosen, :2].T, tips], axis=1)
     flapped = body.grown(flaps, np.full(100, -1), (a + b) / 2 + 0.01 * up)
