@@ -10,13 +10,15 @@ from bodyseg_data.drawing import new_chart, save_chart
 _OURS: Final = "#1f5ac8"
 _OTHERS: Final = "#77777f"
 _FRONT: Final = "#e08a1e"
-_BELOW: Final = (
-    "bsi, compiled",
-    "bsi, NumPy",
-    "two-way zigzag, bytes, zstd 1",
-    "Blosc2: bytes, zstd 5",
-)
-"""Whose names go below, for others stand beside them."""
+_BESIDE: Final = {"xytext": (7, -3), "ha": "left"}
+_LEFT: Final = {"xytext": (-7, -3), "ha": "right"}
+_PLACES: Final = {
+    "bsi, compiled": {"xytext": (-8, -18), "ha": "left"},
+    "bsi, NumPy": {"xytext": (0, -18), "ha": "center"},
+    "zstd 9": _LEFT,
+    "two-way zigzag, bytes, zstd 1": _LEFT,
+}
+"""Where names go that others stand beside."""
 
 
 def draw_codec(figures: dict[str, Any], path: Path) -> None:
@@ -27,15 +29,15 @@ def draw_codec(figures: dict[str, Any], path: Path) -> None:
     figure = new_chart(10.5, 7)
     axis: Any = figure.subplots()
     rows = figures["codecs"]
-    ends = [(rows[name]["decode_ms"], rows[name]["bytes"] / 1000) for name in figures["front"]]
-    axis.plot(*zip(*ends, strict=True), color=_FRONT, linewidth=6, alpha=0.35, label="the front", zorder=1)
+    ends = sorted((rows[name]["decode_ms"], rows[name]["bytes"] / 1000) for name in figures["front"])
+    axis.step(*zip(*ends, strict=True), _FRONT, where="post", linewidth=6, alpha=0.35, label="the front", zorder=1)
     for name, row in rows.items():
         ours = name.startswith("bsi")
         point = row["decode_ms"], row["bytes"] / 1000
         axis.scatter(*point, s=70 if ours else 28, color=_OURS if ours else _OTHERS, zorder=3)
         text = f"{name} (the default)" if name == figures["default"] else name
-        below = {"xytext": (0, -16), "ha": "center"} if name in _BELOW else {"xytext": (7, -3)}
-        axis.annotate(text, point, textcoords="offset points", fontsize=9, color=_OURS if ours else "black", **below)
+        place = _PLACES.get(name, _BESIDE)
+        axis.annotate(text, point, textcoords="offset points", fontsize=9, color=_OURS if ours else "black", **place)
     axis.set_xscale("log")
     axis.set_xlabel("decoding a sample's three images, ms of processor")
     axis.set_ylabel("kB a sample, three images")
