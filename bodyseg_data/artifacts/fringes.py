@@ -1,5 +1,5 @@
-"""What a pixel of a sensor with shifted fringes makes of its surface, and what a body looks like to it: the formulas of
-`phase_shift`, written once.
+"""Pixels of a sensor with shifted fringes: the range that each measures of a surface, and a body's look to it: the
+formulas of `phase_shift`, written once.
 
 NumPy applies `decode` to arrays, and `phase_loops` compiles it for one pixel. So it takes and makes float32 alone, and
 every constant in it is one.
@@ -33,7 +33,7 @@ _ARCTAN: Final = tuple(map(np.float32, (0.15915006, -0.05278817, 0.02946005, -0.
 
 
 class Optics(NamedTuple):
-    """What is the same for all pixels of an image, float32.
+    """Quantities that all pixels of an image share, float32.
 
     A camera's ray (x, y, 1) times the range z meets the projector's fringe (z a + b) / (z c + d), of which a and c are
     the ray's products with those here. light: the projector in the camera's frame, metres. `PhaseShift` has others.
@@ -106,7 +106,7 @@ def wave(turns: Any) -> Any:
 
 
 def velocity(z: Any, x: Any, y: Any, look: Any) -> Any:
-    """Of a surface at a range on a ray, m/s."""
+    """Velocity of a surface at a range on a ray, m/s."""
     across, down = look[13] + z * (look[17] - look[18] * y), look[14] + z * (look[18] * x - look[16])
     return across, down, look[15] + z * (look[16] * y - look[17] * x)
 
@@ -145,7 +145,7 @@ def decode(
     here: Any, left: Any, right: Any, above: Any, below: Any, then: Any, since: Any, x: Any, y: Any, look: Any, o: Any,
     bits: Any,
 ) -> Any:  # fmt: skip
-    """What the sensor makes of a pixel: error of its range in steps, and whether it is kept.
+    """Measure a pixel as the sensor does: error of its range in steps, and whether it is kept.
 
     here, left, ...: ranges of the pixel, of those REACH beside it, and where its surface was in the first pattern and
     is in the last one, steps, 0 for background; x, y: its ray; look: the rows of `PhaseShift.looks` for its label; o:

@@ -124,7 +124,7 @@ class PhaseShift(Artifact):
         ranges[pixels] = np.where((before > 0) & kept, as_range(before.astype(np.float32) + steps), 0)
 
     def optics(self, rig: Rig, ambient: float) -> OfRig:
-        """What is the same for all pixels of a rig's image, and the rays of columns and of rows, float32.
+        """Quantities that all pixels of a rig's image share, and the rays of columns and of rows, float32.
 
         ambient: other light, a share of `signal_e`. Behind the last column is room for a block.
         """

@@ -79,8 +79,8 @@ def part_beside(path: Path) -> Path:
 
 
 def parts_left(folder: Path, names: str = "*") -> Iterator[Path]:
-    """What killed processes left of `part_beside` in a folder where nobody else is at work, for files whose names match
-    a pattern.
+    """Files of `part_beside` that killed processes left in a folder where nobody else is at work, whose names match a
+    pattern.
     """
     return folder.glob(f".{names}{_PART}")
 

@@ -124,7 +124,7 @@ class ImageSet(Protocol):
         """(shard name, key, byte offset in the shard) of a sample."""
 
     def places(self, index: int) -> list[Place]:
-        """Where the bytes of a sample are."""
+        """Places of a sample's bytes."""
 
     def clean(self, index: int) -> Sample:
         """Return the stored sample, without artifacts."""
@@ -265,7 +265,7 @@ class Pass:
         return self.order.part(own, after)
 
     def places(self, images: ImageSet) -> Iterator[Place]:
-        """Where the bytes of this rank's samples are, in their order."""
+        """Places of the bytes of this rank's samples, in their order."""
         apart = replace(self, order=replace(self.order, indices=copy.copy(self.order.indices)))
         for number in range(len(self)):
             for _, index in apart.batch(number):

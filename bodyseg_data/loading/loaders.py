@@ -156,7 +156,7 @@ class Loader:
         return [] if self._state is None else self._state.workers.peaks_mb()
 
     def stats(self) -> dict[str, float]:
-        """Where time has gone so far, at any time and in any thread: name -> number, all workers and passes together.
+        """Times and counts so far, at any time and in any thread: name -> number, all workers and passes together.
 
         Seconds of workers: store (waiting for bytes), decode, artifacts, transform (and label map), deliver (metres,
         hand-over); fetch: of requests to a network; waited: of the loop, for batches. batches, samples: made. bytes,

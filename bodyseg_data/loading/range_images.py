@@ -413,7 +413,7 @@ class RangeImages(SampleDataset):
         return Requests(order, np.broadcast_to(np.int64(epoch), len(self)))
 
     def places(self, index: int) -> list[Place]:
-        """Where the bytes of a sample are, and those of its planes that are columns."""
+        """Places of a sample's bytes, and of those of its planes that are columns."""
         number, within = self._where(index)
         files = [self.manifest, *(self.columns[name] for name in self._read_planes if name in self.columns)]
         return [(self.reader.store, each.shards[number], within) for each in files]

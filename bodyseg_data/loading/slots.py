@@ -79,7 +79,7 @@ class Slots:
         return [ranges[:, None], *others]
 
     def tallies(self) -> NDArray[np.float64]:
-        """What was tallied over all batches of each slot, float64 [slots, len(Stage)]."""
+        """Tallies over all batches of each slot, float64 [slots, len(Stage)]."""
         count = self._count * len(Stage)
         return np.frombuffer(self._memory, np.float64, count, self._count * self._stride).reshape(self._count, -1)
 

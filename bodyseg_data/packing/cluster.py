@@ -52,7 +52,7 @@ _ASK_S: Final = 10.0  # after which it is asked whether the scheduler is still t
 
 @dataclass(frozen=True)
 class Expected:
-    """What a worker must share with the process that packs, so that it gives the same bytes.
+    """Facts that a worker must share with the process that packs, so that it gives the same bytes.
 
     token: tells this packing from an earlier one with the same options, whose files may have changed since. facts: of
     that process.
@@ -86,7 +86,7 @@ def installed() -> dict[str, str]:
 
 @lru_cache(maxsize=64)
 def facts(packing: Packing, token: str) -> dict[str, str]:
-    """What is installed, and digests of the source's bodies as this process reads them and as its processor computes
+    """Versions installed, and digests of the source's bodies as this process reads them and as its processor computes
     the first: of all names and the files of a few, which tells another folder and is quickly read. Raises BodysegError.
     """
     forget_sources()

@@ -108,7 +108,7 @@ class _Wall:
 
     @property
     def pose(self) -> _Pose:
-        """Of a thing with its back to the middle of the wall."""
+        """Pose of a thing with its back to the middle of the wall."""
         return _Pose(_facing(-self.normal), self.normal * self.offset)
 
 
@@ -387,7 +387,7 @@ class Room:
         self._add(pose.of(thing), n, name)
 
     def render(self, split: Split = "train", with_things: bool = False) -> Render:
-        """What the rig's devices see; the plane "person" counts people from 1, 0 elsewhere.
+        """Render what the rig's devices see; the plane "person" counts people from 1, 0 elsewhere.
 
         with_things: also a plane "thing", which counts `things`.
 
@@ -436,7 +436,7 @@ class Room:
 
 
 def _lose_loop(range_m: Any, labels: Any, people: Any, surface: Any, view: Any, losses: Any, lattice: Any) -> Any:
-    """Whether pixels are lost, [H, W], by the losses [L, 3] of what they show.
+    """Mark lost pixels, [H, W], by the losses [L, 3] of what they show.
 
     surface: the face of each pixel, each face's row of the losses and normal; of people, the part's row is used. view:
     axes and position of the camera, slopes of its rays. The field is a sum of three waves; each row sees another piece.

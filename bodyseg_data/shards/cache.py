@@ -244,7 +244,7 @@ class CachedStore:
         return self.remote.read(name, offset, length) if data is None else data
 
     def is_here(self) -> bool:
-        """Whether all shards are in the cache."""
+        """True if all shards are in the cache."""
         return len(self.to_cache) == len(self._records) and all(
             self._cache.path(record).exists() for record in self._records.values()
         )

@@ -23,13 +23,13 @@ _BUFFER_BYTES: Final = 4 << 20
 
 
 class Stage(IntEnum):
-    """What threads that make samples tally: seconds of each stage up to DELIVER, then counts."""
+    """Tallies of threads that make samples: seconds of each stage up to DELIVER, then counts."""
 
     STORE, FETCH, DECODE, ARTIFACTS, TRANSFORM, DELIVER, BATCHES, SAMPLES, BYTES, REQUESTS, HITS, STALLS = range(12)
 
 
 class Tally(threading.local):
-    """What the current thread does, added up in a row that other threads or processes may read."""
+    """Work of the current thread, added up in a row that other threads or processes may read."""
 
     def __init__(self) -> None:
         self.start([0.0] * len(Stage))
@@ -63,7 +63,7 @@ TALLY: Final = Tally()
 
 
 class Pieces:
-    """What is read ahead of a store's files. Threads may use it at once; copies, in forks and by pickle, are empty."""
+    """Bytes read ahead of a store's files. Threads may use it at once; copies, in forks and by pickle, are empty."""
 
     def __init__(self) -> None:
         self._owner, self._changing = os.getpid(), threading.Lock()

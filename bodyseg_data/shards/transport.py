@@ -335,7 +335,7 @@ def _describe(error: Exception) -> str:
 
 
 def pinned(url: str, options: Mapping[str, Any], timeout_s: float) -> tuple[str, str, dict[str, Any]]:
-    """Of a folder on the Hugging Face hub: its address with a commit for the revision, that of http, and its options.
+    """Pin a folder on the Hugging Face hub: its address with a commit for the revision, that of http, and its options.
 
     The hub's own file system reads 5 MB ahead of every range, and begins anew when a connection breaks. options:
     `token` and `endpoint` (else HF_TOKEN, HF_ENDPOINT), and those of http addresses. Raises BadConfig for another

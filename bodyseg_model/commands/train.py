@@ -178,7 +178,7 @@ def run(options: Options) -> int:
 
 
 def _bf16(options: Options) -> bool | None:
-    """Whether layers compute in bfloat16, None as the recipe says: a processor that must emulate it takes 8 times as
+    """True if layers compute in bfloat16, None as the recipe says: a processor that must emulate it takes 8 times as
     long as in float32.
     """
     emulated = find_device(options.device).type == "cpu" and not computes_bfloat16()

@@ -118,7 +118,7 @@ class Compact(Network):
         return torch.cat([self._at_points(head(x), range_m) for head in (self.head, self.template)], 1)
 
     def _features(self, range_m: torch.Tensor) -> torch.Tensor:
-        """What the heads see of range images, of every cell."""
+        """Compute the heads' input from range images, for every cell."""
         check_range_images(range_m)
         if self._focal_px:
             values, measured = metric_patches(range_m, self._patch, self._focal_px)

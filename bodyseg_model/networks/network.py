@@ -153,7 +153,7 @@ class FlipAverage(Network):
     def _both(
         self, range_m: torch.Tensor, compute: Callable[[torch.Tensor], torch.Tensor]
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """What is computed of images, and of their mirror images, mirrored back."""
+        """Answers to images, and to their mirror images, mirrored back."""
         check_range_images(range_m)
         # Whole strides, so that points of scores fall on one another when they are mirrored.
         seen = F.pad(range_m, (0, -range_m.shape[3] % self.output_stride))

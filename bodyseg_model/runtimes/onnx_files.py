@@ -194,7 +194,7 @@ def read_onnx(path: Path) -> OnnxModel:
 
 
 def _fault_of(model: Any) -> str | None:
-    """What may make a graph compute without end, or read other files; None for nothing."""
+    """Find what may make a graph compute without end, or read other files; None for nothing."""
     nodes = model.graph.node
     parts = [attribute for node in nodes for attribute in node.attribute]
     strange = sorted({node.op_type for node in nodes if node.domain or node.op_type.startswith(_REFUSED)})

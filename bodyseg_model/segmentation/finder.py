@@ -287,8 +287,8 @@ def _graph(lengths: Floats, samples: _Samples) -> Any:
 
 
 def _nearest_heads(samples: _Samples) -> Pixels:
-    """Of every sample of a piece the number of the head that is nearest along the surface, int [N]: all 0 for a piece
-    of one person.
+    """Number of the head that is nearest along the surface, of every sample of a piece, int [N]: all 0 for a piece of
+    one person.
     """
     a_metre, z = samples.a_metre, samples.points[:, 2]
     whose = np.zeros(len(z), np.intp)

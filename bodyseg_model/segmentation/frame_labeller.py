@@ -74,7 +74,7 @@ Found = Callable[[], LabelledFrame]
 
 @dataclass
 class _Turns:
-    """How sure the network is of people at each turn, of one camera. frames: of a stream so far; judged: those with
+    """Confidence in people at each turn of one camera's frames. frames: of a stream so far; judged: those with
     people. confidence: of each turn, the sum over judged frames, float64 [4].
     """
 

@@ -1,4 +1,4 @@
-"""What the labels of a frame say of the people in it: an image of who is where, points in space, and parts.
+"""People in a frame, by its labels: an image of who is where, points in space, and parts.
 
 Coordinates are the camera's, metres: x to the right and y down in the image, z ahead along the optical axis. Of a
 frame that shows left for right, x is turned round, as the camera itself sees. Records are NumPy structured arrays.

@@ -34,7 +34,7 @@ labels, is less."""
 
 
 def least_confidence_of_people(card: Mapping[str, Any]) -> float:
-    """That entry, 0 for a card without one. Raises BadConfig for a value that is none from 0 to 1."""
+    """Read that entry, 0 for a card without one. Raises BadConfig for a value that is none from 0 to 1."""
     least = card.get(LEAST_CONFIDENCE, 0.0)
     if isinstance(least, bool) or not isinstance(least, (int, float)) or not 0 <= least <= 1:
         raise BadConfig(f"a network's card: {LEAST_CONFIDENCE} must be a number from 0 to 1, found {least!r}")

@@ -102,7 +102,7 @@ class SequenceSummary:
 
     @property
     def things(self) -> int:
-        """What looked like people in all frames together and is none."""
+        """Number of things that looked like people, in all frames together."""
         return sum(len(frame["things"]) for frame in self._frames)
 
     @property

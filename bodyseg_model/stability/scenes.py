@@ -370,8 +370,8 @@ class _PosedBody:
         return labelled_image(steps(ranges, rig.range_step_m, self.ref.mesh), rig.range_step_m, surface, labels)
 
     def _at_desk(self, rig: Rig, landmark: str) -> LabelledImage:
-        """What the other camera of the longest focal length sees, level and near, resampled; the frame ends below at a
-        landmark.
+        """Render what the other camera of the longest focal length sees, level and near, resampled; the frame ends
+        below at a landmark.
         """
         camera = sensor(_FOCALS_PX[0])
         border = self.body.mesh.vertices[self.body.landmarks[LANDMARKS.index(landmark)]]

@@ -441,7 +441,7 @@ class Page:
 
 
 class Controls:
-    """What a page shows of a view, as its controls say. shown: a frozen dataclass, which `view.draw` takes."""
+    """State of a page's controls. shown: a frozen dataclass, which `view.draw` takes."""
 
     def __init__(self, page: Page, view: Any, shown: Any) -> None:
         self.page, self.view, self.shown = page, view, shown

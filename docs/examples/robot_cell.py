@@ -199,7 +199,7 @@ class Cell:
 
 
 def scenes(first: int, count: int, rig: Rig) -> Iterator[dict[str, Any]]:
-    """What `ShardWriter.write` takes, scene by scene."""
+    """Arguments of `ShardWriter.write`, scene by scene."""
     height = max(rig.camera.rows, rig.projector.rows)
     renderer = pyrender.OffscreenRenderer(rig.camera.columns, height)
     for number in range(first, first + count):

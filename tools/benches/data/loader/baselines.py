@@ -127,7 +127,7 @@ class _Shuffled:
 
 
 def thread_loader(dataset: Dataset[Any], batch: int, threads: int) -> InThreads:
-    """What `torch_loader` gives, by threads in place of processes."""
+    """Load as `torch_loader` does, by threads in place of processes."""
     count: int = len(dataset)  # type: ignore[arg-type]  # all that are measured have a length
 
     def parts() -> list[Iterable[Batch]]:

@@ -150,7 +150,7 @@ def _warm(packed: Path, cache: Path, workers: int, turns: int = 3) -> dict[str, 
 
 
 def _mixing(images: RangeImages, shuffle: Any, epochs: int = 3) -> dict[str, float]:
-    """How far an order is from uniform: means over batches of `BATCH` samples.
+    """Measure how far an order is from uniform: means over batches of `BATCH` samples.
 
     subjects: different bodies in a batch. largest_share: of a batch from one body. apart: distance in the manifest of
     samples that follow each other, over that of two samples drawn at random.

@@ -64,7 +64,7 @@ def packed_views(bodies: Sequence[Annotated], views: int, folder: Path, rig: Rig
 
 @dataclass(frozen=True)
 class Counted:
-    """What a network answered. counts: int64 [33, 33] of each image; errors: its gross errors.
+    """Answers of a network. counts: int64 [33, 33] of each image; errors: its gross errors.
 
     calibration_error: of all images; None: unknown.
     """

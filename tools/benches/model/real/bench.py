@@ -178,7 +178,7 @@ def in_frames(frames: Sequence[Frame], fused: FusedSurface, labels: Mapping[str,
 
 
 def described(placements: Placements, labels: Mapping[str, Labels]) -> dict[str, Any]:
-    """How well the placements repeat, and how much of the surface they label."""
+    """Describe how well the placements repeat, and how much of the surface they label."""
     return {
         **repeatability(placements, labels["first"], labels["second"]),
         "surface_labelled": round(float((labels["mean"] != BACKGROUND).mean()), 4),

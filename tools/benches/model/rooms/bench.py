@@ -200,7 +200,7 @@ def _real_failures(finder: Finder, data: Path) -> list[Failure]:
 def _failure(
     name: str, range_m: NDArray[np.float32], camera: Camera, body: Marks, near: Marks, found: Found
 ) -> Failure:
-    """What is wrong in a frame. near: where labelled pixels count as right."""
+    """Mistakes in a frame. near: where labelled pixels count as right."""
     labelled = found.person >= THRESHOLD
     area = np.square(range_m.astype(np.float64)) / camera.focal_px**2
     wrong, missed = labelled & ~near, body & ~labelled

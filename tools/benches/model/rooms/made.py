@@ -139,7 +139,7 @@ def _who(room: Room, number: int, range_m: NDArray[Any], planes: Any, names: tup
 
 
 def _touch(one: NDArray[np.bool_], other: NDArray[np.bool_], range_m: NDArray[Any]) -> bool:
-    """Whether neighbouring pixels of the two have about the same range."""
+    """True if neighbouring pixels of the two have about the same range."""
     count = 0
     for a, b in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
         near = np.abs(range_m[a] - range_m[b]) < _TOUCH_M

@@ -35,7 +35,7 @@ def mirrored_parts(data: Path) -> dict[str, dict[str, dict[str, float]]]:
 
 
 def _his(frame: RealFrame) -> NDArray[np.bool_]:
-    """Of the people found, the one with most pixels of the mask, bool [H, W]; all False without any."""
+    """Pixels of the person found who has most of the mask, bool [H, W]; all False without any."""
     found = find_bodies(frame.range_m, frame.camera, Background())
     person = np.zeros(frame.person.size, np.bool_)
     if found:

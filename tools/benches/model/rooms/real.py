@@ -1,4 +1,4 @@
-"""Who is found in real frames: a room in which a man walks about, and people of whom the background was cut away.
+"""People found in real frames: a room in which a man walks about, and people of whom the background was cut away.
 
 Run as a program it measures one finder: `python -m benches.model.rooms.real --finder RUN --data FOLDER`.
 """

@@ -1,4 +1,4 @@
-"""What a finder does in made rooms, counted: pixels, people and things, by what is known of each."""
+"""Counts of what a finder does in made rooms: pixels, people and things, by what is known of each."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def by_kind(things: Sequence[Row]) -> dict[str, Row]:
 
 
 def by_property(tally: Mapping[str, list[Row]]) -> dict[str, dict[str, Row]]:
-    """Of people in groups by what is known of them: precision in their frames, recall, lost, parts right."""
+    """Figures of people in groups by what is known of them: precision in their frames, recall, lost, parts right."""
     frames = {(frame["of"], frame["number"]): frame for frame in tally["frames"]}
     found: dict[str, dict[str, Row]] = {}
     for name in (*EDGES, *WORDS):

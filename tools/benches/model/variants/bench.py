@@ -108,7 +108,7 @@ def bench_variants(
 
 
 class _Work:
-    """What is compared, and on what. rendered: trainings that rendered test images can compare, of the set's rig."""
+    """Trainings compared on a set. rendered: trainings that rendered test images can compare, of the set's rig."""
 
     def __init__(
         self,

@@ -247,7 +247,7 @@ def _loaded(folder: Path, device: torch.device) -> Trained:
 
 
 def _made_labels(folder: Path, stored: Sequence[Frame]) -> dict[str, Any]:
-    """Whether the frames are mirrored, the surface, the cameras that bring them onto it, labels by each placement."""
+    """Frames mirrored or not, the surface, the cameras that bring them onto it, labels by each placement."""
     _, mirrored = settled(stored)
     placements = load_placements(folder)
     with torch_threads(1):
