@@ -5,6 +5,7 @@ import itertools
 from typing import Any
 
 import pytest
+from benches.charts.choice import Panel
 from benches.charts.drawing import chart, draw
 from benches.charts.fronts import Axis, Point, front, shortfalls
 from chart_figures import BY_NAME, SOURCE, panels_of
@@ -82,6 +83,15 @@ def test_the_same_figures_give_the_same_bytes(matplotlib: Any) -> None:
     one, other = (draw(BY_NAME["codec"], panels_of("codec"), [SOURCE]) for _ in range(2))
     assert one == other and b"<dc:date>" not in one.svg and one.svg.startswith(b"<?xml")
     assert Image.open(io.BytesIO(one.png)).format == "PNG"
+
+
+@pytest.mark.parametrize(("y_sd", "says"), [(None, False), (0.3, False), (0.8, True)])
+def test_a_gain_within_the_spread_of_both_is_called_so(y_sd: float | None, says: bool, matplotlib: Any) -> None:
+    default, better = (Point(name, x, y, name, y_sd=y_sd) for name, x, y in (("all", 2.0, 71.0), ("none", 1.0, 72.0)))
+    panel = Panel("a panel", (default, better), "all")
+    (axis,) = chart(BY_NAME["artifacts"], [panel], [SOURCE]).axes
+    title = axis.get_title(loc="left").replace("\n", " ")
+    assert "beaten by 'none'" in title and title.endswith("within the spread") == says
 
 
 @pytest.mark.parametrize("name", BY_NAME)

@@ -148,8 +148,10 @@ def _headline(choice: Choice, panel: Panel, width_in: float) -> str:
     if falls:
         shares = ((choice.x.noun, falls[0].x_share), (choice.y.noun, falls[0].y_share))
         gains = ", ".join(f"{noun} {share:.0%} better" for noun, share in shares).replace("%", " %")
-        name = falls[0].better.label.replace("\n", " ")
-        verdict = f"the default is beaten by {name!r}: {gains}"
+        better = falls[0].better
+        chance = abs(better.y - default.y) < np.hypot(better.y_sd or 0, default.y_sd or 0)
+        name = better.label.replace("\n", " ")
+        verdict = f"the default is beaten by {name!r}: {gains}{', within the spread' if chance else ''}"
     return textwrap.fill(f"{panel.name}: {verdict}", int(width_in * 11))
 
 

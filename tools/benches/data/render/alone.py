@@ -80,7 +80,7 @@ def measure_renderers(
     """Each way's figures by its name under "renderers", and one line under "renderers_missing" for each that is not
     installed. views: all that one body is rendered from. checked: those of which errors are counted.
 
-    ms_per_view: of the processor, for the camera's and the projector's image, with what is made once a body; the best
+    ms_per_view: of the processor, for the camera's and the projector's image, with what is made once a body; the median
     of three rounds, mean over bodies. range_error_mm, worst_mm: median and largest difference of the camera's ranges
     from `true_range` where both see the body. silhouette_error: share of the body's pixels that only one of them sees.
     """
