@@ -5,11 +5,11 @@ and the writer of labels, overlays, preview and summary, beside the labelling of
 from __future__ import annotations
 
 import contextlib
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
+from threading import Semaphore
 from typing import Any, Final, Self
 
 import numpy as np
@@ -37,9 +37,7 @@ UNFINISHED: Final = "unfinished.json"
 LABELS, OVERLAY, UNDISTORTED, _ = IMAGES = ("labels", "overlay", "undistorted", TEMPLATE)
 """Folders of images, one a frame."""
 
-MOST_WAITING: Final = 3
-"""Jobs of `WriteBehind` that may wait, so that slow disks bound memory; then `then` waits, too."""
-
+_MOST_WAITING: Final = 4  # jobs of `WriteBehind` that are not done, so that slow disks bound memory
 _LEGEND_WIDTH: Final = 900
 
 Job = Callable[[], None]
@@ -177,33 +175,35 @@ class WriteBehind:
     jobs are dropped; the error is raised by a later `then`, or at the end of the context.
     """
 
-    def __init__(self, most_waiting: int = MOST_WAITING) -> None:
-        self._thread = ThreadPoolExecutor(1, "writing")
-        self._jobs: deque[Future[None]] = deque()
-        self._most_waiting = most_waiting
+    def __init__(self) -> None:
+        self._thread, self._room = ThreadPoolExecutor(1, "writing"), Semaphore(_MOST_WAITING)
+        self._failed: BaseException | None = None
 
     def __enter__(self) -> Self:
         return self
 
     def then(self, job: Job) -> None:
         """Have a job done after all others. Raises the error of an earlier one."""
-        if len(self._jobs) > self._most_waiting:
-            self._jobs.popleft().result()
-        self._jobs.append(self._thread.submit(_do_after, self._jobs[-1] if self._jobs else None, job))
+        self._room.acquire()
+        if self._failed is not None:
+            self._room.release()
+            raise self._failed
+        self._thread.submit(self._do, job)
+
+    def _do(self, job: Job) -> None:
+        try:
+            if self._failed is None:
+                job()
+        except BaseException as error:
+            self._failed = error
+        self._room.release()
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, *_: object) -> None:
         self._thread.shutdown()
-        failed = self._jobs[-1].exception() if self._jobs else None
         # A job's error came before one of the frames after it, but not before Ctrl-C.
-        if failed is not None and failed is not error and (error is None or isinstance(error, Exception)):
+        failed = self._failed if error is None or isinstance(error, Exception) else None
+        if failed is not None and failed is not error:
             raise failed
-
-
-def _do_after(before: Future[None] | None, job: Job) -> None:
-    """Do a job, or raise the error of the one before it."""
-    if before is not None:
-        before.result()
-    job()
 
 
 class FrameResults(WriteBehind):

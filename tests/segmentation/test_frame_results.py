@@ -24,7 +24,7 @@ def fails(message: str) -> None:
 
 def test_jobs_are_done_in_order_in_another_thread() -> None:
     done: list[tuple[int, bool]] = []
-    with WriteBehind(most_waiting=2) as behind:
+    with WriteBehind() as behind:
         for number in range(9):
             behind.then(
                 lambda number=number: done.append((number, threading.current_thread() is threading.main_thread()))
@@ -43,7 +43,7 @@ def test_an_error_ends_the_jobs_and_is_raised_by_the_next_call() -> None:
     with WriteBehind() as behind:
         behind.then(reached.set)
         assert reached.wait(10)
-    with pytest.raises(BadConfig, match="^disk full$"), WriteBehind(most_waiting=1) as behind:
+    with pytest.raises(BadConfig, match="^disk full$"), WriteBehind() as behind:
         for _ in range(10_000):
             behind.then(lambda: fails("disk full"))
         pytest.fail("ten thousand jobs were taken after one had failed")
