@@ -71,9 +71,8 @@ def join(
                     writer.write(*readers[part_number].members(shard, number))
                     done += 1
                     progress(done, total)
-            if writer.record is not None:
-                records[name] = writer.record
-                record_shard(state, writer.record)
+            records[name] = writer.record
+            record_shard(state, writer.record)
         manifest = write_manifest(replace(joined, shards=tuple(records[name] for name in shards)), out)
         shutil.rmtree(state)
     return manifest

@@ -251,9 +251,8 @@ class ShardWriter:
     def _close(self, split: Split) -> None:
         writer = self._open.pop(split)
         writer.__exit__(None, None, None)
-        if writer.record is not None:
-            self._records[writer.record.name] = writer.record
-            record_shard(self._opened(), writer.record)
+        self._records[writer.record.name] = writer.record
+        record_shard(self._opened(), writer.record)
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, *_: object) -> None:
         try:

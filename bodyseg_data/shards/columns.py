@@ -182,8 +182,7 @@ class ColumnWriter:
         with reported(f"cannot write {path}", BadConfig, OSError), writer as tar:
             for number, each in enumerate(shard.keys):
                 tar.write(each, held.pop(number))
-        if tar.record is not None:
-            self._records[at] = tar.record
+        self._records[at] = tar.record
 
     def _plane(self, value: Any) -> dict[str, bytes]:
         plane, kind, camera = np.asarray(value), np.dtype(self._kind), self._set.rig.camera

@@ -31,8 +31,10 @@ class TarWriter:
     """Writer of one shard to the file `aside`, which is renamed to `path` on success and removed after an error.
 
     Owners, modes and times in the tar are fixed, so the same samples give the same bytes. fields: of descriptions in
-    the set. record: the shard's record once it is closed, None before.
+    the set. record: the shard's record, once it is closed.
     """
+
+    record: ShardRecord
 
     def __init__(self, path: Path, aside: Path, split: Split, fields: Fields = BODY_FIELDS) -> None:
         self._path, self._aside, self._split, self._fields = path, aside, split, fields
@@ -44,7 +46,6 @@ class TarWriter:
         self._crc32: list[int] = []
         self._notes: list[str] = []
         self._infos: list[SampleInfo] = []
-        self.record: ShardRecord | None = None
 
     def __enter__(self) -> TarWriter:
         self._file: IO[bytes] = self._aside.open("wb")
@@ -102,11 +103,10 @@ class TarWriter:
                     descriptions=describe(self._infos, self._fields),
                 )
         finally:
-            if self.record is None:
-                # Closing flushes, which fails again on a full disk; the file is removed in any case.
-                with contextlib.suppress(OSError):
-                    self._file.close()
-                self._aside.unlink(missing_ok=True)
+            # Closing flushes, which fails again on a full disk; unless it was renamed, the file is removed in any case.
+            with contextlib.suppress(OSError):
+                self._file.close()
+            self._aside.unlink(missing_ok=True)
 
 
 def _member(name: str, data: bytes) -> bytes:

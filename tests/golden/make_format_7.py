@@ -84,7 +84,6 @@ def write(folder: Path, codec: Literal["bsi", "png"], indexed: bool) -> None:
                 made.check(len(CLASSES))
                 shard.write(made.key, encode_sample(made, codec))
             shard.note("cell", [f"scenes {scenes.start} to {scenes.stop - 1}"])
-        assert shard.record is not None
         shards.append(shard.record)
     manifest = Manifest(RIGS, codec, "renders", "by hand", "0" * 64, shards, (), CLASSES, FIELDS)
     planes = {"instances": "uint16", "material": "uint8"} if indexed else {}

@@ -329,7 +329,6 @@ def test_notes_are_lines_whatever_was_noted(tmp_path: Path) -> None:
     with TarWriter(tmp_path / "train-00000.tar", tmp_path / "x.part", "train") as writer:
         writer.write(GOOD.key, encode_sample(GOOD))
         writer.note("a", ["read\nfrom \ud800"])
-    assert writer.record is not None
     assert writer.record.notes == (r"a: read\nfrom \ud800",)
     assert record_from_json(json.loads(json.dumps(record_to_json(writer.record))), BODY_FIELDS, "here") == writer.record
 
@@ -415,7 +414,6 @@ def test_content_that_breaks_the_format_is_a_fault_though_its_checksums_are_righ
 ) -> None:
     with TarWriter(tmp_path / "train-00000.tar", tmp_path / "x.part", "train") as writer:
         writer.write(GOOD.key, encode_sample(replace(GOOD, **change), "png"))  # which stores anything
-    assert writer.record is not None
     manifest = replace(read_manifest(figures_set), shards=(writer.record,))
     (fault,) = find_faults(tmp_path, manifest, writer.record)
     assert (fault.key, fault.offset, fault.problem) == (GOOD.key, 0, problem)
@@ -429,7 +427,6 @@ def test_a_sample_of_another_rig_is_not_given_though_its_checksums_are_right(fig
     with TarWriter(tmp_path / "train-00000.tar", tmp_path / "x.part", "train") as writer:
         writer.write(GOOD.key, encode_sample(GOOD))
         writer.write(sample.key, members | {"labels.png": few})
-    assert writer.record is not None
     reader = ShardReader(tmp_path, replace(good, shards=(writer.record,)))
     with pytest.raises(
         BadShard, match=rf"^train-00000.tar: {GOOD.key}: offset 0: .*range must be 160 x 82 as in the rig"
