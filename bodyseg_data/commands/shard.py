@@ -168,8 +168,7 @@ def _said(options: Options, unit: str, make: Callable[[Progress], Manifest]) -> 
         f"{options.out}: {manifest.samples()} samples in {len(manifest.shards)} shards, {size / 1e6:.1f} MB, "
         f"{size / manifest.samples() / 1000:.1f} kB a sample\n"
     )
-    for mesh in manifest.skipped:
-        sys.stderr.write(f"skipped {mesh.mesh}: {mesh.why}\n")
+    sys.stderr.write("".join(f"skipped {mesh}: {why}\n" for mesh, why in manifest.skipped.items()))
     notes = [note for shard in manifest.shards for note in shard.notes]
     more = [f"and {len(notes) - 9} more notes, which bodyseg inspect --json has"] * (len(notes) > 9)
     sys.stderr.write("".join(f"{note}\n" for note in (*notes[:9], *more)))

@@ -43,7 +43,6 @@ from bodyseg_data.shards import (
     MANIFEST_NAME,
     Fields,
     Manifest,
-    SkippedMesh,
     column_tar,
     encode_sample,
     read_manifest,
@@ -190,7 +189,7 @@ def pack(
                 renderer=packing.renderer,
                 plan=digest,
                 shards=tuple(records[shard.name] for shard in shards),
-                skipped=tuple(SkippedMesh(mesh, reason) for mesh, reason in skips.reasons.items()),
+                skipped=skips.reasons,
             )
             manifest = read_manifest(out) if (out / MANIFEST_NAME).exists() else write_manifest(manifest, out)
             if packing.template:

@@ -253,8 +253,7 @@ def stored_skips(out: Path, state: Path, checked: Sequence[str]) -> dict[str, st
     Raises BadConfig if the state cannot be read.
     """
     if (out / MANIFEST_NAME).exists():
-        skipped = {each.mesh: each.why for each in read_manifest(out).skipped}
-        return {mesh: why for mesh, why in skipped.items() if mesh not in checked}
+        return {mesh: why for mesh, why in read_manifest(out).skipped.items() if mesh not in checked}
     try:
         stored = json.loads((state / _SKIPPED).read_bytes())
     except FileNotFoundError:

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
         RIG_FIELD,
         Manifest,
         ProjectorKind,
-        SkippedMesh,
         check_plane,
         check_rigs,
         read_manifest,

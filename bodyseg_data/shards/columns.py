@@ -251,7 +251,7 @@ def write_column_manifest(
         renderer="",
         plan=manifest.digest,
         shards=tuple(records),
-        skipped=(),
+        skipped={},
         fields=fields,
         projector="none",
         planes=planes,

@@ -4,7 +4,7 @@ import hashlib
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
@@ -60,21 +60,13 @@ LARGEST_MANIFEST: Final = 1 << 30
 
 
 @dataclass(frozen=True)
-class SkippedMesh:
-    """Name of a mesh that the packing left out, and the reason in one line."""
-
-    mesh: str
-    why: str
-
-
-@dataclass(frozen=True)
 class Manifest:
     """Rigs, classes, codec, origin and shards of a set.
 
     rigs: of the set; a sample of one that has several says by its field `RIG_FIELD` which is its own. plan: digest of
-    all options of the packing. skipped: meshes that it left out. classes: what labels mean. fields: of descriptions.
-    projector: what is stored of the projector's range. planes: name -> type of further images of each sample. read_as:
-    format of the file that was read, another than today's for a set packed before.
+    all options of the packing. skipped: meshes that it left out, name -> reason. classes: what labels mean. fields: of
+    descriptions. projector: what is stored of the projector's range. planes: name -> type of further images of each
+    sample. read_as: format of the file that was read, another than today's for a set packed before.
     """
 
     rigs: tuple[Rig, ...]
@@ -83,7 +75,7 @@ class Manifest:
     renderer: str
     plan: str
     shards: Sequence[ShardRecord]
-    skipped: tuple[SkippedMesh, ...] = ()
+    skipped: Mapping[str, str] = field(default_factory=dict)
     classes: Classes = PART_CLASSES
     fields: Fields = BODY_FIELDS
     projector: ProjectorKind = "shadow"
@@ -117,7 +109,7 @@ class Manifest:
     def notes(self) -> list[str]:
         """Notes on meshes, in the order of the shards, and after them on those that were left out."""
         notes = [note for shard in self.shards for note in shard.notes]
-        return notes + [f"{each.mesh}: skipped: {each.why}" for each in self.skipped]
+        return notes + [f"{mesh}: skipped: {why}" for mesh, why in self.skipped.items()]
 
     def samples(self, split: Split | None = None) -> int:
         """Number of samples, in one split or in all."""
@@ -130,6 +122,7 @@ class Manifest:
 
     def to_json(self) -> dict[str, Any]:
         """Convert to a JSON object of today's format, with a digest of its other fields."""
+        skipped = [{"mesh": mesh, "why": why} for mesh, why in self.skipped.items()]
         tree: dict[str, Any] = {
             "format": MANIFEST_FORMAT,
             "rigs": [rig.to_json() for rig in self.rigs],
@@ -142,7 +135,7 @@ class Manifest:
             "renderer": self.renderer,
             "plan": self.plan,
             "shards": [record_to_json(each) for each in self.shards] if self.index is None else self.index.to_json(),
-            **({"skipped": [asdict(each) for each in self.skipped]} if self.skipped else {}),
+            **({"skipped": skipped} if skipped else {}),
         }
         return {**tree, "digest": _digest(tree)}
 
@@ -311,7 +304,7 @@ def _records(trees: Any, fields: Fields, path: str) -> tuple[ShardRecord, ...]:
     return shards
 
 
-def _skipped(entries: Any, path: str) -> tuple[SkippedMesh, ...]:
+def _skipped(entries: Any, path: str) -> dict[str, str]:
     if not isinstance(entries, list) or not all(
         isinstance(entry, dict)
         and set(entry) == {"mesh", "why"}
@@ -319,4 +312,4 @@ def _skipped(entries: Any, path: str) -> tuple[SkippedMesh, ...]:
         for entry in entries
     ):
         raise BadShard(f"{path}: 'skipped' must be a list of meshes, each with its name and the reason")
-    return tuple(SkippedMesh(**entry) for entry in entries)
+    return {entry["mesh"]: entry["why"] for entry in entries}

@@ -128,10 +128,10 @@ def test_skipped_meshes_leave_the_set_of_a_folder_without_them(tmp_path: Path) -
             file.unlink()
     alone = packed(wanted(good), tmp_path / "alone", OnFaults())
     assert samples(manifest) == samples(alone) and len(samples(alone)) == 6
-    assert [each.mesh for each in manifest.skipped] == ["cut", "few", "inches", "misspelt", "none"]
-    assert not any(str(tmp_path) in each.why for each in manifest.skipped), "paths are those within the folder"
+    assert [*manifest.skipped] == ["cut", "few", "inches", "misspelt", "none"]
+    assert not any(str(tmp_path) in why for why in manifest.skipped.values()), "paths are those within the folder"
     assert manifest == read_manifest(tmp_path / "out")
-    assert f"none: skipped: {manifest.skipped[4].why}" in manifest.notes() and not alone.skipped
+    assert f"none: skipped: {manifest.skipped['none']}" in manifest.notes() and not alone.skipped
     # Again, with more in flight, in another process: the same bytes; and into the finished set: nothing changes.
     with processes(1) as engine:
         pack(wanted(folder), tmp_path / "again", engine.executor, 2, on_faults=SKIP)
@@ -208,7 +208,7 @@ def test_a_mesh_that_fails_late_is_skipped_by_the_same_rule(tmp_path: Path, figu
         figures(tmp_path / "out", Frail, OnFaults())
     manifest = figures(tmp_path / "out", Frail)
     assert samples(manifest) == samples(figures(tmp_path / "fewer", Fewer, OnFaults()))
-    assert [each.mesh for each in manifest.skipped] == ["A-1", "people-2"]
+    assert [*manifest.skipped] == ["A-1", "people-2"]
     kept = contents(tmp_path / "out")
     figures(tmp_path / "again", Frail)
     assert contents(tmp_path / "again") == kept
@@ -293,8 +293,8 @@ def test_a_scan_that_cannot_be_repaired_is_skipped(tmp_path: Path) -> None:
     spread = vertices[np.linspace(len(vertices) - 1, 0, 33).astype(int)]  # the other way round, it is mirrored
     write_by_point(folder / "strip.json", spread)
     manifest = packed(wanted(folder, up="y", pymeshlab=True), tmp_path / "out", OnFaults("skip", 1))
-    (skipped,) = manifest.skipped
-    assert skipped.mesh == "strip" and "cannot be repaired" in skipped.why
+    ((mesh, why),) = manifest.skipped.items()
+    assert mesh == "strip" and "cannot be repaired" in why
 
 
 def test_meshes_of_one_group_name_the_mesh_that_decided_their_unit(tmp_path: Path) -> None:
@@ -317,7 +317,7 @@ def test_a_mesh_of_a_group_that_cannot_be_read_does_not_stop_the_others(tmp_path
     write_mesh(tmp_path / "b.ply").write_bytes(b"ply")
     write_mesh(tmp_path / "c.ply")
     manifest = packed(wanted(tmp_path), tmp_path / "out")
-    assert [each.mesh for each in manifest.skipped] == ["a", "b"] and manifest.samples() == 2
+    assert [*manifest.skipped] == ["a", "b"] and manifest.samples() == 2
 
 
 def test_landmarks_in_one_place_and_other_names_are_noted(tmp_path: Path) -> None:
