@@ -13,6 +13,7 @@ from bodyseg_data.shards import (
     Manifest,
     Store,
     column_names,
+    column_tar,
     find_column_faults,
     find_faults,
     find_index_faults,
@@ -69,6 +70,6 @@ def _faults(store: Store, manifest: Manifest) -> Iterator[object]:
         return
     listed = {shard.name for shard in manifest.shards}
     with contextlib.suppress(BadShard):  # which was printed
-        listed |= {f"{name.removesuffix('.tar')}.{column}.tar" for name in listed for column in column_names(store)}
+        listed |= {column_tar(name, column) for name in listed for column in column_names(store)}
     for name in sorted(path.name for path in store.path.glob("*.tar") if path.name not in listed):
         yield f"{name}: -: offset 0: not in the manifest"

@@ -27,6 +27,7 @@ from bodyseg_data.shards import (
     TarWriter,
     column_names,
     read_manifest,
+    shard_name,
     write_manifest,
 )
 
@@ -140,7 +141,7 @@ def _cut(
     for found in places.values():
         found.sort()
     return {
-        f"{split}-{start // shard_samples:05d}.tar": (split, found[start : start + shard_samples])
+        shard_name(split, start // shard_samples): (split, found[start : start + shard_samples])
         for split, found in places.items()
         for start in range(0, len(found), shard_samples)
     }

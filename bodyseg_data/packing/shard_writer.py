@@ -43,6 +43,7 @@ from bodyseg_data.shards import (
     check_rigs,
     encode_sample,
     read_manifest,
+    shard_name,
     write_manifest,
 )
 
@@ -241,7 +242,7 @@ class ShardWriter:
     def _append(self, key: str, split: Split, members: Mapping[str, bytes]) -> None:
         state, layout = self._opened(), self._layout
         if split not in self._open and layout is not None:
-            names = (f"{split}-{number:05d}.tar" for number in itertools.count())
+            names = map(partial(shard_name, split), itertools.count())
             name = next(name for name in names if name not in self._records)
             self._open[split] = TarWriter(self._out / name, state / f"{name}.part", split, layout.fields).__enter__()
         self._open[split].write(key, members)

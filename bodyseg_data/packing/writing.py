@@ -40,6 +40,7 @@ from bodyseg_data.shards import (
     read_manifest,
     record_from_json,
     record_to_json,
+    shard_name,
 )
 
 STATE_NAME: Final = ".packing"
@@ -88,7 +89,7 @@ def cut(packing: Packing, bodies: Sequence[BodyRef]) -> list[Shard]:
                 (body, tuple(view for _, view in run))
                 for body, run in itertools.groupby(part, key=lambda entry: entry[0])
             )
-            shards.append(Shard(f"{split}-{number:05d}.tar", split, runs))
+            shards.append(Shard(shard_name(split, number), split, runs))
     return shards
 
 

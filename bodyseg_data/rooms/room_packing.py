@@ -25,7 +25,7 @@ from bodyseg_data.rigs import Rig, load_rig
 from bodyseg_data.rooms.furnishings import FURNISHINGS
 from bodyseg_data.rooms.scenes import Room, RoomPerson
 from bodyseg_data.samples import Split
-from bodyseg_data.shards import CodecName, Manifest, read_manifest
+from bodyseg_data.shards import CodecName, Manifest, read_manifest, shard_name
 
 _BLOCK: Final = 400
 _PEOPLE: Final = 20
@@ -135,7 +135,7 @@ def pack_rooms(
             progress=lambda done, _: progress(done, samples),
         ) as writer,
     ):
-        places = {key: f"{split}-{place // shard_samples:05d}.tar" for place, key in enumerate(keys)}
+        places = {key: shard_name(split, place // shard_samples) for place, key in enumerate(keys)}
         if any(places.get(key) != file.name for key, file in writer.finished().items()):
             raise BadConfig(f"{out} holds rooms of another number or split: choose another folder, or delete it")
         progress(sum(key in writer for key in keys), samples)

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
         ShardRecord,
         record_from_json,
         record_to_json,
+        shard_name,
     )
     from bodyseg_data.shards.remote import RemoteFolder, RetryPolicy, Unreachable, open_store
     from bodyseg_data.shards.sample_codec import decode_sample, encode_sample, facing_masks, parse_info

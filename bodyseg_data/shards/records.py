@@ -251,6 +251,11 @@ def record_to_json(record: ShardRecord) -> dict[str, Any]:
     return {"samples": len(record), **plain, **record.descriptions.to_json()}
 
 
+def shard_name(split: Split, number: int) -> str:
+    """Name of a shard by its number within the split, from 0."""
+    return f"{split}-{number:05d}.tar"
+
+
 def check_head(name: Any, split: Any, sha256: Any, where: str) -> None:
     """Raise BadShard, naming `where` and the rule, unless name, split and SHA-256 are those of a shard."""
     if not isinstance(name, str) or not _SHARD_NAME.fullmatch(name):
