@@ -23,7 +23,7 @@ MARGIN: Final = 32
 """Background around an image, and how far a surface is followed in it, pixels."""
 
 _ZERO, _SIXTH, _QUARTER, _HALF, _ONE, _TWO, _THREE = map(np.float32, (0, 1 / 6, 0.25, 0.5, 1, 2, 3))
-_LEAST, _NEVER = np.float32(1e-3), np.float32(np.inf)
+_LEAST: Final = np.float32(1e-3)
 _EXPONENT, _BIAS = map(np.int32, (23, 127))  # of a float32: the bits behind it, and that of 1
 _FAR_MOVED: Final = np.float32(MARGIN)
 _PAIRS, _WORD, _EIGHT, _SIXTEEN = map(np.uint32, (0x00FF00FF, 0xFFFF, 8, 16))

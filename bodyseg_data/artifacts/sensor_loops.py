@@ -67,18 +67,9 @@ def mix(
             continue
         column = pixel % columns
         farthest = np.int64(0)
-        for side in range(4):
-            inside = (
-                pixel >= columns
-                if side == 0
-                else pixel + columns < size
-                if side == 1
-                else column > 0
-                if side == 2
-                else column < columns - 1
-            )
+        above, below, left, right = pixel >= columns, pixel + columns < size, column > 0, column < columns - 1
+        for inside, step in ((above, -columns), (below, columns), (left, np.int64(-1)), (right, np.int64(1))):
             if inside:
-                step = -columns if side == 0 else columns if side == 1 else np.int64(-1) if side == 2 else np.int64(1)
                 value = np.int64(clean[pixel + step])
                 farthest = max(farthest, value if value > 0 else behind)
         gap = farthest - np.int64(clean[pixel])
