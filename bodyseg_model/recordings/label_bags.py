@@ -29,7 +29,7 @@ LEGEND: Final = "bodyseg.labels"
 """Name of the metadata that say which number is which part."""
 
 # Of sensor_msgs/msg/PointField.
-_DATATYPES: Final = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
+_DATATYPES: Final = {"u1": 2, "u2": 4, "f4": 7}
 
 
 @contextlib.contextmanager
@@ -57,32 +57,22 @@ def legend(label_map: LabelMap) -> dict[str, str]:
     return {"map": label_map.name, **names, str(BACKGROUND): "no label"}
 
 
-def cloud_fields(records: NDArray[np.void], xyz: str | None = None) -> dict[str, Any]:
-    """The fields of a sensor_msgs/msg/PointCloud2 but its header, one point a record.
+def cloud_fields(points: NDArray[np.void]) -> dict[str, Any]:
+    """The fields of a sensor_msgs/msg/PointCloud2 but its header, one point a record of one-number columns, [N].
 
-    records: structured, [N]. xyz: name of the column of three numbers that becomes x, y and z. Of several numbers in a
-    column, "count" tells; "fields" are those of sensor_msgs/msg/PointField; "data" is uint8 [N x point_step]. Raises
-    BadConfig for a column that a message cannot hold.
+    "fields" are those of sensor_msgs/msg/PointField; "data" is uint8 [N x point_step].
     """
-    fields = []
-    for name in records.dtype.names or ():
-        kind, offset = records.dtype.fields[name][:2]  # type: ignore[index]  # structured, as it has names
-        base, count = kind.base, int(np.prod(kind.shape))
-        if base.str[1:] not in _DATATYPES:
-            raise BadConfig(f"a point's column must be of whole or real numbers, found {name!r} of {base}")
-        parts = [(each, offset + base.itemsize * n, 1) for n, each in enumerate("xyz")]
-        fields += [
-            {"name": each, "offset": at, "datatype": _DATATYPES[base.str[1:]], "count": many}
-            for each, at, many in (parts if name == xyz else [(name, offset, count)])
-        ]
     return {
         "height": 1,
-        "width": len(records),
-        "fields": fields,
+        "width": len(points),
+        "fields": [
+            {"name": name, "offset": offset, "datatype": _DATATYPES[kind.str[1:]], "count": 1}
+            for name, (kind, offset, *_) in (points.dtype.fields or {}).items()
+        ],
         "is_bigendian": sys.byteorder == "big",
-        "point_step": records.itemsize,
-        "row_step": records.nbytes,
-        "data": np.frombuffer(records.tobytes(), np.uint8),
+        "point_step": points.itemsize,
+        "row_step": points.nbytes,
+        "data": np.frombuffer(points.tobytes(), np.uint8),
         "is_dense": True,
     }
 
@@ -101,8 +91,8 @@ class LabelsOut:
     ) -> None:
         """Write the labels of a frame, uint8 [H, W], with time and coordinate frame of its message, `frame.stamp()`.
 
-        points: of people, structured (`cloud_fields`), to be written, too; their coordinate frame is the same. A frame
-        that is no message has its time alone; one without a time is `frames_per_second` from the one before.
+        points: of people (`Segmentation.points`), to be written, too; their coordinate frame is the same. A frame that
+        is no message has its time alone; one without a time is `frames_per_second` from the one before.
         """
         time_ns = round(1e9 * (self._count / self._rate if frame.time_s is None else frame.time_s))
         stamp = of_message or Stamp(time_ns, "")

@@ -17,13 +17,11 @@ from mcap.reader import make_reader
 from numpy.typing import NDArray
 from PIL import Image
 
-from bodyseg_data.core import BadConfig
 from bodyseg_data.files import part_beside
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_model.commands import cli, segment
 from bodyseg_model.networks import Trained
 from bodyseg_model.recordings.bag_messages import typestore
-from bodyseg_model.recordings.label_bags import cloud_fields
 from bodyseg_model.runtimes import load_run
 
 
@@ -134,11 +132,6 @@ def test_points_go_out_beside_labels(tmp_path: Path, capsys: pytest.CaptureFixtu
         named = labels(tmp_path / "out", f"{number:04d}")[body]
         np.testing.assert_array_equal(rows[:, at["label"][0]], named)
         assert (rows[:, 14:16].copy().view("<u2") == 1).all() and at["person"] == (14, 4, 1)
-
-
-def test_a_message_holds_numbers_alone() -> None:
-    with pytest.raises(BadConfig, match="a point's column must be of whole or real numbers, found 'name' of <U4"):
-        cloud_fields(np.zeros(1, [("x", "f4"), ("name", "U4")]))
 
 
 def test_labels_go_out_with_times_of_their_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
