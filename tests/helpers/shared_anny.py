@@ -7,6 +7,7 @@ model that is loaded.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import wraps
 from typing import Any
 
 from bodyseg_data.bodies import anny_model as library
@@ -14,18 +15,19 @@ from bodyseg_data.bodies import anny_model as model
 
 
 def shared(load: Callable[..., Any]) -> Callable[..., Any]:
-    """The function `load_anny`, which keeps the model of each folder of Anny's cache, unless progress is asked for."""
+    """The function `load_anny`, which keeps the model of each folder of Anny's cache."""
     models: dict[Any, Any] = {}
 
-    def load_shared(progress: Callable[[int, int], None] | None = None) -> Any:
+    @wraps(load)
+    def load_shared() -> Any:
         try:
             import anny  # noqa: F401  # which a test may have made absent, though its modules are loaded
             from anny.paths import get_anny_cache_path
         except ImportError:
             return load()
         folder = get_anny_cache_path()
-        if progress is not None or folder not in models:
-            models[folder] = load() if progress is None else load(progress)
+        if folder not in models:
+            models[folder] = load()
         return models[folder]
 
     return load_shared

@@ -49,11 +49,11 @@ def run(options: Options) -> int:
         save_picture(contact_sheet(RangeImages(example_set()), 6), options.out / "example.png")
     _say(f"    wrote {options.out / 'example.png'}")
     _say(f"2/4 packing {options.meshes} bodies x {options.views} views into {shards}")
-    with Progress("    unpacking the body model, once", "files") as progress:
+    with Progress("    unpacking the body model, once", "files"):
         from anny.paths import get_anny_cache_path
 
         if not any(get_anny_cache_path().rglob("*.safetensors")):  # else loading the model would do nothing
-            load_anny(progress.update)
+            load_anny()
     start = time.monotonic()
     with Progress("    packing", "views") as progress:
         manifest = pack_on(PROCESSES, workers, packing, shards, progress)
