@@ -110,8 +110,8 @@ _OPEN: Final = 0.5  # of coats
 _SHOD: Final = 0.6  # of the dressed ones
 _HOLDS: Final = 0.35  # of people with a free hand
 _BACKPACK: Final = 0.08  # of the dressed ones who hold nothing
-_LENGTHS: Final = {"0.2 0.38": 0.15, "0.4 0.62": 0.45, "0.65 0.82": 0.25, "0.88 0.98": 0.15}
-_FLARES: Final = {"0.0 0.04": 0.3, "0.06 0.18": 0.45, "0.18 0.34": 0.25}
+_LENGTHS: Final = {(0.2, 0.38): 0.15, (0.4, 0.62): 0.45, (0.65, 0.82): 0.25, (0.88, 0.98): 0.15}
+_FLARES: Final = {(0.0, 0.04): 0.3, (0.06, 0.18): 0.45, (0.18, 0.34): 0.25}
 _SEEDS: Final = 1_000_000
 
 
@@ -150,9 +150,9 @@ def _drawn_hair(draws: np.random.Generator) -> Hair | None:
 
 def _drawn_drape(draws: np.random.Generator) -> Drape | None:
     kind, values, seed = draws.random(), draws.random(7).tolist(), int(draws.random() * _SEEDS)
-    low, high = map(float, chosen(_LENGTHS, draws).split())
+    low, high = chosen(_LENGTHS, draws)
     length = low + (high - low) * values[0]
-    low, high = map(float, chosen(_FLARES, draws).split())
+    low, high = chosen(_FLARES, draws)
     flare = low + (high - low) * values[1]
     girth = 1.15 + 0.35 * values[2] + 3 * flare
     folds = 0.07 + 0.1 * values[3], 0.004 + (0.01 + 0.06 * flare) * values[4]

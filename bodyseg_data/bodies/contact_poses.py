@@ -43,12 +43,10 @@ _KINDS: Final = {"touch": 0.73, "other hand": 0.06, "air": 0.16, "free": 0.05}
 
 _SEAT: Final = 0.08  # chance of a hand on the seat where there is one
 
-# Places that a hand or forearm touches: of the trunk and head, of the same side, of the other side.
-_MIDDLE: Final = {
+# Places that a hand or forearm touches: of the trunk and head or of the same side, and of the other side.
+_NEAR: Final = {
     "face": 1.3, "crown": 0.5, "back of the head": 0.6, "neck": 0.6, "chest": 1.3, "belly": 1.2, "lower back": 0.9,
     "upper back": 0.2,
-}  # fmt: skip
-_SAME: Final = {
     "side of the head": 0.6, "shoulder": 0.2, "waist": 0.6, "hip": 0.9, "buttock": 0.5, "thigh": 0.9,
     "inner thigh": 0.2, "back of the thigh": 0.2, "knee": 0.6, "shin": 0.5, "calf": 0.3, "instep": 0.4, "sole": 0.2,
 }  # fmt: skip
@@ -171,13 +169,12 @@ def drawn_task(kind: str, body: ArmSurroundings, draws: np.random.Generator) -> 
 
 
 def _on_body(body: ArmSurroundings, draws: np.random.Generator) -> ArmTask:
-    weights = {(name, ""): weight for name, weight in _MIDDLE.items()}
-    weights |= {(name, body.side): weight for name, weight in _SAME.items()}
+    weights = {(name, body.side): weight for name, weight in _NEAR.items()}
     arm = ("upper arm", "elbow", "forearm")
     weights |= {
         (name, other(body.side)): weight for name, weight in _ACROSS.items() if body.other_placed or name not in arm
     }
-    name, side = chosen({f"{name}/{side}": weight for (name, side), weight in weights.items()}, draws).split("/")
+    name, side = chosen(weights, draws)
     return _touching(body, chosen(_BY, draws), name, side, draws)
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from bodyseg_data.bodies.anny_model import Posable
 from bodyseg_data.bodies.skeleton import Arm, Floats, Leg, arm_rotations, finger_rotations, leg_rotations
 
-Name = TypeVar("Name", bound=str)
+Choice = TypeVar("Choice")
 
 Ranges = dict[str, tuple[float, float]]
 """Least and most of an angle in degrees, or of a length in metres, by its name."""
@@ -92,8 +92,8 @@ def one_of(vertices: NDArray[np.int64], draws: np.random.Generator) -> int:
     return int(vertices[int(draws.random() * len(vertices))])
 
 
-def chosen(weights: dict[Name, float], draws: np.random.Generator) -> Name:
-    """Draw a name with a chance in proportion to its weight."""
+def chosen(weights: dict[Choice, float], draws: np.random.Generator) -> Choice:
+    """Draw one of some choices with a chance in proportion to its weight."""
     sums = np.cumsum([*weights.values()])
     return [*weights][int(np.searchsorted(sums, draws.random() * sums[-1], side="right"))]
 
