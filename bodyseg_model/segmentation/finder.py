@@ -50,6 +50,7 @@ _HEAD: Final = (0.08, 0.015, 0.11)  # least height, area and mean width of a hea
 _NEW_M2: Final = 0.002  # least surface at which a top begins
 _APART_M2: Final = 0.06  # least surface of what meets no other
 _FREE_M: Final = 0.05  # half the width over a top in which there is nothing else
+_FARTHEST_M: Final = 16.4  # beyond it, nothing is measured: as in recordings in floating point
 
 Pixels = NDArray[np.intp]
 Ranges = NDArray[np.float32]
@@ -105,11 +106,13 @@ def find_bodies(
 ) -> tuple[Found, ...]:
     """Find the bodies in a frame, the largest first; a pixel belongs to at most one.
 
-    range_m: [H, W], metres along the optical axis, 0 = nothing measured, as are NaN and infinity. camera: the one that
-    took it, upright. finder: network of the mode "people", by default the one that ships. Raises BadConfig for a
-    network that is no finder; MissingLibrary without SciPy, in that mode.
+    range_m: [H, W], metres along the optical axis, 0 = nothing measured, as are NaN, infinity and, but in the mode
+    "frame", what lies beyond 16.4 m and the far limit, such as a simulated sky. camera: the one that took it, upright.
+    finder: network of the mode "people", by default the one that ships. Raises BadConfig for a network that is no
+    finder; MissingLibrary without SciPy, in that mode.
     """
-    kept = np.where((range_m > 0) & (range_m < np.inf), range_m, np.float32(0))
+    farthest = np.float32(np.inf if background.mode == "frame" else max(_FARTHEST_M, background.far_m))
+    kept = np.where((range_m > 0) & (range_m < farthest), range_m, np.float32(0))
     near, far = np.float32(background.near_m), np.float32(background.far_m)
     within = kept > 0 if background.mode in ("keep", "frame") else (kept > 0) & (kept >= near) & (kept <= far)
     if background.mode != "people":

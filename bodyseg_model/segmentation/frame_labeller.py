@@ -200,8 +200,8 @@ class FrameLabeller:
         return lens, self._segmenter(camera if lens is None else lens.camera, turned=quarters, video=self.video)
 
     def __call__(self, range_m: NDArray[np.float32], camera: Camera) -> LabelledFrame:
-        """Label one frame, [H, W], an array or tensor of floating point, metres along the optical axis, 0 = nothing
-        measured.
+        """Label one frame, [H, W], an array or tensor of floating point, metres along the optical axis, 0 or
+        beyond 16.4 = nothing measured.
 
         camera: that took it, with or without lens distortion. With `video`, frames come in order; `restart` begins
         another recording. Raises BadConfig for a frame of another size than the camera's, of whole numbers or in

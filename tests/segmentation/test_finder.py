@@ -299,7 +299,7 @@ def test_all_that_the_removal_depends_on_is_stated(background: Background, keys:
 
 
 @pytest.mark.parametrize("mode", ["people", "limits", "keep"])
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -1.0])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -1.0, 16.5, 1000.0])
 def test_what_is_no_range_is_not_measured(mode: Any, value: float) -> None:
     image = frame(person(0.0, 2.5))
     broken, holes = image.copy(), np.random.default_rng(0).random(image.shape) < 0.2
@@ -307,6 +307,13 @@ def test_what_is_no_range_is_not_measured(mode: Any, value: float) -> None:
     found, expected = (find_bodies(each, KINECT, Background(mode), Nearer()) for each in (broken, image))
     assert len(found) == len(expected) == 1
     np.testing.assert_array_equal(found[0].pixels, expected[0].pixels)
+
+
+@pytest.mark.parametrize("background", [Background("frame"), Background("limits", 1, 30)])
+def test_far_ranges_count_where_the_background_asks_for_them(background: Background) -> None:
+    far = np.full((KINECT.rows, KINECT.columns), np.float32(20.0))
+    ((pixels, _),) = find_bodies(far, KINECT, background)
+    assert len(pixels) == far.size
 
 
 def test_odds_of_cells_follow_the_surfaces_that_pixels_are_of() -> None:
