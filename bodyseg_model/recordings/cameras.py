@@ -119,6 +119,7 @@ def frame_camera(
                 f"frames must have the size of the rig's camera, {camera.rows} x {camera.columns}, "
                 f"found {rows} x {columns}: {where}"
             )
+        check_intrinsics(camera.focal_px, camera.centre_px, shape, f"rig {rig}")
         return FrameCamera(camera, f"rig {rig}", rig=sensor.rig)
     if len(centre_px) not in (0, 2):
         raise BadConfig(f"--centre takes two numbers, x and y, found {len(centre_px)}")

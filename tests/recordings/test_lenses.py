@@ -158,8 +158,12 @@ def test_focal_lengths_in_other_units_are_named(focal: float, hint: str, tmp_pat
 @pytest.mark.parametrize(
     ("centre", "hint"), [((0.5, 0.5), "shares of the image"), ((319_500.0, -239_500.0), "in another unit")]
 )
-def test_a_principal_point_in_another_unit_is_named(centre: tuple[float, float], hint: str) -> None:
+def test_a_principal_point_in_another_unit_is_named(centre: tuple[float, float], hint: str, tmp_path: Path) -> None:
     found = f"found {centre[0]:g} and {centre[1]:g} for images of 480 x 640: are they {hint}?"
     with pytest.raises(BadConfig, match=rf"x.png: a principal point must be in pixels, {re.escape(found)}"):
         frame_camera((480, 640), "x.png", focal_px=525.0, centre_px=centre)
+    camera = f"rows = 480\ncolumns = 640\nfocal_px = 525.0\ncentre_px = {list(centre)}\n"
+    (tmp_path / "r.toml").write_text(f'format = "bodyseg rig 1"\nname = "r"\n[camera]\n{camera}')
+    with pytest.raises(BadConfig, match=rf"r.toml: a principal point must be in pixels, {re.escape(found)}"):
+        frame_camera((480, 640), "x.png", rig=str(tmp_path / "r.toml"))
     assert frame_camera((48, 64), "x.png", focal_px=525.0, centre_px=(-1900.0, 1000.0)).camera.rows == 48
