@@ -24,6 +24,14 @@ def test_a_simulation_has_the_sensors_artifacts_but_no_shadow() -> None:
     assert abs(1 - both.sum() / (clean > 0).sum() - 0.2) < 0.01 and not shown[clean == 0].any()
 
 
+def test_a_simulation_reaches_as_far_as_the_frame() -> None:
+    recording = recorded(frames=1)
+    near = recording.frames[0].range_m.astype(np.float64)
+    far = np.where(near > 0, near + 10.0, 0)
+    shown = simulate(far, recording, SensorModel("mine", (Noise(5.0, 5.0),)))
+    assert abs(np.std((shown - far)[far > 0]) - 0.005) < 0.0002
+
+
 @pytest.mark.parametrize("lens", [None, Distortion(k1=0.05)])
 def test_the_picture_has_four_panels(lens: Distortion | None) -> None:
     recording = recorded(Noise(5.0, 5.0), frames=1)
