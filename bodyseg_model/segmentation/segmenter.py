@@ -332,7 +332,12 @@ class Segmenter:
         if self.finder is not None:
             part_people(room, room > 0, self._upright)
         view_body(np.full_like(room, self.rig.stand_off_m), np.arange(1), self._upright, self.rig, self.mirrored)
-        if self.video is not None and all(self._asked):
-            _ = load_template().nearest_of_parts
+        if self.video is not None:
+            seen = [(np.arange(9 * room.shape[1]), np.ones(9 * room.shape[1], np.float32))]
+            another = CarriedLabels(self.video.carrying)  # the second frame moves
+            for _ in range(2):
+                another(room, np.zeros(room.shape, np.uint8), seen, self._upright)
+            if all(self._asked):
+                _ = load_template().nearest_of_parts
         for views in usual_views(self.rig, self._network.together):
             predict_each(self._network, views, *self._asked)

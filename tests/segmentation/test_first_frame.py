@@ -5,25 +5,25 @@ from __future__ import annotations
 import warm
 
 PROGRAM = """
-import numpy as np, torch
-from bodyseg_data.rigs.rig import load_sensor
+import torch
+from bodyseg_data import RangeImages, example_set
 from bodyseg_model.networks.checkpoints import load_network
+from bodyseg_model.segmentation.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.segmenter import Segmenter
 
 torch.set_num_threads(2)
-camera, trained = load_sensor("kinect_v1").camera, load_network()
-segment = Segmenter(trained.network, camera, rig=trained.rig)
+trained = load_network()
+segment = Segmenter(trained.network, trained.rig.camera, rig=trained.rig, video=CarriedLabels())
 segment.prepare()
 from bodyseg_model.networks import labelling, patch_loops
-from bodyseg_model.segmentation import pixel_loops
+from bodyseg_model.segmentation import carried_loops, pixel_loops
 
-modules = labelling, patch_loops, pixel_loops
+modules = carried_loops, labelling, patch_loops, pixel_loops
 loops = {f"{module.__name__}.{name}": loop for module in modules for name, loop in vars(module).items()
          if hasattr(loop, "nopython_signatures")}
 before = {name: len(loop.nopython_signatures) for name, loop in loops.items()}
-frame = np.full((480, 640), 4.0, np.float32)
-frame[80:440, 260:380] = 2.5
-segment(frame)
+frame = RangeImages(example_set(), variant="none", split="test")[0]["range"][0].numpy()
+assert all(segment(frame).bodies for _ in range(2))
 print(sorted(name for name, loop in loops.items() if len(loop.nopython_signatures) != before[name]))
 """
 
