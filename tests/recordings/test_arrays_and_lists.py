@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import struct
 import zipfile
 from pathlib import Path
@@ -374,6 +375,19 @@ def test_truncated_files_are_one_line(tmp_path: Path) -> None:
                 frame.read()
         path.write_bytes(b"")
         refusal(path)
+
+
+def test_an_array_that_shrinks_while_it_is_read_is_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "a.npy"
+    np.save(path, np.full((4, 480, 640), 2000, np.uint16))
+    frames, size = open_recording(path), path.stat().st_size
+    assert frames[3].read().max() == 2000
+    os.truncate(path, 1000)
+    with pytest.raises(BadConfig, match=rf"a.npy, frame 3: the file must still have the {size} bytes it had, found 10"):
+        frames[3].read()
+    path.unlink()
+    with pytest.raises(BadConfig, match=r"a.npy, frame 3: the file cannot be read"):
+        frames[3].read()
 
 
 def test_damage_within_a_zip_is_of_its_frames(tmp_path: Path) -> None:

@@ -43,7 +43,22 @@ def open_npy(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame
         values = np.lib.format.open_memmap(path, mode="r", max_header_size=_LONGEST_HEADER)
     shape = _check(values.shape, values.dtype, str(path), step_m)
     frames = values.reshape(shape) if len(shape) == 3 else values.reshape(1, *shape)
-    return stored_recording(path, ArrayFrames(frames), len(frames), values.dtype.kind == "f", step_m)
+    return stored_recording(path, _Mapped(path, frames), len(frames), values.dtype.kind == "f", step_m)
+
+
+class _Mapped(ArrayFrames):
+    """Frames of a file that is mapped into memory: reading behind its end, if it shrinks, would end the process."""
+
+    def __init__(self, path: Path, frames: NDArray[Any]) -> None:
+        super().__init__(frames)
+        self._path, self._size = path, path.stat().st_size
+
+    def read(self, index: int) -> NDArray[Any]:
+        with reported("the file cannot be read", BadConfig, OSError):
+            size = self._path.stat().st_size
+        if size < self._size:
+            raise BadConfig(f"the file must still have the {self._size} bytes it had, found {size}")
+        return super().read(index)
 
 
 def open_npz(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame, ...]:
