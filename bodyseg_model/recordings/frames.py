@@ -5,6 +5,7 @@ a budget.
 """
 
 import re
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -165,7 +166,8 @@ def result_names(frames: Sequence[Frame]) -> list[str]:
         names = ["/".join((*home[-depth:], stem)) for home, stem in zip(homes, stems, strict=True)]
     first: dict[str, str] = {}
     for name, frame in zip(names, frames, strict=True):
-        if not all(map(_NAME.fullmatch, name.split("/"))):
+        letters = "".join(each for each in name if not unicodedata.category(each).startswith("M"))  # without accents
+        if not all(map(_NAME.fullmatch, letters.split("/"))):
             raise BadConfig(
                 "a frame's name, which its results get, must be 1 to 100 letters, digits, spaces or _+-.() and not "
                 f"begin with a dot or space, found {frame.where}"
