@@ -31,6 +31,7 @@ _STEEPEST: Final = 1.0  # slope, as its tangent, of surfaces whose shape third d
 _FEWEST: Final = 50  # residuals of one frame
 _VARYING: Final = 0.06  # spread of the frames' deviations, as a share, from which noise differs between frames
 _COARSE: Final = 0.16  # of a squared step: variance of two frames below which most values of both are equal
+_HELD: Final = 0.1  # share of differences beyond all noise from which a driver holds values over several frames
 
 Row = tuple[float, int, float, float]
 """Noise of one frame or pair: variance, metres squared, rounding included; number of residuals; step and range, m."""
@@ -40,10 +41,11 @@ def measure_noise(recording: MarkedRecording) -> Finding:
     """The finding of "noise".
 
     Bodies that stand still are measured through time, where a residual is the difference of two frames over sqrt(2);
-    others within each frame by third differences, which cancel smooth surfaces. Rounding of the stored values is part
-    of the noise.
+    others, and those of frames that a driver repeats or filters over time, within each frame by third differences,
+    which cancel smooth surfaces. Rounding of the stored values is part of the noise.
     """
-    found = list(_temporal(recording) if recording.still else _spatial(recording))
+    found = list(_temporal(recording)) if recording.still else []
+    between, found = bool(found), found or list(_spatial(recording))
     variances, counts, steps, ranges = np.array(found, np.float64).reshape(-1, 4).T
     count = int(counts.sum())
     if count < LEAST_RESIDUALS:
@@ -52,7 +54,7 @@ def measure_noise(recording: MarkedRecording) -> Finding:
     mean, spread = float(sigmas.mean()), float(sigmas.std(ddof=1)) if len(sigmas) > 1 else 0.0
     estimates = {"sigma_mm": Estimate(mean, float(np.hypot(spread / np.sqrt(len(sigmas)), mean / np.sqrt(2 * count))))}
     at = f"at {ranges.min():.2f} m" if np.ptp(ranges) < 0.05 else f"from {ranges.min():.2f} to {ranges.max():.2f} m"
-    where = f"{'between' if recording.still else 'within'} frames, {at}"
+    where = f"{'between' if between else 'within'} frames, {at}"
     if mean < LEAST_MM:
         return Finding("noise", NOT_SEEN, f"less than {LEAST_MM:g} mm {where}", estimates)
     reason = f"{estimates['sigma_mm']} mm {where}"
@@ -61,7 +63,7 @@ def measure_noise(recording: MarkedRecording) -> Finding:
         reason += f", most of it by steps of {1000 * step:.2g} mm"
     low = high = mean
     if len(sigmas) >= 4 and spread > _VARYING * mean:
-        if recording.still:  # each difference mixes the variances of two frames
+        if between:  # each difference mixes the variances of two frames
             spread *= np.sqrt(2)
         low, high = max(mean - np.sqrt(3) * spread, 0.0), mean + np.sqrt(3) * spread
         error = 2 * spread / np.sqrt(len(sigmas))
@@ -77,10 +79,11 @@ def _temporal(recording: MarkedRecording) -> Iterator[Row]:
         first, second = recording.frames[a], recording.frames[b]
         both = usable & first.body & second.body
         residuals = (second.range_m[both].astype(np.float64) - first.range_m[both]) / np.sqrt(2)
-        if len(residuals) >= _FEWEST:
+        if len(residuals) >= _FEWEST and residuals.any():  # else one frame, twice
             step = _step_of(first, recording.step_m)
-            variance = before_equal_rounding(clipped_variance(residuals, step), step)
-            yield variance, len(residuals), step, float(np.median(mean[both]))
+            variance = clipped_variance(residuals, step)
+            if np.mean(np.abs(residuals) > 4.5 * max(np.sqrt(variance), step / 3)) < _HELD:
+                yield before_equal_rounding(variance, step), len(residuals), step, float(np.median(mean[both]))
 
 
 def _spatial(recording: MarkedRecording) -> Iterator[Row]:

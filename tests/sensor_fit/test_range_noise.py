@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from benches.model.sensor_fit.recordings import in_steps
@@ -26,6 +28,25 @@ def test_rounding_of_stored_values_is_noise(sigma_mm: float, moving: bool) -> No
     found = measure_noise(in_steps(recorded(Noise(sigma_mm, sigma_mm), moving=moving), 8.0))
     assert found.estimates["sigma_mm"].value == pytest.approx(np.hypot(sigma_mm, 8 / np.sqrt(12)), rel=0.15)
     assert ("most of it by steps of 8 mm" in found.reason) is (sigma_mm == 1.0)
+
+
+def test_frames_that_a_driver_repeats_say_nothing_of_noise() -> None:
+    once = recorded(Noise(5.0, 5.0))
+    twice = replace(once, frames=tuple(np.repeat(once.frames, 2)), pairs=tuple((n, n + 1) for n in range(7)))
+    assert measure_noise(twice).strengths == measure_noise(once).strengths
+    alone = measure_noise(replace(once, frames=once.frames[:1] * 4))
+    assert alone.strengths["low_mm"] == pytest.approx(5.0, rel=0.05) and "within frames" in alone.reason
+
+
+def test_noise_that_a_driver_holds_over_frames_is_told_within_them() -> None:
+    fresh, generator = recorded(Noise(12.0, 12.0)), np.random.default_rng(0)
+    held = [fresh.frames[0]]
+    for frame in fresh.frames[1:]:
+        new = generator.random(frame.stored.shape) < 0.2
+        pixels = {name: np.where(new, vars(frame)[name], vars(held[-1])[name]) for name in ("stored", "range_m")}
+        held.append(replace(frame, **pixels))
+    found = measure_noise(replace(fresh, frames=tuple(held)))
+    assert found.strengths["low_mm"] == pytest.approx(12.0, rel=0.05) and "within frames" in found.reason
 
 
 def test_files_in_millimetres_have_no_noise_by_that() -> None:
