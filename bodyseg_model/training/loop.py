@@ -381,7 +381,6 @@ def mixed(sets: Sequence[RangeImages], weights: Sequence[float], samples: int | 
     """
     if weights and len(weights) != len(sets):
         raise BadConfig(f"--weights needs a number for each of {len(sets)} sets in --data, found {len(weights)}")
-    if len(sets) == 1 and samples is None:
-        return sets[0]
     parts = zip(sets, weights or [len(images) for images in sets], strict=True)
-    return Mixture([(images, float(weight)) for images, weight in parts], samples, seed)
+    mixture = Mixture([(images, float(weight)) for images, weight in parts], samples, seed)
+    return sets[0] if len(sets) == 1 and samples is None else mixture

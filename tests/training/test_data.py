@@ -52,6 +52,11 @@ def test_every_set_needs_a_weight(small_set: Path) -> None:
         opened(small_set, ["*", "*"], (1.0, 2.0, 3.0), None)
 
 
+def test_the_weight_of_one_set_is_checked_too(small_set: Path) -> None:
+    with pytest.raises(BadConfig, match=r"^a weight must be finite and at least 0, found -3.0$"):
+        opened(small_set, ["*"], (-3.0,), None)
+
+
 def test_a_command_trains_on_a_mixture_and_its_plan_names_all_sets(small_set: Path, tmp_path: Path) -> None:
     data = [small_set, small_set]
     more = ["--weights", "3", "1", "--samples", "12", "--only", "open-A-*"]
