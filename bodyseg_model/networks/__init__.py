@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         RunFiles,
         Trained,
         confusion_file,
+        is_unfinished,
         load_network,
         read_checkpoint,
         save_network,

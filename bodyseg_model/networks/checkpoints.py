@@ -179,7 +179,7 @@ def load_network(
     path = path if path.exists() else _NAMED.get(str(path), path)
     if checkpoint is not None and not path.is_dir():
         raise BadConfig(f"checkpoint {checkpoint!r} is one of a run's folder, found {path}")
-    if checkpoint == "last" or (checkpoint is None and path.is_dir() and _unfinished(path)):
+    if checkpoint == "last" or (checkpoint is None and path.is_dir() and is_unfinished(path)):
         return _last_weights(path)
     file = path / (RunFiles.BEST if checkpoint == "best" else RunFiles.NETWORK) if path.is_dir() else path
     if checkpoint == "best" and not file.exists():
@@ -315,7 +315,7 @@ def read_checkpoint(folder: Path) -> Checkpoint | None:
     return Checkpoint(step, state, _parse(data, folder / name), found)
 
 
-def _unfinished(folder: Path) -> bool:
+def is_unfinished(folder: Path) -> bool:
     """True if a run's folder has a checkpoint, and no network of that step or a later one."""
     if not (folder / _CHECKPOINT).exists():
         return False

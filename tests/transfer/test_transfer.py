@@ -239,6 +239,12 @@ def test_networks_are_copied_with_their_pages(
     assert main(["push", str(tmp_path / "six.safetensors"), "breaking://box/many"]) == 0
     assert main(["pull", "breaking://box/many/six.safetensors", str(tmp_path / "many")]) == 0
     assert sorted(contents(tmp_path / "many")) == ["six.confusion.json", "six.json", "six.safetensors"]
+    (run / "network.json").write_text(json.dumps({**card, "last_step": 3}))
+    (run / "checkpoint.json").write_text('{"step": 5}')  # of a training that was carried on, and stopped
+    assert main(["push", str(run), "breaking://box/older"]) == 2
+    assert f"the training in {run} has not ended" in capsys.readouterr().err
+    assert main(["push", str(run / "network.safetensors"), "breaking://box/older"]) == 0
+    (run / "checkpoint.json").unlink()
     (run / "network.json").write_text('{"format": "bodyseg network 1"}')
     capsys.readouterr()
     assert main(["push", str(run), "breaking://box/other"]) == 2
