@@ -184,7 +184,7 @@ def load_network(
     file = path / (RunFiles.BEST if checkpoint == "best" else RunFiles.NETWORK) if path.is_dir() else path
     if checkpoint == "best" and not file.exists():
         raise BadConfig(f"{path} has no best checkpoint: it is kept by a training that is validated (--val-share)")
-    if file.suffix != ".safetensors":
+    if file.suffix != ".safetensors" or not path.exists():
         found = path if path.exists() else f"{path}, which is not there"
         raise BadConfig(f"a network is {' or '.join(_NAMED)}, a run's folder or a .safetensors file, found {found}")
     card = read_card(file)
