@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -53,8 +54,10 @@ def column_names(store: Store) -> list[str]:
         return [check_field_name(name) for name in json.loads(data)["columns"]] if data is not None else []
 
 
-def read_column(where: Path | Store, manifest: Manifest, name: str) -> Manifest:
-    """Read and check the manifest of one column of a set.
+def read_column(
+    where: Path | Store, manifest: Manifest, name: str, keep: Callable[[bytes], object] | None = None
+) -> Manifest:
+    """Read and check the manifest of one column of a set. keep: as of `read_manifest`.
 
     Raises BadShard if there is none of that name, or for one that is damaged or of another set.
     """
@@ -62,7 +65,7 @@ def read_column(where: Path | Store, manifest: Manifest, name: str) -> Manifest:
     path = f"{store.name}/{file}"
     with reported("", BadShard, BadSample):
         check_field_name(name)
-    column = read_manifest(store, name=file)
+    column = read_manifest(store, keep, file)
     if column.plan != manifest.digest:
         raise BadShard(f"{path} is a column of another set: digest {column.plan}, here {manifest.digest}")
     if [*column.planes, *column.fields.kinds] != [name] or name in (*manifest.planes, *manifest.fields.kinds):
@@ -73,11 +76,19 @@ def read_column(where: Path | Store, manifest: Manifest, name: str) -> Manifest:
     return column
 
 
-def column_files(store: Store, manifest: Manifest) -> tuple[list[ShardRecord], list[str]]:
-    """The tars of a set's columns, and the names of the small files that describe them. Raises as `read_column`."""
-    names = column_names(store)
-    tars = [tar for name in names for tar in read_column(store, manifest, name).shards]
-    return tars, [*map(column_file, names), *([COLUMNS_NAME] if names else ())]
+def _list_of(names: Sequence[str]) -> bytes:
+    """Content of columns.json."""
+    return json.dumps({"columns": names}).encode() + b"\n"
+
+
+def column_files(store: Store, manifest: Manifest) -> tuple[list[ShardRecord], dict[str, bytes]]:
+    """The tars of a set's columns, and the small files that describe them, read once: name -> content. Raises as
+    `read_column`.
+    """
+    names, pages, tars = column_names(store), dict[str, bytes](), list[ShardRecord]()
+    for name in names:
+        tars += read_column(store, manifest, name, partial(pages.__setitem__, column_file(name))).shards
+    return tars, {**pages, COLUMNS_NAME: _list_of(names)} if names else {}
 
 
 def open_columns(store: Store, manifest: Manifest, asked: Sequence[str], tried: Sequence[str]) -> dict[str, Manifest]:
@@ -258,4 +269,4 @@ def write_column_manifest(
     )
     names = sorted({*column_names(LocalFolder(folder)), name})
     write_atomically(folder / column_file(name), manifest_bytes(column))
-    write_atomically(folder / COLUMNS_NAME, json.dumps({"columns": names}).encode() + b"\n")
+    write_atomically(folder / COLUMNS_NAME, _list_of(names))

@@ -76,7 +76,7 @@ class Bundle:
 def set_bundle(store: Store) -> Bundle:
     """Return the bundle of a set: index, shards, columns, cards, manifest.
 
-    The manifest is read once: the set may be replaced while it is copied. Raises as `read_manifest`, and as
+    Manifests are read once: the set may be replaced while it is copied. Raises as `read_manifest`, and as
     `column_files` for a column that is damaged or of another set.
     """
     read: list[bytes] = []
@@ -86,7 +86,7 @@ def set_bundle(store: Store) -> Bundle:
         tuple(SharedFile(file.name, file.size, file.sha256) for file in (*_large_files(manifest), *tars)),
         MANIFEST_NAME,
         read[-1],
-        pages_of(store, (*CARD_NAMES, *pages)),
+        pages_of(store, CARD_NAMES) | pages,
     )
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from bodyseg_data import ColumnWriter, RangeImages
 from bodyseg_data.core import BadConfig
 from bodyseg_data.shards import MANIFEST_NAME, LocalFolder, Store, read_manifest
 from bodyseg_data.transfer import LocalTarget, SharedFile, set_bundle, transfer
@@ -45,6 +46,30 @@ def test_a_set_that_is_replaced_meanwhile_is_copied_as_it_was_read(
     copy(Replaced(small_set, other), tmp_path / "back")
     assert (tmp_path / "back" / MANIFEST_NAME).read_bytes() == (small_set / MANIFEST_NAME).read_bytes()
     assert main(["verify", str(tmp_path / "back")]) == 0
+
+
+def test_the_manifest_of_a_column_is_copied_as_it_was_checked(small_set: Path, tmp_path: Path) -> None:
+    class CutOnTheWay(LocalFolder):
+        """Gives the manifest of a column whole once, and cut from the second read on."""
+
+        reads = 0
+
+        def read_file(self, name: str, limit: int) -> bytes | None:
+            data = super().read_file(name, limit)
+            if data is None or name != "quality.column.json":
+                return data
+            self.reads += 1
+            return data if self.reads == 1 else data[:-99]
+
+    mine, back = tmp_path / "mine", tmp_path / "back"
+    shutil.copytree(small_set, mine, ignore=shutil.ignore_patterns(".*"))
+    with ColumnWriter(mine, "quality", "text") as column:
+        for key in RangeImages(mine).keys:
+            column.write(key, "good")
+    copy(CutOnTheWay(mine), back)
+    for path in mine.glob("*column*"):
+        assert (back / path.name).read_bytes() == path.read_bytes()
+    assert main(["verify", str(back)]) == 0
 
 
 def test_a_planted_link_is_not_written_through(small_set: Path, tmp_path: Path) -> None:
