@@ -244,6 +244,8 @@ def open_store(
 
     Raises BadConfig, MissingLibrary.
     """
+    if not path.strip():
+        raise BadConfig(f"a folder or an address must have a name, found {path!r}")
     address = _ADDRESS.fullmatch(path)
     if address is not None and address[1].lower() != "file":
         folder, pattern = _split_address(address[1].lower(), address[2])

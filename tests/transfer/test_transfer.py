@@ -262,6 +262,8 @@ def test_what_cannot_be_copied_gets_one_line(
             "a copy needs the address of a folder, found 'train-*.tar'",
         ),
         (["push", str(mine), web.url("nowhere")], "http addresses are read, not written"),
+        (["push", str(mine), ""], "a folder or an address must have a name, found ''"),
+        (["verify", " "], "a folder or an address must have a name, found ' '"),
         (["pull", web.url("nowhere"), folder], "holds no manifest.json: not a set of shards"),
         (["pull", web.url("good/train-*.tar"), folder], "a whole set is copied, found 'train-*.tar'"),
         (["pull", web.url("good/six.safetensors?token=secret"), folder], "good/six.json is missing"),
