@@ -8,6 +8,7 @@ import re
 import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import inf
 from pathlib import Path
 from typing import Final
 
@@ -63,8 +64,10 @@ def open_recording(path: Path | str, topic: str | None = None, step_m: float | N
     A folder without any of these may hold files of `FORMATS`, which are read one after another, in natural order.
     topic: which of several streams of frames, None for the only one. step_m: metres a step, or that 1.0 is in floating
     point; None: as the recording says, or millimetres and metres. Raises BadConfig for a path that cannot be read, or
-    holds no frame; MissingLibrary.
+    holds no frame, and for a step that is not above 0; MissingLibrary.
     """
+    if step_m is not None and not 0 < step_m < inf:
+        raise BadConfig(f"step_m must be above 0, found {step_m!r}")
     path = Path(path)
     if path.is_dir():
         return _folder(path, topic, step_m)

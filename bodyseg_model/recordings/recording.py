@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, reported
+from bodyseg_data.core import BadConfig, Checked, bounded, reported
 from bodyseg_model.recordings.cameras import Intrinsics
 
 MILLIMETRE: Final = 1e-3
@@ -110,16 +110,17 @@ class Frame:
 
 
 @dataclass(frozen=True, eq=False)
-class LiveRecording:
+class LiveRecording(Checked):
     """A recording of arrays that `arrays` yields: uint16 in steps of `step_m` metres, or floating point in metres;
     masked pixels are 0.
 
-    Nothing is kept: a frame lives as long as its caller holds it. where: name in messages and of frames.
+    Nothing is kept: a frame lives as long as its caller holds it. where: name in messages and of frames. Raises
+    BadConfig for a step that is not above 0.
     """
 
     arrays: Iterable[Timed]
     camera: Intrinsics | None = None
-    step_m: float = MILLIMETRE
+    step_m: float = bounded(MILLIMETRE, 0, above=True)
     where: str = "live"
 
     def __iter__(self) -> Iterator[Frame]:

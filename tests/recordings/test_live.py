@@ -6,6 +6,7 @@ import runpy
 import sys
 from collections.abc import Iterator
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from folders import DOCS
 from pngs import RAMP
 
 from bodyseg_data.core import BadConfig
-from bodyseg_model.recordings import LiveRecording, to_metres
+from bodyseg_model.recordings import LiveRecording, open_recording, to_metres
 
 CAMERAS = runpy.run_path(str(DOCS / "examples" / "live_cameras.py"))
 realsense, orbbec = CAMERAS["realsense"], CAMERAS["orbbec"]
@@ -43,6 +44,18 @@ def test_any_iterable_is_a_recording_and_is_read_as_it_comes() -> None:
         BadConfig, match="must be of whole numbers, steps, or of floating point, metres, found complex128"
     ):
         next(iter(LiveRecording([np.zeros((3, 3), complex)]))).read()
+
+
+@pytest.mark.parametrize("step_m", [0, -0.001, float("nan"), float("inf")])
+def test_a_step_is_above_nothing(step_m: float, tmp_path: Path) -> None:
+    """Frames would be empty, or not a number, and nobody be found in them."""
+    np.save(tmp_path / "a.npy", RAMP[np.newaxis])
+    for opened in (
+        lambda: LiveRecording([RAMP], step_m=step_m),
+        lambda: open_recording(tmp_path / "a.npy", None, step_m),
+    ):
+        with pytest.raises(BadConfig, match="step_m must be above 0, found "):
+            opened()
 
 
 def test_frames_stay_what_they_were_where_a_driver_fills_one_array_again() -> None:
