@@ -545,6 +545,8 @@ def test_commands_take_addresses(
     out = tmp_path / "sheet.png"
     assert main(["inspect", web.url("good/test-*.tar"), "--rows", "2", "--out", str(out)]) == 0
     assert out.exists()
+    web.faults.act = lambda reply, before: replace(reply, body=b"x" + reply.body[1:]) if before == 1 else reply
+    assert main(["verify", web.url("faulty")]) == 0, "bytes altered on the way are no fault of the set"
     web.faults.act = lambda reply, before: replace(reply, body=b"x" + reply.body[1:])
     assert main(["verify", web.url("faulty")]) == 1
     assert "train-00000.tar: open-" in capsys.readouterr().out
