@@ -78,8 +78,10 @@ def _read_picture(path: Path, palette: bool) -> NDArray[Any]:
             tags = getattr(picture, "tag_v2", {})
             if max(math.prod(picture.size), math.prod(int(tags.get(tag, 1)) for tag in _TILE_SIDES)) > MOST_NUMBERS:
                 raise ValueError("it has more pixels than an image can")
-            if picture.mode in ("LA", "CMYK", "YCbCr", "LAB"):
-                raise ValueError(f"a picture must be of integers, floats or RGB colours, found mode {picture.mode}")
+            deep = picture.mode[:3] == "RGB" and ";16" in str(picture.tile)  # Pillow drops the lower 8 bits
+            if deep or picture.mode in ("LA", "CMYK", "YCbCr", "LAB"):
+                found = picture.mode + " of 16 bits" * deep
+                raise ValueError(f"a picture must be of integers, floats or RGB colours of 8 bits, found mode {found}")
             return np.asarray(picture.convert("RGB") if palette and picture.mode == "P" else picture)
     except (UnidentifiedImageError, Image.DecompressionBombError) as error:
         raise ValueError("it is no PNG or TIFF file of a sensible size") from error

@@ -6,6 +6,7 @@ import json
 import shutil
 import struct
 import sys
+import zlib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from pngs import chunk
 from rendered_scenes import blenderproc, isaac, plain, save
 
 from bodyseg_data.commands.cli import main
@@ -84,6 +86,16 @@ IN_COLOURS = in_set('classes = ["floor", "arm", "box"]', COLOURS)
 ALSO_BLACK = in_set("background = [0]", 'background = [0, "#000000"]')
 
 
+def in_deep_colours(folder: Path) -> None:
+    """Label numbers as a grey picture in colours of 16 bits a channel."""
+    path = folder / "labels" / f"{FIRST}.png"
+    numbers = np.asarray(Image.open(path)).astype(">u2")
+    rows = b"".join(b"\0" + np.repeat(row, 3).tobytes() for row in numbers)
+    head = struct.pack(">IIBBBBB", *numbers.shape[::-1], 16, 2, 0, 0, 0)
+    parts = chunk(b"IHDR", head), chunk(b"IDAT", zlib.compress(rows)), chunk(b"IEND", b"")
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(parts))
+
+
 def both(*steps: Callable[[Path], None]) -> Callable[[Path], None]:
     def apply(folder: Path) -> None:
         for step in steps:
@@ -125,6 +137,7 @@ MISTAKES: dict[str, tuple[Callable[[Path], Any], str]] = {
     "label": (replaced("labels", lambda image: np.where(image == 2, 9, image).astype(np.uint8)), "most of them 9 ("),
     "half labels": (replaced("labels", lambda image: image / 2, ending=".npy"), "a label must be a whole number"),
     "coloured labels": (replaced("labels", coloured), "no class of set.toml has a colour"),
+    "deep colours": (in_deep_colours, "RGB colours of 8 bits, found mode RGB of 16 bits"),
     "strange colour": (both(IN_COLOURS, all_replaced(("labels",), coloured)), "most of them #000000"),
     "blended": (
         both(IN_COLOURS, ALSO_BLACK, replaced("labels", lambda image: coloured(image, blend=True))),
