@@ -10,13 +10,13 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from functools import cache, lru_cache, partial
 from importlib import import_module
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple, get_args
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, check_choice
 from bodyseg_data.machine import required
 from bodyseg_data.rigs import Camera
 from bodyseg_model.networks import FINDER, Network, Trained, check_network, device_of, load_network
@@ -65,7 +65,7 @@ class Background:
     mode: "people" keeps the people that the finder finds, within the limits; "limits" keeps every pixel within the
     limits, as one body; "keep" keeps every measured pixel, as one body, for frames whose background was removed before;
     "frame" has whole frames labelled as they stand, for networks that were trained on whole images of such a camera.
-    near_m, far_m: the limits of range, metres. Raises BadConfig for limits in the wrong order.
+    near_m, far_m: the limits of range, metres. Raises BadConfig for another mode, or limits in the wrong order.
     """
 
     mode: BackgroundMode = "people"
@@ -73,6 +73,7 @@ class Background:
     far_m: float = 6.0
 
     def __post_init__(self) -> None:
+        check_choice("the background", self.mode, get_args(BackgroundMode))
         if not 0 <= self.near_m < self.far_m < float("inf"):
             raise BadConfig(
                 "the near limit must be at least 0 m and less than the far one, found "
