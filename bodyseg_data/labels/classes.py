@@ -145,7 +145,9 @@ class Classes:
 
 
 def classes_of(given: Classes | Iterable[str | LabelClass], name: str = "classes") -> Classes:
-    """Return classes as given, or made of names and `LabelClass` entries. name: of the whole. Raises BadConfig."""
+    """Return `Classes` as given, or made of names and `LabelClass` entries; names that differ in left and right are
+    mirror images (`with_sides`). name: of the whole. Raises BadConfig.
+    """
     if isinstance(given, Classes):
         return given
     if isinstance(given, str) or not isinstance(given, Iterable):
@@ -154,7 +156,8 @@ def classes_of(given: Classes | Iterable[str | LabelClass], name: str = "classes
     for entry in entries:
         if not isinstance(entry, LabelClass):
             raise BadConfig(f"a class must be a name or a LabelClass, found {entry!r}")
-    return Classes(name, entries)
+    tree = Classes(name, entries).to_json()
+    return classes_from_json({**tree, "classes": with_sides(tree["classes"])}, "classes")
 
 
 def classes_from_json(tree: Any, where: str) -> Classes:

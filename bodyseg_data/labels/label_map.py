@@ -23,13 +23,11 @@ from bodyseg_data.labels.classes import (
     MOST_CLASSES,
     UNLABELLED,
     Classes,
-    LabelClass,
     Side,
     class_colours,
     classes_from_json,
     classes_of,
     looked_up,
-    with_sides,
 )
 from bodyseg_data.labels.parts import COLOURS, PART_CLASSES
 from bodyseg_data.machine import if_ready, loops
@@ -343,7 +341,7 @@ def _regions(kind: Any, numbers: Any, classes: Any, folder: Path, where: str) ->
         numbers = dict.fromkeys(names, 0)
     if not isinstance(numbers, dict) or not numbers or {*map(type, numbers.values())} != {int}:
         raise BadConfig(f"{where}: the table [regions] must give each region a whole number, found {numbers!r:.60}")
-    of = classes_of((LabelClass(**row) for row in with_sides([{"name": each} for each in numbers])), "regions")
+    of = classes_of(numbers, "regions")
     return OnTemplate(str(folder / kind) if is_file else kind, () if kind == "bones" else tuple(numbers.values())), of
 
 

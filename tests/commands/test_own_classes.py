@@ -14,7 +14,7 @@ from open_sets import CELL_CLASSES, NAMES, STEP_M, write_open_set
 from PIL import Image
 
 from bodyseg_data import BadConfig, LabelMap, Mixture, RangeImages
-from bodyseg_data.labels import LANDMARKS, LabelClass, classes_of, whole_map
+from bodyseg_data.labels import LANDMARKS, Classes, LabelClass, classes_of, whole_map
 from bodyseg_model import load_network
 from bodyseg_model.commands import main
 from bodyseg_model.segmentation import FrameLabeller
@@ -152,9 +152,10 @@ def test_classes_may_be_joined_and_have_no_mirror_image(
 
 
 def test_a_mixture_counts_the_pixels_of_each_set_by_its_own_map(folder: Path, tmp_path: Path) -> None:
-    write_open_set(tmp_path, 8, 4, classes=classes_of([*NAMES[::-1]], "reversed"))
+    unpaired = Classes("reversed", tuple(map(LabelClass, NAMES[::-1])))
+    write_open_set(tmp_path, 8, 4, classes=unpaired)
     plain = RangeImages(folder / "cells", "none")
-    turned = LabelMap("robot cell", tuple((name, (name,)) for name in NAMES), classes_of([*NAMES[::-1]], "reversed"))
+    turned = LabelMap("robot cell", tuple((name, (name,)) for name in NAMES), unpaired)
     with pytest.raises(BadConfig, match="other mirror images"):
         Mixture([(plain, 1.0), (RangeImages(tmp_path, "none", labels=turned), 1.0)])
     maps = [LabelMap("two", (("a", ("floor",)), ("b", ("wall",))), each.of) for each in (plain.label_map, turned)]

@@ -188,6 +188,8 @@ def test_classes_of_a_users_own() -> None:
     assert CELL.colours[0].tolist() == [0x10, 0x20, 0x30] and len({tuple(each) for each in CELL.colours.tolist()}) == 4
     assert classes_from_json(json.loads(json.dumps(CELL.to_json())), "a manifest") == CELL
     assert classes_of(["a", "b"], "mine") == Classes("mine", (LabelClass("a"), LabelClass("b")))
+    sided = classes_of(["left hand", "table", "right hand", LabelClass("lane.L", mirror="lane.L"), "lane.R"])
+    assert sided.mirrored[:5].tolist() == [2, 1, 0, 3, 4]
     assert classes_from_json(PART_CLASSES.to_json(), "x") == PART_CLASSES
 
 

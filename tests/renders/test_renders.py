@@ -194,6 +194,13 @@ def test_a_column_of_csv_with_underscores_is_text(tmp_path: Path) -> None:
     assert (table["subject"].tolist(), table["take"].tolist()) == (subjects, [0, 1, 2, 3])
 
 
+def test_names_of_two_sides_are_mirror_images(tmp_path: Path) -> None:
+    folder = plain(tmp_path / "cell")
+    text = (folder / "set.toml").read_text().replace('["floor", "arm", "box"]', '["left arm", "floor", "right arm"]')
+    (folder / "set.toml").write_text(text)
+    assert open_renders(folder).classes.mirrored[:3].tolist() == [2, 1, 0]
+
+
 def test_labels_in_colours_and_several_numbers_for_a_class(tmp_path: Path) -> None:
     folder = plain(tmp_path / "cell")
     classes = '[{name="floor", label=[1, 7]}, {name="arm", colour="#00FF00"}, {name="box", colour="#0000ff"}]'
