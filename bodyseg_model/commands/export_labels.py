@@ -28,6 +28,7 @@ from bodyseg_data.labels import BACKGROUND, PART_CLASSES, PARTS33, LabelMap, lab
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.renders import read_array
 from bodyseg_data.samples import ReadSplit, split_key
+from bodyseg_data.shards import column_names, open_store
 from bodyseg_model.recordings import find_frames
 from bodyseg_model.segmentation import LABELS, UNDISTORTED
 
@@ -124,6 +125,7 @@ def _samples(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Im
     if options.frames:
         raise BadConfig(f"--frames are of a folder that `bodyseg segment` wrote, found none in {options.folder}")
     chosen: dict[str, Any] = {"sensor": options.sensor, "labels": options.labels, "where": options.where}
+    chosen["columns"] = [name for name in column_names(open_store(options.folder)[0]) if name == "instances"]
     planes = [options.instances] if options.instances else []
     images = RangeImages(options.folder, options.variant, options.split, options.seed, planes=planes, **chosen)
     plane = options.instances or ("instances" if "instances" in images.manifest.planes else None)

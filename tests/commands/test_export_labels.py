@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from small_rig import SMALL
 
-from bodyseg_data import RangeImages, ShardWriter
+from bodyseg_data import ColumnWriter, RangeImages, ShardWriter
 from bodyseg_data.files import part_beside
 from bodyseg_data.labels import BACKGROUND, PARTS, PARTS33, LabelClass, load_label_map
 from bodyseg_model.commands import cli, segment
@@ -140,6 +140,16 @@ def test_instances_and_wider_classes_are_the_sets_own(tmp_path: Path) -> None:
     assert [each["supercategory"] for each in found["categories"]] == ["room", "classes"]
     assert [each["id"] for each in found["annotations"][0]["segments_info"]] == [1, 2 + 256 * 300]
     assert tree(tmp_path / "out" / "classes.json")[0] == {"name": "floor", "color": "#102030", "attributes": []}
+
+
+def test_instances_may_be_a_column(tmp_path: Path) -> None:
+    labels = np.zeros((SMALL.camera.rows, SMALL.camera.columns), np.uint8)
+    with ShardWriter(tmp_path / "set", rig=SMALL, classes=["box"], projector="none") as out:
+        out.write(key="scene", range_m=np.full(labels.shape, 2.0), labels=labels)
+    with ColumnWriter(tmp_path / "set", "instances", "uint16") as column:
+        column.write("scene", np.full(labels.shape, 7))
+    found = tree(export(tmp_path / "out", tmp_path / "set", "panoptic") / "panoptic.json")
+    assert [each["id"] for each in found["annotations"][0]["segments_info"]] == [1 + 256 * 7]
 
 
 def test_dense_pose_has_its_charts(figures_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
