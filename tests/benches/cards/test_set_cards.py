@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -160,6 +161,12 @@ def test_a_dataset_card_tells_what_the_manifest_holds(described: Path, facts: Se
         "- this set: CC0-1.0, published by A. Author, 2026-01-31",
     ):
         assert f"{line}\n" in page
+
+
+def test_a_card_promises_no_shadows_of_a_set_without_a_projector(facts: SetFacts) -> None:
+    unlit = replace(facts, manifest=replace(facts.manifest, projector="none"))
+    text = dataset_card(unlit, Publication("Unlit", DAY))
+    assert "makes the variants none, noise, md of them" in text and 'variant="md", split="train"' in text
 
 
 def test_cards_state_what_no_manifest_knows_only_where_it_is_given(facts: SetFacts) -> None:

@@ -114,6 +114,7 @@ def _reading(facts: SetFacts) -> str:
     members = [(f"`NAME.{member}`", MEMBERS[member]) for member in (*CODECS[facts.manifest.codec].members, "json")]
     members += [(f"`NAME.plane.{name}.*`", f"the plane `{name}`, whole numbers") for name in facts.manifest.planes]
     files = ", ".join(f'"{split}": "{split}-*.tar"' for split in facts.splits)
+    options = f'variant="{facts.variants[-1]}", split="{next(iter(facts.splits))}"'
     return "\n".join(
         [
             "## Reading",
@@ -125,7 +126,7 @@ def _reading(facts: SetFacts) -> str:
             "```python",
             "from bodyseg_data import RangeImages",
             "",
-            'images = RangeImages("FOLDER OR ADDRESS", variant="all", split="train")',
+            f'images = RangeImages("FOLDER OR ADDRESS", {options})',
             "```",
             "",
             "By Hugging Face's `datasets`, as stored, from the folder of the shards:",

@@ -29,7 +29,7 @@ UNKNOWN_LICENCE: Final = "unknown"
 """Licence of a set whose publisher states none."""
 
 MEMBERS: Final = {
-    "bsi": "one image file of the package bodyseg: range, labels and the projector's range, without loss",
+    "bsi": "one image file of the package bodyseg: range, labels and any projector's range, without loss",
     "range.png": "camera range, 16-bit, in steps of the rig along the optical axis; 0 is background",
     "labels.png": "classes, 8-bit; 254 on surfaces of none, 255 where nothing was measured",
     "facing.png": "8-bit: 1 where the surface faces the projector, 2 more where it faces a second one",
@@ -142,6 +142,12 @@ class SetFacts:
         return self.manifest.classes == PART_CLASSES
 
     @property
+    def variants(self) -> list[str]:
+        """Variants that can be made of the set: shadows need the projector's range."""
+        lit = self.manifest.projector != "none"
+        return [name for name, kinds in VARIANTS.items() if lit or "occlusion" not in kinds]
+
+    @property
     def samples(self) -> int:
         """Number of samples in all splits."""
         return sum(counts.samples for counts in self.splits.values())
@@ -244,7 +250,7 @@ def summary_text(facts: SetFacts) -> str:
     counts = " and ".join(f"{counts.samples} for {_PURPOSES[split]}" for split, counts in facts.splits.items())
     return (
         f"Range images of {what} at each pixel: {counts}. They are stored without artifacts; the package bodyseg makes "
-        f"the variants {', '.join(VARIANTS)} of them while it reads them."
+        f"the variants {', '.join(facts.variants)} of them while it reads them."
     )
 
 
