@@ -65,8 +65,8 @@ class Classes:
     """Classes of a set, 1 to 254; the label of a class is its index.
 
     name: of the whole, such as "parts33", which equal ones need not share. Raises BadConfig for too many or none, a
-    name that is empty, given twice or cannot be printed, a colour that is none, or a mirror image that is no class or
-    has another mirror image.
+    name that is empty, "*", given twice or cannot be printed, a colour that is none, or a mirror image that is no class
+    or has another mirror image.
     """
 
     name: str = field(compare=False)
@@ -81,6 +81,8 @@ class Classes:
         for entry in self.entries:
             if not _is_name(entry.name):
                 raise BadConfig(f"{where}: a class needs a name that can be printed, found {entry.name!r}")
+            if entry.name == "*":
+                raise BadConfig(f"{where}: no class is named '*', which stands for all the rest in label maps")
             if self.names.count(entry.name) > 1:
                 raise BadConfig(f"{where}: a class is named once, found {entry.name!r} twice")
             if entry.colour is not None and not (isinstance(entry.colour, str) and _COLOUR.fullmatch(entry.colour)):

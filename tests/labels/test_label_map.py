@@ -224,6 +224,7 @@ def test_a_map_of_a_users_own_classes(tmp_path: Path) -> None:
         (["a", "a"], "a class is named once, found 'a' twice"),
         ([" "], "a class needs a name that can be printed, found ' '"),
         (["a\n"], "a class needs a name that can be printed"),
+        (["a", "*"], "no class is named '*', which stands for all the rest in label maps"),
         ([LabelClass("a", colour="red")], "the colour of 'a' must be like '#1e90ff', found 'red'"),
         ([LabelClass("a", mirror="b")], "the mirror image of 'a', 'b', is no class"),
         ([LabelClass("a", mirror="b"), "b"], "the mirror image of 'b' must be 'a'"),
