@@ -136,8 +136,9 @@ class SampleInfo:
 
 def check_field_name(name: Any) -> str:
     """Return the name of a field. Raises BadSample unless it is a lower-case word like "robot_arm" and not "split"."""
-    if not isinstance(name, str) or not _FIELD.fullmatch(name) or name in ("split", "key", "fields", "view", "get"):
-        raise BadSample(f"a field must have a lower-case name like 'subject', and not 'split' or 'key', found {name!r}")
+    taken = ("split", "key", "fields", "view", "get")
+    if not isinstance(name, str) or not _FIELD.fullmatch(name) or name in taken:
+        raise BadSample(f"a field must have a lower-case name like 'subject', none of {taken}, found {name!r}")
     return name
 
 

@@ -288,8 +288,9 @@ def _planes(tree: Any, path: str) -> dict[str, str]:
 
 def check_plane(name: Any, kind: Any, where: str) -> None:
     """Raise BadShard, naming `where`, unless a sample may have a further image of this name and type."""
-    if not isinstance(name, str) or not _PLANE.fullmatch(name) or name in ("range", "labels", "projector", "facing"):
-        raise BadShard(f"{where}: a plane must have a lower-case name like 'instances', found {name!r}")
+    taken = ("range", "labels", "projector", "facing")
+    if not isinstance(name, str) or not _PLANE.fullmatch(name) or name in taken:
+        raise BadShard(f"{where}: a plane has a lower-case name like 'instances', none of {taken}, found {name!r}")
     if kind not in PLANE_KINDS:
         raise BadShard(f"{where}: the plane {name!r} must be of the type {' or '.join(PLANE_KINDS)}, found {kind!r}")
 

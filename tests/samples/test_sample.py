@@ -73,7 +73,7 @@ def test_a_description_has_any_fields() -> None:
     [
         (
             {"Robot": "r1"},
-            "must have a lower-case name like 'subject', and not 'split' or 'key', found 'Robot'",
+            r"a lower-case name like 'subject', none of \('split', 'key', 'fields', 'view', 'get'\), found 'Robot'",
         ),
         ({"key": "r1"}, "a field must have a lower-case name"),
         ({"robot": None}, "field 'robot' must be text, a whole number, a number, true or false, or a tuple of numbers"),
