@@ -141,7 +141,7 @@ def test_a_column_may_be_written_in_any_order_once_and_whole(copy: Path) -> None
         column.write("other", 1)
     for name, kind, message in [
         ("Mine", "int", "a field must have a lower-case name"),
-        ("range", "uint8", "a plane must have a lower-case name"),
+        ("range", "uint8", "a plane has a lower-case name"),
         (
             "mine",
             "int8",

@@ -229,7 +229,7 @@ def _with(change: Callable[[dict[str, Any]], object]) -> Callable[[dict[str, Any
         (_with(lambda tree: tree["classes"]["classes"][0].update(mirror=[])), "the mirror image of 'Sellion'"),
         (_with(lambda tree: tree.update(projector="all")), "'projector' must be one of shadow, exact, none"),
         (_with(lambda tree: tree.update(planes=[])), "'planes' must be an object, found list"),
-        (_with(lambda tree: tree.update(planes={"A": "uint8"})), "a plane must have a lower-case name"),
+        (_with(lambda tree: tree.update(planes={"A": "uint8"})), "a plane has a lower-case name"),
         (_with(lambda tree: tree.update(planes={"a": "int8"})), "the plane 'a' must be of the type uint8 or uint16"),
         (_with(lambda tree: tree.update(rigs=[])), "'rigs' must be a list of 1 to 4096"),
         (
