@@ -141,7 +141,8 @@ class SetView:
 
         def fit(index: int) -> tuple[bool, bool, int]:
             known = self.images.describe(index)
-            front = abs((float(known.get("azimuth_deg", 180)) + 180) % 360 - 180) <= _FRONT_DEG
+            azimuth = known.get("azimuth_deg")  # a user's own field of that name may be text
+            front = isinstance(azimuth, int) and abs((azimuth + 180) % 360 - 180) <= _FRONT_DEG
             return str(known.get("pose")).startswith("stand"), front, -index
 
         return max(range(min(len(self), _FIRST)), key=fit)

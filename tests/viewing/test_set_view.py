@@ -136,6 +136,14 @@ def test_the_page_opens_on_somebody_who_stands_and_looks_at_the_camera(small_set
     assert 0 <= tested.first_index() < len(tested)
 
 
+def test_the_page_opens_on_a_set_whose_own_fields_are_called_as_those_of_bodies(tmp_path: Path) -> None:
+    with ShardWriter(tmp_path / "set", rig=SMALL, classes=["box"], projector="none") as out:
+        shape = SMALL.camera.rows, SMALL.camera.columns
+        fields = {"azimuth_deg": "north", "pose": (1.0, 2.0)}
+        out.write(key="scene", range_m=np.full(shape, 2.0), labels=np.zeros(shape, int), fields=fields)
+    assert SetView(tmp_path / "set").first_index() == 0
+
+
 def test_other_classes_can_be_shown(small_set: Path) -> None:
     trained = Trained(Places(0, 5), {"rig": SMALL.to_json()})
     view = SetView(small_set, trained, labels="limbs14")
