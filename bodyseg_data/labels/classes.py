@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import colorsys
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, Final, Literal
@@ -27,6 +27,9 @@ UNLABELLED: Final = 254
 
 MOST_CLASSES: Final = 254
 """Largest number of classes of a set."""
+
+REST: Final = "*"
+"""In label maps, stands alone for all that a class may join which no other class does, and for surfaces of no class."""
 
 _DARKEST: Final = 70.0
 _LIGHTEST: Final = 225.0
@@ -65,8 +68,8 @@ class Classes:
     """Classes of a set, 1 to 254; the label of a class is its index.
 
     name: of the whole, such as "parts33", which equal ones need not share. Raises BadConfig for too many or none, a
-    name that is empty, "*", given twice or cannot be printed, a colour that is none, or a mirror image that is no class
-    or has another mirror image.
+    name that is empty, `REST`, given twice or cannot be printed, a colour that is none, or a mirror image that is no
+    class or has another mirror image.
     """
 
     name: str = field(compare=False)
@@ -79,10 +82,8 @@ class Classes:
         if not 1 <= len(self.entries) <= MOST_CLASSES:
             raise BadConfig(f"{where}: a set has 1 to {MOST_CLASSES} classes, found {len(self.entries)}")
         for entry in self.entries:
-            if not _is_name(entry.name):
-                raise BadConfig(f"{where}: a class needs a name that can be printed, found {entry.name!r}")
-            if entry.name == "*":
-                raise BadConfig(f"{where}: no class is named '*', which stands for all the rest in label maps")
+            if not _is_name(entry.name) or entry.name == REST:
+                raise BadConfig(f"{where}: a class needs a name that can be printed, not '*', found {entry.name!r}")
             if self.names.count(entry.name) > 1:
                 raise BadConfig(f"{where}: a class is named once, found {entry.name!r} twice")
             if entry.colour is not None and not (isinstance(entry.colour, str) and _COLOUR.fullmatch(entry.colour)):
@@ -152,7 +153,7 @@ def classes_of(given: Classes | Iterable[str | LabelClass], name: str = "classes
     """
     if isinstance(given, Classes):
         return given
-    if isinstance(given, str) or not isinstance(given, Iterable):
+    if isinstance(given, str | set | frozenset | Mapping) or not isinstance(given, Iterable):
         raise BadConfig(f"classes must be a list of names, found {given!r}")
     entries = tuple(LabelClass(each) if isinstance(each, str) else each for each in given)
     for entry in entries:

@@ -21,6 +21,7 @@ from bodyseg_data.files import Table, TomlFiles
 from bodyseg_data.labels.classes import (
     BACKGROUND,
     MOST_CLASSES,
+    REST,
     UNLABELLED,
     Classes,
     Side,
@@ -35,8 +36,6 @@ from bodyseg_data.machine import if_ready, loops
 Bytes = NDArray[np.uint8]
 
 LABEL_MAP_FORMAT: Final = "bodyseg labels 1"
-REST: Final = "*"
-"""Stands, alone, for all that a class may join which no other class does, and for surfaces of no class."""
 TEMPLATE: Final = "template"
 """Name of the column of a set that tells where on the template of the body each pixel lies."""
 NOWHERE: Final = 65535
