@@ -402,9 +402,10 @@ class RangeImages(SampleDataset):
 
         shuffle: "blocks" for the order of `BlockOrder`: blocks of 32 neighbours, 32 of them mixed at a time.
         """
-        if not isinstance(shuffle, bool):
+        if shuffle == "blocks":
             return BlockOrder(len(self), self.seed, check_epoch(epoch))[:]
-        return permutation(len(self), self.seed, check_epoch(epoch)) if shuffle else np.arange(len(self))
+        mixed = check_bool("shuffle", shuffle, "True, False or 'blocks'")
+        return permutation(len(self), self.seed, check_epoch(epoch)) if mixed else np.arange(len(self))
 
     def requests(self, epoch: int, shuffle: Shuffle = True) -> Requests:
         """`order`, by blocks in parts, with the epoch of the draws, the same for all samples."""

@@ -100,6 +100,17 @@ def test_an_index_is_a_whole_number_within_the_set(images: RangeImages) -> None:
     )
 
 
+def test_an_order_is_the_one_asked_for(images: RangeImages) -> None:
+    """Not that by blocks for whatever is not Python's own bool."""
+    mixture: Any = Mixture([(images, 1)])
+    for value in ("block", None, 0, 1):
+        for way in (images.order, images.requests, mixture.requests):
+            with pytest.raises(BadConfig, match="^shuffle must be True, False or 'blocks', found "):
+                way(0, value)
+    no: Any = np.bool_(False)
+    np.testing.assert_array_equal(images.order(0, no), np.arange(len(images)))
+
+
 @pytest.mark.parametrize("epoch", [-1, True, "1", 1.0])
 def test_an_epoch_is_checked_wherever_it_is_taken(images: RangeImages, epoch: Any) -> None:
     ways: tuple[Callable[[], Any], ...] = (
