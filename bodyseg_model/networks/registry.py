@@ -92,7 +92,7 @@ def predict(network: Network, range_m: torch.Tensor) -> Prediction:
 
     network: in evaluation mode. It sees whole images, as in training: how much is empty around a body changes its
     labels. Scores that are coarser than the image are interpolated, as they were in training. Raises BadConfig for a
-    wrong shape or a network in training mode.
+    wrong shape, a range that is not finite, or a network in training mode.
     """
     return _predict(network, range_m, network.scores if isinstance(network, Network) else None)
 
@@ -128,10 +128,16 @@ def _predict(network: Network, range_m: torch.Tensor, scores: Callable[[torch.Te
         raise BadConfig("predict needs a network in evaluation mode: call network.eval() first")
     if range_m.device.type == "cpu":
         return _predict_on_processor(network, range_m, scores)
+    _check_finite(bool(range_m.isfinite().all()))
     measured = range_m[:, 0] > 0
     labels = torch.full(measured.shape, BACKGROUND, dtype=torch.uint8, device=range_m.device)
     empty = Prediction(labels, torch.zeros(measured.shape, dtype=torch.float32, device=range_m.device))
     return _label_by_torch(network, scores(range_m).float(), measured, empty) if measured.any() else empty
+
+
+def _check_finite(finite: bool) -> None:
+    if not finite:  # one such pixel would change the labels of all
+        raise BadConfig("range images must be finite, 0 where nothing was measured")
 
 
 def _predict_on_processor(
@@ -142,6 +148,7 @@ def _predict_on_processor(
     threads need.
     """
     metres = np.ascontiguousarray(range_m[:, 0].float().numpy())
+    _check_finite(bool(np.isfinite(metres).all()))
     labels, confidence = np.full(metres.shape, BACKGROUND, np.uint8), np.zeros(metres.shape, np.float32)
     found, measured = Prediction(torch.from_numpy(labels), torch.from_numpy(confidence)), metres > 0
     if not measured.any():

@@ -168,6 +168,14 @@ def test_predicting_needs_a_network_that_is_not_being_trained() -> None:
         predict(network().train(), figure(8, 8))
 
 
+@pytest.mark.parametrize("lost", [torch.nan, torch.inf])
+def test_pixels_as_drivers_write_them_where_nothing_was_measured_are_refused(lost: float) -> None:
+    range_m = figure(8, 8)
+    range_m[0, 0, 0, 0] = lost
+    with pytest.raises(BadConfig, match="^range images must be finite, 0 where nothing was measured$"):
+        predict(network(), range_m)
+
+
 def test_a_network_sees_whole_images_whatever_else_is_in_the_batch() -> None:
     made = network()
     range_m = torch.zeros(2, 1, 400, 420)
