@@ -264,11 +264,6 @@ CASES: dict[str, Case] = {
         BadConfig,
         "Compact starts from a run's folder or a .safetensors file, found a.onnx",
     ),
-    "find bodies in an unknown way": (
-        lambda: Background("peopel"),  # type: ignore[arg-type]
-        BadConfig,
-        "the background must be one of people, limits, keep, frame, found 'peopel'",
-    ),
     "find bodies between limits in the wrong order": (
         lambda: Background("limits", 2, 2),
         BadConfig,

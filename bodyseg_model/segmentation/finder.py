@@ -10,13 +10,13 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from functools import cache, lru_cache, partial
 from importlib import import_module
-from typing import Any, Final, Literal, NamedTuple, get_args
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, check_choice
+from bodyseg_data.core import BadConfig, Checked
 from bodyseg_data.machine import required
 from bodyseg_data.rigs import Camera
 from bodyseg_model.networks import FINDER, Network, Trained, check_network, device_of, load_network
@@ -59,7 +59,7 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class Background:
+class Background(Checked):
     """Rule for removing the background before a network labels the rest.
 
     mode: "people" keeps the people that the finder finds, within the limits; "limits" keeps every pixel within the
@@ -73,7 +73,7 @@ class Background:
     far_m: float = 6.0
 
     def __post_init__(self) -> None:
-        check_choice("the background", self.mode, get_args(BackgroundMode))
+        super().__post_init__()
         if not 0 <= self.near_m < self.far_m < float("inf"):
             raise BadConfig(
                 "the near limit must be at least 0 m and less than the far one, found "

@@ -227,7 +227,6 @@ def test_a_map_of_a_users_own_classes(tmp_path: Path) -> None:
         ({"leg", "arm"}, "classes must be a list of names, found {"),
         ({"leg": 1, "arm": 0}, "classes must be a list of names, found {'leg': 1, 'arm': 0}"),
         (["a\n"], "a class needs a name that can be printed"),
-        (["a", "*"], "no class is named '*', which stands for all the rest in label maps"),
         ([LabelClass("a", colour="red")], "the colour of 'a' must be like '#1e90ff', found 'red'"),
         ([LabelClass("a", mirror="b")], "the mirror image of 'a', 'b', is no class"),
         ([LabelClass("a", mirror="b"), "b"], "the mirror image of 'b' must be 'a'"),

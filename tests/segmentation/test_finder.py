@@ -282,6 +282,9 @@ def test_limits_and_keep_take_all_as_one_body() -> None:
 def test_limits_are_in_order(limits: tuple[float, float]) -> None:
     with pytest.raises(BadConfig, match=f"^the near limit .* {limits[0]:g} and {limits[1]:g} m"):
         Background("limits", *limits)
+    mode: Any = "limit"
+    with pytest.raises(BadConfig, match="^Background: mode must be 'people' or .*, found 'limit'$"):
+        Background(mode)
 
 
 @pytest.mark.parametrize(
