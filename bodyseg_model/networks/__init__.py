@@ -16,6 +16,7 @@ if TYPE_CHECKING:
         CheckpointName,
         RunFiles,
         Trained,
+        check_trained,
         confusion_file,
         is_unfinished,
         load_network,

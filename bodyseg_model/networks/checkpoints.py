@@ -207,6 +207,13 @@ def _read_weights(file: Path, facts: Mapping[str, Any]) -> tuple[dict[str, torch
     return _parse(data, file), digest
 
 
+def check_trained(trained: object) -> None:
+    """Raise BadConfig for what is no network with its card, as a network alone is not."""
+    if not isinstance(trained, Trained):
+        what = "a network with its card is needed, as load_network(...) and wrapped(module) give it"
+        raise BadConfig(f"{what}, found {type(trained).__name__}")
+
+
 def wrapped(
     module: nn.Module,
     labels: LabelMap | Iterable[str | LabelClass] = PARTS33,

@@ -30,6 +30,7 @@ from bodyseg_model.networks import (
     Trained,
     check_network,
     check_range_images,
+    check_trained,
     device_of,
     find_device,
     load_network,
@@ -236,7 +237,7 @@ def put_on_backend(
     trained: Trained, backend: BackendName | None, precision: Precision | None, flip_average: bool = False
 ) -> Trained:
     """A trained network with its card on a backend; see `on_backend`. flip_average: as `FlipAverage`."""
-    check_network(getattr(trained, "network", trained))
+    check_trained(trained)
     network = on_backend(trained.network, backend, precision)
     return Trained(FlipAverage(network, trained.label_map) if flip_average else network, trained.card)
 

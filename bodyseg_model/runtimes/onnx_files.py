@@ -21,7 +21,7 @@ from bodyseg_data.core import BadConfig, Checked, bounded
 from bodyseg_data.files import read_bytes, write_result
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import required
-from bodyseg_model.networks import Network, Trained, check_network
+from bodyseg_model.networks import Network, Trained, check_trained
 
 FORMAT: Final = "bodyseg onnx 1"
 SUFFIX: Final = ".onnx"
@@ -144,7 +144,7 @@ def to_onnx(network: Network, card: dict[str, Any] | None = None) -> OnnxModel:
 
 def export_trained(trained: Trained) -> OnnxModel:
     """A trained network as an ONNX graph with its card, whose entries name its labels and its rig in any case."""
-    check_network(getattr(trained, "network", trained))
+    check_trained(trained)
     card = {**trained.card, "labels": trained.label_map.to_json(), "rig": trained.rig.to_json()}
     return to_onnx(trained.network, card)
 

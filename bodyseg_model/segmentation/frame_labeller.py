@@ -138,6 +138,8 @@ class FrameLabeller:
         self.label_map, self.rig = self.trained.label_map, self.trained.rig
         of_parts = self.label_map.of == PART_CLASSES
         self.background = background or Background("people" if of_parts else "frame")
+        if not isinstance(self.background, Background):
+            raise BadConfig(f"background must be one like Background('keep'), found {background!r}")
         self.mirrored, self.least_confidence = mirrored, least_confidence
         self.video = CarriedLabels() if video else None
         self._finder: Trained | None = None

@@ -95,6 +95,8 @@ def test_classes_may_be_names() -> None:
 
 FRAME = torch.zeros(1, 1, 8, 8)
 UNWRAPPED = "^a network must be a bodyseg_model.Network: `bodyseg_model.wrapped.* is one, found Conv2d$"
+CARDLESS = r"^a network with its card is needed, as load_network\(.*\) and wrapped\(module\) give it, found Conv2d$"
+NO_BACKGROUND: Any = "keep"
 PLAIN: Any = nn.Conv2d(1, 33, 1)
 
 
@@ -114,10 +116,12 @@ PLAIN: Any = nn.Conv2d(1, 33, 1)
             "^what is wrapped must be a torch module and no Network, found Wrapped",
         ),
         (lambda: Segmenter(PLAIN, CAMERA), UNWRAPPED),
-        (lambda: FrameLabeller(PLAIN), UNWRAPPED),
+        (lambda: FrameLabeller(PLAIN), CARDLESS),
+        (lambda: FrameLabeller(wrapped(PLAIN).network), CARDLESS.replace("Conv2d", "WrappedModule")),
+        (lambda: FrameLabeller(wrapped(PLAIN), NO_BACKGROUND), r"^background must be one like .*, found 'keep'$"),
         (lambda: predict(PLAIN, FRAME), UNWRAPPED),
         (lambda: on_backend(PLAIN), UNWRAPPED),
-        (lambda: write_onnx("x.onnx", PLAIN), UNWRAPPED),
+        (lambda: write_onnx("x.onnx", PLAIN), CARDLESS),
     ],
 )
 def test_what_does_not_fit_is_one_line(ask: Callable[[], Any], said: str) -> None:
