@@ -90,6 +90,7 @@ class SensorModel:
         """
         names = [artifact.name for artifact in self.artifacts]
         for index, artifact in enumerate(given):
+            check_artifact_class(type(artifact), f"sensor {self.name}")
             if any(artifact.name == other.name for other in given[:index]):
                 raise BadConfig(f"an artifact may be given once, found {artifact.name} twice")
         replaced = {artifact.name: artifact for artifact in given}

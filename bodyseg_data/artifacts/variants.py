@@ -64,12 +64,13 @@ def sensor_for(variant: str, sensor: SensorModel, given: Sequence[Artifact]) -> 
     Raises BadConfig for one whose kind the variant does not have, so that no strength is set in vain; otherwise as
     `SensorModel.with_artifacts`.
     """
+    found = sensor.with_artifacts(*given)
     for artifact in given:
         if artifact.kind not in kinds_of(variant):
             raise BadConfig(
                 f"a strength of {artifact.name} is for a variant that has {artifact.kind}, found variant {variant!r}"
             )
-    return sensor.with_artifacts(*given)
+    return found
 
 
 @dataclass(frozen=True)

@@ -354,6 +354,8 @@ class TomlFiles:
 
         Raises BadConfig for a name that is not there, or a file that cannot be read.
         """
+        if not isinstance(name_or_path, str | Path):
+            raise BadConfig(f"a {self.kind} is given by its name or a path, found {name_or_path!r:.100}")
         path = Path(name_or_path)
         if path.suffix != ".toml":
             names = self.names()

@@ -301,6 +301,8 @@ def load_label_map(labels: str | Path | LabelMap, of: Classes = PART_CLASSES) ->
     of: the classes of the set, which a map of regions of the template does not need. Raises BadConfig, also for a map
     of another set's classes.
     """
+    if not isinstance(of, Classes):
+        raise BadConfig(f"label maps are of the classes of a set, found {of!r:.100}")
     if isinstance(labels, LabelMap):
         if labels.template is None and labels.name in _FILES.names()[1:]:
             shipped = load_label_map(labels.name)

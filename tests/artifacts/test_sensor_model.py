@@ -87,6 +87,10 @@ def test_artifacts_are_replaced_where_they_stand_and_new_ones_come_last() -> Non
         PAPER.without("losses")
     with pytest.raises(BadConfig, match="an artifact may be given once, found noise twice"):
         PAPER.with_artifacts(Noise(), Noise(1.0))
+    name: Any = "noise"
+    for way in (lambda: PAPER.with_artifacts(name), lambda: sensor_for("all", PAPER, [name])):
+        with pytest.raises(BadConfig, match="sensor paper: an artifact must be a dataclass derived from Artifact"):
+            way()
 
 
 @pytest.mark.parametrize(

@@ -208,6 +208,9 @@ def test_a_map_of_a_users_own_classes(tmp_path: Path) -> None:
         load_label_map(robot)
     with pytest.raises(BadConfig, match="labels 'parts33' are of other classes than the set's: found the labels"):
         load_label_map("parts33", CELL)
+    names: Any = ["floor", "arm"]
+    with pytest.raises(BadConfig, match=r"^label maps are of the classes of a set, found \['floor', 'arm'\]$"):
+        load_label_map("limbs14", names)
     with pytest.raises(BadConfig, match="'Sellion' is none of the classes 'cell'"):
         LabelMap("x", (("a", ("Sellion",)),), CELL)
     with pytest.raises(

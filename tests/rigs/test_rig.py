@@ -249,6 +249,12 @@ def test_a_broken_second_projector_is_refused_in_one_line(old: str, new: str, me
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("what", [None, 3, b"paper", load_rig()])
+def test_a_rig_is_read_by_a_name_or_a_path(what: Any) -> None:
+    with pytest.raises(BadConfig, match="^a rig is given by its name or a path, found "):
+        load_rig(what)
+
+
 def test_a_second_projector_alone_is_no_rig() -> None:
     with pytest.raises(BadConfig, match="rig x: table 'projector' is missing"):
         parse_sensor(PAPER.replace("[projector]", "[second_projector]"), "x")
