@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
@@ -77,6 +78,7 @@ def test_a_share_of_samples_is_cut_as_its_decimals_say() -> None:
     for samples in (100, 200, 1000, 7_000_000):
         for hundredths in range(1, 100):
             assert checked_budget("skip", hundredths / 100, samples) == hundredths * samples // 100
+    assert [checked_budget("skip", budget, 8) for budget in (np.int64(3), np.float32(0.5))] == [3, 4]
     assert checked_budget("skip", 1 / 3, 3) == 1 and checked_budget("skip", 0.999, 1000) == 999
 
 
