@@ -94,8 +94,13 @@ class ShardWriter:
         progress: ProgressCallback = silent,
     ) -> None:
         check_choice("projector", projector, (*get_args(ProjectorKind), None))
-        if not source or not source.isprintable():
+        if not isinstance(source, str) or not source or not source.isprintable():
             raise BadConfig(f"source must be a name that can be printed, found {source!r}")
+        if not isinstance(out, str | Path) or not str(out).strip():
+            raise BadConfig(f"out must be the path of a folder, found {out!r}")
+        for name, kinds in (("planes", planes), ("fields", fields)):
+            if not isinstance(kinds, Mapping | None):
+                raise BadConfig(f"{name} must give a kind for each name, found {kinds!r:.200}")
         several = list(rig) if isinstance(rig, Sequence) and not isinstance(rig, str) else [rig]
         if not several or not all(isinstance(each, RigLike) for each in several):
             raise BadConfig(f"a set needs at least one rig, a Rig or its name or file, found {rig!r:.100}")

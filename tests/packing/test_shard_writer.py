@@ -398,7 +398,7 @@ def test_normals_of_another_frame_are_seen(tmp_path: Path) -> None:
 
 def test_options_out_of_range_are_one_line(tmp_path: Path) -> None:
     def opened(**options: Any) -> ShardWriter:
-        return ShardWriter(tmp_path / "set", **{"rig": RIG, "classes": CLASSES, **options})
+        return ShardWriter(**{"out": tmp_path / "set", "rig": RIG, "classes": CLASSES, **options})
 
     for options, message in (
         ({"projector": "half"}, "projector must be one of shadow, exact, none, None, found 'half'"),
@@ -411,6 +411,11 @@ def test_options_out_of_range_are_one_line(tmp_path: Path) -> None:
         ({"fields": {"age": "number"}}, "kind of field 'age' must be one of text, int"),
         ({"shard_samples": 0}, "shard_samples must be a whole number of at least 1"),
         ({"source": ""}, "source must be a name"),
+        ({"source": 3}, "source must be a name"),
+        ({"planes": ["instances"]}, r"planes must give a kind for each name, found \['instances'\]"),
+        ({"fields": ["age"]}, r"fields must give a kind for each name, found \['age'\]"),
+        ({"out": ""}, "out must be the path of a folder, found ''"),  # not the folder that a program runs in
+        ({"out": None}, "out must be the path of a folder, found None"),
     ):
         with pytest.raises(BodysegError, match=message):
             opened(**options)
