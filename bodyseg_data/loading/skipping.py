@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from numbers import Integral, Real
 from typing import Any, Literal, TypeVar
+
+import numpy as np
 
 from bodyseg_data.core import BadConfig, BadSample, BadShard, check_choice
 
@@ -86,8 +87,8 @@ def checked_budget(on_error: str, budget: float | None, samples: int) -> int | N
         raise BadConfig(f"on_error='skip' and a skip_budget belong together, found {on_error!r} and {budget!r}")
     if budget is None:
         return None
-    if isinstance(budget, Integral) and not isinstance(budget, bool) and budget >= 0:
+    if isinstance(budget, int | np.integer) and not isinstance(budget, bool) and budget >= 0:
         return int(budget)
-    if isinstance(budget, Real) and not isinstance(budget, Integral) and 0 <= budget < 1:
+    if isinstance(budget, float | np.floating) and 0 <= budget < 1:
         return int(budget * samples * (1 + 1e-12))  # 29 for 0.29 of 100, which is 28.999... as a float
     raise BadConfig(f"skip_budget must be a number of samples, or a share below 1, found {budget!r}")
