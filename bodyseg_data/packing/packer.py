@@ -131,7 +131,7 @@ def render_run(packing: Packing, body: BodyRef, views: tuple[View, ...], plan: s
 
 def pack(
     packing: Packing,
-    out: Path,
+    out: Path | str,
     executor: Executor,
     workers: int,
     progress: ProgressCallback = silent,
@@ -147,6 +147,7 @@ def pack(
     shards that are missing or altered are made again; its meshes are not checked again while their files are unchanged.
     """
     forget_sources()
+    out = Path(out)
     check_folder(out)
     if packing.template and not getattr(packing.opened(), "on_template", False):
         raise BadConfig(f"the map of the body is of bodies that are made, found the source {packing.source!r}")

@@ -243,8 +243,9 @@ def test_two_packings_into_one_folder_do_not_meet(tmp_path: Path, pack_figures: 
 
 def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path, pack_figures: Pack, known: dict[Any, Any]) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(BadConfig, match="cannot make the folder .*: Not a directory"):
-        pack_figures(tmp_path / "file" / "shards", Renders(known))
+    for kind in (Path, str):
+        with pytest.raises(BadConfig, match="cannot make the folder .*: Not a directory"):
+            pack_figures(kind(tmp_path / "file" / "shards"), Renders(known))
 
 
 def test_a_bad_body_stops_the_packing_by_name(

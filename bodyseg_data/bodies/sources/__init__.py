@@ -80,8 +80,8 @@ def _added(name: str) -> SourceEntry:
 
 def open_source(
     name: str,
-    path: Path | None = None,
-    landmarks: Path | None = None,
+    path: Path | str | None = None,
+    landmarks: Path | str | None = None,
     units: Units = "auto",
     up: UpAxis = "auto",
     pymeshlab: bool = False,
@@ -96,6 +96,7 @@ def open_source(
     that the source does not take, BadLandmarks for a file that is not of the open body.
     """
     entry = SOURCES[name] if name in SOURCES else _added(name)
+    path, landmarks = (None if each is None else Path(each) for each in (path, landmarks))
     if entry.reads is None:
         source = entry.open()
         label_by = getattr(source, "label_by", None)

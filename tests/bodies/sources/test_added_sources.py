@@ -65,6 +65,7 @@ def test_the_command_packs_a_source_of_another_package(installed: Path, capsys: 
 
 def test_a_source_may_read_a_folder(installed: Path) -> None:
     assert vars(open_source("scans", installed, units="mm")) == {"folder": installed, "units": "mm"}
+    assert vars(open_source("scans", str(installed))) == {"folder": installed, "units": "auto"}
     assert type(open_source("open")).__module__ != "dolls"  # the names that ship stay what they are
 
 
