@@ -78,10 +78,10 @@ class Pull:
 
 def network_file(path: Path) -> Path:
     """Return the .safetensors file of a training's folder, or the path if it is one. Raises BadConfig."""
-    from bodyseg_model.networks import RunFiles, is_unfinished
+    from bodyseg_model.networks import RunFiles
 
     file = path / RunFiles.NETWORK if path.is_dir() else path
-    if path.is_dir() and file.exists() and is_unfinished(path):
+    if path.is_dir() and file.exists() and RunFiles.unfinished(path):
         carry_on = f"carry it on by --resume, or name {file}, an earlier one"
         raise BadConfig(f"the training in {path} has not ended, so that its network is not there yet: {carry_on}")
     if file.suffix != ".safetensors" or not file.is_file():

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
         Trained,
         check_trained,
         confusion_file,
-        is_unfinished,
         load_network,
         read_checkpoint,
         save_network,

@@ -57,6 +57,17 @@ class RunFiles:
 
     PLAN: Final = "run.json"
 
+    @staticmethod
+    def unfinished(folder: Path) -> bool:
+        """True if a run's folder has a checkpoint, and no network of that step or a later one."""
+        if not (folder / _CHECKPOINT).exists():
+            return False
+        card = (folder / RunFiles.NETWORK).with_suffix(".json")
+        if not card.exists():
+            return True
+        reached, step = read_json(card).get("last_step"), read_json(folder / _CHECKPOINT).get("step")
+        return isinstance(reached, int) and isinstance(step, int) and reached < step
+
 
 class CardWords:
     """Words of a network's card that others than this module write or check."""
@@ -179,7 +190,7 @@ def load_network(
     path = path if path.exists() else _NAMED.get(str(path), path)
     if checkpoint is not None and not path.is_dir():
         raise BadConfig(f"checkpoint {checkpoint!r} is one of a run's folder, found {path}")
-    if checkpoint == "last" or (checkpoint is None and path.is_dir() and is_unfinished(path)):
+    if checkpoint == "last" or (checkpoint is None and path.is_dir() and RunFiles.unfinished(path)):
         return _last_weights(path)
     file = path / (RunFiles.BEST if checkpoint == "best" else RunFiles.NETWORK) if path.is_dir() else path
     if checkpoint == "best" and not file.exists():
@@ -320,17 +331,6 @@ def read_checkpoint(folder: Path) -> Checkpoint | None:
     if found != digest:
         raise BadConfig(f"{folder / name} is damaged: SHA-256 {found}, expected {digest}")
     return Checkpoint(step, state, _parse(data, folder / name), found)
-
-
-def is_unfinished(folder: Path) -> bool:
-    """True if a run's folder has a checkpoint, and no network of that step or a later one."""
-    if not (folder / _CHECKPOINT).exists():
-        return False
-    card = (folder / RunFiles.NETWORK).with_suffix(".json")
-    if not card.exists():
-        return True
-    reached, step = read_json(card).get("last_step"), read_json(folder / _CHECKPOINT).get("step")
-    return isinstance(reached, int) and isinstance(step, int) and reached < step
 
 
 def _last_weights(folder: Path) -> Trained:
