@@ -16,8 +16,9 @@ from benches.__main__ import main
 from benches.cards.croissant import croissant
 from benches.cards.dataset_cards import dataset_card, size_class
 from benches.cards.facts import ORIGINS, Publication, SetFacts, origin_of, set_facts
+from small_rig import SMALL
 
-from bodyseg_data import RangeImages
+from bodyseg_data import RangeImages, ShardWriter
 from bodyseg_data.bodies import SOURCES
 from bodyseg_data.core import BadConfig
 from bodyseg_data.shards import read_manifest
@@ -167,6 +168,15 @@ def test_a_card_promises_no_shadows_of_a_set_without_a_projector(facts: SetFacts
     unlit = replace(facts, manifest=replace(facts.manifest, projector="none"))
     text = dataset_card(unlit, Publication("Unlit", DAY))
     assert "makes the variants none, noise, md of them" in text and 'variant="md", split="train"' in text
+
+
+def test_a_users_own_fields_are_listed_whatever_their_names(tmp_path: Path) -> None:
+    fields: Any = {"subject": "ann", "distance_cm": "far"}
+    with ShardWriter(tmp_path / "set", rig=SMALL, classes=["box"], projector="none") as out:
+        shape = SMALL.camera.rows, SMALL.camera.columns
+        out.write(key="scene", range_m=np.full(shape, 2.0), labels=np.zeros(shape, int), fields=fields)
+    found = set_facts(read_manifest(tmp_path / "set"))
+    assert (found.fields, found.views) == ({"distance_cm": "far", "subject": "ann"}, {})
 
 
 def test_cards_state_what_no_manifest_knows_only_where_it_is_given(facts: SetFacts) -> None:

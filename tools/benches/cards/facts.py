@@ -162,6 +162,7 @@ def set_facts(manifest: Manifest) -> SetFacts:
     """Count the facts of a set."""
     by_split = {split: [shard for shard in manifest.shards if shard.split == split] for split in SPLITS}
     found: dict[str, set[Any]] = {name: set() for name in manifest.fields.kinds}
+    rendered = manifest.fields.kinds.keys() >= BODY_FIELDS.kinds.keys()  # else a name in both is the user's own
     for shard in manifest.shards:
         for name, values in found.items():
             values.update(value for (value,) in _chosen(shard, (name,)) if value is not None)
@@ -169,9 +170,13 @@ def set_facts(manifest: Manifest) -> SetFacts:
         manifest,
         sources=tuple(dict.fromkeys([manifest.source, *sorted(found.get("source", ()))])),
         splits={split: _split_counts(shards) for split, shards in by_split.items() if any(map(len, shards))},
-        views={name: (min(values), max(values)) for name, values in found.items() if name in _VIEW and values},
+        views={
+            name: (min(values), max(values)) for name, values in found.items() if rendered and name in _VIEW and values
+        },
         notes=tuple(manifest.notes()),
-        fields={name: _values_text(values) for name, values in found.items() if name not in BODY_FIELDS.kinds},
+        fields={
+            name: _values_text(values) for name, values in found.items() if not (rendered and name in BODY_FIELDS.kinds)
+        },
     )
 
 
