@@ -367,8 +367,8 @@ def test_a_bad_frame_stops_a_sequence_and_leaves_what_was_written(
 
 
 def test_a_body_that_no_view_can_hold_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    save(tmp_path / "a.png", np.full((480, 640), 60000, np.uint16))
-    said = refused(capsys, tmp_path / "a.png", "--background", "keep", "--out", tmp_path / "out")
+    save(tmp_path / "a.png", np.full((480, 640), 16000, np.uint16))
+    said = refused(capsys, tmp_path / "a.png", "--focal", "130", "--background", "keep", "--out", tmp_path / "out")
     assert said.startswith(f"{tmp_path / 'a.png'}: a body's view must be at most 2048 pixels wide and high")
     assert not list((tmp_path / "out" / "labels").iterdir())
 
