@@ -380,7 +380,7 @@ def test_several_sets_are_one_evaluation_unless_they_share_samples(
     ("words", "message"),
     [
         (["--run", "nowhere"], "found nowhere"),
-        (["--run", "nowhere.safetensors"], "cannot read nowhere.json"),
+        (["--run", "nowhere.safetensors"], "found nowhere.safetensors, which is not there"),
         (["--images", "0"], "--images must be at least 1, found 0"),
         (["--frames", "-1"], "--frames must be at least 0, found -1"),
         (["--threads", "0"], "--threads must be a whole number of at least 1, found 0"),
