@@ -26,7 +26,8 @@ _NAME: Final = re.compile(r"[\w+()-][\w+(). -]{0,99}")
 _DEPTH_NAME: Final = re.compile(r"(?:^|[^a-z])(depth|range)(?![a-z])")
 _DEPTH_FOLDERS: Final = ("depth", "depth_raw", "range")
 
-RECORDINGS_HELP: Final = "16-bit grey PNGs, folders of them, or recordings: bags, MCAP, NPY, NPZ, TIFF, MKV"
+_FORMATS: Final = "recordings: bags, MCAP, NPY, NPZ, TIFF, MKV"
+RECORDINGS_HELP: Final = f"16-bit grey PNGs, folders of them, or {_FORMATS}"
 """Help of commands' argument for frames."""
 
 UNITS_HELP: Final = "size of one step of a frame: mm, 0.1mm, cm ... (default: the recording's, or mm)"
@@ -224,7 +225,8 @@ def parse_frame(data: bytes) -> NDArray[np.uint16]:
     memory.
     """
     if not data.startswith(SIGNATURE):
-        raise BadConfig(f"a frame must be a 16-bit grey PNG, found {'no PNG' if data else 'nothing at all'}")
+        found = f"no PNG, nor one of the {_FORMATS}" if data else "nothing at all"
+        raise BadConfig(f"a frame must be a 16-bit grey PNG, found {found}")
     with reported("", BadConfig, ValueError):
         chunks = read_chunks(data)
         check_checksums(chunks)

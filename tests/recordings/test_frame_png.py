@@ -17,7 +17,7 @@ from bodyseg_model.recordings.frames import parse_frame
     ("data", "found"),
     [
         (b"", "nothing at all"),
-        (b"GIF89a" + bytes(50), "no PNG"),
+        (b"GIF89a" + bytes(50), "no PNG, nor one of the recordings: bags, MCAP, NPY, NPZ, TIFF, MKV"),
         (png(np.zeros((4, 4), np.uint8)), "8-bit grey"),
         (png(np.zeros((4, 4, 3), np.uint8)), "8-bit RGB"),
         (png(np.zeros((4, 4, 4), np.uint8)), "8-bit RGB with alpha"),
