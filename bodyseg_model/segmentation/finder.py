@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from functools import cache, lru_cache, partial
-from importlib import import_module
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
@@ -20,6 +19,7 @@ from bodyseg_data.core import BadConfig, Checked
 from bodyseg_data.machine import required
 from bodyseg_data.rigs import Camera
 from bodyseg_model.networks import FINDER, Network, Trained, check_network, device_of, load_network
+from bodyseg_model.segmentation.views import compiled_loops
 
 BackgroundMode = Literal["people", "limits", "keep", "frame"]
 
@@ -165,7 +165,7 @@ class FinderView:
         with torch.inference_mode():
             scores = self._network.scores(image[None, None].to(device_of(self._network)))[0].float().cpu().numpy()
         found, odds = np.zeros(seen.shape, np.float32), scores[_PERSON] - scores[1 - _PERSON]
-        loops, images = _loops(), _scipy("scipy.ndimage")
+        loops, images = compiled_loops(), _scipy("scipy.ndimage")
         odds[images.maximum_filter(odds, _RAISED_CELLS) >= _SURE] += _RAISED
         likelier = images.uniform_filter((odds > 0).astype(np.float32), 2 * loops.AROUND + 1)
         loops.spread_odds(odds, np.abs(likelier - 0.5) > 0.49, image.numpy(), self._network.output_stride, found)
@@ -226,9 +226,9 @@ def part_people(range_m: Ranges, people: Mask, camera: Camera) -> list[Pixels]:
     if not len(rows):
         return []
     top, left, step = int(rows[0]), int(columns[0]), max(1, round(_STEP_RAD * camera.focal_px))
-    box, every = np.s_[top : rows[-1] + 1, left : columns[-1] + 1], np.s_[step // 2 :: step, step // 2 :: step]
-    shown, ranges = people[box], range_m[box]
-    grid = np.where(shown[every], ranges[every], np.float32(0))
+    box = np.s_[top : rows[-1] + 1, left : columns[-1] + 1]
+    ranges = np.where(people[box], range_m[box], np.float32(0))
+    grid = ranges[step // 2 :: step, step // 2 :: step]
     if not grid.any():
         return []
     first = top + step // 2 + 0.5 - camera.centre_px[1], left + step // 2 + 0.5 - camera.centre_px[0]
@@ -237,10 +237,10 @@ def part_people(range_m: Ranges, people: Mask, camera: Camera) -> list[Pixels]:
     whose = np.full(grid.shape, -1, np.int16)
     whose[samples.rows, samples.columns] = person
     down, across = (
-        np.minimum(np.arange(size) // step, most - 1) for size, most in zip(shown.shape, grid.shape, strict=True)
+        np.minimum(np.arange(size) // step, most - 1) for size, most in zip(ranges.shape, grid.shape, strict=True)
     )
     seen, of_pixels = np.where(whose < 0, np.float32(0), grid), np.full(people.shape, -1, np.int16)
-    _loops().take_nearest(np.where(shown, ranges, np.float32(0)), _JUMP, down, across, seen, whose, of_pixels[box])
+    compiled_loops().take_nearest(ranges, _JUMP, down, across, seen, whose, of_pixels[box])
     area_m2 = np.bincount(person[person >= 0], samples.area_m2[person >= 0])
     return [np.flatnonzero(of_pixels == number) for number in np.argsort(-area_m2, kind="stable")]
 
@@ -322,7 +322,7 @@ def _heads(samples: _Samples, edge_m: float) -> list[int]:
     From the top downwards, surfaces begin, grow and meet; a head is one that is wide enough where it meets another that
     began higher, or that never meets another and has nothing of the piece above it.
     """
-    loops, thin = _loops(), max(1, int(samples.a_metre * _COARSE_M))
+    loops, thin = compiled_loops(), max(1, int(samples.a_metre * _COARSE_M))
     kept = (samples.rows % thin == 0) & (samples.columns % thin == 0)
     a_metre, numbers = samples.a_metre / thin, np.flatnonzero(kept)
     rows, columns = ((each[kept] - each.min()) // thin for each in (samples.rows, samples.columns))
@@ -398,7 +398,3 @@ def _one_above_other(one: tuple[Floats, Floats], other: tuple[Floats, Floats]) -
 
 
 _scipy = partial(required, feature="finding people", extra="segment")
-
-
-def _loops() -> Any:
-    return import_module("bodyseg_model.segmentation.pixel_loops")

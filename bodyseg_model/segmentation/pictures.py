@@ -11,7 +11,6 @@ import struct
 import zlib
 from collections.abc import Sequence
 from functools import lru_cache
-from importlib import import_module
 from typing import Any, Final
 
 import numpy as np
@@ -23,6 +22,7 @@ from bodyseg_data.drawing import EMPTY
 from bodyseg_data.labels import PARTS33, LabelMap
 from bodyseg_data.machine import compress
 from bodyseg_data.shards import SIGNATURE
+from bodyseg_model.segmentation.views import compiled_loops
 
 _ROOM_GREYS: Final = (96, 44)
 _UNKNOWN_GREYS: Final = (235, 140)
@@ -57,7 +57,7 @@ def draw_overlay(
     for the room, which is darker than any body; pixels that were not measured are nearly black. Raises
     MissingLibrary without numba.
     """
-    loops, table = import_module("bodyseg_model.segmentation.pixel_loops"), _table(label_map)
+    loops, table = compiled_loops(), _table(label_map)
     flat, label = np.ascontiguousarray(range_m).ravel(), np.ascontiguousarray(labels).ravel()
     picture = np.empty((flat.size, 3), np.uint8)
     loops.paint_room(flat, *_shading(flat[:: flat.size // _SAMPLED | 1]), table, picture)

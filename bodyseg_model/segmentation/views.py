@@ -95,7 +95,7 @@ def view_body(
     are not lost where the view is coarser. Raises BadConfig for ranges that are not finite or not in front of the view,
     or if it would be larger than `LARGEST_SIDE`; MissingLibrary without numba.
     """
-    loops = _loops()
+    loops = compiled_loops()
     rows, columns = np.divmod(pixels, range_m.shape[1])
     depths, across = range_m.ravel()[pixels].astype(np.float64), columns + 0.5 - camera.centre_px[0]
     turn = turn_rad
@@ -189,15 +189,15 @@ def _in_steps(trained: int, needed: int) -> int:
 
 
 @cache
-def _loops() -> Any:
-    """The compiled loops, in a module that needs numba."""
+def compiled_loops() -> Any:
+    """The compiled loops over pixels, in a module that needs numba."""
     return import_module("bodyseg_model.segmentation.pixel_loops")
 
 
 @cache
 def compile_loops() -> None:
     """Have another process compile the loops of views and labels, while this one compiles other loops; once."""
-    compile_ahead(_loops().fill_lost, _label_once)
+    compile_ahead(compiled_loops().fill_lost, _label_once)
 
 
 def _label_once() -> None:

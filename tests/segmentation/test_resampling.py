@@ -196,7 +196,7 @@ def test_loops_give_the_bits_of_plain_forms(case: tuple[int, int, float, float, 
     image, lens = body_and_lens(*shape)
     found = view_body(image, np.flatnonzero(image), lens, PAPER, mirrored)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "_loops", lambda: PlainViewLoops)
+        patch.setattr(module, "compiled_loops", lambda: PlainViewLoops)
         plain = view_body(image, np.flatnonzero(image), lens, PAPER, mirrored)
     np.testing.assert_array_equal(found.range_m, plain.range_m)
     np.testing.assert_array_equal(found.view_pixels, plain.view_pixels)

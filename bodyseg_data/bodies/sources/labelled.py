@@ -24,7 +24,7 @@ from bodyseg_data.bodies.source import DEFAULTS, Body, BodyRef, ListedBodies, Me
 from bodyseg_data.bodies.sources.folder import body_ref
 from bodyseg_data.core import BadConfig, BadMesh, check_choice, reported
 from bodyseg_data.files import Table, read_json
-from bodyseg_data.labels import BACKGROUND, Classes, classes_from_json, with_sides
+from bodyseg_data.labels import BACKGROUND, Classes, classes_of
 from bodyseg_data.meshes import METRES, Mesh, MeshContent, SceneMesh, gltf_buffers, mesh_content, scene_stem, welded
 from bodyseg_data.samples import SPLITS
 
@@ -90,8 +90,8 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
                 with contextlib.suppress(BadMesh):  # the check of the meshes names it
                     names |= dict.fromkeys(self._named(piece, mesh_content(piece.mesh)).names)
                     files |= {piece.labels} if isinstance(piece.labels, Path) else set()
-        rows = with_sides([{"name": name} for name in names])
-        return classes_from_json({"name": self._folder.name or "labelled", "classes": rows}, str(self._folder))
+        with reported(str(self._folder), BadConfig):
+            return classes_of(list(names), self._folder.name or "labelled")
 
     def fingerprint(self, bodies: Sequence[BodyRef]) -> str:
         """Return a digest of every byte of the files. Raises BadMesh for one that cannot be read."""
