@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, check_choice
 from bodyseg_data.samples import Value, motion_of
 from bodyseg_data.shards import Fields, Row, ShardRecord
 
@@ -141,6 +141,8 @@ def parse_condition(text: str, fields: Fields) -> Condition:
         return Condition(name, comparison, values, ranges=ranges)
     if comparison in _ORDERS:
         raise BadConfig(f"{name} is {kinds[name]} and has no order: use = or !=, found {text!r}")
+    if kinds[name] == "flag":
+        values = tuple(check_choice(f"{name} in {text!r}", value.lower(), ("true", "false")) for value in values)
     if not all(values):
         raise BadConfig(f"{name} needs a value after {comparison} and after each comma, found {text!r}")
     return Condition(name, comparison, values, tuple(re.compile(fnmatch.translate(value)) for value in values))

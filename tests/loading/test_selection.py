@@ -231,6 +231,17 @@ def test_bad_conditions_are_one_line(text: str, message: str, figures_set: Path)
     assert "\n" not in str(caught.value)
 
 
+def test_flags_are_compared_with_true_and_false_alone() -> None:
+    fields, samples = Fields(((("night", "flag"),),)), [{"night": True}, {"night": False}, {}]
+    for text in ("night=true", "night=True"):
+        assert met_by_own(fields, text, *samples) == [True, False, False]
+    for text in ("night!=true", "night!=True"):
+        assert met_by_own(fields, text, *samples) == [False, True, True]
+    for text in ("night!=yes", "night=1", "night=true,", "night!=t*"):
+        with pytest.raises(BadConfig, match=f"^night in {re.escape(repr(text))} must be one of true, false, found"):
+            parse_condition(text, fields)
+
+
 @pytest.mark.parametrize("option", ["only", "where"])
 @pytest.mark.parametrize("value", [(3,), 3, None, {"a": 1}, [None], {"a"}, b"a"])
 def test_filters_are_text(option: str, value: Any, figures_set: Path) -> None:
