@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BadMesh, reported
 from bodyseg_data.files import read_json, refuse_special
-from bodyseg_data.labels import BACKGROUND, UNLABELLED, Classes, classes_from_json, with_sides
+from bodyseg_data.labels import BACKGROUND, UNLABELLED, Classes, classes_from_json
 from bodyseg_data.meshes import MeshContent
 
 LABEL_PROPERTIES: Final = tuple(
@@ -66,8 +66,8 @@ class ClassTable:
                 raise BadConfig(f"{self.path}: the 'number' of {row['name']!r} must be whole and its own: {number!r}")
             self.numbers[number] = row["name"]
             self._also += [(each, row["name"]) for each in _texts(row.pop("also", []), f"{self.path}: 'also'")]
-        tree = {"name": folder.name or "labelled", **tree, "classes": with_sides(rows)}
-        self.classes = classes_from_json(tree, str(self.path))
+        tree = {"name": folder.name or "labelled", **tree, "classes": rows}
+        self.classes = classes_from_json(tree, str(self.path), of_pairs=True)
         entries = self.classes.entries
         colours = [entry.colour for entry in entries]  # one that two classes have tells neither
         self.colours = {each.colour: each.name for each in entries if each.colour and colours.count(each.colour) < 2}

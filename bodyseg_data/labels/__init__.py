@@ -15,7 +15,6 @@ if TYPE_CHECKING:
         classes_from_json,
         classes_of,
         looked_up,
-        with_sides,
     )
     from bodyseg_data.labels.label_map import (
         NOWHERE,

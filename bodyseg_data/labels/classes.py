@@ -8,7 +8,7 @@ from __future__ import annotations
 import colorsys
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, Final, Literal
 
@@ -148,8 +148,9 @@ class Classes:
 
 
 def classes_of(given: Classes | Iterable[str | LabelClass], name: str = "classes") -> Classes:
-    """Return `Classes` as given, or made of names and `LabelClass` entries; names that differ in left and right are
-    mirror images (`with_sides`). name: of the whole. Raises BadConfig.
+    """Return `Classes` as given, or made of names and `LabelClass` entries. name: of the whole. Raises BadConfig.
+
+    Of a pair of mirror images, either may state the other; else names that differ in left and right are a pair.
     """
     if isinstance(given, Classes):
         return given
@@ -157,14 +158,22 @@ def classes_of(given: Classes | Iterable[str | LabelClass], name: str = "classes
         raise BadConfig(f"classes must be a list of names, found {given!r}")
     entries = tuple(LabelClass(each) if isinstance(each, str) else each for each in given)
     for entry in entries:
-        if not isinstance(entry, LabelClass):
+        if not isinstance(entry, LabelClass) or not isinstance(entry.name, str):
             raise BadConfig(f"a class must be a name or a LabelClass, found {entry!r}")
-    tree = Classes(name, entries).to_json()
-    return classes_from_json({**tree, "classes": with_sides(tree["classes"])}, "classes")
+    stated = {entry.name: entry.mirror for entry in entries if isinstance(entry.mirror, str)}
+    stated = {other: one for one, other in stated.items()} | stated
+    free = {entry.name for entry in entries} - set(stated)
+    found = []
+    for entry in entries:
+        other = _SIDE.sub(lambda side: _EXCHANGED[side[0]], entry.name)
+        guessed = other if {entry.name, other} <= free and other != entry.name else None
+        own = stated.get(entry.name, guessed) if entry.mirror is None else entry.mirror
+        found.append(replace(entry, mirror=own))
+    return Classes(name, tuple(found))
 
 
-def classes_from_json(tree: Any, where: str) -> Classes:
-    """Read what `Classes.to_json` gave. Raises BadConfig, naming `where`."""
+def classes_from_json(tree: Any, where: str, of_pairs: bool = False) -> Classes:
+    """Read what `Classes.to_json` gave. of_pairs: complete mirror images as `classes_of`. Raises BadConfig."""
     known = {field.name for field in fields(LabelClass)}
     rows = tree.get("classes") if isinstance(tree, dict) else None
     if not isinstance(tree, dict) or set(tree) != {"name", "classes"} or not isinstance(rows, list):
@@ -173,21 +182,8 @@ def classes_from_json(tree: Any, where: str) -> Classes:
         if not isinstance(row, dict) or "name" not in row or not set(row) <= known:
             raise BadConfig(f"{where}: a class has a name, and may have {', '.join(sorted(known - {'name'}))}")
     with reported(where, BadConfig):
-        return Classes(tree["name"], tuple(LabelClass(**row) for row in rows))
-
-
-def with_sides(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Complete the "mirror" of classes: of a pair, either may state it, else names that differ in left and right do."""
-    stated = {row["name"]: row["mirror"] for row in rows if isinstance(row.get("mirror"), str)}
-    stated = {other: name for name, other in stated.items()} | stated
-    free = {row["name"] for row in rows} - set(stated)
-    found = []
-    for row in rows:
-        other = _SIDE.sub(lambda side: _EXCHANGED[side[0]], row["name"])
-        guessed = other if {row["name"], other} <= free and other != row["name"] else None
-        own = row.get("mirror")
-        found.append({**row, "mirror": stated.get(row["name"], guessed) if own is None else own})
-    return found
+        entries = tuple(LabelClass(**row) for row in rows)
+        return classes_of(entries, tree["name"]) if of_pairs else Classes(tree["name"], entries)
 
 
 def _is_name(value: Any) -> bool:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, BadSample, check_choice, reported
 from bodyseg_data.files import Table, TomlFiles, parse_json, read_bytes
-from bodyseg_data.labels import BACKGROUND, Classes, classes_from_json, classes_of
+from bodyseg_data.labels import BACKGROUND, Classes, classes_from_json
 from bodyseg_data.rigs import Rig, load_rig, rig_from_json
 from bodyseg_data.samples import SPLITS, SampleInfo, Split, Value, kind_of
 
@@ -173,8 +173,8 @@ def _classes(rows: Any, name: str, first: int, background: Sequence[Any], path: 
         if "colour" in row:
             stands_for(row["colour"], label, f"'colour' of class {label}")
             row["colour"] = str(row["colour"]).lower()
-    classes = classes_from_json({"name": name, "classes": rows}, str(path))
-    return classes_of(classes.entries, name), LabelTable(numbers, colours)
+    classes = classes_from_json({"name": name, "classes": rows}, str(path), of_pairs=True)
+    return classes, LabelTable(numbers, colours)
 
 
 def _rigs(one: Any, several: Any, path: Path) -> dict[str, Rig]:

@@ -190,6 +190,8 @@ def test_classes_of_a_users_own() -> None:
     assert classes_of(["a", "b"], "mine") == Classes("mine", (LabelClass("a"), LabelClass("b")))
     sided = classes_of(["left hand", "table", "right hand", LabelClass("lane.L", mirror="lane.L"), "lane.R"])
     assert sided.mirrored[:5].tolist() == [2, 1, 0, 3, 4]
+    one_states_it = classes_of([LabelClass("open", mirror="shut"), "lamp", "shut"])
+    assert one_states_it.mirrored[:3].tolist() == [2, 1, 0]
     assert classes_from_json(PART_CLASSES.to_json(), "x") == PART_CLASSES
 
 
@@ -232,7 +234,8 @@ def test_a_map_of_a_users_own_classes(tmp_path: Path) -> None:
         (["a\n"], "a class needs a name that can be printed"),
         ([LabelClass("a", colour="red")], "the colour of 'a' must be like '#1e90ff', found 'red'"),
         ([LabelClass("a", mirror="b")], "the mirror image of 'a', 'b', is no class"),
-        ([LabelClass("a", mirror="b"), "b"], "the mirror image of 'b' must be 'a'"),
+        ([LabelClass("a", mirror="b"), LabelClass("b", mirror="b")], "the mirror image of 'b' must be 'a'"),
+        ([LabelClass(5)], "a class must be a name or a LabelClass, found LabelClass(name=5"),
     ],
 )
 def test_classes_that_are_none(entries: Any, message: str) -> None:

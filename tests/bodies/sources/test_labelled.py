@@ -17,7 +17,7 @@ from bodyseg_data import RangeImages
 from bodyseg_data.bodies import Body, open_source
 from bodyseg_data.commands.cli import main
 from bodyseg_data.core import BadConfig, BadMesh
-from bodyseg_data.labels import classes_from_json, with_sides
+from bodyseg_data.labels import classes_of
 from bodyseg_data.meshes import cuboid
 from bodyseg_data.shards import read_manifest
 
@@ -345,8 +345,7 @@ def test_a_scene_places_its_meshes(tmp_path: Path) -> None:
 
 def test_names_of_two_sides_are_mirror_images() -> None:
     names = ["head", "leftHand", "rightHand", "Arm.L", "Arm.R", "lap", "left", "Lt. ASIS", "Rt. ASIS"]
-    rows = with_sides([{"name": name} for name in names])
-    assert classes_from_json({"name": "all", "classes": rows}, "").mirrored[:9].tolist() == [0, 2, 1, 4, 3, 5, 6, 8, 7]
+    assert classes_of(names).mirrored[:9].tolist() == [0, 2, 1, 4, 3, 5, 6, 8, 7]
 
 
 def test_one_of_two_classes_may_state_their_mirror_image(tmp_path: Path) -> None:
