@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import glob
 import gzip
 import json
@@ -90,8 +91,6 @@ def held_part(path: Path, make: Callable[[Path], object]) -> Iterator[Path]:
     """Make the file or folder `part_beside` of `path`, which goes when the context ends unless it was renamed, and
     remove what killed processes left of such ones: they are locked as long as their process lives. Raises OSError.
     """
-    import fcntl  # as below
-
     for left in parts_left(path.parent, f"{glob.escape(path.name[:50])}.????????"):
         with contextlib.suppress(OSError), _opened(left) as handle:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -164,8 +163,6 @@ def claimed(folder: Path, work: str) -> Iterator[None]:
 
 def _locked(path: Path) -> int:
     """Open a file and lock it. Raises BlockingIOError where another one has, OSError."""
-    import fcntl  # not on Windows, where streaming needs this module
-
     while True:
         handle = os.open(path, os.O_CREAT | os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
         try:

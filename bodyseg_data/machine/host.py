@@ -3,11 +3,11 @@
 Fresh memory costs a page fault for every 4 kB written.
 """
 
-import contextlib
 import ctypes
 import os
 import platform
 import re
+import resource
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -62,10 +62,6 @@ def _lines(path: str) -> list[str]:
         return []
 
 
-with contextlib.suppress(ImportError):  # not on Windows
-    import resource
-
-
 def keep_freed_memory() -> None:
     """Let glibc's malloc keep up to 256 MB of what is freed, for arrays that come again with every frame.
 
@@ -88,7 +84,7 @@ def peak_mb(process: int | None = None) -> float | None:
     for line in _lines(f"/proc/{'self' if process is None else process}/status"):
         if line.startswith("VmHWM:"):  # KiB
             return round(int(line.split()[1]) * 1024 / 1e6, 1)
-    if process is not None or "resource" not in globals():
+    if process is not None:
         return None
     # Bytes on macOS, KiB elsewhere. On Linux a process inherits its parent's, so /proc comes first.
     unit = 1 if sys.platform == "darwin" else 1024

@@ -12,6 +12,7 @@ Machine code is kept on disk, in NUMBA_CACHE_DIR or the user's cache folder, und
 import atexit
 import contextlib
 import errno
+import fcntl
 import gc
 import hashlib
 import inspect
@@ -229,11 +230,9 @@ def _locked(file: Path, wait: bool = False) -> Iterator[bool]:
     with contextlib.ExitStack() as opened:
         free = True
         try:
-            import fcntl  # not on Windows, where streaming needs this module
-
             fcntl.lockf(opened.enter_context(file.open("ab")), fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-        except (ImportError, OSError) as error:
-            free = getattr(error, "errno", None) not in (errno.EACCES, errno.EAGAIN)
+        except OSError as error:
+            free = error.errno not in (errno.EACCES, errno.EAGAIN)
         yield free
 
 
