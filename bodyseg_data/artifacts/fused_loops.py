@@ -78,8 +78,9 @@ def alter(image: Any, labels: Any, found: Any, scratch: Any, losing: Any, noisy:
 
 @_kernel
 def apply(
+    camera_range: Any,
+    columns: Any,
     shadow: Any,
-    occluded: Any,
     strengths: Any,
     noisy: Any,
     segments: Any,
@@ -90,25 +91,26 @@ def apply(
     second: Any,
     second_scratch: Any,
 ) -> None:
-    """Apply occlusion if `occluded`, noise if `noisy`, and missing data to a sample's flat range and labels.
+    """Apply occlusion, noise if `noisy`, and missing data to a sample's flat range and labels.
 
-    runs: the number of runs of foreground in `edges`, -1 if they are still to be found. second, second_scratch: shadow
-    and scratch of a second projector; None without one: the compiler then leaves its branches out.
+    camera_range, columns: the clean range, flat, and the width of the image. shadow: None without occlusion. runs: the
+    number of runs of foreground in `edges`, -1 if they are still to be found. second, second_scratch: shadow and
+    scratch of a second projector; None without one. The compiler leaves the branches of what is None out.
     """
     if runs < 0:
-        runs = find_runs(shadow.camera_range, scratch.changes, scratch.edges)
-    if occluded:
+        runs = find_runs(camera_range, scratch.changes, scratch.edges)
+    # Only bounds of texels need small pieces, in one row each.
+    width, block, losing = image.size, CHUNK, strengths.threshold > 0
+    if shadow is not None:
+        width, block, losing = columns, BLOCK, True
         mark_occupied(shadow, scratch)
     if second is not None:
         mark_occupied(second, second_scratch)
-    losing = occluded or strengths.threshold > 0
-    # Only bounds of texels need small pieces, in one row each.
-    width, block = (shadow.width, BLOCK) if occluded else (image.size, CHUNK)
     pieces, marks, normals = scratch.pieces, scratch.marks, scratch.floats
     run, taken, row, before = np.int64(0), np.int64(0), np.int64(0), np.int64(0)
     while run < runs:
         run, taken, row, found, count = take_pieces(scratch.edges, runs, run, taken, row, width, block, pieces)
-        if occluded:
+        if shadow is not None:
             mark_lit(shadow, found, scratch, marks, None)
         else:
             marks[:count] = 1
@@ -125,32 +127,12 @@ def apply(
             draw_normals(scratch.halves, count, segments, scratch.ints, normals)
         alter(image, labels, found, scratch, losing, noisy, strengths.steps)
         before += count
-    if occluded:
+    if shadow is not None:
         forget_occupied(shadow, scratch)
     if second is not None:
         forget_occupied(second, second_scratch)
 
 
-_NO_RANGE, _NO_FACING = constant(np.zeros(1, np.uint16)), constant(np.zeros(1, np.uint8))
-_NO_TEXELS: Final = constant(np.zeros(1, np.int32))
-_NO_SLOPES: Final = constant(np.zeros(3))
-_NO_PROJECTION: Final = np.zeros((3, 5), np.float32)
-_NO_PROJECTION.flags.writeable = False
-_NO_SHADOW: Final = Shadow(
-    camera_range=_NO_RANGE,
-    facing=_NO_FACING,
-    projector_range=_NO_RANGE,
-    texels=_NO_TEXELS,
-    width=1,
-    rows=1,
-    columns=1,
-    of_columns=_NO_SLOPES,
-    of_rows=_NO_SLOPES,
-    projection=_NO_PROJECTION,
-    gap_steps=np.float32(0),
-    edge_steps=np.float32(0),
-)
-"""One background pixel, and an empty texel."""
 _NO_STREAM: Final = constant(np.zeros(2, np.uint64))
 
 
@@ -171,35 +153,27 @@ def apply_covered(artifacts: Sequence[Artifact], image: RangeImage, scene: Scene
 
     They may be the sample's own. Raises BadSample for a sample that does not fit the shadow test of the rig.
     """
-    sample = scene.sample
-    occupancy = sample.occupancy
-    occluded = noisy = False
-    sigma_mm = rate = 0.0
+    sample, occupancy, shadows = scene.sample, scene.sample.occupancy, list[Shadow]()
+    noisy, sigma_mm, rate = False, 0.0, 0.0
     noise = missing = _NO_STREAM
     for artifact in artifacts:
         if type(artifact) is Occlusion:
-            occluded = True
+            views = projector_views(scene.rig, sample)
+            shadows = [shadow_of(view.test, sample.range, *view[1:]) for view in views]
         elif type(artifact) is Noise:
             noisy, sigma_mm, noise = True, image.drawn["sigma_mm"], draws.stream("noise")
         else:
             rate, missing = image.drawn["missing_rate"], draws.stream("missing data")
-    if occluded:
-        views = projector_views(scene.rig, sample)
-        shadows = [shadow_of(view.test, sample.range, *view[1:]) for view in views]
-    else:
-        shadows = [_NO_SHADOW._replace(camera_range=constant(sample.range), width=sample.range.shape[1])]
-    shadow = shadows[0]
+    first, second = (*shadows, None, None)[:2]
     sigma = steps_of(sigma_mm, scene.step_m)
     strengths = Strengths(noise[0], noise[1], sigma, missing[0], missing[1], np.uint32(threshold(rate)))
-    scratch = scratch_for(sample.range.size, shadow.rows, shadow.columns)
-    second = second_scratch = None
-    if len(shadows) == 2:
-        second = shadows[1]
-        second_scratch = second_scratch_for(scratch, second.rows, second.columns)
+    scratch = scratch_for(sample.range.size, scene.rig.projector.rows, scene.rig.projector.columns)
+    second_scratch = None if second is None else second_scratch_for(scratch, second.rows, second.columns)
     runs = -1
     if occupancy is not None and occupancy.edges is not None:
         scratch, runs = scratch._replace(edges=occupancy.edges), len(occupancy.edges) // 2
+    clean, columns = constant(sample.range), sample.range.shape[1]
     copy_unless_same(sample.range, image.range)
     copy_unless_same(sample.labels, image.labels)
     into = image.range.reshape(-1), image.labels.reshape(-1)
-    apply(shadow, occluded, strengths, noisy, SEGMENTS, runs, scratch, *into, second, second_scratch)
+    apply(clean, columns, first, strengths, noisy, SEGMENTS, runs, scratch, *into, second, second_scratch)
