@@ -156,11 +156,6 @@ class Roll(Checked, Transform):
         return turned(image, angle) if angle else image
 
 
-def turned(image: CameraImage, angle_deg: float) -> CameraImage:
-    """The image as a camera takes it that is turned by an angle about its axis, degrees, clockwise from behind."""
-    return take_turned(image, math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg)))
-
-
 @dataclass(frozen=True)
 class Zoom(Checked, Transform):
     """The image magnified about the optical axis, as by another focal length: ranges stay, and pixels take the value of
@@ -357,11 +352,12 @@ def take_window(image: CameraImage, top: int, left: int, rows: int, columns: int
     return replace(found, centre_px=centre_px)
 
 
-def take_turned(image: CameraImage, cos: float, sin: float) -> CameraImage:
-    """The image turned about its optical axis: a point (x, y) about it takes the place (cos x + sin y, cos y - sin x).
+def turned(image: CameraImage, angle_deg: float) -> CameraImage:
+    """The image as a camera takes it that is turned by an angle about its axis, degrees, clockwise from behind.
 
     What leaves the image is lost; what comes into it is background.
     """
+    cos, sin = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
     (height, width), (x, y) = image.range.shape, image.centre_px
     found, box = background(image, height, width), _held(image)
     if box is not None:
