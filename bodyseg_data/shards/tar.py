@@ -22,7 +22,7 @@ from bodyseg_data.samples import Sample, SampleInfo, Split, check_key
 from bodyseg_data.shards.codecs import CODECS
 from bodyseg_data.shards.codecs.codec import OutputArrays
 from bodyseg_data.shards.manifest import Manifest
-from bodyseg_data.shards.records import BLOCK, BODY_FIELDS, Fields, ShardRecord, describe, location, read_checked
+from bodyseg_data.shards.records import BLOCK, BODY_FIELDS, Entry, Fields, ShardRecord, describe, location, read_checked
 from bodyseg_data.shards.sample_codec import decode_sample, parse_info
 from bodyseg_data.shards.store import TALLY, Stage, Store, store_at
 
@@ -40,10 +40,7 @@ class TarWriter:
         self._path, self._aside, self._split, self._fields = path, aside, split, fields
         self._sha256 = hashlib.sha256()
         self._size = 0
-        self._keys: list[str] = []
-        self._offsets: list[int] = []
-        self._lengths: list[int] = []
-        self._crc32: list[int] = []
+        self._entries: list[Entry] = []
         self._notes: list[str] = []
         self._infos: list[SampleInfo] = []
 
@@ -53,7 +50,7 @@ class TarWriter:
 
     def __len__(self) -> int:
         """Number of samples written."""
-        return len(self._keys)
+        return len(self._entries)
 
     def write(self, key: str, members: Mapping[str, bytes]) -> None:
         """Append one sample. members: extension -> bytes, `json` among them where the set has fields.
@@ -64,10 +61,7 @@ class TarWriter:
         described = "json" in members or self._fields.kinds
         self._infos.append(parse_info(members.get("json", b""), key) if described else SampleInfo(self._split))
         data = b"".join(_member(f"{key}.{extension}", members[extension]) for extension in sorted(members))
-        self._keys.append(key)
-        self._offsets.append(self._size)
-        self._lengths.append(len(data))
-        self._crc32.append(zlib.crc32(data))
+        self._entries.append(Entry(key, self._size, len(data), zlib.crc32(data)))
         self._append(data)
 
     def note(self, mesh: str, notes: Sequence[str]) -> None:
@@ -90,18 +84,9 @@ class TarWriter:
                 self._file.close()
                 self._aside.replace(self._path)
                 sync(self._path.parent)
-                self.record = ShardRecord(
-                    name=self._path.name,
-                    split=self._split,
-                    size=self._size,
-                    sha256=self._sha256.hexdigest(),
-                    keys=tuple(self._keys),
-                    offsets=tuple(self._offsets),
-                    lengths=tuple(self._lengths),
-                    crc32=tuple(self._crc32),
-                    notes=tuple(self._notes),
-                    descriptions=describe(self._infos, self._fields),
-                )
+                of_file = self._path.name, self._split, self._size, self._sha256.hexdigest()
+                described = tuple(self._notes), describe(self._infos, self._fields)
+                self.record = ShardRecord(*of_file, *zip(*self._entries, strict=True), *described)
         finally:
             # Closing flushes, which fails again on a full disk; unless it was renamed, the file is removed in any case.
             with contextlib.suppress(OSError):
