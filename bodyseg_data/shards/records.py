@@ -294,10 +294,8 @@ def record_from_json(tree: Any, fields: Fields, where: str) -> ShardRecord:
         raise BadShard(f"{where}: a shard holds at least one sample")
     end = 0
     for key, offset, length in zip(tree["keys"], tree["offsets"], tree["lengths"], strict=True):
-        try:
+        with reported(where, BadShard, BadSample):
             check_key(key)
-        except BadSample as error:
-            raise BadShard(f"{where}: {error}") from error
         if offset != end or not 0 < length <= LARGEST_SAMPLE or length % BLOCK:
             rule = f"samples must follow each other in whole blocks of {BLOCK} bytes, each of at most {LARGEST_SAMPLE}"
             raise BadShard(f"{where}: {key}: {rule}")

@@ -16,6 +16,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
+from bodyseg_data.core import reported
 from bodyseg_data.labels import BACKGROUND, UNLABELLED
 from bodyseg_data.machine import if_ready, loops
 from bodyseg_data.rigs import MAX_SIDE
@@ -101,10 +102,8 @@ class BodysegImages:
         self, members: Mapping[str, bytes], projector: bool, out: OutputArrays | None, unlabelled: int
     ) -> DecodedImages:
         """See `ImageCodec.decode`; `out` is used."""
-        try:
+        with reported("bsi", ValueError):
             return decode_images(members["bsi"], projector, out, unlabelled)
-        except ValueError as error:
-            raise ValueError(f"bsi: {error}") from error
 
     def encode_plane(self, plane: Bytes | Range) -> dict[str, bytes]:
         """See `ImageCodec.encode_plane`: runs, of which images of classes and instances have few; else copies."""
