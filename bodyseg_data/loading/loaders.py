@@ -233,17 +233,15 @@ class Loader:
         planes = self.images.planes.values()
         slots = Slots(self._prefetched, self.order.largest, *self.images.shape, options.metres, planes)
         maker = _BatchMaker(self.images, slots, options.metres, self._ledger.strict)
-        if self._workers and options.worker_method == "process":
-            use_compiled()  # which imports numba, here, for all processes that are forked
-        workers = self._new_workers(maker)
-        return _WorkerState(workers, slots, weakref.finalize(self, workers.close), os.getpid())
-
-    def _new_workers(self, maker: _BatchMaker) -> Workers:
+        workers: Workers
         if not self._workers:
-            return InlineWorkers(maker)
-        if self._options.worker_method == "thread":
-            return ThreadWorkers(maker, self._workers)
-        return ProcessWorkers(maker, self._workers, self._options.start_method)
+            workers = InlineWorkers(maker)
+        elif options.worker_method == "thread":
+            workers = ThreadWorkers(maker, self._workers)
+        else:
+            use_compiled()  # which imports numba, here, for all processes that are forked
+            workers = ProcessWorkers(maker, self._workers, options.start_method)
+        return _WorkerState(workers, slots, weakref.finalize(self, workers.close), os.getpid())
 
     def _deliver(self, state: _WorkerState, plan: Pass, number: int) -> Batch:
         begun = time.perf_counter()
