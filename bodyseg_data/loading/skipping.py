@@ -7,7 +7,7 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from bodyseg_data.core import BadConfig, BadSample, BadShard, check_choice
+from bodyseg_data.core import BadConfig, BadSample, BadShard, Checked, check_choice
 
 _Error = TypeVar("_Error", bound=Exception)
 
@@ -27,7 +27,7 @@ SKIPPABLE = (BadShard, BadSample)
 
 
 @dataclass(frozen=True)
-class Skipped:
+class Skipped(Checked):
     """Record of a skipped sample. offset: its first byte in the shard; why: message of the error that was raised."""
 
     epoch: int
@@ -70,14 +70,9 @@ class SkipLedger:
     def load_state(self, state: Any) -> None:
         """Replace the records by those of an earlier run. Raises BadConfig for anything but a list of records."""
         try:
-            records = [Skipped(**record) for record in state]
-        except TypeError:
+            self.skipped = [Skipped(**record) for record in state]
+        except (TypeError, BadConfig):
             raise BadConfig("a state's 'skipped' must be a list of records as a loader writes them") from None
-        kinds = {"epoch": int, "key": str, "shard": str, "offset": int, "why": str}
-        for record in records:
-            if any(type(getattr(record, field)) is not kind for field, kind in kinds.items()):
-                raise BadConfig(f"a state's record of a skipped sample must be like a loader's, found {record}")
-        self.skipped = records
 
 
 def checked_budget(on_error: str, budget: float | None, samples: int) -> int | None:
