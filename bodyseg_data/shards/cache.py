@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, check_int
 from bodyseg_data.shards.index import IndexedShards
 from bodyseg_data.shards.manifest import Manifest
 from bodyseg_data.shards.records import CheckedFile
@@ -335,11 +335,10 @@ def with_cache(store: Store, records: Iterable[CheckedFile], folder: str | Path 
         if folder is not None or limit is not None:
             raise BadConfig(f"cache and cache_bytes are for remote sets, found them given for {store.name}")
         return store
-    if limit is not None and (isinstance(limit, bool) or not isinstance(limit, int) or limit < 0):
-        raise BadConfig(f"cache_bytes must be a whole number of bytes, 0 for no cache, found {limit!r}")
+    limit = DEFAULT_CACHE_BYTES if limit is None else check_int("cache_bytes", limit, 0)
     if limit == 0:
         return store
-    cache = ShardCache(default_folder() if folder is None else Path(folder), limit or DEFAULT_CACHE_BYTES)
+    cache = ShardCache(default_folder() if folder is None else Path(folder), limit)
     try:
         cache.folder.mkdir(parents=True, exist_ok=True)
         problem = None if os.access(cache.folder, os.W_OK | os.X_OK) else "cannot be written"

@@ -130,7 +130,7 @@ def test_cache_options_are_checked(paper_set: Path, memory: str, tmp_path: Path)
     with pytest.raises(BadConfig, match="cache and cache_bytes are for remote sets, found them given for"):
         RangeImages(paper_set, cache=tmp_path)
     for wrong in (-1, 1.5, True, "10"):
-        with pytest.raises(BadConfig, match="cache_bytes must be a whole number of bytes, 0 for no cache, found"):
+        with pytest.raises(BadConfig, match="cache_bytes must be a whole number of at least 0, found"):
             RangeImages(memory, cache_bytes=wrong)  # type: ignore[arg-type]  # on purpose
     for name, wrong, rule in (
         ("tries", 0, "at least 1"),
