@@ -28,13 +28,9 @@ class Noise(Artifact):
     low_mm: float = bounded(0.0, 0, 1000)
     high_mm: float = bounded(100.0, 0, 1000, not_below="low_mm")
 
-    def sigma_mm(self, chance: float) -> float:
-        """The standard deviation of one image, millimetres; chance: uniform from 0 to below 1."""
-        return self.low_mm + (self.high_mm - self.low_mm) * chance
-
     def draw(self, draws: Draws) -> dict[str, float]:
-        """As `Artifact.draw`: "sigma_mm", the standard deviation."""
-        return {"sigma_mm": self.sigma_mm(draws.chance("sigma"))}
+        """As `Artifact.draw`: "sigma_mm", the standard deviation, millimetres."""
+        return {"sigma_mm": self.low_mm + (self.high_mm - self.low_mm) * draws.chance("sigma")}
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         ranges, pixels = image.range.reshape(-1), scene.pixels

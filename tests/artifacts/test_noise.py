@@ -141,13 +141,13 @@ def test_noise_of_no_strength_changes_nothing() -> None:
 
 
 def test_sigma_is_uniform_from_0_to_100_mm() -> None:
-    drawn = np.sort([Noise().sigma_mm(Draws(0, 0, f"k{number}").chance("sigma")) for number in range(5_000)])
+    drawn = np.sort([Noise().draw(Draws(0, 0, f"k{number}"))["sigma_mm"] for number in range(5_000)])
     places = (np.arange(5_000) + 0.5) / 5_000
     assert np.abs(drawn / 100 - places).max() < 2.5 / np.sqrt(5_000)
     assert 0 <= drawn[0] < 100 * 15 / 5_000
     assert 100 - 100 * 15 / 5_000 < drawn[-1] < 100
-    assert Noise(20.0, 30.0).sigma_mm(0.0) == 20
-    assert Noise(20.0, 30.0).sigma_mm(0.5) == 25
+    draws = Draws(0, 0, "k")
+    assert Noise(20.0, 30.0).draw(draws) == {"sigma_mm": 20 + 10 * draws.chance("sigma")}
 
 
 def wall() -> NDArray[np.uint16]:
