@@ -6,9 +6,8 @@ share, to the nearest pixel, and a larger share of the same image and draws lose
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import reduce
 from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
@@ -17,7 +16,6 @@ from numpy.typing import NDArray
 from bodyseg_data.artifacts.artifact import Artifact, RangeImage, Scene
 from bodyseg_data.core import BadConfig, Draws, bounded
 from bodyseg_data.labels import PART_CLASSES, PARTS
-from bodyseg_data.machine import if_ready, loops
 from bodyseg_data.rigs import Rig
 
 Box = tuple[slice, slice]
@@ -49,7 +47,6 @@ LONGEST: Final = 2.0
 FEWEST_STRIPES: Final = 2
 MOST_STRIPES: Final = 12
 
-_LOOPS: Final = "bodyseg_data.artifacts.sensor_loops"
 _LABELS: Final = {part.landmark: part.label for part in PARTS}
 
 
@@ -73,20 +70,10 @@ def lost_patches(range_image: NDArray[np.uint16], share: float, generator: np.ra
         other = np.exp2(size) / LONGEST ** (length - 0.5)
         down.append((((np.arange(inside.shape[0]) - row) / half) ** 2).astype(np.float32))
         along.append((((np.arange(inside.shape[1]) - column) / other) ** 2).astype(np.float32))
-    return _lose_first(range_image.shape, box, pixels, _least_sums(pixels, down, along), share)
-
-
-def _least_sums(
-    pixels: NDArray[np.intp], down: Sequence[NDArray[np.float32]], along: Sequence[NDArray[np.float32]]
-) -> NDArray[np.float32]:
-    """The least sum at each pixel, [N], of a `down` [h] at its row and of the `along` [w] at its column."""
-    with if_ready:
-        values = np.empty(len(pixels), np.float32)
-        loops(_LOOPS).least_sums(pixels, len(along[0]), np.stack(down), np.stack(along), values)
-        return values
-    sums = (rows[:, None] + columns for rows, columns in zip(down, along, strict=True))
-    least: NDArray[np.float32] = reduce(np.minimum, sums)
-    return least.ravel()[pixels]
+    nearest = np.add.outer(down[0], along[0])
+    for rows, columns in zip(down[1:], along[1:], strict=True):
+        np.minimum(nearest, np.add.outer(rows, columns), out=nearest)
+    return _lose_first(range_image.shape, box, pixels, nearest.ravel().take(pixels), share)
 
 
 def lost_stripes(range_image: NDArray[np.uint16], share: float, generator: np.random.Generator) -> NDArray[np.bool_]:
@@ -228,13 +215,12 @@ def _lose_first(
     count = _rounded(share, len(pixels))
     if count:
         limit = np.partition(values, count - 1)[count - 1]
-        with if_ready:
-            loops(_LOOPS).mark_below(pixels, values, limit, count, lost[box])
-            return lost
-        gone = values < limit
-        gone[np.flatnonzero(values == limit)[: count - np.count_nonzero(gone)]] = True
-        rows, columns = np.divmod(pixels[gone], lost[box].shape[1])
-        lost[box][rows, columns] = True
+        gone = values <= limit
+        if spare := np.count_nonzero(gone) - count:
+            gone[np.flatnonzero(values == limit)[-spare:]] = False
+        inside = np.zeros(lost[box].shape, np.bool_)
+        inside.reshape(-1)[pixels] = gone
+        lost[box] = inside
     return lost
 
 
