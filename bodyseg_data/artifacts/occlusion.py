@@ -144,13 +144,13 @@ class ShadowTest:
         return pixels[inside], x[inside], y[inside], away[inside]
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=64)
 def shadow_test(rig: Rig) -> ShadowTest:
     """The shadow test of a rig's first projector, built once a process."""
     return ShadowTest(rig)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=64)
 def shadow_tests(rig: Rig) -> tuple[ShadowTest, ...]:
     """The shadow tests of all projectors of a rig, each of a rig with that one alone, built once a process."""
     return tuple(shadow_test(single) for single in rig.by_projector())

@@ -131,7 +131,7 @@ class PhaseShift(Artifact):
         optics, x, y = self._of_rig(rig)
         return optics._replace(ambient=np.float32(self.signal_e * ambient)), x, y
 
-    @lru_cache(maxsize=8)  # noqa: B019 - of an artifact, whose strengths are its identity
+    @lru_cache(maxsize=64)  # noqa: B019 - of an artifact, whose strengths are its identity
     def _of_rig(self, rig: Rig) -> OfRig:
         rotation, shift = rig.camera_to_projector()
         if not shift.any():

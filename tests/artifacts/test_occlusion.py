@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from shadow_reference import lit_by_pixel
 from shapes import ball, figure
 
-from bodyseg_data.artifacts import ShadowTest
+from bodyseg_data.artifacts import ShadowTest, shadow_tests
+from bodyseg_data.artifacts.phase_shift import PhaseShift
 from bodyseg_data.artifacts.scratch import BLOCK, scratch_for
 from bodyseg_data.artifacts.shadow_loops import bound_pieces, find_extremes, shadow_of, take_pieces
 from bodyseg_data.bodies import Body, BodyRef, open_source
@@ -487,6 +488,13 @@ def test_real_clothed_frames_are_within_one_percent_of_exact_shadow_rays(mit_fol
             pixels += int(view.inside.sum())
     assert pixels > 250_000
     assert wrong / pixels < 0.006  # required: 0.01
+
+
+def test_what_belongs_to_a_rig_is_made_once_for_each_of_a_sets_rigs() -> None:
+    rigs, artifact = [with_projector_scale(load_rig(), 1 + number / 100) for number in range(20)], PhaseShift()
+    first = [(shadow_tests(rig), artifact.optics(rig, 0.5)[1]) for rig in rigs]
+    again = [(shadow_tests(rig), artifact.optics(rig, 0.5)[1]) for rig in rigs]
+    assert all(before[0] is after[0] and before[1] is after[1] for before, after in zip(first, again, strict=True))
 
 
 def test_the_shadow_test_imports_no_renderer_and_no_compiler() -> None:
