@@ -50,7 +50,7 @@ _of_thread = threading.local()
 
 
 def scratch_for(pixels: int, rows: int, columns: int) -> Scratch:
-    """The calling thread's scratch for images of `pixels` and a projector's of `texels`."""
+    """The calling thread's scratch for images of `pixels` and a projector's image of `rows` and `columns`."""
     if getattr(_of_thread, "sizes", None) != (pixels, rows, columns):
         words = np.empty(CHUNK // 2, np.uint64)
         _of_thread.scratch = Scratch(

@@ -37,7 +37,7 @@ _FORM: Final = "FIELD, one of = != < <= > >=, and values, like 'distance_cm<=255
 class SampleTable:
     """Descriptions of N samples, in stored order.
 
-    fields: of the set. tables: for each of its tables the rows, each once. rows: for each table int32 [N], the number
+    samples: N. fields: of the set. tables: for each of its tables the rows, each once. rows: for each table int32 [N], the number
     of a sample's row.
     """
 
@@ -59,9 +59,6 @@ class SampleTable:
                 numbers = np.array([known.setdefault(row, len(known)) for row in table], np.int32)
                 own.append(numbers[np.array(rows)])
         return cls(fields, [list(known) for known in joined], [np.concatenate(own) for own in parts], samples)
-
-    def __len__(self) -> int:
-        return self.samples
 
     def where(self, field: str, fits: Callable[[Any], bool]) -> NDArray[np.bool_]:
         """Mark the samples whose value of a field meets a condition, bool [N]; asked once a row of its table."""

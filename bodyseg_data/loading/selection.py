@@ -248,7 +248,7 @@ def _group_keys(table: SampleTable, share: float) -> list[Group]:
         at, column = places["subject"]
         subjects = [str(row[column]) for row in table.tables[at]]
         return [("", subjects[number]) for number in table.rows[at].tolist()]
-    return [("", str(number)) for number in range(len(table))]
+    return [("", str(number)) for number in range(table.samples)]
 
 
 def groups(bodies: list[BodyRow], share: float) -> dict[BodyRow, Group]:

@@ -66,7 +66,7 @@ class CameraImage(RangeImage):
 
     @property
     def metres(self) -> NDArray[np.float32]:
-        """Ranges in metres, float32 [H, W], 0 where nothing was measured; see `image_set.metres`."""
+        """Ranges in metres, float32 [H, W], 0 where nothing was measured; see `samples.metres`."""
         return metres(self.range, self.step_m)
 
     @property

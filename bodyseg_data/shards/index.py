@@ -316,9 +316,6 @@ class Piece:
                 f"{where}: 'stems' and 'tails' must be as many as rows of the first tables, or none and samples"
             )
 
-    def __len__(self) -> int:
-        return self._count
-
     def entry(self, index: int) -> Entry:
         """Place of sample `index`, 0 to before `len()`. Raises BadShard if it cannot be one."""
         first, end = _TWO.unpack_from(self._data, self._blocks + 4 * index)

@@ -337,7 +337,7 @@ def test_altered_pieces_are_refused_or_read(indexed_set: Path) -> None:
             altered[draws.randrange(len(altered))] = draws.choice((0, 1, 255, 34, 44, draws.randrange(256)))
         try:
             piece = Piece(bytes(altered), len(shard), "here")
-            for at in range(len(piece)):
+            for at in range(len(shard)):
                 assert 0 < piece.entry(at).length <= 1 << 30
             record_from_json({**head, **piece.to_json()}, BODY_FIELDS, "here")
         except BadShard as error:
