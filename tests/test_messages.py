@@ -110,12 +110,12 @@ CASES: dict[str, Case] = {
     "view from too near": (
         lambda: ViewGrid((20,)),
         BadConfig,
-        "view distances must be between 50 and 600 cm, found [20]",
+        "a view's distance must be between 50 and 600 cm, found [20]",
     ),
     "view from one distance twice": (
         lambda: ViewGrid((215, 215)),
         BadConfig,
-        "view distances must differ, found [215, 215]",
+        "each distance of views must be given once, found [215, 215]",
     ),
     "view in uneven steps": (
         lambda: ViewGrid(azimuths=7),

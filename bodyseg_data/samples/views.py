@@ -8,9 +8,7 @@ from typing import Final
 
 from bodyseg_data.core import BadConfig, Checked, Draws, check_fields
 
-DISTANCES_CM: Final = (50, 600)
-"""Least and greatest distance of a view."""
-
+_DISTANCES_CM: Final = (50, 600)
 _LIMITS: Final = {"pitch_deg": (-90, 90), "roll_deg": (-179, 180), "height_cm": (-300, 300)}
 _KEY: Final = re.compile(r"(.+)-(d[0-9]{3}-a[0-9]{3}(?:-p-?[0-9]+)?(?:-r-?[0-9]+)?(?:-h-?[0-9]+)?)")
 _WHOLE: Final = re.compile(r"[+-]?[0-9]{1,4}")
@@ -102,15 +100,11 @@ class ViewGrid:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        low, high = DISTANCES_CM
-        if not self.distances_cm or any(not low <= d <= high for d in self.distances_cm):
-            raise BadConfig(f"view distances must be between {low} and {high} cm, found {list(self.distances_cm)}")
-        if len(set(self.distances_cm)) != len(self.distances_cm):
-            raise BadConfig(f"view distances must differ, found {list(self.distances_cm)}")
+        _check("distance_cm", self.distances_cm, _DISTANCES_CM)
         if not 1 <= self.azimuths <= 360 or not 1 <= self.span_deg <= 360 or self.span_deg % self.azimuths:
             raise BadConfig(f"azimuths must divide 1 to 360 degrees evenly, found {self.azimuths} in {self.span_deg}")
-        for name in _LIMITS:
-            _check(name, getattr(self, name))
+        for name, limits in _LIMITS.items():
+            _check(name, getattr(self, name), limits)
         if self.count is not None and not 1 <= self.count <= self.full:
             raise BadConfig(f"views a mesh must be between 1 and {self.full}, found {self.count}")
 
@@ -185,10 +179,9 @@ def _draw(drawn: Drawn, key: str, purpose: str) -> int:
     return drawn.low + int(Draws(0, 0, key).chance(purpose) * (drawn.high - drawn.low + 1))
 
 
-def _check(name: str, choice: Choice) -> None:
+def _check(name: str, choice: Choice, limits: tuple[int, int]) -> None:
     """Raise BadConfig for values of a view that are out of range, or for an empty range."""
-    what, _, unit = name.partition("_")
-    low, high = _LIMITS[name]
+    (what, _, unit), (low, high) = name.partition("_"), limits
     unit = unit.replace("deg", "degrees")
     values = (choice.low, choice.high) if isinstance(choice, Drawn) else choice
     if not values or any(not low <= value <= high for value in values):

@@ -114,7 +114,7 @@ def test_words_give_values_or_a_range() -> None:
     [
         ({"distances_cm": ()}, "between 50 and 600 cm, found \\[\\]"),
         ({"distances_cm": (700,)}, "found \\[700\\]"),
-        ({"distances_cm": (215, 215)}, "distances must differ"),
+        ({"distances_cm": (215, 215)}, "each distance of views must be given once"),
         ({"azimuths": 7}, "found 7 in 180"),
         ({"span_deg": 361}, "found 18 in 361"),
         ({"count": 0}, "between 1 and 54, found 0"),
