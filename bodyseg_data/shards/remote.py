@@ -27,6 +27,10 @@ class Unreachable(BodysegError):
     """Files of a remote set cannot be fetched: absent, refused, or too many attempts in a row have failed."""
 
 
+class _Missing(Unreachable):
+    """The file does not exist."""
+
+
 _SHORTEST_SECRET: Final = 4
 
 Sink = Callable[[bytes], object]
@@ -123,35 +127,27 @@ class RemoteFolder:
 
     def read_file(self, name: str, limit: int) -> bytes | None:
         """Read a whole file of at most `limit` bytes; None if it does not exist. Raises Unreachable."""
-        try:
+        with contextlib.suppress(_Missing):
             return self._with_retries(name, lambda address: self._transport.read_file(address, limit))
-        except FileMissing:
-            return None
+        return None
 
     def size(self, name: str) -> int:
         """Size of a file, bytes. Raises Unreachable."""
-        try:
-            return self._with_retries(name, self._transport.size)
-        except FileMissing as error:
-            raise self._unreachable(name, error) from None
+        return self._with_retries(name, self._transport.size)
 
     def find_size(self, name: str) -> int | None:
         """Size of a file, bytes; None if it does not exist. Raises Unreachable."""
-        try:
-            return self._with_retries(name, self._transport.size)
-        except FileMissing:
-            return None
+        with contextlib.suppress(_Missing):
+            return self.size(name)
+        return None
 
     def write(self, name: str, content: Path | bytes) -> None:
         """Upload a local file, or some bytes. Raises Unreachable, also for an address that cannot be written."""
-        try:
-            self._with_retries(name, lambda address: self._transport.put(address, content))
-        except FileMissing as error:  # such as a bucket that does not exist
-            raise self._unreachable(name, error) from None
+        self._with_retries(name, lambda address: self._transport.put(address, content))
 
     def remove(self, name: str) -> None:
         """Remove a file, which may be missing. Raises Unreachable."""
-        with contextlib.suppress(FileMissing):
+        with contextlib.suppress(_Missing):
             self._with_retries(name, self._transport.remove)
 
     def prepare_reread(self, name: str) -> bool:
@@ -168,8 +164,6 @@ class RemoteFolder:
                 return attempt(f"{self._base}/{name}{self._query}")
             except TransientFailure as failure:
                 time.sleep(self._wait_after(streak, failure, name, 0))
-            except FileMissing:
-                raise
             except PermanentFailure as error:
                 raise self._unreachable(name, error) from None
 
@@ -180,7 +174,8 @@ class RemoteFolder:
         return wait
 
     def _unreachable(self, name: str, error: Exception, note: str = "") -> Unreachable:
-        return Unreachable(f"{self.name}/{name}: {self._scrub(str(error))}{note}")
+        kind = _Missing if isinstance(error, FileMissing) else Unreachable
+        return kind(f"{self.name}/{name}: {self._scrub(str(error))}{note}")
 
     def _scrub(self, text: str) -> str:
         """Reduce a message to one line without secrets."""
