@@ -37,8 +37,8 @@ _FORM: Final = "FIELD, one of = != < <= > >=, and values, like 'distance_cm<=255
 class SampleTable:
     """Descriptions of N samples, in stored order.
 
-    samples: N. fields: of the set. tables: for each of its tables the rows, each once. rows: for each table int32 [N], the number
-    of a sample's row.
+    samples: N. fields: of the set. tables: for each of its tables the rows, each once. rows: for each table int32 [N],
+    the number of a sample's row.
     """
 
     fields: Fields

@@ -110,9 +110,7 @@ class Slots:
         return copies
 
     def _reclaim(self) -> None:
-        for slot in [
-            slot for slot, held in self._lent.items() if not any(reference() is not None for reference in held)
-        ]:
+        for slot in [slot for slot, held in self._lent.items() if all(each() is None for each in held)]:
             del self._lent[slot]
             self._free.append(slot)
 

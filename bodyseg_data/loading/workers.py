@@ -134,12 +134,8 @@ class ThreadWorkers(Workers):
         try:
             for number in range(count):
                 # A daemon: the end of the interpreter would wait for any other before it runs `close`.
-                thread = threading.Thread(
-                    target=_serve_thread,
-                    args=(work, number, self._requests),
-                    name=f"bodyseg-worker-{number}",
-                    daemon=True,
-                )
+                arguments = work, number, self._requests
+                thread = threading.Thread(None, _serve_thread, f"bodyseg-worker-{number}", arguments, daemon=True)
                 thread.start()
                 self._threads.append(thread)
         except RuntimeError as error:

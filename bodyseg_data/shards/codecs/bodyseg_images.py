@@ -336,14 +336,12 @@ def _check_header(size: tuple[int, int], box: Box, counts: CameraCounts) -> None
 
 def _numbers(frame: memoryview, total: int) -> Bytes:
     """Decompress a frame of `total` bytes of numbers."""
-    try:
+    with reported("zstd cannot decode the numbers", ValueError, zstandard.ZstdError):
         # Checked before decoding: zstd allocates the size that the frame claims.
         claimed = zstandard.frame_content_size(frame)
         if claimed != total:
             raise ValueError(f"{total} bytes of numbers expected, the frame claims {claimed}")
         return np.frombuffer(_of_thread.decompressor.decompress(frame), np.uint8)
-    except zstandard.ZstdError as error:
-        raise ValueError(f"zstd cannot decode the numbers: {error}") from error
 
 
 def _split(numbers: Bytes, sizes: Sequence[int]) -> list[Bytes]:
