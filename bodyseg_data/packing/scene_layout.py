@@ -18,7 +18,7 @@ from bodyseg_data.packing.occluders import exact_range, occluder_range
 from bodyseg_data.packing.range_facing import facing_from_normals, facing_from_range
 from bodyseg_data.renders import ProjectorRanges, Render
 from bodyseg_data.rigs import Rig
-from bodyseg_data.samples import Sample, SampleInfo, Value, check_key, kind_of, steps
+from bodyseg_data.samples import Sample, SampleInfo, Value, as_array, check_key, kind_of, steps
 from bodyseg_data.shards import EXTERNAL, FACING_FROM_RANGE, RIG_FIELD, Fields, ProjectorKind, check_plane
 
 Images = NDArray[Any]
@@ -128,14 +128,14 @@ class SceneLayout:
             raise BadSample(f"{scene.key}: samples of the set come with {words[self.facing]}, found {words[origin]}")
         size, count = range_m.shape, len(rig.projectors)
         if scene.normals is not None:
-            normals = _array(scene.normals, "normals", scene.key)
+            normals = as_array(scene.normals, f"{scene.key}: normals")
             if normals.shape != (*size, 3) or normals.dtype.kind != "f":
                 wanted = f"floats [{size[0]}, {size[1]}, 3]"
                 raise BadSample(f"{scene.key}: normals must be {wanted}, found {normals.dtype} {normals.shape}")
             return _from_normals(rig, range_m, normals, scene.key)
         if scene.facing is None:
             return None
-        facing = _array(scene.facing, "facing", scene.key)
+        facing = as_array(scene.facing, f"{scene.key}: facing")
         if facing.dtype != np.bool_ or facing.shape not in ((count, *size), *((size,) if count == 1 else ())):
             wanted = f"bool [{size[0]}, {size[1]}]" if count == 1 else f"bool [{count}, {size[0]}, {size[1]}]"
             raise BadSample(f"{scene.key}: facing must be {wanted}, found {facing.dtype} {facing.shape}")
@@ -158,7 +158,7 @@ class SceneLayout:
         image = np.zeros(shape)
 
         def ask(texels: NDArray[np.intp]) -> None:
-            found = _array(projector(*np.divmod(texels, shape[1])), "what projector returns", key)
+            found = as_array(projector(*np.divmod(texels, shape[1])), f"{key}: what projector returns")
             image.ravel()[texels] = _ranges(found, "what projector returns", (len(texels),), rig, key)
 
         if self.projector == "exact":
@@ -192,7 +192,7 @@ def learned_planes(planes: Mapping[str, Any], key: str) -> dict[str, str]:
     """Name -> type of the planes that a first scene has; uint16 where they are no uint8. Raises BadSample."""
     kinds = {}
     for name, plane in planes.items():
-        kinds[name] = "uint8" if _array(plane, f"the plane {name!r}", key).dtype == np.uint8 else "uint16"
+        kinds[name] = "uint8" if as_array(plane, f"{key}: the plane {name!r}").dtype == np.uint8 else "uint16"
         with reported("", BadSample, BadShard):
             check_plane(name, kinds[name], key)
     return kinds
@@ -226,20 +226,9 @@ def _kind(value: Value, name: str, key: str) -> str:
         return kind_of(value, name)
 
 
-def _array(given: Any, name: str, key: str) -> Images:
-    """An argument as a NumPy array, which may share its memory. Raises BadSample."""
-    if np.ma.is_masked(given):  # the mask would be lost
-        raise BadSample(
-            f"{key}: {name} must have no masked values, but 0 as a range and 255 as a label where it has any"
-        )
-    with reported(f"{key}: {name} must be an array", BadSample, TypeError, ValueError, RuntimeError):
-        # A tensor of torch, without importing it.
-        return np.asarray(given.detach().cpu().numpy() if hasattr(given, "detach") else given)
-
-
 def _ranges(given: Any, name: str, shape: tuple[int, ...], rig: Rig, key: str) -> Images:
     """Ranges in metres, checked and copied."""
-    image = _array(given, name, key)
+    image = as_array(given, f"{key}: {name}")
     if image.dtype.kind != "f":
         raise BadSample(f"{key}: {name} must be floats, in metres, found {image.dtype}")
     _check_shape(image, name, shape, key)
@@ -251,7 +240,7 @@ def _ranges(given: Any, name: str, shape: tuple[int, ...], rig: Rig, key: str) -
 
 
 def _integers(given: Any, name: str, size: tuple[int, int], key: str) -> Images:
-    image = _array(given, name, key)
+    image = as_array(given, f"{key}: {name}")
     if image.dtype.kind not in "iu":
         raise BadSample(f"{key}: {name} must be whole numbers, found {image.dtype}")
     _check_shape(image, name, size, key)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         SampleInfo,
         Split,
         Value,
+        as_array,
         check_field_name,
         check_key,
         holds_postures,

@@ -259,6 +259,18 @@ def check_key(key: str, planes: Iterable[str] = ()) -> None:
             raise BadSample(f"{key}: a key and the name of a plane must have 89 characters at most, found {found}")
 
 
+def as_array(given: Any, where: str) -> NDArray[Any]:
+    """An array of NumPy, a tensor of torch or nested lists as an array of NumPy, which may share its memory.
+
+    where: names it in messages. Raises BadSample.
+    """
+    if np.ma.is_masked(given):  # the mask would be lost
+        raise BadSample(f"{where} must have no masked values, but a number for them: 0 as a range, 255 as a label")
+    with reported(f"{where} must be an array", BadSample, TypeError, ValueError, RuntimeError):
+        # A tensor of torch, without importing it.
+        return np.asarray(given.detach().cpu().numpy() if hasattr(given, "detach") else given)
+
+
 def steps(range_m: NDArray[np.floating[Any]], step_m: float, where: str) -> NDArray[np.uint16]:
     """Ranges in metres, 0 for background, as uint16 steps rounded to nearest; of foreground, none becomes 0.
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from bodyseg_data.core import BadConfig, BadSample, BadShard, reported
 from bodyseg_data.files import claimed, write_atomically
-from bodyseg_data.samples import SampleInfo, check_field_name, check_key, kind_of
+from bodyseg_data.samples import SampleInfo, as_array, check_field_name, check_key, kind_of
 from bodyseg_data.shards.codecs import CODECS
 from bodyseg_data.shards.manifest import (
     LARGEST_MANIFEST,
@@ -196,10 +196,8 @@ class ColumnWriter:
         self._records[at] = tar.record
 
     def _plane(self, value: Any) -> dict[str, bytes]:
-        plane, kind, camera = np.asarray(value), np.dtype(self._kind), self._set.rig.camera
-        shape = (camera.rows, camera.columns)
-        if np.ma.is_masked(value):  # the mask would be lost
-            raise BadSample(f"plane {self._name!r} must have no masked values, but a number for them")
+        plane, kind = as_array(value, f"plane {self._name!r}"), np.dtype(self._kind)
+        shape = (self._set.rig.camera.rows, self._set.rig.camera.columns)
         if plane.dtype.kind not in "iu" or plane.shape != shape:
             raise BadSample(f"plane {self._name!r} must hold whole numbers {shape}, found {plane.dtype} {plane.shape}")
         if plane.min() < 0 or plane.max() > np.iinfo(kind).max:

@@ -280,7 +280,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "size": ({"range_m": np.ones((15, 20))}, "range_m must be 16 x 20, as the rig says, found 15 x 20"),
     "masked": (
         {"range_m": np.ma.masked_less(np.tile([0.5, 2.0], (16, 10)), 1.0)},
-        "range_m must have no masked values, but 0 as a range and 255 as a label where it has any",
+        "range_m must have no masked values, but a number for them: 0 as a range, 255 as a label",
     ),
     "millimetres": (
         {"range_m": np.full((16, 20), 2000, np.uint16)},

@@ -131,6 +131,8 @@ def test_a_column_may_be_written_in_any_order_once_and_whole(copy: Path) -> None
         ("uint8", [plane[:-1]], "found uint8"),
         ("uint8", [plane - np.int16(1)], "plane 'mine' must be uint8, found -1 to -1"),
         ("uint8", [np.ma.masked_equal(plane, 0)], "plane 'mine' must have no masked values, but a number for them"),
+        ("uint8", [[[1, 2], [3]]], f"{images.keys[0]}: plane 'mine' must be an array: "),
+        ("uint8", [torch.zeros(images.shape, requires_grad=True)], "must hold whole numbers .*, found float32"),
     ]
     before = hashes(copy)
     for kind, values, message in bad:
