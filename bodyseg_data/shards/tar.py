@@ -84,9 +84,19 @@ class TarWriter:
                 self._file.close()
                 self._aside.replace(self._path)
                 sync(self._path.parent)
-                of_file = self._path.name, self._split, self._size, self._sha256.hexdigest()
-                described = tuple(self._notes), describe(self._infos, self._fields)
-                self.record = ShardRecord(*of_file, *zip(*self._entries, strict=True), *described)
+                keys, offsets, lengths, crc32 = zip(*self._entries, strict=True)
+                self.record = ShardRecord(
+                    name=self._path.name,
+                    split=self._split,
+                    size=self._size,
+                    sha256=self._sha256.hexdigest(),
+                    keys=keys,
+                    offsets=offsets,
+                    lengths=lengths,
+                    crc32=crc32,
+                    notes=tuple(self._notes),
+                    descriptions=describe(self._infos, self._fields),
+                )
         finally:
             # Closing flushes, which fails again on a full disk; unless it was renamed, the file is removed in any case.
             with contextlib.suppress(OSError):
