@@ -70,8 +70,7 @@ class ShadowTest:
         self.of_columns: NDArray[np.float64] = across * x
         self.of_rows: NDArray[np.float64] = down * y + forward
         self.offsets: Floats = (image_plane @ shift_m / rig.range_step_m).astype(np.float32)
-        self.gap_steps: np.float32 = SHADOW_THRESHOLDS.gap_steps(rig.range_step_m)
-        self.edge_steps: np.float32 = SHADOW_THRESHOLDS.edge_steps(rig.range_step_m)
+        self.gap_steps, self.edge_steps = SHADOW_THRESHOLDS.in_steps(rig.range_step_m)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return ShadowTest, (self.rig,)  # a rig is small, the arrays are not

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, check_choice
-from bodyseg_data.samples import Value, motion_of
+from bodyseg_data.samples import Value, holds_motions
 from bodyseg_data.shards import Fields, Row, ShardRecord
 
 _ORDERS: Final[dict[str, Callable[[float, float], bool]]] = {
@@ -91,7 +91,7 @@ class Condition:
         own = self.field in table.fields.places
         found = table.where(self.field if own else "pose", self._matches)
         if not own:
-            found &= table.where("subset", lambda subset: bool(motion_of(subset, "any")))
+            found &= table.where("subset", holds_motions)
         return found if self.comparison == "=" else ~found
 
     def _matches(self, value: Any) -> bool:

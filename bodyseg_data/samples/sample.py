@@ -52,13 +52,10 @@ class ShadowThresholds:
     surface_gap_m: float = 0.006
     edge_m: float = 0.020
 
-    def gap_steps(self, step_m: float) -> np.float32:
-        """`surface_gap_m` in steps of a stored range, whole, at least 1; step_m: one step, metres."""
-        return np.float32(max(1, round(self.surface_gap_m / step_m)))
-
-    def edge_steps(self, step_m: float) -> np.float32:
-        """`edge_m` in steps of a stored range, whole, at least 1; step_m: one step, metres."""
-        return np.float32(max(1, round(self.edge_m / step_m)))
+    def in_steps(self, step_m: float) -> tuple[np.float32, np.float32]:
+        """Both in steps of a stored range, whole, at least 1; step_m: one step, metres."""
+        gap, edge = (np.float32(max(1, round(each / step_m))) for each in (self.surface_gap_m, self.edge_m))
+        return gap, edge
 
 
 SHADOW_THRESHOLDS: Final = ShadowThresholds()
@@ -305,9 +302,9 @@ def split_by_motion(subset: Literal["B", "C"], motion: str) -> Split:
     return "test" if motion == _MOTION_FOR_TESTING[subset] else "train"
 
 
-def motion_of(subset: str, pose: str) -> str:
-    """Return the motion whose frame a body is: its pose in the subsets B and C, "" in others, which hold postures."""
-    return pose if subset in _MOTION_FOR_TESTING else ""
+def holds_motions(subset: str) -> bool:
+    """Return whether the meshes of one of the paper's subsets are frames of motions, which are their poses."""
+    return subset in _MOTION_FOR_TESTING
 
 
 def holds_postures(subset: str) -> bool:

@@ -119,12 +119,11 @@ def test_ranges_that_do_not_fit_are_refused_and_never_wrap_around(metres: float)
 def test_thresholds_are_counted_in_stored_steps() -> None:
     for step_mm, expected in ((0.1, (60, 200)), (0.25, (24, 80)), (1, (6, 20)), (2, (3, 10)), (10, (1, 2))):
         step_m = step_mm / 1000
-        assert (SHADOW_THRESHOLDS.gap_steps(step_m), SHADOW_THRESHOLDS.edge_steps(step_m)) == expected
-    other = ShadowThresholds(surface_gap_m=0.00126, edge_m=0.1)
-    gap, edge = other.gap_steps(1e-4), other.edge_steps(1e-4)
+        assert SHADOW_THRESHOLDS.in_steps(step_m) == expected
+    gap, edge = ShadowThresholds(surface_gap_m=0.00126, edge_m=0.1).in_steps(1e-4)
     assert (gap, edge) == (13, 1000)
     assert gap.dtype == edge.dtype == np.float32
-    assert ShadowThresholds(0.001, 0.002).gap_steps(0.01) == ShadowThresholds(0.001, 0.002).edge_steps(0.01) == 1
+    assert ShadowThresholds(0.001, 0.002).in_steps(0.01) == (1, 1)
 
 
 def test_a_sample_is_shown_in_a_line() -> None:

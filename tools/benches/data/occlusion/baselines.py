@@ -30,7 +30,7 @@ Stored = Literal["whole", "occluder", "coarse"]
 STEP_M: Final = load_rig().range_step_m
 """One step of the images that are measured, metres: all are of the default rig, or of that with another baseline."""
 
-_GAP_STEPS, _EDGE_STEPS = SHADOW_THRESHOLDS.gap_steps(STEP_M), SHADOW_THRESHOLDS.edge_steps(STEP_M)
+_GAP_STEPS, _EDGE_STEPS = SHADOW_THRESHOLDS.in_steps(STEP_M)
 _TORN: Final = np.int32(_EDGE_STEPS)  # a larger difference between neighbours is no slope
 
 
