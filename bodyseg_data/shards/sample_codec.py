@@ -70,8 +70,10 @@ def decode_sample(
     if codec is None:
         known = " or ".join(", ".join(sorted([*codec.members, "json"])) for codec in CODECS.values())
         raise BadSample(f"{key}: a sample has the members {known}, found {', '.join(sorted(members)) or 'none'}")
-    with reported(key, BadSample, ValueError):
+    try:
         images = codec.decode(members, projector, out, unlabelled)
+    except ValueError as error:
+        raise BadSample(f"{key}: {error}") from error
     first, second = facing_masks(images.facing, projectors)
     found = _planes(key, codec, stored, planes) if stored and planes != () else {}
     if out is None:

@@ -16,7 +16,6 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from bodyseg_data.core import reported
 from bodyseg_data.labels import BACKGROUND, UNLABELLED
 from bodyseg_data.machine import if_ready, loops
 from bodyseg_data.rigs import MAX_SIDE
@@ -102,8 +101,10 @@ class BodysegImages:
         self, members: Mapping[str, bytes], projector: bool, out: OutputArrays | None, unlabelled: int
     ) -> DecodedImages:
         """See `ImageCodec.decode`; `out` is used."""
-        with reported("bsi", ValueError):
+        try:
             return decode_images(members["bsi"], projector, out, unlabelled)
+        except ValueError as error:
+            raise ValueError(f"bsi: {error}") from error
 
     def encode_plane(self, plane: Bytes | Range) -> dict[str, bytes]:
         """See `ImageCodec.encode_plane`: runs, of which images of classes and instances have few; else copies."""
@@ -336,12 +337,14 @@ def _check_header(size: tuple[int, int], box: Box, counts: CameraCounts) -> None
 
 def _numbers(frame: memoryview, total: int) -> Bytes:
     """Decompress a frame of `total` bytes of numbers."""
-    with reported("zstd cannot decode the numbers", ValueError, zstandard.ZstdError):
+    try:
         # Checked before decoding: zstd allocates the size that the frame claims.
         claimed = zstandard.frame_content_size(frame)
         if claimed != total:
             raise ValueError(f"{total} bytes of numbers expected, the frame claims {claimed}")
         return np.frombuffer(_of_thread.decompressor.decompress(frame), np.uint8)
+    except zstandard.ZstdError as error:
+        raise ValueError(f"zstd cannot decode the numbers: {error}") from error
 
 
 def _split(numbers: Bytes, sizes: Sequence[int]) -> list[Bytes]:
