@@ -17,7 +17,7 @@ from bodyseg_data.shards.records import ShardRecord, check_bytes, difference, lo
 from bodyseg_data.shards.remote import Unreachable
 from bodyseg_data.shards.sample_codec import decode_sample, parse_info
 from bodyseg_data.shards.store import Store, open_file, store_at
-from bodyseg_data.shards.tar import check_sizes, decode_piece, image_sizes, parse_members
+from bodyseg_data.shards.tar import check_sizes, decode_piece, parse_members
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ def _check_content(manifest: Manifest, shard: ShardRecord, index: int, data: byt
     key = shard.keys[index]
     sample = decode_sample(key, parse_members(key, data), projectors=len(manifest.rig.projectors))
     sample.check(len(manifest.classes))
-    check_sizes(sample, *image_sizes(manifest.rig))
+    check_sizes(sample, manifest.rig)
     if sample.info.split != shard.split:
         raise BadSample(f"{key}: belongs to {sample.info.split}, stored among {shard.split}")
     differs = difference(sample.info, shard.descriptions.info(index, shard.split), manifest.fields)

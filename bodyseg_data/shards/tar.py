@@ -151,7 +151,6 @@ class ShardReader:
         self, where: Path | Store, manifest: Manifest, columns: Mapping[str, Manifest] = MappingProxyType({})
     ) -> None:
         self.store, self._manifest, self._columns = store_at(where), manifest, dict(columns)
-        self._sizes, self._projectors = image_sizes(manifest.rig), len(manifest.rig.projectors)
 
     def read(
         self,
@@ -167,14 +166,13 @@ class ShardReader:
         Raises BadShard, naming shard, key and offset, for bytes that are missing, altered or no sample of the set's
         rig; Unreachable if a remote set cannot be reached.
         """
-        record = self._manifest.shards[shard]
-        key, members = self.members(shard, index)
+        (key, members), rig = self.members(shard, index), self._manifest.rig
         try:
-            sample = decode_sample(key, members, projector, out, self._projectors, unlabelled, planes)
-            check_sizes(sample, *self._sizes)
+            sample = decode_sample(key, members, projector, out, len(rig.projectors), unlabelled, planes)
+            check_sizes(sample, rig)
             TALLY.lap(Stage.DECODE)
         except BadSample as error:
-            raise BadShard(f"{location(record, index)}: {error}") from error
+            raise BadShard(f"{location(self._manifest.shards[shard], index)}: {error}") from error
         for name, column in self._columns.items():
             self._join(sample, name, column, (shard, index), planes is None or name in planes)
         return sample
@@ -239,18 +237,14 @@ def parse_members(key: str, data: bytes) -> dict[str, bytes]:
     return members
 
 
-def image_sizes(rig: Rig) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Rows and columns of the camera's images and of the projectors' range."""
-    return (rig.camera.rows, rig.camera.columns), rig.projector_shape
-
-
-def check_sizes(sample: Sample, camera: tuple[int, int], projector: tuple[int, int]) -> None:
+def check_sizes(sample: Sample, rig: Rig) -> None:
     """Raise BadSample unless the images have the rows and columns of the rig's camera and projectors."""
+    camera = rig.camera.rows, rig.camera.columns
     images: list[tuple[str, NDArray[Any] | None, tuple[int, int]]] = [
         ("range", sample.range, camera),
         ("labels", sample.labels, camera),
         ("faces_projector", sample.faces_projector, camera),
-        ("projector_range", sample.projector_range, projector),
+        ("projector_range", sample.projector_range, rig.projector_shape),
         *((f"plane {name}", plane, camera) for name, plane in sample.planes.items()),
     ]
     for field, image, size in images:
