@@ -227,24 +227,19 @@ def _checked_image(found: Any, image: CameraImage, name: str, shape: tuple[int, 
         raise BadTransform(f"{where} must return a CameraImage, found {type(found).__name__}")
     if found.key != image.key:
         raise BadTransform(f"{where} must keep the key, found {found.key!r}")
-    for what, array, kind in (("range", found.range, np.uint16), ("labels", found.labels, np.uint8)):
-        if not isinstance(array, np.ndarray) or array.dtype != kind or array.shape != shape:
+    if found.planes.keys() != image.planes.keys():
+        raise BadTransform(f"{where} must return the planes {', '.join(image.planes)}, found {', '.join(found.planes)}")
+    arrays: list[tuple[str, Any, NDArray[Any]]] = [("range", found.range, image.range)]
+    arrays.append(("labels", found.labels, image.labels))
+    arrays += [(f"the plane {each!r}", plane, image.planes[each]) for each, plane in found.planes.items()]
+    for what, array, before in arrays:
+        if not isinstance(array, np.ndarray) or array.dtype != before.dtype or array.shape != shape:
             shown = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
-            raise BadTransform(f"{where} must return {what} as {kind.__name__} {shape}, found {shown}")
+            raise BadTransform(f"{where} must return {what} as {before.dtype} {shape}, found {shown}")
     ranges, labels, count = np.ascontiguousarray(found.range), found.labels, len(found.classes)
     strange = labels[(labels >= count) & (labels < unlabelled)]
     if strange.size:
         raise BadTransform(f"{where} must return labels 0 to {count - 1} or {BACKGROUND}, found {strange.min()}")
-    if found.planes.keys() != image.planes.keys():
-        raise BadTransform(f"{where} must return the planes {', '.join(image.planes)}, found {', '.join(found.planes)}")
-    for what, array in found.planes.items():
-        if array.shape != shape or array.dtype != image.planes[what].dtype:
-            raise BadTransform(
-                f"{where} must return the plane {what!r} as {image.planes[what].dtype} {shape}, "
-                f"found {array.dtype} {array.shape}"
-            )
     labels = np.where(ranges == 0, np.uint8(BACKGROUND), np.minimum(labels, np.uint8(unlabelled)))
-    if not found.planes:
-        return replace(found, range=ranges, labels=labels)
     planes = {what: np.ascontiguousarray(array) for what, array in found.planes.items()}
     return replace(found, range=ranges, labels=labels, planes=planes)

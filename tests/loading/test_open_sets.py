@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -100,9 +101,17 @@ def halved(image: CameraImage, random: np.random.Generator) -> CameraImage:
     return CameraImage(**{**vars(image), "planes": {}})
 
 
+def listed(image: CameraImage, random: np.random.Generator) -> CameraImage:
+    """A transform that makes a list of a plane."""
+    return replace(image, planes={name: plane.tolist() for name, plane in image.planes.items()})
+
+
 def test_a_transform_that_loses_a_plane_is_named(cells: Path) -> None:
     images = RangeImages(cells, "none", transform=halved, planes=NAMES)
     with pytest.raises(BadTransform, match=r"halved' must return the planes instances, material, found $"):
+        images.image(0)
+    images = RangeImages(cells, "none", transform=listed, planes=NAMES)
+    with pytest.raises(BadTransform, match=r"listed' must return the plane 'instances' as uint16 .*, found list$"):
         images.image(0)
 
 
