@@ -88,14 +88,14 @@ class SensorModel:
 
         Raises BadConfig for one that is given twice; otherwise as `SensorModel`.
         """
-        names = [artifact.name for artifact in self.artifacts]
-        for index, artifact in enumerate(given):
+        by_name, names = {artifact.name: artifact for artifact in self.artifacts}, set[str]()
+        for artifact in given:
             check_artifact_class(type(artifact), f"sensor {self.name}")
-            if any(artifact.name == other.name for other in given[:index]):
+            if artifact.name in names:
                 raise BadConfig(f"an artifact may be given once, found {artifact.name} twice")
-        replaced = {artifact.name: artifact for artifact in given}
-        kept = tuple(replaced.get(artifact.name, artifact) for artifact in self.artifacts)
-        return replace(self, artifacts=kept + tuple(artifact for artifact in given if artifact.name not in names))
+            names.add(artifact.name)
+            by_name[artifact.name] = artifact
+        return replace(self, artifacts=tuple(by_name.values()))
 
     def without(self, *names: str) -> SensorModel:
         """The model without the artifacts of these names. Raises BadConfig for a name that no artifact of it has."""
