@@ -46,14 +46,6 @@ def default_folder() -> Path:
 
 
 @dataclass(frozen=True)
-class _Entry:
-    path: Path
-    used: float
-    """Time of the last read; 0 where a clock that was set back since had marked one to come."""
-    size: int
-
-
-@dataclass(frozen=True)
 class ShardCache:
     """Cache of at most `limit` bytes of shards in `folder`; shards read within `in_use_s` seconds are not evicted.
 
@@ -137,19 +129,20 @@ class ShardCache:
 
     def _make_room(self, size: int) -> bool:
         """Evict the least recently used shards; evict none and return False if that would not free `size` bytes."""
-        entries = self._entries()
-        excess = sum(entry.size for entry in entries) + size - self.limit
+        entries = sorted(self._entries())
+        excess = sum(held for _, _, held in entries) + size - self.limit
         victims = []
-        for entry in sorted(entries, key=lambda entry: entry.used):
-            if excess <= 0 or time.time() - entry.used < self.in_use_s:
+        for used, path, held in entries:
+            if excess <= 0 or time.time() - used < self.in_use_s:
                 break
-            victims.append(entry)
-            excess -= entry.size
-        if excess > 0:
-            return False
-        return all(_evict(entry.path) for entry in victims)
+            victims.append(path)
+            excess -= held
+        return excess <= 0 and all(map(_evict, victims))
 
-    def _entries(self) -> list[_Entry]:
+    def _entries(self) -> list[tuple[float, Path, int]]:
+        """Time of the last read, path and size of every shard and part; a clock that was set back since may have marked
+        a read to come: its time is 0.
+        """
         entries = []
         with os.scandir(self.folder) as found:
             for file in found:
@@ -159,7 +152,7 @@ class ShardCache:
                         status = file.stat(follow_symlinks=False)
                         size = int(match[1]) if match[1] else status.st_size
                         used = status.st_mtime if status.st_mtime <= time.time() + self.in_use_s else 0.0
-                        entries.append(_Entry(Path(file.path), used, size))
+                        entries.append((used, Path(file.path), size))
         return entries
 
 

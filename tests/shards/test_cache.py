@@ -51,7 +51,7 @@ def record(number: int, size: int = 1024) -> ShardRecord:
 
 
 def used_bytes(cache: ShardCache) -> int:
-    return sum(entry.size for entry in cache._entries())
+    return sum(size for _, _, size in cache._entries())
 
 
 def fill(cache: ShardCache, shard: ShardRecord, age_s: float = 0.0) -> bool:
