@@ -152,7 +152,7 @@ class SetPage(Controls):
             self.view = view
             self._index.max = max(1, len(view) - 1)
             self._index.value = 0
-            self._key.value = view.images.keys[0]
+            self._key.value = view.images.location(0)[1]
         self.change(index=0)
 
     def _add_sample_controls(self) -> None:
@@ -166,9 +166,8 @@ class SetPage(Controls):
         only = gui.add_text("only", " ".join(selection.only), hint="patterns of keys, like open-A-*")
         # A slider needs two ends.
         self._index: Any = gui.add_slider("sample", 0, max(1, len(self.view) - 1), 1, self.shown.index)
-        self._key: Any = gui.add_text(
-            "key", self.view.images.keys[self.shown.index], hint="a sample's name, to go to it"
-        )
+        key = self.view.images.location(self.shown.index)[1]
+        self._key: Any = gui.add_text("key", key, hint="a sample's name, to go to it")
         step = gui.add_button_group("go to", ("previous", "next"))
 
         def choose(_: object) -> None:
@@ -181,7 +180,7 @@ class SetPage(Controls):
         def _(_: object) -> None:
             with self._lock:
                 index = min(int(self._index.value), len(self.view) - 1)
-                self._key.value = self.view.images.keys[index]
+                self._key.value = self.view.images.location(index)[1]
             if index != self.shown.index:
                 self.change(index=index)
 
@@ -191,7 +190,8 @@ class SetPage(Controls):
 
         @self._key.on_update
         def _(_: object) -> None:
-            index = self.view.index_of(self._key.value)
+            key, here = self._key.value, min(int(self._index.value), len(self.view) - 1)
+            index = here if key == self.view.images.location(here)[1] else self.view.index_of(key)
             if index is None:
                 self.page.warn(f"no sample of those chosen has the key {self._key.value!r}")
             else:

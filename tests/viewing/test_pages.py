@@ -16,6 +16,7 @@ from small_rig import SMALL
 
 from bodyseg_data.artifacts import Noise, load_sensor_model
 from bodyseg_data.core import BadConfig, MissingLibrary
+from bodyseg_data.loading import RangeImages
 from bodyseg_model.networks import Trained
 from bodyseg_model.viewing import LOOPBACK, Page, SetPage, SetView, Shown
 from bodyseg_model.viewing.page import Guard, aimed_at, free_port, open_server, unused
@@ -95,6 +96,14 @@ def test_sliders_of_a_set_change_what_is_drawn(set_page: SetPage) -> None:
     for where, said in (("azimuth=0", "a condition is on one of"), ("'azimuth", "cannot divide")):
         set_page.choose("train", where, "")
         assert said in page.facts.content and set_page.view is kept
+
+
+def test_a_slider_asks_for_no_key_but_the_shown_one(set_page: SetPage, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a set with an index, all keys take seconds to read."""
+    key = set_page.view.images.keys[3]
+    monkeypatch.setattr(RangeImages, "keys", property(lambda images: pytest.fail("all keys are read")))
+    set_page._index.value = 3
+    assert set_page.page.wait(WAIT_S) and key in set_page.page.facts.content and set_page._key.value == key
 
 
 def test_a_strength_that_is_moved_is_drawn(set_page: SetPage) -> None:
