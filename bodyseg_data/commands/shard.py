@@ -188,7 +188,6 @@ def _refuse_foreign(options: Options) -> None:
 
 
 def _run_renders(options: Options) -> int:
-    """Pack finished renders, or print the plan."""
     if options.path is None:
         raise BadConfig(f"--source {RENDERS} needs --path: the folder that holds the renders")
     source = open_renders(options.path, options.layout)
@@ -208,7 +207,6 @@ def _run_renders(options: Options) -> int:
 
 
 def _run_rooms(options: Options) -> int:
-    """Pack made rooms, or print the plan."""
     from bodyseg_data.rooms import OwnThings, chosen_kinds, pack_rooms  # needs numba, as sources do when they render
 
     if options.samples is None:

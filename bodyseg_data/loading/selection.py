@@ -238,7 +238,6 @@ def mark_val(table: SampleTable, share: float) -> NDArray[np.bool_]:
 
 
 def _group_keys(table: SampleTable, share: float) -> list[Group]:
-    """The group of each sample."""
     places = table.fields.places
     if table.fields.of_bodies:
         rows = [tuple(map(str, row)) for row in table.tables[0]]

@@ -123,7 +123,6 @@ class LookAhead:
             return self._jobs.popleft() if self._jobs else None
 
     def _plan(self) -> None:
-        """Plan the next samples."""
         jobs: list[tuple[int, _Job]] = []
         singles: list[_Range] = []
         number, room = -1, _HELD_BYTES // 2

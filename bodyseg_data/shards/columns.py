@@ -77,7 +77,6 @@ def read_column(
 
 
 def _list_of(names: Sequence[str]) -> bytes:
-    """Content of columns.json."""
     return json.dumps({"columns": names}).encode() + b"\n"
 
 

@@ -105,7 +105,6 @@ class TarWriter:
 
 
 def _member(name: str, data: bytes) -> bytes:
-    """Encode one tar member, padded to whole blocks."""
     return _header(name, len(data)) + data + bytes(-len(data) % BLOCK)
 
 

@@ -193,7 +193,6 @@ class HttpTransport:
         return response, *await _read_chunk(response)
 
     def _run(self, work: Any, *arguments: Any) -> Any:
-        """Run a coroutine in fsspec's thread."""
         return import_module("fsspec.asyn").sync(self._filesystem.get().loop, work, *arguments)
 
 
