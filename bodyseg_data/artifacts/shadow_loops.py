@@ -198,16 +198,9 @@ def bound_pieces(shadow: Any, pieces: Any, found: Any, extremes: Any, boxes: Any
         right = left + np.float32(lengths[piece] - np.int32(1))
         near, far = extremes[0, piece], extremes[1, piece]
         across, down, forward = across_row * row + across_0, down_row * row + down_0, forward_row * row + forward_0
-        left_x, left_y, left_z = (
-            across + across_column * left,
-            down + down_column * left,
-            forward + forward_column * left,
-        )
-        right_x, right_y, right_z = (
-            across + across_column * right,
-            down + down_column * right,
-            forward + forward_column * right,
-        )
+        left_x, right_x = across + across_column * left, across + across_column * right
+        left_y, right_y = down + down_column * left, down + down_column * right
+        left_z, right_z = forward + forward_column * left, forward + forward_column * right
         away_0, away_1 = near * left_z + offset_z, far * left_z + offset_z
         away_2, away_3 = near * right_z + offset_z, far * right_z + offset_z
         x_0, x_1 = (near * left_x + offset_x) / away_0, (far * left_x + offset_x) / away_1

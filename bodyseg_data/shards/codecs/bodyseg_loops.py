@@ -32,9 +32,7 @@ def unzigzag(coded: Any) -> Any:
 def read_long(numbers: Any, at: Any, long: Any, index: Any) -> Any:
     """Length number `index` of `long` long runs, whose byte planes begin at `at`."""
     low = np.uint64(numbers[at + index]) | np.uint64(numbers[at + long + index]) << np.uint64(8)
-    high = np.uint64(numbers[at + _2 * long + index]) | np.uint64(numbers[at + (_2 + _1) * long + index]) << np.uint64(
-        8
-    )
+    high = np.uint64(numbers[at + _2 * long + index]) | np.uint64(numbers[at + _3 * long + index]) << np.uint64(8)
     return low | high << np.uint64(16)
 
 
@@ -201,7 +199,7 @@ def fill_projector(numbers: Any, counts: Any, box: Any, image: Any, texels: Any)
     """
     flat = image.ravel()
     runs, long, width = np.uint64(counts.runs), np.uint64(counts.long), np.uint64(box.width)
-    lengths_at, longs_at = _2 * runs, (_2 + _1) * runs
+    lengths_at, longs_at = _2 * runs, _3 * runs
     columns, area = np.uint64(image.shape[1]), np.uint64(box.height) * width
     corner = np.uint64(box.top) * columns + np.uint64(box.left)
     next_long, place, count = _0, _0, _0

@@ -90,12 +90,7 @@ def to_byte_planes(numbers: NDArray[Any]) -> Bytes:
 def from_byte_planes(stored: Bytes, kind: type[np.unsignedinteger[Any]]) -> NDArray[Any]:
     """Decode byte planes to numbers of type `kind`, the inverse of `to_byte_planes`."""
     little = np.dtype(kind).newbyteorder("<")
-    return (
-        np.ascontiguousarray(stored.reshape(little.itemsize, len(stored) // little.itemsize).T)
-        .view(little)
-        .ravel()
-        .astype(kind)
-    )
+    return np.ascontiguousarray(stored.reshape(little.itemsize, -1).T).view(little).ravel().astype(kind)
 
 
 def checked_lengths(low: Bytes, escapes: Bytes, box: Box) -> NDArray[np.int64]:
