@@ -292,10 +292,11 @@ def record_from_json(tree: Any, fields: Fields, where: str) -> ShardRecord:
         raise BadShard(f"{where}: 'size' must be a number of bytes, at most {LARGEST_SHARD}")
     if not tree["keys"]:
         raise BadShard(f"{where}: a shard holds at least one sample")
+    with reported(where, BadShard, BadSample):
+        for key in tree["keys"]:
+            check_key(key)
     end = 0
     for key, offset, length in zip(tree["keys"], tree["offsets"], tree["lengths"], strict=True):
-        with reported(where, BadShard, BadSample):
-            check_key(key)
         if offset != end or not 0 < length <= LARGEST_SAMPLE or length % BLOCK:
             rule = f"samples must follow each other in whole blocks of {BLOCK} bytes, each of at most {LARGEST_SAMPLE}"
             raise BadShard(f"{where}: {key}: {rule}")
