@@ -15,6 +15,7 @@ import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, Final, overload
 
@@ -45,9 +46,6 @@ LARGEST_PIECE: Final = 1 << 26
 
 _HEADER: Final = struct.Struct("<3I")
 """Numbers of samples and tables; bytes of the text. Each table's number of rows follows."""
-
-_ONE: Final = struct.Struct("<I")
-_TWO: Final = struct.Struct("<2I")
 
 _TEXT_FIELDS: Final = {"tables", "stems", "tails", "notes"}
 _VIEW_MARK: Final = "-d"
@@ -292,25 +290,24 @@ class Piece:
         count, tables, text_size = _HEADER.unpack_from(data)
         if tables > MOST_FIELDS or _HEADER.size + 4 * tables > len(data):
             raise BadShard(f"{where}: {len(data)} bytes cannot hold the sizes of {tables} tables")
-        self._data, self._count, self._where = data, samples, where
-        self._rows = np.frombuffer(data, "<u4", tables, _HEADER.size).tolist()
-        # The places of the columns: blocks, checksums, the rows of each table, text.
-        self._blocks = _HEADER.size + 4 * tables
-        self._crc32 = self._blocks + 4 * (count + 1)
-        self._columns = []
-        end = self._crc32 + 4 * count
-        for rows in self._rows:
-            self._columns.append(end)
-            end += _kind(rows).itemsize * count
+        self._where = where
+        counts = np.frombuffer(data, "<u4", tables, _HEADER.size).tolist()
+        kinds = [_KINDS[-1], _KINDS[-1], *map(_kind, counts)]
+        lengths = [count + 1, *[count] * (tables + 1)]
+        sizes = [kind.itemsize * length for kind, length in zip(kinds, lengths, strict=True)]
+        *starts, end = accumulate(sizes, initial=_HEADER.size + 4 * tables)
         if not count or count != samples or end + text_size != len(data):
             raise BadShard(f"{where}: the index must hold {samples} samples, found {len(data)} bytes for {count}")
+        columns = zip(kinds, lengths, starts, strict=True)
+        self._blocks, self._crc32, *self._rows = (np.frombuffer(data, *column) for column in columns)
         self._text = _checked_text(data[end:], where)
-        self._stems, self._tails = self._text["stems"], self._text["tails"]
+        self._stems: list[str] = self._text["stems"]
+        self._tails: list[str] = self._text["tails"]
         self._whole_keys = not self._stems
         if self._whole_keys:
             fits = len(self._tails) == count
         else:
-            fits = tables >= 2 and [len(self._stems), len(self._tails)] == self._rows[:2]
+            fits = tables >= 2 and [len(self._stems), len(self._tails)] == counts[:2]
         if not fits:
             raise BadShard(
                 f"{where}: 'stems' and 'tails' must be as many as rows of the first tables, or none and samples"
@@ -318,15 +315,7 @@ class Piece:
 
     def entry(self, index: int) -> Entry:
         """Place of sample `index`, 0 to before `len()`. Raises BadShard if it cannot be one."""
-        first, end = _TWO.unpack_from(self._data, self._blocks + 4 * index)
-        (checksum,) = _ONE.unpack_from(self._data, self._crc32 + 4 * index)
-        if self._whole_keys:
-            key = self._tails[index]
-        else:
-            body, view = self._row(0, index), self._row(1, index)
-            if body >= len(self._stems) or view >= len(self._tails):
-                raise BadShard(f"{self._where}: sample {index} has a row that its tables have not")
-            key = self._stems[body] + self._tails[view]
+        first, end, key = int(self._blocks[index]), int(self._blocks[index + 1]), self._key(index)
         length = BLOCK * (end - first)
         try:
             check_key(key)
@@ -334,31 +323,30 @@ class Piece:
             raise BadShard(f"{self._where}: {error}") from error
         if not 0 < length <= LARGEST_SAMPLE:
             raise BadShard(f"{self._where}: {key}: a sample takes at least a block and at most {LARGEST_SAMPLE} bytes")
-        return Entry(key, BLOCK * first, length, checksum)
+        return Entry(key, BLOCK * first, length, int(self._crc32[index]))
+
+    def _key(self, index: int) -> str:
+        """Key of a sample, unchecked. Raises BadShard for rows that its tables have not."""
+        if self._whole_keys:
+            return self._tails[index]
+        body, view = int(self._rows[0][index]), int(self._rows[1][index])
+        if body >= len(self._stems) or view >= len(self._tails):
+            raise BadShard(f"{self._where}: sample {index} has a row that its tables have not")
+        return self._stems[body] + self._tails[view]
 
     def to_json(self) -> dict[str, Any]:
         """All fields of the shard's record but its name, split, size and hash. Raises BadShard."""
-        data, count = self._data, self._count
-        blocks = np.frombuffer(data, "<u4", count + 1, self._blocks).astype(np.int64)
+        blocks, count = self._blocks.astype(np.int64), len(self._crc32)
         return {
             "samples": count,
-            "keys": [self.entry(index).key for index in range(count)],
+            "keys": [self._key(index) for index in range(count)],
             "offsets": (BLOCK * blocks[:-1]).tolist(),
             "lengths": (BLOCK * np.diff(blocks)).tolist(),
-            "crc32": np.frombuffer(data, "<u4", count, self._crc32).tolist(),
+            "crc32": self._crc32.tolist(),
             "tables": self._text["tables"],
-            "rows": [
-                np.frombuffer(data, _kind(rows), count, column).tolist()
-                for rows, column in zip(self._rows, self._columns, strict=True)
-            ],
+            "rows": [rows.tolist() for rows in self._rows],
             "notes": self._text["notes"],
         }
-
-    def _row(self, table: int, index: int) -> int:
-        """Number of a sample's row in a table."""
-        width = _kind(self._rows[table]).itemsize
-        start = self._columns[table] + width * index
-        return int.from_bytes(self._data[start : start + width], "little")
 
 
 def _kind(rows: int) -> np.dtype[Any]:
