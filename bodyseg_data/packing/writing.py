@@ -136,6 +136,7 @@ def write_shards(
                     try:
                         rendered = next(results)
                     except SKIPPABLE as error:
+                        stack.pop_all().__exit__(type(error), error, None)  # as after any error: its files go
                         return (body, error), records
                     for key, members in rendered.samples:
                         apart = {name: data for name, data in members.items() if name.startswith(_COLUMN)}

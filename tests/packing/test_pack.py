@@ -251,12 +251,18 @@ def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path, pack_figure
 def test_a_bad_body_stops_the_packing_by_name(
     tmp_path: Path, pack_figures: Pack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    whole = Figures.build
+
     def build(self: Figures, body: BodyRef) -> Any:
-        raise BadMesh(f"mesh {body.mesh}: faces must point outwards")
+        if body.mesh == bad:
+            raise BadMesh(f"mesh {body.mesh}: faces must point outwards")
+        return whole(self, body)
 
     monkeypatch.setattr(Figures, "build", build)
-    with pytest.raises(BadMesh, match="mesh A-0: faces must point outwards"):
-        pack_figures(tmp_path / "shards")
+    for bad in ("A-0", "A-1"):
+        with pytest.raises(BadMesh, match=f"mesh {bad}: faces must point outwards"):
+            pack_figures(tmp_path / "shards")
+        assert not [*(tmp_path / "shards").glob("*.tar")], "a shard that was begun looks whole"
 
 
 def test_meshes_are_taken_evenly_from_every_subset() -> None:
