@@ -41,8 +41,8 @@ class NearestSources:
 def nearest_sources(method: GeodesicMethod, vertices: Floats, faces: Indices, sources: Indices) -> NearestSources:
     """Find the nearest of `sources` along the surface from every vertex.
 
-    vertices: [V, 3], metres, each used by a face. faces: [F, 3]. sources: [S], distinct vertices, at least one on each
-    connected piece. Where no path leads, the distance is infinite and the source is arbitrary.
+    vertices: [V, 3], metres, each used by a face. faces: [F, 3]. sources: [S], distinct vertices; for `exact` at least
+    one on each connected piece. Where no path leads, the distance is infinite and the source is arbitrary.
 
     - exact: window propagation (Mitchell, Mount and Papadimitriou, The discrete geodesic problem, SIAM J. Comput. 16,
       1987), by Kirsanov's pygeodesic; `unfolded` where the path leads through a vertex that alone connects two
@@ -159,7 +159,7 @@ def _shortest_paths(count: int, ends: Indices, lengths: Floats, sources: Indices
     lengths = np.maximum(lengths, np.finfo(np.float64).tiny)  # a zero entry would mean no edge
     graph = csr_array((lengths, (ends[:, 0], ends[:, 1])), shape=(count, count))
     distance, _, root = dijkstra(graph, directed=False, indices=sources, min_only=True, return_predecessors=True)
-    return NearestSources(distance, _source_indices(sources, count)[root])
+    return NearestSources(distance, _source_indices(sources, count)[np.maximum(root, 0)])  # below 0: no path
 
 
 def _source_indices(sources: Indices, count: int) -> Indices:

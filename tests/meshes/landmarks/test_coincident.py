@@ -71,6 +71,17 @@ def test_where_hands_touch_the_landmark_on_the_other_hand_moves_to_its_own(end: 
     assert parts.labels[0] == RIGHT and parts.labels[(RINGS - 1) * AROUND] == LEFT, "each end has its own part"
 
 
+def test_landmarks_are_separated_beside_a_piece_that_no_path_reaches() -> None:
+    mesh, vertices = touching_arms()
+    corners = np.eye(4, 3) * 0.03 + (0.35, 0.3, 0)
+    apart = np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]]) + len(mesh.vertices)
+    both = Mesh("both", np.concatenate([mesh.vertices, corners]), np.concatenate([mesh.faces, apart]))
+    found, notes = separate(both, vertices, mesh.vertices[vertices], "here")
+    alone, its_notes = separate(mesh, vertices, mesh.vertices[vertices], "here")
+    np.testing.assert_array_equal(found, alone)
+    assert notes == its_notes
+
+
 def test_on_one_surface_the_second_moves_towards_its_own_limb() -> None:
     vertices = np.array(VERTICES)
     middle = np.linalg.norm(PERSON.vertices - (0, 0.75, 0.15), axis=1)
