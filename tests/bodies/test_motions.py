@@ -13,7 +13,8 @@ import pytest
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies import FRAMES_PER_SECOND
-from bodyseg_data.bodies.motions.catalogue import BUILD_B, BUILD_C, MOTIONS, STRIDES_B, STRIDES_C, SUBJECTS, MotionFrame
+from bodyseg_data.bodies.anny_model import Figure
+from bodyseg_data.bodies.motions.catalogue import BUILD_B, BUILD_C, MOTIONS, STRIDES_B, STRIDES_C, SUBJECTS
 from bodyseg_data.bodies.motions.curves import (
     Build,
     PoseTrack,
@@ -60,13 +61,13 @@ MIXED = {"leg.planted", "leg.ankle"}  # seen together, in the turn of the foot a
 
 
 @pytest.fixture(scope="module")
-def frames() -> dict[tuple[str, str], list[MotionFrame]]:
+def frames() -> dict[tuple[str, str], list[Figure]]:
     return {(subject, name): _all(subject, name) for subject, name in NAMES}
 
 
-def _all(subject: str, name: str) -> list[MotionFrame]:
+def _all(subject: str, name: str) -> list[Figure]:
     motion = MOTIONS[subject][name]  # type: ignore[index]
-    return [motion.frame(index) for index in range(motion.frames)]
+    return [Figure(SUBJECTS[subject], *motion.frame(index)) for index in range(motion.frames)]
 
 
 @pytest.fixture(scope="module")

@@ -21,24 +21,18 @@ _DECIMALS: Final = 4  # of a degree: the last bits of sines differ between machi
 
 
 @dataclass(frozen=True)
-class MotionFrame:
-    """One frame of a motion. height_m: of the body's lowest point above the floor, more than 0 only in flight."""
-
-    pose: Pose
-    height_m: float = 0.0
-
-
-@dataclass(frozen=True)
 class Motion:
-    """A motion of `frames` frames; at(seconds) returns pose and height above the floor, metres."""
+    """A motion of `frames` frames; at(seconds) returns the pose and the height of the body's lowest point above the
+    floor, metres, more than 0 only in flight.
+    """
 
     frames: int
     at: Callable[[float], tuple[Pose, float]]
 
-    def frame(self, number: int) -> MotionFrame:
-        """Return frame `number`, from 0, rounded to four decimals of a degree and six of a metre."""
+    def frame(self, number: int) -> tuple[Pose, float]:
+        """Return frame `number`, from 0, as `at` does, rounded to four decimals of a degree and six of a metre."""
         pose, height = self.at(number / FRAMES_PER_SECOND)
-        return MotionFrame(from_angles(angles(pose), _DECIMALS), round(height, 6))
+        return from_angles(angles(pose), _DECIMALS), round(height, 6)
 
 
 BUILD_B: Final = Build(

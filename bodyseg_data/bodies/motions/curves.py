@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import astuple, dataclass, fields, replace
 from functools import partial
-from operator import attrgetter
 from typing import Any, Final
 
 import numpy as np
@@ -18,9 +17,6 @@ from numpy.typing import NDArray
 from bodyseg_data.bodies.skeleton import Arm, Leg, Matrix, Pose, Trunk, about, root_rotation
 
 Vector = NDArray[np.float64]
-
-_NUMBERS: Final = {kind: attrgetter(*(field.name for field in fields(kind))) for kind in (Trunk, Arm, Leg)}
-"""Part of a pose -> what gives its angles, in their order."""
 
 _SPREAD: Final = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16
 
@@ -86,8 +82,7 @@ class PoseTrack:
 
 def angles(pose: Pose) -> Vector:
     """Return all joint angles [37] of a pose: trunk, left and right arm, left and right leg."""
-    parts = (pose.trunk, pose.left_arm, pose.right_arm, pose.left_leg, pose.right_leg)
-    return np.array([number for part in parts for number in _NUMBERS[type(part)](part)])
+    return np.concatenate(astuple(pose), dtype=np.float64)
 
 
 def from_angles(values: Vector, decimals: int | None = None) -> Pose:

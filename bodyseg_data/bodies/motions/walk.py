@@ -6,7 +6,6 @@ angles are those of normal gait (Perry and Burnfield 2010, Gait Analysis, chapte
 
 import math
 from dataclasses import dataclass, fields
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -113,6 +112,8 @@ def _arm(gait: Gait, phase: float, number: int) -> Arm:
 
 def _leg(build: Build, gait: Gait, phase: float, strike: float, side: int) -> Leg:
     """Return the leg that strikes at phase `strike` of every stride, on the floor or swinging to the next strike."""
+    from scipy.interpolate import CubicHermiteSpline
+
     step = strike + math.floor(phase - strike)
     share = (phase - step - STANCE) / (1 - STANCE)
     if share < 0:
@@ -125,11 +126,11 @@ def _leg(build: Build, gait: Gait, phase: float, strike: float, side: int) -> Le
     swung: dict[str, float] = {}
     for field in fields(Leg):
         a, b, c, d = (getattr(leg, field.name) for leg in (start, end, before, after))
-        knots = [(0.0, a, (a - c) * speed), (1.0, b, (d - b) * speed)]
+        knots = [(0.0, a, (a - c) * speed), (1.0, b, (d - b) * speed)]  # share, value, slope
         if field.name in _SWING:
             turning, value = _SWING[field.name]
             knots.insert(1, (turning, gait.hip if field.name == "flex" else value, 0.0))
-        swung[field.name] = _through(knots, share)
+        swung[field.name] = float(CubicHermiteSpline(*zip(*knots, strict=True))(share))
     return Leg(**swung)
 
 
@@ -140,13 +141,3 @@ def _stance(build: Build, gait: Gait, step: float, phase: float, side: int) -> L
     position = _path(gait, middle) + side * gait.apart / 2 * about_y(heading)[:, 0]
     sole = Sole(position[0], position[2], heading + side * gait.toe_out, _ROLLING.one(phase - step))
     return reach(build, root_rotation(_trunk(gait, phase)), _pelvis(gait, phase), sole, side)
-
-
-def _through(knots: list[tuple[float, float, float]], share: float) -> float:
-    """Interpolate knots (share, value, slope) by cubics."""
-    (x, start, leaving), (end_x, end, arriving) = next(pair for pair in pairwise(knots) if share <= pair[1][0])
-    width = end_x - x
-    s = (share - x) / width
-    return (1 - s) ** 2 * ((1 + 2 * s) * start + s * width * leaving) + s * s * (
-        (3 - 2 * s) * end - (1 - s) * width * arriving
-    )

@@ -155,8 +155,7 @@ def _moving(subject: Literal["B", "C"], dressed: bool) -> Listed:
 
 
 def _moved(subject: Literal["B", "C"], motion: Motion, index: int, outfit: Outfit | None) -> Figure:
-    frame = motion.frame(index)
-    return Figure(SUBJECTS[subject], frame.pose, frame.height_m, outfit)
+    return Figure(SUBJECTS[subject], *motion.frame(index), outfit)
 
 
 def _people() -> Listed:
