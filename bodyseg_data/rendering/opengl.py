@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from bodyseg_data.core import BadConfig, BadMesh, MissingLibrary
 from bodyseg_data.machine import SOFTWARE_DRIVER, missing_library
 from bodyseg_data.meshes import Mesh
-from bodyseg_data.rendering.renderer import Surface
+from bodyseg_data.rendering.renderer import Renderer, Surface
 from bodyseg_data.rigs import Camera, PlacedCamera
 
 _FEATURE: Final = "the opengl renderer"
@@ -42,7 +42,7 @@ _MARGIN_M = 1e-3
 MOST_FACES = 2**24  # a face's index is drawn as a colour of three bytes
 
 
-class OpenGLRenderer:
+class OpenGLRenderer(Renderer):
     """Renderer of one mesh, which stays in the graphics driver's memory, for any number of cameras.
 
     All renderers of a process share one OpenGL context under a lock, so threads may use them at the same time.
@@ -86,10 +86,6 @@ class OpenGLRenderer:
         # Window depth 0 to 1 is linear in 1 / z between the two planes.
         surface.range[body] = 1 / (1 / near + depth[body].astype(np.float64) * (1 / far - 1 / near))
         return surface
-
-    def ranges(self, camera: PlacedCamera, pixels: NDArray[np.intp]) -> NDArray[np.float32]:
-        """See `Renderer.ranges`; OpenGL always draws whole images."""
-        return self.render(camera).range.take(pixels)
 
     def close(self) -> None:
         """Free the mesh's memory in the driver; the context stays open for other meshes. Safe to call twice."""

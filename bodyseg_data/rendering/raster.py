@@ -12,7 +12,6 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bodyseg_data.machine import compiled
 from bodyseg_data.meshes import Mesh, Solid
@@ -41,10 +40,6 @@ class RasterRenderer(Renderer):
         _fill(local, pixel_xy, self._faces, pinhole, device.rows, device.columns, depth.ravel(), face.ravel())
         depth[face < 0] = 0
         return Surface(depth.astype(np.float32), face)
-
-    def ranges(self, camera: PlacedCamera, pixels: NDArray[np.intp]) -> NDArray[np.float32]:
-        """See `Renderer.ranges`; choosing triangles would cost as much as drawing all."""
-        return self.render(camera).range.take(pixels)
 
 
 def _project_loop(vertices: Any, position: Any, axes: Any, pinhole: Any, local: Any, pixel_xy: Any) -> None:

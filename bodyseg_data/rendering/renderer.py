@@ -61,8 +61,9 @@ class Renderer(Protocol):
     def ranges(self, camera: PlacedCamera, pixels: NDArray[np.intp]) -> NDArray[np.float32]:
         """Ranges that `render` gives at some pixels only, float32 [N], metres.
 
-        pixels: int [N], row * columns + column, ascending.
+        pixels: int [N], row * columns + column, ascending. By default all pixels are rendered.
         """
+        return self.render(camera).range.take(pixels)
 
     def close(self) -> None:
         """Release what is not Python's memory: by default there is nothing. Safe to call twice."""
