@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bodyseg_data.bodies.outfits import Outfit, cut
 from bodyseg_data.bodies.skeleton import Floats
 from bodyseg_data.core import Draws
-from bodyseg_data.meshes import face_normals, find_edges
+from bodyseg_data.meshes import face_normals, find_edges, vertex_normals
 
 Faces = NDArray[np.int64]
 
@@ -241,7 +241,7 @@ class Wardrobe:
         self._smoother = Smoother(points, self._faces, self._free, _SMOOTH_M)
         self._stand_off = diffused(pieces.stand_off[self._vertices], points, self._faces, garment, _DIFFUSION_M)
         self._slack = outfit.slack * _AT_REST + pieces.crumple[self._vertices, None] * _AT_ENDS
-        normals = self._normals(points)
+        normals = vertex_normals(points, self._faces)
         axes = _tangent(pieces.axis[self._vertices], normals)
         areas = self._gather @ np.linalg.norm(face_normals(points, self._faces), axis=1) / 6
         self._patterns = fold_patterns(points, normals, axes, areas, outfit.fold_m, outfit.seed)
@@ -256,7 +256,7 @@ class Wardrobe:
         shortened = self._shortened(vertices[self._vertices])
         body = self._slide @ vertices[self._vertices]
         calm = self._smoother(body)
-        out = self._normals(calm)
+        out = vertex_normals(calm, self._faces)
         for _ in range(_SMOOTHINGS):
             out = self._average @ out
         out /= np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12)
@@ -275,10 +275,6 @@ class Wardrobe:
         """Push cloth along `out` where it is closer to the body than its thickness."""
         gap = np.einsum("ij,ij->i", cloth - body, out)[:, None]
         return np.asarray(cloth + self._cover * np.maximum(_THICKNESS_M - gap, 0) * out, np.float64)
-
-    def _normals(self, points: Floats) -> Floats:
-        normals = self._gather @ face_normals(points, self._faces)
-        return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12), np.float64)
 
     def _rest_frames(self, points: Floats, axes: Floats) -> tuple[Floats, Floats]:
         """Return double areas [F] at rest, and the inverse [F, 2, 2] of each triangle's edges in (axis, around it)."""
