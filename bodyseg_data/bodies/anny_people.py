@@ -9,7 +9,6 @@ from statistics import NormalDist
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, symmetric
 from bodyseg_data.core import Draws
@@ -67,44 +66,37 @@ def person(index: int) -> Person:
     female = float(index % 2)
     # Statures as in Europe, all but the outermost half per cent. Anny's women are slight for their weight parameter.
     mean, deviation = (1.63, 0.066) if female else (1.765, 0.072)
-    stature = NormalDist(mean, deviation).inv_cdf(float(0.005 + 0.99 * draws[0]))
+    stature = NormalDist(mean, deviation).inv_cdf(0.005 + 0.99 * draws[0])
     least_weight = 0.45 if female else 0.3
     return Person(
         female=female,
-        years=float(18 + 62 * draws[1]),
+        years=18 + 62 * draws[1],
         stature_m=stature,
-        muscle=float(0.2 + 0.65 * draws[2]),
-        weight=float(least_weight + (1 - least_weight) * draws[3]),
-        proportions=float(0.15 + 0.7 * draws[4]),
-        cupsize=float(0.25 + 0.6 * draws[5]),
-        firmness=float(0.3 + 0.5 * draws[6]),
-        african=float(0.02 + draws[7] ** 2),
-        asian=float(0.02 + draws[8] ** 2),
-        caucasian=float(0.02 + draws[9] ** 2),
+        muscle=0.2 + 0.65 * draws[2],
+        weight=least_weight + (1 - least_weight) * draws[3],
+        proportions=0.15 + 0.7 * draws[4],
+        cupsize=0.25 + 0.6 * draws[5],
+        firmness=0.3 + 0.5 * draws[6],
+        african=0.02 + draws[7] ** 2,
+        asian=0.02 + draws[8] ** 2,
+        caucasian=0.02 + draws[9] ** 2,
     )
 
 
 def standing_pose(index: int) -> Pose:
     """Return the standing pose of person number `index`: arms a little off the body, with individual differences."""
-    draws = 2 * _draws(index, "posture", 14) - 1
-    openness, gap, spread = draws[:3]
+    openness, gap, spread, *draws = [2 * draw - 1 for draw in _draws(index, "posture", 14)]
     arms = [
-        Arm(
-            flex=float(4 * a),
-            abduct=float(30 + 6 * openness + 2.5 * b),
-            twist=float(8 * spread + 3 * c),
-            elbow=float(12 + 5 * d),
-        )
-        for a, b, c, d in (draws[3:7], draws[7:11])
+        Arm(flex=4 * a, abduct=30 + 6 * openness + 2.5 * b, twist=8 * spread + 3 * c, elbow=12 + 5 * d)
+        for a, b, c, d in (draws[:4], draws[4:8])
     ]
-    leg = Leg(abduct=float(2 + 3 * gap), twist=float(8 + 6 * spread))
-    trunk = Trunk(bend=float(2 * draws[11]), nod=float(4 * draws[12]), look=float(5 * draws[13]))
-    return Pose(trunk, arms[0], arms[1], leg, leg)
+    leg = Leg(abduct=2 + 3 * gap, twist=8 + 6 * spread)
+    return Pose(Trunk(bend=2 * draws[8], nod=4 * draws[9], look=5 * draws[10]), *arms, leg, leg)
 
 
-def _draws(index: int, purpose: str, count: int) -> NDArray[np.float64]:
+def _draws(index: int, purpose: str, count: int) -> list[float]:
     """Draw numbers in [0, 1) that depend on this person and the purpose alone."""
-    return Draws(0, 0, f"open/person-{index:03d}").generator(purpose).random(count)
+    return Draws(0, 0, f"open/person-{index:03d}").generator(purpose).random(count).tolist()
 
 
 _HANGING: Final = Arm()

@@ -61,7 +61,6 @@ class MadeBodies(ListedBodies[Maker]):
         super().__init__(figures)
         self.name = name
         self.landmarks = load_landmarks("open")
-        self._model: AnnyModel | None = None
 
     def label_by(self, file: Path) -> None:
         """Label all bodies by a landmark file of vertices of their skin. Raises BadLandmarks for any other file."""
@@ -91,12 +90,10 @@ class MadeBodies(ListedBodies[Maker]):
             raise missing_library("making bodies", error) from error
         return version, self.landmarks.vertices
 
-    @property
+    @cached_property
     def model(self) -> AnnyModel:
         """The body model, loaded when it is first asked for. Raises the errors of `build`."""
-        if self._model is None:
-            self._model = AnnyModel()
-        return self._model
+        return AnnyModel()
 
     def build(self, body: BodyRef, dressed: bool = True) -> Body:
         """Build a mesh of 13 718 vertices and 27 420 triangles over the origin, its lowest point at y = height_m.
