@@ -99,11 +99,10 @@ def _draws(index: int, purpose: str, count: int) -> list[float]:
     return Draws(0, 0, f"open/person-{index:03d}").generator(purpose).random(count).tolist()
 
 
-_HANGING: Final = Arm()
 _LEVEL: Final = Arm(abduct=90, elbow=4)
 _AHEAD: Final = Arm(flex=88, abduct=6, elbow=6)
 _RAISED: Final = Arm(flex=168, abduct=14, elbow=10)
-_HIP_HAND: Final = Arm(flex=-28, abduct=49, twist=-36, elbow=91, supinate=-20, wrist=27, fist=0.3)
+HIP_HAND: Final = Arm(flex=-28, abduct=49, twist=-36, elbow=91, supinate=-20, wrist=27, fist=0.3)
 _STRAIGHT: Final = Leg()
 _WIDE: Final = Leg(abduct=14, twist=10)
 
@@ -114,7 +113,7 @@ _SYMMETRIC: Final[dict[str, Pose]] = {
     "t_pose": symmetric(Trunk(), _LEVEL, _STRAIGHT),
     "arms_up": symmetric(Trunk(), _RAISED, _STRAIGHT),
     "arms_forward": symmetric(Trunk(), _AHEAD, _STRAIGHT),
-    "hands_on_hips": symmetric(Trunk(), _HIP_HAND, Leg(abduct=4, twist=10)),
+    "hands_on_hips": symmetric(Trunk(), HIP_HAND, Leg(abduct=4, twist=10)),
     "half_squat": symmetric(Trunk(lean=22, bend=8, nod=-16), Arm(flex=105, abduct=5, elbow=10), Leg(62, 6, 12, 72)),
     "deep_squat": symmetric(Trunk(lean=30, bend=22, nod=-28), Arm(flex=118, abduct=8, elbow=12), Leg(118, 14, 20, 122)),
     "forward_bend": symmetric(Trunk(lean=48, bend=52, nod=5), Arm(flex=92, abduct=6, elbow=5), Leg(flex=44, knee=6)),
@@ -131,7 +130,7 @@ _SYMMETRIC: Final[dict[str, Pose]] = {
 
 # Asymmetric: each is followed by its mirror image.
 _ASYMMETRIC: Final[dict[str, Pose]] = {
-    "arm_raised": Pose(Trunk(side=-4), replace(_RAISED, elbow=6), _HANGING),
+    "arm_raised": Pose(Trunk(side=-4), replace(_RAISED, elbow=6), Arm()),
     "walk_contact": Pose(
         Trunk(lean=3, twist=-8),
         Arm(flex=-24, abduct=10, elbow=14),
@@ -155,8 +154,8 @@ _ASYMMETRIC: Final[dict[str, Pose]] = {
     ),
     "lunge": Pose(
         Trunk(lean=4),
-        _HIP_HAND,
-        _HIP_HAND,
+        HIP_HAND,
+        HIP_HAND,
         Leg(flex=74, abduct=0, knee=72),
         Leg(flex=-8, abduct=-2, knee=70, planted=0, ankle=-12, toes=45),
     ),

@@ -9,14 +9,12 @@ from functools import partial
 from typing import Final
 
 from bodyseg_data.bodies.anny_model import Figure
-from bodyseg_data.bodies.anny_people import PEOPLE, person
+from bodyseg_data.bodies.anny_people import HIP_HAND, PEOPLE, person
 from bodyseg_data.bodies.outfits import OUTFITS, Outfit
 from bodyseg_data.bodies.skeleton import Arm, Leg, Pose, Trunk, symmetric
 from bodyseg_data.bodies.source import BodyRef
 from bodyseg_data.bodies.sources.open_bodies import Listed, MadeBodies
 
-_HANGING: Final = Arm()
-_HIP_HAND: Final = Arm(flex=-28, abduct=49, twist=-36, elbow=91, supinate=-20, wrist=27, fist=0.3)
 _STANDING: Final = Leg(abduct=-2, twist=7)
 _THIGH_HAND: Final = Arm(flex=34, abduct=8, twist=-6, elbow=26, supinate=-60, fist=0.2)
 _FOLDED: Final = Leg(flex=118, abduct=12, twist=10, knee=126, planted=0, ankle=10)
@@ -44,9 +42,9 @@ _POSES: Final[dict[str, Pose]] = {
         Arm(flex=70, abduct=-4, twist=-44, elbow=118),
         Arm(flex=58, abduct=-2, twist=-46, elbow=116),
     ),
-    "hand_on_shoulder": _same_legs(Trunk(look=10), _HANGING, Arm(flex=62, abduct=0, twist=-44, elbow=126)),
-    "hands_on_hips": symmetric(Trunk(), _HIP_HAND, Leg(abduct=5, twist=10)),
-    "hand_on_hip": _same_legs(Trunk(roll=4, side=-6, look=20), _HIP_HAND, Arm(abduct=12), Leg(abduct=4, twist=10)),
+    "hand_on_shoulder": _same_legs(Trunk(look=10), Arm(), Arm(flex=62, abduct=0, twist=-44, elbow=126)),
+    "hands_on_hips": symmetric(Trunk(), HIP_HAND, Leg(abduct=5, twist=10)),
+    "hand_on_hip": _same_legs(Trunk(roll=4, side=-6, look=20), HIP_HAND, Arm(abduct=12), Leg(abduct=4, twist=10)),
     "hands_clasped": symmetric(Trunk(nod=6), Arm(flex=20, abduct=10, twist=-48, elbow=52, supinate=-20), _STANDING),
     "praying": symmetric(Trunk(nod=14), Arm(flex=44, abduct=14, twist=-36, elbow=112, wrist=-30), _STANDING),
     "hand_behind_back": _same_legs(
