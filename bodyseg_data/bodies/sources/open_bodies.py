@@ -9,6 +9,7 @@ trained on it fail on unseen poses: on the floor, with arms before the trunk (do
 `wide` has 900 more people for training. Each posture is a stance and two arms, drawn independently of one another,
 every joint uniform within a range. So people who crouch cross their arms as well as people who stand, and no posture is
 copied from `hard`, which remains a test set. No floor or chair is modelled, and limbs may touch or intersect a little.
+Stances, sexes and outfits take turns, so men alone have five of the ten stances and two of the four outfits.
 
 `everyday` has people for training whose hands, forearms, soles and shins touch their own body or the floor, where
 networks trained on the others fail. Each holds another pose, drawn by `contact_poses`: a stance, then each limb sent to
