@@ -73,9 +73,10 @@ def _check_plates(
     own = np.unique(piece[KDTree(points).query(landmarks)[1]])
     bottom = float(points[np.isin(piece, own), 1].min())
     body_width = float(np.sort(np.ptp(landmarks, axis=0))[1])
-    for other in np.setdiff1d(np.unique(piece), own).tolist():
-        plate = points[piece == other]
-        if np.sort(np.ptp(plate, axis=0))[1] < _PLATE_M * size:
+    order = np.argsort(piece, kind="stable")
+    for other in np.split(order, np.flatnonzero(np.diff(piece[order])) + 1):  # scans may have thousands
+        plate = points[other]
+        if np.sort(np.ptp(plate, axis=0))[1] < _PLATE_M * size or piece[other[0]] in own:
             continue
         axes = np.linalg.svd(plate - plate.mean(axis=0), full_matrices=False)[2]
         long, wide, thin = np.ptp(plate @ axes.T, axis=0).tolist()
