@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import MISSING, asdict, dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final
@@ -48,7 +48,7 @@ class Rig:
     """
 
     name: str
-    stand_off_m: float = bounded(MISSING, 0, above=True)
+    stand_off_m: float
     camera: Camera
     projector: Camera
     range_step_mm: float = bounded(RANGE_STEP_MM, FINEST_STEP_MM, COARSEST_STEP_MM)
@@ -57,6 +57,8 @@ class Rig:
     def __post_init__(self) -> None:
         check_fields(self)
         _check_name(self.name)
+        if not (math.isfinite(self.stand_off_m) and self.stand_off_m > 0):
+            raise BadConfig(f"a rig's stand-off must be positive, found {self.stand_off_m} m")
         for projector in self.projectors:
             if projector.distortion is not None:
                 raise BadConfig(f"a projector has no lens distortion, found {projector.distortion}")

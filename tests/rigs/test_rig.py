@@ -153,7 +153,7 @@ def test_another_rig_is_another_file(tmp_path: Path) -> None:
     ("old", "new", "message"),
     [
         ("bodyseg rig 1", "bodyseg rig 9", "rig x: 'format' must be 'bodyseg rig 1'"),
-        ("stand_off_m = 2.5", "stand_off_m = -1.0", "rig x: Rig: stand_off_m must be above 0, found -1.0"),
+        ("stand_off_m = 2.5", "stand_off_m = -1.0", "rig x: a rig's stand-off must be positive, found -1.0 m"),
         ("stand_off_m", "standoff", "rig x: number 'stand_off_m' is missing"),
         (
             "range_step_mm = 1.0",
