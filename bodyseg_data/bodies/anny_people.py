@@ -91,12 +91,12 @@ def standing_pose(index: int) -> Pose:
         for a, b, c, d in (draws[:4], draws[4:8])
     ]
     leg = Leg(abduct=2 + 3 * gap, twist=8 + 6 * spread)
-    return Pose(Trunk(bend=2 * draws[8], nod=4 * draws[9], look=5 * draws[10]), *arms, leg, leg)
+    return Pose(Trunk(bend=2 * draws[8], nod=4 * draws[9], look=5 * draws[10]), arms[0], arms[1], leg, leg)
 
 
 def _draws(index: int, purpose: str, count: int) -> list[float]:
     """Draw numbers in [0, 1) that depend on this person and the purpose alone."""
-    return Draws(0, 0, f"open/person-{index:03d}").generator(purpose).random(count).tolist()
+    return [*map(float, Draws(0, 0, f"open/person-{index:03d}").generator(purpose).random(count))]
 
 
 _LEVEL: Final = Arm(abduct=90, elbow=4)
