@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies.anny_model import Posable
-from bodyseg_data.bodies.skeleton import Arm, Floats, Leg, arm_rotations, finger_rotations, leg_rotations
+from bodyseg_data.bodies.skeleton import Arm, Floats, Leg, arm_rotations, finger_rotations, leg_rotations, mirrored
 
 Choice = TypeVar("Choice")
 
@@ -42,7 +42,6 @@ MOST_RAISED: Final = 185.0
 
 Side = Literal["L", "R"]
 
-_MIRROR: Final = np.diag([-1.0, 1.0, 1.0])
 _ARM_BONES: Final = ("clavicle", "shoulder01", "upperarm01", "upperarm02", "lowerarm01", "lowerarm02", "wrist")
 _FINGERS: Final = tuple(
     bone
@@ -115,7 +114,7 @@ class Limb:
     """
 
     def __init__(self, person: Posable, kind: Literal["arm", "leg"], side: Side) -> None:
-        self.kind, self.side = kind, side
+        self.kind, self._seen = kind, mirrored if side == "R" else np.asarray
         upper, ends = (_ARM_BONES, _FINGERS) if kind == "arm" else (_LEG_BONES, _TOES)
         self._person = person
         self._names = [bone for bone in (*upper, *ends) if f"{bone}.{side}" in person.numbers]
@@ -154,17 +153,13 @@ class Limb:
 
     def bones(self, angles: Arm | Leg, base: Base) -> tuple[Floats, Floats]:
         """Return turns [B, 3, 3] and heads [B, 3] of this limb's bones in the body frame."""
-        mirrored = self.side == "R"
-        if isinstance(angles, Arm):
-            rotations = arm_rotations(angles)
-        else:
-            rotations = leg_rotations(angles, _MIRROR @ base.root @ _MIRROR if mirrored else base.root)
+        rotations = arm_rotations(angles) if isinstance(angles, Arm) else leg_rotations(angles, self._seen(base.root))
         turns, heads = np.empty((len(self._names), 3, 3)), np.empty((len(self._names), 3))
         for index in range(self._upper):
             above, at = (base.turn, base.head) if index == 0 else (turns[index - 1], heads[index - 1])
-            own = rotations[self._names[index]] if self._names[index] in rotations else np.eye(3)
+            own = rotations.get(self._names[index], np.eye(3))
             heads[index] = at + above @ self._bone_offsets[index]
-            turns[index] = above @ (_MIRROR @ own @ _MIRROR if mirrored else own)
+            turns[index] = above @ self._seen(own)
         end_turns, end_heads = self._end(angles.fist if isinstance(angles, Arm) else angles.toes)
         last = turns[self._upper - 1]
         turns[self._upper :] = last @ end_turns
@@ -181,7 +176,7 @@ class Limb:
             for index in range(self._upper, len(self._names)):
                 parent, own = self._parents[index], rotations.get(self._names[index], np.eye(3))
                 heads[index] = heads[parent] + turns[parent] @ self._bone_offsets[index]
-                turns[index] = turns[parent] @ (_MIRROR @ own @ _MIRROR if self.side == "R" else own)
+                turns[index] = turns[parent] @ self._seen(own)
             self._ends[bend] = turns[self._upper :], heads[self._upper :]
         return self._ends[bend]
 

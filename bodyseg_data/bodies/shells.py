@@ -17,7 +17,7 @@ from bodyseg_data.bodies.skeleton import Floats, Pose, bone_rotations
 from bodyseg_data.bodies.stances import Places
 from bodyseg_data.core import Draws
 from bodyseg_data.labels import LANDMARKS
-from bodyseg_data.meshes import Solid, load_landmarks, vertex_normals
+from bodyseg_data.meshes import RigidMotion, Solid, load_landmarks, vertex_normals
 
 Mask = NDArray[np.bool_]
 
@@ -44,18 +44,6 @@ _SHOE_SLICE_M: Final = 0.012
 _SHOE_BAND_M: Final = 0.018  # to each side of a slice
 _SOLE_FLAT_M: Final = 0.03  # above the ground at rest, below which skin is on the sole
 _SHOE_COLUMNS: Final = 40
-
-
-@dataclass(frozen=True)
-class MovedPart:
-    """A part of the body that moved as a whole from rest to the pose: posed = turn @ rest + shift."""
-
-    turn: Floats
-    shift: Floats
-
-    def __call__(self, rest: Floats) -> Floats:
-        """Move points [..., 3] from the person at rest to the pose."""
-        return np.asarray(rest @ self.turn.T + self.shift, np.float64)
 
 
 class Wearer:
@@ -89,15 +77,15 @@ class Wearer:
         """A landmark at rest, [3], metres."""
         return np.asarray(self.rest[self._at[name]], np.float64)
 
-    def frame(self, of: Mask) -> MovedPart:
+    def frame(self, of: Mask) -> RigidMotion:
         """The rigid motion from rest to the pose that fits vertices best (Kabsch 1976)."""
         rest, posed = self.rest[of], self.points[of]
         u, _, v = np.linalg.svd((rest - rest.mean(axis=0)).T @ (posed - posed.mean(axis=0)))
         turn = v.T @ np.diag([1.0, 1.0, np.linalg.det(v.T @ u.T)]) @ u.T
-        return MovedPart(turn, posed.mean(axis=0) - turn @ rest.mean(axis=0))
+        return RigidMotion(turn, posed.mean(axis=0) - turn @ rest.mean(axis=0))
 
     @cached_property
-    def head(self) -> MovedPart:
+    def head(self) -> RigidMotion:
         """The head's motion."""
         return self.frame(self.of("head"))
 
@@ -311,7 +299,7 @@ def shoe(wearer: Wearer, shoes: Shoes, side: Side) -> Solid:
     ankle = wearer.landmark(f"{side}t. Lateral Malleolus")[1]
     frame = wearer.frame(foot)
     foot &= wearer.rest[:, 1] < ankle
-    rest = (wearer.points[foot] - frame.shift) @ frame.turn
+    rest = frame.back(wearer.points[foot])
     flat = rest[wearer.rest[foot][:, 1] < wearer.rest[foot][:, 1].min() + _SOLE_FLAT_M]
     points = np.concatenate([rest, flat - np.array([0, shoes.sole_m, 0])])
     toes = rest[rest[:, 2] > np.quantile(rest[:, 2], 0.9)].mean(axis=0)

@@ -11,7 +11,6 @@ frame, so a bone's turn in the world is the product of those from the root down 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final, Self
 
@@ -143,10 +142,12 @@ def bone_rotations(pose: Pose) -> dict[str, Matrix]:
     """Return rotations [3, 3] by bone name, body frame; other bones keep the reference pose."""
     rotations = trunk_rotations(pose.trunk)
     root = rotations["root"]
-    # A right limb is a left limb seen in a mirror, and so is the pelvis that it hangs from.
-    rotations |= _named(_left(pose.left_arm, pose.left_leg, root), "L")
-    right = _left(pose.right_arm, pose.right_leg, _MIRROR @ root @ _MIRROR)
-    return rotations | _named({bone: _MIRROR @ rotation @ _MIRROR for bone, rotation in right.items()}, "R")
+    for side, arm, leg in (("L", pose.left_arm, pose.left_leg), ("R", pose.right_arm, pose.right_leg)):
+        # A right limb is a left limb seen in a mirror, and so is the pelvis that it hangs from.
+        seen = mirrored if side == "R" else np.asarray
+        own = arm_rotations(arm) | finger_rotations(arm) | leg_rotations(leg, seen(root))
+        rotations |= {f"{bone}.{side}": seen(rotation) for bone, rotation in own.items()}
+    return rotations
 
 
 def trunk_rotations(trunk: Trunk) -> dict[str, Matrix]:
@@ -163,14 +164,6 @@ def trunk_rotations(trunk: Trunk) -> dict[str, Matrix]:
 def root_rotation(trunk: Trunk) -> Matrix:
     """Return the rotation of the pelvis, [3, 3], body frame."""
     return _turn(_Y, trunk.turn) @ _bent(trunk.lean, trunk.roll, 0)
-
-
-def _left(arm: Arm, leg: Leg, root: Matrix) -> dict[str, Matrix]:
-    return arm_rotations(arm) | finger_rotations(arm) | leg_rotations(leg, root)
-
-
-def _named(rotations: Mapping[str, Matrix], side: str) -> dict[str, Matrix]:
-    return {f"{bone}.{side}": rotation for bone, rotation in rotations.items()}
 
 
 def arm_rotations(arm: Arm) -> dict[str, Matrix]:
@@ -237,6 +230,11 @@ def _bent(forward: float, left: float, turned: float) -> Matrix:
 
 def _turn(axis: Matrix, degrees: float) -> Matrix:
     return from_rotation_vector(np.asarray(axis) * math.radians(degrees))
+
+
+def mirrored(rotation: Matrix) -> Matrix:
+    """Return the rotation [3, 3] that a mirror at x = 0 shows."""
+    return _MIRROR @ rotation @ _MIRROR
 
 
 def about(angle_rad: float, axis: int = 1) -> Matrix:

@@ -297,10 +297,10 @@ def _backpack(wearer: Wearer, size: float) -> tuple[list[Solid], NDArray[np.bool
     wide, high, deep = 0.25 + 0.1 * size, 0.34 + 0.16 * size, 0.11 + 0.13 * size
     trunk = wearer.of("spine01", "spine02", "spine03")
     frame = wearer.frame(trunk)
-    back = (wearer.points[wearer.places.on("upper back")] - frame.shift) @ frame.turn  # as at rest, with its clothes
+    back = frame.back(wearer.points[wearer.places.on("upper back")])  # as at rest, with its clothes
     top = wearer.landmark("Cervicale")[1] - 0.06
     pack = padded((wide, high, deep)).moved((0, top - high / 2, float(np.quantile(back[:, 2], 0.1)) - deep / 2 + 0.02))
-    return [Solid(frame(pack.vertices), pack.faces)], trunk | wearer.of("spine04", "spine05", "clavicle", "shoulder01")
+    return [frame.of(pack)], trunk | wearer.of("spine04", "spine05", "clavicle", "shoulder01")
 
 
 _MAKERS: Final = {"bag": _bag, "bottle": _bottle, "stick": _stick, "box": _box}

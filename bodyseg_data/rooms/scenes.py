@@ -20,7 +20,7 @@ from bodyseg_data.bodies import about
 from bodyseg_data.core import Draws
 from bodyseg_data.labels import BACKGROUND, PART_CLASSES, UNLABELLED
 from bodyseg_data.machine import compiled
-from bodyseg_data.meshes import Mesh, Partition, Solid, cuboid, together
+from bodyseg_data.meshes import Mesh, Partition, RigidMotion, Solid, cuboid, together
 from bodyseg_data.packing import Numbers, surface_points
 from bodyseg_data.rendering import RasterRenderer
 from bodyseg_data.renders import Render
@@ -75,20 +75,6 @@ class RoomPerson:
         return vertices[own].mean(axis=0) if own.any() else np.full(3, np.nan)
 
 
-@dataclass(frozen=True)
-class _Pose:
-    """A rotation [3, 3], then a move [3], metres."""
-
-    turn: Floats
-    by_m: Floats
-
-    def of(self, solid: Solid) -> Solid:
-        return Solid(solid.vertices @ self.turn.T + self.by_m, solid.faces)
-
-    def back(self, points: Floats) -> Floats:
-        return (points - self.by_m) @ self.turn
-
-
 def _facing(way: Floats) -> Floats:
     """The rotation about y of a thing whose front, -z, then looks that way."""
     return about(math.atan2(-way[0], -way[2]))
@@ -107,9 +93,9 @@ class _Wall:
         return self.offset / towards if towards > 1e-6 else math.inf
 
     @property
-    def pose(self) -> _Pose:
+    def pose(self) -> RigidMotion:
         """Pose of a thing with its back to the middle of the wall."""
-        return _Pose(_facing(-self.normal), self.normal * self.offset)
+        return RigidMotion(_facing(-self.normal), self.normal * self.offset)
 
 
 class Room:
@@ -130,7 +116,7 @@ class Room:
         self.solids: list[tuple[Solid, Loss]] = []
         self.things: dict[int, str] = {}
         """Place among `solids` -> kind of the thing; the room itself is not among them."""
-        self.persons: list[tuple[RoomPerson, _Pose, list[Loss]]] = []
+        self.persons: list[tuple[RoomPerson, RigidMotion, list[Loss]]] = []
         self.walls: list[_Wall] = []
         self._taken: list[tuple[float, float, float]] = []  # x, distance and radius: of people, then of things
         n = Numbers(self._draws, "room")
@@ -157,7 +143,7 @@ class Room:
             away, size = n.between(0.6, _FARTHEST_M), n.between(0.02, 0.15)
             at = np.array([n.between(-1, 1) * self._half * away, n.between(0.0, 2.5), -away])
             piece = bent(n, slab((size, size * n.between(0.3, 2), 0.01), (0, 0, 0), 2), 0.03, 0.1)
-            self._add(_Pose(about(n.between(-1, 1)), at).of(piece), n)
+            self._add(RigidMotion(about(n.between(-1, 1)), at).of(piece), n)
 
     def _add(self, solid: Solid, n: Numbers, kind_of_thing: str = "") -> None:
         """Add a thing: three of ten are dark or shiny, and as many lose a little."""
@@ -245,7 +231,7 @@ class Room:
 
     def _stand(
         self, solid: Solid, turn: Floats, spot: tuple[float, float], low: float, gap: float, against: _Wall | None
-    ) -> tuple[_Pose, Floats, Floats]:
+    ) -> tuple[RigidMotion, Floats, Floats]:
         """Pose of a solid at a spot, a gap off all walls at least, off one at most; its least and greatest corner."""
         turned = solid.vertices @ turn.T
         least, most = turned.min(axis=0), turned.max(axis=0)
@@ -254,7 +240,7 @@ class Room:
             out = float((turned @ wall.normal).max() + by @ wall.normal) - (wall.offset - gap)
             if out > 0 or wall is against:
                 by = by - out * wall.normal
-        return _Pose(turn, by), least + by, most + by
+        return RigidMotion(turn, by), least + by, most + by
 
     def _place_person(self, person: RoomPerson, n: Numbers) -> bool:
         """Somebody stands free, at a wall, beside another, on a seat or a bed, or behind something; False: no place."""
@@ -330,7 +316,7 @@ class Room:
         else:  # before the chest
             at = chest + front * (size[2] / 2 + n.between(-0.05, 0.05))
         if np.isfinite([*at, turn[0, 0]]).all():
-            self._add(_Pose(turn, at).of(thing), n, HELD)
+            self._add(RigidMotion(turn, at).of(thing), n, HELD)
 
     def _support(self, person: RoomPerson, vertices: Floats, low: float, n: Numbers) -> None:
         """A seat under somebody, or if he lies at that height, a bed along him, and at times a cover over him."""
@@ -340,13 +326,13 @@ class Room:
             made = Solid(made.vertices * (1.0, low / float(np.quantile(made.vertices[:, 1], 0.6)), 1.0), made.faces)
             cover = bent(n, slab((n.between(0.5, 1.4), 0.15, 0.9), (n.between(0.0, 0.5), low + 0.2, 0), 16), 0.08)
             made = together([made, cover]) if not n.whole(0, 2) else made
-            self._add(_Pose(about(math.atan2(-along, way)), hips * (1, 0, 1)).of(made), n, "bed")
+            self._add(RigidMotion(about(math.atan2(-along, way)), hips * (1, 0, 1)).of(made), n, "bed")
         elif not low and hips[1] > 0.27 and np.isfinite(knees).all():
             names = [name for name in SEATS if name in self._kinds]
             if names:
                 name = names[n.whole(0, len(names) - 1)]
                 seat = SEATS[name](n, float(hips[1]) - 0.12)
-                self._add(_Pose(_facing(knees - hips), hips * (1, 0, 1)).of(seat), n, name)
+                self._add(RigidMotion(_facing(knees - hips), hips * (1, 0, 1)).of(seat), n, name)
 
     def _thing(self, n: Numbers) -> tuple[str, Solid]:
         seats = [kind for kind in self._kinds if kind in SEATS] * (not n.whole(0, 3))
@@ -365,7 +351,7 @@ class Room:
         way = ray @ self._axes / np.linalg.norm(ray)
         at = self._eye + way * (radius + n.between(0.25, 0.6))
         if all(math.hypot(at[0] - x, -at[2] - away) > 0.8 * (radius + taken) for x, away, taken in self._taken):
-            self._add(_Pose(turn, at - turn @ middle).of(thing), n, name)
+            self._add(RigidMotion(turn, at - turn @ middle).of(thing), n, name)
 
     def _place_thing(self, n: Numbers, named: tuple[str, Solid] | None = None) -> None:
         """A thing stands against a wall, free, or touches somebody; few lie on their side. named: it; else drawn."""

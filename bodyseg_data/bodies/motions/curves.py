@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies.skeleton import Arm, Leg, Matrix, Pose, Trunk, about, root_rotation
+from bodyseg_data.bodies.skeleton import Arm, Leg, Matrix, Pose, Trunk, about, mirrored, root_rotation
 
 Vector = NDArray[np.float64]
 
@@ -22,7 +22,6 @@ _SPREAD: Final = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16
 
 Triple = tuple[float, float, float]
 
-_MIRROR: Final = np.array([-1.0, 1.0, 1.0])
 _FLAT_DEG: Final = 16  # a sole pitched by more than this is no longer laid flat by its ankle
 _ROUNDS: Final = 4
 
@@ -166,8 +165,7 @@ def reach(build: Build, root: Matrix, pelvis: Vector, sole: Sole, side: int) -> 
     side: 1 for the left leg, -1 for the right one, which is computed as a mirrored left one.
     """
     if side < 0:
-        mirror = np.diag(_MIRROR)
-        return reach(build, mirror @ root @ mirror, pelvis * _MIRROR, sole.mirrored(), 1)
+        return reach(build, mirrored(root), pelvis * (-1, 1, 1), sole.mirrored(), 1)
     thigh, shin = np.array(build.thigh), np.array(build.shin)
     way = root.T @ (sole.ankle(build) - pelvis) - build.hip
     knee = _knee(thigh, shin, float(way @ way))
