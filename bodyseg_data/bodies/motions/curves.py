@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, fields, replace
 from functools import partial
+from itertools import islice
 from typing import Any, Final
 
 import numpy as np
@@ -86,12 +87,8 @@ def angles(pose: Pose) -> Vector:
 
 def from_angles(values: Vector, decimals: int | None = None) -> Pose:
     """Return the pose of joint angles [37], rounded to `decimals` if given."""
-    numbers = [float(value) if decimals is None else round(float(value), decimals) + 0.0 for value in values]
-    parts: list[Any] = []
-    for kind in (Trunk, Arm, Arm, Leg, Leg):
-        count = len(fields(kind))
-        parts.append(kind(*numbers[:count]))
-        numbers = numbers[count:]
+    numbers = (float(value) if decimals is None else round(float(value), decimals) + 0.0 for value in values)
+    parts: Any = (kind(*islice(numbers, len(fields(kind)))) for kind in (Trunk, Arm, Arm, Leg, Leg))
     return Pose(*parts)
 
 
