@@ -76,7 +76,7 @@ def _check_plates(
     order = np.argsort(piece, kind="stable")
     for other in np.split(order, np.flatnonzero(np.diff(piece[order])) + 1):  # scans may have thousands
         plate = points[other]
-        if np.sort(np.ptp(plate, axis=0))[1] < _PLATE_M * size or piece[other[0]] in own:
+        if len(other) < 3 or np.sort(np.ptp(plate, axis=0))[1] < _PLATE_M * size or piece[other[0]] in own:
             continue
         axes = np.linalg.svd(plate - plate.mean(axis=0), full_matrices=False)[2]
         long, wide, thin = np.ptp(plate @ axes.T, axis=0).tolist()

@@ -85,6 +85,11 @@ def test_what_people_wear_and_hold_passes() -> None:
         checked(*beside(piece.vertices, piece.faces))
 
 
+def test_a_loose_face_of_two_places_far_apart_is_no_plate() -> None:
+    ends = np.array([[0.5, 0.2, 0.1], [0.1, 0.9, 0.3]])
+    checked(*beside(ends, np.array([[0, 1, 1]], np.int32)))
+
+
 def test_a_floor_that_has_grown_together_with_the_feet() -> None:
     floor, faces = square(1.6, LOW, 16)
     joined = len(PERSON.vertices) + int(np.linalg.norm(floor, axis=1).argmin())
