@@ -195,15 +195,12 @@ def parse_sensor(text: str, where: str) -> Sensor:
     name = table.text("name")
     title = table.text("title") if "title" in table else name
     assumed = table.flag("assumed_for_size") if "assumed_for_size" in table else False
-    camera, lighting = camera_from_table(table.table("camera"), posed=False, lens=True), None
-    if any(key in table for key in ("projector", "second_projector", "stand_off_m", "range_step_mm")):
-        stand_off = table.number("stand_off_m")
-        projector = camera_from_table(table.table("projector"), posed=True)
-        lighting = stand_off, projector, _range_step_mm(table), _second_projector(table)
+    camera = camera_from_table(table.table("camera"), posed=False, lens=True)
+    is_rig = any(key in table for key in ("projector", "second_projector", "stand_off_m", "range_step_mm"))
+    lighting = _lighting(table) if is_rig else {}
     table.finish()
     with reported(f"rig {where}", BadConfig):
-        rig = None if lighting is None else Rig(name, lighting[0], camera, *lighting[1:])
-        return Sensor(name, title, camera, rig, assumed)
+        return Sensor(name, title, camera, Rig(name=name, camera=camera, **lighting) if is_rig else None, assumed)
 
 
 def rig_from_json(tree: Any) -> Rig:
@@ -211,20 +208,21 @@ def rig_from_json(tree: Any) -> Rig:
     if not isinstance(tree, dict) or tree.get("format") != RIG_FORMAT:
         raise BadConfig(f"a stored rig's 'format' must be {RIG_FORMAT!r}")
     table = Table({key: value for key, value in tree.items() if key != "format"}, "a stored rig")
-    name, stand_off = table.text("name"), table.number("stand_off_m")
-    camera = camera_from_table(table.table("camera"), posed=True, lens=True)
-    projector = camera_from_table(table.table("projector"), posed=True)
-    step_mm, second = _range_step_mm(table), _second_projector(table)
+    name, camera = table.text("name"), camera_from_table(table.table("camera"), posed=True, lens=True)
+    lighting = _lighting(table)
     table.finish()
-    return Rig(name, stand_off, camera, projector, step_mm, second)
+    return Rig(name=name, camera=camera, **lighting)
 
 
-def _range_step_mm(table: Table) -> float:
-    return table.number("range_step_mm") if "range_step_mm" in table else RANGE_STEP_MM
-
-
-def _second_projector(table: Table) -> Camera | None:
-    return camera_from_table(table.table("second_projector"), posed=True) if "second_projector" in table else None
+def _lighting(table: Table) -> dict[str, Any]:
+    """Read what a rig has besides its camera: keywords of `Rig`."""
+    found: dict[str, Any] = {"stand_off_m": table.number("stand_off_m")}
+    found["projector"] = camera_from_table(table.table("projector"), posed=True)
+    if "range_step_mm" in table:
+        found["range_step_mm"] = table.number("range_step_mm")
+    if "second_projector" in table:
+        found["second_projector"] = camera_from_table(table.table("second_projector"), posed=True)
+    return found
 
 
 def _check_name(name: str) -> None:
