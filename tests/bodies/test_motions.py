@@ -211,7 +211,7 @@ def test_legs_reach_where_soles_are(side: int) -> None:
         pelvis = np.array([random.uniform(-0.05, 0.05), random.uniform(0.6, 0.9), 0])
         leg = reach(BUILD_B, root_rotation(trunk), pelvis, sole, side)
         pose = Pose(trunk, Arm(), Arm(), leg, leg)
-        wanted = np.array([sole.x, BUILD_B.ankle_height_m, sole.z])
+        wanted = np.array([sole.x, -BUILD_B.ball[1], sole.z])
         np.testing.assert_allclose(pelvis + _ankle(pose, BUILD_B, "L" if side > 0 else "R"), wanted, atol=0.004)
 
 
@@ -225,11 +225,11 @@ def test_a_sole_turns_over_ball_and_heel() -> None:
     ball, heel = np.array(BUILD_B.ball), np.array(BUILD_B.heel)
     for pitch, pivot in ((40.0, ball), (-20.0, heel)):
         ankle = Sole(0, 0, 0, pitch).ankle(BUILD_B)
-        assert np.linalg.norm(ankle - pivot - np.array([0, BUILD_B.ankle_height_m, 0])) == pytest.approx(
+        assert np.linalg.norm(ankle - pivot - np.array([0, -BUILD_B.ball[1], 0])) == pytest.approx(
             np.linalg.norm(pivot)
         )
-        assert ankle[1] > BUILD_B.ankle_height_m
-    assert Sole(0.1, 0.2, 0, 0, 0.3).ankle(BUILD_B).tolist() == [0.1, BUILD_B.ankle_height_m + 0.3, 0.2]
+        assert ankle[1] > -BUILD_B.ball[1]
+    assert Sole(0.1, 0.2, 0, 0, 0.3).ankle(BUILD_B).tolist() == [0.1, 0.3 - BUILD_B.ball[1], 0.2]
 
 
 def test_a_standing_pelvis_is_as_high_as_the_legs() -> None:

@@ -112,10 +112,6 @@ class Build:
     ball: Triple
     heel: Triple
 
-    @property
-    def ankle_height_m(self) -> float:
-        return -self.ball[1]
-
 
 @dataclass(frozen=True)
 class Sole:
@@ -138,7 +134,7 @@ class Sole:
         """Return the position of the ankle, [3], metres."""
         pivot = np.array(build.ball if self.pitch > 0 else build.heel)
         raised = pivot - about_x(self.pitch) @ pivot
-        ankle: Vector = [self.x, build.ankle_height_m + self.height, self.z] + about_y(self.yaw) @ raised
+        ankle: Vector = [self.x, self.height - build.ball[1], self.z] + about_y(self.yaw) @ raised
         return ankle
 
 
