@@ -79,20 +79,17 @@ _HELD: Final = (
 _POSES: Final = PoseTrack([*_UPWARDS, *_HELD, *((_END - time, pose.mirrored()) for time, pose in _UPWARDS[::-1])])
 
 
-def _track(keys: Sequence[tuple[float, float]], back: Sequence[tuple[float, float]]) -> Track:
-    """Return a track through `keys` on the way up and through `back`, in reverse, on the way down."""
-    all_keys = [*keys, *((_END - time, value) for time, value in reversed(back))]
+def _track(keys: Sequence[tuple[float, float]], back: Sequence[tuple[float, float]] = ()) -> Track:
+    """Return a track through `keys` on the way up and through `back`, else `keys`, in reverse, on the way down."""
+    all_keys = [*keys, *((_END - time, value) for time, value in reversed(back or keys))]
     return Track([time for time, _ in all_keys], [value for _, value in all_keys], blur=0.03)
 
 
-_HANDS_KEYS: Final = ((1.6, 0.0), (1.78, 1.0))
-_HANDS: Final = _track(_HANDS_KEYS, _HANDS_KEYS)
+_HANDS: Final = _track(((1.6, 0.0), (1.78, 1.0)))
 """Support of the pelvis: 0 by the feet on the floor, 1 by the hands on the floor."""
 
-_PALMS_KEYS: Final = ((1.0, 0.0), (1.5, 1.0))
-_PALMS: Final = _track(_PALMS_KEYS, _PALMS_KEYS)  # share to which the palms are level, 0 to 1
-_PITCH_KEYS: Final = ((1.0, 0.0), (1.6, 8.0), (1.75, 8.0), (2.3, 52.0))
-_PITCH: Final = _track(_PITCH_KEYS, _PITCH_KEYS)  # pitch of the soles that are on the floor, degrees
+_PALMS: Final = _track(((1.0, 0.0), (1.5, 1.0)))  # share to which the palms are level, 0 to 1
+_PITCH: Final = _track(((1.0, 0.0), (1.6, 8.0), (1.75, 8.0), (2.3, 52.0)))  # of soles on the floor, degrees
 _FIRST: Final = ((1.8, 0.0), (2.06, 1.0))
 _SECOND: Final = ((2.12, 0.0), (2.42, 1.0))
 _LEFT_FREE: Final = _track(_FIRST, _SECOND)
