@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies.anny_model import Posable
 from bodyseg_data.bodies.limb_reaching import Side
-from bodyseg_data.bodies.skeleton import Floats, Pose, bone_rotations
+from bodyseg_data.bodies.skeleton import Floats, Pose, RigidMotion, bone_rotations
 from bodyseg_data.bodies.stances import Places
 from bodyseg_data.core import Draws
 from bodyseg_data.labels import LANDMARKS
-from bodyseg_data.meshes import RigidMotion, Solid, load_landmarks, vertex_normals
+from bodyseg_data.meshes import Solid, load_landmarks, vertex_normals
 
 Mask = NDArray[np.bool_]
 

@@ -17,6 +17,8 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.meshes import Solid
+
 Floats = NDArray[np.float64]
 Matrix = Floats
 
@@ -243,6 +245,26 @@ def about(angle_rad: float, axis: int = 1) -> Matrix:
     matrix[one, one] = matrix[two, two] = math.cos(angle_rad)
     matrix[two, one], matrix[one, two] = math.sin(angle_rad), -math.sin(angle_rad)
     return matrix
+
+
+@dataclass(frozen=True)
+class RigidMotion:
+    """A rotation, [3, 3], then a shift, [3], metres."""
+
+    turn: Floats
+    shift: Floats
+
+    def __call__(self, points: Floats) -> Floats:
+        """Move points [..., 3]."""
+        return np.asarray(points @ self.turn.T + self.shift, np.float64)
+
+    def back(self, points: Floats) -> Floats:
+        """Undo the motion of points [..., 3]."""
+        return (points - self.shift) @ self.turn
+
+    def of(self, solid: Solid) -> Solid:
+        """Move a solid."""
+        return Solid(self(solid.vertices), solid.faces)
 
 
 def from_rotation_vector(vector: Matrix) -> Matrix:

@@ -15,6 +15,6 @@ if TYPE_CHECKING:
     from bodyseg_data.meshes.partitioning import Borders, Partition, partition
     from bodyseg_data.meshes.repairing import repair, with_pymeshlab
     from bodyseg_data.meshes.scene_files import gltf_buffers, mesh_content, scene_stem
-    from bodyseg_data.meshes.solids import RigidMotion, Solid, SurfacePiece, cuboid, together, turned_solid
+    from bodyseg_data.meshes.solids import Solid, SurfacePiece, cuboid, together, turned_solid
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

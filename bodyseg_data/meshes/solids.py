@@ -61,26 +61,6 @@ class Solid:
         return Solid(self.vertices @ axes + origin, self.faces[:, ::-1] if mirrored else self.faces)
 
 
-@dataclass(frozen=True)
-class RigidMotion:
-    """A rotation, [3, 3], then a shift, [3], metres."""
-
-    turn: Floats
-    shift: Floats
-
-    def __call__(self, points: Floats) -> Floats:
-        """Move points [..., 3]."""
-        return np.asarray(points @ self.turn.T + self.shift, np.float64)
-
-    def back(self, points: Floats) -> Floats:
-        """Undo the motion of points [..., 3]."""
-        return (points - self.shift) @ self.turn
-
-    def of(self, solid: Solid) -> Solid:
-        """Move a solid."""
-        return Solid(self(solid.vertices), solid.faces)
-
-
 def together(solids: list[Solid]) -> Solid:
     """Join solids into one, in their order; the empty list gives one without faces."""
     starts = np.cumsum([0, *(len(solid.vertices) for solid in solids)])

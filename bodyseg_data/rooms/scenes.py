@@ -16,11 +16,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.bodies import about
+from bodyseg_data.bodies import RigidMotion, about
 from bodyseg_data.core import Draws
 from bodyseg_data.labels import BACKGROUND, PART_CLASSES, UNLABELLED
 from bodyseg_data.machine import compiled
-from bodyseg_data.meshes import Mesh, Partition, RigidMotion, Solid, cuboid, together
+from bodyseg_data.meshes import Mesh, Partition, Solid, cuboid, together
 from bodyseg_data.packing import Numbers, surface_points
 from bodyseg_data.rendering import RasterRenderer
 from bodyseg_data.renders import Render
