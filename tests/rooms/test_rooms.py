@@ -70,7 +70,7 @@ def test_walls_stand_where_people_and_things_are_kept_off_them() -> None:
             assert (there.vertices @ wall.normal).max() < wall.offset - 1.0  # its front looks into the room
             for person, pose, _ in made.persons:
                 seen += 1
-                assert ((person.mesh.vertices @ pose.turn.T + pose.by_m) @ wall.normal).max() < wall.offset + 1e-6
+                assert ((person.mesh.vertices @ pose.turn.T + pose.shift) @ wall.normal).max() < wall.offset + 1e-6
     assert seen > 12
 
 
