@@ -58,6 +58,10 @@ class _SceneFiles:
     centre: NDArray[np.float64] | None = None
 
 
+def _is_scene(file: Path) -> bool:
+    return f".{file.name}".endswith(f".{SCENE_NAME}")
+
+
 class LabelledScenes(ListedBodies[_SceneFiles]):
     """Scenes found below a folder, sorted by their paths. Raises BadConfig if there are none."""
 
@@ -70,7 +74,7 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
         self._metres = 1.0 if options.units == "auto" else METRES[options.units]
         self._rotation = upright_rotation("y" if options.up == "auto" else options.up)
         files = files_below(path)
-        scenes = [file for file in files if file.name == SCENE_NAME or file.name.endswith(f".{SCENE_NAME}")]
+        scenes = [*filter(_is_scene, files)]
         found = [self._scene(file) for file in scenes] if scenes else self._meshes(files)
         if not found:
             raise BadConfig(f"the source 'labelled' needs meshes or {SCENE_NAME}: found none in {path}")
@@ -182,7 +186,9 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
     def _labels_of(self, mesh: Path) -> Path | str | None:
         """The label file beside a mesh, else what classes.json says, else one in its folder or the next one above."""
         beside = (mesh.with_name(form.format(scene_stem(mesh.name))) for form in _BESIDE)
-        own = next((file for file in beside if file.is_file() and file != self._table.path), None)
+        own = next(
+            (each for each in beside if each.is_file() and each != self._table.path and not _is_scene(each)), None
+        )
         folders = [each for each in (mesh.parent, *mesh.parent.parents) if each.is_relative_to(self._folder)]
         shared = (folder / name for folder in folders for name in _SHARED if (folder / name).is_file())
         return own or self._table.labels or next(shared, None)

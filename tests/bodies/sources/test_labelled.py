@@ -343,6 +343,14 @@ def test_a_scene_places_its_meshes(tmp_path: Path) -> None:
         assert why in reason(tmp_path)
 
 
+@pytest.mark.parametrize("name", ["scene", "cell.scene"])
+def test_a_scene_file_beside_a_mesh_of_its_name_holds_no_labels(tmp_path: Path, name: str) -> None:
+    write(tmp_path / "classes.json", {"classes": ["lower", "upper"]})
+    write(tmp_path / f"{name}.ply", ply({"label": UPPER.astype(int)}))
+    write(tmp_path / f"{name}.json", {"format": "bodyseg scene 1", "meshes": [{"mesh": f"{name}.ply"}]})
+    np.testing.assert_array_equal(scene(tmp_path)[1], UPPER[BOX.faces])
+
+
 def test_names_of_two_sides_are_mirror_images() -> None:
     names = ["head", "leftHand", "rightHand", "Arm.L", "Arm.R", "lap", "left", "Lt. ASIS", "Rt. ASIS"]
     assert classes_of(names).mirrored[:9].tolist() == [0, 2, 1, 4, 3, 5, 6, 8, 7]
