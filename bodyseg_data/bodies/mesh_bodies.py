@@ -125,7 +125,7 @@ class MeshBodies(ListedBodies[MeshFile]):
     def __init__(self, files: Mapping[BodyRef, MeshFile], missing: Sequence[str], options: MeshOptions) -> None:
         super().__init__(files, missing)
         self._options = options
-        self._sets: dict[Path | str, LandmarkSet | PointLandmarks] = {}
+        self._sets: dict[tuple[Path | str, bool], LandmarkSet | PointLandmarks] = {}  # by file, and whether shared
         self._notes: dict[Path | str, tuple[str, ...]] = {}  # of landmarks by coordinate that meshes share
         self._alignments: dict[str, tuple[Alignment, Path]] = {}
 
@@ -195,18 +195,19 @@ class MeshBodies(ListedBodies[MeshFile]):
         file = self.entry(body)
         if file.landmarks is None:
             raise BadLandmarks(f"a body needs landmarks, found none for {file.wanted}")
-        if file.landmarks not in self._sets:
+        if (key := (file.landmarks, file.shared)) not in self._sets:
             with reported("" if file.shared else f"subject {body.subject}", BadLandmarks):
                 path = file.landmarks
                 read = load_landmark_file(path) if isinstance(path, Path) else load_landmarks(path)
             if file.shared and isinstance(read, PointLandmarks):
                 read = self._propagated(read, file.landmarks)
-            self._sets[file.landmarks] = read
-        return self._sets[file.landmarks]
+            self._sets[key] = read
+        return self._sets[key]
 
     def _propagated(self, points: PointLandmarks, source: Path | str) -> LandmarkSet:
-        """Turn points on the first of the meshes that share them into vertices of all of them."""
-        body, file = next(item for item in self._entries.items() if item[1].landmarks == source)
+        """Turn points on the mesh that has them alone, else the first that shares them, into vertices of all meshes."""
+        sharing = (item for item in self._entries.items() if item[1].landmarks == source)
+        body, file = min(sharing, key=lambda item: item[1].shared)
         surface = read_mesh(file.path)
         scale = metres_a_unit(_used(surface), self._options.units, str(file.path))
         mesh = _mesh(body.mesh, surface[0] * scale, surface[1], file.path)

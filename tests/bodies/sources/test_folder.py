@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from people_on_disk import PERSON, VERTICES, turn, write_by_point, write_by_vertex, write_lnd, write_mesh
 
-from bodyseg_data.bodies import BodyRef, collapsed, open_source
+from bodyseg_data.bodies import BodyRef, about, collapsed, open_source
 from bodyseg_data.bodies.source import key_name
 from bodyseg_data.bodies.sources.folder import FolderBodies
 from bodyseg_data.core import BadConfig, BadLandmarks
@@ -128,6 +128,18 @@ def test_points_for_many_meshes_tell_how_far_they_were_moved(tmp_path: Path, uni
         assert built.landmarks.tolist() == list(VERTICES)
         assert re.fullmatch(r"landmarks snapped by up to (3\.\d|4\.\d) mm \(Sellion\) on 0\.ply", built.notes[-1])
         assert [note[:24] for note in built.notes[:-1]] == (["landmarks read as metres"] if unit == 1 else [])
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_the_points_of_one_mesh_may_be_those_of_all_others(tmp_path: Path, first: bool) -> None:
+    own, other = ("a", "b") if first else ("b", "a")
+    write_mesh(tmp_path / f"{own}.ply")
+    write_mesh(tmp_path / f"{other}.ply", PERSON.vertices @ about(0.05))
+    write_by_point(tmp_path / f"{own}.json", PERSON.vertices[list(VERTICES)])
+    source = open_source("folder", tmp_path, tmp_path / f"{own}.json")
+    bodies = {body.mesh: body for body in source.bodies()}
+    for name in (own, other):  # in this order a process may build them
+        np.testing.assert_array_equal(source.build(bodies[name]).landmarks, VERTICES)
 
 
 def test_a_mesh_without_landmarks_is_named(tmp_path: Path) -> None:
