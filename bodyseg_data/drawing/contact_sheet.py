@@ -134,9 +134,10 @@ def _panels(
 
 
 def _colour_labels(labels: NDArray[np.uint8], image: NDArray[np.uint16], label_map: LabelMap) -> NDArray[np.uint8]:
-    """Colour part labels [H, W] by their classes, sRGB [H, W, 3]; things, which have a range and no label, are grey."""
-    colours = colour_labels(label_map.table[labels], EMPTY, label_map.colours)
-    colours[(labels == BACKGROUND) & (image > 0)] = THING
+    """Colour labels [H, W] by their classes, sRGB [H, W, 3]; what has a range and no class, such as things, is grey."""
+    classes = label_map.table[labels]
+    colours = colour_labels(classes, EMPTY, label_map.colours)
+    colours[(classes == BACKGROUND) & (image > 0)] = THING
     return colours
 
 

@@ -11,22 +11,23 @@ from samples import GOOD
 
 from bodyseg_data.artifacts import VARIANTS, RangeImage, load_sensor_model
 from bodyseg_data.drawing import Row, draw_sheet
+from bodyseg_data.labels import PARTS33, LabelMap
 
 BODY = (112, 116, 124)
 """Grey of pixels with a range and without a label."""
 
 
-def sheet(columns: int, first: int, other: int | None = None) -> Image.Image:
+def sheet(columns: int, first: int, other: int | None = None, label: int = 255, of: LabelMap = PARTS33) -> Image.Image:
     """Sheet of samples of 100 rows, whose bodies fill 60 rows and 20 columns from `first` and `other` on."""
     rows = []
     for column in (first,) if other is None else (first, other):
         stored = np.zeros((100, columns), np.uint16)
         stored[20:80, column : column + 20] = 2000
-        labels = np.full(stored.shape, 255, np.uint8)
+        labels = np.where(stored, np.uint8(label), np.uint8(255))
         sample = replace(GOOD, range=stored, projector_range=stored, labels=labels)
         image = RangeImage(sample.key, stored, labels, {})
         rows.append(Row(sample, 0.001, dict.fromkeys(VARIANTS, image)))
-    return draw_sheet(rows, "none", "title", load_sensor_model("paper"))
+    return draw_sheet(rows, "none", "title", load_sensor_model("paper"), of)
 
 
 def body_pixels(picture: Image.Image) -> int:
@@ -44,6 +45,12 @@ def test_panels_of_a_wide_camera_are_cropped_to_the_bodies_of_all_rows() -> None
 def test_panels_stay_whole_where_bodies_fill_them() -> None:
     assert body_pixels(sheet(50, 10)) == pytest.approx(2 * 60 * 20 * (320 / 100) ** 2, rel=0.01)
     assert body_pixels(sheet(400, 10, 370)) == pytest.approx(2 * 2 * 60 * 20 * (480 / 400) ** 2, rel=0.01)
+
+
+def test_parts_that_a_label_map_leaves_out_are_not_drawn_as_nothing_measured() -> None:
+    elbows = LabelMap("elbows", (("elbow", ("Rt. Olecranon", "Lt. Olecranon")),))
+    assert body_pixels(sheet(50, 10, label=3, of=elbows)) == body_pixels(sheet(50, 10))
+    assert body_pixels(sheet(50, 10, label=17, of=elbows)) == 0
 
 
 def test_panels_of_an_empty_image_are_whole() -> None:
