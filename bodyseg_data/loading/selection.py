@@ -148,9 +148,8 @@ class Selection:
         if not len(chosen):
             held = ", ".join(f"{manifest.samples(name)} {name}" for name in SPLITS)
             wanted = " ".join((self.pattern, *self.only, *(condition.text for condition in self.where)))
-            raise BadConfig(
-                f"{path} has no sample of split {self.split!r} that matches {wanted!r}; the set holds {held}"
-            )
+            of_split = "" if self.split is None else f" of split {self.split!r}"
+            raise BadConfig(f"{path} has no sample{of_split} that matches {wanted!r}; the set holds {held}")
         return chosen
 
     def _filtered(self, manifest: Manifest, numbers: Sequence[int]) -> ChosenSamples:

@@ -296,9 +296,7 @@ def test_conditions_open_no_shard(figures_set: Path, tmp_path: Path) -> None:
 
 
 def test_conditions_that_no_sample_meets_are_named(figures_set: Path) -> None:
-    with pytest.raises(
-        BadConfig, match=r"no sample of split None that matches '\* subject=Z'; the set holds 16 train, 8 test$"
-    ):
+    with pytest.raises(BadConfig, match=r"no sample that matches '\* subject=Z'; the set holds 16 train, 8 test$"):
         RangeImages(figures_set, where="subject=Z")
 
 
