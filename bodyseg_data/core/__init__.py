@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         MissingLibrary,
         bounded,
         check_choice,
+        check_class,
         check_fields,
         check_int,
         one_line,

@@ -90,6 +90,12 @@ def check_choice(name: str, value: Any, choices: Iterable[Choice], raises: type[
     return known[known.index(value)]
 
 
+def check_class(name: str, value: object, *classes: type) -> None:
+    """Raise BadConfig, calling it `name`, unless `value` is of one of `classes`."""
+    if not isinstance(value, classes):
+        raise BadConfig(f"{name} must be {' or '.join(map(_in_words, classes))}, found {value!r:.100}")
+
+
 @dataclass(frozen=True)
 class Bounds:
     """Finite numbers from `low` to `high` that a field may hold; above: without `low` itself."""

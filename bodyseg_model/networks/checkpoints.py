@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from threading import get_ident
+from types import NoneType
 from typing import Any, ClassVar, Final, Literal
 
 import torch
@@ -19,7 +20,7 @@ from torch import nn
 from torch.nn.modules.module import register_module_parameter_registration_hook
 
 from bodyseg_data.artifacts import SensorModel, load_sensor_model, sensor_model_from_json
-from bodyseg_data.core import BadConfig, reported
+from bodyseg_data.core import BadConfig, check_class, reported
 from bodyseg_data.files import parts_left, read_bytes, read_json, write_json, write_result
 from bodyseg_data.labels import PARTS33, LabelClass, LabelMap, classes_of, label_map_from_json, whole_map
 from bodyseg_data.rigs import Rig, load_rig, rig_from_json
@@ -245,6 +246,7 @@ def wrapped(
     """
     if not isinstance(module, nn.Module) or isinstance(module, Network):
         raise BadConfig(f"what is wrapped must be a torch module and no Network, found {type(module).__name__}")
+    check_class("rig", rig, Rig, NoneType)
     label_map = labels if isinstance(labels, LabelMap) else whole_map(classes_of(labels))
     card = {"format": CardWords.FORMAT, "network": type(module).__name__, "settings": {}, "labels": label_map.to_json()}
     card["rig"] = (load_rig() if rig is None else rig).to_json()

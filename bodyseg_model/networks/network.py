@@ -22,7 +22,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812  its name everywhere
 from torch import nn
 
-from bodyseg_data.core import BadConfig, check_int
+from bodyseg_data.core import BadConfig, check_class, check_int
 from bodyseg_data.labels import BACKGROUND, PART_COUNT, PARTS33, LabelMap
 from bodyseg_data.machine import if_ready, use_compiled
 
@@ -116,6 +116,7 @@ def check_classes(classes: int) -> int:
 
 def check_label_map(network: Network, label_map: LabelMap) -> None:
     """Raise BadConfig unless a network has as many classes as a label map."""
+    check_class("label_map", label_map, LabelMap)
     if network.classes != len(label_map):
         raise BadConfig(
             f"the network must have the {len(label_map)} classes of labels {label_map.name!r}, found {network.classes}"
@@ -190,6 +191,7 @@ class WrappedModule(Network):
 
 def check_range_images(range_m: torch.Tensor) -> None:
     """Raise BadConfig unless `range_m` is [B, 1, H, W], not empty, and of a floating point that networks compute in."""
+    check_class("range images", range_m, torch.Tensor)
     if range_m.ndim != 4 or range_m.shape[1] != 1 or not range_m.numel():
         raise BadConfig(f"range images must be [B, 1, H, W], found {list(range_m.shape)}")
     if range_m.dtype not in (torch.float32, torch.bfloat16, torch.float16):

@@ -13,7 +13,7 @@ from typing import Any, Final, Literal, TypeVar, cast, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig, Stopwatch, check_choice, reported
+from bodyseg_data.core import BadConfig, Stopwatch, check_choice, check_class, reported
 from bodyseg_data.labels import PART_CLASSES
 from bodyseg_data.rigs import Camera
 from bodyseg_model.networks import CardWords, Trained, device_of, load_network
@@ -138,8 +138,7 @@ class FrameLabeller:
         self.label_map, self.rig = self.trained.label_map, self.trained.rig
         of_parts = self.label_map.of == PART_CLASSES
         self.background = background or Background("people" if of_parts else "frame")
-        if not isinstance(self.background, Background):
-            raise BadConfig(f"background must be one like Background('keep'), found {background!r}")
+        check_class("background", self.background, Background)
         self.mirrored, self.least_confidence = mirrored, least_confidence
         self.video = CarriedLabels() if video else None
         self._finder: Trained | None = None
@@ -168,6 +167,8 @@ class FrameLabeller:
 
     def of(self, camera: Camera, turns: _Turns | None = None) -> tuple[Undistortion | None, Segmenter]:
         """Undistortion, where a camera needs one, and segmenter of its frames. Raises BadConfig."""
+        if not isinstance(camera, Camera):
+            raise BadConfig(f"a frame needs its camera, like frame_camera((480, 640), 'mine').camera, found {camera!r}")
         return self._segmenters(camera, self.quarters(camera, turns))
 
     def quarters(self, camera: Camera, turns: _Turns | None = None) -> int:
@@ -191,7 +192,7 @@ class FrameLabeller:
         """
         surest = np.zeros(4)
         for quarters in range(4):
-            answer = self._segmenter(camera, turned=quarters, either_way=False)(range_m)
+            answer = self._segmenter(camera, quarters=quarters, either_way=False)(range_m)
             surest[quarters] = max((float(body.confidence.mean()) for body in answer.bodies), default=0.0)
         if surest.max() >= _PERSON:
             turns.judged += 1
@@ -199,7 +200,7 @@ class FrameLabeller:
 
     def _new_segmenter(self, camera: Camera, quarters: int) -> tuple[Undistortion | None, Segmenter]:
         lens = None if camera.distortion is None else Undistortion(camera)
-        return lens, self._segmenter(camera if lens is None else lens.camera, turned=quarters, video=self.video)
+        return lens, self._segmenter(camera if lens is None else lens.camera, quarters=quarters, video=self.video)
 
     def __call__(self, range_m: NDArray[np.float32], camera: Camera) -> LabelledFrame:
         """Label one frame, [H, W], an array or tensor of floating point, metres along the optical axis, 0 or
@@ -238,8 +239,6 @@ class FrameLabeller:
 
     def _find_in_array(self, number: int, range_m: NDArray[np.float32], camera: Any, where: str = "") -> Found:
         watch = Stopwatch((_READ,))
-        if not isinstance(camera, Camera):
-            raise BadConfig(f"a frame needs its camera, like frame_camera((480, 640), 'mine').camera, found {camera!r}")
         with reported(where, BadConfig):
             with watch(_READ):
                 lens, segmenter = self.of(camera)
@@ -253,7 +252,7 @@ class FrameLabeller:
 
     def recording(
         self,
-        source: str | Path | Iterable[str | Path | Frame],
+        source: str | Path | Frame | Iterable[str | Path | Frame],
         *,
         topic: str | None = None,
         step_m: float | None = None,
@@ -269,7 +268,7 @@ class FrameLabeller:
         that recordings or files beside them hold, or that the frames' size tells. skip_unreadable: skip up to this many
         frames that cannot be read. Raises BadConfig as `find_frames` and `FrameCameras`; MissingLibrary.
         """
-        given = [source] if isinstance(source, (str, Path)) else list(source)
+        given = [source] if isinstance(source, (str, Path, Frame)) else list(source)
         paths = [Path(each) for each in given if isinstance(each, (str, Path))]
         frames = [each for each in given if not isinstance(each, (str, Path))]
         if paths:

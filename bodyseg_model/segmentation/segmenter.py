@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
+from types import NoneType
 from typing import Any, Final
 
 import numpy as np
@@ -13,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from bodyseg_data.bodies import load_template
-from bodyseg_data.core import BadConfig, Stopwatch
+from bodyseg_data.core import BadConfig, Stopwatch, check_class
 from bodyseg_data.labels import BACKGROUND, NOWHERE, PART_COUNT, PARTS33, LabelMap
 from bodyseg_data.machine import of_each, required
 from bodyseg_data.rigs import Camera, Rig, load_rig
@@ -191,7 +192,7 @@ class Segmenter:
     paper's. doubted_below: of the people that the finder finds, in the background mode "people", those whose mean
     probability times the mean confidence of their labels is less are things (`least_confidence_of_people`). video:
     carries evidence from frame to frame of a recording, whose frames must then come in order (`CarriedLabels`); None to
-    label each alone. turned: right angles by which the camera was mounted turned clockwise, as seen from behind it.
+    label each alone. quarters: right angles by which the camera was mounted turned clockwise, as seen from behind it.
     label_map: the network's classes; by default the 33 parts for a network of 33. dense: also tell where on the
     template of the body each pixel lies (`Segmentation.template`). either_way: a person of whose parts the network is
     unsure is labelled upside down, too, and the surer labels stay. Raises BadConfig for a confidence outside 0 to 1, a
@@ -209,12 +210,15 @@ class Segmenter:
         rig: Rig | None = None,
         doubted_below: float = 0.0,
         video: CarriedLabels | None = None,
-        turned: int = 0,
+        quarters: int = 0,
         label_map: LabelMap | None = None,
         finder: Network | None = None,
         dense: bool = False,
         either_way: bool = True,
     ) -> None:
+        check_class("camera", camera, Camera)
+        check_class("background", background, Background, NoneType)
+        check_class("video", video, CarriedLabels, NoneType)
         if not 0 <= least_confidence <= 1:
             raise BadConfig(f"a confidence must be 0 to 1, found {least_confidence:g}")
         if camera.distortion is not None:
@@ -223,7 +227,7 @@ class Segmenter:
         compile_loops()
         _compute_alone_in_forks()
         self.camera, self.mirrored, self.least_confidence = camera, mirrored, least_confidence
-        self.turned, self._upright = turned % 4, camera.turned(turned)
+        self.quarters, self._upright = quarters % 4, camera.turned(quarters)
         self.background = background or Background()
         self.rig = rig or load_rig()
         self.video = video
@@ -263,7 +267,7 @@ class Segmenter:
         range_m = metres_of(range_m, self.camera)
         watch, camera = Stopwatch(STAGES), self._upright
         with watch("find"):
-            range_m = turned_image(range_m, self.turned)
+            range_m = turned_image(range_m, self.quarters)
             # Mirrored ones as they are: half of the images that finders are trained on are mirrored.
             bodies = find_bodies(range_m, camera, self.background, self.finder)
         with watch("resample"):
@@ -306,7 +310,7 @@ class Segmenter:
             labels.ravel()[labelled.pixels[labelled.confidence < self.least_confidence]] = BACKGROUND
         made = labels, tuple(bodies), watch.milliseconds, range_m, self.camera, tuple(things)
         segmentation = Segmentation(*made, self.mirrored, self.label_map)
-        return _turned_back(segmentation, self.turned) if self.turned else segmentation
+        return _turned_back(segmentation, self.quarters) if self.quarters else segmentation
 
     def _turn_unsure(self, found: FoundBodies, answers: list[tuple[NDArray[Any], ...]]) -> None:
         """Replace answers of which the network is unsure by those to views upside down, where it is surer of these: of

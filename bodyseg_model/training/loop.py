@@ -14,6 +14,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import NoneType
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -21,7 +22,7 @@ import torch
 from torch import nn
 
 from bodyseg_data import Mixture, RangeImages, load_template, loader
-from bodyseg_data.core import BadConfig, BodysegError, Checked, Draws, bounded, reported
+from bodyseg_data.core import BadConfig, BodysegError, Checked, Draws, bounded, check_class, reported
 from bodyseg_data.files import claimed, last_name
 from bodyseg_data.labels import PARTS33, TEMPLATE, UNLABELLED
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, Batch, ImageSet, Loader, WorkerMethod
@@ -35,6 +36,7 @@ from bodyseg_model.networks import (
     Trained,
     build,
     check_label_map,
+    check_network,
     load_network,
     name_of,
     save_network,
@@ -94,11 +96,15 @@ def train(
     """
     if not isinstance(images, ImageSet):
         raise BadConfig(f"images must be RangeImages or a Mixture, found {type(images).__name__}")
+    check_class("recipe", recipe, Recipe, NoneType)
+    check_class("validation", validation, Validation, NoneType)
+    check_class("run_options", run_options, RunOptions, NoneType)
     if any(each.split is None and each.manifest.samples("test") for each in images.sets):
         warnings.warn("images to train on include the test split: open them with split='train'", stacklevel=2)
     if isinstance(network, str):
         classes = {} if images.label_map == PARTS33 else {"classes": len(images.label_map)}
         network = build(network, classes, seed)
+    check_network(network)
     folder = RunFolder(Path(out))
     recipe = recipe or recipe_for(network.default_recipe)
     with joined_process_group(device) as processes:

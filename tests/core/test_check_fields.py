@@ -9,7 +9,9 @@ from typing import Any, Final, Literal
 
 import numpy as np
 import pytest
+import torch
 
+from bodyseg_data import RangeImages
 from bodyseg_data.artifacts import Augmentation, Noise, SensorModel, load_sensor_model
 from bodyseg_data.artifacts.registry import ARTIFACTS
 from bodyseg_data.core import BadConfig, BadShard, Checked, bounded, check_choice, check_fields
@@ -18,6 +20,7 @@ from bodyseg_data.rigs import Distortion, load_rig
 from bodyseg_data.samples import View, ViewGrid
 from bodyseg_data.samples.views import Drawn
 from bodyseg_data.shards import RetryPolicy
+from bodyseg_model import Background, FrameLabeller, Segmenter, evaluate, frame_camera, predict, train, wrapped
 from bodyseg_model.networks.compact import CompactSettings
 from bodyseg_model.training import GeometricAugmentation
 from bodyseg_model.training.recipes import PRESETS
@@ -172,3 +175,33 @@ def test_a_number_may_not_be_below_that_of_another_field() -> None:
             Window(low, high)
     with pytest.raises(BadConfig, match="^Window: high must be from 0 to 10, found 11$"):
         Window(12, 11)
+
+
+class Doubled(torch.nn.Module):
+    def forward(self, range_m: torch.Tensor) -> torch.Tensor:
+        return range_m.repeat(1, 2, 1, 1)
+
+
+def test_arguments_of_the_public_functions_say_what_they_must_be(figures_set: Path, tmp_path: Path) -> None:
+    images, out = RangeImages(figures_set, "none", "train"), tmp_path / "run"
+    trained, mine = wrapped(Doubled(), ["floor", "wall"]), frame_camera((60, 80), "mine", focal_px=100.0)
+    network, camera, values = trained.network, mine.camera, np.ones((1, 1, 2, 2), np.float32)
+    stream = FrameLabeller(trained, Background("keep")).stream
+    calls: list[tuple[str, Any, tuple[Any, ...], dict[str, Any]]] = [
+        ("label_map must be of class LabelMap, found 'limbs14'", evaluate, (network, images), {"label_map": "limbs14"}),
+        ("range images must be of class Tensor, found ", predict, (network, values), {}),
+        ("rig must be of class Rig or None, found 'paper'", wrapped, (Doubled(), ["a", "b"]), {"rig": "paper"}),
+        ("a network must be a bodyseg_model.Network: .*, found Trained", train, (images, out, trained), {}),
+        ("recipe must be of class Recipe or None, found 'finder'", train, (images, out), {"recipe": "finder"}),
+        ("validation must be of class Validation or None, found Ra", train, (images, out), {"validation": images}),
+        ("run_options must be of class RunOptions or None, found 2", train, (images, out), {"run_options": 2}),
+        ("camera must be of class Camera, found FrameCamera", Segmenter, (network, mine), {}),
+        ("background must be of class Background or None, found 'keep'", Segmenter, (network, camera, "keep"), {}),
+        ("video must be of class CarriedLabels or None, found True", Segmenter, (network, camera), {"video": True}),
+        ("background must be of class Background, found 'keep'", FrameLabeller, (trained, "keep"), {}),
+        ("a frame needs its camera, like .*, found FrameCamera", lambda *given: next(stream(*given)), ([], mine), {}),
+    ]
+    for message, function, given, named in calls:
+        with pytest.raises(BadConfig, match=f"^{message}"):
+            function(*given, **named)
+    assert not out.exists()

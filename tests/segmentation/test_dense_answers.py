@@ -105,7 +105,7 @@ def test_points_turn_back_with_labels_and_go_where_a_pixel_has_no_label() -> Non
     frame = standing()
     upright = Segmenter(network(), LENS, KEEP, dense=True)(frame)
     sideways = Camera(80, 60, 100.0, (30.0, 40.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-    turned = Segmenter(network(), sideways, KEEP, turned=1, dense=True)(np.rot90(frame, 1).copy())
+    turned = Segmenter(network(), sideways, KEEP, quarters=1, dense=True)(np.rot90(frame, 1).copy())
     assert np.array_equal(np.rot90(turned.template, -1), upright.template)
     least = float(np.median(upright.confidence[frame > 0]))
     some = Segmenter(network(), LENS, KEEP, least_confidence=least, dense=True)(frame)
@@ -119,8 +119,8 @@ def test_points_of_a_video_are_of_the_part_that_is_shown_and_nearest_to_the_netw
     template, frame = load_template(), standing()
     draw = np.random.default_rng(4)
     frames = [np.where(frame > 0, frame + draw.normal(0, 0.02, frame.shape), 0).astype(np.float32) for _ in range(4)]
-    steadied = Segmenter(network(), LENS, KEEP, video=CarriedLabels(), turned=2, dense=True)
-    alone = Segmenter(network(), LENS, KEEP, turned=2, dense=True)
+    steadied = Segmenter(network(), LENS, KEEP, video=CarriedLabels(), quarters=2, dense=True)
+    alone = Segmenter(network(), LENS, KEEP, quarters=2, dense=True)
     other = 0
     for each in frames:
         seen, told = alone(each), steadied(each)

@@ -162,6 +162,12 @@ def test_a_frame_needs_its_camera(camera: Any) -> None:
         labeller()(standing(30), camera)
 
 
+def test_one_frame_is_a_recording() -> None:
+    (frame,) = LiveRecording([standing(30)], None)
+    (labelled,) = labeller().recording(frame, focal_px=100.0)
+    assert len(labelled.bodies) == 1
+
+
 def test_frames_that_come_once_are_a_recording_and_bare_arrays_are_none() -> None:
     stored = np.rint(1000 * standing(20)).astype(np.uint16)
     opened = labeller().recording(LiveRecording(iter([stored, stored])), focal_px=100.0)
