@@ -216,7 +216,7 @@ def test_a_shrunk_image_gets_scores_of_its_own_size(shrink: Any, rows: int, colu
 @pytest.mark.parametrize("side", [1, 2, 4])
 def test_scores_lie_as_torchs_own_function_lays_them(side: int) -> None:
     cells = torch.randn(2, 3 * side**2, 5, 4)
-    assert torch.equal(_spread(cells, side), F.pixel_shuffle(cells, side))
+    assert torch.equal(_spread(cells.requires_grad_(), side), F.pixel_shuffle(cells, side))
 
 
 ROOM = CompactSettings(patch=8, widths=(6, 8), blocks=(1, 1), context=False, focal_px=100.0, classes=2)
