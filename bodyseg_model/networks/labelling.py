@@ -74,28 +74,13 @@ def number_pixels(
     grids = point_grids(labels is not None)
     parts = np.zeros(range_m.shape, np.uint8) if labels is None else labels
     for image in range(len(places)):
-        number_image(places[image], range_m[image], *down, *across, parts[image], *grids, numbers[image])
+        number_image(places[image], range_m[image], down, across, parts[image], grids, numbers[image])
 
 
 @partial(compiled, feature="labelling in compiled loops")
-def number_image(
-    places: Any,
-    range_m: Any,
-    rows: Any,
-    down: Any,
-    columns: Any,
-    across: Any,
-    parts: Any,
-    points: Any,
-    first: Any,
-    shape: Any,
-    corner: Any,
-    side: Any,
-    numbers: Any,
-) -> None:
-    """As `number_pixels`, of one image. rows, down, columns, across: neighbours and weights of `interpolation`; points
-    to side: of `PointGrids`.
-    """
+def number_image(places: Any, range_m: Any, down: Any, across: Any, parts: Any, grids: Any, numbers: Any) -> None:
+    """As `number_pixels`, of one image. down, across: each an `Axis`; grids: `PointGrids`."""
+    (rows, row_weight), (columns, column_weight) = down, across
     height, width, _ = places.shape
     for row in range(rows.size):
         top, bottom = places[max(rows[row], 0)], places[min(rows[row] + 1, height - 1)]
@@ -105,12 +90,12 @@ def number_image(
                 a, b, c, d = top[left], top[right], bottom[left], bottom[right]
                 part, cube = parts[row, column], 0
                 for axis in range(3):
-                    above = a[axis] + (b[axis] - a[axis]) * across[column]
-                    below = c[axis] + (d[axis] - c[axis]) * across[column]
-                    at = (above + (below - above) * down[row] - corner[part, axis]) / side
-                    size = shape[part, axis]
+                    above = a[axis] + (b[axis] - a[axis]) * column_weight[column]
+                    below = c[axis] + (d[axis] - c[axis]) * column_weight[column]
+                    at = (above + (below - above) * row_weight[row] - grids.corner[part, axis]) / grids.side
+                    size = grids.shape[part, axis]
                     cube = cube * size + int(min(max(at, _NOTHING), np.float32(size - 1)))
-                numbers[row, column] = points[first[part] + cube]
+                numbers[row, column] = grids.numbers[grids.first[part] + cube]
 
 
 @lru_cache(maxsize=64)
