@@ -8,6 +8,7 @@ the loader's state, and no state of a random generator.
 from __future__ import annotations
 
 import contextlib
+import copy
 import itertools
 import math
 import warnings
@@ -79,7 +80,7 @@ def train(
 
     out: the run's folder, new or empty: plan, log, checkpoints, network. `load_network(out)` loads the network again.
     network: a name, for one of as many classes as the images' label map, with weights drawn for `seed`; or a network of
-    a registered class, with the weights to start from. recipe: None for the network's own. seed: of mirroring,
+    a registered class, whose weights a copy starts from. recipe: None for the network's own. seed: of mirroring,
     geometric augmentation, dropout and the pixels that the loss selects; order and artifacts have the images' own.
     validation: None for none; the network then has the weights of the last step.
 
@@ -101,9 +102,8 @@ def train(
     check_class("run_options", run_options, RunOptions, NoneType)
     if any(each.split is None and each.manifest.samples("test") for each in images.sets):
         warnings.warn("images to train on include the test split: open them with split='train'", stacklevel=2)
-    if isinstance(network, str):
-        classes = {} if images.label_map == PARTS33 else {"classes": len(images.label_map)}
-        network = build(network, classes, seed)
+    classes = {} if images.label_map == PARTS33 else {"classes": len(images.label_map)}
+    network = build(network, classes, seed) if isinstance(network, str) else copy.deepcopy(network)
     check_network(network)
     folder = RunFolder(Path(out))
     recipe = recipe or recipe_for(network.default_recipe)

@@ -51,6 +51,18 @@ def test_without_a_recipe_a_network_has_its_own(
     assert asked == ["compact"]
 
 
+def test_a_network_that_is_given_keeps_its_weights(small_set: Path, tmp_path: Path) -> None:
+    images, network = RangeImages(small_set, variant="all", split="train"), build("compact", TINY, 0).eval()
+    first, second = (
+        train(images, tmp_path / name, network, RECIPE_OF_TWO, run_options=ALONE, device="cpu") for name in "ab"
+    )
+    before, after = build("compact", TINY, 0).state_dict(), first.network.state_dict()
+    assert not network.training
+    for name, weight in network.state_dict().items():
+        assert torch.equal(weight, before[name]) and torch.equal(after[name], second.network.state_dict()[name])
+    assert not torch.equal(after["head.weight"], before["head.weight"])
+
+
 def test_a_training_that_was_cut_resumes_with_the_same_bits(small_set: Path, tmp_path: Path) -> None:
     def options(seed: int = 0) -> dict[str, Any]:
         images = RangeImages(small_set, variant="all", split="train", val_share=0.5)
