@@ -109,17 +109,12 @@ class GrossErrors:
         self.beyond += other.beyond
         self.micrometres += other.micrometres
 
-    def shares(self) -> NDArray[np.float64]:
-        """Share of pixels whose predicted part is farther away than each of `LIMITS_MM`; NaN if none was counted."""
-        return self.beyond / (self.pixels or np.nan)
-
-    def mean_mm(self) -> float:
-        """Mean distance of pixels and their predicted parts, mm, right ones included; NaN if none was counted."""
-        return self.micrometres / 1000 / (self.pixels or float("nan"))
-
     def to_json(self) -> dict[str, float] | None:
-        """The scores as JSON: shares to five decimals, mm to two; None if nothing was counted."""
+        """Shares of pixels whose predicted part is farther away than each of `LIMITS_MM`, to five decimals, and the
+        mean distance, right ones included, mm, to two; None if nothing was counted.
+        """
         if not self.pixels:
             return None
-        shares = {f"beyond_{mm}_mm": round(float(share), 5) for mm, share in zip(LIMITS_MM, self.shares(), strict=True)}
-        return {**shares, "mean_mm": round(self.mean_mm(), 2)}
+        limits = zip(LIMITS_MM, self.beyond.tolist(), strict=True)
+        shares = {f"beyond_{mm}_mm": round(beyond / self.pixels, 5) for mm, beyond in limits}
+        return {**shares, "mean_mm": round(self.micrometres / 1000 / self.pixels, 2)}

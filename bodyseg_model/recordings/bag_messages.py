@@ -136,7 +136,7 @@ class _Images(FrameSource):
         self._last: tuple[int, Any] | None = None
 
     def read(self, index: int) -> NDArray[Any]:
-        image = pixels(self._message(index), self._topic.kind)
+        image = (_compressed_image if self._topic.kind == COMPRESSED else _plain_image)(self._message(index))
         if (image.dtype.kind == "f") != self._floating:
             raise BadConfig(f"all images of a topic must be of the first one's encoding, found {image.dtype}")
         return image
@@ -246,11 +246,6 @@ def encoding(message: Any, kind: str) -> str:
         _, a, b = _HEADER.unpack_from(start)
         return _METRES if 1 <= a <= _LARGEST_A and abs(b) <= _LARGEST_A else _STEPS[0]
     return _STEPS[0] if (start[:8], start[24:]) == _GREY_PNG else found
-
-
-def pixels(message: Any, kind: str) -> NDArray[Any]:
-    """Decode an image message: uint16 or float32 [H, W], steps or metres. Raises BadConfig."""
-    return _compressed_image(message) if kind == COMPRESSED else _plain_image(message)
 
 
 def _plain_image(message: Any) -> NDArray[Any]:

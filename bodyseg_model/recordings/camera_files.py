@@ -79,14 +79,12 @@ class FrameCameras:
         self.bent = any(lens is not None for lens in (common, *(own.lens for own in self._own.values())))
 
     def of(self, frame: Frame, shape: tuple[int, int]) -> FrameCamera:
-        """The camera of a frame of `shape` (rows, columns). Raises BadConfig as `Intrinsics.frame_camera`."""
+        """The camera of a frame of `shape` (rows, columns): `common`, or the frame's own. Raises BadConfig as
+        `Intrinsics.frame_camera`.
+        """
         if self.common is None or frame in self._own:
             return self._own[frame].frame_camera(shape)
         return self.common
-
-    def is_own(self, frame: Frame) -> bool:
-        """True for a frame with a camera of its own."""
-        return frame in self._own
 
     def to_json(self) -> dict[str, Any]:
         """The common camera, and how many frames have their own, as plain JSON."""

@@ -23,7 +23,6 @@ Floats = NDArray[np.float32]
 SeenBody = tuple[NDArray[np.intp], Floats]
 """Pixels of a body in a frame and the confidence of each, both [N]."""
 
-Points = NDArray[np.float32]
 Rigid = NDArray[np.float64]
 """A rigid motion, [3, 4]: rotation and, last, translation, metres."""
 
@@ -257,7 +256,7 @@ class CarriedLabels:
 
     def _motion(
         self, own: Cells, earlier: Cells, gain: float, lens: CellLens, larger: float
-    ) -> tuple[Points, Points, float]:
+    ) -> tuple[Floats, Floats, float]:
         """Motion of a body back to the frame before (`carry`), and the gain of shifting its parts, summed up. lens:
         of the earlier cells, whose area is so many times `larger`.
 
@@ -307,7 +306,7 @@ class CarriedLabels:
             rigid[:, 3] += middle - turn @ middle + step[3:]
         return rigid
 
-    def _fit(self, places: Points, labels: Labels, old: Cells, lens: CellLens, gate: float) -> tuple[float, float]:
+    def _fit(self, places: Floats, labels: Labels, old: Cells, lens: CellLens, gate: float) -> tuple[float, float]:
         """Fit of places, float32 [M, 3], metres, to the old cells: the mean difference of range, metres, `gate` where
         none is met; and the share of those that meet a cell of their own label.
         """
@@ -337,12 +336,12 @@ def nearest_first(reach: int) -> NDArray[np.int64]:
     return np.array(sorted(itertools.product(line, line), key=lambda step: step[0] ** 2 + step[1] ** 2), np.int64)
 
 
-def moved(rigid: Rigid, points: Points) -> Points:
+def moved(rigid: Rigid, points: Floats) -> Floats:
     """Points, float32 [M, 3], after a rigid motion."""
     return (points @ rigid[:, :3].T + rigid[:, 3]).astype(np.float32)
 
 
-def part_shifts(places: Points, labels: Labels, earlier: Cells, larger: float = 1.0) -> tuple[Points, Floats]:
+def part_shifts(places: Floats, labels: Labels, earlier: Cells, larger: float = 1.0) -> tuple[Floats, Floats]:
     """Displacement of the part of each cell from the frame before, float32 [M, 3], metres, and its weight, float32 [M]:
     0 where a part is small or would move too far.
 
@@ -358,7 +357,7 @@ def part_shifts(places: Points, labels: Labels, earlier: Cells, larger: float = 
     return np.where(counts[:, None], shifts, 0).astype(np.float32)[labels], weights.astype(np.float32)[labels]
 
 
-def _parts(points: Points, labels: Labels) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _parts(points: Floats, labels: Labels) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Middles, float64 [256, 3], metres, of parts, by the areas of their cells; and these, in cells times square metres
     of range.
     """

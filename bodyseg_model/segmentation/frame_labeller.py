@@ -404,7 +404,7 @@ class LabelledRecording:
             number=number,
             frame=frame,
             stored=pixels,
-            own_camera=camera if self.cameras.is_own(frame) else None,
+            own_camera=None if camera is self.cameras.common else camera,
             stamp=frame.stamp() if stamps else None,
         )
 

@@ -1,6 +1,5 @@
-"""Figure of stability.json: a panel for each sweep, a line for each group of networks.
-
-Accuracy of groups of networks that differ by their seed alone: curves over seeds, mCE, mRR, the worst case.
+"""Accuracy of groups of networks that differ by their seed alone: curves over seeds, mCE, mRR, the worst case; and the
+figure of it, a panel for each sweep, a line for each group.
 
 mCE is Hendrycks and Dietterich's mean corruption error ("Benchmarking neural network robustness to common corruptions
 and perturbations", 2019) with average per-class accuracy in place of their top-1 accuracy. For one sweep, the

@@ -40,6 +40,7 @@ from bodyseg_model.networks import (
     check_network,
     load_network,
     name_of,
+    read_checkpoint,
     save_network,
 )
 from bodyseg_model.training.augmentation import augmented, signed_numbers
@@ -255,7 +256,9 @@ class Training:
 
     def _begin(self, resume: bool) -> dict[str, Any] | None:
         """Open the folder and restore its last checkpoint; returns the loader's state, None at the beginning."""
-        checkpoint = self.folder.begin(self.plan(), resume) if self.processes.first else self.folder.last()
+        checkpoint = (
+            self.folder.begin(self.plan(), resume) if self.processes.first else read_checkpoint(self.folder.path)
+        )
         if self.processes.first:
             self.folder.forget_after(0 if checkpoint is None else checkpoint.step)
         if checkpoint is None:
@@ -271,12 +274,10 @@ class Training:
         return checkpoint.loader_state
 
     def _checkpoint(self, data_loader: Loader) -> Checkpoint:
-        tensors = {f"{Checkpoint.TRAINED}{name}": tensor for name, tensor in self.network.state_dict().items()}
+        parts = {Checkpoint.TRAINED: self.network.state_dict(), _OPTIMISER: optimiser_tensors(self.optimisers)}
         if self.averaged is not None:
-            tensors |= {
-                f"{Checkpoint.AVERAGED}{name}": tensor for name, tensor in self.averaged.network.state_dict().items()
-            }
-        tensors |= {f"{_OPTIMISER}{name}": tensor for name, tensor in optimiser_tensors(self.optimisers).items()}
+            parts[Checkpoint.AVERAGED] = self.averaged.network.state_dict()
+        tensors = {f"{prefix}{name}": tensor for prefix, part in parts.items() for name, tensor in part.items()}
         return Checkpoint(self.step, data_loader.state_dict(), tensors)
 
     def _validated(self, metrics: Metrics, validation: Validation, facts: Mapping[str, Any]) -> Metrics:

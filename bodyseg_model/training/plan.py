@@ -133,7 +133,7 @@ class RunFolder:
         earlier = found.pop("earlier_steps", [])
         if CardWords.PRETRAINED in found:
             wanted.setdefault(CardWords.PRETRAINED, found[CardWords.PRETRAINED])
-        checkpoint = self.last()
+        checkpoint = read_checkpoint(self.path)
         reached = 0 if checkpoint is None else checkpoint.step
         check_plan(self.path, found, wanted, reached)
         if not resume:
@@ -156,10 +156,6 @@ class RunFolder:
         plan = read_json(self.path / RunFiles.PLAN)
         del plan["format"]
         return plan
-
-    def last(self) -> Checkpoint | None:
-        """The last checkpoint. Raises BadConfig if it is damaged."""
-        return read_checkpoint(self.path)
 
     def best(self) -> Best | None:
         """The best validation, None before the first. Raises BadConfig if its card is damaged."""

@@ -41,7 +41,7 @@ class Recipe(Checked):
     where that is larger. bf16: whether layers compute in bfloat16.
 
     ema: decay of the exponential moving average of the weights, which is then validated and saved in their place
-    (`ema.AveragedNetwork`); 0 for none. shuffle: order of the samples, "global" for a permutation of all or "blocks",
+    (`AveragedNetwork`); 0 for none. shuffle: order of the samples, "global" for a permutation of all or "blocks",
     which suits far stores (`loader`). only_places: whether only the head of places on the template is trained; all else
     of the network stays as it is, so that it labels with the same bits.
 

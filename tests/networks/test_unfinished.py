@@ -15,8 +15,8 @@ from bodyseg_data import RangeImages
 from bodyseg_data.core import BadConfig
 from bodyseg_data.rigs import rig_from_json
 from bodyseg_model.commands import main
-from bodyseg_model.networks import checkpoints, load_network
-from bodyseg_model.training import RunFolder, RunOptions
+from bodyseg_model.networks import checkpoints, load_network, read_checkpoint
+from bodyseg_model.training import RunOptions
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +92,7 @@ def test_a_run_that_names_no_network_is_refused(small_set: Path, tmp_path: Path)
     (file,) = tmp_path.glob("checkpoint-*.safetensors")
     file.unlink()
     with pytest.raises(BadConfig, match="cannot read .*checkpoint-00000001.safetensors"):
-        RunFolder(tmp_path).last()
+        read_checkpoint(tmp_path)
 
 
 @pytest.mark.parametrize("checkpoint", ["best", "last", None])

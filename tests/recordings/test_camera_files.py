@@ -147,7 +147,7 @@ def test_frames_without_a_camera_of_their_own_share_one(folder: Path) -> None:
     frames = find_frames([folder])
     cameras = chosen(folder)
     assert [cameras.of(frame, (30, 40)).camera.focal_px for frame in frames] == [50, 99, 99]
-    assert [cameras.is_own(frame) for frame in frames] == [True, False, False]
+    assert [cameras.of(frame, (30, 40)) is cameras.common for frame in frames] == [False, True, True]
     assert cameras.first.camera.focal_px == 50 and cameras.bent
     assert (cameras.to_json()["focal_px"], cameras.to_json()["frames_with_their_own"]) == (99, 1)
 

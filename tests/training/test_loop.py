@@ -17,7 +17,7 @@ from bodyseg_data import RangeImages, loader
 from bodyseg_data.core import BadConfig, Draws
 from bodyseg_model.commands import main
 from bodyseg_model.evaluation import ConfusionMatrix
-from bodyseg_model.networks import build, load_network, predict
+from bodyseg_model.networks import build, load_network, predict, read_checkpoint
 from bodyseg_model.training import GeometricAugmentation, Metrics, Recipe, RunFolder, RunOptions, Training, recipe_for
 from bodyseg_model.training.distributed import ProcessGroup
 from bodyseg_model.training.loop import Diverged
@@ -259,7 +259,7 @@ def test_the_order_of_samples_belongs_to_the_plan(small_set: Path, tmp_path: Pat
         folder = RunFolder(tmp_path / shuffle)
         assert main([*words, "--out", str(folder.path), "--shuffle", shuffle]) == 0
         plans[shuffle] = folder.plan()
-        orders.append(folder.last().loader_state["shuffle"])  # type: ignore[union-attr]
+        orders.append(read_checkpoint(folder.path).loader_state["shuffle"])  # type: ignore[union-attr]
     assert orders == ["blocks", True]
     with pytest.raises(BadConfig, match='holds another training: recipe.shuffle was not given, now "blocks"$'):
         RunFolder(tmp_path / "global").begin(plans["blocks"], True)
