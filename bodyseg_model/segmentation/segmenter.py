@@ -343,5 +343,6 @@ class Segmenter:
                 another(room, np.zeros(room.shape, np.uint8), seen, self._upright)
             if all(self._asked):
                 _ = load_template().nearest_of_parts
-        for views in usual_views(self.rig, self._network.together):
+        whole = self.background.mode == "frame"  # then there are no views of bodies
+        for views in [[room]] if whole else usual_views(self.rig, self._network.together):
             predict_each(self._network, views, *self._asked)

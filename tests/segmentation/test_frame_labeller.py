@@ -21,7 +21,7 @@ from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.rigs import Camera, Distortion
 from bodyseg_model.networks import Trained
 from bodyseg_model.recordings import Frame, LiveRecording, find_frames
-from bodyseg_model.segmentation import FrameLabeller, LabelledFrame, Segmenter
+from bodyseg_model.segmentation import Background, FrameLabeller, LabelledFrame, Segmenter
 from bodyseg_model.segmentation.segmenter import STAGES
 from bodyseg_model.segmentation.views import Undistortion
 
@@ -160,6 +160,16 @@ def test_a_frame_of_one_value_is_an_empty_room(value: float) -> None:
 def test_a_frame_needs_its_camera(camera: Any) -> None:
     with pytest.raises(BadConfig, match=f"^a frame needs its camera, like frame_camera.*, found {camera!r}$"):
         labeller()(standing(30), camera)
+
+
+def test_whole_frames_are_prepared_for_in_their_own_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes: list[tuple[int, ...]] = []
+    network = Places(0, 5)
+    monkeypatch.setattr(
+        network, "scores", lambda range_m: sizes.append(range_m.shape[2:]) or Places.scores(network, range_m)
+    )
+    Segmenter(network, CAMERA, Background("frame")).prepare()
+    assert sizes == [(60, 80)], "and in no size of views of bodies"
 
 
 def test_one_frame_is_a_recording() -> None:
