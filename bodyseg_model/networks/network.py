@@ -125,7 +125,8 @@ def check_label_map(network: Network, label_map: LabelMap) -> None:
 
 class FlipAverage(Network):
     """A network whose scores are the mean of those of an image and those of its mirror image, mirrored back with left
-    and right classes exchanged: so an image and its mirror image get the same labels, but for the side.
+    and right classes exchanged: so an image, if its width is of whole strides, and its mirror image get the same
+    labels, but for the side.
 
     network: in evaluation mode. label_map: its classes, by default the 33 parts. Raises BadConfig unless the network
     has as many.

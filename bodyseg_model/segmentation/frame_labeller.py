@@ -68,7 +68,7 @@ class LabelledFrame(Segmentation):
     stamp: Stamp | None = None
 
 
-Found = Callable[[], LabelledFrame]
+Labelling = Callable[[], LabelledFrame]
 """Labels a frame whose bodies are found: all is done that may be while the frame before it is labelled."""
 
 
@@ -237,7 +237,7 @@ class FrameLabeller:
             for label in coming:
                 yield label()
 
-    def _find_in_array(self, number: int, range_m: NDArray[np.float32], camera: Any, where: str = "") -> Found:
+    def _find_in_array(self, number: int, range_m: NDArray[np.float32], camera: Any, where: str = "") -> Labelling:
         watch = Stopwatch((_READ,))
         with reported(where, BadConfig):
             with watch(_READ):
@@ -369,7 +369,7 @@ class LabelledRecording:
 
         A camera's first frame is labelled after its segmenter is prepared, so that its times are as others'.
         """
-        label = cast(Found, self._find(number, Frame.read, prepare=True))  # `Frame.read` skips none
+        label = cast(Labelling, self._find(number, Frame.read, prepare=True))  # `Frame.read` skips none
         self.labeller.restart()
         return label()
 
@@ -382,7 +382,7 @@ class LabelledRecording:
 
     def _find(
         self, number: int, read: Callable[[Frame], Pixels | None], prepare: bool = False, stamps: bool = False
-    ) -> Found | None:
+    ) -> Labelling | None:
         """Read a frame and find its people; None for one that cannot be read and is skipped."""
         watch, frame = Stopwatch((_READ,)), self.frames[number]
         with watch(_READ):

@@ -145,16 +145,11 @@ class RecordingView:
 
 def changes_of(frame: LabelledFrame, before: LabelledFrame | None) -> NDArray[np.uint8]:
     """Change of each pixel's label from the frame before, uint8 [H, W]: number in `FLICKER_LEGEND`, 255 without one."""
-    labels, has_label = frame.labels, frame.labels != BACKGROUND
-    found = np.where(has_label, np.uint8(3), np.uint8(BACKGROUND))
-    if before is None:
-        return found
-    old = before.labels
-    shared = has_label & (old != BACKGROUND)
-    still = np.abs(frame.range_m - before.range_m) < STILL_M
-    found[shared] = 0
-    found[shared & (old != labels) & ~still] = 1
-    found[shared & (old != labels) & still] = 2
+    found = np.where(frame.labels != BACKGROUND, np.uint8(3), np.uint8(BACKGROUND))
+    if before is not None:
+        shared = (found == 3) & (before.labels != BACKGROUND)
+        changed = np.where(np.abs(frame.range_m - before.range_m) < STILL_M, 2, 1)
+        found[shared] = np.where(before.labels == frame.labels, 0, changed)[shared]
     return found
 
 
