@@ -144,6 +144,7 @@ def _mean(values: NDArray[np.float64]) -> float:
 STEPS: Final = 1500
 FINER: Final = 1500
 CELLS: Final = FINER + STEPS - 1
+"""Bins of confidence: `STEPS` of equal width, the most confident, which most pixels are in, divided into `FINER`."""
 ECE_BINS: Final = 15
 THRESHOLD_STEPS: Final = 30
 """Counts by class are kept in bins of 1/30, so thresholds are multiples of it: 50, 60, 70, 80, 90 % are among them."""
@@ -230,14 +231,11 @@ class Confidences:
         width = STEPS // ECE_BINS
         starts = [0, *(FINER - 1 + width * number for number in range(1, ECE_BINS))]
         right, wrong = np.add.reduceat(self.counts, starts, axis=1)
-        sums = np.add.reduceat(self.sums, starts)
-        rows = []
-        for number in reversed(range(ECE_BINS)):
-            pixels = int(right[number] + wrong[number])
-            above = 1 - (number + 1) / ECE_BINS
-            means = (sums[number] / pixels, right[number] / pixels) if pixels else (float("nan"), float("nan"))
-            rows.append(Reliability(above, above + 1 / ECE_BINS, pixels, float(means[0]), float(means[1])))
-        return rows
+        pixels = right + wrong
+        means = _ratios(np.add.reduceat(self.sums, starts), pixels).tolist(), _ratios(right, pixels).tolist()
+        above = [1 - (number + 1) / ECE_BINS for number in range(ECE_BINS)]
+        ends = above, [low + 1 / ECE_BINS for low in above]
+        return [Reliability(*row) for row in zip(*ends, pixels.tolist(), *means, strict=True)][::-1]
 
     def ece(self) -> float:
         """Expected calibration error: mean over pixels of |confidence - accuracy| of their bin, 15 uniform bins.

@@ -233,15 +233,13 @@ class CarriedLabels:
 
     def _pairs(self, cells: Sequence[Cells]) -> list[int | None]:
         """For every body its number in the last frame: the nearest that is left; None for a new one."""
-        left = {} if self._last is None else dict(enumerate(self._last.bodies))
+        left = dict(enumerate(() if self._last is None else (_middle(body) for body, *_ in self._last.bodies)))
         found: list[int | None] = []
-        for own in cells:
-            away = {
-                number: float(np.linalg.norm(_middle(own) - _middle(earlier))) for number, (earlier, *_) in left.items()
-            }
-            near = {number: metres for number, metres in away.items() if metres <= SAME_BODY_M}
-            found.append(min(near, key=near.__getitem__, default=None))
-            left = {number: kept for number, kept in left.items() if number != found[-1]}
+        for own in map(_middle, cells):
+            away = {number: float(np.linalg.norm(own - middle)) for number, middle in left.items()}
+            nearest = min(away, key=away.__getitem__, default=None)
+            found.append(None if nearest is None or away[nearest] > SAME_BODY_M else nearest)
+            left = {number: middle for number, middle in left.items() if number != found[-1]}
         return found
 
     def _rule(self, tolerance_m: float, bends: bool = False) -> Rule:
