@@ -237,8 +237,8 @@ class CarriedLabels:
         found: list[int | None] = []
         for own in map(_middle, cells):
             away = {number: float(np.linalg.norm(own - middle)) for number, middle in left.items()}
-            nearest = min(away, key=away.__getitem__, default=None)
-            found.append(None if nearest is None or away[nearest] > SAME_BODY_M else nearest)
+            near = {number: metres for number, metres in away.items() if metres <= SAME_BODY_M}
+            found.append(min(near, key=near.__getitem__, default=None))
             left = {number: middle for number, middle in left.items() if number != found[-1]}
         return found
 
@@ -366,6 +366,6 @@ def _parts(points: Floats, labels: Labels) -> tuple[NDArray[np.float64], NDArray
 
 
 def _middle(cells: Cells) -> NDArray[np.float64]:
-    """Mean point of a body, float64 [3], metres."""
-    middle: NDArray[np.float64] = cells.points.mean(axis=0, dtype=np.float64)
+    """Mean point of a body, float64 [3], metres; NaN of one that is too small for a cell."""
+    middle: NDArray[np.float64] = cells.points.sum(axis=0, dtype=np.float64) / (len(cells.points) or np.nan)
     return middle
