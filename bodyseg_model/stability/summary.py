@@ -266,8 +266,7 @@ Found = dict[str, dict[SweepPoint, Score]]
 def score(network: Network, images: Sequence[LabelledImage]) -> Score:
     """Score a network in evaluation mode, by one confusion matrix over all images; without SciPy no gross errors.
 
-    Images are predicted one by one, as a sensor gives them: the window that a batch is cropped to depends on all its
-    bodies. NaN if nothing was measured in any image.
+    Images, which may differ in size, are predicted one by one. NaN if nothing was measured in any of them.
     """
     matrix, gross = ConfusionMatrix(), GrossErrors()
     device = device_of(network)
