@@ -7,7 +7,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from dataclasses import MISSING, dataclass, field
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import torch
@@ -21,7 +21,8 @@ OptimiserName = Literal["sgd", "adamw", "muon"]
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe(Checked):
-    """All hyperparameters of a training; with data, network and seed they determine its result.
+    """All hyperparameters of a training, by default those of `compact` but for geometric augmentation; with data,
+    network and seed they determine its result.
 
     steps: updates of the weights. batch_size: images in one pass through the network, over all processes. accumulate:
     batches whose gradients are added up for one step. optimiser: "sgd" (with `momentum`), "adamw", or
@@ -48,21 +49,21 @@ class Recipe(Checked):
     Raises BadConfig for a value out of range or of another type.
     """
 
-    steps: int = bounded(MISSING, 1)
-    batch_size: int = bounded(MISSING, 1)
-    accumulate: int = bounded(MISSING, 1)
-    optimiser: OptimiserName
-    learning_rate: float = bounded(MISSING, 1e-9, 10)
-    layer_decay: float = bounded(MISSING, 1e-6, 1)
-    momentum: float = bounded(MISSING, 0, 0.9999)
-    weight_decay: float = bounded(MISSING, 0, 1)
-    warmup: float = bounded(MISSING, 0, 1)
-    cosine: bool
-    clip: float = bounded(MISSING, 0, 1e6)
-    mirror: bool
-    balance: float = bounded(MISSING, 0, 1)
-    bf16: bool
-    loss_stride: int = bounded(MISSING, 1)
+    steps: int = bounded(10_000, 1)
+    batch_size: int = bounded(16, 1)
+    accumulate: int = bounded(1, 1)
+    optimiser: OptimiserName = "muon"
+    learning_rate: float = bounded(2e-3, 1e-9, 10)
+    layer_decay: float = bounded(1.0, 1e-6, 1)
+    momentum: float = bounded(0.9, 0, 0.9999)
+    weight_decay: float = bounded(0.02, 0, 1)
+    warmup: float = bounded(0.05, 0, 1)
+    cosine: bool = True
+    clip: float = bounded(5.0, 0, 1e6)
+    mirror: bool = True
+    balance: float = bounded(0.5, 0, 1)
+    bf16: bool = True
+    loss_stride: int = bounded(4, 1)
     geometric_augmentation: GeometricAugmentation = field(default_factory=GeometricAugmentation)
     ema: float = bounded(0.0, 0, 0.999999)
     shuffle: Literal["global", "blocks"] = "global"
@@ -86,25 +87,6 @@ class Recipe(Checked):
         return self.learning_rate * (1 + math.cos(math.pi * (step - rising) / max(1, self.steps - rising))) / 2
 
 
-_COMPACT: Final = Recipe(
-    steps=10_000,
-    batch_size=16,
-    accumulate=1,
-    optimiser="muon",
-    learning_rate=2e-3,
-    layer_decay=1.0,
-    momentum=0.9,
-    weight_decay=0.02,
-    warmup=0.05,
-    cosine=True,
-    clip=5.0,
-    mirror=True,
-    balance=0.5,
-    bf16=True,
-    loss_stride=4,
-    geometric_augmentation=GeometricAugmentation(roll_deg=10, zoom=0.15, stretch=0.1, cut=0.3),
-)
-
 PRESETS: Final[dict[str, Recipe]] = {
     # Section 3.5 of the paper; one image a pass and twenty passes a step is how it accumulates gradients.
     "fcn_alexnet": Recipe(
@@ -124,11 +106,9 @@ PRESETS: Final[dict[str, Recipe]] = {
         bf16=False,
         loss_stride=1,
     ),
-    "compact": _COMPACT,
+    "compact": Recipe(geometric_augmentation=GeometricAugmentation(roll_deg=10, zoom=0.15, stretch=0.1, cut=0.3)),
     # Of `compact` that finds people in rooms, where a body's size tells: images are neither zoomed nor stretched.
-    "finder": dataclasses.replace(
-        _COMPACT, steps=12_000, geometric_augmentation=GeometricAugmentation(roll_deg=10, cut=0.3), ema=0.999
-    ),
+    "finder": Recipe(steps=12_000, geometric_augmentation=GeometricAugmentation(roll_deg=10, cut=0.3), ema=0.999),
 }
 """Name -> recipe. Each network names its own (`networks.network.Network.default_recipe`)."""
 
