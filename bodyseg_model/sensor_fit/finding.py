@@ -43,13 +43,8 @@ class Finding:
 
     def to_json(self) -> dict[str, Any]:
         """Everything measured as plain JSON."""
-        return {
-            "artifact": self.artifact,
-            "verdict": self.verdict,
-            "reason": self.reason,
-            "estimates": {name: estimate.to_json() for name, estimate in self.estimates.items()},
-            "strengths": dict(self.strengths),
-        }
+        estimates = {name: estimate.to_json() for name, estimate in self.estimates.items()}
+        return {**vars(self), "estimates": estimates, "strengths": dict(self.strengths)}
 
 
 def rounded(value: float) -> float:
