@@ -12,10 +12,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.core import BadConfig, reported
+from bodyseg_data.core import BadConfig
 from bodyseg_data.files import Table, parse_json, read_bytes
-from bodyseg_data.rigs import Distortion, Rig
-from bodyseg_model.recordings.cameras import FrameCamera, Intrinsics, frame_camera
+from bodyseg_data.rigs import Rig
+from bodyseg_model.recordings.cameras import FrameCamera, Intrinsics, driver_camera, frame_camera
 from bodyseg_model.recordings.frames import Skipping, first_readable
 from bodyseg_model.recordings.recording import Frame
 
@@ -23,7 +23,6 @@ CAMERAS: Final = "cameras.json"
 
 _LARGEST_FILE: Final = 1 << 24
 _NEEDED: Final = ("fx", "fy", "cx", "cy")
-_COEFFICIENTS: Final = ("k1", "k2", "p1", "p2", "k3")
 
 
 def cameras_beside(frames: Sequence[Frame]) -> list[Intrinsics | None]:
@@ -127,12 +126,9 @@ def _intrinsics(tree: Any, where: str) -> Intrinsics:
     if "width" in table or "height" in table:
         columns, rows = table.whole("width"), table.whole("height")
         size = rows, columns
-    distortion = None
+    coefficients: Sequence[float] = ()
     if "distortion" in table:
         given = tree["distortion"]
-        count = 4 if isinstance(given, list) and len(given) == 4 else 5
-        coefficients = dict(zip(_COEFFICIENTS, table.numbers("distortion", count), strict=False))
-        with reported(where, BadConfig):
-            distortion = Distortion(**coefficients) if any(coefficients.values()) else None
+        coefficients = table.numbers("distortion", 4 if isinstance(given, list) and len(given) == 4 else 5)
     table.finish()
-    return Intrinsics(fx, fy, cx, cy, distortion, size, where)
+    return driver_camera("plumb_bob", coefficients, (fx, fy, cx, cy), size, where)
