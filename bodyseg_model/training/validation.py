@@ -126,6 +126,8 @@ class Validation:
     keep: CheckpointName = "best"
 
     def __post_init__(self) -> None:
+        given: Any = self.images
+        object.__setattr__(self, "images", (given,) if isinstance(given, RangeImages) else given)
         check_fields(self)
         if not self.images or not all(isinstance(images, RangeImages) for images in self.images):
             raise BadConfig(f"a validation needs one or several RangeImages, found {self.images!r:.60}")

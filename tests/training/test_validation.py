@@ -108,6 +108,11 @@ def test_a_validated_averaged_training_carries_on_with_the_same_bits(
     assert logs[0] == logs[1]
 
 
+def test_one_set_stands_for_itself(small_set: Path) -> None:
+    held_out: Any = RangeImages(small_set, split="test")
+    assert Validation(held_out).images == (held_out,)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
