@@ -242,10 +242,8 @@ class Confidences:
 
         Guo et al., "On calibration of modern neural networks", ICML 2017, equation 3. NaN if nothing was counted.
         """
-        if not self.pixels:
-            return float("nan")
         gaps = sum(row.pixels * abs(row.confidence - row.accuracy) for row in self.reliability() if row.pixels)
-        return float(gaps / self.pixels)
+        return gaps / (self.pixels or float("nan"))
 
     def aurc(self) -> float:
         """Area under the risk-coverage curve: mean over k of the share of wrong pixels among the k most confident.
@@ -253,8 +251,6 @@ class Confidences:
         Geifman, Uziel and El-Yaniv, "Bias-reduced uncertainty estimation for deep neural classifiers", ICLR 2019.
         NaN if nothing was counted.
         """
-        if not self.pixels:
-            return float("nan")
         inside = self.counts.sum(axis=0)
         filled = inside > 0
         inside, wrong = inside[filled].astype(np.float64), self.counts[1][filled].astype(np.float64)
@@ -262,7 +258,7 @@ class Confidences:
         # Wrong pixels are uniform within a bin: the integral of (E + rho t) / (N + t) for t from 0 to the bin's size.
         rho = wrong / inside
         grown = np.log1p(np.divide(inside, before, out=np.zeros_like(inside), where=before > 0))
-        return float((wrong + (wrong_before - rho * before) * grown).sum()) / self.pixels
+        return float((wrong + (wrong_before - rho * before) * grown).sum()) / (self.pixels or float("nan"))
 
     def curve(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Coverage and risk at the end of every bin, float64 [M] each: share of pixels kept, and of these wrong."""
@@ -282,11 +278,8 @@ class Confidences:
             raise BadConfig(f"a threshold must be a multiple of 1/30 from 0 to below 1, found {threshold:g}")
         right, wrong = self.by_class[:, :, :steps].sum(axis=2).T
         kept = right + wrong
-        if not kept.any():
-            return ConfidentPixels(0.0 if self.pixels else float("nan"), float("nan"), float("nan"))
-        shown = kept > 0
-        average = float((right[shown] / kept[shown]).mean())
-        return ConfidentPixels(float(kept.sum() / self.pixels), float(right.sum() / kept.sum()), average)
+        share, accuracy = kept.sum() / (self.pixels or np.nan), right.sum() / (kept.sum() or np.nan)
+        return ConfidentPixels(float(share), float(accuracy), _mean(_ratios(right, kept)))
 
 
 REGIONS: Final[dict[str, tuple[str, ...]]] = {
