@@ -118,7 +118,10 @@ PLAIN: Any = nn.Conv2d(1, 33, 1)
         (lambda: Segmenter(PLAIN, CAMERA), UNWRAPPED),
         (lambda: FrameLabeller(PLAIN), CARDLESS),
         (lambda: FrameLabeller(wrapped(PLAIN).network), CARDLESS.replace("Conv2d", "WrappedModule")),
-        (lambda: FrameLabeller(wrapped(PLAIN), NO_BACKGROUND), r"^background must be one like .*, found 'keep'$"),
+        (
+            lambda: FrameLabeller(wrapped(PLAIN), NO_BACKGROUND),
+            r"^background must be of class Background, found 'keep'$",
+        ),
         (lambda: predict(PLAIN, FRAME), UNWRAPPED),
         (lambda: on_backend(PLAIN), UNWRAPPED),
         (lambda: write_onnx("x.onnx", PLAIN), CARDLESS),
