@@ -126,6 +126,8 @@ def _predict(network: Network, range_m: torch.Tensor, scores: Callable[[torch.Te
     check_range_images(range_m)
     if network.training:
         raise BadConfig("predict needs a network in evaluation mode: call network.eval() first")
+    if next(network.parameters(), range_m).dtype == torch.float32:
+        range_m = range_m.float()  # of float16, which layers of float32 refuse
     if range_m.device.type == "cpu":
         return _predict_on_processor(network, range_m, scores)
     _check_finite(bool(range_m.isfinite().all()))

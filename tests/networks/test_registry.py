@@ -92,6 +92,15 @@ def test_every_network_is_trained_at_any_loss_stride(name: str) -> None:
         assert any(weight.grad is not None and weight.grad.any() for weight in network.parameters())
 
 
+@pytest.mark.parametrize("name", NETWORKS)
+def test_images_of_16_bits_are_labelled_as_the_same_in_32(name: str) -> None:
+    network = small(name)
+    for kind in (torch.float16, torch.bfloat16):
+        image = figure(70, 45).to(kind)
+        for found, wanted in zip(predict(network, image), predict(network, image.float()), strict=True):
+            assert torch.equal(found, wanted)
+
+
 def test_by_default_a_network_reads_no_pretrained_weights(tmp_path: Path) -> None:
     with pytest.raises(BadConfig, match=r"Compact starts from a run's folder or a \.safetensors file, found .*a\.onnx"):
         small("compact").load_pretrained(tmp_path / "a.onnx")
