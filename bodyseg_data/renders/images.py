@@ -144,8 +144,10 @@ def as_metres(
     nothing = image == 0
     if floats:
         nothing |= ~np.isfinite(image) | (image >= NOTHING)
-    for number in (*(_SENTINELS if floats else _SENTINELS[1:]), *no_range):
+    for number in _SENTINELS if floats else _SENTINELS[1:]:
         nothing |= image == number
+    for number in no_range:
+        nothing |= np.isclose(image, number, rtol=1e-5, atol=0)  # as many digits as messages show
     numbers: NDArray[np.floating[Any]] = image.astype(np.float32 if floats else np.float64)
     numbers[nothing] = 0
     if numbers.min() < 0:

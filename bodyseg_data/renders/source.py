@@ -26,6 +26,7 @@ _NAMED: Final = 3
 _FEW: Final = 0.02
 """Share of labelled pixels that may have no range: borders that two renderers draw half a pixel apart."""
 _MUCH: Final = 0.05  # share of an image that is more than chance, of pixels with one and the same largest range
+_SAME: Final = 1e-4  # of a range, within which two are the same: what conversions between axis and ray leave
 
 
 ProjectorRanges = Callable[[NDArray[np.intp], NDArray[np.intp]], Any]
@@ -150,7 +151,7 @@ class RenderSource(ABC):
                 _check_size(image, (rig.camera.rows, rig.camera.columns), "camera")
         range_m, labels = self._metres(images.pop(RANGE), rig, rig.camera), images.pop(LABELS)
         found = self.table(key).labels(labels.array, labels.where)
-        check_labels(range_m, found, labels.where, self._content.no_range is not None)
+        check_labels(range_m, found, labels.where, ray_lengths(rig.camera), self._content.no_range is not None)
         lit, facing, normals = (images.pop(kind, None) for kind in (PROJECTOR, FACING, NORMALS))
         return Render(
             key,
@@ -220,10 +221,12 @@ def _check_size(image: Stored, size: tuple[int, int], device: str) -> None:
         )
 
 
-def check_labels(range_m: NDArray[Any], labels: NDArray[np.uint8], where: str, far_known: bool = False) -> None:
+def check_labels(
+    range_m: NDArray[Any], labels: NDArray[np.uint8], where: str, lengths: NDArray[np.float64], far_known: bool
+) -> None:
     """Raise BadSample if labels and ranges cannot be of one scene; where: the label image.
 
-    range_m: 0 where nothing was measured. far_known: whether the set says which ranges mean that.
+    range_m: 0 where nothing was measured. lengths: of the rays. far_known: whether the set says which ranges mean that.
     """
     nothing, classed = range_m == 0, labels < UNLABELLED
     lost, total = np.count_nonzero(classed & nothing), np.count_nonzero(classed)
@@ -236,10 +239,11 @@ def check_labels(range_m: NDArray[Any], labels: NDArray[np.uint8], where: str, f
             f"{where}: a class needs a surface, {lost} of {total} pixels with a class have no range: is the image of "
             "another scene, or does a class like the sky belong into 'background' of set.toml?"
         )
-    farthest = (range_m == range_m.max()) & ~nothing
-    far = np.count_nonzero(farthest)
-    if not far_known and far > _MUCH * labels.size and not (classed & farthest).any():
-        raise BadSample(
-            f"{where}: {far} pixels without a class share the largest range, {range_m.max():.6g} m: if it means that "
-            "nothing is there, 'no_range' of set.toml must list the stored number, else set no_range = []"
-        )
+    for far_m, along in ((range_m, ""), (range_m * lengths, " along the ray")):
+        farthest = far_m > (1 - _SAME) * far_m.max()
+        far = np.count_nonzero(farthest)
+        if not far_known and far > _MUCH * labels.size and np.count_nonzero(classed & farthest) <= _FEW * far:
+            raise BadSample(
+                f"{where}: {far} pixels without a class share the largest range, {far_m.max():.6g} m{along}: if it "
+                "means that nothing is there, 'no_range' of set.toml must list the stored number, else set no_range = []"
+            )

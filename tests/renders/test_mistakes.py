@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from pngs import chunk
-from rendered_scenes import blenderproc, isaac, plain, save
+from rendered_scenes import CAMERA, blenderproc, isaac, plain, save
 
 from bodyseg_data.commands.cli import main
 from bodyseg_data.core import BadSample
@@ -86,6 +86,19 @@ IN_COLOURS = in_set('classes = ["floor", "arm", "box"]', COLOURS)
 ALSO_BLACK = in_set("background = [0]", 'background = [0, "#000000"]')
 
 
+def in_a_sphere(image: Any) -> Any:
+    """Depth that was distances along the ray, with a farthest one for nothing."""
+    lengths = np.linalg.norm(CAMERA.pixel_rays(), axis=2)
+    return np.where(image == 0, 6000 / lengths, image).astype(np.float32)
+
+
+def with_a_border(image: Any) -> Any:
+    """Labels that reach half a pixel too far, here in one place."""
+    found = image.copy()
+    found[tuple(np.argwhere(image == 0)[0])] = 2
+    return found
+
+
 def in_deep_colours(folder: Path) -> None:
     """Label numbers as a grey picture in colours of 16 bits a channel."""
     path = folder / "labels" / f"{FIRST}.png"
@@ -128,6 +141,14 @@ MISTAKES: dict[str, tuple[Callable[[Path], Any], str]] = {
         "a depth buffer",
     ),
     "far plane": (replaced("range", lambda image: np.where(image == 0, 6000, image).astype(np.uint16)), "'no_range'"),
+    "far sphere": (replaced("range", in_a_sphere, ending=".npy"), "share the largest range, 6 m along the ray"),
+    "far plane behind borders": (
+        both(
+            replaced("range", lambda image: np.where(image == 0, 6000, image).astype(np.uint16)),
+            replaced("labels", with_a_border),
+        ),
+        "'no_range'",
+    ),
     "size": (replaced("labels", lambda image: image[:-1]), "must have 16 rows and 20 columns"),
     "turned": (replaced("range", lambda image: image.T.copy()), "rows and columns are exchanged"),
     "projector's size": (

@@ -245,7 +245,7 @@ def test_a_side_of_1_is_the_channel(tmp_path: Path) -> None:
 def test_nothing_measured_is_told_by_many_numbers(tmp_path: Path) -> None:
     folder = plain(tmp_path / "cell", ending=".npy")
     (folder / "set.toml").write_text((folder / "set.toml").read_text() + "no_range = [7777.0]\n")
-    for number, nothing in enumerate((np.inf, np.nan, 1e10, 7777.0)):
+    for number, nothing in enumerate((np.inf, np.nan, 1e10, 7777.002)):
         range_m = seen_by(CAMERA, number)[0]
         save(
             folder / "range" / f"scene-00{number}.npy",
