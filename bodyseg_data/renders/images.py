@@ -29,7 +29,9 @@ _MOST_STEPS: Final = 65535
 _LEAST_M: Final = 0.01
 _NEAR_M: Final = 0.3  # a farthest surface nearer than this speaks against a unit that is guessed
 _TILE_SIDES: Final = (322, 323)  # tags of TIFF 6.0
-_DEPTH: Final = ("Z", "V", "Y", "R")  # names that programs give to the one channel of a depth image
+_DEPTH: Final = {"Z": "X", "V": "U", "Y": "X", "R": "G"}
+"""Names that programs give to the one channel of a depth image: without that beside it, which one of vectors has."""
+
 _UNITS: Final = (("millimetres", 1e-3), ("centimetres", 1e-2))
 
 
@@ -95,18 +97,17 @@ def _read_exr(path: Path) -> NDArray[Any]:
             raise ValueError("it has more pixels than an image can")
     with open_exr(str(path), separate_channels=True) as file:
         channels = {name: channel.pixels for name, channel in file.channels().items()}
-    ends: dict[str, str] = {}
+    layers: dict[str, dict[str, str]] = {}
     for name in channels:
-        ends.setdefault(name.rpartition(".")[2].upper(), name)  # "ViewLayer.Depth.Z" is Z
-    vectors = [[ends[each] for each in letters] for letters in ("XYZ", "RGB") if set(letters) <= ends.keys()]
-    if vectors:
-        stacked = np.stack([channels[name] for name in vectors[0]], axis=-1)
-        grey = bool((stacked == stacked[..., :1]).all())
-        return stacked[..., 0] if grey else stacked
-    one = [channels[ends[letter]] for letter in _DEPTH if letter in ends] or list(channels.values())
-    if len(channels) > 1 and len(one) != 1:
-        raise ValueError(f"a depth image has one channel, found {', '.join(sorted(channels))}")
-    return np.asarray(one[0])
+        layer, _, letter = name.rpartition(".")
+        layers.setdefault(layer, {})[letter.upper()] = name  # "ViewLayer.Depth.Z" is Z
+    found = [[of[each]] for of in layers.values() for each, beside in _DEPTH.items() if each in of and beside not in of]
+    for letters in ("XYZ", "RGB"):
+        found = found or [[of[each] for each in letters] for of in layers.values() if set(letters) <= of.keys()]
+    if len(found) != 1 and len(channels) > 1:
+        raise ValueError(f"an image has one channel of depth, or one a colour, found {', '.join(sorted(channels))}")
+    stacked = np.stack([channels[name] for name in (found or [list(channels)])[0]], axis=-1)
+    return stacked[..., 0] if (stacked == stacked[..., :1]).all() else stacked
 
 
 @lru_cache(maxsize=8)

@@ -245,5 +245,5 @@ def check_labels(
         if not far_known and far > _MUCH * labels.size and np.count_nonzero(classed & farthest) <= _FEW * far:
             raise BadSample(
                 f"{where}: {far} pixels without a class share the largest range, {far_m.max():.6g} m{along}: if it "
-                "means that nothing is there, 'no_range' of set.toml must list the stored number, else set no_range = []"
+                "means that nothing is there, 'no_range' of set.toml must list the stored number, else no_range = []"
             )

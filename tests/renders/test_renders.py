@@ -15,7 +15,7 @@ from bodyseg_data import RangeImages
 from bodyseg_data.commands.cli import main
 from bodyseg_data.core import BadConfig, BadSample
 from bodyseg_data.packing import pack_renders
-from bodyseg_data.renders import open_renders
+from bodyseg_data.renders import open_renders, read_array
 
 
 def packed(folder: Path, *options: str, variant: str = "all") -> RangeImages:
@@ -240,6 +240,25 @@ def test_a_side_of_1_is_the_channel(tmp_path: Path) -> None:
         path = folder / "range" / f"scene-00{number}.npy"
         save(path, np.expand_dims(np.load(path), place))
         np.testing.assert_allclose(open_renders(folder).load(path.stem).range_m, seen_by(CAMERA, number)[0], atol=1e-5)
+
+
+def test_the_depth_of_a_file_with_layers_is_found(tmp_path: Path) -> None:
+    exr = pytest.importorskip("OpenEXR")
+    depth, others = np.arange(6, dtype=np.float32).reshape(2, 3), np.zeros((4, 2, 3), np.float32)
+    others[0] = 1
+
+    def read(*names: str) -> Any:
+        channels = {name: depth if name[-1] in "ZV" else others[place] for place, name in enumerate(names)}
+        header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
+        exr.File(header, channels).write(str(tmp_path / "a.exr"))
+        return read_array(tmp_path / "a.exr")
+
+    for layers in ("R G B Z", "View.Combined.R View.Combined.G View.Combined.B View.Depth.Z", "IndexOB.X Depth.V"):
+        np.testing.assert_array_equal(read(*layers.split()), depth)
+    assert read("Combined.R", "Combined.G", "Combined.B", "A").shape == (2, 3, 3)
+    assert read("Normal.X", "Normal.Y", "Normal.Z").shape == (2, 3, 3)
+    with pytest.raises(BadSample, match=r"one channel of depth, or one a colour, found A\.Depth\.Z, B\.Depth\.Z"):
+        read("A.Depth.Z", "B.Depth.Z")
 
 
 def test_nothing_measured_is_told_by_many_numbers(tmp_path: Path) -> None:
