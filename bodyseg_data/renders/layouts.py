@@ -9,6 +9,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final, Literal
 
+import numpy as np
+
 from bodyseg_data.core import BadConfig, check_choice
 from bodyseg_data.renders.blenderproc import ENDINGS, BlenderProcRenders
 from bodyseg_data.renders.images import SUFFIXES, read_array
@@ -38,8 +40,8 @@ class PlainRenders(RenderSource):
         planes = in_order(each.name for each in home.iterdir() if each.is_dir()) if home.is_dir() else []
         folders = {kind: folder / kind for kind in (RANGE, LABELS, *optional)} | {name: home / name for name in planes}
         super().__init__(content, read_rows(folder, content), {kind: _images(each) for kind, each in folders.items()})
-        first = self._keys[0]
-        self.planes = {name: str(read_array(self._files[name][first]).dtype) for name in planes}
+        first = {name: read_array(self._files[name][self._keys[0]]) for name in planes}
+        self.planes = {name: "uint8" if image.dtype == np.uint8 else "uint16" for name, image in first.items()}
 
     def read(self, key: str) -> Mapping[str, Stored]:
         """Read the images of a sample by their kinds. Raises BadSample, naming the file."""

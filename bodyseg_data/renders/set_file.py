@@ -155,7 +155,7 @@ def _classes(rows: Any, name: str, first: int, background: Sequence[Any], path: 
 
     def stands_for(value: Any, label: int, what: str) -> None:
         is_colour = isinstance(value, str) and _COLOUR.fullmatch(value) is not None
-        if not is_colour and (type(value) is not int or value < 0):
+        if not is_colour and type(value) is not int:
             raise BadConfig(f"{path}: {what} must be a whole number or a colour like '#1e90ff', found {value!r:.60}")
         table, key = (colours, int(value[1:], 16)) if is_colour else (numbers, value)
         if table.setdefault(key, label) != label:

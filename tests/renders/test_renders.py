@@ -168,7 +168,7 @@ def test_planes_facing_normals_and_a_table_of_csv_go_with_samples(tmp_path: Path
     (folder / "set.toml").write_text(rest + "unit_m = 0.001\n[rigs]" + rigs.replace("unit_m = 0.001\n", ""))
     for number in range(4):
         range_m, labels = seen_by(CAMERA, number)
-        save(folder / "planes" / "instances" / f"scene-00{number}.png", labels.astype(np.uint16) * 256)
+        save(folder / "planes" / "instances" / f"scene-00{number}.npy", labels.astype(np.int64) * 256)
         normals = np.zeros((*range_m.shape, 3), np.float32)
         normals[..., 2] = -1
         save(folder / "normals" / f"scene-00{number}.npy", normals)
@@ -232,6 +232,16 @@ def test_pictures_with_a_palette_are_of_its_colours_where_the_set_names_colours(
     (folder / "set.toml").write_text(text.replace("first_label = 1", "").replace("[0]", '["#000000"]'))
     turned = np.array([2, 1, 0] + [255] * 253)
     np.testing.assert_array_equal(open_renders(folder).load("scene-001").labels, turned[seen_by(CAMERA, 1)[1]])
+
+
+def test_background_may_be_a_negative_number(tmp_path: Path) -> None:
+    """As MuJoCo, PyBullet and Hypersim write it."""
+    folder = plain(tmp_path / "cell")
+    (folder / "set.toml").write_text((folder / "set.toml").read_text().replace("background = [0]", "background = [-1]"))
+    labels = seen_by(CAMERA, 0)[1]
+    (folder / "labels" / "scene-000.png").unlink()
+    save(folder / "labels" / "scene-000.npy", np.where(labels == 255, -1, labels.astype(np.int32) + 1))
+    np.testing.assert_array_equal(open_renders(folder).load("scene-000").labels, labels)
 
 
 def test_a_side_of_1_is_the_channel(tmp_path: Path) -> None:
