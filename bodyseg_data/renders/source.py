@@ -26,7 +26,7 @@ _NAMED: Final = 3
 _FEW: Final = 0.02
 """Share of labelled pixels that may have no range: borders that two renderers draw half a pixel apart."""
 _MUCH: Final = 0.05  # share of an image that is more than chance, of pixels with one and the same largest range
-_SAME: Final = 1e-4  # of a range, within which two are the same: what conversions between axis and ray leave
+_SLACK: Final = 1e-4  # share of the largest distance along the ray that conversions to the axis and back leave
 
 
 ProjectorRanges = Callable[[NDArray[np.intp], NDArray[np.intp]], Any]
@@ -239,8 +239,8 @@ def check_labels(
             f"{where}: a class needs a surface, {lost} of {total} pixels with a class have no range: is the image of "
             "another scene, or does a class like the sky belong into 'background' of set.toml?"
         )
-    for far_m, along in ((range_m, ""), (range_m * lengths, " along the ray")):
-        farthest = far_m > (1 - _SAME) * far_m.max()
+    for far_m, slack, along in ((range_m, 0.0, ""), (range_m * lengths, _SLACK, " along the ray")):
+        farthest = (far_m >= (1 - slack) * far_m.max()) & ~nothing
         far = np.count_nonzero(farthest)
         if not far_known and far > _MUCH * labels.size and np.count_nonzero(classed & farthest) <= _FEW * far:
             raise BadSample(

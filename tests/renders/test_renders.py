@@ -299,6 +299,15 @@ def test_a_rig_may_stand_in_the_set_and_ranges_along_the_ray(tmp_path: Path) -> 
     packed(folder, "--plan")
 
 
+def test_a_wall_of_floats_is_a_surface(tmp_path: Path) -> None:
+    """Only one and the same number is asked about, which no wall has along the ray."""
+    folder = plain(tmp_path / "cell", ending=".npy")
+    range_m, draws = seen_by(CAMERA, 0)[0], np.random.default_rng(0)
+    wall = 6 + draws.normal(0, 1e-5, range_m.shape)
+    save(folder / "range" / "scene-000.npy", (1000 * np.where(range_m == 0, wall, range_m)).astype(np.float32))
+    assert np.count_nonzero(open_renders(folder).load("scene-000").range_m > 5.9) == np.count_nonzero(range_m == 0)
+
+
 def test_a_set_without_the_projectors_images_is_one_too(tmp_path: Path) -> None:
     folder = plain(tmp_path / "cell")
     for path in (folder / "projector").iterdir():
