@@ -86,7 +86,7 @@ def _read_picture(path: Path, palette: bool) -> NDArray[Any]:
                 raise ValueError(f"a picture must be of integers, floats or RGB colours of 8 bits, found mode {found}")
             return np.asarray(picture.convert("RGB") if palette and picture.mode == "P" else picture)
     except (UnidentifiedImageError, Image.DecompressionBombError) as error:
-        raise ValueError("it is no PNG or TIFF file of a sensible size") from error
+        raise ValueError("it is no PNG, and no TIFF of integers or 32-bit floats, of a sensible size") from error
 
 
 def _read_exr(path: Path) -> NDArray[Any]:
@@ -170,8 +170,8 @@ def _check_unit(largest_m: float, step_m: float, where: str) -> None:
     """Raise BadSample for a largest range that no steps hold, or that is smaller than any scene's."""
     reach = _MOST_STEPS * step_m
     if largest_m > reach:
-        fits = (each for each in _UNITS if _NEAR_M <= largest_m * each[1] <= reach)
-        unit = next((f": these look like {word} (unit_m = {size:g})" for word, size in fits), "")
+        fits = [f"{word} (unit_m = {size:g})" for word, size in _UNITS if _NEAR_M <= largest_m * size <= reach]
+        unit = f": these look like {' or '.join(fits)}" if fits else ""
         raise BadSample(
             f"{where}: a range must be at most {reach:.5g} m, {_MOST_STEPS} steps of {1e3 * step_m:g} mm, found "
             f"{largest_m:.6g} m{unit or '; a larger range_step_mm of the rig reaches farther'}"

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import tifffile
 from PIL import Image
 from pngs import chunk
 from rendered_scenes import CAMERA, blenderproc, isaac, plain, save
@@ -99,6 +100,12 @@ def with_a_border(image: Any) -> Any:
     return found
 
 
+def in_doubles(folder: Path) -> None:
+    """A TIFF of 64-bit floats, which tifffile makes of NumPy's default."""
+    (folder / "range" / f"{FIRST}.png").unlink()
+    tifffile.imwrite(folder / "range" / f"{FIRST}.tif", np.ones((16, 20)))
+
+
 def in_deep_colours(folder: Path) -> None:
     """Label numbers as a grey picture in colours of 16 bits a channel."""
     path = folder / "labels" / f"{FIRST}.png"
@@ -127,6 +134,11 @@ def table(text: str) -> Callable[[Path], None]:
 
 MISTAKES: dict[str, tuple[Callable[[Path], Any], str]] = {
     "unit": (in_set("unit_m = 0.001", "unit_m = 1.0"), "look like millimetres (unit_m = 0.001)"),
+    "two units": (
+        replaced("range", lambda image: (image * 200.0).astype(np.float32), ending=".npy"),
+        "look like millimetres (unit_m = 0.001) or centimetres (unit_m = 0.01)",
+    ),
+    "64-bit TIFF": (in_doubles, "no TIFF of integers or 32-bit floats"),
     "small unit": (in_set("unit_m = 0.001", "unit_m = 0.000001"), "is 'unit_m' right?"),
     "no unit": (in_set("unit_m = 0.001", ""), "integers needs 'unit_m'"),
     "8 bits": (replaced("range", lambda image: (image // 16).astype(np.uint8)), "holds at most 256 ranges"),
