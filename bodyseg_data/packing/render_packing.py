@@ -114,7 +114,8 @@ def check_plausible(render: Render, rig: Rig, where: str) -> None:
     causes = {
         "the projector's images look mirrored left to right": (seen, lit[:, ::-1]),
         "the camera's images look mirrored left to right": (seen[:, ::-1], lit),
-        "all images look mirrored left to right, as a left-handed export makes them": (seen[:, ::-1], lit[:, ::-1]),
+        "all images look mirrored left to right, as a left-handed export makes them, or the projector stands on the "
+        "other side": (seen[:, ::-1], lit[:, ::-1]),
     }
     rates = {cause: contradicting(rig, *images) for cause, images in causes.items()}
     cause = min(rates, key=lambda each: rates[each])
@@ -125,19 +126,19 @@ def check_plausible(render: Render, rig: Rig, where: str) -> None:
 
 
 def contradicting(rig: Rig, range_m: Ranges, projector_m: Ranges) -> float:
-    """Share of the points of one device that the other sees past: the larger of both ways; 0 for too few points."""
+    """Share of the points of one device that the other sees past: the larger of both ways; 0 for too few points, 1 if
+    both look elsewhere.
+    """
     rotation, offset = rig.camera_to_projector()
-    back = rotation.T, -rotation.T @ offset
-    return max(
-        _seen_past((rig.camera, range_m), (rig.projector, projector_m), rotation, offset),
-        _seen_past((rig.projector, projector_m), (rig.camera, range_m), *back),
-    )
+    one, other = (rig.camera, range_m), (rig.projector, projector_m)
+    ways = _seen_past(one, other, rotation, offset), _seen_past(other, one, rotation.T, -rotation.T @ offset)
+    return 1.0 if ways == (None, None) else max(way or 0.0 for way in ways)
 
 
 def _seen_past(
     one: tuple[Camera, Ranges], other: tuple[Camera, Ranges], rotation: NDArray[np.float64], offset: NDArray[np.float64]
-) -> float:
-    """The same of one way; rotation and offset: from the frame of `one` to the other's."""
+) -> float | None:
+    """The same of one way, None if no point lies in the other's image; rotation, offset: from the one's frame to it."""
     (device, range_m), (target, target_m) = one, other
     rows, columns = np.nonzero(range_m)
     stride = max(1, len(rows) // _POINTS)
@@ -147,7 +148,7 @@ def _seen_past(
     across, down = (points[:, :2] / points[:, 2:] * target.focal_px + target.centre_px).T
     inside = (across >= 0) & (across < target.columns) & (down >= 0) & (down < target.rows)
     if np.count_nonzero(inside) < _FEWEST:
-        return 0.0
+        return None if len(rows) >= _FEWEST and not inside.any() else 0.0
     # The nearest surface of a pixel and those around it: at an edge either side will do, and beyond the image any.
     padded = np.pad(np.where(target_m == 0, np.inf, target_m), 1)
     nearest = np.min([padded[y : y + target.rows, x : x + target.columns] for y in range(3) for x in range(3)], axis=0)

@@ -44,9 +44,9 @@ def refused(folder: Path, capsys: pytest.CaptureFixture[str], *options: str) -> 
     return line
 
 
-def edit(folder: Path, old: str, new: str) -> None:
-    assert old in (folder / "set.toml").read_text()
-    (folder / "set.toml").write_text((folder / "set.toml").read_text().replace(old, new))
+def edit(folder: Path, old: str, new: str, name: str = "set.toml") -> None:
+    assert old in (folder / name).read_text()
+    (folder / name).write_text((folder / name).read_text().replace(old, new))
 
 
 def replaced(kind: str, change: Callable[[Any], Any], key: str = FIRST, ending: str = ".png") -> Callable[[Path], None]:
@@ -72,6 +72,10 @@ def all_replaced(kinds: tuple[str, ...], change: Callable[[Any], Any]) -> Callab
 
 def in_set(old: str, new: str) -> Callable[[Path], None]:
     return lambda folder: edit(folder, old, new)
+
+
+def in_rig(old: str, new: str) -> Callable[[Path], None]:
+    return lambda folder: edit(folder, old, new, "rig.toml")
 
 
 def coloured(image: Any, blend: bool = False) -> Any:
@@ -195,6 +199,14 @@ MISTAKES: dict[str, tuple[Callable[[Path], Any], str]] = {
     ),
     "turned labels": (replaced("labels", lambda image: image[::-1].copy()), "labels look mirrored upside down"),
     "another unit": (all_replaced(("projector",), lambda image: (image // 2).astype(np.uint16)), "or a unit another"),
+    "other side": (
+        in_rig("[0.3, 0.0, 0.0]\naims_at_m = [0.1,", "[-0.3, 0.0, 0.0]\naims_at_m = [-0.1,"),
+        "on the other side",
+    ),
+    "OpenGL's axes": (
+        in_rig("1.5]", "-1.5]"),
+        "contradict each other at 100 % of their points: is the projector's pose",
+    ),
     "no rig": (in_set('rig = "rig.toml"', ""), "'rig' is missing"),
     "no classes": (in_set('classes = ["floor", "arm", "box"]', ""), "'classes' is missing"),
     "misspelt": (in_set("unit_m", "units_m"), "unknown 'units_m'"),
