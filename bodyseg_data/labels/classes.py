@@ -53,14 +53,14 @@ class LabelClass:
     mirror: name of the class that it is in the mirror image, such as the left hand of the right one; None for itself.
     colour: sRGB as "#rrggbb"; None for one that is drawn. within: name of a wider class that it is a part of, for
     readers; it need not be a class of the set. side: of a pair, which of the two it is; None: found from the names'
-    order. Classes that differ by colour or wider class alone are equal: labels mean the same.
+    order. Classes that differ by the last three alone are equal: labels mean the same.
     """
 
     name: str
     mirror: str | None = None
     colour: str | None = field(default=None, compare=False)
     within: str | None = field(default=None, compare=False)
-    side: Side | None = None
+    side: Side | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)

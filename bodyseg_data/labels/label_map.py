@@ -232,8 +232,7 @@ class LabelMap:
         Values that are no label become `BACKGROUND`. Raises BadConfig if `coarser` splits a class or leaves members of
         it out, for then a class has no counterpart, or if it is a map of another set's classes.
         """
-        if self.of != coarser.of:
-            differing = whole_map(self.of).difference(whole_map(coarser.of))
+        if differing := whole_map(self.of).difference(whole_map(coarser.of)):
             raise BadConfig(f"labels {self.name!r} and {coarser.name!r} are of other classes: found {differing}")
         found = np.full(256, BACKGROUND, np.uint8)
         for label, members in enumerate(self.members):
@@ -307,8 +306,7 @@ def load_label_map(labels: str | Path | LabelMap, of: Classes = PART_CLASSES) ->
         if labels.template is None and labels.name in _FILES.names()[1:]:
             shipped = load_label_map(labels.name)
             labels = shipped if shipped == labels else labels  # one that was stored, with a network, without regions
-        if labels.of != of and labels.template is None:
-            differing = whole_map(labels.of).difference(whole_map(of))
+        if labels.template is None and (differing := whole_map(labels.of).difference(whole_map(of))):
             raise BadConfig(f"labels {labels.name!r} are of other classes than the set's: found {differing}")
         return labels
     if not isinstance(labels, str | Path):

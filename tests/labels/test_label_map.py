@@ -195,6 +195,14 @@ def test_classes_of_a_users_own() -> None:
     assert classes_from_json(PART_CLASSES.to_json(), "x") == PART_CLASSES
 
 
+def test_a_users_classes_that_are_named_as_the_33_parts_are_these() -> None:
+    own = classes_of(PARTS33.names)
+    assert own == PARTS33.of and load_label_map(PARTS33, own) == PARTS33
+    said = classes_of([LabelClass(name, mirror=name if name == "Sellion" else None) for name in PARTS33.names])
+    assert load_label_map(PARTS33, said) == PARTS33, "a class may say that it is its own mirror image"
+    assert PARTS33.joined_to(load_label_map("limbs14", said))[:33].max() == 13
+
+
 def test_a_map_of_a_users_own_classes(tmp_path: Path) -> None:
     robot = LabelMap("robot", (("robot", ("right gripper", "left gripper")), ("rest", ("floor",))), CELL)
     assert robot.table[:5].tolist() == [1, 0, 0, BACKGROUND, BACKGROUND] and robot.mirrored[0] == 0
