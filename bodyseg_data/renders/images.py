@@ -174,7 +174,7 @@ def _check_unit(largest_m: float, step_m: float, where: str) -> None:
         unit = f": these look like {' or '.join(fits)}" if fits else ""
         raise BadSample(
             f"{where}: a range must be at most {reach:.5g} m, {_MOST_STEPS} steps of {1e3 * step_m:g} mm, found "
-            f"{largest_m:.6g} m{unit or '; a larger range_step_mm of the rig reaches farther'}"
+            f"{largest_m:.6g} m{unit}; if it is metres, a larger range_step_mm of the rig reaches farther"
         )
     if 0 < largest_m < _LEAST_M:
         raise BadSample(f"{where}: the farthest surface is {1e3 * largest_m:.3g} mm away: is 'unit_m' right?")

@@ -143,6 +143,10 @@ MISTAKES: dict[str, tuple[Callable[[Path], Any], str]] = {
         "look like millimetres (unit_m = 0.001) or centimetres (unit_m = 0.01)",
     ),
     "64-bit TIFF": (in_doubles, "no TIFF of integers or 32-bit floats"),
+    "a hall": (
+        replaced("range", lambda image: (image * 20.0).astype(np.float32), ending=".npy"),
+        "look like centimetres (unit_m = 0.01); if it is metres, a larger range_step_mm of the rig reaches farther",
+    ),
     "small unit": (in_set("unit_m = 0.001", "unit_m = 0.000001"), "is 'unit_m' right?"),
     "no unit": (in_set("unit_m = 0.001", ""), "integers needs 'unit_m'"),
     "8 bits": (replaced("range", lambda image: (image // 16).astype(np.uint8)), "holds at most 256 ranges"),
