@@ -92,11 +92,13 @@ def _read_picture(path: Path, palette: bool) -> NDArray[Any]:
 def _read_exr(path: Path) -> NDArray[Any]:
     open_exr = required("OpenEXR", "reading OpenEXR files", "renders").File
     with open_exr(str(path), header_only=True) as file:
-        (left, top), (right, bottom) = file.header()["dataWindow"]
-        if (int(right) - int(left) + 1) * (int(bottom) - int(top) + 1) > MOST_NUMBERS:
-            raise ValueError("it has more pixels than an image can")
+        for part in file.parts:
+            (left, top), (right, bottom) = part.header["dataWindow"]
+            if (int(right) - int(left) + 1) * (int(bottom) - int(top) + 1) > MOST_NUMBERS:
+                raise ValueError("it has more pixels than an image can")
     with open_exr(str(path), separate_channels=True) as file:
-        channels = {name: channel.pixels for name, channel in file.channels().items()}
+        held = [(f"{part.name()}.{name}", each.pixels) for part in file.parts for name, each in part.channels.items()]
+    channels = {name.strip("."): pixels for name, pixels in held}
     layers: dict[str, dict[str, str]] = {}
     for name in channels:
         layer, _, letter = name.rpartition(".")

@@ -257,18 +257,22 @@ def test_the_depth_of_a_file_with_layers_is_found(tmp_path: Path) -> None:
     depth, others = np.arange(6, dtype=np.float32).reshape(2, 3), np.zeros((4, 2, 3), np.float32)
     others[0] = 1
 
-    def read(*names: str) -> Any:
+    def read(*names: str, in_parts: bool = False) -> Any:
         channels = {name: depth if name[-1] in "ZV" else others[place] for place, name in enumerate(names)}
-        header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
-        exr.File(header, channels).write(str(tmp_path / "a.exr"))
+        parts = [exr.Part({}, {name: image}, name.split(".")[0]) for name, image in channels.items()]
+        exr.File(parts if in_parts else [exr.Part({}, channels)]).write(str(tmp_path / "a.exr"))
         return read_array(tmp_path / "a.exr")
 
     for layers in ("R G B Z", "View.Combined.R View.Combined.G View.Combined.B View.Depth.Z", "IndexOB.X Depth.V"):
         np.testing.assert_array_equal(read(*layers.split()), depth)
     assert read("Combined.R", "Combined.G", "Combined.B", "A").shape == (2, 3, 3)
     assert read("Normal.X", "Normal.Y", "Normal.Z").shape == (2, 3, 3)
-    with pytest.raises(BadSample, match=r"one channel of depth, or one a colour, found A\.Depth\.Z, B\.Depth\.Z"):
-        read("A.Depth.Z", "B.Depth.Z")
+    np.testing.assert_array_equal(read("IndexOB.X", "Depth.Z", in_parts=True), depth)
+    for in_parts in (False, True):
+        with pytest.raises(
+            BadSample, match=r"one channel of depth, or one a colour, found .*A\.Depth\.Z, .*B\.Depth\.Z"
+        ):
+            read("A.Depth.Z", "B.Depth.Z", in_parts=in_parts)
 
 
 def test_nothing_measured_is_told_by_many_numbers(tmp_path: Path) -> None:
