@@ -2,7 +2,6 @@
 
 import io
 import math
-from collections.abc import Collection
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
@@ -125,13 +124,13 @@ def as_metres(
     step_m: float,
     where: str,
     lengths: NDArray[np.float64] | None = None,
-    no_range: Collection[float] = (),
+    no_range: tuple[float, ...] | None = None,
 ) -> NDArray[np.floating[Any]]:
     """Ranges of an image in metres along the axis, 0 where nothing was measured; float32 of floats, else float64.
 
     unit_m: metres of the number 1; None: floats are metres, and integers are refused. step_m: of the rig's stored
     ranges. lengths: of the rays, for distances along them (`ray_lengths`). no_range: numbers that mean that nothing was
-    measured, besides 0, infinity, NaN, 65535, 65504, and 1e9 and more.
+    measured, besides 0, infinity, NaN, 65535, 65504, and 1e9 and more; (): a largest number of 1 is no background.
 
     Raises BadSample for numbers that cannot be ranges in that unit.
     """
@@ -149,16 +148,16 @@ def as_metres(
         nothing |= ~np.isfinite(image) | (image >= NOTHING)
     for number in _SENTINELS if floats else _SENTINELS[1:]:
         nothing |= image == number
-    for number in no_range:
+    for number in no_range or ():
         nothing |= np.isclose(image, number, rtol=1e-5, atol=0)  # as many digits as messages show
     numbers: NDArray[np.floating[Any]] = image.astype(np.float32 if floats else np.float64)
     numbers[nothing] = 0
     if numbers.min() < 0:
         raise BadSample(f"{where}: a range must not be negative, as OpenGL's z is, found {numbers.min():.6g}")
-    if floats and numbers.max() == 1 and np.count_nonzero(numbers == 1) > image.size / 20:
+    if floats and no_range != () and numbers.max() == 1 and np.count_nonzero(numbers == 1) > image.size / 20:
         raise BadSample(
             f"{where}: the largest number is 1, of {np.count_nonzero(numbers == 1)} pixels: a depth buffer, or depth "
-            "scaled to 0..1, holds no metres; list 1 in 'no_range' if only the background has it"
+            "scaled to 0..1, holds no metres; of metres, 'no_range' must list 1 if it is the background, else be empty"
         )
     numbers *= 1.0 if unit_m is None else unit_m
     if lengths is not None:

@@ -144,11 +144,9 @@ class RenderSource(ABC):
     def load(self, key: str) -> Render:
         """Read one of `keys()`. Raises BadSample, naming file and rule, for images that cannot be what they should."""
         images, rig, info = dict(self.read(key)), self._rigs[key], self._rows.info(key)
+        camera = (rig.camera.rows, rig.camera.columns), "camera"
         for kind, image in images.items():
-            if kind == PROJECTOR:
-                _check_size(image, rig.projector_shape, PROJECTOR)
-            else:
-                _check_size(image, (rig.camera.rows, rig.camera.columns), "camera")
+            _check_size(image, *((rig.projector_shape, PROJECTOR) if kind == PROJECTOR else camera))
         range_m, labels = self._metres(images.pop(RANGE), rig, rig.camera), images.pop(LABELS)
         found = self.table(key).labels(labels.array, labels.where)
         check_labels(range_m, found, labels.where, ray_lengths(rig.camera), self._content.no_range is not None)
@@ -170,7 +168,7 @@ class RenderSource(ABC):
         """Ranges along the axes of devices whose images stand one below the other."""
         content = self._content
         lengths = np.concatenate([ray_lengths(device) for device in devices]) if image.ray else None
-        return as_metres(image.array, content.unit_m, rig.range_step_m, image.where, lengths, content.no_range or ())
+        return as_metres(image.array, content.unit_m, rig.range_step_m, image.where, lengths, content.no_range)
 
 
 def in_order(names: Iterable[str]) -> list[str]:

@@ -312,6 +312,18 @@ def test_a_wall_of_floats_is_a_surface(tmp_path: Path) -> None:
     assert np.count_nonzero(open_renders(folder).load("scene-000").range_m > 5.9) == np.count_nonzero(range_m == 0)
 
 
+def test_a_table_a_metre_away_is_no_depth_buffer_where_the_set_says_so(tmp_path: Path) -> None:
+    folder = plain(tmp_path / "cell", ending=".npy")
+    for kind, device in (("range", CAMERA), ("projector", PROJECTOR)):
+        save(folder / kind / "scene-000.npy", np.ones((device.rows, device.columns), np.float32))
+    text = (folder / "set.toml").read_text().replace("unit_m = 0.001\n", "")
+    (folder / "set.toml").write_text(text)
+    with pytest.raises(BadSample, match="a depth buffer, or depth scaled to 0..1"):
+        open_renders(folder).load("scene-000")
+    (folder / "set.toml").write_text(text + "no_range = []\n")
+    assert (open_renders(folder).load("scene-000").range_m == 1).all()
+
+
 def test_a_set_without_the_projectors_images_is_one_too(tmp_path: Path) -> None:
     folder = plain(tmp_path / "cell")
     for path in (folder / "projector").iterdir():
