@@ -96,6 +96,6 @@ def _told(folder: Path, content: SetFile) -> str:
         signs_of = f"a folder {RANGE}/ (plain), *{ENDINGS[0]} (blenderproc) or {AXIS}_*.npy (isaac)"
         raise BadConfig(
             f"{folder}: its layout cannot be told, found signs of {' and '.join(found) or 'none'}: {signs_of}; "
-            "--layout, or 'layout' in set.toml, says which it is"
+            "set.toml says which it is by 'layout', as does --layout, and by 'camera' and 'projector' in which folders"
         )
     return found[0]

@@ -359,6 +359,11 @@ def test_options_of_bodies_do_not_go_with_renders(tmp_path: Path, capsys: pytest
     assert "needs --path" in capsys.readouterr().err
 
 
+def test_folders_of_two_render_products_are_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    isaac(tmp_path / "out" / "Replicator")
+    assert "by 'camera' and 'projector' in which folders" in refused(tmp_path / "out", capsys)
+
+
 def test_a_layout_that_cannot_be_told_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = plain(tmp_path / "cell")
     np.save(folder / "distance_to_image_plane_0000.npy", np.ones((16, 20)))
