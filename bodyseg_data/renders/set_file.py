@@ -132,6 +132,8 @@ def read_set(folder: Path) -> SetFile:
     table.finish()
     for key, allowed in (("along", get_args(Along)), ("split", SPLITS)):
         check_choice(f"{path}: {key!r}", found.get(key, allowed[0]), allowed)
+    if "projector" in found and not (folder / found["projector"]).is_dir():
+        raise BadConfig(f"{path}: 'projector' must be a folder beside it, found {found['projector']!r}")
     background = [BACKGROUND] if lists["background"] is None else _list(lists["background"], "background", path)
     classes, numbers = (None, LabelTable()) if rows is None else _classes(rows, name, first, background, path)
     if lists["no_range"] is not None:

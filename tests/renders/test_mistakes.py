@@ -317,6 +317,10 @@ BLENDERPROC_MISTAKES: dict[str, tuple[Callable[[Path], Any], str]] = {
     "attributes": (in_frame(lambda file: instances_only(file, "instance_attribute_maps")), "idx and category_id"),
     "no HDF5": (lambda folder: (folder / "0.hdf5").write_bytes(b"no"), "cannot be read as HDF5"),
     "no frame": (lambda folder: remove(folder / "projector", "*.hdf5"), "found none"),
+    "no folder": (
+        in_set("rig =", 'projector = "light"\nrig ='),
+        "'projector' must be a folder beside it, found 'light'",
+    ),
     "no set": (lambda folder: (folder / "set.toml").unlink(), "'classes' is missing"),
 }
 
