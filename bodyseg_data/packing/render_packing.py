@@ -126,9 +126,7 @@ def check_plausible(render: Render, rig: Rig, where: str) -> None:
 
 
 def contradicting(rig: Rig, range_m: Ranges, projector_m: Ranges) -> float:
-    """Share of the points of one device that the other sees past: the larger of both ways; 0 for too few points, 1 if
-    both look elsewhere.
-    """
+    """Share of a device's points that the other sees past, the larger of both ways; 0 of too few, 1 of none in view."""
     rotation, offset = rig.camera_to_projector()
     one, other = (rig.camera, range_m), (rig.projector, projector_m)
     ways = _seen_past(one, other, rotation, offset), _seen_past(other, one, rotation.T, -rotation.T @ offset)

@@ -147,9 +147,10 @@ class RenderSource(ABC):
         camera = (rig.camera.rows, rig.camera.columns), "camera"
         for kind, image in images.items():
             _check_size(image, *((rig.projector_shape, PROJECTOR) if kind == PROJECTOR else camera))
-        range_m, labels = self._metres(images.pop(RANGE), rig, rig.camera), images.pop(LABELS)
-        found = self.table(key).labels(labels.array, labels.where)
-        check_labels(range_m, found, labels.where, ray_lengths(rig.camera), self._content.no_range is not None)
+        seen, labels = images.pop(RANGE), images.pop(LABELS)
+        range_m, found = self._metres(seen, rig, rig.camera), self.table(key).labels(labels.array, labels.where)
+        stored = seen.array if self._content.no_range is None else None
+        check_labels(range_m, found, labels.where, ray_lengths(rig.camera), stored)
         lit, facing, normals = (images.pop(kind, None) for kind in (PROJECTOR, FACING, NORMALS))
         return Render(
             key,
@@ -220,11 +221,11 @@ def _check_size(image: Stored, size: tuple[int, int], device: str) -> None:
 
 
 def check_labels(
-    range_m: NDArray[Any], labels: NDArray[np.uint8], where: str, lengths: NDArray[np.float64], far_known: bool
+    range_m: NDArray[Any], labels: NDArray[np.uint8], where: str, lengths: NDArray[Any], stored: NDArray[Any] | None
 ) -> None:
     """Raise BadSample if labels and ranges cannot be of one scene; where: the label image.
 
-    range_m: 0 where nothing was measured. lengths: of the rays. far_known: whether the set says which ranges mean that.
+    range_m: 0 where nothing was measured. lengths: of the rays. stored: the file's numbers, None if the set knows them.
     """
     nothing, classed = range_m == 0, labels < UNLABELLED
     lost, total = np.count_nonzero(classed & nothing), np.count_nonzero(classed)
@@ -240,8 +241,10 @@ def check_labels(
     for far_m, slack, along in ((range_m, 0.0, ""), (range_m * lengths, _SLACK, " along the ray")):
         farthest = (far_m >= (1 - slack) * far_m.max()) & ~nothing
         far = np.count_nonzero(farthest)
-        if not far_known and far > _MUCH * labels.size and np.count_nonzero(classed & farthest) <= _FEW * far:
+        if stored is not None and far > _MUCH * labels.size and np.count_nonzero(classed & farthest) <= _FEW * far:
+            low, high = stored[farthest].min(), stored[farthest].max()
+            told = f"no_range = [{high:.9g}] in set.toml" if high - low <= 1e-5 * high else "0 in its file"
             raise BadSample(
-                f"{where}: {far} pixels without a class share the largest range, {far_m.max():.6g} m{along}: if it "
-                "means that nothing is there, 'no_range' of set.toml must list the stored number, else no_range = []"
+                f"{where}: {far} pixels without a class share the largest range, {far_m.max():.6g} m{along}: {told} "
+                "says that nothing is there, no_range = [] that something is"
             )

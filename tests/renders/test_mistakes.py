@@ -160,14 +160,17 @@ MISTAKES: dict[str, tuple[Callable[[Path], Any], str]] = {
         replaced("range", lambda image: np.where(image == 0, 1, image / 3000).astype(np.float32), ending=".npy"),
         "a depth buffer",
     ),
-    "far plane": (replaced("range", lambda image: np.where(image == 0, 6000, image).astype(np.uint16)), "'no_range'"),
-    "far sphere": (replaced("range", in_a_sphere, ending=".npy"), "share the largest range, 6 m along the ray"),
+    "far plane": (
+        replaced("range", lambda image: np.where(image == 0, 6000, image).astype(np.uint16)),
+        "no_range = [6000] in set.toml says",
+    ),
+    "far sphere": (replaced("range", in_a_sphere, ending=".npy"), "6 m along the ray: 0 in its file says"),
     "far plane behind borders": (
         both(
             replaced("range", lambda image: np.where(image == 0, 6000, image).astype(np.uint16)),
             replaced("labels", with_a_border),
         ),
-        "'no_range'",
+        "no_range = [6000] in set.toml says",
     ),
     "size": (replaced("labels", lambda image: image[:-1]), "must have 16 rows and 20 columns"),
     "turned": (replaced("range", lambda image: image.T.copy()), "rows and columns are exchanged"),
