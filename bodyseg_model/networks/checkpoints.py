@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from threading import get_ident
 from types import NoneType
-from typing import Any, ClassVar, Final, Literal
+from typing import Any, ClassVar, Final, Literal, get_args
 
 import torch
 from safetensors import SafetensorError
@@ -20,7 +20,7 @@ from torch import nn
 from torch.nn.modules.module import register_module_parameter_registration_hook
 
 from bodyseg_data.artifacts import SensorModel, load_sensor_model, sensor_model_from_json
-from bodyseg_data.core import BadConfig, check_class, reported
+from bodyseg_data.core import BadConfig, check_choice, check_class, reported
 from bodyseg_data.files import parts_left, read_bytes, read_json, write_json, write_result
 from bodyseg_data.labels import PARTS33, LabelClass, LabelMap, classes_of, label_map_from_json, whole_map
 from bodyseg_data.rigs import Rig, load_rig, rig_from_json
@@ -189,6 +189,7 @@ def load_network(
     """
     path = SHIPPED if path is None else Path(path)
     path = path if path.exists() else _NAMED.get(str(path), path)
+    check_choice("checkpoint", checkpoint, (None, *get_args(CheckpointName)))
     if checkpoint is not None and not path.is_dir():
         raise BadConfig(f"checkpoint {checkpoint!r} is one of a run's folder, found {path}")
     if checkpoint == "last" or (checkpoint is None and path.is_dir() and RunFiles.unfinished(path)):
@@ -273,11 +274,12 @@ def _build(card: dict[str, Any], where: Path, held: Mapping[str, torch.Tensor]) 
         nonlocal left
         left -= weights.numel() if get_ident() == thread else 0
         if left < 0:
-            raise BadConfig(f"{where}: the network must fit its weights, found a larger one")
+            raise BadConfig("the network must fit its weights, found a larger one")
 
     hook = register_module_parameter_registration_hook(count)
     try:
-        return build(name, settings)
+        with reported(str(where), BadConfig):
+            return build(name, settings)
     finally:
         hook.remove()
 

@@ -104,8 +104,9 @@ def change_weights(file: Path, change: Callable[[torch.Tensor], torch.Tensor]) -
         (lambda file: rewrite_card(file, format="x"), "the format must be 'bodyseg network 1', found 'x'"),
         (lambda file: rewrite_card(file, rig="paper"), "network.json: a stored rig's 'format' must be"),
         (lambda file: rewrite_card(file, network=3), "must name the network and its settings"),
-        (lambda file: rewrite_card(file, network="unet"), "the network must be one of"),
-        (lambda file: rewrite_card(file, settings={"widths": [8]}), "blocks must be numbers"),
+        (lambda file: rewrite_card(file, network="unet"), "network.json: the network must be one of"),
+        (lambda file: rewrite_card(file, settings={"widths": [8]}), "network.json: blocks must be numbers"),
+        (lambda file: rewrite_card(file, settings={"depth": 8}), "network.json: settings of compact that it does not"),
         (lambda file: rewrite_card(file, settings={**TINY, "widths": [8]}), "must be torch.float32 .*, found"),
         (drop_weights, "lacks the weights 'head.bias'"),
         (
@@ -167,6 +168,9 @@ def test_a_sensor_that_cannot_be_used_is_named_when_it_is_asked_for(file: Path, 
 def test_only_networks_are_loaded(tmp_path: Path) -> None:
     with pytest.raises(BadConfig, match=r"a \.safetensors file, found .*network\.pth"):
         load_network(tmp_path / "network.pth")
+    for checkpoint in ("Last", "final", True):
+        with pytest.raises(BadConfig, match=f"^checkpoint must be one of None, best, last, found {checkpoint!r}$"):
+            load_network(tmp_path, checkpoint)  # type: ignore[arg-type]
 
 
 def test_what_cannot_be_written_is_named(tmp_path: Path) -> None:
