@@ -221,7 +221,9 @@ def _model(tree: dict[str, Any], where: str) -> SensorModel:
     table.finish()
     if not isinstance(artifacts, list) or not all(isinstance(entry, dict) for entry in artifacts):
         raise BadConfig(f"{where}: 'artifacts' must be tables [[artifacts]]")
-    return SensorModel(name, tuple(_entry(entry, where) for entry in artifacts), title)
+    found = tuple(_entry(entry, where) for entry in artifacts)
+    with reported(where, BadConfig):
+        return SensorModel(name, found, title)
 
 
 def _entry(entry: Mapping[str, Any], where: str) -> Artifact:
