@@ -340,7 +340,8 @@ def _regions(kind: Any, numbers: Any, classes: Any, folder: Path, where: str) ->
         numbers = dict.fromkeys(names, 0)
     if not isinstance(numbers, dict) or not numbers or {*map(type, numbers.values())} != {int}:
         raise BadConfig(f"{where}: the table [regions] must give each region a whole number, found {numbers!r:.60}")
-    of = classes_of(list(numbers), "regions")
+    with reported(where, BadConfig):
+        of = classes_of(list(numbers), "regions")
     return OnTemplate(str(folder / kind) if is_file else kind, () if kind == "bones" else tuple(numbers.values())), of
 
 

@@ -303,6 +303,7 @@ def test_a_map_is_read_from_a_file(tmp_path: Path) -> None:
         (f'colour = "red"\n{GOOD}a = ["Sellion"]', "label map FILE: unknown 'colour'"),
         (f"{GOOD}a = 3", "label map FILE: the class 'a' must be a list of landmarks, found 3"),
         (f'{GOOD}a = ["Nose"]', "label map FILE: labels 'mine': 'Nose' is none of the 33 landmarks"),
+        (f'template = "bones"\n{GOOD}a = [""]', "label map FILE: classes 'regions': a class needs a name"),
     ],
 )
 def test_files_that_are_no_map_get_one_line(tmp_path: Path, text: str, message: str) -> None:
