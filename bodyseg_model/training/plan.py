@@ -189,8 +189,8 @@ class RunFolder:
         if not file.exists():
             return
         kept = []
-        for line in file.read_text().splitlines():
+        for line in file.read_bytes().splitlines():
             with contextlib.suppress(ValueError, KeyError, TypeError):
                 if json.loads(line)["step"] <= step:
-                    kept.append(line + "\n")
-        write_result(file, "".join(kept).encode())
+                    kept.append(line + b"\n")
+        write_result(file, b"".join(kept))

@@ -68,6 +68,15 @@ def test_a_log_stays_whole_where_a_full_disk_ends_the_training_that_goes_on(smal
     assert file.read_bytes() == before
 
 
+def test_a_line_of_a_damaged_log_that_is_no_text_is_dropped(small_set: Path, tmp_path: Path) -> None:
+    train(small_set, tmp_path, steps=2)
+    file = tmp_path / "log.jsonl"
+    before = file.read_bytes()
+    file.write_bytes(b"\xff\x00" + before.splitlines()[0] + b"\n" + before + b'{"step": 1, "cut')
+    train(small_set, tmp_path, steps=3, resume=True)
+    assert file.read_bytes().startswith(before) and [line["step"] for line in log(tmp_path)] == [1, 2, 3]
+
+
 def test_what_a_kill_cut_short_goes_with_the_next_checkpoint(small_set: Path, tmp_path: Path) -> None:
     train(small_set, tmp_path, steps=2)
     cut = [part_beside(tmp_path / name) for name in ("checkpoint-00000003.safetensors", "best.safetensors")]
