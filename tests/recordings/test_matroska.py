@@ -115,6 +115,8 @@ def test_damaged_and_other_files_are_one_line(tmp_path: Path, monkeypatch: pytes
     assert "a frame's side must be 1 to 4096 pixels, found 2 x 5000" in refusal(wide)
     colour = write_mkv(tmp_path / "c.mkv", {"COLOR": STACK}, codec=b"YUY2")
     assert "one track must be 16-bit grey, or --topic one of, found COLOR" in refusal(colour)
+    unknown = write_mkv(tmp_path / "u.mkv", {"DEPTH": STACK}, codec=b"\0\1\2\3")
+    assert "one track must be 16-bit grey, or --topic one of, found DEPTH" in refusal(unknown)
     path.write_bytes(whole)
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(MissingLibrary, match=r"needs the package 'av': pip install 'bodyseg\[recordings\]'"):

@@ -98,7 +98,7 @@ def _track(container: InputContainer, topic: str | None, path: Path) -> VideoStr
         (track.metadata.get("title") or f"track {number}"): track
         for number, track in enumerate(container.streams.video)
     }
-    grey = {name: track for name, track in tracks.items() if track.codec_context.pix_fmt in _GREY}
+    grey = {name: track for name, track in tracks.items() if getattr(track.codec_context, "pix_fmt", None) in _GREY}
     if topic is not None:
         chosen = [track for name, track in grey.items() if name == topic]
     else:
