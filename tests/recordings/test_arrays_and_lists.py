@@ -418,6 +418,18 @@ def test_a_page_is_read_by_its_offset(packing: str | None, big: bool, tmp_path: 
     assert "page 1 of the TIFF cannot be read" in broken(path, 1)
 
 
+def test_a_page_that_libtiff_cannot_read_is_not_empty(tmp_path: Path) -> None:
+    """Pillow leaves the pixels of a compressed page that does not say where its data are, and raises nothing."""
+    pages, path = [Image.fromarray(image) for image in STACK], tmp_path / "stack.tif"
+    pages[0].save(path, save_all=True, append_images=pages[1:], compression="tiff_lzw")
+    data = path.read_bytes()
+    start = int.from_bytes(open_tiff(path, None, None)[1].source.starts[1][4:], "little")  # type: ignore[attr-defined]
+    entry = data.index(struct.pack("<H", 273), start)
+    path.write_bytes(data[:entry] + bytes(2) + data[entry + 2 :])
+    assert "page 1 of the TIFF cannot be read" in broken(path, 1)
+    assert np.array_equal(open_recording(path)[2].read(), STACK[2])
+
+
 def tiff(rest: bytes, **tags: int) -> bytes:
     """A TIFF of 16 x 16 pixels of 16 bits; tags: further ones, as "t322"."""
     known = {256: 16, 257: 16, 258: 16, 259: 8, 262: 1, 277: 1} | {int(name[1:]): tags[name] for name in tags}

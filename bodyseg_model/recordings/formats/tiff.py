@@ -6,7 +6,7 @@ from typing import IO, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import TiffImagePlugin
+from PIL import Image, TiffImagePlugin
 
 from bodyseg_data.core import BadConfig, reported
 from bodyseg_data.machine import opened_picture
@@ -14,8 +14,8 @@ from bodyseg_model.recordings.recording import LARGEST_SIDE, MOST_FRAMES, Frame,
 
 _MODES: Final = {"I;16": np.uint16, "I;16B": np.uint16, "I;16L": np.uint16, "I": np.int32, "F": np.float32}
 
+_UNREAD: Final = 65533  # in all pixels
 _BIG: Final = 43  # version of a TIFF with offsets of 64 bits
-_TILE_SIDES: Final = (322, 323)  # tags of TIFF 6.0
 
 # Pillow decodes 64 bits, and only has no name for them: byte order, grey either way, floating point, bits.
 for _order, _raw in ((b"II", "F;64F"), (b"MM", "F;64BF")):
@@ -51,9 +51,13 @@ class _Pages(FrameSource):
             opened_picture(file, ("TIFF",), strict=True) as image,
         ):
             mode, size = image.mode, image.size
-            tile = [int(image.tag_v2.get(tag, 1)) for tag in _TILE_SIDES]
+            tile = [int(image.tag_v2.get(tag, 1)) for tag in (322, 323)]  # its sides, by TIFF 6.0
             if mode in _MODES and max(*size, *tile) <= LARGEST_SIDE:
-                return np.asarray(image).astype(_MODES[mode])
+                image.im = Image.new(mode, size, _UNREAD).im  # Pillow leaves it so where libtiff cannot read the page
+                pixels = np.asarray(image).astype(_MODES[mode])
+                if not (pixels == _UNREAD).all():
+                    return pixels
+                raise ValueError("its directory is damaged")
         raise BadConfig(
             f"a page must be grey of 16 or 32 bits or floating point, at most {LARGEST_SIDE} a side, found {mode!r} of "
             f"{size[1]} x {size[0]}"
