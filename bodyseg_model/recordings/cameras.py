@@ -221,7 +221,7 @@ def driver_camera(
     while len(given) > 4 and not given[-1]:  # zeros behind say nothing
         given.pop()
     count = next((count for count in counts if count >= len(given)), 0)
-    if not count:
+    if not count or len(coefficients) < counts[0]:
         raise BadConfig(
             f"{where}: distortion must be plumb_bob, of 4 or 5 coefficients, or one of "
             f"{', '.join(list(MODELS)[1:])}, found {model!r} of {len(coefficients)}: undistort the "

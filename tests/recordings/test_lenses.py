@@ -99,6 +99,8 @@ def test_models_that_are_not_known_are_named() -> None:
     for model, coefficients in (
         ("spherical", (0.1,) * 4),
         ("plumb_bob", (0.1,) * 8),
+        ("plumb_bob", (0.1,) * 3),  # k1, k2, k3 would be taken for k1, k2, p1
+        ("equidistant", (0.1,)),
         ("rational_polynomial", (1.0,) * 14),
         ("F-Theta", (0.4,) * 5),
     ):
