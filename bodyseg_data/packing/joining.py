@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from bodyseg_data.core import BadConfig, ProgressCallback, check_int, silent
+from bodyseg_data.core import BadConfig, BadShard, ProgressCallback, check_int, reported, silent
 from bodyseg_data.files import make_folder
 from bodyseg_data.packing.options import PACKING_VERSION
 from bodyseg_data.packing.scene_layout import fields_of
@@ -69,7 +69,8 @@ def join(
                 continue
             with TarWriter(out / name, state / f"{name}.part", split, joined.fields) as writer:
                 for _, part_number, shard, number in places:
-                    writer.write(*readers[part_number].members(shard, number))
+                    with reported(str(folders[part_number]), BadShard):
+                        writer.write(*readers[part_number].members(shard, number))
                     done += 1
                     progress(done, total)
             records[name] = writer.record

@@ -349,9 +349,8 @@ class ShardWriter:
                     raise ValueError("a value that no writer has stored")
             except FileNotFoundError:
                 return  # no scene was written
-            except (OSError, ValueError, KeyError, TypeError, BodysegError) as error:
-                unreadable = f"{state / _LEARNED} cannot be read"
-                raise BadConfig(f"{unreadable}: delete the folder {self._out} and write it again") from error
+            except (OSError, ValueError, LookupError, TypeError, AttributeError, BodysegError) as error:
+                raise BadConfig(f"{state / _LEARNED} cannot be read: delete {self._out} and write it again") from error
             names = sorted(path.name.removesuffix(".json") for path in state.glob("*.tar.json"))
         layout = SceneLayout(self._rigs, self._classes, *known, self._codec)
         self._learn(layout)

@@ -165,7 +165,8 @@ def _shared_people(state: Path, split: Split, block: int) -> list[RoomPerson]:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not path.exists():
             write_atomically(path, _arrays(draw_people(split, block)))
-    with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as held:
+    damaged = reported(f"{path} cannot be read: delete it", BadConfig, Exception)  # whatever a damaged zip raises
+    with damaged, np.load(BytesIO(path.read_bytes()), allow_pickle=False) as held:
         return [_person(*(held[f"{number} {name}"] for name in _NAMES)) for number in range(len(held) // len(_NAMES))]
 
 

@@ -193,6 +193,17 @@ def test_parts_that_do_not_belong_together_are_refused(tmp_path: Path, capsys: p
     assert said(other) == "other: columns are written for the joined set, found 'visit' of a part"
 
 
+def test_a_damaged_shard_of_a_part_names_the_part(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Shards of all parts have the same names."""
+    for number in range(2):
+        write(tmp_path / "parts", [number], part=(number, 2))
+    part = tmp_path / "parts" / "part-00001-of-00002"
+    shard = next(part.glob("*.tar"))
+    shard.write_bytes(shard.read_bytes().replace(b"scene-001", b"scene-002", 1))
+    assert cli.main(["join", str(tmp_path / "parts"), "--out", str(tmp_path / "set")]) == 2
+    assert f"join: {part}: {shard.name}: scene-001: offset 0: altered: CRC-32 " in capsys.readouterr().err
+
+
 def test_a_writer_that_was_stopped_carries_on(tmp_path: Path) -> None:
     whole = write(tmp_path / "whole", range(11), shard_samples=3)
     out = tmp_path / "set"
@@ -207,9 +218,10 @@ def test_a_writer_that_was_stopped_carries_on(tmp_path: Path) -> None:
     left = files(out)
     assert "train-00000.tar" in left and not any(name.endswith((".part", "manifest.json")) for name in left)
     learned = out / ".packing" / "learned.json"
-    for damaged in (b"{", b"[]", learned.read_bytes().replace(b"shadow", b"light"), b'{"fields": {"a": "b"}}'):
+    light = learned.read_bytes().replace(b"shadow", b"light")
+    for damaged in (b"{", b"[]", light, b'{"fields": {"a": "b"}}', b'{"fields": null}'):
         learned.write_bytes(damaged)
-        with pytest.raises(BadConfig, match="learned.json cannot be read: delete the folder"):
+        with pytest.raises(BadConfig, match="learned.json cannot be read: delete"):
             write(out, shard_samples=3)
     learned.write_bytes(left[".packing/learned.json"])
     with ShardWriter(out, rig=RIG, classes=CLASSES, shard_samples=3) as writer:

@@ -68,6 +68,13 @@ def test_a_set_has_the_same_bytes_for_any_number_of_workers_and_after_a_stop(
     for samples, split in ((8, "train"), (3, "test")):
         with pytest.raises(BadConfig, match=f"{tmp_path / 'cut'} holds rooms of another number or split"):
             pack_rooms(tmp_path / "cut", SMALL, samples, split, shard_samples=3, workers=1)
+    people = next((tmp_path / "cut" / ".packing").glob("people-test-000?"))
+    whole = people.read_bytes()
+    people.write_bytes(whole[: len(whole) // 2])
+    room_packing._shared_people.cache_clear()
+    with pytest.raises(BadConfig, match=f"^{people} cannot be read: delete it: "):
+        pack_rooms(tmp_path / "cut", SMALL, 8, "test", shard_samples=3, workers=1)
+    people.write_bytes(whole)
     pack_rooms(tmp_path / "cut", SMALL, 8, "test", shard_samples=3, workers=1)
     assert len(built) == 3  # people of the first run serve the second
     assert files(tmp_path / "1") == files(tmp_path / "3") == files(tmp_path / "cut")
