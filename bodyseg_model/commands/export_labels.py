@@ -154,10 +154,10 @@ def _frames(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Ima
     folder = Path(options.folder)
     try:
         summary = read_json(folder / "summary.json")
-        label_map = label_map_from_json(summary["labels"], f"{folder}, labels")
+        label_map = label_map_from_json(summary["labels"], f"{folder / 'summary.json'}, labels")
         boxes = [np.array([body["box"] for body in at["bodies"]], int).reshape(-1, 4) for at in summary["each"]]
-        each = [(at["name"], at["path_id"], own) for at, own in zip(summary["each"], boxes, strict=True)]
-    except (KeyError, TypeError, ValueError) as error:
+        each = [(str(at["name"]), str(at["path_id"]), own) for at, own in zip(summary["each"], boxes, strict=True)]
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadConfig(f"{folder / 'summary.json'} is none of `bodyseg segment`: {error!r}") from error
     given = find_frames(options.frames, options.topic, summary.get("given_unit_m")) if options.frames else []
     frames = {each.path_id: each for each in given}

@@ -302,9 +302,16 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     summary["each"][0]["name"] = "../labels/1"
     (folder / "summary.json").write_text(json.dumps(summary))
     assert "must stay in its folder" in refused(capsys, *words[:2], "--format", "png", "--out", out)
-    summary["each"][0]["bodies"] = [{"box": [1, 2]}]
+    summary["each"][0] |= {"name": "1", "path_id": []}
     (folder / "summary.json").write_text(json.dumps(summary))
-    assert "summary.json is none of `bodyseg segment`: ValueError(" in refused(capsys, *words)
+    assert "must be those that were labelled: 1 is not" in refused(capsys, *words, "--frames", frames)
+    for box, error in (([1, 2], "ValueError"), ([0, 0, 1, 1 << 70], "OverflowError")):
+        summary["each"][0]["bodies"] = [{"box": box}]
+        (folder / "summary.json").write_text(json.dumps(summary))
+        assert f"summary.json is none of `bodyseg segment`: {error}(" in refused(capsys, *words)
+    summary["labels"] = []
+    (folder / "summary.json").write_text(json.dumps(summary))
+    assert "summary.json, labels: labels must be an object, found list" in refused(capsys, *words)
     (folder / "summary.json").write_text("{}")
     assert "summary.json is none of `bodyseg segment`: KeyError('labels')" in refused(capsys, *words)
     assert not out.exists() and not list(tmp_path.glob(".*"))
