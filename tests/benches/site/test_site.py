@@ -85,6 +85,7 @@ def test_every_room_and_public_name_has_a_place() -> None:
         "the link leads to the file's page, not the door's"
     )
     assert "|  |" not in table
+    assert "| Writes scenes as a set of shards into the folder `out` |" in table, "without the code below"
 
 
 def test_short_code_is_marked_and_pictures_lead_to_their_files() -> None:

@@ -55,8 +55,8 @@ def public_names() -> str:
         lines += [f"## {package.__name__}", "", "| name | meaning |", "| --- | --- |"]
         for name in package.__all__:
             home = home_of(package.__name__, name)
-            text = " ".join(documentation(home, name).split())
-            lines.append(f"| {{py:obj}}`{name} <{home}.{name}>` | {text.partition('. ')[0].rstrip('.')} |")
+            text = " ".join(documentation(home, name).partition("\n\n")[0].split())  # code may follow
+            lines.append(f"| {{py:obj}}`{name} <{home}.{name}>` | {text.partition('. ')[0].rstrip('.:')} |")
         lines.append("")
     return "\n".join(lines)
 
