@@ -8,7 +8,7 @@ of a dead thread behind, which the end of the process follows. Its decimation re
 reentrant, so two threads at once write into each other's mesh. One daemon thread that takes all of the work in turn,
 and never ends, has neither.
 
-Its licence is GPL-3.0, so it is imported only where a user chose it: by `--pymeshlab`, or `--tolerance-mm` above 0.
+Its licence is GPL-3.0, so it is imported only where a user chose it, by `--pymeshlab`, `--tolerance-mm` or rooms.
 """
 
 import contextlib

@@ -35,7 +35,7 @@ WITHIN: Final = 95
 """Per cent of the pixels whose range must be right to the tolerance. The others lie beside edges that hide something:
 the slightest change of the edge shows the surface behind it, however far that is."""
 
-_FEATURE: Final = "reducing a mesh (--tolerance-mm 0 keeps meshes whole)"
+_FEATURE: Final = "reducing a mesh"
 _STEP: Final = 0.6  # of the triangles stay at least, each time: gentle steps end with a better mesh than one leap
 _STEEPEST: Final = 2.0  # the error of scans grows as a power of the count that is seldom higher; too far costs double
 _LITTLE: Final = 0.85  # a step that leaves more than that of the triangles saves less than sorting all edges costs

@@ -106,7 +106,7 @@ def pack_rooms(
 
     split: of all samples, with people of "wide" and "everyday", or for test of "open" and "hard"; the plane "person"
     numbers them from 1. own: further things. workers: processes, one a processor if None. Raises BadConfig, as
-    `OwnThings.surfaces`, and as `ShardWriter`.
+    `OwnThings.surfaces`, and as `ShardWriter`; MissingLibrary without pymeshlab.
     """
     order = sorted(
         range(check_int("samples", samples, 1)),
