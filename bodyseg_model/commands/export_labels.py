@@ -173,7 +173,7 @@ def _frames(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Ima
             counted = persons(labels, boxes) if label_map.of == PART_CLASSES else (None, frozenset[int]())
             if frames:
                 if path_id not in frames:
-                    raise BadConfig(f"--frames must be those that were labelled: {name} is not among them")
+                    raise BadConfig(f"--frames must be those labelled, where they lay: {name} is not among them")
                 frame, bent = frames[path_id], folder / UNDISTORTED / f"{name}.png"
                 ranges = read_array(bent) if bent.exists() else frame.read()
                 if ranges.shape != labels.shape:

@@ -288,7 +288,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     assert "needs ranges: give --frames" in refused(capsys, *words)
     assert "--variant, --split, --where, --labels and --inst" in refused(capsys, *words, "--variant", "all")
     shutil.copytree(frames, tmp_path / "others")
-    assert "must be those that were labelled: 1 is not" in refused(capsys, *words, "--frames", tmp_path / "others")
+    assert "those labelled, where they lay: 1 is not" in refused(capsys, *words, "--frames", tmp_path / "others")
     assert "--fps must be a whole number of at least 1" in refused(capsys, *words, "--fps", "0")
     assert f"--out must be a new folder, or one of an earlier export: {frames} holds 1.png" in refused(
         capsys, *words[:5], frames
