@@ -61,6 +61,9 @@ def test_the_tutorial_runs_from_renders_to_labels(
     program: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    *_, frames = (text for name, text in steps_of(DOCS / "tutorials" / "start.md") if not name)
+    for _ in range(2):  # the first tutorial, which may be repeated, leaves its frames in the same folder
+        exec(compile(str(frames), "start.md", "exec"), {})
     ran = []
     for name, words in steps_of(DOCS / "tutorials" / "your_renders.md"):
         if isinstance(words, str):
@@ -77,7 +80,7 @@ def test_the_tutorial_runs_from_renders_to_labels(
     assert (len(images), images.manifest.planes) == (3, {"instances": "uint16"})
     scores = json.loads(Path("scores.json").read_text())
     assert [each["name"] for each in scores["classes"]] == program.CLASSES
-    labelled = sorted(Path("labelled/labels").glob("*.png"))
+    labelled = sorted(Path("cell-labelled/labels").glob("*.png"))
     assert [path.stem for path in labelled] == list(images.keys)
     for index, path in enumerate(labelled):
         measured = images[index]["range"][0].numpy() > 0
