@@ -85,7 +85,10 @@ class Filesystem:
 
 def _forget(token: str) -> None:
     for key in [key for key in _FILESYSTEMS if key[:2] == (os.getpid(), token)]:
-        del _FILESYSTEMS[key]
+        opened = _FILESYSTEMS.pop(key)
+        if getattr(opened, "async_impl", False):
+            # It refers to itself, so it would be freed, and closed, by a collection: in a fork that waits for its loop.
+            vars(opened).clear()
 
 
 class TransientFailure(Exception):

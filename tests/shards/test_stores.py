@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import pickle
 import signal
 import subprocess
 import sys
 import time
+import weakref
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -527,6 +529,21 @@ def test_a_reader_is_pickled_without_connections_but_with_its_options(web: WebSe
     first = reader.read(0, 0)
     again = pickle.loads(pickle.dumps(reader)).read(0, 0)
     assert (first.range == again.range).all()
+
+
+def test_connections_of_a_set_end_with_it(web: WebServer) -> None:
+    store = RemoteFolder(web.url("good"), {}, QUICK)
+    assert store.read_file("manifest.json", 10**6)
+    opened = weakref.ref(store._transport._filesystem.get())
+    gc.disable()  # a collection in a fork would close them there, which waits
+    try:
+        del store
+        until = time.monotonic() + 10  # fsspec's thread may still be ending the request
+        while opened() is not None and time.monotonic() < until:
+            time.sleep(0.01)
+        assert opened() is None
+    finally:
+        gc.enable()
 
 
 def test_commands_take_addresses(
