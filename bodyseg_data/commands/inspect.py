@@ -19,7 +19,7 @@ from bodyseg_data.drawing import Row, check_picture, draw_sheet, save_picture
 from bodyseg_data.labels import label_map_names
 from bodyseg_data.loading import OccluderName, RangeImages
 from bodyseg_data.samples import SPLITS, ReadSplit
-from bodyseg_data.shards import BODY_FIELDS, column_names, open_store
+from bodyseg_data.shards import BODY_FIELDS, column_names
 
 EXAMPLE = "bodyseg inspect shards --variant all --out sheet.png"
 
@@ -125,7 +125,7 @@ def summarise(images: RangeImages) -> dict[str, Any]:
         "rig": manifest.rig.name,
         "rigs": len(manifest.rigs),
         "planes": dict(manifest.planes),
-        "columns": column_names(open_store(images.path)[0]),
+        "columns": column_names(images.reader.store),
         "range_step_mm": manifest.rig.range_step_mm,
         "image": [manifest.rig.camera.rows, manifest.rig.camera.columns],
         "shards": len(images.urls()),

@@ -556,8 +556,9 @@ def test_commands_take_addresses(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert main(["verify", web.url("good/")]) == 0
     assert f"{web.url('good')}: 24 samples in 6 shards" in capsys.readouterr().out
-    assert main(["inspect", web.url("good/test-*.tar"), "--json"]) == 0
-    assert '"samples": 8' in capsys.readouterr().out
+    for address in (web.url("good/test-*.tar"), web.url(f"signed/test-*.tar?token={TOKEN}")):
+        assert main(["inspect", address, "--json"]) == 0
+        assert '"samples": 8' in capsys.readouterr().out
     assert len(list((tmp_path / "bodyseg").glob("*.tar"))) == 2
     out = tmp_path / "sheet.png"
     assert main(["inspect", web.url("good/test-*.tar"), "--rows", "2", "--out", str(out)]) == 0
