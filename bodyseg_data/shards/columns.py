@@ -30,6 +30,7 @@ from bodyseg_data.shards.manifest import (
     read_manifest,
 )
 from bodyseg_data.shards.records import Descriptions, Fields, ShardRecord
+from bodyseg_data.shards.remote import read_optional
 from bodyseg_data.shards.store import LocalFolder, Store, store_at
 from bodyseg_data.shards.tar import TarWriter
 
@@ -50,7 +51,7 @@ def column_names(store: Store) -> list[str]:
     """Names of a set's columns, as columns.json lists them; none where there is no such file. Raises BadShard."""
     what = f"{store.name}/{COLUMNS_NAME} must be an object with the names of 'columns'"
     with reported(what, BadShard, OSError, ValueError, RecursionError, TypeError, KeyError, BadSample):
-        data = store.read_file(COLUMNS_NAME, LARGEST_MANIFEST)
+        data = read_optional(store, COLUMNS_NAME, LARGEST_MANIFEST)
         return [check_field_name(name) for name in json.loads(data)["columns"]] if data is not None else []
 
 
@@ -98,7 +99,7 @@ def open_columns(store: Store, manifest: Manifest, asked: Sequence[str], tried: 
     found = {name: read_column(store, manifest, name) for name in asked}
     for name in tried:
         known = name in (*found, *manifest.planes, *manifest.fields.kinds)
-        if not known and store.read_file(column_file(name), LARGEST_MANIFEST) is not None:
+        if not known and read_optional(store, column_file(name), LARGEST_MANIFEST) is not None:
             found[name] = read_column(store, manifest, name)
     return found
 

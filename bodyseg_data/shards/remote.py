@@ -31,6 +31,10 @@ class _Missing(Unreachable):
     """The file does not exist."""
 
 
+class _Refused(Unreachable):
+    """A file may not be read, or is missing: buckets that may not be listed answer 403 to both."""
+
+
 _SHORTEST_SECRET: Final = 4
 
 Sink = Callable[[bytes], object]
@@ -174,7 +178,8 @@ class RemoteFolder:
         return wait
 
     def _unreachable(self, name: str, error: Exception, note: str = "") -> Unreachable:
-        kind = _Missing if isinstance(error, FileMissing) else Unreachable
+        refused = _Refused if getattr(error, "refused", False) else Unreachable
+        kind = _Missing if isinstance(error, FileMissing) else refused
         return kind(f"{self.name}/{name}: {self._scrub(str(error))}{note}")
 
     def _scrub(self, text: str) -> str:
@@ -206,6 +211,13 @@ class _FailureStreak:
         return wait if time.monotonic() - self._since + wait <= self._retry_policy.total_s else None
 
 
+def read_optional(store: Store, name: str, limit: int) -> bytes | None:
+    """Read a file that a set may lack, as `Store.read_file`; None also if it is refused."""
+    with contextlib.suppress(_Refused):
+        return store.read_file(name, limit)
+    return None
+
+
 def _secrets(url: str, options: Mapping[str, Any]) -> set[str]:
     parts = urlsplit(url)
     known = {parts.username or "", parts.password or "", parts.query}
@@ -234,7 +246,7 @@ def open_store(
     """Open the store of a set; also returns the pattern that the names of its chosen shards match.
 
     path: a folder, its manifest.json, one of its shards, or a glob of shards ("shards/train-*.tar"), local or at an
-    address of a protocol that fsspec supports (https, s3, ...). In http addresses `?` begins a query.
+    address of a protocol that fsspec supports (https://, s3://, ...). In http addresses `?` begins a query.
     options, retry_policy: for remote sets only; see `RemoteFolder`.
 
     Raises BadConfig, MissingLibrary.

@@ -100,7 +100,11 @@ class TransientFailure(Exception):
 
 
 class PermanentFailure(Exception):
-    """Failure that every further attempt would repeat."""
+    """Failure that every further attempt would repeat. refused: the file may not be read, or may not be looked for."""
+
+    def __init__(self, problem: str, refused: bool = False) -> None:
+        super().__init__(problem)
+        self.refused = refused
 
 
 class FileMissing(PermanentFailure):
@@ -240,7 +244,7 @@ def _check_response(response: Any, start: int | None, stop: int | None) -> None:
         wait = response.headers.get("Retry-After", "")
         raise TransientFailure(f"{status} {response.reason}", float(wait) if re.fullmatch(r"[0-9]{1,6}", wait) else 0.0)
     if status not in (200, 206) or (start is None and status == 206):
-        raise PermanentFailure(f"{status} {response.reason}")
+        raise PermanentFailure(f"{status} {response.reason}", refused=status == 403)
     if response.headers.get("Content-Encoding", "identity") != "identity":
         raise PermanentFailure(
             f"the server sends it packed ({response.headers['Content-Encoding']}), though asked not to"
@@ -327,7 +331,7 @@ def _classified_errors() -> Iterator[None]:
     except Exception as error:
         final = isinstance(error, _PERMANENT_ERRORS) or type(error).__name__ in _PERMANENT_ERROR_NAMES
         if final or (isinstance(error, OSError) and error.errno in _PERMANENT_ERRNOS):
-            raise PermanentFailure(_describe(error)) from None
+            raise PermanentFailure(_describe(error), isinstance(error, PermissionError)) from None
         raise TransientFailure(_describe(error)) from None
 
 

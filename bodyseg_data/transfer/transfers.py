@@ -28,6 +28,7 @@ from bodyseg_data.shards import (
     column_files,
     open_file,
     read_manifest,
+    read_optional,
 )
 
 CARD_NAMES: Final = ("croissant.json", "README.md")
@@ -106,7 +107,7 @@ def read_page(store: Store, name: str) -> bytes:
 
 def pages_of(store: Store, names: tuple[str, ...]) -> dict[str, bytes]:
     """Read those of the small files `names`, of at most 16 MB each, that a store holds."""
-    found = {name: store.read_file(name, _LARGEST_PAGE) for name in names}
+    found = {name: read_optional(store, name, _LARGEST_PAGE) for name in names}
     return {name: data for name, data in found.items() if data is not None}
 
 

@@ -8,7 +8,7 @@ from typing import Final
 from bodyseg_data.commands import Progress, option
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import parse_json
-from bodyseg_data.shards import MANIFEST_NAME, LocalFolder, RemoteFolder, Store, open_store
+from bodyseg_data.shards import MANIFEST_NAME, LocalFolder, RemoteFolder, Store, open_store, read_optional
 from bodyseg_data.transfer import (
     Bundle,
     LocalTarget,
@@ -109,7 +109,7 @@ def _bundle_at(address: str) -> tuple[Store, Bundle]:
     store, pattern = open_store(address)
     if pattern != "*":
         raise BadConfig(f"a whole set is copied, found {pattern!r} at the end of its address")
-    if store.read_file(Path(RunFiles.NETWORK).with_suffix(".json").name, _LARGEST) is not None:
+    if read_optional(store, Path(RunFiles.NETWORK).with_suffix(".json").name, _LARGEST) is not None:
         return store, _network_bundle(store, RunFiles.NETWORK)
     return store, set_bundle(store)
 

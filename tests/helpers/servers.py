@@ -194,6 +194,8 @@ class _Handler(BaseHTTPRequestHandler):
                 return refusal(400) if self.headers.get("Authorization") else self._file(name)
             case "forbidden":
                 return refusal(403)
+            case "unlisted":  # as a bucket that may be read, but not listed
+                return self._file(name) if (server.root / name).exists() else refusal(403)
             case "packed":
                 return replace(self._file(name), headers={"Content-Encoding": "gzip"})
             case "bucket" if server.s3 is not None:

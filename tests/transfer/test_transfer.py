@@ -132,6 +132,24 @@ def test_an_interrupted_push_is_never_whole_and_goes_on(mine: Path, breaking: ty
     assert read_manifest(RemoteFolder("breaking://box/set", {}, QUICK)) == read_manifest(mine)
 
 
+def test_files_that_a_set_may_lack_are_not_missed_where_names_are_not_listed(
+    mine: Path, web: WebServer, breaking: type[Breaking], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(self: Breaking, path: str, **options: Any) -> bytes:
+        if path not in self.store:
+            raise PermissionError("Forbidden")
+        return bytes(read(self, path, **options))
+
+    read = Breaking.cat_file
+    pushed(mine, "breaking://box/set")
+    monkeypatch.setattr(Breaking, "cat_file", refused)
+    for address in ("breaking://box/set", web.url("unlisted")):
+        assert main(["verify", address]) == 0
+        assert main(["pull", address, str(tmp_path / "back"), "--replace"]) == 0
+        with pytest.raises(Unreachable, match="absent/manifest.json: (403|PermissionError)"):
+            read_manifest(RemoteFolder(f"{address}/absent", {}, QUICK))
+
+
 def test_a_pull_goes_on_within_a_shard(web: WebServer, small_set: Path, tmp_path: Path) -> None:
     web.forget()
     back, shards = tmp_path / "back", read_manifest(small_set).shards
