@@ -8,7 +8,7 @@ from typing import Final
 from bodyseg_data.commands import Progress, option
 from bodyseg_data.core import BadConfig
 from bodyseg_data.files import parse_json
-from bodyseg_data.shards import MANIFEST_NAME, LocalFolder, RemoteFolder, Store, open_store, read_optional
+from bodyseg_data.shards import MANIFEST_NAME, LocalFolder, RemoteFolder, Store, open_store
 from bodyseg_data.transfer import (
     Bundle,
     LocalTarget,
@@ -22,7 +22,6 @@ from bodyseg_data.transfer import (
 )
 
 _WEIGHTS: Final = ".safetensors"
-_LARGEST: Final = 1 << 28
 
 
 class Push:
@@ -109,7 +108,7 @@ def _bundle_at(address: str) -> tuple[Store, Bundle]:
     store, pattern = open_store(address)
     if pattern != "*":
         raise BadConfig(f"a whole set is copied, found {pattern!r} at the end of its address")
-    if read_optional(store, Path(RunFiles.NETWORK).with_suffix(".json").name, _LARGEST) is not None:
+    if pages_of(store, (Path(RunFiles.NETWORK).with_suffix(".json").name,)):
         return store, _network_bundle(store, RunFiles.NETWORK)
     return store, set_bundle(store)
 
