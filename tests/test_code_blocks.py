@@ -76,6 +76,12 @@ BEFORE: Final = {
 }
 """Names that a document's text introduces, or that its reader has at hand."""
 
+AFTER: Final = {
+    "engines.md": "one = RangeImages(urls[0], 'all', seed=0)[0]\n"
+    "assert rows[0]['range'].dtype == 'float32' and (rows[0]['range'] == one['range'].numpy()).all()",
+}
+"""Document -> code that is run after its blocks: what they say of their results."""
+
 PYTHON: Final = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
 SHELL: Final = re.compile(r"^(?: {4})?((?:tools/|bodyseg )[a-z]+(?:-[a-z]+)* .*)$", re.MULTILINE)
 
@@ -111,6 +117,7 @@ def test_the_python_of_a_document_runs(document: Path, workplace: Path, monkeypa
         for long, short in SMALLER.items():
             block = block.replace(long, short)
         exec(compile(block, str(document), "exec"), module.__dict__)
+    exec(AFTER.get(document.name, ""), module.__dict__)
 
 
 def test_reasons_are_of_blocks_that_are_there() -> None:
