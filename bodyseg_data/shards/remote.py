@@ -246,7 +246,7 @@ def open_store(
     """Open the store of a set; also returns the pattern that the names of its chosen shards match.
 
     path: a folder, its manifest.json, one of its shards, or a glob of shards ("shards/train-*.tar"), local or at an
-    address of a protocol that fsspec supports (https://, s3://, ...). In http addresses `?` begins a query.
+    address of a protocol that fsspec supports (https, s3, ...). In http addresses `?` begins a query.
     options, retry_policy: for remote sets only; see `RemoteFolder`.
 
     Raises BadConfig, MissingLibrary.
