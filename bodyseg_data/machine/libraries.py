@@ -93,7 +93,7 @@ def opened_picture(file: Any, formats: tuple[str, ...], strict: bool = False) ->
     """
     from PIL import Image
 
-    _silence_libtiff()
+    _prepare_tiff()
     with _ONE_THREAD, warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         picture = Image.open(file, formats=formats)
@@ -107,10 +107,15 @@ def opened_picture(file: Any, formats: tuple[str, ...], strict: bool = False) ->
 
 
 @cache
-def _silence_libtiff() -> None:
-    """Have Pillow's libtiff print no lines of its own on standard error: what it cannot read, Pillow raises."""
-    from PIL import _imaging
+def _prepare_tiff() -> None:
+    """Have Pillow read floating point of 64 bits, which it decodes and only has no name for; and its libtiff print no
+    lines of its own on standard error: what it cannot read, Pillow raises.
+    """
+    from PIL import TiffImagePlugin, _imaging
 
+    for order, raw in ((b"II", "F;64F"), (b"MM", "F;64BF")):
+        for grey in (0, 1):  # either way
+            TiffImagePlugin.OPEN_INFO.setdefault((order, grey, (3,), 1, (64,), ()), ("F", raw))
     with contextlib.suppress(OSError, AttributeError):  # a Pillow without it
         library = ctypes.CDLL(_imaging.__file__)  # whose dependencies are searched, too
         for name in ("TIFFSetErrorHandler", "TIFFSetWarningHandler"):

@@ -85,7 +85,7 @@ def _read_picture(path: Path, palette: bool) -> NDArray[Any]:
                 raise ValueError(f"a picture must be of integers, floats or RGB colours of 8 bits, found mode {found}")
             return np.asarray(picture.convert("RGB") if palette and picture.mode == "P" else picture)
     except (UnidentifiedImageError, Image.DecompressionBombError) as error:
-        raise ValueError("it is no PNG, and no TIFF of integers or 32-bit floats, of a sensible size") from error
+        raise ValueError("it is no PNG or TIFF file of a sensible size") from error
 
 
 def _read_exr(path: Path) -> NDArray[Any]:

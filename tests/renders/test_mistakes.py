@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import tifffile
 from PIL import Image
 from pngs import chunk
 from rendered_scenes import CAMERA, blenderproc, isaac, plain, save
@@ -104,12 +103,6 @@ def with_a_border(image: Any) -> Any:
     return found
 
 
-def in_doubles(folder: Path) -> None:
-    """A TIFF of 64-bit floats, which tifffile makes of NumPy's default."""
-    (folder / "range" / f"{FIRST}.png").unlink()
-    tifffile.imwrite(folder / "range" / f"{FIRST}.tif", np.ones((16, 20)))
-
-
 def in_deep_colours(folder: Path) -> None:
     """Label numbers as a grey picture in colours of 16 bits a channel."""
     path = folder / "labels" / f"{FIRST}.png"
@@ -142,7 +135,6 @@ MISTAKES: dict[str, tuple[Callable[[Path], Any], str]] = {
         replaced("range", lambda image: (image * 200.0).astype(np.float32), ending=".npy"),
         "look like millimetres (unit_m = 0.001) or centimetres (unit_m = 0.01)",
     ),
-    "64-bit TIFF": (in_doubles, "no TIFF of integers or 32-bit floats"),
     "a hall": (
         replaced("range", lambda image: (image * 20.0).astype(np.float32), ending=".npy"),
         "look like centimetres (unit_m = 0.01); if it is metres, a larger range_step_mm of the rig reaches farther",

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import tifffile
 from PIL import Image
 from rendered_scenes import CAMERA, NAMES, PROJECTOR, along_ray, blenderproc, isaac, plain, save, seen_by
 
@@ -36,6 +37,13 @@ def test_plain_folders_hold_any_image_file(tmp_path: Path, ending: str) -> None:
     assert render.projector_range_m is not None
     np.testing.assert_allclose(render.projector_range_m, seen_by(PROJECTOR, 1)[0], atol=6e-4)
     assert (source.split("scene-003"), render.fields) == ("test", {"robot": "r1", "tilt_deg": 2})
+
+
+def test_a_tiff_may_be_of_doubles(tmp_path: Path) -> None:
+    """As tifffile writes NumPy's default; Pillow alone has no name for it."""
+    metres = np.linspace(0.5, 3, 320).reshape(16, 20)
+    tifffile.imwrite(tmp_path / "a.tif", metres)
+    np.testing.assert_array_equal(read_array(tmp_path / "a.tif"), metres.astype(np.float32))
 
 
 WRITERS: list[tuple[Any, dict[str, Any]]] = [

@@ -6,7 +6,7 @@ from typing import IO, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, TiffImagePlugin
+from PIL import Image
 
 from bodyseg_data.core import BadConfig, reported
 from bodyseg_data.machine import opened_picture
@@ -16,11 +16,6 @@ _MODES: Final = {"I;16": np.uint16, "I;16B": np.uint16, "I;16L": np.uint16, "I":
 
 _UNREAD: Final = 65533  # in all pixels
 _BIG: Final = 43  # version of a TIFF with offsets of 64 bits
-
-# Pillow decodes 64 bits, and only has no name for them: byte order, grey either way, floating point, bits.
-for _order, _raw in ((b"II", "F;64F"), (b"MM", "F;64BF")):
-    for _grey in (0, 1):
-        TiffImagePlugin.OPEN_INFO.setdefault((_order, _grey, (3,), 1, (64,), ()), ("F", _raw))
 
 
 def open_tiff(path: Path, topic: str | None, step_m: float | None) -> tuple[Frame, ...]:
