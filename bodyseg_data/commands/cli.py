@@ -150,7 +150,12 @@ def _run(program: str, commands: Commands, name: str, words: list[str]) -> int:
 def load_command(place: str) -> Command:
     """Import the command at a place of `COMMANDS`."""
     module, _, name = place.partition(":")
-    found = importlib.import_module(module)
+    # Raised while PyTorch is imported, an interrupt can end in C++, which aborts the process.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+    try:
+        found = importlib.import_module(module)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
     return getattr(found, name) if name else found
 
 
