@@ -277,9 +277,7 @@ def _sole_point(pose: Pose, build: Build, side: str, point: tuple[float, float, 
 
 @pytest.fixture(scope="module")
 def model() -> Any:
-    source = OpenBodies()
-    source.build(source.bodies()[0])
-    return source._model
+    return OpenBodies().model
 
 
 @pytest.mark.parametrize("subject", ["B", "C"])

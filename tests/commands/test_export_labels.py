@@ -304,7 +304,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     assert "must stay in its folder" in refused(capsys, *words[:2], "--format", "png", "--out", out)
     summary["each"][0] |= {"name": "1", "path_id": []}
     (folder / "summary.json").write_text(json.dumps(summary))
-    assert "must be those that were labelled: 1 is not" in refused(capsys, *words, "--frames", frames)
+    assert "must be those labelled, where they lay: 1 is not" in refused(capsys, *words, "--frames", frames)
     for box, error in (([1, 2], "ValueError"), ([0, 0, 1, 1 << 70], "OverflowError")):
         summary["each"][0]["bodies"] = [{"box": box}]
         (folder / "summary.json").write_text(json.dumps(summary))
