@@ -175,8 +175,12 @@ def open_images(
 
 def fixed_artifacts(noise_mm: float | None, missing: float | None) -> list[Artifact]:
     """Noise of one sigma and missing data of one share for every image, each unless None. Raises BadConfig."""
-    noise = [] if noise_mm is None else [Noise(noise_mm, noise_mm)]
-    return [*noise, *([] if missing is None else [MissingData((missing,))])]
+    fixed: list[Artifact] = []
+    if noise_mm is not None:
+        fixed.append(Noise(noise_mm, noise_mm))
+    if missing is not None:
+        fixed.append(MissingData((missing,)))
+    return fixed
 
 
 def evaluate(
