@@ -31,9 +31,8 @@ Floats = NDArray[np.float64]
 MAX_SIDE: Final = 8192
 """Longest side of an image, pixels."""
 
-MAX_FOCAL_PX: Final = 1e6
-"""Greatest focal length, pixels."""
-
+_MAX_FOCAL_PX: Final = 1e6
+_FOCAL_SHARES: Final = (0.2, 50.0)  # of the longer side: 136 degrees and 1 degree of it are seen
 _FAR_M: Final = 100.0
 _MAX_ROLL_DEG: Final = 180.0
 _LEAST_ACROSS: Final = 1e-6
@@ -58,8 +57,8 @@ class Camera:
 
     rows: int = bounded(MISSING, 1, MAX_SIDE)
     columns: int = bounded(MISSING, 1, MAX_SIDE)
-    focal_px: float = bounded(MISSING, 0, MAX_FOCAL_PX, above=True)
-    centre_px: tuple[float, float] = bounded(MISSING, -MAX_FOCAL_PX, MAX_FOCAL_PX)
+    focal_px: float = bounded(MISSING, 0, _MAX_FOCAL_PX, above=True)
+    centre_px: tuple[float, float] = bounded(MISSING, -_MAX_FOCAL_PX, _MAX_FOCAL_PX)
     position_m: tuple[float, float, float] = bounded(MISSING, -_FAR_M, _FAR_M)
     aims_at_m: tuple[float, float, float] = bounded(MISSING, -_FAR_M, _FAR_M)
     up: tuple[float, float, float] = bounded(_UP, -_FAR_M, _FAR_M)
@@ -253,6 +252,28 @@ def distortion_from_table(table: Table) -> Distortion:
     table.finish()
     with reported(table.where, BadConfig):
         return Distortion(**coefficients)
+
+
+def check_intrinsics(focal_px: float, centre_px: tuple[float, float], shape: tuple[int, int], where: str) -> None:
+    """Raise BadConfig for a focal length that no camera of images of `shape` (rows, columns) has, as in another unit.
+
+    centre_px: principal point (x, y), pixels; shares of the image are refused, and points 79 degrees beside it. where:
+    the camera, for messages. What is no length at all is left to `Camera`.
+    """
+    rows, columns = shape
+    least, most = (share * max(shape) for share in _FOCAL_SHARES)
+    if 0 < focal_px < least or most < focal_px <= _MAX_FOCAL_PX:
+        hint = "a share of the image" if focal_px <= 2 else "in millimetres" if focal_px < least else "in another unit"
+        raise BadConfig(
+            f"{where}: a focal length must be in pixels, {least:.4g} to {most:.5g} for images of {rows} x {columns}, "
+            f"found {focal_px:.5g}: is it {hint}?"
+        )
+    shares = min(shape) > 16 and all(0 < value <= 1.5 for value in centre_px)
+    if shares or max(map(abs, centre_px)) > max(shape) + 5 * abs(focal_px):
+        raise BadConfig(
+            f"{where}: a principal point must be in pixels, found {centre_px[0]:g} and {centre_px[1]:g} for images of "
+            f"{rows} x {columns}: are they {'shares of the image' if shares else 'in another unit'}?"
+        )
 
 
 def camera_from_table(table: Table, posed: bool, lens: bool = False) -> Camera:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, bounded, check_fields, reported
 from bodyseg_data.files import Table, TomlFiles
-from bodyseg_data.rigs.camera import MAX_SIDE, Camera, PlacedCamera, axes_at, camera_from_table
+from bodyseg_data.rigs.camera import MAX_SIDE, Camera, PlacedCamera, axes_at, camera_from_table, check_intrinsics
 from bodyseg_data.samples import View
 
 RIG_FORMAT: Final = "bodyseg rig 1"
@@ -200,7 +200,12 @@ def parse_sensor(text: str, where: str) -> Sensor:
     lighting = _lighting(table) if is_rig else {}
     table.finish()
     with reported(f"rig {where}", BadConfig):
-        return Sensor(name, title, camera, Rig(name=name, camera=camera, **lighting) if is_rig else None, assumed)
+        found = Sensor(name, title, camera, Rig(name=name, camera=camera, **lighting) if is_rig else None, assumed)
+    for key, device in {"camera": camera, **lighting}.items():
+        if isinstance(device, Camera):
+            shape = device.rows, device.columns
+            check_intrinsics(device.focal_px, device.centre_px, shape, f"rig {where}, [{key}]")
+    return found
 
 
 def rig_from_json(tree: Any) -> Rig:

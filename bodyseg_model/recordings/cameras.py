@@ -15,33 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, reported
-from bodyseg_data.rigs import MAX_FOCAL_PX, PAPER, Camera, Distortion, Rig, Sensor, load_sensor, rig_names
+from bodyseg_data.rigs import PAPER, Camera, Distortion, Rig, Sensor, check_intrinsics, load_sensor, rig_names
 
 _SQUARE: Final = 0.01
 _NEARLY_SQUARE: Final = 0.1
-_FOCAL_SHARES: Final = (0.2, 50.0)  # of the longer side: 136 degrees and 1 degree of it are seen
-
-
-def check_intrinsics(focal_px: float, centre_px: tuple[float, float], shape: tuple[int, int], where: str) -> None:
-    """Raise BadConfig for a focal length that no camera of images of `shape` (rows, columns) has, as in another unit.
-
-    centre_px: principal point (x, y), pixels; shares of the image are refused, and points 79 degrees beside it. where:
-    the camera, for messages. What is no length at all is left to `Camera`.
-    """
-    rows, columns = shape
-    least, most = (share * max(shape) for share in _FOCAL_SHARES)
-    if 0 < focal_px < least or most < focal_px <= MAX_FOCAL_PX:
-        hint = "a share of the image" if focal_px <= 2 else "in millimetres" if focal_px < least else "in another unit"
-        raise BadConfig(
-            f"{where}: a focal length must be in pixels, {least:.4g} to {most:.5g} for images of {rows} x {columns}, "
-            f"found {focal_px:.5g}: is it {hint}?"
-        )
-    shares = min(shape) > 16 and all(0 < value <= 1.5 for value in centre_px)
-    if shares or max(map(abs, centre_px)) > max(shape) + 5 * abs(focal_px):
-        raise BadConfig(
-            f"{where}: a principal point must be in pixels, found {centre_px[0]:g} and {centre_px[1]:g} for images of "
-            f"{rows} x {columns}: are they {'shares of the image' if shares else 'in another unit'}?"
-        )
 
 
 @dataclass(frozen=True)
@@ -119,7 +96,6 @@ def frame_camera(
                 f"frames must have the size of the rig's camera, {camera.rows} x {camera.columns}, "
                 f"found {rows} x {columns}: {where}"
             )
-        check_intrinsics(camera.focal_px, camera.centre_px, shape, f"rig {rig}")
         return FrameCamera(camera, f"rig {rig}", rig=sensor.rig)
     if len(centre_px) not in (0, 2):
         raise BadConfig(f"--centre takes two numbers, x and y, found {len(centre_px)}")

@@ -362,7 +362,7 @@ def test_any_number_of_workers_gives_the_same_bytes(figures_set: Path, tmp_path:
 
 @pytest.mark.parametrize(
     ("table", "line", "seen_by"),
-    [("[camera]", "centre_px = [40.0, 1600.0]", "camera sees"), ("[projector]", "roll_deg = 170.0", "")],
+    [("[camera]", "centre_px = [40.0, 600.0]", "camera sees"), ("[projector]", "roll_deg = 170.0", "")],
 )
 def test_a_rig_that_sees_nothing_is_told(table: str, line: str, seen_by: str, tmp_path: Path) -> None:
     rig = tmp_path / "rig.toml"

@@ -166,6 +166,8 @@ def test_a_principal_point_in_another_unit_is_named(centre: tuple[float, float],
         frame_camera((480, 640), "x.png", focal_px=525.0, centre_px=centre)
     camera = f"rows = 480\ncolumns = 640\nfocal_px = 525.0\ncentre_px = {list(centre)}\n"
     (tmp_path / "r.toml").write_text(f'format = "bodyseg rig 1"\nname = "r"\n[camera]\n{camera}')
-    with pytest.raises(BadConfig, match=rf"r.toml: a principal point must be in pixels, {re.escape(found)}"):
+    with pytest.raises(
+        BadConfig, match=rf"r.toml, \[camera\]: a principal point must be in pixels, {re.escape(found)}"
+    ):
         frame_camera((480, 640), "x.png", rig=str(tmp_path / "r.toml"))
     assert frame_camera((48, 64), "x.png", focal_px=525.0, centre_px=(-1900.0, 1000.0)).camera.rows == 48

@@ -192,6 +192,8 @@ def test_another_rig_is_another_file(tmp_path: Path) -> None:
             "give either 'focal_px' or 'focal_length_mm'",
         ),
         ("[0.0, 0.0, 2.5]  # assumed: the", "[0.0, 0.0, 0.0]  #", "must not aim at its own position"),
+        ("focal_length_mm = 12.0", "focal_length_mm = 0.2", r"rig x, \[projector\]: .* found 12.121: is it in mill"),
+        ("rows = 640 ", "centre_px = [0.5, 0.5]\nrows = 640 ", r"\[camera\]: .*: are they shares of the image\?"),
         ("focal_length_mm = 12.5", "focal_length_mm = 1e200", "at most 1e\\+06"),
         ("pixel_pitch_um = 16.5 ", "pixel_pitch_um = 0.0 ", "'pixel_pitch_um' must be positive, found 0"),
         ("[0.0, 0.0, 0.0]", "[1e250, 0.0, -1e250]", "must be from -100 to 100"),
