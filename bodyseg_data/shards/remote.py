@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import random
 import re
 import time
@@ -26,13 +25,7 @@ from bodyseg_data.shards.transport import FileMissing, PermanentFailure, Transie
 class Unreachable(BodysegError):
     """Files of a remote set cannot be fetched: absent, refused, or too many attempts in a row have failed."""
 
-
-class _Missing(Unreachable):
-    """The file does not exist."""
-
-
-class _Refused(Unreachable):
-    """A file may not be read, or is missing: buckets that may not be listed answer 403 to both."""
+    missing = refused = False  # refused: may not be read, or is missing: buckets that may not be listed say 403 to both
 
 
 _SHORTEST_SECRET: Final = 4
@@ -131,9 +124,7 @@ class RemoteFolder:
 
     def read_file(self, name: str, limit: int) -> bytes | None:
         """Read a whole file of at most `limit` bytes; None if it does not exist. Raises Unreachable."""
-        with contextlib.suppress(_Missing):
-            return self._with_retries(name, lambda address: self._transport.read_file(address, limit))
-        return None
+        return _unless("missing", lambda: self._with_retries(name, lambda at: self._transport.read_file(at, limit)))
 
     def size(self, name: str) -> int:
         """Size of a file, bytes. Raises Unreachable."""
@@ -141,9 +132,7 @@ class RemoteFolder:
 
     def find_size(self, name: str) -> int | None:
         """Size of a file, bytes; None if it does not exist. Raises Unreachable."""
-        with contextlib.suppress(_Missing):
-            return self.size(name)
-        return None
+        return _unless("missing", lambda: self.size(name))
 
     def write(self, name: str, content: Path | bytes) -> None:
         """Upload a local file, or some bytes. Raises Unreachable, also for an address that cannot be written."""
@@ -151,8 +140,7 @@ class RemoteFolder:
 
     def remove(self, name: str) -> None:
         """Remove a file, which may be missing. Raises Unreachable."""
-        with contextlib.suppress(_Missing):
-            self._with_retries(name, self._transport.remove)
+        _unless("missing", lambda: self._with_retries(name, self._transport.remove))
 
     def prepare_reread(self, name: str) -> bool:
         """See `Store.prepare_reread`: a network may have altered the bytes."""
@@ -178,9 +166,9 @@ class RemoteFolder:
         return wait
 
     def _unreachable(self, name: str, error: Exception, note: str = "") -> Unreachable:
-        refused = _Refused if getattr(error, "refused", False) else Unreachable
-        kind = _Missing if isinstance(error, FileMissing) else refused
-        return kind(f"{self.name}/{name}: {self._scrub(str(error))}{note}")
+        found = Unreachable(f"{self.name}/{name}: {self._scrub(str(error))}{note}")
+        found.missing, found.refused = isinstance(error, FileMissing), getattr(error, "refused", False)
+        return found
 
     def _scrub(self, text: str) -> str:
         """Reduce a message to one line without secrets."""
@@ -213,9 +201,17 @@ class _FailureStreak:
 
 def read_optional(store: Store, name: str, limit: int) -> bytes | None:
     """Read a file that a set may lack, as `Store.read_file`; None also if it is refused."""
-    with contextlib.suppress(_Refused):
-        return store.read_file(name, limit)
-    return None
+    return _unless("refused", lambda: store.read_file(name, limit))
+
+
+def _unless(flag: str, read: Callable[[], Result]) -> Result | None:
+    """What `read` returns; None if it raises an Unreachable with that flag."""
+    try:
+        return read()
+    except Unreachable as error:
+        if getattr(error, flag):
+            return None
+        raise
 
 
 def _secrets(url: str, options: Mapping[str, Any]) -> set[str]:

@@ -317,12 +317,15 @@ def test_what_cannot_be_had_is_one_clear_line(location: str, message: str, web: 
     assert (len(web.log()) > 1) == (location == "silent"), "only trouble that may pass is tried again"
 
 
-@pytest.mark.parametrize("workers", [0, 2])
-def test_a_shard_that_is_missing_stops_a_run_in_one_line(workers: int, web: WebServer, tmp_path: Path) -> None:
-    web.faults.act = lambda reply, before: replace(reply, status=404)
+@pytest.mark.parametrize(("workers", "status"), [(0, 404), (2, 404), (0, 403)])
+def test_a_shard_that_is_missing_stops_a_run_in_one_line(
+    workers: int, status: int, web: WebServer, tmp_path: Path
+) -> None:
+    web.faults.act = lambda reply, before: replace(reply, status=status)
     images = RangeImages(web.url("faulty"), cache=tmp_path, retry_policy=QUICK)
-    with pytest.raises(Unreachable, match=r"^http://127.0.0.1:\d+/faulty/train-0000\d.tar: 404 Not Found$"):
+    with pytest.raises(Unreachable, match=rf"^http://127.0.0.1:\d+/faulty/train-0000\d.tar: {status} \w") as caught:
         list(loader(images, 8, workers))
+    assert caught.type is Unreachable, "a traceback names the class that users know"
 
 
 def shortened(reply: Reply, before: int) -> Reply:
