@@ -158,8 +158,10 @@ def classes_of(given: Classes | Iterable[str | LabelClass], name: str = "classes
         raise BadConfig(f"classes must be a list of names, found {given!r}")
     entries = tuple(LabelClass(each) if isinstance(each, str) else each for each in given)
     for entry in entries:
-        if not isinstance(entry, LabelClass) or not isinstance(entry.name, str):
+        if not isinstance(entry, LabelClass):
             raise BadConfig(f"a class must be a name or a LabelClass, found {entry!r}")
+    if not all(isinstance(entry.name, str) for entry in entries):
+        return Classes(name, entries)  # which refuses it in words that readers of files know, too
     stated = {entry.name: entry.mirror for entry in entries if isinstance(entry.mirror, str)}
     stated = {other: one for one, other in stated.items()} | stated
     free = {entry.name for entry in entries} - set(stated)

@@ -243,7 +243,7 @@ def test_a_map_of_a_users_own_classes(tmp_path: Path) -> None:
         ([LabelClass("a", colour="red")], "the colour of 'a' must be like '#1e90ff', found 'red'"),
         ([LabelClass("a", mirror="b")], "the mirror image of 'a', 'b', is no class"),
         ([LabelClass("a", mirror="b"), LabelClass("b", mirror="b")], "the mirror image of 'b' must be 'a'"),
-        ([LabelClass(5)], "a class must be a name or a LabelClass, found LabelClass(name=5"),
+        ([LabelClass(5)], "a class needs a name that can be printed, not '*', found 5"),
     ],
 )
 def test_classes_that_are_none(entries: Any, message: str) -> None:
