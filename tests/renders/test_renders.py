@@ -46,6 +46,15 @@ def test_a_tiff_may_be_of_doubles(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_array(tmp_path / "a.tif"), metres.astype(np.float32))
 
 
+@pytest.mark.parametrize("kind", [np.uint16, np.int32, np.float32, np.float64])
+def test_a_compressed_tiff_may_be_of_either_order_of_bytes(tmp_path: Path, kind: Any) -> None:
+    """Pillow reads 32 and 64 bits of the other order than the machine's with their bytes exchanged."""
+    image = np.arange(320).reshape(16, 20).astype(kind)
+    for order in "<>":
+        tifffile.imwrite(tmp_path / "a.tif", image, compression="zlib", byteorder=order)
+        np.testing.assert_array_equal(read_array(tmp_path / "a.tif"), image)
+
+
 WRITERS: list[tuple[Any, dict[str, Any]]] = [
     (plain, {}),
     (blenderproc, {}),
