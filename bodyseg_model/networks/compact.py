@@ -146,7 +146,7 @@ class Compact(Network):
 
 def _spread(x: torch.Tensor, side: int) -> torch.Tensor:
     """`F.pixel_shuffle`, [B, C side^2, h, w] -> [B, C, h side, w side], with a gradient laid out as layers want it."""
-    if not x.requires_grad:
+    if torch.onnx.is_in_onnx_export() or not x.requires_grad:
         return F.pixel_shuffle(x, side)
     batch, channels, rows, columns = x.shape
     parts = x.permute(0, 2, 3, 1).reshape(batch, rows, columns, channels // side**2, side, side)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from bodyseg_data.rigs import Camera
 from bodyseg_model.commands import main
 from bodyseg_model.networks import build, load_network, predict, save_network
 from bodyseg_model.runtimes import (
+    OPSET,
     backend_of,
     backends,
     on_backend,
@@ -68,6 +70,16 @@ def test_the_graph_of_a_network_answers_as_torch(name: str) -> None:
 def test_the_graph_of_the_network_that_ships() -> None:
     trained = load_network()
     check_answer(trained.network, export_trained(trained), frames(1))
+
+
+def test_a_graph_that_is_traced_with_gradients_spreads_scores_by_one_operation(tmp_path: Path) -> None:
+    network = build("compact", TINY, seed=0).eval()
+    network.forward = network.scores  # type: ignore[method-assign]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torch.onnx.export(network, (frames(1),), tmp_path / "scores.onnx", opset_version=OPSET, dynamo=False)
+    kinds = [node.op_type for node in onnx.load(tmp_path / "scores.onnx").graph.node]
+    assert kinds.count("DepthToSpace") == 1
 
 
 @pytest.mark.parametrize(("backend", "precision"), [("onnxruntime", "float32"), ("openvino", "float32")])
