@@ -37,7 +37,6 @@ from bodyseg_model.networks import (
     Trained,
     build,
     check_label_map,
-    check_network,
     load_network,
     name_of,
     read_checkpoint,
@@ -105,12 +104,12 @@ def train(
         warnings.warn("images to train on include the test split: open them with split='train'", stacklevel=2)
     classes = {} if images.label_map == PARTS33 else {"classes": len(images.label_map)}
     network = build(network, classes, seed) if isinstance(network, str) else copy.deepcopy(network)
-    check_network(network)
+    name = name_of(network)
     folder = RunFolder(Path(out))
     recipe = recipe or recipe_for(network.default_recipe)
     with joined_process_group(device) as processes:
         options = seed, run_options, validation, pretrained
-        training = Training(network, name_of(network), images, recipe, folder, processes, *options)
+        training = Training(network, name, images, recipe, folder, processes, *options)
         with claimed(folder.path, "training") if processes.first else contextlib.nullcontext():
             read_from = [last_name(each.path) for each in images.sets]  # cards are published
             training.run(resume, report or (lambda metrics: None), {"read_from": read_from, **(facts or {})})

@@ -191,7 +191,7 @@ def test_arguments_of_the_public_functions_say_what_they_must_be(figures_set: Pa
         ("label_map must be of class LabelMap, found 'limbs14'", evaluate, (network, images), {"label_map": "limbs14"}),
         ("range images must be of class Tensor, found ", predict, (network, values), {}),
         ("rig must be of class Rig or None, found 'paper'", wrapped, (Doubled(), ["a", "b"]), {"rig": "paper"}),
-        ("a network must be a bodyseg_model.Network: .*, found Trained", train, (images, out, trained), {}),
+        ("the network must be of a class in NETWORKS, .*Trained", train, (images, out, trained), {}),
         ("recipe must be of class Recipe or None, found 'finder'", train, (images, out), {"recipe": "finder"}),
         ("validation must be of class Validation or None, found Ra", train, (images, out), {"validation": images}),
         ("run_options must be of class RunOptions or None, found 2", train, (images, out), {"run_options": 2}),
