@@ -148,8 +148,8 @@ def changes_of(frame: LabelledFrame, before: LabelledFrame | None) -> NDArray[np
     found = np.where(frame.labels != BACKGROUND, np.uint8(3), np.uint8(BACKGROUND))
     if before is not None:
         shared = (found == 3) & (before.labels != BACKGROUND)
-        changed = np.where(np.abs(frame.range_m - before.range_m) < STILL_M, 2, 1)
-        found[shared] = np.where(before.labels == frame.labels, 0, changed)[shared]
+        changed = np.uint8(1) + (np.abs(frame.range_m - before.range_m) < STILL_M)
+        found = np.where(shared, changed * (before.labels != frame.labels), found)
     return found
 
 
