@@ -97,15 +97,15 @@ def opened_picture(file: Any, formats: tuple[str, ...], strict: bool = False) ->
     with _ONE_THREAD, warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         picture: Any = Image.open(file, formats=formats)
-    for tile in [each for each in picture.tile if each[0] == "libtiff"]:  # one, in the machine's order of bytes
-        native = re.sub("(;32|;64)B", r"\1N", tile[3][0])  # as Pillow has it for 16 bits alone
-        picture.tile = [getattr(tile, "_make", tuple)((*tile[:3], (native, *tile[3][1:])))]
     with picture:
         for each in said:
             if "PIL" not in Path(each.filename).parts:
                 warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
             elif strict:
                 raise ValueError(str(each.message))
+        for tile in [each for each in picture.tile if each[0] == "libtiff"]:  # one, in the machine's order of bytes
+            native = re.sub("(;16(?=BS)|;32|;64)B", r"\1N", tile[3][0])  # as Pillow has it for 16 bits without a sign
+            picture.tile = [getattr(tile, "_make", tuple)((*tile[:3], (native, *tile[3][1:])))]
         yield picture
 
 

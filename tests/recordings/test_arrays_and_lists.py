@@ -344,6 +344,17 @@ def test_pages_of_64_bits_are_metres(tmp_path: Path) -> None:
     assert refusal(tmp_path / "b.tif").startswith(f"{tmp_path / 'b.tif'}: a page must be grey of 16 or 32 bits")
 
 
+@pytest.mark.parametrize("kind", ["u2", "i2", "i4", "f4", "f8"])
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_compressed_pages_are_read_in_their_order_of_bytes(tmp_path: Path, order: str, kind: str) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    steps = RAMP // 5
+    values = steps / 1000 if kind[0] == "f" else steps
+    tifffile.imwrite(tmp_path / "a.tif", values.astype(order + kind), byteorder=order, compression="zlib")
+    (frame,) = open_recording(tmp_path / "a.tif")
+    np.testing.assert_allclose(frame.read() * frame.step_m, steps / 1000, atol=1e-6)
+
+
 def test_pickled_objects_are_never_loaded(tmp_path: Path) -> None:
     objects = np.array([print, None], dtype=object)
     np.save(tmp_path / "a.npy", objects, allow_pickle=True)
