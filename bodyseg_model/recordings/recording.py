@@ -115,7 +115,7 @@ class LiveRecording(Checked):
     masked pixels are 0.
 
     Nothing is kept: a frame lives as long as its caller holds it. where: name in messages and of frames. Raises
-    BadConfig for a step that is not above 0.
+    BadConfig for a step that is not above 0, and on the way for an array of 8 bits, in millimetres.
     """
 
     arrays: Iterable[Timed]
@@ -130,6 +130,8 @@ class LiveRecording(Checked):
             pixels = np.array(np.ma.filled(np.asanyarray(pixels), 0))
             step_m = FLOAT_STEP_M if pixels.dtype.kind == "f" else self.step_m
             name = f"{self.where}-{index:06d}"
+            if pixels.dtype.itemsize == 1 and step_m == MILLIMETRE:
+                raise BadConfig(f"{name}: of 8 bits, most images are pictures: step_m must say what a step is")
             held, within = ArrayFrames(pixels[np.newaxis]), ("", index)
             yield Frame(name, name, Path(self.where), str(index), held, within, 0, time_s, step_m, self.camera)
 

@@ -46,6 +46,15 @@ def test_any_iterable_is_a_recording_and_is_read_as_it_comes() -> None:
         next(iter(LiveRecording([np.zeros((3, 3), complex)]))).read()
 
 
+def test_pictures_are_no_ranges() -> None:
+    """In millimetres they would end 0.255 m away, and nobody be found in them."""
+    picture = np.full((4, 5), 200, np.uint8)
+    with pytest.raises(BadConfig, match="^live-000000: of 8 bits, most images are pictures: step_m must say"):
+        next(iter(LiveRecording([picture])))
+    (frame,) = LiveRecording([picture], step_m=0.02)
+    np.testing.assert_array_equal(frame.read() * frame.step_m, 4.0)
+
+
 @pytest.mark.parametrize("step_m", [0, -0.001, float("nan"), float("inf")])
 def test_a_step_is_above_nothing(step_m: float, tmp_path: Path) -> None:
     """Frames would be empty, or not a number, and nobody be found in them."""
