@@ -144,10 +144,21 @@ def _open(options: Options, labels: str | LabelMap) -> list[RangeImages]:
     sets, path_of = [], dict[str, str]()
     sensor = load_sensor_model(options.sensor)
     artifacts = parse_artifacts(options.artifacts, "--artifacts", sensor)
-    strengths = options.noise_mm, options.missing, artifacts, sensor
-    chosen = options.where, options.val_share, labels, options.occluder
     for path in options.data:
-        images = open_images(path, options.variant, options.split, options.seed, *strengths, *chosen)
+        images = open_images(
+            path,
+            options.variant,
+            options.split,
+            options.seed,
+            options.noise_mm,
+            options.missing,
+            artifacts,
+            sensor,
+            options.where,
+            options.val_share,
+            labels,
+            options.occluder,
+        )
         for key in images.keys:
             if key in path_of:
                 raise BadConfig(f"a sample counts once: {key} of {path} is also in {path_of[key]}")

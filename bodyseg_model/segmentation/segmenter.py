@@ -217,9 +217,10 @@ class Segmenter:
         either_way: bool = True,
     ) -> None:
         check_class("camera", camera, Camera)
-        optional = {"background": (background, Background), "rig": (rig, Rig), "label_map": (label_map, LabelMap)}
-        for name, (value, kind) in {**optional, "video": (video, CarriedLabels)}.items():
-            check_class(name, value, kind, NoneType)
+        check_class("background", background, Background, NoneType)
+        check_class("rig", rig, Rig, NoneType)
+        check_class("label_map", label_map, LabelMap, NoneType)
+        check_class("video", video, CarriedLabels, NoneType)
         if not 0 <= least_confidence <= 1:
             raise BadConfig(f"a confidence must be 0 to 1, found {least_confidence:g}")
         if camera.distortion is not None:
