@@ -48,12 +48,12 @@ def use_compiled() -> bool:
     if choice == "numpy":
         return False
     try:
-        required("numba", f"{VARIABLE}=compiled", "fast")
+        numba = required("numba", f"{VARIABLE}=compiled", "fast")
     except MissingLibrary:  # absent, or there and unfit for the NumPy that is installed
         if choice == "compiled":
             raise
         return False
-    return True
+    return not numba.config.DISABLE_JIT  # some loops call what only machine code has
 
 
 class NotYet(Exception):

@@ -320,6 +320,13 @@ def test_the_environment_chooses(choice: str | None, expected: bool, monkeypatch
 
 
 @pytest.mark.usefixtures("asked_anew")
+def test_where_numba_is_told_to_compile_nothing_the_plain_form_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """NUMBA_DISABLE_JIT, as for a debugger: some loops call what only machine code has."""
+    monkeypatch.setattr("numba.config.DISABLE_JIT", 1)
+    assert kernels.use_compiled() is False
+
+
+@pytest.mark.usefixtures("asked_anew")
 def test_an_unknown_choice_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(kernels.VARIABLE, "fast")
     with pytest.raises(BadConfig, match="BODYSEG_KERNELS .*found 'fast'"):
