@@ -3,7 +3,8 @@
 The parts of a glTF file are placed by their nodes, joined, and named by nodes and materials.
 """
 
-import re
+import json
+from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
@@ -26,6 +27,9 @@ from bodyseg_data.meshes.mesh_files import (
 )
 
 SCENE_SUFFIXES: Final = (".glb", ".gltf", ".stl")  # of mesh files that trimesh reads
+
+_DRACO: Final = "KHR_draco_mesh_compression"
+_UNREAD: Final = {_DRACO, "EXT_meshopt_compression", "EXT_mesh_gpu_instancing"}  # by trimesh
 
 
 def scene_stem(name: str) -> str | None:
@@ -51,12 +55,15 @@ def mesh_content(path: Path) -> MeshContent:
     if not path.name.lower().endswith(SCENE_SUFFIXES):
         return read_mesh_content(path)
     trimesh = required("trimesh", f"reading {path.suffix} files")
-    data = BytesIO(file_bytes(path, "mesh", LARGEST_BYTES, BadMesh))  # trimesh takes files of any size
+    data = file_bytes(path, "mesh", LARGEST_BYTES, BadMesh)  # trimesh takes files of any size
     beside = {uri: file_bytes(file, "mesh", LARGEST_BYTES, BadMesh) for uri, file in gltf_buffers(path).items()}
     try:
-        scene = trimesh.load(data, path.suffix[1:].lower(), beside, force="scene", process=False)
+        kind = "stl" if path.suffix.lower() == ".stl" else "gltf"
+        data, names = (data, {}) if kind == "stl" else _for_trimesh(data, beside, path)
+        scene = trimesh.load(BytesIO(data), kind, beside, force="scene", process=False)
         posed = [(node, *scene.graph[node]) for node in scene.graph.nodes_geometry]
-        parts = [(_file_name(node, scene), pose, scene.geometry[name]) for node, pose, name in posed]
+        # Of each of several primitives, trimesh makes a node: "NUMBER_" and some letters.
+        parts = [(names.get(node.split("_")[0], ""), pose, scene.geometry[name]) for node, pose, name in posed]
         return _joined([each for each in parts if len(getattr(each[2], "faces", ()))], path)
     except BadMesh:
         raise
@@ -65,10 +72,27 @@ def mesh_content(path: Path) -> MeshContent:
         raise BadMesh(f"{path} cannot be read by trimesh: {words[:200]}") from error
 
 
-def _file_name(node: str, scene: Any) -> str:
-    """A node's name in its file: for each of several primitives, trimesh makes one below it, named anew each time."""
-    parent: str = scene.graph.transforms.parents.get(node, "")
-    return parent if re.fullmatch(f"{re.escape(parent)}_[0-9a-f]{{6}}", node) else node
+def _for_trimesh(data: bytes, beside: dict[str, bytes], path: Path) -> tuple[bytes, dict[str, str]]:
+    """The text of a glTF file whose nodes have no names and no cameras, and number -> name: trimesh renames nodes of
+    one name, and leaves out a camera's with all below it. beside: buffers by URI; gets that of a binary file. Raises
+    BadMesh for geometry that trimesh would leave out or misplace.
+    """
+    begin, end = (20, 20 + int.from_bytes(data[12:16], "little")) if data[:4] == b"glTF" else (0, len(data))
+    tree = parse_json(data[begin:end], "its text")
+    if begin and tree.get("buffers"):
+        tree["buffers"][0]["uri"], beside["bin"] = "bin", data[end + 8 :]
+    primitives = [each for mesh in tree.get("meshes", ()) for each in mesh["primitives"]]
+    places = [tree["accessors"][each["attributes"]["POSITION"]] for each in primitives if each.get("mode", 4) > 3]
+    unread = _UNREAD.intersection(tree.get("extensionsRequired", ())) - ({_DRACO} if find_spec("DracoPy") else set())
+    unread |= {f"{key} positions" for each in places for key in ("sparse", "normalized") if each.get(key)}
+    unread |= {"triangle fans" for each in primitives if each.get("mode") == 6}
+    if unread:
+        raise BadMesh(f"{path}: geometry must be plain, found {', '.join(sorted(unread))}: export it without")
+    nodes = tree.get("nodes", ())
+    names = {str(at): node.pop("name", "") or str(at) for at, node in enumerate(nodes)}
+    for node in nodes:
+        node.pop("camera", None)
+    return json.dumps(tree).encode(), names
 
 
 def _joined(parts: list[tuple[str, NDArray[np.float64], Any]], path: Path) -> MeshContent:
@@ -80,8 +104,8 @@ def _joined(parts: list[tuple[str, NDArray[np.float64], Any]], path: Path) -> Me
     faces = np.concatenate([mesh.faces + start for (_, _, mesh), start in zip(parts, starts[:-1], strict=True)])
     check_arrays(str(path), vertices, faces)
     sizes = [len(mesh.faces) for _, _, mesh in parts]
-    colours = [mesh.visual.vertex_colors[:, :3] for _, _, mesh in parts if mesh.visual.kind == "vertex"]
-    channels: Any = np.concatenate(colours).T if len(colours) == len(parts) else ()
+    colours = [_colours(mesh.visual) for _, _, mesh in parts]
+    channels: Any = np.concatenate(colours).T if all(map(len, colours)) else ()
     materials = [getattr(getattr(mesh.visual, "material", None), "name", None) or "" for _, _, mesh in parts]
     return MeshContent(
         np.asarray(vertices, np.float64),
@@ -91,6 +115,12 @@ def _joined(parts: list[tuple[str, NDArray[np.float64], Any]], path: Path) -> Me
         names={
             kind: face_names(names, sizes)
             for kind, names in (("nodes", [node for node, _, _ in parts]), ("materials", materials))
-            if path.suffix.lower() != ".stl" and any(names)
+            if any(names)
         },
     )
+
+
+def _colours(visual: Any) -> Any:
+    """Colours of a part's vertices, uint8 [V, 3], () without. Beside a material, trimesh keeps the file's numbers."""
+    given = visual.vertex_colors if visual.kind == "vertex" else getattr(visual, "vertex_attributes", {}).get("color")
+    return () if given is None else required("trimesh", "colours").visual.color.to_rgba(given)[:, :3]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -156,29 +157,98 @@ def test_nodes_and_materials_of_gltf(tmp_path: Path) -> None:
     assert scene(tmp_path)[2] == ("steel base", "steel arm")
 
 
-def test_a_node_of_two_materials_is_one_name(tmp_path: Path) -> None:
-    """trimesh makes a node for each primitive, whose name is another whenever the file is read."""
+def gltf(nodes: list[dict[str, Any]], **more: Any) -> dict[str, Any]:
+    """The box as glTF, for nodes with the mesh 0. Accessors: vertices, and the corners of either half of it."""
     data = BOX.vertices.astype("<f4").tobytes() + BOX.faces.astype("<u4").tobytes()
-    halves = [{"attributes": {"POSITION": 0}, "indices": at, "material": at - 1} for at in (1, 2)]
     accessors = [{"bufferView": 1, "byteOffset": 72 * at, "componentType": 5125} for at in (0, 1)]
     views = [{"buffer": 0, "byteOffset": start, "byteLength": size} for start, size in ((0, 96), (96, 144))]
-    tree = {
+    below = {child for node in nodes for child in node.get("children", ())}
+    return {
         "asset": {"version": "2.0"},
-        "scenes": [{"nodes": [0, 1]}],
-        "nodes": [{"name": "arm", "mesh": 0}, {"name": "base", "mesh": 0, "translation": [0, 2, 0]}],
-        "meshes": [{"primitives": halves}],
-        "materials": [{"name": "steel"}, {"name": "rubber"}],
+        "scenes": [{"nodes": [at for at in range(len(nodes)) if at not in below]}],
+        "nodes": nodes,
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
         "accessors": [{"bufferView": 0, "componentType": 5126, "count": 8, "type": "VEC3"}]
         + [each | {"count": 18, "type": "SCALAR"} for each in accessors],
         "bufferViews": views,
         "buffers": [{"byteLength": 240, "uri": "data:;base64," + base64.b64encode(data).decode()}],
+        **more,
     }
+
+
+def test_a_node_of_two_materials_is_one_name(tmp_path: Path) -> None:
+    """trimesh makes a node for each primitive, whose name is another whenever the file is read."""
+    halves = [{"attributes": {"POSITION": 0}, "indices": at, "material": at - 1} for at in (1, 2)]
+    nodes = [{"name": "arm", "mesh": 0}, {"name": "base", "mesh": 0, "translation": [0, 2, 0]}]
+    tree = gltf(nodes, meshes=[{"primitives": halves}], materials=[{"name": "steel"}, {"name": "rubber"}])
     write(tmp_path / "a.gltf", tree)
     for _ in range(2):
         built, corners, names = scene(tmp_path)
         assert set(names) == {"arm", "base"}
         upper = built.mesh.vertices[built.mesh.faces][:, :, 1].min(axis=1) > 1.5
         assert [np.count_nonzero((corners[:, 0] == names.index("base")) & upper), np.count_nonzero(~upper)] == [12, 12]
+
+
+def binary(tree: dict[str, Any]) -> bytes:
+    """A glTF file in one piece."""
+    data = base64.b64decode(tree["buffers"][0].pop("uri").partition(",")[2])
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(data), b"BIN\0") + data
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+@pytest.mark.parametrize("suffix", ["gltf", "glb"])
+def test_nodes_of_gltf_keep_their_names_and_places(tmp_path: Path, suffix: str) -> None:
+    """Several may have one; trimesh has a node "world" of its own, and leaves out a camera's with all below it."""
+    nodes = [
+        {"name": "arm", "mesh": 0},
+        {"name": "arm", "mesh": 0, "translation": [0, 2, 0], "children": [2]},
+        {"name": "arm_abc123", "mesh": 0, "translation": [0, 2, 0]},
+        {"name": "world", "camera": 0, "mesh": 0, "translation": [0, 6, 0], "children": [4]},
+        {"mesh": 0, "translation": [0, 2, 0]},
+    ]
+    cameras = [{"type": "perspective", "perspective": {"yfov": 1.0, "znear": 0.1}}]
+    tree = gltf(nodes, cameras=cameras)
+    write(tmp_path / f"a.{suffix}", tree if suffix == "gltf" else binary(tree))
+    built, corners, names = scene(tmp_path)
+    at = built.mesh.vertices[built.mesh.faces][:, :, 1].min(axis=1) // 2 * 2
+    assert {names[label]: sorted({*at[corners[:, 0] == label].tolist()}) for label in range(len(names))} == {
+        "arm": [0, 2],
+        "arm_abc123": [4],
+        "world": [6],
+        "4": [8],
+    }
+
+
+def test_geometry_that_trimesh_leaves_out_or_misplaces_is_refused(tmp_path: Path) -> None:
+    def found(**more: Any) -> str:
+        write(tmp_path / "a.gltf", gltf([{"name": "arm", "mesh": 0}], **more))
+        return reason(tmp_path)
+
+    for name in ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "EXT_mesh_gpu_instancing"):
+        assert f"a.gltf: geometry must be plain, found {name}: export" in found(extensionsRequired=[name, "KHR_lights"])
+    vertices, *others = gltf([])["accessors"]
+    assert "found sparse positions" in found(accessors=[vertices | {"sparse": {"count": 1}}, *others])
+    assert "found normalized positions" in found(accessors=[vertices | {"normalized": True}, *others])
+    fan = {"attributes": {"POSITION": 0}, "indices": 1, "mode": 6}
+    assert "found triangle fans" in found(meshes=[{"primitives": [fan]}])
+
+
+@pytest.mark.parametrize("material", [False, True])
+def test_colours_of_gltf_with_a_table(tmp_path: Path, material: bool) -> None:
+    """Blender writes them beside a material, as 16 bits."""
+    red = np.where(UPPER, 65535, 0)
+    data = np.stack([red, 0 * red, 65535 - red, 0 * red + 65535], axis=1).astype("<u2").tobytes()
+    part = {"attributes": {"POSITION": 0, "COLOR_0": 3}, "indices": 1, **({"material": 0} if material else {})}
+    tree = gltf([{"name": "arm", "mesh": 0}], meshes=[{"primitives": [part]}], materials=[{"name": "steel"}])
+    tree["accessors"].append({"bufferView": 2, "componentType": 5123, "normalized": True, "count": 8, "type": "VEC4"})
+    tree["bufferViews"].append({"buffer": 1, "byteOffset": 0, "byteLength": 64})
+    tree["buffers"].append({"byteLength": 64, "uri": "data:;base64," + base64.b64encode(data).decode()})
+    write(tmp_path / "a.gltf", tree)
+    table = [{"name": "low", "colour": "#0000ff"}, {"name": "high", "colour": "#ff0000"}]
+    write(tmp_path / "classes.json", {"labels": "colours", "classes": table})
+    assert np.array_equal(scene(tmp_path)[1], UPPER[BOX.faces][:6])
 
 
 def test_buffers_of_gltf_lie_where_it_says_and_are_in_the_digest(tmp_path: Path) -> None:
