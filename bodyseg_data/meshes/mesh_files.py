@@ -370,7 +370,10 @@ def _read_obj(data: bytes) -> _Parsed:
     polygons: Polygons = []
     colours: Vertices = []
     names: dict[str, list[tuple[int, str]]] = {}
-    text = data.decode("latin-1")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:  # names of a program that writes one byte a letter
+        text = data.decode("latin-1")
     if "\\" in text:  # continued lines become one, numbered as the last of them
         text = re.sub(r"\\[ \t]*\r?\n", " ", text)
     for number, line in enumerate(text.split("\n"), 1):
@@ -380,6 +383,8 @@ def _read_obj(data: bytes) -> _Parsed:
                 names.setdefault(OBJ_NAMES[kind], []).append((len(polygons), " ".join(words)))
             continue
         try:
+            if "#" in line:
+                words = line.partition("#")[0].split()[1:]
             if len(words) < 3:
                 raise ValueError(f"three numbers must follow {kind!r}, found {len(words)}")
             if kind == "v":

@@ -157,6 +157,22 @@ def test_nodes_and_materials_of_gltf(tmp_path: Path) -> None:
     assert scene(tmp_path)[2] == ("steel base", "steel arm")
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "latin-1"])
+def test_names_in_obj_are_text_in_any_encoding(tmp_path: Path, encoding: str) -> None:
+    vertices, faces = BOX_OBJ.decode().splitlines()[:8], BOX_OBJ.decode().splitlines()[8:]
+    write(tmp_path / "a.obj", "\n".join([*vertices, "g tête à", *faces[:6], "g Fuß", *faces[6:]]).encode(encoding))
+    built, _, names = scene(tmp_path)
+    assert names == ("tête à", "Fuß")
+    assert np.array_equal(built.mesh.vertices[built.mesh.faces], BOX.vertices[BOX.faces])
+
+
+def test_comments_end_lines_of_obj(tmp_path: Path) -> None:
+    lines = [f"{line} # number 1 of many" for line in BOX_OBJ.decode().splitlines()]
+    write(tmp_path / "a.obj", "\n".join(["g box", *lines]))
+    built, _, names = scene(tmp_path)
+    assert names == ("box",) and np.array_equal(built.mesh.vertices[built.mesh.faces], BOX.vertices[BOX.faces])
+
+
 def gltf(nodes: list[dict[str, Any]], **more: Any) -> dict[str, Any]:
     """The box as glTF, for nodes with the mesh 0. Accessors: vertices, and the corners of either half of it."""
     data = BOX.vertices.astype("<f4").tobytes() + BOX.faces.astype("<u4").tobytes()
