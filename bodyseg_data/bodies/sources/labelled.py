@@ -203,7 +203,9 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
             raise BadConfig(f"{path}: 'meshes' must be a list of objects, each with a 'mesh'")
         table = Table(tree, str(path))
         centre = np.array(table.numbers("centre_m", 3)) if "centre_m" in table else None
-        own = {name: table.text(name) for name in ("subject", "pose", "split") if name in table}
+        # A scene.json right in the folder of a split is named as the folder, which for other meshes is no split.
+        own = {"split": "test"} if path.relative_to(self._folder).parts[0].lower() == "test" else {}
+        own |= {name: table.text(name) for name in ("subject", "pose", "split") if name in table}
         table.finish()
         check_choice(f"{path}: 'split'", own.get("split", "train"), SPLITS)
         pieces = tuple(self._piece(Table(row, f"{path}, mesh {at}"), path) for at, row in enumerate(rows))

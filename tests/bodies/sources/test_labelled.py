@@ -429,6 +429,13 @@ def test_a_scene_places_its_meshes(tmp_path: Path) -> None:
         assert why in reason(tmp_path)
 
 
+def test_a_scene_file_right_in_the_folder_of_a_split_is_of_that_split(tmp_path: Path) -> None:
+    tree = {"format": "bodyseg scene 1", "meshes": [{"mesh": "../box.obj", "class": "box"}]}
+    for name, more in (("train", {}), ("Test", {}), ("test", {"split": "train"})):
+        write(tmp_path / name / "scene.json", {**tree, **more})
+    assert [body.split for body in open_source("labelled", tmp_path).bodies()] == ["test", "train", "train"]
+
+
 @pytest.mark.parametrize("name", ["scene", "cell.scene"])
 def test_a_scene_file_beside_a_mesh_of_its_name_holds_no_labels(tmp_path: Path, name: str) -> None:
     write(tmp_path / "classes.json", {"classes": ["lower", "upper"]})
