@@ -20,11 +20,8 @@ from bodyseg_data.files import read_json, refuse_special
 from bodyseg_data.labels import BACKGROUND, UNLABELLED, Classes, classes_from_json
 from bodyseg_data.meshes import MeshContent
 
-LABEL_PROPERTIES: Final = tuple(
-    f"{prefix}{name}"
-    for prefix in ("", "scalar_")
-    for name in ("label", "labels", "class", "class_id", "classification", "category", "category_id", "semantic")
-)
+_NAMES: Final = "label", "labels", "class", "class_id", "classification", "category", "category_id", "semantic"
+LABEL_PROPERTIES: Final = (*_NAMES, *(f"scalar_{name}" for name in _NAMES))
 """Properties of a PLY file that hold labels, in lower case; of several, the first."""
 
 NO_CLASS: Final = (-1, UNLABELLED, BACKGROUND)
@@ -155,7 +152,7 @@ def labels_of_numbers(
 
 def _at_corners(numbers: NDArray[np.int64], content: MeshContent, where: str, of: str) -> NDArray[np.int64]:
     """Numbers of vertices or polygons at the corners of triangles, [F, 3]."""
-    vertices, polygons, triangles = len(content.vertices), content.polygons, len(content.faces)
+    vertices, polygons, triangles = len(content.vertices), int(content.polygon[-1]) + 1, len(content.faces)
     counts = {"vertices": (vertices,), "faces": (polygons, triangles)}
     fits = [kind for kind, sizes in counts.items() if len(numbers) in sizes and of in ("", kind)]
     if not fits:

@@ -81,20 +81,15 @@ class MeshContent:
     of_polygons: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     names: Mapping[str, FaceNames] = field(default_factory=dict)
 
-    @property
-    def polygons(self) -> int:
-        """Number of polygons."""
-        return int(self.polygon[-1]) + 1
-
 
 @dataclass
 class _Parsed:
-    """Content of a file: vertices, polygons, and what it says of them: kind and column of numbers, and names."""
+    """Content of a file: vertices, polygons, and what it says of them: numbers, and names."""
 
     vertices: Any = ()
     polygons: Any = ()
-    of_vertices: dict[str, Any] = field(default_factory=dict)
-    of_polygons: dict[str, Any] = field(default_factory=dict)
+    of_vertices: dict[str, NDArray[Any]] = field(default_factory=dict)
+    of_polygons: dict[str, NDArray[Any]] = field(default_factory=dict)
     names: dict[str, list[tuple[int, str]]] = field(default_factory=dict)  # kind -> first polygon, name
 
     def named(self, kind: str) -> FaceNames:
@@ -129,10 +124,12 @@ class _Element:
     def has_lists(self) -> bool:
         return any(prop.length is not None for prop in self.properties)
 
-    def numbers(self, columns: Sequence[Any]) -> dict[str, Any]:
-        """Kind and column of the properties that are no lists, by name in lower case."""
-        pairs = zip(self.properties, columns, strict=True)
-        return {each.name.lower(): (each.kind, column) for each, column in pairs if each.length is None}
+    def numbers(self, columns: Sequence[Any]) -> dict[str, NDArray[Any]]:
+        """The properties that are no lists, by name in lower case; of a text, all were read as fractions."""
+        pairs = [
+            (each, np.ravel(column)) for each, column in zip(self.properties, columns, strict=True) if not each.length
+        ]
+        return {each.name.lower(): column if each.kind[0] == "f" else column.astype(np.int64) for each, column in pairs}
 
     def truncated(self, found: int) -> BadMesh:
         return BadMesh(f"the header announces {self.count} rows of {self.name!r}, the file ends after {found}")
@@ -304,16 +301,10 @@ def read_mesh_content(path: Path) -> MeshContent:
         vertices,
         faces,
         np.repeat(np.arange(len(sizes)), sizes),
-        {name: _numbers(*each) for name, each in parsed.of_vertices.items()},
-        {name: _numbers(*each) for name, each in parsed.of_polygons.items()},
+        parsed.of_vertices,
+        parsed.of_polygons,
         {kind: parsed.named(kind) for kind in parsed.names},
     )
-
-
-def _numbers(kind: str, column: Any) -> NDArray[Any]:
-    """A column of a PLY file as numbers; of a text, they were read as fractions, whatever their kind."""
-    values = np.ravel(column)
-    return values if kind[0] == "f" else values.astype(np.int64)
 
 
 def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32], _Parsed]:
@@ -395,9 +386,8 @@ def _read_obj(data: bytes) -> _Parsed:
                 polygons.append([_from_one(int(word.partition("/")[0]), len(vertices)) for word in words])
         except ValueError as error:
             raise BadMesh(f"line {number} is not OBJ: {error}") from error
-    channels = zip(("red", "green", "blue"), zip(*colours, strict=True), strict=False)
-    of_vertices = {name: ("f8", values) for name, values in channels} if len(colours) == len(vertices) else {}
-    return _Parsed(vertices, polygons, of_vertices, names=names)
+    channels = dict(zip(("red", "green", "blue"), np.array(colours).T, strict=False))
+    return _Parsed(vertices, polygons, channels if len(colours) == len(vertices) else {}, names=names)
 
 
 def _from_one(index: int, count: int) -> int:

@@ -79,10 +79,8 @@ class OwnThings(NamedTuple):
             low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
             size_m, (least_m, most_m) = float((high - low).max()), _OWN_M
             if not least_m <= size_m <= most_m:
-                raise BadMesh(
-                    f"{file}: a thing of rooms must be {least_m:g} to {most_m:g} m large, found {size_m:.4g} m; "
-                    "--units gives the unit of its file"
-                )
+                rule = f"a thing of rooms must be {least_m:g} to {most_m:g} m large"
+                raise BadMesh(f"{file}: {rule}, found {size_m:.4g} m; --units gives the unit of its file")
             if len(mesh.faces) > _OWN_FACES:
                 raise BadMesh(f"{file}: a thing of rooms may have {_OWN_FACES} triangles, found {len(mesh.faces)}")
             base = (low + high) / 2 * (1, 0, 1) + low * (0, 1, 0)
