@@ -89,10 +89,8 @@ def metres_a_unit(surface: NDArray[np.float64], units: Units, where: str) -> flo
     fitting = [unit for unit in METRES if low <= extent * METRES[unit] <= high]
     if units != "auto":
         if units not in fitting:
-            raise BadMesh(
-                f"{where}: a body must be {low} to {high} m at its largest, found {shown} {units}"
-                + (f", which would fit in {' or '.join(fitting)}" if fitting else "")
-            )
+            fits = f", which would fit in {' or '.join(fitting)}" if fitting else ""
+            raise BadMesh(f"{where}: a body must be {low} to {high} m at its largest, found {shown} {units}{fits}")
         return METRES[units]
     if len(fitting) == 1 and fitting[0] in _FOUND_BY_SIZE:
         return METRES[fitting[0]]

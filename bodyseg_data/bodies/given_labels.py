@@ -209,11 +209,9 @@ def labels_from_file(path: Path, content: MeshContent, table: Mapping[int, str])
     if isinstance(given, list) and given and all(isinstance(each, str) for each in given):
         place = {name: at for at, name in enumerate(dict.fromkeys(given))}
         table, given = dict(enumerate(place)), [place[name] for name in given]
-    if not isinstance(given, np.ndarray):
-        if not isinstance(given, list) or {*map(type, given)} != {int}:
-            raise BadMesh(f"{path}: labels must be lists of vertices by name, or one list of numbers or of names")
-        given = np.array(given)
-    return labels_of_numbers(given, content, table, str(path), of)
+    if not isinstance(given, np.ndarray) and (not isinstance(given, list) or {*map(type, given)} != {int}):
+        raise BadMesh(f"{path}: labels must be lists of vertices by name, or one list of numbers or of names")
+    return labels_of_numbers(np.asarray(given), content, table, str(path), of)
 
 
 def file_labels(content: MeshContent, wanted: str | None, table: ClassTable, where: str) -> NamedCorners:

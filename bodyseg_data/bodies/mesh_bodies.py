@@ -274,11 +274,8 @@ def _snapped(surface: Surface, name: str, path: Path, landmarks: PointLandmarks,
         mesh = _mesh(name, *repair(name, *surface), path)
     landmarks, unit_notes = _in_millimetres(landmarks, mesh.surface_vertices)
     snapped = landmarks.for_mesh(mesh)
-    return Body(
-        mesh,
-        snapped.vertices,
-        (*notes, *unit_notes, *snapped.notes, _farthest(snapped.distance_m), *_ignored(landmarks)),
-    )
+    notes += [*unit_notes, *snapped.notes, _farthest(snapped.distance_m), *_ignored(landmarks)]
+    return Body(mesh, snapped.vertices, tuple(notes))
 
 
 def _ignored(landmarks: LandmarkSet | PointLandmarks) -> tuple[str, ...]:

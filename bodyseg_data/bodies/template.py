@@ -192,9 +192,7 @@ def _numbers(path: str, template: Template, where: str) -> NDArray[np.int64]:
         given = np.load(path, mmap_mode="r", allow_pickle=False)
     points, vertices = len(template.points), len(template.vertices)
     if given.shape not in ((points,), (vertices,)) or given.dtype.kind not in "iu":
-        raise BadConfig(
-            f"{where}: {path} must hold a whole number for each of {points} points of the template or of Anny's "
-            f"{vertices} vertices, found {given.dtype} {given.shape}"
-        )
+        rule = f"a whole number for each of {points} points of the template or of Anny's {vertices} vertices"
+        raise BadConfig(f"{where}: {path} must hold {rule}, found {given.dtype} {given.shape}")
     numbers = np.asarray(given, np.int64)
     return numbers if len(numbers) == points else numbers[template.corners]

@@ -139,9 +139,7 @@ def run(options: Options) -> int:
         return 0
     out = _needed_out(options)
     if options.on_error == "skip" and options.skip_budget is None:
-        raise BadConfig(
-            "--on-error skip needs --skip-budget: the number of meshes that may be left out, or their share"
-        )
+        raise BadConfig("--on-error skip needs --skip-budget: the number of meshes that may be left out, or a share")
     on_faults = OnFaults(options.on_error, options.skip_budget)
     _warn_about_source(packing)
 
@@ -243,12 +241,10 @@ def _warn_about_source(packing: Packing) -> None:
             f"{', '.join(runs[:3])}{more}\n"
         )
     bodies = packing.bodies()
-    splits = sorted({body.split for body in bodies})
+    splits = {body.split for body in bodies}
     if packing.path is not None and len(splits) == 1:
-        (lacking,) = set(SPLITS) - set(splits)
-        sys.stderr.write(
-            f"bodyseg shard: note: all {len(bodies)} meshes are of the split {splits[0]}, none is of {lacking}\n"
-        )
+        (split,), (lacking,), count = splits, set(SPLITS) - splits, len(bodies)
+        sys.stderr.write(f"bodyseg shard: note: all {count} meshes are of the split {split}, none is of {lacking}\n")
 
 
 def _warn_about_empty(manifest: Manifest, out: Path) -> None:

@@ -297,14 +297,8 @@ def read_mesh_content(path: Path) -> MeshContent:
     """Read a mesh file with all in which labels may stand. Raises BadMesh, as `read_mesh` does."""
     vertices, faces, parsed = _read(path)
     sizes = [len(polygon) - 2 for polygon in parsed.polygons]
-    return MeshContent(
-        vertices,
-        faces,
-        np.repeat(np.arange(len(sizes)), sizes),
-        parsed.of_vertices,
-        parsed.of_polygons,
-        {kind: parsed.named(kind) for kind in parsed.names},
-    )
+    polygon, names = np.repeat(np.arange(len(sizes)), sizes), {kind: parsed.named(kind) for kind in parsed.names}
+    return MeshContent(vertices, faces, polygon, parsed.of_vertices, parsed.of_polygons, names)
 
 
 def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32], _Parsed]:

@@ -214,11 +214,12 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
         return body_ref(self.name, inside if inside.parts else Path("scene"), own), _SceneFiles(path, pieces, centre)
 
     def _piece(self, row: Table, path: Path) -> _Piece:
+        for either, other in (("class", "labels"), ("pose", "position_m")):
+            if either in row and other in row:
+                raise BadConfig(f"{row.where}: a mesh has one {either!r} or {other!r}, found both")
         mesh = Path(normpath(path.parent / row.text("mesh")))
         label = row.text("class") if "class" in row else None
         labels: Path | str | None = row.text("labels") if "labels" in row else None
-        if label is not None and labels is not None:
-            raise BadConfig(f"{row.where}: a mesh has one 'class' or 'labels', found both")
         if isinstance(labels, str) and labels.lower().endswith((".json", ".npy")):
             labels = path.parent / labels
         elif labels is None and label is None:
@@ -226,8 +227,6 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
         metres, pose = self._metres, np.eye(4)
         if "units" in row:
             metres = METRES[check_choice(f"{row.where}: 'units'", row.text("units"), METRES)]
-        if "pose" in row and "position_m" in row:
-            raise BadConfig(f"{row.where}: a mesh has one 'pose' or 'position_m', found both")
         if "position_m" in row:
             pose[:3, 3] = row.numbers("position_m", 3)
         if "pose" in row:
