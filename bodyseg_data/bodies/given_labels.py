@@ -72,14 +72,14 @@ class ClassTable:
     def knows(self, name: str) -> bool:
         """True if classes.json says of which class a name is, or that it is of none."""
         of_class = self.classes is not None and name in self.classes.names
-        return of_class or any(fnmatchcase(name, pattern) for pattern, _ in self._also)
+        return of_class or any(fnmatchcase(name, pattern.replace("[", "[[]")) for pattern, _ in self._also)
 
     def class_of(self, name: str, where: str) -> str | None:
         """The class that a name stands for, None for none. Raises BadMesh for one that classes.json does not know."""
         if self.classes is None or name in self.classes.names:
             return name
         for pattern, found in self._also:
-            if fnmatchcase(name, pattern):
+            if fnmatchcase(name, pattern.replace("[", "[[]")):
                 return found
         raise BadMesh(f"{where}: {name!r} is no class of {self.path}, and neither in 'also' nor in 'unlabelled'")
 

@@ -173,6 +173,14 @@ def test_comments_end_lines_of_obj(tmp_path: Path) -> None:
     assert names == ("box",) and np.array_equal(built.mesh.vertices[built.mesh.faces], BOX.vertices[BOX.faces])
 
 
+def test_brackets_in_names_stand_for_themselves(tmp_path: Path) -> None:
+    """CAD programs number copies so; a star alone stands for any letters."""
+    write(tmp_path / "a.obj", named_faces("g").replace(b"part 0", b"bolt[10]").replace(b"part 1", b"bolt[2]"))
+    classes = [{"name": "bolt", "also": ["bolt[*]"]}, "part 3"]
+    write(tmp_path / "classes.json", {"classes": classes, "unlabelled": ["part 2"]})
+    assert scene(tmp_path)[1][:, 0].tolist() == [0] * 6 + [255] * 3 + [1] * 3
+
+
 def gltf(nodes: list[dict[str, Any]], **more: Any) -> dict[str, Any]:
     """The box as glTF, for nodes with the mesh 0. Accessors: vertices, and the corners of either half of it."""
     data = BOX.vertices.astype("<f4").tobytes() + BOX.faces.astype("<u4").tobytes()
