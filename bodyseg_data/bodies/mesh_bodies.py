@@ -97,8 +97,9 @@ def meshes_in(folder: Path) -> dict[str, Path]:
 
 
 def landmark_file(folders: Sequence[Path], stem: str) -> Path | None:
-    """Return the first of STEM.json, STEM.lnd and STEM.lnd.gz in the first folder that holds one, or None."""
-    files = (folder / f"{stem}{suffix}" for folder in folders for suffix in LANDMARK_SUFFIXES)
+    """Return the first of STEM.json, STEM.lnd, STEM.lnd.gz and STEM.JSON ... in the first folder with one, or None."""
+    suffixes = (*LANDMARK_SUFFIXES, *map(str.upper, LANDMARK_SUFFIXES))
+    files = (folder / f"{stem}{suffix}" for folder in folders for suffix in suffixes)
     return next((file for file in files if file.is_file()), None)
 
 

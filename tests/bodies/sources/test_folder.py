@@ -53,7 +53,7 @@ def test_subjects_meshes_and_splits(tmp_path: Path) -> None:
     ]
 
 
-@pytest.mark.parametrize("kind", ["json", "lnd", "lnd.gz", "points"])
+@pytest.mark.parametrize("kind", ["json", "lnd", "lnd.gz", "points", "LND"])
 def test_a_mesh_has_its_own_landmarks_or_those_of_a_folder_above(tmp_path: Path, kind: str) -> None:
     reversed_vertices = (*VERTICES[:4], VERTICES[5], VERTICES[4], *VERTICES[6:])  # two swapped, to tell files apart
     points = PERSON.vertices[list(VERTICES)]
