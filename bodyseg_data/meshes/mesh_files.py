@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.core import BadMesh, BodysegError, reported
 from bodyseg_data.files import contents
-from bodyseg_data.meshes.mesh import check_arrays
+from bodyseg_data.meshes.mesh import check_arrays, face_normals
 
 _TYPES: Final = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
@@ -44,6 +44,8 @@ MESH_SUFFIXES: Final = (".ply", ".obj", ".off", ".ply.gz", ".obj.gz", ".off.gz")
 
 LARGEST_BYTES: Final = 1 << 28
 """Largest size of a mesh file, also after unpacking: a scan of a million triangles has a tenth of it."""
+
+_FOLD: Final = 1e-6  # share of a polygon's area; less is rounding
 
 _OFF_HEADER: Final = re.compile(r"(?:ST)?C?N?OFF\b|OFF(?=\d)")
 
@@ -91,6 +93,11 @@ class _Parsed:
     of_vertices: dict[str, NDArray[Any]] = field(default_factory=dict)
     of_polygons: dict[str, NDArray[Any]] = field(default_factory=dict)
     names: dict[str, list[tuple[int, str]]] = field(default_factory=dict)  # kind -> first polygon, name
+
+    def of_triangles(self) -> Faces:
+        """Of which polygon each triangle is a part, [F]."""
+        sizes = [len(polygon) - 2 for polygon in self.polygons]
+        return np.repeat(np.arange(len(sizes)), sizes)
 
     def named(self, kind: str) -> FaceNames:
         starts, names = zip(*self.names[kind], strict=True)
@@ -283,10 +290,46 @@ def _triangles(polygons: Any) -> Faces:
         return np.array(triangles, np.int64).reshape(-1, 3)
 
 
+def _unfolded(vertices: NDArray[np.float64], faces: Faces, polygon: Faces) -> Faces:
+    """The triangles [F, 3] of polygons, with ears cut off where a fan folds, as that of an L or of a wall with a door.
+
+    polygon: int64 [F], of which polygon each triangle is a part.
+    """
+    normals = face_normals(vertices, faces)
+    whole = np.stack([np.bincount(polygon, axis) for axis in normals.T], axis=1)
+    against = -np.einsum("ij,ij->i", normals, whole[polygon])
+    for number in np.unique(polygon[against > _FOLD * (whole**2).sum(axis=1)[polygon]]).tolist():
+        rows = slice(*np.searchsorted(polygon, [number, number + 1]))
+        corners = np.array([faces[rows.start, 0], *faces[rows, 1], faces[rows.stop - 1, 2]])
+        axis = int(np.abs(whole[number]).argmax())
+        seen = vertices[corners][:, [(axis + 1) % 3, (axis + 2) % 3]]
+        faces[rows] = corners[_ears((seen if whole[number, axis] > 0 else seen[:, ::-1]).tolist())]
+    return faces
+
+
+def _ears(points: list[list[float]]) -> list[tuple[int, int, int]]:
+    """Cut a polygon, points [x, y] anticlockwise, into triangles (Meisters, Polygons have ears, 1975)."""
+
+    def area(a: int, b: int, c: int) -> float:
+        (x, y), (bx, by), (cx, cy) = points[a], points[b], points[c]
+        return (bx - x) * (cy - y) - (by - y) * (cx - x)
+
+    ring, ears = list(range(len(points))), []
+    while len(ring) > 2:
+        for at in range(len(ring)):
+            a, b, c = ring[at - 1], ring[at], ring[(at + 1) % len(ring)]
+            if area(a, b, c) > 0 and all(min(area(a, b, p), area(b, c, p), area(c, a, p)) <= 0 for p in ring):
+                break
+        ears.append((a, b, c))  # where rounding leaves none, the last three
+        del ring[at]
+    return ears
+
+
 def read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Read vertices float64 [V, 3] and triangles int32 [F, 3], both in the file's order, units and axes.
 
-    Polygons become fans about their first corner. Colours, normals and textures are ignored.
+    Polygons become fans about their first corner, or other triangles where these would lie outside. Colours, normals
+    and textures are ignored.
     Raises BadMesh, naming the file and, for text, the line, for a file that cannot be read, is truncated, is larger
     than `LARGEST_BYTES`, has no vertices or faces, or has faces with missing or non-finite vertices.
     """
@@ -296,9 +339,8 @@ def read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
 def read_mesh_content(path: Path) -> MeshContent:
     """Read a mesh file with all in which labels may stand. Raises BadMesh, as `read_mesh` does."""
     vertices, faces, parsed = _read(path)
-    sizes = [len(polygon) - 2 for polygon in parsed.polygons]
-    polygon, names = np.repeat(np.arange(len(sizes)), sizes), {kind: parsed.named(kind) for kind in parsed.names}
-    return MeshContent(vertices, faces, polygon, parsed.of_vertices, parsed.of_polygons, names)
+    names = {kind: parsed.named(kind) for kind in parsed.names}
+    return MeshContent(vertices, faces, parsed.of_triangles(), parsed.of_vertices, parsed.of_polygons, names)
 
 
 def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32], _Parsed]:
@@ -311,6 +353,8 @@ def _read(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32], _Parsed]:
         parsed = {"ply": _read_ply, "obj": _read_obj, "off": _read_off}[form](data)
         vertices, faces = np.array(parsed.vertices, np.float64).reshape(-1, 3), _triangles(parsed.polygons)
     check_arrays(str(path), vertices, faces, check_unused=False)
+    if len(faces) > len(parsed.polygons):
+        faces = _unfolded(vertices, faces, parsed.of_triangles())
     return vertices, faces.astype(np.int32), parsed
 
 
