@@ -45,10 +45,6 @@ class Alignment:
         placed: NDArray[np.float64] = points[:, from_axis] * (self.scale * self.rotation.sum(axis=1))
         return placed
 
-    def __str__(self) -> str:
-        """Return scale and rotation as text, for digests."""
-        return f"{self.scale!r} {self.rotation.astype(int).tolist()}"
-
 
 def find_alignment(
     surface: NDArray[np.float64], landmarks: NDArray[np.float64], units: Units, up: UpAxis, where: str

@@ -138,7 +138,8 @@ class MeshBodies(ListedBodies[MeshFile]):
         digest = hashlib.sha256(repr((self._options.units, self._options.up)).encode())
         for group in dict.fromkeys(self._entries[body].group for body in bodies):
             if group is not None:
-                digest.update(str(self._group_alignment(group)[0]).encode())
+                alignment = self._group_alignment(group)[0]
+                digest.update(f"{alignment.scale!r} {alignment.rotation.astype(int).tolist()}".encode())
         for body in bodies:
             landmarks = self._landmarks(body)
             points = landmarks.vertices if isinstance(landmarks, LandmarkSet) else landmarks.points.tolist()
@@ -213,7 +214,9 @@ class MeshBodies(ListedBodies[MeshFile]):
         scale = metres_a_unit(_used(surface), self._options.units, str(file.path))
         mesh = _mesh(body.mesh, surface[0] * scale, surface[1], file.path)
         points, unit_notes = _in_millimetres(points, mesh.surface_vertices)
-        landmarks, snapped = points.to_landmark_set(mesh, f"meshes numbered like {file.path.name}")
+        snapped, like = points.for_mesh(mesh), f"meshes numbered like {file.path.name}"
+        counts, found = (len(mesh.vertices), len(mesh.faces)), tuple(snapped.vertices.tolist())
+        landmarks = LandmarkSet(points.source, like, *counts, found, points.ignored)
         self._notes[source] = (*unit_notes, *snapped.notes, f"{_farthest(snapped.distance_m)} on {file.path.name}")
         return landmarks
 

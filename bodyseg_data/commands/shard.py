@@ -113,10 +113,7 @@ class Options:
 
     def packing(self) -> Packing:
         """Return the options as a `Packing`. Raises BadConfig."""
-        pitch, roll, height = (
-            parse_choice(words, flag)
-            for words, flag in ((self.pitch, "--pitch"), (self.roll, "--roll"), (self.height, "--height"))
-        )
+        pitch, roll, height = (parse_choice(getattr(self, at), f"--{at}") for at in ("pitch", "roll", "height"))
         views = ViewGrid(self.distances, self.azimuths, self.azimuth_span, self.views, pitch, roll, height)
         given: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(Packing)}
         path, landmarks = (each and each.absolute() for each in (self.path, self.landmarks))  # for workers elsewhere
@@ -151,9 +148,8 @@ def run(options: Options) -> int:
         return 0
     except FaultyMeshes as error:
         sys.stderr.write("".join(f"{one_line(line)}\n" for line in error.lines()))
-        hint = "--on-error skip --skip-budget N leaves them out"
-        if options.on_error == "skip":
-            hint = "--skip-budget says how many may be left out"
+        more = "--skip-budget says how many may be left out"
+        hint = more if options.on_error == "skip" else "--on-error skip --skip-budget N leaves them out"
         raise BadMesh(f"{error.problem}, for the reasons above; {hint}") from error
 
 

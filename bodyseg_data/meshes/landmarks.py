@@ -1,18 +1,10 @@
 """The 33 landmarks of bodies: by vertex, for all meshes of one topology, or by coordinate, for one body.
 
-Both are read from JSON files:
+docs/how-to/landmarks.md has the formats of both. Two landmarks may share a vertex, as where hands touch (`coincident`).
+Points lie near a surface, onto which they are projected.
 
-    {"format": "bodyseg landmarks 1", "topology": "<which meshes, in words>", "vertex_count": 13718,
-     "face_count": 27420, "landmarks": {"Sellion": 132, ..., "Lt. Digit II": 13101}}
-    {"format": "bodyseg landmarks 1", "units": "mm", "points": {"Sellion": [12.1, 1630.0, 98.4], ...}}
-
-with each of the 33 names of `LANDMARKS` once, in any order, and vertex indices from 0; other names are ignored. Two
-landmarks may share a vertex, as where hands touch (`coincident`). Meshes with the same vertex order, whatever their
-pose and shape, share one set. Points lie near a surface, onto which they are projected.
-
-A .lnd file of the CAESAR survey holds rows of numbers and names, typed by hand, some names truncated.
-The rows stand between a line that begins with "AUX =" and one that begins with "END =". Each holds some numbers, the
-last three of which are x, y, z in millimetres, and a name, which may hold blanks or begin with a digit:
+A .lnd file of the CAESAR survey holds rows of numbers and names, typed by hand, some names truncated, which may hold
+blanks or begin with a digit:
 
     3  0  0  1   12.3  -101.2  1544.0  Rt. Thelion/Bustpoin
 
@@ -208,16 +200,6 @@ class PointLandmarks:
             stray = int(np.flatnonzero(piece != body)[0])
             raise BadLandmarks(f"{where}: landmarks must lie on one piece, found {LANDMARKS[stray]!r} on another")
         return SnappedLandmarks(vertices, distance, notes)
-
-    def to_landmark_set(self, mesh: Mesh, topology: str) -> tuple[LandmarkSet, SnappedLandmarks]:
-        """Convert to landmarks by vertex, for all meshes with the vertex order of `mesh`; also returns the projection.
-
-        topology: description of those meshes. Raises the errors of `for_mesh`.
-        """
-        snapped = self.for_mesh(mesh)
-        counts = len(mesh.vertices), len(mesh.faces)
-        vertices = tuple(snapped.vertices.tolist())
-        return LandmarkSet(self.source, topology, *counts, vertices, self.ignored), snapped
 
 
 def parse_points(text: str | bytes, source: str) -> PointLandmarks:

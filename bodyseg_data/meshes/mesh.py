@@ -119,19 +119,15 @@ class Mesh:
         vertices: Floats = np.asarray(self.vertices, np.float64)
         faces: NDArray[Any] = np.asarray(self.faces)
         check_arrays(f"mesh {self.name}", vertices, faces)
-        self._check_extent(vertices, faces)
+        extent, (low, high) = float(np.ptp(vertices[np.unique(faces)], axis=0).max()), self._range_m
+        if not low <= extent <= high:
+            rule = f"a {self._kind} must be {low:g} to {high:g} m at its largest"
+            raise BadMesh(f"mesh {self.name}: {rule}, found {extent:.3g} m{self._remedy}")
         for field, array in (("vertices", vertices), ("faces", faces.astype(np.int32))):
             frozen = np.ascontiguousarray(array).copy()
             frozen.flags.writeable = False
             object.__setattr__(self, field, frozen)
         self._check_orientation()
-
-    def _check_extent(self, vertices: Floats, faces: NDArray[Any]) -> None:
-        extent = float(np.ptp(vertices[np.unique(faces)], axis=0).max())
-        low, high = self._range_m
-        if not low <= extent <= high:
-            rule = f"a {self._kind} must be {low:g} to {high:g} m at its largest"
-            raise BadMesh(f"mesh {self.name}: {rule}, found {extent:.3g} m{self._remedy}")
 
     def _check_orientation(self) -> None:
         """Raise BadMesh unless neighbours agree and the whole and each closed piece enclose a positive volume.

@@ -90,8 +90,7 @@ def partition(
     any other piece gets the label of the nearest labelled triangle, of that triangle's corner nearest to it.
 
     Raises BadLandmarks for landmarks that are not 33 vertices at distinct points of the surface or pieces that are not
-    over the body, BadConfig for an unknown method, MissingLibrary without pygeodesic, scipy, trimesh or
-    rtree.
+    over the body, BadConfig for an unknown method, MissingLibrary without pygeodesic, scipy, trimesh or rtree.
     """
     landmarks = _checked_landmarks(mesh, landmarks, names)
     mended = mend(mesh.vertices, mesh.faces)

@@ -106,15 +106,11 @@ def _joined(parts: list[tuple[str, NDArray[np.float64], Any]], path: Path) -> Me
     sizes = [len(mesh.faces) for _, _, mesh in parts]
     colours = [_colours(mesh.visual) for _, _, mesh in parts]
     channels: Any = np.concatenate(colours).T if all(map(len, colours)) else ()
+    numbers = dict(zip(("red", "green", "blue"), channels, strict=False))
     materials = [getattr(getattr(mesh.visual, "material", None), "name", None) or "" for _, _, mesh in parts]
     named = {"nodes": [node for node, _, _ in parts], "materials": materials}
-    return MeshContent(
-        np.asarray(vertices, np.float64),
-        faces.astype(np.int32),
-        np.arange(len(faces)),
-        dict(zip(("red", "green", "blue"), channels, strict=False)),
-        names={kind: face_names(each, sizes) for kind, each in named.items() if any(each)},
-    )
+    names = {kind: face_names(each, sizes) for kind, each in named.items() if any(each)}
+    return MeshContent(vertices, faces.astype(np.int32), np.arange(len(faces)), numbers, names=names)
 
 
 def _colours(visual: Any) -> Any:

@@ -63,8 +63,7 @@ class OwnThings(NamedTuple):
     def digest(self) -> str:
         """Digest of the files. Raises as `surfaces`."""
         scenes = self._scenes()
-        found: str = scenes.fingerprint(scenes.bodies())
-        return found[:12]
+        return str(scenes.fingerprint(scenes.bodies()))[:12]
 
     def surfaces(self) -> list[tuple[str, Solid]]:
         """Name and surface of each, its base on y = 0 around x = z = 0.

@@ -1,9 +1,6 @@
 """Any folder of meshes, with a landmark file for each or for all of one topology; the subset "folder".
 
-Meshes may lie in sub-folders. The landmarks of PATH/a/b/NAME.ply are those in PATH/a/b/NAME.json (or .lnd); if there is
-no such file, those given for all; if none is given, those in landmarks.json (or .lnd) of the same folder or the next
-one above. The subject is the first sub-folder, without one the mesh's name. Meshes in PATH/train and PATH/test are for
-training and for testing, all others for training.
+docs/how-to/sources.md says where landmarks lie, and how subjects and splits are found.
 """
 
 from collections.abc import Mapping

@@ -1,8 +1,7 @@
 """Meshes with labels of their own; the subset "labelled".
 
-A member is a scene: below the folder, every NAME.scene.json or FOLDER/scene.json if there are any, else every mesh
-file. Its labels come from a file beside it, from the mesh file itself, or are one class for all of a mesh; the set's
-classes are those of classes.json in the folder, else all names found (docs/how-to/labelled_meshes.md).
+A member is a scene: every NAME.scene.json or FOLDER/scene.json if there are any, else every mesh file
+(docs/how-to/labelled_meshes.md).
 """
 
 import contextlib
@@ -186,9 +185,7 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
     def _labels_of(self, mesh: Path) -> Path | str | None:
         """The label file beside a mesh, else what classes.json says, else one in its folder or the next one above."""
         beside = (mesh.with_name(form.format(scene_stem(mesh.name))) for form in _BESIDE)
-        own = next(
-            (each for each in beside if each.is_file() and each != self._table.path and not _is_scene(each)), None
-        )
+        own = next((at for at in beside if at.is_file() and at != self._table.path and not _is_scene(at)), None)
         folders = [each for each in (mesh.parent, *mesh.parent.parents) if each.is_relative_to(self._folder)]
         shared = (folder / name for folder in folders for name in _SHARED if (folder / name).is_file())
         return own or self._table.labels or next(shared, None)

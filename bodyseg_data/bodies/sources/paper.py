@@ -1,20 +1,14 @@
-"""The bodies of the paper, read from a user's copies: SCAPE, MIT's sequences, CAESAR, and all three at once.
+"""The bodies of the paper, read from a user's copies (docs/how-to/sources.md): SCAPE, MIT's sequences and CAESAR.
 
 scape, subject "A": one man in 71 postures (Anguelov et al. 2005). PATH/mesh000.ply to mesh071.ply, or .obj or .off,
-each also gzipped; number 051 does not exist. All meshes number their vertices alike, so one landmark file serves all:
-PATH/landmarks.json (or .lnd), or the one given.
+each also gzipped; number 051 does not exist. One landmark file serves all.
 
 mit: the sequences of "Articulated Mesh Animation from Multi-view Silhouettes". PATH/<SEQUENCE>/meshes/mesh_NNNN.obj
 (also gzipped), y up: crane, jumping, march and squat of one man (I_*, subject "B"), bouncing, handstand, march and
-squat of another (D_*, subject "C"). All frames of a man number their vertices alike. Landmarks of I_* ship with the
-package; those of D_* are the user's: PATH/landmarks_C.json.
+squat of another (D_*, subject "C"). Landmarks of I_* ship with the package.
 
-caesar, the subset "people": standing people, scanned with markers on their landmarks. Anywhere below PATH one mesh a
-subject (csr0001a.ply, .obj or .off, also gzipped) and its landmarks under the same name (csr0001a.lnd), in the same
-folder or another; capitals do not matter. The paper uses 583 subjects. Where a subject has several scans (a standing, b
-and c sitting), the standing one is read.
-
-paper: PATH with the sub-folders scape, mit and caesar, each as its own source reads it.
+caesar, the subset "people": standing people, scanned with markers on their landmarks (csr0001a.ply and .lnd). Of
+several scans of a subject (a standing, b and c sitting), the standing one is read.
 """
 
 import re

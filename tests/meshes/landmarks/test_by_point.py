@@ -120,7 +120,8 @@ def test_what_is_not_33_finite_points_is_refused() -> None:
 
 
 def test_points_on_one_mesh_serve_all_of_its_topology() -> None:
-    landmarks, snapped = PointLandmarks("here", on_ball(0.005)).to_landmark_set(BALL, "balls")
+    snapped = PointLandmarks("here", on_ball(0.005)).for_mesh(BALL)
+    landmarks = LandmarkSet("here", "balls", 642, 1280, tuple(snapped.vertices.tolist()))
     np.testing.assert_allclose(snapped.distance_m, 0.005)
     assert landmarks == LandmarkSet("here", "balls", 642, 1280, tuple(SPREAD.tolist()))
     other = Mesh("flat ball", BALL.vertices * (1, 0.7, 1), BALL.faces)
