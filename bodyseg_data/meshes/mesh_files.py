@@ -47,7 +47,7 @@ LARGEST_BYTES: Final = 1 << 28
 
 _FOLD: Final = 1e-6  # share of a polygon's area; less is rounding
 
-_OFF_HEADER: Final = re.compile(r"(?:ST)?C?N?OFF\b|OFF(?=\d)")
+_OFF_HEADER: Final = re.compile(r"(?:ST|C|N)*OFF\b|OFF(?=\d)")
 
 OBJ_NAMES: Final = {"g": "groups", "o": "objects", "usemtl": "materials"}
 """Word that begins a line of an OBJ file -> what it names: the faces that follow, up to the next such line."""

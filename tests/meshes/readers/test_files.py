@@ -109,6 +109,7 @@ GOOD = {
     "coloured_faces.off": off_text(colour=" 255 0 0"),
     "coloured_vertices.off": off_text("COFF\n", extra=" 255 0 0 255"),
     "normals.off": off_text("NOFF\n", extra=" 0 0 1"),
+    "of_meshlab.off": off_text("NCOFF\n", extra=" 255 0 0 255 0 0 1"),
 }
 
 
