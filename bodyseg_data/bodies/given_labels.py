@@ -228,10 +228,11 @@ def file_labels(content: MeshContent, wanted: str | None, table: ClassTable, whe
         of, columns = _having(content, (column,))
         if of:
             return labels_of_numbers(columns[column], content, table.numbers, f"{where}: property {column!r}", of)
-    naming = [each for each in NAMING if each in content.names and content.names[each].names and kind in ("", each)]
+    used = {each: {own.names[at] for at in np.unique(own.numbers) if at >= 0} for each, own in content.names.items()}
+    naming = [each for each in NAMING if used.get(each) and kind in ("", each)]
     if naming:
-        fitting = [each for each in naming if all(map(table.knows, content.names[each].names))]
-        several = [each for each in naming if len(content.names[each].names) > 1]
+        fitting = [each for each in naming if all(map(table.knows, used[each]))]
+        several = [each for each in naming if len(used[each]) > 1]
         given = content.names[(*fitting, *several, *naming)[0]]
         return NamedCorners(given.names, np.repeat(given.numbers[content.polygon][:, None], 3, axis=1))
     if kind == "colours" or (not kind and table.colours and _having(content, _CHANNELS)[0]):

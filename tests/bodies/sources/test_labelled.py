@@ -173,6 +173,16 @@ def test_comments_end_lines_of_obj(tmp_path: Path) -> None:
     assert names == ("box",) and np.array_equal(built.mesh.vertices[built.mesh.faces], BOX.vertices[BOX.faces])
 
 
+def test_groups_without_faces_do_not_count_where_labels_are_looked_for(tmp_path: Path) -> None:
+    """Maya names vertices "g default"."""
+    lines = named_faces("usemtl").decode().splitlines()
+    write(tmp_path / "a.obj", "\n".join(["g default", *lines[:8], "g body", *lines[8:]]))
+    assert scene(tmp_path)[2] == ("part 0", "part 1", "part 2", "part 3")
+    write(tmp_path / "a.obj", "\n".join(["g default", *lines[:8], "g part 0", *lines[8:], "o end"]))
+    write(tmp_path / "classes.json", {"classes": ["part 0"]})
+    assert (scene(tmp_path)[1] == 0).all()
+
+
 def test_brackets_in_names_stand_for_themselves(tmp_path: Path) -> None:
     """CAD programs number copies so; a star alone stands for any letters."""
     write(tmp_path / "a.obj", named_faces("g").replace(b"part 0", b"bolt[10]").replace(b"part 1", b"bolt[2]"))
