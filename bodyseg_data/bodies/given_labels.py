@@ -182,10 +182,10 @@ def labels_of_colours(content: MeshContent, table: Mapping[str, str], where: str
         channels = channels * 255
     values = np.rint(channels).astype(np.int64) @ np.array([1 << 16, 1 << 8, 1])
     known = {int(colour[1:], 16): name for colour, name in table.items()}
-    for number in np.unique(values).tolist():
-        if number not in known:
-            first = int(np.flatnonzero(values == number)[0])
-            raise BadMesh(f"{where}: the colour #{number:06x}, of number {first} of the {of}, is no class's (blended?)")
+    for rgb in np.unique(values).tolist():
+        if rgb not in known:
+            at = int(np.flatnonzero(values == rgb)[0])
+            raise BadMesh(f"{where}: the colour #{rgb:06x}, of number {at} of {of}, is no class's (blended? linear?)")
     return labels_of_numbers(values, content, known, where, of)
 
 
