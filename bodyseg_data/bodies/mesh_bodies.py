@@ -71,13 +71,13 @@ def files_below(root: Path) -> list[Path]:
     found: list[Path] = []
     seen: set[tuple[int, int]] = set()
     for folder, folders, names in os.walk(root, onerror=refuse, followlinks=True):
-        status = Path(folder).stat()
-        identity = (status.st_dev, status.st_ino)
+        identity = (status := Path(folder).stat()).st_dev, status.st_ino
         if identity in seen:  # a link to a folder above itself would never end
             folders.clear()
             continue
         seen.add(identity)
-        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        ranked = sorted((Path(folder, name).is_symlink(), name) for name in folders if not name.startswith("."))
+        folders[:] = [name for _, name in ranked]  # links last: PATH/latest must not take what is in PATH/test
         found += [file for name in names if not name.startswith(".") and (file := Path(folder, name)).is_file()]
     return sorted(found)
 

@@ -80,6 +80,12 @@ def test_a_mesh_has_its_own_landmarks_or_those_of_a_folder_above(tmp_path: Path,
     assert found(given) == [list(VERTICES), [*VERTICES[:31], VERTICES[32], VERTICES[31]]]
 
 
+def test_a_link_takes_no_mesh_from_the_folder_that_it_leads_to(tmp_path: Path) -> None:
+    write_mesh(tmp_path / "test" / "ben" / "one.ply")
+    (tmp_path / "latest").symlink_to("test/ben")
+    assert [(body.subject, body.split) for body in FolderBodies(tmp_path).bodies()] == [("ben", "test")]
+
+
 def test_landmarks_may_lie_in_a_folder_of_their_own(tmp_path: Path) -> None:
     write_mesh(tmp_path / "meshes" / "s" / "one.ply")
     write_mesh(tmp_path / "meshes" / "two.ply")
