@@ -17,7 +17,7 @@ import numpy as np
 from bodyseg_data.core import BadSample, reported
 from bodyseg_data.labels import UNLABELLED
 from bodyseg_data.samples import Sample, info_from_json
-from bodyseg_data.shards import CODECS, decode_sample, facing_masks, parse_info
+from bodyseg_data.shards import CODECS, decode_sample, facing_masks, stored_info
 
 
 def decoder() -> Callable[[str, bytes], Any]:
@@ -37,7 +37,7 @@ def _decoded(name: str, data: bytes) -> Any:
     member = name.removeprefix(".")
     with reported(member, BadSample, ValueError):
         if member == "json":
-            return parse_info(data, member).to_json()
+            return stored_info(data, member).to_json()
         if member == "bsi":
             images = CODECS["bsi"].decode({member: data}, True, None, UNLABELLED)
             named = {"range": images.range, "projector": images.occluder, "labels": images.labels}

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
         shard_name,
     )
     from bodyseg_data.shards.remote import RemoteFolder, RetryPolicy, Unreachable, open_store, read_optional
-    from bodyseg_data.shards.sample_codec import decode_sample, encode_sample, facing_masks, parse_info
+    from bodyseg_data.shards.sample_codec import decode_sample, encode_sample, facing_masks, stored_info
     from bodyseg_data.shards.store import READ_ATTEMPTS, TALLY, LocalFolder, Stage, Store, open_file
     from bodyseg_data.shards.tar import ShardReader, TarWriter
 else:

@@ -82,7 +82,7 @@ def piece_as_current(data: bytes, where: str) -> bytes:
 
 def completed(info: SampleInfo) -> SampleInfo:
     """The description of a sample of a body with all of its fields: earlier formats left out those that were 0."""
-    if "mesh" not in info.fields or "hidden_pct" in info.fields:
+    if "hidden_pct" in info.fields or EARLIER_FIELDS.kinds.keys() - _DEFAULTS.keys() - info.fields.keys():
         return info
     return SampleInfo(info.split, {**info.fields, **{k: v for k, v in _DEFAULTS.items() if k not in info.fields}})
 

@@ -77,7 +77,7 @@ def decode_sample(
     first, second = facing_masks(images.facing, projectors)
     found = _planes(key, codec, stored, planes) if stored and planes != () else {}
     if out is None:
-        info = parse_info(members["json"], key)
+        info = stored_info(members["json"], key)
         return Sample(key, images.range, images.occluder, images.labels, first, info, faces_second=second, planes=found)
     return _IntoArrays.of(key, images, (first, second), found, members["json"])
 
@@ -106,7 +106,12 @@ def _planes(
 def parse_info(description: bytes, key: str) -> SampleInfo:
     """Parse a sample's member `json`. Raises BadSample, naming the key."""
     with reported(f"{key}: json", BadSample, ValueError, RecursionError):
-        return completed(info_from_json(json.loads(description), key))
+        return info_from_json(json.loads(description), key)
+
+
+def stored_info(description: bytes, key: str) -> SampleInfo:
+    """As `parse_info`, with all fields also of a sample of an earlier format."""
+    return completed(parse_info(description, key))
 
 
 class _IntoArrays(Sample):
@@ -139,4 +144,4 @@ class _IntoArrays(Sample):
 
     @cached_property
     def info(self) -> SampleInfo:
-        return parse_info(self._description, self.key)
+        return stored_info(self._description, self.key)

@@ -144,7 +144,7 @@ def test_two_projectors_several_rigs_planes_and_fields(tmp_path: Path) -> None:
     turned = replace(TWO, name="turned", camera=replace(CAMERA, roll_deg=5.0))
     both = np.concatenate([scene()["projector_range_m"]] * 2)
     planes = {"instances": np.full((16, 20), 300, np.int32), "material": np.ones((16, 20), np.uint8)}
-    fields = {"age": np.int64(3), "pose": np.arange(3), "height": np.float32(0.5), "left": np.bool_(True)}
+    fields = {"age": np.int64(3), "mesh": np.arange(3), "height": np.float32(0.5), "left": np.bool_(True)}
     given = {"projector_range_m": both, "planes": planes}
     with ShardWriter(tmp_path / "set", rig=[TWO, turned], classes=CLASSES, workers=0) as writer:
         writer.write(**scene(0, **given, fields=fields))
@@ -153,7 +153,7 @@ def test_two_projectors_several_rigs_planes_and_fields(tmp_path: Path) -> None:
     images = RangeImages(tmp_path / "set", "none")
     assert images.manifest.planes == {"instances": "uint16", "material": "uint8"}
     first, second = images.clean(0), images.clean(1)
-    assert first.info.fields == {"age": 3, "pose": (0.0, 1.0, 2.0), "height": 0.5, "left": True, "rig": 0}
+    assert first.info.fields == {"age": 3, "mesh": (0.0, 1.0, 2.0), "height": 0.5, "left": True, "rig": 0}
     assert second.info.fields == {"height": 2.0, "rig": 1}
     assert (first.planes["instances"] == 300).all() and first.faces_second is not None
     assert first.occluder_range().shape == (48, 30)
