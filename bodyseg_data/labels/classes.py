@@ -178,7 +178,7 @@ def classes_from_json(tree: Any, where: str, of_pairs: bool = False) -> Classes:
     """Read what `Classes.to_json` gave. of_pairs: complete mirror images as `classes_of`. Raises BadConfig."""
     known = {field.name for field in fields(LabelClass)}
     rows = tree.get("classes") if isinstance(tree, dict) else None
-    if not isinstance(tree, dict) or set(tree) != {"name", "classes"} or not isinstance(rows, list):
+    if not isinstance(rows, list) or set(tree) != {"name", "classes"}:
         raise BadConfig(f"{where}: 'classes' must have a name and a list of classes")
     for row in rows:
         if not isinstance(row, dict) or "name" not in row or not set(row) <= known:

@@ -338,7 +338,7 @@ def _regions(kind: Any, numbers: Any, classes: Any, folder: Path, where: str) ->
         lists = [each for each in (classes or {}).values() if isinstance(each, list)]
         names = [name for members in lists for name in members if isinstance(name, str) and name != REST]
         numbers = dict.fromkeys(names, 0)
-    if not isinstance(numbers, dict) or not numbers or {*map(type, numbers.values())} != {int}:
+    if not isinstance(numbers, dict) or {*map(type, numbers.values())} != {int}:
         raise BadConfig(f"{where}: the table [regions] must give each region a whole number, found {numbers!r:.60}")
     with reported(where, BadConfig):
         of = classes_of(list(numbers), "regions")
