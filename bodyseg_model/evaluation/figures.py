@@ -191,7 +191,7 @@ def _risk_coverage(axis: Any, figures: Tree) -> None:
 
 def _reliability(axis: Any, figures: Tree) -> None:
     pixels = max(figures["pixels"], 1)
-    rows = [row for row in figures["reliability"] if row["pixels"] >= _LEAST_SHARE * pixels and row["pixels"]]
+    rows = [row for row in figures["reliability"] if row["pixels"] >= _LEAST_SHARE * pixels]
     axis.plot([0, 1], [0, 1], color="black", linewidth=0.9, linestyle="--", zorder=2)
     for row in rows:
         width = row["up_to"] - row["confidence_above"]
