@@ -19,7 +19,7 @@ from __future__ import annotations
 import json
 import traceback
 from collections.abc import Callable, Sequence
-from dataclasses import Field, asdict, dataclass, is_dataclass, replace
+from dataclasses import Field, asdict, dataclass, replace
 from types import FunctionType
 from typing import Any, ClassVar, Protocol, cast
 
@@ -161,7 +161,7 @@ def _checked(given: Any) -> Transform:
     parameters = getattr(given, "__dataclass_params__", None)
     if isinstance(given, type) or not callable(given) or not isinstance(getattr(given, "name", None), str):
         raise BadConfig(f"a transform must be a function, or a dataclass derived from Transform, found {given!r}")
-    if not is_dataclass(given) or parameters is None or not parameters.frozen:
+    if parameters is None or not parameters.frozen:
         raise BadConfig(f"a transform must be a frozen dataclass, found {type(given).__name__}")
     return cast(Transform, given)
 
