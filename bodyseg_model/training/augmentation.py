@@ -158,8 +158,7 @@ def augmented(
     if mirrored_as is not None:
         draws = mirror_draws(seed, epochs, keys).to(range_m.device)
         range_m, labels = mirror(range_m, labels, draws, mirrored_as)
-        if places is not None:
-            range_m[images:][draws[images:]] *= -1
+        range_m[images:][draws[images:]] *= -1  # places, if any
     range_m, labels = geometric(range_m, labels, seed, epochs, keys)
     return range_m[:images], labels[:images], None if places is None else range_m[images:]
 
