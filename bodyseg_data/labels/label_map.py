@@ -236,7 +236,7 @@ class LabelMap:
             raise BadConfig(f"labels {self.name!r} and {coarser.name!r} are of other classes: found {differing}")
         found = np.full(256, BACKGROUND, np.uint8)
         for label, members in enumerate(self.members):
-            targets = {int(coarser.table[member]) for member in members}
+            targets = {int(coarser.table[member]) for member in members or (UNLABELLED,)}
             if len(targets) != 1 or BACKGROUND in targets:
                 fault = f"{'splits' if len(targets) > 1 else 'lacks'} the class {self.names[label]!r}"
                 raise BadConfig(f"labels {self.name!r} cannot be joined to {coarser.name!r}, which {fault}")

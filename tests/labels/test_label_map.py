@@ -134,6 +134,10 @@ def test_classes_are_joined_to_coarser_ones() -> None:
     )
     assert limbs.joined_to(halves)[:14].tolist() == [0] * 8 + [1] * 6
     np.testing.assert_array_equal(limbs.joined_to(halves)[limbs.table], halves.table)
+    with_rest = LabelMap("rest", (*PARTS33.classes, ("none", ("*",))))  # no part is left for the last
+    assert with_rest.joined_to(load_label_map("people"))[:35].tolist() == [0] * 33 + [1, 255]
+    with pytest.raises(BadConfig, match="labels 'rest' cannot be joined to 'limbs14', which lacks the class 'none'"):
+        with_rest.joined_to(limbs)
     with pytest.raises(BadConfig, match="labels 'limbs14' cannot be joined to 'itop15', which splits .*'trunk'"):
         limbs.joined_to(load_label_map("itop15"))
     with pytest.raises(BadConfig, match="labels 'parts33' cannot be joined to 'arms', which lacks the class 'Sellion'"):
