@@ -215,7 +215,7 @@ class Sample:
         }
         for name, kind in kinds.items():
             array = getattr(self, name)
-            if array is None and name in ("projector_range", "faces_second"):
+            if array is None:  # of the projector, or of a second one
                 continue
             if array.dtype != kind or array.ndim != 2 or not array.size:
                 raise BadSample(f"{self.key}: {name} must be {kind.__name__} [H, W], found {array.dtype} {array.shape}")

@@ -101,7 +101,7 @@ class ViewGrid:
     def __post_init__(self) -> None:
         check_fields(self)
         _check("distance_cm", self.distances_cm, _DISTANCES_CM)
-        if not 1 <= self.azimuths <= 360 or not 1 <= self.span_deg <= 360 or self.span_deg % self.azimuths:
+        if self.azimuths < 1 or not 1 <= self.span_deg <= 360 or self.span_deg % self.azimuths:
             raise BadConfig(f"azimuths must divide 1 to 360 degrees evenly, found {self.azimuths} in {self.span_deg}")
         for name, limits in _LIMITS.items():
             _check(name, getattr(self, name), limits)

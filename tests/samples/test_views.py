@@ -124,7 +124,8 @@ def test_words_give_values_or_a_range() -> None:
         ({"roll_deg": (-180,)}, "^a view's roll must be between -179 and 180 degrees, found \\[-180\\]$"),
         ({"height_cm": Drawn(0, 301)}, "^a view's height must be between -300 and 300 cm, found \\[0, 301\\]$"),
         ({"height_cm": ()}, "found \\[\\]$"),
-        ({"pitch_deg": Drawn(10, -10)}, "^a range of pitch must go up, found 10..-10$"),
+        ({"pitch_deg": Drawn(10, 10)}, "^a range of pitch must go up, found 10..10$"),
+        ({"azimuths": -18}, "^azimuths must divide 1 to 360 degrees evenly, found -18 in 180$"),
         ({"roll_deg": (5, 5)}, "^each roll of views must be given once, found \\[5, 5\\]$"),
     ],
 )
