@@ -17,6 +17,7 @@ from typing import Final
 from bodyseg_data.core import BadConfig, BadShard
 from bodyseg_data.files import naming, sync, write_atomically
 from bodyseg_data.shards import (
+    COLUMNS_NAME,
     LARGEST_MANIFEST,
     MANIFEST_NAME,
     READ_ATTEMPTS,
@@ -25,7 +26,10 @@ from bodyseg_data.shards import (
     Manifest,
     RemoteFolder,
     Store,
+    column_file,
     column_files,
+    column_names,
+    column_tar,
     open_file,
     read_manifest,
     read_optional,
@@ -117,10 +121,11 @@ def superseded(store: Store, bundle: Bundle) -> list[str]:
     with contextlib.suppress(BadConfig, BadShard):  # a network, or a set of another format: what it holds is not known
         manifest = read_manifest(store)
         held += [file.name for file in _large_files(manifest)]
-        tars, pages = column_files(store, manifest)
-        held += [*(tar.name for tar in tars), *pages]
-    cards = pages_of(store, CARD_NAMES) if bundle.index == MANIFEST_NAME else {}
-    return [name for name in (*held, *cards) if name not in bundle.names]
+        for name in column_names(store):
+            held += [column_file(name), *(column_tar(shard.name, name) for shard in manifest.shards)]
+    # First the list of columns: what an interruption leaves of them is then of no set.
+    small = pages_of(store, (COLUMNS_NAME, *CARD_NAMES)) if bundle.index == MANIFEST_NAME else {}
+    return [name for name in dict.fromkeys((*small, *held)) if name not in bundle.names]
 
 
 def sha256_of(store: Store, name: str) -> str:

@@ -231,8 +231,10 @@ def test_another_set_is_replaced_only_when_asked_and_leaves_nothing_behind(
     held = {name.rpartition("/")[2]: file.getvalue() for name, file in breaking.store.items()}
     assert held == {path.name: path.read_bytes() for path in whole.iterdir() if path.is_file()}
     (mine / "manifest.json").write_text("{}")
+    (mine / "columns.json").write_text("damaged, too")
     assert main(["pull", "breaking://box/set", str(mine)]) == 2
     assert main(["pull", "breaking://box/set", str(mine), "--replace"]) == 0
+    assert not (mine / "columns.json").exists(), "it would be taken for the new set's"
     assert main(["verify", str(mine)]) == 1  # the shards of the set of an unreadable manifest are strays now
 
 
