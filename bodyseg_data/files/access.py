@@ -249,14 +249,6 @@ def _is_number(value: Any) -> bool:
     return not isinstance(value, bool) and isinstance(value, int | float) and abs(value) < 1e300
 
 
-def _shown(value: Any) -> str:
-    """Beginning of a value, for messages."""
-    try:
-        return str(value)[:60]
-    except ValueError:  # hexadecimal numbers may be longer than Python prints
-        return "a number of thousands of digits"
-
-
 class Table:
     """A table of TOML or JSON, read key by key; a key that is never read is an error, so a misspelt one stops the run.
 
@@ -276,7 +268,7 @@ class Table:
         """Read a finite number."""
         value = self._take(key, "number")
         if not _is_number(value):
-            raise BadConfig(f"{self.where}: {key!r} must be a finite number, found {_shown(value)!r}")
+            raise BadConfig(f"{self.where}: {key!r} must be a finite number, found {str(value)[:60]!r}")
         return float(value)
 
     def positive(self, key: str) -> float:
@@ -296,7 +288,7 @@ class Table:
     def _of(self, kind: type[Value], key: str, what: str, words: str) -> Value:
         value = self._take(key, what)
         if not isinstance(value, kind):
-            raise BadConfig(f"{self.where}: {key!r} must be {words}, found {_shown(value)}")
+            raise BadConfig(f"{self.where}: {key!r} must be {words}, found {str(value)[:60]}")
         return value
 
     def flag(self, key: str) -> bool:
@@ -311,7 +303,7 @@ class Table:
         """Read a list of `count` finite numbers, as a tuple of floats."""
         values = self._take(key, "list")
         if not isinstance(values, list | tuple) or len(values) != count or not all(map(_is_number, values)):
-            raise BadConfig(f"{self.where}: {key!r} must be {count} finite numbers, found {_shown(values)}")
+            raise BadConfig(f"{self.where}: {key!r} must be {count} finite numbers, found {str(values)[:60]}")
         return tuple(float(value) for value in values)
 
     def table(self, key: str) -> Table:
