@@ -6,7 +6,7 @@ Packages of users add theirs by the entry point `bodyseg.artifacts`: name -> cla
 from dataclasses import is_dataclass
 from functools import cache
 from importlib import metadata
-from typing import Any, Final, get_args
+from typing import Any, Final, cast, get_args
 
 from bodyseg_data.artifacts.artifact import Artifact, Kind
 from bodyseg_data.artifacts.lost_pixels import Losses, PatchLoss, StripeLoss
@@ -47,7 +47,6 @@ def artifact_class(name: str) -> type[Artifact]:
 
 def check_artifact_class(kind: Any, where: str) -> type[Artifact]:
     """Return a class if it keeps the protocol's rules. Raises BadConfig, naming `where`, for one that does not."""
-    found: Any = kind
     if not (isinstance(kind, type) and Artifact in kind.__mro__ and is_dataclass(kind)):
         shown = getattr(kind, "__name__", repr(kind))
         raise BadConfig(f"{where}: an artifact must be a dataclass derived from Artifact, found {shown}")
@@ -57,8 +56,7 @@ def check_artifact_class(kind: Any, where: str) -> type[Artifact]:
         raise BadConfig(
             f"{where}: an artifact must have a name and one kind of {', '.join(get_args(Kind))}, found {kind.__name__}"
         )
-    checked: type[Artifact] = found
-    return checked
+    return cast(type[Artifact], kind)
 
 
 @cache

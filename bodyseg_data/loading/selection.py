@@ -110,13 +110,12 @@ class Selection:
     def of(cls, pattern: str, split: Any, only: Any, where: Any, val_share: Any, fields: Fields) -> Selection:
         """Check the options of a user. only, where: one text or several. fields: of the set. Raises BadConfig."""
         check_choice("the split", split, (*READ_SPLITS, None))
-        share = val_share
-        if isinstance(share, bool) or not isinstance(share, int | float | np.number) or not 0 <= share < 1:
-            raise BadConfig(f"val_share must be a number of at least 0 and below 1, found {share!r}")
-        if split == "val" and not share:
+        if isinstance(val_share, bool) or not isinstance(val_share, int | float | np.number) or not 0 <= val_share < 1:
+            raise BadConfig(f"val_share must be a number of at least 0 and below 1, found {val_share!r}")
+        if split == "val" and not val_share:
             raise BadConfig("the split 'val' is a share of train: give val_share, like 0.1")
         conditions = tuple(parse_condition(text, fields) for text in texts_of("where", where))
-        return cls(pattern, split, texts_of("only", only), conditions, float(share))
+        return cls(pattern, split, texts_of("only", only), conditions, float(val_share))
 
     @property
     def divides_train(self) -> bool:
