@@ -10,7 +10,7 @@ import hashlib
 import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -59,13 +59,14 @@ class Bundle:
     """Files that are copied together.
 
     files: large ones. pages: small ones, name -> content. index, index_bytes: name and content of the file that names
-    the others; it is written last, so that a copy which has it is whole.
+    the others; it is written last, so that a copy which has it is whole. optional: pages of its kind, by name.
     """
 
     files: tuple[SharedFile, ...]
     index: str
     index_bytes: bytes
-    pages: Mapping[str, bytes] = field(default_factory=dict)
+    pages: Mapping[str, bytes]
+    optional: tuple[str, ...]
 
     @property
     def size(self) -> int:
@@ -92,6 +93,7 @@ def set_bundle(store: Store) -> Bundle:
         MANIFEST_NAME,
         read[-1],
         pages_of(store, CARD_NAMES) | pages,
+        (COLUMNS_NAME, *CARD_NAMES),
     )
 
 
@@ -116,16 +118,16 @@ def pages_of(store: Store, names: tuple[str, ...]) -> dict[str, bytes]:
 
 
 def superseded(store: Store, bundle: Bundle) -> list[str]:
-    """Return names of files of the set in `store` that a bundle which takes its place has not."""
-    held: list[str] = []
-    with contextlib.suppress(BadConfig, BadShard):  # a network, or a set of another format: what it holds is not known
-        manifest = read_manifest(store)
-        held += [file.name for file in _large_files(manifest)]
-        for name in column_names(store):
-            held += [column_file(name), *(column_tar(shard.name, name) for shard in manifest.shards)]
+    """Return names of files of the set or network in `store` that a bundle which takes its place has not."""
     # First the list of columns: what an interruption leaves of them is then of no set.
-    small = pages_of(store, (COLUMNS_NAME, *CARD_NAMES)) if bundle.index == MANIFEST_NAME else {}
-    return [name for name in dict.fromkeys((*small, *held)) if name not in bundle.names]
+    held = [*pages_of(store, bundle.optional)]
+    if bundle.index == MANIFEST_NAME:  # a set that a network lies beside stays
+        with contextlib.suppress(BadConfig, BadShard):  # of another format: what it holds is not known
+            manifest = read_manifest(store)
+            held += [file.name for file in _large_files(manifest)]
+            for name in column_names(store):
+                held += [column_file(name), *(column_tar(shard.name, name) for shard in manifest.shards)]
+    return [name for name in held if name not in bundle.names]
 
 
 def sha256_of(store: Store, name: str) -> str:

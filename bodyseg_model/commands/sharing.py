@@ -129,8 +129,9 @@ def _network_bundle(store: Store, weights: str) -> Bundle:
     if card.get("format") != CardWords.FORMAT or not isinstance(digest, str):
         raise BadConfig(f"{store.name}/{index} is no card of a network with {CardWords.WEIGHTS_SHA256!r}")
     page = "README.md" if weights == RunFiles.NETWORK else page_file(file).name
-    pages = pages_of(store, (page, confusion_file(file).name))
-    return Bundle((SharedFile(weights, store.size(weights), digest),), index, data, pages)
+    scores = confusion_file(file).name
+    pages = pages_of(store, (page, scores))
+    return Bundle((SharedFile(weights, store.size(weights), digest),), index, data, pages, (scores,))
 
 
 def _copy(bundle: Bundle, target: Target, title: str, replace: bool, sizes_only: bool = False) -> None:

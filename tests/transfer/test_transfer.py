@@ -239,7 +239,7 @@ def test_another_set_is_replaced_only_when_asked_and_leaves_nothing_behind(
 
 
 def test_networks_are_copied_with_their_pages(
-    breaking: type[Breaking], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    mine: Path, breaking: type[Breaking], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = tmp_path / "run"
     run.mkdir()
@@ -259,6 +259,14 @@ def test_networks_are_copied_with_their_pages(
     assert main(["push", str(tmp_path / "six.safetensors"), "breaking://box/many"]) == 0
     assert main(["pull", "breaking://box/many/six.safetensors", str(tmp_path / "many")]) == 0
     assert sorted(contents(tmp_path / "many")) == ["six.confusion.json", "six.json", "six.safetensors"]
+    (tmp_path / "six.confusion.json").unlink()
+    (tmp_path / "six.json").write_text(json.dumps({**card, "last_step": 2}))
+    assert main(["push", str(tmp_path / "six.safetensors"), str(tmp_path / "many"), "--replace"]) == 0
+    assert sorted(contents(tmp_path / "many")) == ["six.json", "six.safetensors"], "no scores of the network before"
+    assert main(["push", str(tmp_path / "six.safetensors"), str(mine)]) == 0
+    (tmp_path / "six.json").write_text(json.dumps(card))
+    assert main(["push", str(tmp_path / "six.safetensors"), str(mine), "--replace"]) == 0
+    assert main(["verify", str(mine)]) == 0, "the set beside it stays"
     (run / "network.json").write_text(json.dumps({**card, "last_step": 3}))
     (run / "checkpoint.json").write_text('{"step": 5}')  # of a training that was carried on, and stopped
     assert main(["push", str(run), "breaking://box/older"]) == 2
