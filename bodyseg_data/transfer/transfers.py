@@ -73,11 +73,6 @@ class Bundle:
         """Bytes of the large files."""
         return sum(file.size for file in self.files)
 
-    @property
-    def names(self) -> set[str]:
-        """Names of all files."""
-        return {self.index, *self.pages, *(file.name for file in self.files)}
-
 
 def set_bundle(store: Store) -> Bundle:
     """Return the bundle of a set: index, shards, columns, cards, manifest.
@@ -127,7 +122,8 @@ def superseded(store: Store, bundle: Bundle) -> list[str]:
             held += [file.name for file in _large_files(manifest)]
             for name in column_names(store):
                 held += [column_file(name), *(column_tar(shard.name, name) for shard in manifest.shards)]
-    return [name for name in held if name not in bundle.names]
+    kept = {bundle.index, *bundle.pages, *(file.name for file in bundle.files)}
+    return [name for name in held if name not in kept]
 
 
 def sha256_of(store: Store, name: str) -> str:
