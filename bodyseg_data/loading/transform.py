@@ -158,10 +158,9 @@ def _checked(given: Any) -> Transform:
         if given.__name__ == "<lambda>":
             raise BadConfig(f"a transform must have a name: use a function of a module, found {_name_of(given)}")
         return FunctionTransform(given)
-    parameters = getattr(given, "__dataclass_params__", None)
     if isinstance(given, type) or not callable(given) or not isinstance(getattr(given, "name", None), str):
         raise BadConfig(f"a transform must be a function, or a dataclass derived from Transform, found {given!r}")
-    if parameters is None or not parameters.frozen:
+    if not getattr(getattr(given, "__dataclass_params__", None), "frozen", False):
         raise BadConfig(f"a transform must be a frozen dataclass, found {type(given).__name__}")
     return cast(Transform, given)
 
