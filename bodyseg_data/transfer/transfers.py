@@ -283,13 +283,16 @@ def transfer(
     are compared by size alone.
 
     While files are missing or wrong the target has no index, so it is never read as whole. Raises BadConfig for a
-    target that holds another bundle without `replace`, BadShard for bytes that are not those of their checksum, OSError
-    or Unreachable.
+    target that holds another bundle or page without `replace`, BadShard for bytes that are not those of their checksum,
+    OSError or Unreachable.
     """
     held = target.store.read_file(bundle.index, LARGEST_MANIFEST)
     other = held is not None and held != bundle.index_bytes
     if other and not replace:
         raise BadConfig(f"{target.store.name} holds another {bundle.index}: choose another place, or --replace it")
+    for name, data in bundle.pages.items() if held is None and not replace else ():
+        if read_optional(target.store, name, _LARGEST_PAGE) not in (None, data):
+            raise BadConfig(f"{target.store.name} holds another {name}: choose another place, or --replace it")
     obsolete = superseded(target.store, bundle) if other else []
     done = 0
     missing = []

@@ -250,6 +250,12 @@ def test_networks_are_copied_with_their_pages(
     (run / "log.jsonl").write_text("{}\n")
     assert main(["push", str(run), "breaking://box/run"]) == 0
     assert list(breaking.store)[-1] == "breaking://box/run/network.json"
+    (tmp_path / "back").mkdir()
+    (tmp_path / "back" / "README.md").write_text("# Of the project that lies here\n")
+    assert main(["pull", "breaking://box/run", str(tmp_path / "back")]) == 2
+    assert "back holds another README.md: choose another place, or --replace it" in capsys.readouterr().err
+    assert contents(tmp_path / "back").keys() == {"README.md"}
+    (tmp_path / "back" / "README.md").unlink()
     assert main(["pull", "breaking://box/run", str(tmp_path / "back")]) == 0
     del (files := contents(run))["log.jsonl"]
     assert contents(tmp_path / "back") == files
