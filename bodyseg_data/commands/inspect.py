@@ -99,7 +99,8 @@ def summarise(images: RangeImages) -> dict[str, Any]:
     label_map = images.label_map
     pixels = np.zeros(len(label_map), np.int64)
     clean_pixels = kept_pixels = 0
-    fields = {name: Counter[Any]() for name in images.manifest.fields.kinds if name not in BODY_FIELDS.kinds}
+    known = BODY_FIELDS.kinds if images.manifest.fields.of_bodies else {}
+    fields = {name: Counter[Any]() for name in images.manifest.fields.kinds if name not in known}
     drawn: dict[str, list[float]] = {name: [] for artifact in images.augmentation.sensor for name in artifact.drawn}
     with Progress("inspecting", "samples") as progress:
         for index in range(len(images)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import re
 import threading
 from collections.abc import Callable, Iterable
@@ -140,7 +141,7 @@ def test_facing_comes_from_bits_from_normals_or_from_the_range_image(tmp_path: P
     assert RangeImages(tmp_path / "bits").manifest.renderer == "external"
 
 
-def test_two_projectors_several_rigs_planes_and_fields(tmp_path: Path) -> None:
+def test_two_projectors_several_rigs_planes_and_fields(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     turned = replace(TWO, name="turned", camera=replace(CAMERA, roll_deg=5.0))
     both = np.concatenate([scene()["projector_range_m"]] * 2)
     planes = {"instances": np.full((16, 20), 300, np.int32), "material": np.ones((16, 20), np.uint8)}
@@ -157,6 +158,10 @@ def test_two_projectors_several_rigs_planes_and_fields(tmp_path: Path) -> None:
     assert second.info.fields == {"height": 2.0, "rig": 1}
     assert (first.planes["instances"] == 300).all() and first.faces_second is not None
     assert first.occluder_range().shape == (48, 30)
+    capsys.readouterr()
+    assert cli.main(["inspect", str(tmp_path / "set"), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)["fields"]
+    assert told.keys() == {*fields, "rig"} and told["mesh"] == {"(0.0, 1.0, 2.0)": 1, "None": 1}
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
