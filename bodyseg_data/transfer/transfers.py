@@ -319,6 +319,6 @@ def transfer(
         target.receive(file, add, sizes_only)
     for name, data in bundle.pages.items():
         target.write(name, data)
-    if held is None or other or missing:
+    if held != bundle.index_bytes or missing:
         target.write(bundle.index, bundle.index_bytes)
     return Outcome(len(bundle.files), kept, sum(file.size for file in missing))

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import pytest
 from servers import WebServer, s3_server, web_server
 
-from bodyseg_data import RangeImages
+from bodyseg_data import ColumnWriter, RangeImages
 from bodyseg_data.core import BadConfig, BadShard
 from bodyseg_data.shards import MANIFEST_NAME, LocalFolder, RemoteFolder, RetryPolicy, Unreachable, read_manifest
 from bodyseg_data.transfer import LocalTarget, RemoteTarget, set_bundle, transfer
@@ -219,6 +219,9 @@ def test_another_set_is_replaced_only_when_asked_and_leaves_nothing_behind(
     mine: Path, pack_figures: Callable[..., Path], breaking: type[Breaking], tmp_path: Path
 ) -> None:
     whole = pack_figures(tmp_path / "whole")
+    with ColumnWriter(mine, "age", "int") as column:
+        for key in RangeImages(mine).keys:
+            column.write(key, 3)
     pushed(mine, "breaking://box/set")
     with pytest.raises(BadConfig, match=r"breaking://box/set holds another manifest\.json: choose another place, or"):
         pushed(whole, "breaking://box/set")
@@ -258,6 +261,9 @@ def test_networks_are_copied_with_their_pages(
     (tmp_path / "back" / "README.md").unlink()
     assert main(["pull", "breaking://box/run", str(tmp_path / "back")]) == 0
     del (files := contents(run))["log.jsonl"]
+    assert contents(tmp_path / "back") == files
+    (tmp_path / "back" / "network.json").unlink()  # as after a kill just before the end
+    assert main(["pull", "breaking://box/run", str(tmp_path / "back")]) == 0
     assert contents(tmp_path / "back") == files
     shutil.copy(run / "network.safetensors", tmp_path / "six.safetensors")
     shutil.copy(run / "network.json", tmp_path / "six.json")
