@@ -93,12 +93,11 @@ class MetricsWindow:
         matrix = ConfusionMatrix(self._classes)
         matrix.counts += self._processes.add_up(self._counts).cpu().numpy()
         seconds = time.perf_counter() - self._start
-        right = matrix.counts.trace() / max(1, matrix.counts.sum())
         return Metrics(
             step,
             round(loss, 5),
             round(matrix.average_per_class_accuracy(), 5),
-            round(float(right), 5),
+            round(matrix.pixel_accuracy(), 5),
             rate,
             round(self._images * self._processes.world_size / seconds, 2),
             round(self.watch.milliseconds["data"] / 1000 / seconds, 4),
