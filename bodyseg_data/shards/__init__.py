@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from bodyseg_data.shards.codecs import CODECS, CodecName
     from bodyseg_data.shards.codecs.png import SIGNATURE, check_checksums, decode_chunks, read_chunks, read_header
     from bodyseg_data.shards.columns import (
-        COLUMNS_NAME,
         ColumnWriter,
         column_file,
         column_files,

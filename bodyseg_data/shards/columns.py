@@ -37,9 +37,9 @@ from bodyseg_data.shards.tar import TarWriter
 COLUMNS_NAME: Final = "columns.json"
 
 
-def column_file(name: str) -> str:
-    """Name of a column's manifest."""
-    return f"{name}.column.json"
+def column_file(name: str | None = None) -> str:
+    """Name of a column's manifest; without a name, that of the list of columns."""
+    return COLUMNS_NAME if name is None else f"{name}.column.json"
 
 
 def column_tar(shard: str, name: str) -> str:

@@ -17,7 +17,6 @@ from typing import Final
 from bodyseg_data.core import BadConfig, BadShard
 from bodyseg_data.files import naming, sync, write_atomically
 from bodyseg_data.shards import (
-    COLUMNS_NAME,
     LARGEST_MANIFEST,
     MANIFEST_NAME,
     READ_ATTEMPTS,
@@ -88,7 +87,7 @@ def set_bundle(store: Store) -> Bundle:
         MANIFEST_NAME,
         read[-1],
         pages_of(store, CARD_NAMES) | pages,
-        (COLUMNS_NAME, *CARD_NAMES),
+        (column_file(), *CARD_NAMES),
     )
 
 
