@@ -148,8 +148,9 @@ def run(options: Options) -> int:
         return 0
     except FaultyMeshes as error:
         sys.stderr.write("".join(f"{one_line(line)}\n" for line in error.lines()))
-        more = "--skip-budget says how many may be left out"
-        hint = more if options.on_error == "skip" else "--on-error skip --skip-budget N leaves them out"
+        hint = "--on-error skip --skip-budget N leaves them out"
+        if options.on_error == "skip":
+            hint = "--skip-budget says how many may be left out"
         raise BadMesh(f"{error.problem}, for the reasons above; {hint}") from error
 
 
@@ -237,10 +238,12 @@ def _warn_about_source(packing: Packing) -> None:
             f"{', '.join(runs[:3])}{more}\n"
         )
     bodies = packing.bodies()
-    splits = {body.split for body in bodies}
+    splits = sorted({body.split for body in bodies})
     if packing.path is not None and len(splits) == 1:
-        (split,), (lacking,), count = splits, set(SPLITS) - splits, len(bodies)
-        sys.stderr.write(f"bodyseg shard: note: all {count} meshes are of the split {split}, none is of {lacking}\n")
+        (lacking,) = set(SPLITS) - set(splits)
+        sys.stderr.write(
+            f"bodyseg shard: note: all {len(bodies)} meshes are of the split {splits[0]}, none is of {lacking}\n"
+        )
 
 
 def _warn_about_empty(manifest: Manifest, out: Path) -> None:
