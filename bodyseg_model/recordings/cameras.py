@@ -122,7 +122,7 @@ class Intrinsics:
 
     size: (rows, columns) of the frame, None if the file does not say. where: the file, for messages. Focal lengths that
     differ by more than 1 %, which square pixels do not have, are part of the lens: frames are resampled. Raises
-    BadConfig for more than 10 %.
+    BadConfig for more than 10 %, and unless both are above 0.
     """
 
     fx: float
@@ -134,8 +134,9 @@ class Intrinsics:
     where: str
 
     def __post_init__(self) -> None:
-        if abs(self.fx / self.fy - 1) > _NEARLY_SQUARE:
-            raise BadConfig(f"{self.where}: pixels must be square, found 'fx' {self.fx:g} and 'fy' {self.fy:g}")
+        if not (self.fx > 0 < self.fy and abs(self.fx / self.fy - 1) <= _NEARLY_SQUARE):
+            found = f"'fx' {self.fx:g} and 'fy' {self.fy:g}"
+            raise BadConfig(f"{self.where}: focal lengths must be above 0, and pixels square, found {found}")
 
     @property
     def lens(self) -> Distortion | None:
@@ -153,8 +154,7 @@ class Intrinsics:
         check_intrinsics(focal_px, (self.cx + 0.5, self.cy + 0.5), shape, self.where)
         centre, pose = (self.cx + 0.5, self.cy + 0.5), ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
         with reported(self.where, BadConfig):
-            camera = Camera(*shape, focal_px, centre, *pose, distortion=self.lens)
-        return FrameCamera(camera, f"file {self.where}")
+            return FrameCamera(Camera(*shape, focal_px, centre, *pose, distortion=self.lens), f"file {self.where}")
 
 
 MODELS: Final = {  # name of a model -> the form of it, and how many coefficients it may have

@@ -98,7 +98,7 @@ def test_other_files_of_a_frames_name_are_no_cameras(folder: Path) -> None:
         ("1.json", "[1]", "1.json must hold a JSON object, found list"),
         ("1.json", json.dumps({"fx": 50.0}), "1.json: number 'fy' is missing"),
         ("1.json", json.dumps(PLAIN | {"cx": "middle"}), "1.json: 'cx' must be a finite number"),
-        ("1.json", json.dumps(PLAIN | {"fy": 60.0}), "1.json: pixels must be square, found 'fx' 50 and 'fy' 60"),
+        ("1.json", json.dumps(PLAIN | {"fy": 60.0}), "above 0, and pixels square, found 'fx' 50 and 'fy' 60"),
         ("1.json", json.dumps(PLAIN | {"skew": 1}), "1.json: unknown 'skew'"),
         ("1.json", json.dumps(PLAIN | {"width": 40}), "1.json: number 'height' is missing"),
         ("1.json", json.dumps(PLAIN | {"distortion": [1, 2]}), "1.json: 'distortion' must be 5 finite numbers"),

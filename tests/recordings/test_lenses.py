@@ -126,10 +126,16 @@ def test_pixels_that_are_nearly_square_are_resampled() -> None:
     assert bent is not None and bent.k1 == 0.1 and bent.aspect == pytest.approx((105 / 96) ** 0.5)
     assert bent.turned().aspect == pytest.approx((96 / 105) ** 0.5) and "aspect" in bent.to_json()
     assert "aspect" not in Distortion(0.1).to_json()
-    with pytest.raises(BadConfig, match="a.json: pixels must be square, found 'fx' 115 and 'fy' 100"):
+    with pytest.raises(BadConfig, match="a.json: .* above 0, and pixels square, found 'fx' 115 and 'fy' 100"):
         Intrinsics(115.0, 100.0, 41.5, 29.5, None, None, "a.json")
     with pytest.raises(BadConfig, match="aspect must be above 0"):
         Distortion(aspect=0.0)
+
+
+@pytest.mark.parametrize("focal_px", [(0.0, 0.0), (525.0, 0.0), (-525.0, -525.0), (float("nan"), 525.0)])
+def test_focal_lengths_of_a_driver_are_above_0(focal_px: tuple[float, float]) -> None:
+    with pytest.raises(BadConfig, match="a.json: focal lengths must be above 0"):
+        driver_camera("plumb_bob", [0.0] * 5, (*focal_px, 319.5, 239.5), (480, 640), "a.json")
 
 
 @pytest.mark.parametrize(
