@@ -12,15 +12,10 @@ from bodyseg_model.segmentation import LabelledFrame
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN, UNKNOWN, Estimate, Finding, rounded
 from bodyseg_model.sensor_fit.recording import Floats, MarkedFrame, MarkedRecording
 
-LEAST_EDGES: Final = 200
-"""Fewest edges at which one surface ends beside a farther one, both measured, for a verdict."""
-
-END: Final = 0.2
-"""Share of a gap at either end that counts as the end itself: limbs turn away steeply before their edge."""
-
-LEAST_MIXED_SHARE: Final = 0.05
-JUMP_M: Final = 0.03
-
+_LEAST_EDGES: Final = 200  # at which one surface ends beside a farther one, both measured, for a verdict
+_END: Final = 0.2  # of a gap at either end counts as the end itself: limbs turn away steeply before their edge
+_LEAST_MIXED_SHARE: Final = 0.05
+_JUMP_M: Final = 0.03
 _WIDE: Final = 6.0  # jumps that a gap must have: limbs that turn away bridge smaller ones
 _NOISES: Final = 8.0
 
@@ -28,29 +23,29 @@ _NOISES: Final = 8.0
 def measure_mixed_pixels(recording: MarkedRecording) -> Finding:
     """The finding of "mixed_pixels": edges with a pixel between both ranges, against edges without one.
 
-    A position nearer than a jump or `END` to either end counts as the end; the share is corrected for these, since
+    A position nearer than a jump or `_END` to either end counts as the end; the share is corrected for these, since
     positions are even over the gap. Edges with lost pixels between both surfaces are left out.
     """
     mixed, plain, between, beside, room = 0, 0, 0.0, 0.0, []
     for frame in recording.frames:
-        jump = max(JUMP_M, _NOISES * frame.noise_m)
+        jump = max(_JUMP_M, _NOISES * frame.noise_m)
         image = frame.range_m.astype(np.float64)
         for quarters in range(4):
             gaps_mixed, gaps_plain = _edges(np.rot90(image, quarters), np.rot90(frame.body, quarters), jump)
             mixed += len(gaps_mixed)
             plain += len(gaps_plain)
-            each = 1 / (1 - 2 * np.maximum(jump / gaps_mixed, END))
+            each = 1 / (1 - 2 * np.maximum(jump / gaps_mixed, _END))
             between += float(each.sum())
             beside += float((each * 2 * jump / gaps_mixed).sum())  # so near to an end that they look like it
         room.append(float(np.median(frame.range_m[frame.room])) if frame.room.any() else np.nan)
-    if mixed + plain < LEAST_EDGES:
-        few = f"{mixed + plain} edges before a measured surface, {LEAST_EDGES} are needed"
+    if mixed + plain < _LEAST_EDGES:
+        few = f"{mixed + plain} edges before a measured surface, {_LEAST_EDGES} are needed"
         return Finding("mixed_pixels", UNKNOWN, few)
     share = min(between / (between + max(plain - beside, 0.0)), 1.0) if mixed else 0.0
     error = float(np.sqrt(max(share * (1 - share), 1e-4) / (mixed + plain)))
     estimates = {"share": Estimate(share, error)}
     reason = f"{mixed} of {mixed + plain} edges have a pixel between both ranges"
-    if share < LEAST_MIXED_SHARE:
+    if share < _LEAST_MIXED_SHARE:
         return Finding("mixed_pixels", NOT_SEEN, reason, estimates)
     behind = {"background_m": rounded(float(np.nanmedian(room)))} if np.isfinite(room).any() else {}
     return Finding("mixed_pixels", NEEDED, reason, estimates, {"share": rounded(share), **behind})
@@ -64,19 +59,15 @@ def _edges(image: Floats, body: NDArray[np.bool_], jump: float) -> tuple[Floats,
     flat, rise = joined & (np.abs(step) < jump), joined & (step >= jump)
     two = flat[:, :-3] & rise[:, 1:-2] & rise[:, 2:-1] & flat[:, 3:] & body[:, 1:-3]
     gap = image[:, 3:-1] - image[:, 1:-3]
-    two &= (gap >= _WIDE * jump) & (step[:, 1:-2] >= END * gap) & (step[:, 1:-2] <= (1 - END) * gap)
+    two &= (gap >= _WIDE * jump) & (step[:, 1:-2] >= _END * gap) & (step[:, 1:-2] <= (1 - _END) * gap)
     one = flat[:, :-2] & rise[:, 1:-1] & flat[:, 2:] & body[:, 1:-2] & (step[:, 1:-1] >= _WIDE * jump)
     return gap[two], step[:, 1:-1][one]
 
 
 Side = Literal["left", "right"]
 
-LEAST_GAPS: Final = 200
-"""Fewest rows of both outlines, room behind them, for a verdict."""
-
-LEAST_PX: Final = 2.0
-"""Least width of a shadow, pixels; less is an edge."""
-
+_LEAST_GAPS: Final = 200  # rows of both outlines, room behind them, for a verdict
+_LEAST_PX: Final = 2.0  # width of a shadow; less is an edge
 _LEAST_DEPTH_M: Final = 0.2
 _ONE_SIDED: Final = 1.25  # least ratio of the wider to the narrower shadow that gives a side
 _MIDDLE: Final = (0.2, 0.8)
@@ -99,7 +90,7 @@ def measure_shadow(recording: MarkedRecording) -> ProjectorShadow | None:
     sides: tuple[Side, Side] = ("left", "right")
     frames, focal_px = recording.frames, recording.camera.focal_px
     rows = {side: np.concatenate([_gaps(frame, focal_px, side) for frame in frames], 1) for side in sides}
-    if min(found.shape[1] for found in rows.values()) < LEAST_GAPS:
+    if min(found.shape[1] for found in rows.values()) < _LEAST_GAPS:
         return None
     baselines: dict[Side, Estimate] = {}
     widths: dict[Side, float] = {}
@@ -114,7 +105,7 @@ def measure_shadow(recording: MarkedRecording) -> ProjectorShadow | None:
         widths[side] = float(np.median(width))
     narrow, wide = sorted(baselines, key=lambda side: baselines[side].value)
     clear = baselines[wide].value > _ONE_SIDED * baselines[narrow].value
-    return ProjectorShadow(baselines, widths, wide if clear and widths[wide] >= LEAST_PX else None)
+    return ProjectorShadow(baselines, widths, wide if clear and widths[wide] >= _LEAST_PX else None)
 
 
 class ShadowFrames:
@@ -141,10 +132,10 @@ class ShadowFrames:
 def shadow_finding(shadow: ProjectorShadow | None, projector: Side | None, beside: bool = True) -> Finding:
     """The finding of "occlusion". projector: its side of the camera where the sensor is known; beside: if not above."""
     if shadow is None:
-        return Finding("occlusion", UNKNOWN, f"fewer than {LEAST_GAPS} rows show the room behind a body on both sides")
+        return Finding("occlusion", UNKNOWN, f"fewer than {_LEAST_GAPS} rows show the room behind a body on both sides")
     estimates = {f"baseline_{side}_m": estimate for side, estimate in shadow.baseline_m.items()}
     widths = ", ".join(f"{width:.3g} px {side}" for side, width in shadow.width_px.items())
-    if max(shadow.width_px.values()) < LEAST_PX:
+    if max(shadow.width_px.values()) < _LEAST_PX:
         verdict, why = (NOT_SEEN, "") if beside else (UNKNOWN, ": a projector above or below casts none there")
         return Finding("occlusion", verdict, f"gaps beside bodies are {widths}{why}", estimates)
     sides = ", ".join(f"{estimate} m {side}" for side, estimate in shadow.baseline_m.items())
@@ -152,7 +143,7 @@ def shadow_finding(shadow: ProjectorShadow | None, projector: Side | None, besid
     if shadow.side is None:
         return Finding("occlusion", UNKNOWN, f"{reason}, alike on both sides as edges are", estimates)
     narrow: Side = "left" if shadow.side == "right" else "right"
-    if shadow.width_px[narrow] >= LEAST_PX:
+    if shadow.width_px[narrow] >= _LEAST_PX:
         both = shadow.baseline_m.values()
         total = Estimate(sum(each.value for each in both), math.hypot(*(each.error for each in both)))
         estimates |= {"baseline_m": total}

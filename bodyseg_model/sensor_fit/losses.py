@@ -21,16 +21,10 @@ from bodyseg_model.sensor_fit.recording import (
     smooth_surface,
 )
 
-MARGIN_PX: Final = 6
-"""Pixels this near to an edge of a surface are not counted one by one: sensors lose edges, not at random."""
-
-SEEN_SHARE: Final = 0.1
-"""Least share of the frames of a still body that show it in a pixel of its own."""
-
-LEAST_PIXELS: Final = 2000
-LEAST_SHARE: Final = 0.002
-"""Least share of lost pixels for which an artifact is needed."""
-
+_MARGIN_PX: Final = 6  # pixels this near to an edge of a surface are not counted singly: edges are not lost at random
+_SEEN_SHARE: Final = 0.1  # of the frames of a still body, at least, show it in a pixel of its own
+_LEAST_PIXELS: Final = 2000
+_LEAST_SHARE: Final = 0.002  # of lost pixels for which an artifact is needed
 _CLOSED_PX: Final = 2
 _JUMP_M: Final = 0.03
 _NOISES: Final = 8.0
@@ -52,7 +46,7 @@ _MOST_RATES: Final = 4
 class BodyOutline:
     """The body of one frame as it would be without loss, all arrays bool [H, W].
 
-    full: its pixels; inside: those farther than `MARGIN_PX` from an edge. lost: those without a range, shadows aside;
+    full: its pixels; inside: those farther than `_MARGIN_PX` from an edge. lost: those without a range, shadows aside;
     shadow: lost behind an edge of the body. stripes: in whole rows or columns that are lost. still: whether the outline
     is known from other frames of a body that stands still.
     """
@@ -86,14 +80,14 @@ def _outlines(frames: Sequence[MarkedFrame], recording: MarkedRecording) -> list
     """The outlines of one body in frames that differ by losses and noise alone, or in a single one."""
     seen = sum(frame.body.astype(np.int64) for frame in frames)
     room = np.asarray(sum(frame.room.astype(np.int64) for frame in frames) > len(frames) // 2)
-    shown = np.asarray(seen >= max(1.0, SEEN_SHARE * len(frames))) & ~room
+    shown = np.asarray(seen >= max(1.0, _SEEN_SHARE * len(frames))) & ~room
     if len(frames) == 1:
         shown = _bridged(shown)
     mean, known, noise_m = mean_of(frames)
     surface = partial(smooth_surface, mean, known, noise_m, recording.camera)
     full = _without_gaps(filled(shown, room), shown, surface)
     edges = jumps(mean, known, _JUMP_M + _NOISES * noise_m)
-    inside = eroded(full, MARGIN_PX) & ~dilated(edges, MARGIN_PX - 1)
+    inside = eroded(full, _MARGIN_PX) & ~dilated(edges, _MARGIN_PX - 1)
     found = []
     for frame in frames:
         missing, behind = full & (frame.range_m == 0), _behind_edges(frame) & (seen == 0)
@@ -191,8 +185,8 @@ def _behind_edges(frame: MarkedFrame) -> Mask:
 def measure_losses(outlines: Sequence[BodyOutline]) -> list[Finding]:
     """Findings of "missing_data", "patch_loss" and "stripe_loss"."""
     pixels = sum(int(np.count_nonzero(outline.inside)) for outline in outlines)
-    if pixels < LEAST_PIXELS:
-        few = f"bodies have {pixels} pixels away from their outline, {LEAST_PIXELS} are needed"
+    if pixels < _LEAST_PIXELS:
+        few = f"bodies have {pixels} pixels away from their outline, {_LEAST_PIXELS} are needed"
         return [Finding(name, UNKNOWN, few) for name in ("missing_data", "patch_loss", "stripe_loss")]
     return [_random(outlines), _patches(outlines), _stripes(outlines)]
 
@@ -205,7 +199,7 @@ def _random(outlines: Sequence[BodyOutline]) -> Finding:
     rates = lost / np.maximum(counts, 1)
     mean = float(np.sum(lost) / max(counts.sum(), 1))
     estimates = {"share": Estimate(mean, float(np.sqrt(max(mean * (1 - mean), 1e-6) / max(counts.sum(), 1))))}
-    if mean < LEAST_SHARE:
+    if mean < _LEAST_SHARE:
         return Finding("missing_data", NOT_SEEN, f"{mean:.2%} of {counts.sum()} pixels lost singly", estimates)
     strengths, reason = _rates(rates[counts > 0])
     return Finding("missing_data", NEEDED, f"{mean:.2%} of pixels lost singly; {reason}", estimates, strengths)
@@ -224,7 +218,7 @@ def _rates(rates: Floats) -> tuple[dict[str, Any], str]:
     if len(levels) == 1:
         return {"rates": (rounded(levels[0]),)}, "the same share in all frames"
     if len(levels) <= _MOST_RATES and all(len(group) > 1 for group in groups):
-        named = tuple(rounded(level) if level >= LEAST_SHARE / 2 else 0.0 for level in levels)
+        named = tuple(rounded(level) if level >= _LEAST_SHARE / 2 else 0.0 for level in levels)
         return {"rates": named}, f"frames change between {', '.join(f'{level:.1%}' for level in named)}"
     low, high = _uniform(rates)
     return {"between": (rounded(low), rounded(high))}, f"from {low:.1%} to {high:.1%} in a frame"
@@ -259,7 +253,7 @@ def _area_loss(
     error = float(shares.std(ddof=1) / np.sqrt(len(shares))) if len(shares) > 1 else mean
     low, high = _uniform(shares)
     estimates = {"share": Estimate(mean, error), "low": Estimate(low), "high": Estimate(high)}
-    if (shares >= LEAST_SHARE).sum() < max(min(2, len(shares)), in_frames * len(shares)):
+    if (shares >= _LEAST_SHARE).sum() < max(min(2, len(shares)), in_frames * len(shares)):
         return Finding(name, NOT_SEEN, f"{mean:.2%} of the bodies lost in {what}", {"share": estimates["share"]})
     reason = f"{estimates['share']} of the bodies lost in {what}, {shares.min():.1%} to {shares.max():.1%} a frame"
     reason += "" if outlines[0].still else f"; at least, as {missed}"

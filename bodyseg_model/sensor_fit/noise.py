@@ -19,19 +19,15 @@ from bodyseg_model.sensor_fit.recording import (
     third_differences,
 )
 
-LEAST_RESIDUALS: Final = 2000
-LEAST_MM: Final = 0.3
-"""Least noise that is told from the relief of a surface and from files in millimetres."""
-
-MARGIN_PX: Final = 3
-"""Pixels this near to a silhouette are left out: they may show two surfaces."""
-
+_LEAST_RESIDUALS: Final = 2000
+_LEAST_MM: Final = 0.3  # that is told from the relief of a surface and from files in millimetres
+_MARGIN_PX: Final = 3  # pixels this near to a silhouette are left out: they may show two surfaces
 _JUMP_M: Final = 0.05  # between neighbours of two surfaces
 _STEEPEST: Final = 1.0  # slope, as its tangent, of surfaces whose shape third differences cancel
 _FEWEST: Final = 50  # residuals of one frame
 _VARYING: Final = 0.06  # spread of the frames' deviations, as a share, from which noise differs between frames
 _COARSE: Final = 0.16  # of a squared step: variance of two frames below which most values of both are equal
-_HELD: Final = 0.1  # share of differences beyond all noise from which a driver holds values over several frames
+_FILTERED: Final = 1.2  # variance between every other frame, over that of neighbours, from which a driver filters
 
 Row = tuple[float, int, float, float]
 """Noise of one frame or pair: variance, metres squared, rounding included; number of residuals; step and range, m."""
@@ -48,15 +44,15 @@ def measure_noise(recording: MarkedRecording) -> Finding:
     between, found = bool(found), found or list(_spatial(recording))
     variances, counts, steps, ranges = np.array(found, np.float64).reshape(-1, 4).T
     count = int(counts.sum())
-    if count < LEAST_RESIDUALS:
-        return Finding("noise", UNKNOWN, f"{count} residuals are too few, {LEAST_RESIDUALS} are needed")
+    if count < _LEAST_RESIDUALS:
+        return Finding("noise", UNKNOWN, f"{count} residuals are too few, {_LEAST_RESIDUALS} are needed")
     sigmas = 1000 * np.sqrt(variances)
     mean, spread = float(sigmas.mean()), float(sigmas.std(ddof=1)) if len(sigmas) > 1 else 0.0
     estimates = {"sigma_mm": Estimate(mean, float(np.hypot(spread / np.sqrt(len(sigmas)), mean / np.sqrt(2 * count))))}
     at = f"at {ranges.min():.2f} m" if np.ptp(ranges) < 0.05 else f"from {ranges.min():.2f} to {ranges.max():.2f} m"
     where = f"{'between' if between else 'within'} frames, {at}"
-    if mean < LEAST_MM:
-        return Finding("noise", NOT_SEEN, f"less than {LEAST_MM:g} mm {where}", estimates)
+    if mean < _LEAST_MM:
+        return Finding("noise", NOT_SEEN, f"less than {_LEAST_MM:g} mm {where}", estimates)
     reason = f"{estimates['sigma_mm']} mm {where}"
     step = float(np.median(steps))
     if step**2 / 12 > np.median(variances) / 2:
@@ -75,15 +71,29 @@ def measure_noise(recording: MarkedRecording) -> Finding:
 def _temporal(recording: MarkedRecording) -> Iterator[Row]:
     mean, known, noise_m = mean_of(recording.frames)
     usable = _inner(mean, known, noise_m)
-    for a, b in recording.pairs:
+    for a, b in () if _filtered(recording, usable) else recording.pairs:
         first, second = recording.frames[a], recording.frames[b]
         both = usable & first.body & second.body
         residuals = (second.range_m[both].astype(np.float64) - first.range_m[both]) / np.sqrt(2)
         if len(residuals) >= _FEWEST and residuals.any():  # else one frame, twice
             step = _step_of(first, recording.step_m)
-            variance = clipped_variance(residuals, step)
-            if np.mean(np.abs(residuals) > 4.5 * max(np.sqrt(variance), step / 3)) < _HELD:
-                yield before_equal_rounding(variance, step), len(residuals), step, float(np.median(mean[both]))
+            variance = before_equal_rounding(clipped_variance(residuals, step), step)
+            yield variance, len(residuals), step, float(np.median(mean[both]))
+
+
+def _filtered(recording: MarkedRecording, usable: Mask) -> bool:
+    """True if a driver filters values over time, or holds them: frames farther apart then differ more than neighbours.
+
+    Of independent frames a, b, c, d, ab and cd differ together as ac and bd do. Third differences cancel what sways.
+    """
+    frames, apart = recording.frames, {1: 0.0, 2: 0.0}
+    fresh = [b for a, b in zip((frames[-1], *frames), frames, strict=False) if (a.stored != b.stored).any()]
+    for first in range(0, len(fresh) - 3, 4):
+        for place, steps in ((0, 1), (2, 1), (0, 2), (1, 2)):
+            a, b = fresh[first + place], fresh[first + place + steps]
+            away = third_differences(b.range_m - a.range_m, usable & a.body & b.body)
+            apart[steps] += clipped_variance(away, _step_of(a, recording.step_m)) if len(away) else 0.0
+    return apart[2] > _FILTERED * apart[1]
 
 
 def _spatial(recording: MarkedRecording) -> Iterator[Row]:
@@ -100,7 +110,7 @@ def _spatial(recording: MarkedRecording) -> Iterator[Row]:
 
 def _inner(range_m: NDArray[np.floating], known: Mask, sigma_m: float) -> Mask:
     """The known pixels away from every jump of range, bool [H, W]; pixels that are not known are no jump."""
-    return known & ~dilated(jumps(range_m, known, max(_JUMP_M, 8 * sigma_m)), MARGIN_PX)
+    return known & ~dilated(jumps(range_m, known, max(_JUMP_M, 8 * sigma_m)), _MARGIN_PX)
 
 
 def _step_of(frame: MarkedFrame, step_m: float) -> float:

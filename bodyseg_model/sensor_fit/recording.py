@@ -105,7 +105,7 @@ def jumps(range_m: NDArray[np.floating], known: Mask, least_m: float) -> Mask:
 
 
 MOST_FRAMES: Final = 40
-"""The most frames that are measured: of a longer recording, pairs of neighbours spread evenly over it."""
+"""The most frames that are measured: of a longer recording, fours of neighbours spread evenly over it."""
 
 STILL_SHARE: Final = 0.5
 """Least intersection over union of a still body in two frames; half of each may be lost, and elsewhere."""
@@ -239,7 +239,7 @@ def chosen_frames(count: int, most: int = MOST_FRAMES) -> tuple[list[int], tuple
     """Indices of the frames to measure, ascending, and pairs of neighbours as positions in that list."""
     if count <= most:
         return list(range(count)), tuple((index, index + 1) for index in range(count - 1))
-    chosen = sorted({start + shift for start in evenly_apart(count - 1, most // 2) for shift in (0, 1)})
+    chosen = sorted({start + shift for start in evenly_apart(count - 3, most // 4) for shift in range(4)})
     pairs = [(index, index + 1) for index in range(len(chosen) - 1) if chosen[index + 1] == chosen[index] + 1]
     return chosen, tuple(pairs)
 

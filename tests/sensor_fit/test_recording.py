@@ -25,10 +25,10 @@ def save(folder: Path, name: str, frame: np.ndarray) -> None:  # type: ignore[ty
     Image.fromarray(frame.astype(np.uint16)).save(folder / f"{name}.png")
 
 
-def test_long_recordings_are_thinned_to_pairs() -> None:
+def test_long_recordings_are_thinned_to_fours() -> None:
     assert chosen_frames(3) == ([0, 1, 2], ((0, 1), (1, 2)))
-    chosen, pairs = chosen_frames(1000, 10)
-    assert len(chosen) == 10 and len(pairs) == 5 and chosen[0] == 0 and chosen[-1] == 999
+    chosen, pairs = chosen_frames(1000, 12)
+    assert len(chosen) == 12 and len(pairs) == 9 and chosen[0] == 0 and chosen[-1] == 999
     assert all(chosen[b] == chosen[a] + 1 for a, b in pairs)
 
 
