@@ -123,15 +123,19 @@ class Segmentation:
         return image
 
     def points(self) -> Records:
-        """The points of all people, with label, person and confidence, `POINT` [N] (`SurfacePixels`)."""
+        """Points of people, `POINT` [N]: x, y, z (metres: right, down, ahead), label (255 none), person, confidence."""
         return SurfacePixels(self).points()
 
     def parts(self, near_m: Sequence[float] = (0.0, 0.0, 0.0)) -> Records:
-        """Pixels, box, centroid, nearest point and confidence of each person's parts, `PART` [N] (`SurfacePixels`)."""
+        """Each person's parts, `PART` [N]: labelled pixels, box, centroid_m, nearest_m, distance_m, confidence; axes as
+        of `points`. near_m: the point that distances are to. Raises BadConfig unless it is three finite numbers.
+        """
         return SurfacePixels(self).parts(near_m)
 
     def joints(self) -> Records:
-        """The 15 joints of every person, `JOINT` [people, 15] (`found_joints`)."""
+        """`JOINTS` of every person, `JOINT` [people, 15]: position_m, metres, axes as of `points`, NaN where unsure;
+        error_m, to be expected. Raises BadConfig for a network of other classes than the 33 parts.
+        """
         return found_joints(self)
 
 
