@@ -104,13 +104,11 @@ def jumps(range_m: NDArray[np.floating], known: Mask, least_m: float) -> Mask:
     return found
 
 
-MOST_FRAMES: Final = 40
-"""The most frames that are measured: of a longer recording, fours of neighbours spread evenly over it."""
-
-STILL_SHARE: Final = 0.5
-"""Least intersection over union of a still body in two frames; half of each may be lost, and elsewhere."""
-
+_MOST_FRAMES: Final = 40  # that are measured: of a longer recording, fours of neighbours spread evenly over it
+_STILL_SHARE: Final = 0.5  # intersection over union of a still body in two frames; half of each may be lost, elsewhere
 _BLOCK: Final = 8
+_LARGE_BLOCK: Final = 32
+_COHERENT: Final = 0.6  # of the means of small blocks are those of large ones that move; shared noise leaves less
 _MOST_DRIFT: Final = 0.4  # of the pixels' differences; blocks of 64 independent pixels show an eighth
 _LEAST_DRIFT_M: Final = 3e-4
 
@@ -157,23 +155,26 @@ class MarkedRecording:
         bodies = [self.frames[index].body for index in (a, b)]
         first, second = (closing(body, 2) for body in bodies)
         either = np.count_nonzero(first | second)
-        if not either or np.count_nonzero(first & second) < STILL_SHARE * either:
+        if not either or np.count_nonzero(first & second) < _STILL_SHARE * either:
             return False
         both = bodies[0] & bodies[1]
         difference = np.where(both, self.frames[b].range_m - self.frames[a].range_m, 0)
-        rows, columns = (side // _BLOCK * _BLOCK for side in both.shape)
-        sums, counts = (
-            image[:rows, :columns].reshape(rows // _BLOCK, _BLOCK, -1, _BLOCK).sum((1, 3))
-            for image in (difference, both)
-        )
-        full = counts >= _BLOCK * _BLOCK // 4
-        if np.count_nonzero(full) < 4:
+        means, counts = _block_means(difference, both, _BLOCK)
+        if len(means) < 4:
             return False
         spread = _robust(difference[both])
         # Fewer pixels in a block leave more of the noise in its mean.
-        by_chance = spread / np.sqrt(np.median(counts[full]))
-        limit = 2 * by_chance + _MOST_DRIFT * spread / 2 + _LEAST_DRIFT_M
-        return bool(_robust(sums[full] / counts[full]) <= limit)
+        limit = spread * (2 / np.sqrt(np.median(counts)) + _MOST_DRIFT / 2) + _LEAST_DRIFT_M
+        large, _ = _block_means(difference, both, _LARGE_BLOCK)
+        return _robust(means) <= limit or (len(large) >= 4 and _robust(large) <= _COHERENT * _robust(means))
+
+
+def _block_means(image: NDArray[np.float32], known: Mask, side: int) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Means of an image, 0 where it is not known, in square blocks of which a quarter is, [N], and pixels of each."""
+    rows, columns = (length // side * side for length in known.shape)
+    sums, counts = (each[:rows, :columns].reshape(rows // side, side, -1, side).sum((1, 3)) for each in (image, known))
+    full = counts >= side * side // 4
+    return sums[full] / counts[full], counts[full]
 
 
 def mean_of(frames: Sequence[MarkedFrame]) -> tuple[Floats, Mask, float]:
@@ -235,7 +236,7 @@ def read_recording(
     return MarkedRecording(tuple(frames), camera, step_m, pairs)
 
 
-def chosen_frames(count: int, most: int = MOST_FRAMES) -> tuple[list[int], tuple[tuple[int, int], ...]]:
+def chosen_frames(count: int, most: int = _MOST_FRAMES) -> tuple[list[int], tuple[tuple[int, int], ...]]:
     """Indices of the frames to measure, ascending, and pairs of neighbours as positions in that list."""
     if count <= most:
         return list(range(count)), tuple((index, index + 1) for index in range(count - 1))

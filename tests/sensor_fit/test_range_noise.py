@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from benches.model.sensor_fit.recordings import in_steps
 from known_sensors import recorded
+from scipy.ndimage import gaussian_filter
 
 from bodyseg_data.artifacts import Noise
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN
@@ -36,6 +37,18 @@ def test_frames_that_a_driver_repeats_say_nothing_of_noise() -> None:
     assert measure_noise(twice).strengths == measure_noise(once).strengths
     alone = measure_noise(replace(once, frames=once.frames[:1] * 4))
     assert alone.strengths["low_mm"] == pytest.approx(5.0, rel=0.05) and "within frames" in alone.reason
+
+
+@pytest.mark.parametrize("blur_px", [1.0, 1.5])
+def test_noise_that_neighbours_share_is_no_motion(blur_px: float) -> None:
+    once, generator = recorded(), np.random.default_rng(0)
+    frames = []
+    for frame in once.frames:
+        noise = gaussian_filter(generator.standard_normal(frame.range_m.shape), blur_px)
+        range_m = np.where(frame.range_m > 0, frame.range_m + 0.005 * noise / noise.std(), 0).astype(np.float32)
+        frames.append(replace(frame, range_m=range_m, stored=np.rint(range_m / once.step_m).astype(np.uint16)))
+    found = measure_noise(replace(once, frames=tuple(frames)))
+    assert found.strengths["low_mm"] == pytest.approx(5.0, rel=0.05) and "between frames" in found.reason
 
 
 @pytest.mark.parametrize("driver", ["holds most", "holds some", "filters"])
