@@ -89,6 +89,8 @@ class ScapeBodies(MeshBodies):
             if number in found
         }
         missing = [name for number, name in zip(SCAPE_NUMBERS, SCAPE_MESHES, strict=True) if number not in found]
+        if labelled is None:
+            missing.append("landmarks.json")
         super().__init__(files, missing, options)
 
 
@@ -170,8 +172,7 @@ def _standing(path: Path) -> dict[str, Path]:
     found = _by_name(path, mesh_stem)
     chosen = {}
     for name in sorted(found):
-        sitting = _SITTING.fullmatch(name)
-        if sitting and f"{sitting[1]}a" in found:
+        if (sitting := _SITTING.fullmatch(name)) and f"{sitting[1]}a" in found:
             continue
         folders = sorted({file.parent for file in found[name]})
         if len(folders) > 1:
@@ -197,8 +198,7 @@ def _by_name(root: Path, stem_of: Callable[[str], str | None]) -> dict[str, list
     """Return lower-case stem -> files of that stem anywhere below a folder, sorted."""
     found: dict[str, list[Path]] = {}
     for file in files_below(root):
-        stem = stem_of(file.name)
-        if stem:
+        if stem := stem_of(file.name):
             found.setdefault(stem.lower(), []).append(file)
     return found
 

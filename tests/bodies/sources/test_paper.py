@@ -26,7 +26,7 @@ def complete(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("paper")
     names = [f"SCAPE/{name}" for name in SCAPE_MESHES] + [f"mit/{name}" for name in MIT_MESHES]
     names += [f"Caesar/csr{number:04d}a.{kind}" for number in range(1, 584) for kind in ("ply", "lnd")]
-    names.append("mit/landmarks_C.json")
+    names += ["SCAPE/landmarks.json", "mit/landmarks_C.json"]
     for name in names:
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).touch()

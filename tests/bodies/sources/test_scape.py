@@ -18,8 +18,9 @@ TURN = turn("x", "z")
 
 
 def complete(folder: Path) -> Path:
-    """All 71 names, with nothing in the files: counting must not read them."""
+    """All 71 names and the landmarks', with nothing in the files: counting must not read them."""
     folder.mkdir(parents=True, exist_ok=True)
+    (folder / "landmarks.json").touch()
     for number in NUMBERS:
         (folder / f"mesh{number:03d}.ply").touch()
     return folder
@@ -36,6 +37,8 @@ def test_a_complete_set_has_71_meshes_split_57_to_14(tmp_path: Path) -> None:
     assert [body.mesh for body in bodies] == [f"mesh{number:03d}" for number in NUMBERS]
     assert {(body.subset, body.subject) for body in bodies} == {("A", "A")}
     assert [body.split for body in bodies] == ["train"] * 57 + ["test"] * 14
+    (tmp_path / "landmarks.json").unlink()
+    assert ScapeBodies(tmp_path).missing() == ("landmarks.json",)
 
 
 def test_a_part_keeps_the_split_of_the_whole_and_names_what_is_missing(tmp_path: Path) -> None:
@@ -75,7 +78,7 @@ def test_a_mesh_keeps_its_vertices_and_is_placed(tmp_path: Path, name: str) -> N
 
 def test_a_source_prints_in_one_line(tmp_path: Path) -> None:
     write_mesh(tmp_path / "mesh000.ply", PERSON.vertices)
-    assert repr(ScapeBodies(tmp_path)) == "ScapeBodies(name='scape', bodies=1, missing=70)"
+    assert repr(ScapeBodies(tmp_path)) == "ScapeBodies(name='scape', bodies=1, missing=71)"
 
 
 def test_all_postures_are_placed_alike(tmp_path: Path) -> None:
