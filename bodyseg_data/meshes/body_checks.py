@@ -1,7 +1,7 @@
 """Checks of meshes that people bring as bodies: faults that no rule of meshes finds, but landmarks do.
 
 Programs with left-handed axes write meshes that are mirrored, with landmarks that are, too: such a body looks whole,
-but its front and back, or right and left, are exchanged. Scans often hold the floor or plate under the feet.
+but its front and back, or right and left, are exchanged. Scans often hold the floor under the feet, or somebody else.
 """
 
 from typing import Any, Final
@@ -20,13 +20,14 @@ _PLATE_M: Final = 0.3  # least width of a plate
 _THIN: Final = 0.1  # of its width
 _THICK: Final = 0.25  # of that of a platform under the feet
 _NEAR_FEET_M: Final = 0.1
+_APART_M: Final = 0.5  # most of what people wear is nearer to the body, wide skirts included
 _LEVEL: Final = 0.94  # vertical part of a floor's normal
 _AWAY_M: Final = 0.2  # little of a body's underside is as far from all landmarks, whatever its posture
 _FLOOR_M2: Final = 0.13
 
 
 def check_body(vertices: Floats, faces: NDArray[np.integer[Any]], landmarks: Floats, where: str) -> None:
-    """Raise BadMesh, naming `where`, for a mirrored body, or one with a floor, a plate or a wall in its mesh.
+    """Raise BadMesh, naming `where`, for a mirrored body, or one that is not alone in its mesh.
 
     vertices: [V, 3]; faces: [F, 3]; landmarks: [33, 3]; metres, body frame.
     """
@@ -45,7 +46,7 @@ def check_body(vertices: Floats, faces: NDArray[np.integer[Any]], landmarks: Flo
             "them behind: the mesh is mirrored, as from a program with left-handed axes (or right and left landmarks "
             "are exchanged): negate one axis"
         )
-    _check_plates(vertices, faces, landmarks, size, where)
+    _check_alone(vertices, faces, landmarks, size, where)
 
 
 def _handed(points: dict[str, Floats], pairs: tuple[str, ...], up: Floats, front: Floats) -> float:
@@ -56,14 +57,11 @@ def _handed(points: dict[str, Floats], pairs: tuple[str, ...], up: Floats, front
 
 
 def _middle(points: dict[str, Floats], *names: str) -> Floats:
-    middle: Floats = np.mean([points[name] for name in names], axis=0)
-    return middle
+    return np.asarray(np.mean([points[name] for name in names], axis=0))
 
 
-def _check_plates(
-    vertices: Floats, faces: NDArray[np.integer[Any]], landmarks: Floats, size: float, where: str
-) -> None:
-    """Raise BadMesh for a flat piece without a landmark, or a level surface away from all of them at the bottom."""
+def _check_alone(vertices: Floats, faces: NDArray[np.integer[Any]], landmarks: Floats, size: float, where: str) -> None:
+    """Raise BadMesh for a piece without a landmark, flat or apart, or a level surface away from all at the bottom."""
     from scipy.spatial import KDTree
 
     used, corners = np.unique(faces, return_inverse=True)  # others may lie anywhere
@@ -71,7 +69,8 @@ def _check_plates(
     points, corners = vertices[used][kept], place[corners].reshape(-1, 3)
     piece = face_components(len(points), corners)
     own = np.unique(piece[KDTree(points).query(landmarks)[1]])
-    bottom = float(points[np.isin(piece, own), 1].min())
+    body = points[np.isin(piece, own)]
+    bottom, near = float(body[:, 1].min()), KDTree(body)
     body_width = float(np.sort(np.ptp(landmarks, axis=0))[1])
     order = np.argsort(piece, kind="stable")
     for other in np.split(order, np.flatnonzero(np.diff(piece[order])) + 1):  # scans may have thousands
@@ -82,10 +81,13 @@ def _check_plates(
         long, wide, thin = np.ptp(plate @ axes.T, axis=0).tolist()
         under = np.median(plate[:, 1]) < bottom + _NEAR_FEET_M * size and abs(axes[2, 1]) > _LEVEL
         if thin < (_THICK if under else _THIN) * wide and wide > (_PLATE_M * size if under else body_width):
-            raise BadMesh(
-                f"{where}: a body must be alone in its mesh, found a flat piece of {long:.2g} x {wide:.2g} m without a "
-                f"landmark{' under it' if under else ''}: take the floor, plate or wall out"
-            )
+            kind, out = "flat piece", f"{' under it' if under else ''}: take the floor, plate or wall out"
+        elif np.quantile(near.query(plate)[0], 0.9) > _APART_M * size:
+            kind, out = "piece", " and apart from it: take the other person or thing out"
+        else:
+            continue
+        size_m = f"{long:.2g} x {wide:.2g} m"
+        raise BadMesh(f"{where}: a body must be alone in its mesh, found a {kind} of {size_m} without a landmark{out}")
     normals = face_normals(points, corners)
     double_area = np.maximum(np.linalg.norm(normals, axis=1), 1e-12)
     level = (np.abs(normals[:, 1]) > _LEVEL * double_area) & np.isin(piece[corners[:, 0]], own)

@@ -83,6 +83,15 @@ def test_what_people_wear_and_hold_passes() -> None:
     for size, centre in (((0.1, 0.03, 0.28), (0.1, 0.0, 0.05)), ((0.35, 0.02, 0.35), (0.0, 1.7, 0.0))):
         piece = cuboid(size, centre)  # a sole, and the brim of a hat
         checked(*beside(piece.vertices, piece.faces))
+    skirt = cuboid((0.7, 0.9, 0.7), (0.0, 0.45, 0.0))
+    checked(*beside(skirt.vertices, skirt.faces))
+
+
+@pytest.mark.parametrize("metres", [0.9, 3.0])
+def test_another_person_in_the_mesh(metres: float) -> None:
+    """Whom no landmark reaches would get the labels of the nearest surface."""
+    with pytest.raises(BadMesh, match="found a piece of .* m without a landmark and apart from it: take the other"):
+        checked(*beside(PERSON.vertices + np.array([metres, 0, 0]), PERSON.faces))
 
 
 def test_a_loose_face_of_two_places_far_apart_is_no_plate() -> None:
