@@ -9,6 +9,7 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from bodyseg_data.core import BadConfig
 from bodyseg_data.drawing import EMPTY, THING, window_of
 from bodyseg_data.labels import BACKGROUND, colour_labels
 from bodyseg_model.segmentation import STILL_M, LabelledFrame, LabelledRecording, Segmentation, draw_overlay, flicker
@@ -87,11 +88,14 @@ class RecordingView:
         )
 
     def before(self, number: int) -> LabelledFrame | None:
-        """The frame before, if it is of the same recording and size. Raises as `draw`."""
+        """The frame before, if it can be read and is of the same recording and size. Raises as `draw`, of this one."""
         frames = self.recording.frames
         if number == 0 or frames[number - 1].sequence != frames[number].sequence:
             return None
-        before = self.labelled(number - 1)
+        try:
+            before = self.labelled(number - 1)
+        except BadConfig:
+            return None
         return before if before.range_m.shape == self.labelled(number).range_m.shape else None
 
     def _colours(
@@ -116,12 +120,9 @@ class RecordingView:
         near = Layout.of(2, (rows, columns))
         confidences = share_image(near.reduced(frame.confidence[window]), near.reduced(measured[window]))
         changed = colour_labels(near.reduced(changes[window]), EMPTY, _CHANGE_COLOURS)
-        sure = frame.mean_confidence
-        note = "nobody" if sure is None else f"mean {sure:.0%}"
-        below = [
-            Panel("confidence", confidences, note),
-            Panel("flicker", changed, "labels beside those of the frame before"),
-        ]
+        note = "nobody" if frame.mean_confidence is None else f"mean {frame.mean_confidence:.0%}"
+        flickering = Panel("flicker", changed, "labels beside those of the frame before")
+        below = [Panel("confidence", confidences, note), flickering]
         above = [Panel("labels on the range image", whole.reduced(overlay), _counted(frame))]
         return np.concatenate([whole.draw([above]), near.draw([below])])
 

@@ -10,6 +10,7 @@ from label_networks import Places
 from pngs import png
 from small_rig import SMALL
 
+from bodyseg_data.core import BadConfig
 from bodyseg_data.labels.label_map import COLOURS
 from bodyseg_data.rigs import Camera, Rig
 from bodyseg_model.networks import Trained
@@ -66,6 +67,14 @@ def test_confidence_and_its_legend(tmp_path: Path) -> None:
     assert any(fact.startswith("mean confidence") for fact in drawing.facts)
     green = CONFIDENCE_LEGEND[2][1]
     assert np.abs(drawing.points.colours.astype(int) - green).max() < 20
+
+
+def test_a_frame_after_one_that_cannot_be_read_is_shown(tmp_path: Path) -> None:
+    view = view_of(tmp_path, frame(10), np.zeros((8, 8), np.uint16), frame(10))
+    with pytest.raises(BadConfig, match="a frame must have the camera's size"):
+        view.draw(ShownFrame(number=1))
+    assert view.draw(ShownFrame(number=2)).bodies == 800
+    assert view.before(2) is None
 
 
 def labelled(labels: list[int], range_m: list[float]) -> LabelledFrame:
