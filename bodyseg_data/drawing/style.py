@@ -1,6 +1,7 @@
 """Shared style of all pictures: colours, font, the legend of the parts, and writing PNG and SVG files."""
 
 import io
+import unicodedata
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -40,23 +41,22 @@ def draw_legend(width: int, label_map: LabelMap = PARTS33) -> Image.Image:
     lines = -(-len(label_map) // columns)
     columns = -(-len(label_map) // lines)
     legend = Image.new("RGB", (width, lines * _LINE), PAPER)
-    pen = ImageDraw.Draw(legend)
+    pen, end = ImageDraw.Draw(legend), 38 if len(label_map) <= 100 else 46  # of a number of two digits or three
     for label, (name, colour) in enumerate(zip(label_map.names, label_map.colours.tolist(), strict=True)):
         column, line = divmod(label, lines)
         left, top = column * width // columns, line * _LINE
         pen.rounded_rectangle((left, top + 2, left + 15, top + 17), 3, tuple(colour))
-        pen.text((left + 38, top + 10), str(label), INK, font=font(13), anchor="rm")
-        pen.text((left + 46, top + 10), _cut(name, width // columns - 50), INK, font=font(13), anchor="lm")
+        pen.text((left + end, top + 10), str(label), INK, font=font(13), anchor="rm")
+        pen.text((left + end + 8, top + 10), _cut(name, width // columns - end - 12), INK, font=font(13), anchor="lm")
     return legend
 
 
 def _cut(name: str, width: int) -> str:
-    """As much of a name, in size 13, as fits into `width` pixels, with dots for the rest."""
-    if font(13).getlength(name) <= width:
-        return name
-    while name and font(13).getlength(f"{name}...") > width:
-        name = name[:-1]
-    return f"{name}..."
+    """As much of a name, in size 13, as fits into `width` pixels, with dots for the rest; the font has no accents."""
+    cut, dots = "".join(each for each in unicodedata.normalize("NFKD", name) if not unicodedata.combining(each)), ""
+    while cut and font(13).getlength(cut + dots) > width:
+        cut, dots = cut[:-1], "..."
+    return cut + dots
 
 
 def fitted(panel: NDArray[np.uint8], columns: int, rows: int) -> Image.Image:

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from bodyseg_data.drawing import PAPER, draw_legend
-from bodyseg_data.labels import PARTS33, LabelMap, load_label_map
+from bodyseg_data.labels import PARTS33, LabelMap, classes_of, load_label_map, whole_map
 
 
 @pytest.mark.parametrize("label_map", [PARTS33, load_label_map("itop15")])
@@ -31,3 +31,16 @@ def test_a_long_name_is_cut() -> None:
     assert inked(named("nose")) < inked(named("the nose and more")) < 222
     assert inked(named("the nose " * 40)) < 222
     assert named("the nose " * 40).tobytes() == named("the nose " * 50).tobytes()
+
+
+def test_numbers_of_three_digits_do_not_touch_their_colours() -> None:
+    many = whole_map(classes_of(f"c{number}" for number in range(101)))
+    between = np.asarray(draw_legend(222, many))[:, 16:20]
+    assert (between == PAPER).all()
+
+
+def test_letters_with_accents_are_drawn_without() -> None:
+    def named(name: str) -> bytes:
+        return draw_legend(222, LabelMap("mine", ((name, ("Sellion",)),))).tobytes()
+
+    assert named("Hände, é") == named("Hande, e")
