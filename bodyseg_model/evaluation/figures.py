@@ -131,8 +131,8 @@ def draw_confusion(figures: Tree) -> Any:
     if "left_right" in swaps:
         handles.append(Line2D([], [], label=f"left for right: {_percent(swaps['left_right'])} of all pixels", **sides))
     if "front_back" in swaps:
-        face = f"front for back: {_percent(swaps['front_back'])}, and left for right as well: {_percent(swaps['both'])}"
-        handles.append(Line2D([], [], label=face, **faces))
+        both = f", and left for right as well: {_percent(swaps['both'])}" if "both" in swaps else ""
+        handles.append(Line2D([], [], label=f"front for back: {_percent(swaps['front_back'])}{both}", **faces))
     if handles:
         figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=10, frameon=False)
     return figure

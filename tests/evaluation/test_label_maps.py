@@ -17,6 +17,7 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND, PARTS, PARTS33, LabelMap, load_label_map
 from bodyseg_model.commands import cli
 from bodyseg_model.evaluation import KINDS, Evaluation, Scores, evaluate, kinds_of, open_images, report, told_kinds
+from bodyseg_model.evaluation.figures import draw_confusion
 from bodyseg_model.evaluation.scores import count_kinds
 from bodyseg_model.networks import Network, build, predict, save_network
 
@@ -102,6 +103,13 @@ def test_a_network_of_classes_is_scored_by_its_classes(small_set: Path) -> None:
     assert tree["labels"] == LIMBS.to_json()
     assert [part["name"] for part in tree["classes"]] == list(LIMBS.names)
     assert set(tree["swaps"]) == {"left_right"}, "limbs tell no front from a back"
+
+
+def test_the_confusion_of_classes_with_faces_and_no_sides_is_drawn(small_set: Path) -> None:
+    head = LabelMap("head", (("face", ("Sellion",)), ("nape", ("Nuchale",))))
+    tree = report(evaluate(Bands(2), open_images(str(small_set), "all", labels=head)))
+    legend = draw_confusion(tree).legends[0]
+    assert [text.get_text().partition(":")[0] for text in legend.get_texts()] == ["front for back"]
 
 
 def test_parts_of_a_network_are_joined(small_set: Path) -> None:
