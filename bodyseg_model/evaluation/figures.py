@@ -32,6 +32,7 @@ Tree = dict[str, Any]
 _DARK: Final = "#1f4fa8"
 _PALE: Final = "#a9c4ea"
 _GRID: Final = "#e2e2e2"
+_LONGEST: Final = 30  # letters of a name
 _LEAST_SHARE: Final = 0.001  # of pixels, for a bin's accuracy to say anything
 
 
@@ -43,11 +44,9 @@ def draw_figures(figures: Tree, folder: Path) -> list[Path]:
     charts: dict[str, Callable[[Tree], Any]] = {"parts": draw_parts, "confusion": draw_confusion}
     if "reliability" in figures:
         charts["confidence"] = draw_confidence
-    written = []
     for name, draw in charts.items():
-        written.append(folder / f"{name}.png")
-        save_chart(draw(figures), written[-1], dpi=110)
-    return written
+        save_chart(draw(figures), folder / f"{name}.png", dpi=110)
+    return [folder / f"{name}.png" for name in charts]
 
 
 def draw_parts(figures: Tree) -> Any:
@@ -58,14 +57,14 @@ def draw_parts(figures: Tree) -> Any:
     upper, lower = figure.subplots(2, 1, height_ratios=(len(groups) + 0.6, len(parts) + 0.6), sharex=True)
     _bars(
         upper,
-        [f"{name}  (images: {format(group['images'], ',').replace(',', ' ')})" for name, group in groups.items()],
+        [f"{_shown(name)}  (images: {format(its['images'], ',').replace(',', ' ')})" for name, its in groups.items()],
         [group["average_per_class_accuracy"] for group in groups.values()],
         [(group["over_images"]["mean"], group["over_images"]["sd"]) for group in groups.values()],
     )
     upper.set_title("Average per-class accuracy: all images, and by subset", loc="left", fontsize=11)
     _bars(
         lower,
-        [f"{part['name']}  {part['label']:>2}" for part in parts],
+        [f"{_shown(part['name'])}  {part['label']:>2}" for part in parts],
         [part["accuracy"] for part in parts],
         [(part["mean_over_images"], part["sd_over_images"]) for part in parts],
     )
@@ -77,6 +76,11 @@ def draw_parts(figures: Tree) -> Any:
         fontsize=9,
     )
     return figure
+
+
+def _shown(name: str) -> str:
+    """A name as charts have room for it; what is between dollar signs would be a formula."""
+    return (name if len(name) <= _LONGEST else f"{name[: _LONGEST - 3]}...").replace("$", r"\$")
 
 
 def _bars(axis: Any, names: list[str], values: list[float | None], spreads: list[tuple[Any, Any]]) -> None:
@@ -117,13 +121,13 @@ def draw_confusion(figures: Tree) -> Any:
     kinds = kinds_of(label_map)
     _outline(axis, np.isin(kinds, [KINDS.index("front/back"), KINDS.index("both")]), faces)
     _outline(axis, np.isin(kinds, KINDS.index("left/right")), sides)
-    names = list(enumerate(label_map.names))
+    names = list(enumerate(map(_shown, label_map.names)))
     axis.set_xticks(range(len(names)), [f"{label}  {name}" for label, name in names], fontsize=8, rotation=90)
     axis.set_yticks(range(len(names)), [f"{name}  {label}" for label, name in names], fontsize=8)
     word = "part" if label_map == PARTS33 else "class"
     axis.set_xlabel(f"predicted {word}", fontsize=10)
     axis.set_ylabel(f"true {word}", fontsize=10)
-    axis.set_title(f"Prediction for the pixels of each true {word}, per cent (1 and more)", fontsize=12)
+    figure.suptitle(f"Prediction for the pixels of each true {word}, per cent (1 and more)", fontsize=12)
     bar = figure.colorbar(drawn, ax=axis, shrink=0.6, pad=0.01, ticks=[0, 0.01, 0.05, 0.1, 0.25, 0.5, 1])
     bar.ax.set_yticklabels(["0", "1 %", "5 %", "10 %", "25 %", "50 %", "100 %"], fontsize=9)
     swaps = figures["swaps"]
@@ -197,16 +201,9 @@ def _reliability(axis: Any, figures: Tree) -> None:
         width = row["up_to"] - row["confidence_above"]
         axis.bar(row["confidence_above"] + width / 2, row["pixels"] / pixels, 0.86 * width, color="#dcdcdc", zorder=1)
         axis.plot([row["confidence"]] * 2, [row["confidence"], row["accuracy"]], color=_DARK, linewidth=1.2, zorder=3)
-    axis.plot(
-        [row["confidence"] for row in rows],
-        [row["accuracy"] for row in rows],
-        "o-",
-        color=_DARK,
-        linewidth=1.6,
-        markersize=6,
-        zorder=4,
-        label="accuracy of the pixels in the bin",
-    )
+    confidences, accuracies = ([row[name] for row in rows] for name in ("confidence", "accuracy"))
+    label = "accuracy of the pixels in the bin"
+    axis.plot(confidences, accuracies, "o-", color=_DARK, linewidth=1.6, markersize=6, zorder=4, label=label)
     axis.bar(0, 0, color="#dcdcdc", label="share of all pixels")
     axis.plot([], [], color="black", linewidth=0.9, linestyle="--", label="perfect calibration")
     axis.set_xlim(0, 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from label_networks import Places
+from matplotlib.text import Text
 from PIL import Image
 from small_rig import SMALL
 
@@ -17,7 +19,7 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import BACKGROUND, PARTS, PARTS33, LabelMap, load_label_map
 from bodyseg_model.commands import cli
 from bodyseg_model.evaluation import KINDS, Evaluation, Scores, evaluate, kinds_of, open_images, report, told_kinds
-from bodyseg_model.evaluation.figures import draw_confusion
+from bodyseg_model.evaluation.figures import draw_confusion, draw_parts
 from bodyseg_model.evaluation.scores import count_kinds
 from bodyseg_model.networks import Network, build, predict, save_network
 
@@ -103,6 +105,16 @@ def test_a_network_of_classes_is_scored_by_its_classes(small_set: Path) -> None:
     assert tree["labels"] == LIMBS.to_json()
     assert [part["name"] for part in tree["classes"]] == list(LIMBS.names)
     assert set(tree["swaps"]) == {"left_right"}, "limbs tell no front from a back"
+
+
+@pytest.mark.parametrize("draw", [draw_parts, draw_confusion])
+def test_charts_show_any_name_and_are_not_cut_by_it(small_set: Path, draw: Callable[[Any], Any]) -> None:
+    named = LabelMap("named", (("$x_{$", ("Sellion",)), ("a long name " * 5, ("Nuchale",))))
+    figure = draw(report(evaluate(Bands(2), open_images(str(small_set), "all", labels=named))))
+    figure.canvas.draw()
+    texts = [text for text in figure.findobj(Text) if text.get_text() and text.get_visible()]
+    assert any("\\$x" in text.get_text() for text in texts)
+    assert all(figure.bbox.padded(1).containsx(text.get_window_extent().x1) for text in texts)
 
 
 def test_the_confusion_of_classes_with_faces_and_no_sides_is_drawn(small_set: Path) -> None:
