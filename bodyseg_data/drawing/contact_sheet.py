@@ -120,9 +120,9 @@ def _panels(
     """
     sample = row.sample
     span, occluder = span_of(sample.range), sample.projector_range
-    panels = [(_metres(sample.range, row.step_m), colour_range(sample.range, *span))]
+    panels = [(span_text(sample.range, row.step_m), colour_range(sample.range, *span))]
     if occluder is not None:
-        panels.append((_metres(occluder, row.step_m), colour_range(occluder, *span_of(occluder))))
+        panels.append((span_text(occluder, row.step_m), colour_range(occluder, *span_of(occluder))))
     panels.append(("", _colour_labels(sample.labels, sample.range, label_map)))
     panels += [(sensor.caption(image.drawn), colour_range(image.range, *span)) for image in row.variants.values()]
     panels.append(("", _colour_labels(row.variants[shown].labels, row.variants[shown].range, label_map)))
@@ -145,7 +145,8 @@ def _text_width(text: str, size: int) -> int:
     return math.ceil(font(size).getlength(text)) + 4
 
 
-def _metres(image: NDArray[np.uint16], step_m: float) -> str:
+def span_text(image: NDArray[np.uint16], step_m: float) -> str:
+    """Nearest and farthest range of a range image [H, W] in steps of `step_m` metres, in words."""
     near, far = span_of(image)
     return f"{near * step_m:.2f} to {far * step_m:.2f} m" if near else "nothing in view"
 

@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from bodyseg_data.artifacts import VARIANTS, Augmentation, RangeImage, SensorModel, VariantName, load_sensor_model
-from bodyseg_data.drawing import Window, colour_range, span_of, window_of
+from bodyseg_data.drawing import Window, colour_range, span_of, span_text, window_of
 from bodyseg_data.labels import BACKGROUND, LabelMap, load_label_map
 from bodyseg_data.loading import RangeImages
 from bodyseg_data.rigs import PlacedCamera
@@ -181,6 +181,8 @@ class SetView:
     def draw(self, shown: Shown) -> Drawing:
         """Draw a sample. Raises as `images_of`."""
         images = self.images_of(shown)
+        if shown.variant not in images.variants:
+            shown = replace(shown, variant="none")
         range_m = metres(images.layers.range, self.rig.range_step_m)
         seen = np.flatnonzero(range_m)
         colours = self._colours(shown.colouring, images.layers.picked(lambda each: each.ravel()[None, seen]))[0]
@@ -243,17 +245,15 @@ class SetView:
         sample, made, layers = images.sample, images.variants, images.layers
         layout, window = self.layout_of(sample)
         span, projector = span_of(sample.range), sample.projector_range
-        near, far = (each * self.rig.range_step_m for each in span)
+        measured, left = span_text(sample.range, self.rig.range_step_m), np.count_nonzero(layers.range)
 
         def reduced(image: NDArray[Any]) -> NDArray[Any]:
             return layout.reduced(image[window] if image.shape == sample.range.shape else image)
 
         small = layers.picked(reduced)
         stored = [
-            Panel("stored range", colour_range(reduced(sample.range), *span), f"{near:.2f} to {far:.2f} m"),
-            Panel(
-                f"labels, {shown.variant}", self._colours("parts", small), f"{np.count_nonzero(layers.range)} pixels"
-            ),
+            Panel("stored range", colour_range(reduced(sample.range), *span), measured),
+            Panel(f"labels, {shown.variant}", self._colours("parts", small), f"{left} pixels"),
         ]
         if projector is not None:
             view = colour_range(reduced(projector), *span_of(projector))
@@ -273,14 +273,13 @@ class SetView:
 
     def facts_of(self, images: SampleImages, shown: Shown) -> tuple[str, ...]:
         """Lines of text on a sample: its key, its view, and how much of it the network has right."""
-        variant: VariantName = shown.variant if shown.variant in images.variants else "none"
-        sample, image, layers = images.sample, images.variants[variant], images.layers
+        sample, image, layers = images.sample, images.variants[shown.variant], images.layers
         info, caption = sample.info, shown.sensor.caption(image.drawn)
         body = [str(info.get(name, "")) for name in ("subject", "pose")]
         facts = [
             sample.key,
             ", ".join(filter(None, (*body, info.view.words if info.view else "", f"split {info.split}"))),
-            f"{np.count_nonzero(image.range)} pixels of {np.count_nonzero(sample.range)} measured in {variant}"
+            f"{np.count_nonzero(image.range)} pixels of {np.count_nonzero(sample.range)} measured in {shown.variant}"
             + (f": {caption}" if caption else ""),
         ]
         if layers.kinds is not None:

@@ -18,7 +18,7 @@ from bodyseg_data.labels import PARTS33, load_label_map
 from bodyseg_data.labels.label_map import COLOURS
 from bodyseg_model.networks import Trained
 from bodyseg_model.viewing import SetView, Shown
-from bodyseg_model.viewing.pictures import CONFIDENCE_LEGEND, KIND_LEGEND, legible, rig_before
+from bodyseg_model.viewing.pictures import CONFIDENCE_LEGEND, KIND_LEGEND, Layout, legible, rig_before
 from bodyseg_model.viewing.set_view import COLOURINGS
 
 KINDS = np.array([colour for _, colour in KIND_LEGEND], np.uint8)
@@ -142,6 +142,18 @@ def test_the_page_opens_on_a_set_whose_own_fields_are_called_as_those_of_bodies(
         fields = {"azimuth_deg": "north", "pose": (1.0, 2.0)}
         out.write(key="scene", range_m=np.full(shape, 2.0), labels=np.zeros(shape, int), fields=fields)
     assert SetView(tmp_path / "set").first_index() == 0
+
+
+def test_panels_of_an_empty_scene_without_a_projector(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with ShardWriter(tmp_path / "set", rig=SMALL, classes=["box"], projector="none") as out:
+        shape = SMALL.camera.rows, SMALL.camera.columns
+        out.write(key="scene", range_m=np.zeros(shape), labels=np.full(shape, 255))
+    monkeypatch.setattr(Layout, "draw", lambda layout, lines: lines)
+    panels: Any = SetView(tmp_path / "set").draw(Shown(variant="all")).picture
+    assert [(each.name, each.note) for each in panels[0]] == [
+        ("stored range", "nothing in view"),
+        ("labels, none", "0 pixels"),
+    ]
 
 
 def test_other_classes_can_be_shown(small_set: Path) -> None:
