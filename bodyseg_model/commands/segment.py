@@ -206,7 +206,8 @@ def _remarks(
     if background == "frame":
         lines[0] += f", mean confidence {summary.mean_confidence or 0:.0%}"
     elif summary.mean_confidence is not None:
-        lines[0] += f", {summary.people / frames:.2g} people a frame, mean confidence {summary.mean_confidence:.0%}"
+        mean, surely = f"{summary.people / frames:.2g}", f"mean confidence {summary.mean_confidence:.0%}"
+        lines[0] += f", {mean} {'person' if mean == '1' else 'people'} a frame, {surely}"
     else:
         lines.append(
             f"nobody was found: are --units, --near and --far right? The camera is {camera.origin}, focal length "
@@ -222,7 +223,7 @@ def _remarks(
     # Where nobody was found, 0 if the network doubted things, and 1 if it saw none.
     sure = summary.mean_confidence or float(not summary.things)
     if options.turned == "auto":
-        lines.append(f"--turned auto: {recording.turned_deg}")
+        lines.append(f"--turned auto: {recording.turned_deg}{'' if summary.people else ', as no frame tells'}")
     elif options.turned is None and background != "frame" and sure < _SURE:
         turned = recording.surer_turn_deg()
         if turned is not None:

@@ -131,7 +131,7 @@ def test_a_recording_is_labelled(recording: Path, tmp_path: Path, capsys: pytest
     assert {"read", "find", "resample", "network", "back", "write", "frame"} < set(facts["ms"])
     assert facts["flicker"]["shared_pixels"] == 4 * 10 * 40 and facts["flicker"]["changed"] < 0.03
     said = capsys.readouterr().err
-    assert "wrote 5 frames to" in said and "1 people a frame, mean confidence 100%" in said and "assumed" not in said
+    assert "wrote 5 frames to" in said and "1 person a frame, mean confidence 100%" in said and "assumed" not in said
 
 
 def test_a_folder_and_its_files_give_the_same_labels(recording: Path, tmp_path: Path) -> None:
@@ -336,12 +336,13 @@ def test_a_later_frame_of_another_size_is_refused_by_name_before_it_is_undistort
 )
 def test_where_nobody_is_results_are_empty(frame: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     save(tmp_path / "a.png", frame.astype(np.uint16))
-    assert run(tmp_path / "a.png", "--out", tmp_path / "out") == 0
+    assert run(tmp_path / "a.png", "--turned", "auto", "--out", tmp_path / "out") == 0
     assert (pixels(tmp_path / "out" / "labels" / "a.png") == BACKGROUND).all()
     facts = report(tmp_path / "out")
     assert facts["people"] == 0 and facts["mean_confidence"] is None
     said = capsys.readouterr().err
     assert "nobody was found: are --units, --near and --far right?" in said
+    assert "--turned auto: 0, as no frame tells" in said
     assert "camera assumed: Kinect v1, by the frames' size: give --focal or --rig if it is another" in said
 
 
