@@ -21,6 +21,7 @@ from small_rig import SMALL
 from bodyseg_data import RangeImages, ShardWriter
 from bodyseg_data.bodies import SOURCES
 from bodyseg_data.core import BadConfig
+from bodyseg_data.labels import classes_of
 from bodyseg_data.shards import read_manifest
 from bodyseg_data.shards.sample_codec import decode_sample
 from bodyseg_data.transfer.transfers import CARD_NAMES
@@ -177,6 +178,13 @@ def test_a_users_own_fields_are_listed_whatever_their_names(tmp_path: Path) -> N
         out.write(key="scene", range_m=np.full(shape, 2.0), labels=np.zeros(shape, int), fields=fields)
     found = set_facts(read_manifest(tmp_path / "set"))
     assert (found.fields, found.views) == ({"distance_cm": "far", "subject": "ann"}, {})
+
+
+def test_names_of_classes_are_shown_as_they_are(facts: SetFacts) -> None:
+    manifest = replace(facts.manifest, classes=classes_of(["<none>", "a*", "b*"]))
+    page = dataset_card(replace(facts, manifest=manifest), Publication("Mine", DAY))
+    assert "| 0 | &lt;none> |  | itself |\n| 1 | a\\* |  | itself |\n| 2 | b\\* |" in page
+    assert "| rendered by | `" in page
 
 
 def test_cards_state_what_no_manifest_knows_only_where_it_is_given(facts: SetFacts) -> None:

@@ -181,6 +181,11 @@ def bullets(lines: Iterable[str]) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table; a bar within a cell becomes a slash."""
+    """Return a table; a bar within a cell becomes a slash, and <none> is no tag, which would not be shown."""
     cells = [head, ["---"] * len(head), *rows]
-    return "\n".join(f"| {' | '.join(cell.replace('|', '/') for cell in row)} |" for row in cells)
+    return "\n".join(f"| {' | '.join(map(_cell, row))} |" for row in cells)
+
+
+def _cell(text: str) -> str:
+    shown = text.replace("|", "/")
+    return shown if "`" in text else shown.replace("<", "&lt;").replace("*", "\\*")
