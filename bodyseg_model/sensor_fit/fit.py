@@ -91,7 +91,7 @@ def fit_sensor(recording: MarkedRecording, camera: FrameCamera, progress: Progre
 
 
 HEIGHT: Final = 420
-"""Height of each panel, pixels."""
+"""Greatest height of a panel, pixels."""
 
 _LOST: Final = (196, 40, 40)
 _EMPTY: Final = (24, 24, 28)
@@ -99,6 +99,7 @@ _MARGIN: Final = 12
 _HEAD: Final = 30
 _FOOT: Final = 36
 _NARROWEST: Final = 240
+_WIDEST: Final = 640
 _SHADES: Final = np.array([[245, 245, 245], [55, 55, 55]])
 _RESIDUALS: Final = np.array([[31, 79, 168], [250, 250, 247], [194, 90, 0]])
 _LEGEND: Final = "light is near, dark is far; red: lost; blue: nearer than the surface, orange: farther"
@@ -148,13 +149,13 @@ def simulate(clean_m: Floats, recording: MarkedRecording, sensor: SensorModel) -
 
 
 def _beside(panels: Mapping[str, NDArray[np.uint8]]) -> Image.Image:
-    rows, columns = next(iter(panels.values())).shape[:2]
-    step = max(round(columns * HEIGHT / rows), _NARROWEST) + _MARGIN
-    picture = Image.new("RGB", (step * len(panels) + _MARGIN, HEIGHT + _HEAD + _FOOT), PAPER)
+    images = {title: fitted(panel, _WIDEST, HEIGHT) for title, panel in panels.items()}
+    width, height = next(iter(images.values())).size
+    step = max(width, _NARROWEST) + _MARGIN
+    picture = Image.new("RGB", (step * len(panels) + _MARGIN, height + _HEAD + _FOOT), PAPER)
     pen = ImageDraw.Draw(picture)
-    for number, (title, panel) in enumerate(panels.items()):
-        left = _MARGIN + number * step
+    for left, (title, image) in zip(range(_MARGIN, picture.width, step), images.items(), strict=True):
         pen.text((left, _HEAD // 2), title, INK, font=font(14), anchor="lm")
-        picture.paste(fitted(panel, 100 * HEIGHT, HEIGHT), (left, _HEAD))
-    pen.text((_MARGIN, _HEAD + HEIGHT + _FOOT // 2), _LEGEND, INK, font=font(13), anchor="lm")
+        picture.paste(image, (left, _HEAD))
+    pen.text((_MARGIN, _HEAD + height + _FOOT // 2), _LEGEND, INK, font=font(13), anchor="lm")
     return picture

@@ -39,3 +39,13 @@ def test_the_picture_has_four_panels(lens: Distortion | None) -> None:
     picture = draw_comparison(recording, SensorModel("mine", (Noise(5.0, 5.0),)))
     assert picture.height > HEIGHT and picture.width > 4 * 240
     assert len(np.unique(np.asarray(picture).reshape(-1, 3), axis=0)) > 50
+
+
+def test_a_body_that_lies_makes_no_picture_wider_than_screens() -> None:
+    recording = recorded(Noise(5.0, 5.0), frames=1)
+    frame, low = recording.frames[0], np.zeros_like(recording.frames[0].body)
+    row = frame.body.sum(axis=1).argmax()
+    low[row] = frame.body[row]
+    recording = replace(recording, frames=(replace(frame, body=low),))
+    picture = draw_comparison(recording, SensorModel("mine", (Noise(5.0, 5.0),)))
+    assert picture.width <= 4 * 640 + 5 * 12
