@@ -122,16 +122,15 @@ class RecordingView:
         changed = colour_labels(near.reduced(changes[window]), EMPTY, _CHANGE_COLOURS)
         note = "nobody" if frame.mean_confidence is None else f"mean {frame.mean_confidence:.0%}"
         flickering = Panel("flicker", changed, "labels beside those of the frame before")
-        below = [Panel("confidence", confidences, note), flickering]
-        above = [Panel("labels on the range image", whole.reduced(overlay), _counted(frame))]
-        return np.concatenate([whole.draw([above]), near.draw([below])])
+        above = [Panel("labels on the range image", whole.reduced(overlay), self._counted(frame))]
+        return np.concatenate([whole.draw([above]), near.draw([[Panel("confidence", confidences, note), flickering]])])
 
     def facts(self, number: int, frame: LabelledFrame, before: LabelledFrame | None) -> tuple[str, ...]:
         """Lines of text on a frame: its name, people and things, times, confidence and flicker."""
         stages = ", ".join(f"{stage} {time:.0f}" for stage, time in frame.milliseconds.items())
         facts = [
             self.recording.frames[number].name,
-            f"frame {number + 1} of {len(self)}: {_counted(frame)}",
+            f"frame {number + 1} of {len(self)}: {self._counted(frame)}",
             f"{sum(frame.milliseconds.values()):.0f} ms when it was labelled: {stages}",
         ]
         if frame.mean_confidence is not None:
@@ -142,6 +141,12 @@ class RecordingView:
                 still = change["still"] and f", where nothing moves {change['still_changed'] / change['still']:.1%}"
                 facts.append(f"flicker {change['changed'] / change['shared']:.1%}{still or ''}")
         return tuple(facts)
+
+    def _counted(self, found: Segmentation) -> str:
+        if self.recording.labeller.background.mode == "frame":
+            return "labelled whole"
+        people, things = len(found.bodies), len(found.things)
+        return f"{people} {'person' if people == 1 else 'people'}, {things} thing{'' if things == 1 else 's'}"
 
 
 def changes_of(frame: LabelledFrame, before: LabelledFrame | None) -> NDArray[np.uint8]:
@@ -162,15 +167,9 @@ def body_range(frame: LabelledFrame) -> NDArray[np.float32]:
 def _room_points(frame: LabelledFrame, body_m: NDArray[np.float32]) -> Points:
     """Points beside bodies, one of nine, grey."""
     thinned = np.zeros_like(frame.range_m)
-    some = slice(None, None, _ROOM_STEP)
-    thinned[some, some] = np.where(body_m > 0, np.float32(0), frame.range_m)[some, some]
+    thinned[::_ROOM_STEP, ::_ROOM_STEP] = np.where(body_m > 0, np.float32(0), frame.range_m)[::_ROOM_STEP, ::_ROOM_STEP]
     xyz = points_at(thinned, camera_alone(frame.camera))
     return Points(xyz, np.broadcast_to(np.array(THING, np.uint8), xyz.shape))
-
-
-def _counted(found: Segmentation) -> str:
-    people, things = len(found.bodies), len(found.things)
-    return f"{people} {'person' if people == 1 else 'people'}, {things} thing{'' if things == 1 else 's'}"
 
 
 class RecordingPage(Controls):

@@ -52,6 +52,13 @@ def test_bodies_have_the_colours_of_their_labels_and_the_room_is_thinner(tmp_pat
     assert drawing.gap_m == pytest.approx(1.5 / 90)
 
 
+def test_frames_that_are_labelled_whole_have_no_people(tmp_path: Path) -> None:
+    frames = view_of(tmp_path, frame(10)).recording.frames
+    labeller = FrameLabeller(Trained(Places(1, 8), {"rig": SMALL.to_json()}), Background("frame"))
+    drawing = RecordingView(labeller.recording(frames, focal_px=90.0)).draw(ShownFrame())
+    assert drawing.facts[1] == "frame 1 of 1: labelled whole"
+
+
 def test_mirrored_frames_show_the_world_as_it_is(tmp_path: Path) -> None:
     plain = view_of(tmp_path, frame(10))
     mirrored = FrameLabeller(Trained(Places(1, 8), {"rig": SMALL.to_json()}), Background("limits"), mirrored=True)
