@@ -60,11 +60,11 @@ def _faults(store: Store, manifest: Manifest) -> Iterator[object]:
     """Find faults of index, shards and columns, and tars of no shard and no column, which a local folder can list."""
     yield from find_index_faults(store, manifest)
     with Progress("verifying", "samples") as progress:
-        done = 0
+        done, total = 0, manifest.samples()
         for shard in manifest.shards:
             yield from find_faults(store, manifest, shard)
             done += len(shard)
-            progress.update(done, manifest.samples())
+            progress.update(done, total)
     yield from find_column_faults(store, manifest)
     if not isinstance(store, LocalFolder):
         return

@@ -121,6 +121,8 @@ class ShardWriter:
         self._state: Path | None = None
         self._complete = False
         self._records: dict[str, ShardRecord] = {}
+        names = {split: map(partial(shard_name, split), itertools.count()) for split in SPLITS}
+        self._names, self._done = names, 0
         self._finished: dict[str, Path] = {}
         self._seen: set[str] = set()
         self._open: dict[Split, TarWriter] = {}
@@ -241,14 +243,13 @@ class ShardWriter:
         except BaseException as error:
             self._failed = error  # the scene is lost, so the set cannot be finished
             raise
-        done = sum(map(len, self._records.values())) + sum(map(len, self._open.values()))
-        self._progress(done, done)
+        self._done += 1
+        self._progress(self._done, self._done)
 
     def _append(self, key: str, split: Split, members: Mapping[str, bytes]) -> None:
         state, layout = self._opened(), self._layout
         if split not in self._open and layout is not None:
-            names = map(partial(shard_name, split), itertools.count())
-            name = next(name for name in names if name not in self._records)
+            name = next(name for name in self._names[split] if name not in self._records)
             self._open[split] = TarWriter(self._out / name, state / f"{name}.part", split, layout.fields).__enter__()
         self._open[split].write(key, members)
         if len(self._open[split]) == self._shard_samples:
@@ -356,6 +357,7 @@ class ShardWriter:
         self._learn(layout)
         self._records = finished_shards(self._out, state, names, layout.fields)
         self._finished = {key: self._out / name for name, record in self._records.items() for key in record.keys}
+        self._done = len(self._finished)
         self._complete = (self._out / MANIFEST_NAME).exists()
         self._layout = layout if self._records else None
 

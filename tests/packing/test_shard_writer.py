@@ -6,6 +6,7 @@ import errno
 import json
 import re
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -21,6 +22,7 @@ from bodyseg_data.artifacts import lit_pixels
 from bodyseg_data.commands import cli
 from bodyseg_data.core import BodysegError
 from bodyseg_data.rigs import Camera, Rig
+from bodyseg_data.shards import ShardRecord, shard_name
 
 CAMERA = Camera(16, 20, 24.0, (10.0, 8.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 PROJECTOR = Camera(24, 30, 36.0, (15.0, 12.0), (0.2, 0.0, 0.0), (0.2, 0.0, 1.0))
@@ -234,6 +236,29 @@ def test_a_writer_that_was_stopped_carries_on(tmp_path: Path) -> None:
         taken = [number for number in range(11) if writer.write(**scene(number))]
     assert known and sorted(known + taken) == list(range(11))
     assert files(whole) == files(out)
+
+
+def test_work_for_a_scene_does_not_grow_with_the_shards_before_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    work = Counter[str]()
+
+    def counted(function: Any) -> Any:
+        def call(*given: Any) -> Any:
+            work[function.__name__] += 1
+            return function(*given)
+
+        return call
+
+    monkeypatch.setattr("bodyseg_data.packing.shard_writer.shard_name", counted(shard_name))
+    monkeypatch.setattr(ShardRecord, "__len__", counted(ShardRecord.__len__))
+    told: list[int] = []
+    out = write(tmp_path / "set", range(40), shard_samples=1, progress=lambda done, total: told.append(done))
+    assert told == list(range(1, 41))
+    assert work["shard_name"] == 40 and work["__len__"] < 10 * 40
+    work.clear()
+    assert cli.main(["verify", str(out)]) == 0
+    assert work["__len__"] < 10 * 40
 
 
 def test_a_full_disk_at_the_first_scene_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
