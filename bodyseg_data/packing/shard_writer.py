@@ -290,14 +290,14 @@ class ShardWriter:
         if self._layout is None or not self._records:
             raise BadConfig(f"no scene was written: {self._out} gets no manifest")
         if not self._complete:
-            layout = self._layout
+            layout, records = self._layout, self._records.values()
             manifest = Manifest(
                 rigs=layout.rigs,
                 codec=layout.codec,
                 source=self._source,
                 renderer=layout.facing,
                 plan=self._digest,
-                shards=sorted(self._records.values(), key=lambda record: (SPLITS.index(record.split), record.name)),
+                shards=sorted(records, key=lambda each: (SPLITS.index(each.split), len(each.name), each.name)),
                 classes=layout.classes,
                 fields=layout.fields,
                 projector=layout.projector,

@@ -25,7 +25,7 @@ LARGEST_SHARD: Final = 1 << 40
 
 _COLUMNS: Final = ("keys", "offsets", "lengths", "crc32")
 _RECORD_FIELDS: Final = {"samples", "name", "split", "size", "sha256", "notes", *_COLUMNS, "tables", "rows"}
-_SHARD_NAME: Final = re.compile(r"[a-z]+-[0-9]{5}(?:\.[a-z][a-z0-9_]*)?\.tar")
+_SHARD_NAME: Final = re.compile(r"[a-z]+-[0-9]{5,9}(?:\.[a-z][a-z0-9_]*)?\.tar")
 _SHA256: Final = re.compile(r"[0-9a-f]{64}")
 
 

@@ -261,6 +261,15 @@ def test_work_for_a_scene_does_not_grow_with_the_shards_before_it(
     assert work["__len__"] < 10 * 40
 
 
+def test_a_set_may_have_more_than_a_hundred_thousand_shards(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        "bodyseg_data.packing.shard_writer.shard_name", lambda split, number: shard_name(split, number + 99_998)
+    )
+    images = RangeImages(write(tmp_path / "set", range(3), shard_samples=1), "none")
+    assert images.keys == ["scene-000", "scene-001", "scene-002"]
+    assert [Path(url).name for url in images.urls()][1:] == ["train-99999.tar", "train-100000.tar"]
+
+
 def test_a_full_disk_at_the_first_scene_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(path: Path, data: bytes) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
