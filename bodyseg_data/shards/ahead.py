@@ -4,6 +4,7 @@ Shards that a cache keeps are fetched whole. Of others, and without a cache, the
 those that lie side by side are read by one request.
 """
 
+import contextlib
 import itertools
 import os
 import threading
@@ -18,7 +19,7 @@ from typing import Final
 from bodyseg_data.core import BodysegError
 from bodyseg_data.shards.cache import CachedStore
 from bodyseg_data.shards.records import CheckedFile
-from bodyseg_data.shards.remote import RemoteFolder
+from bodyseg_data.shards.remote import RemoteFolder, Unreachable
 from bodyseg_data.shards.store import TALLY, Stage, Store
 
 Place = tuple[Store, CheckedFile, int]
@@ -57,7 +58,7 @@ class _Range:
 
 
 class LookAhead:
-    """Threads that fetch what is read next, from `start` to `close`. An error ends it: whoever is due meets it again.
+    """Threads that fetch what is read next, from `start` to `close`. What cannot be fetched, its reader tries itself.
 
     places: what samples need, in their order, of any stores; read as far as memory allows. in_memory: whether this
     process reads the samples, so that ranges can be held for it.
@@ -105,7 +106,8 @@ class LookAhead:
         TALLY.start(row)
         try:
             while (job := self._next()) is not None:
-                job()
+                with contextlib.suppress(Unreachable):  # whoever is due meets it again, if it lasts
+                    job()
         except BaseException as error:
             self._end()  # or those who wait for a range would wait for ever
             if not isinstance(error, _Closed | BodysegError):
@@ -152,7 +154,12 @@ class LookAhead:
 
     def _read(self, one: _Range) -> None:
         data = bytearray()
-        one.remote.fetch(one.name, one.start, one.stop, data.extend, self._pause, ranges=True)
+        try:
+            one.remote.fetch(one.name, one.start, one.stop, data.extend, self._pause, ranges=True)
+        except Unreachable:
+            for *_, piece in one.pieces:
+                piece.cancel()
+            raise
         for offset, length, piece in one.pieces:
             if piece.set_running_or_notify_cancel():
                 piece.set_result(bytes(data[offset - one.start : offset - one.start + length]))

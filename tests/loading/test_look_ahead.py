@@ -270,6 +270,21 @@ def test_an_unforeseen_error_leaves_nobody_waiting(web: WebServer, figures_set: 
     assert images.reader.store.pieces.size == 0  # type: ignore[union-attr]
 
 
+def test_a_range_that_cannot_be_fetched_at_first_does_not_end_the_look_ahead(web: WebServer, figures_set: Path) -> None:
+    images = RangeImages(web.url("faulty"), "noise", cache_bytes=0, retry_policy=replace(QUICK, tries=2))
+    first, late, *others = images.manifest.shards
+    left = [503, 503]
+
+    def fail_twice(reply: Reply, before: int) -> Reply:
+        return replace(reply, status=left.pop()) if reply.body.startswith(late.keys[0].encode()) and left else reply
+
+    web.faults.act = fail_twice
+    batches = loader(images, 1, 1, False)
+    assert bits(batches) == expected(figures_set, False)
+    assert not left
+    assert batches.stats()["requests"] <= len(first) + 2 + len(late) + len(others), "others are fetched once, as ever"
+
+
 def test_a_sample_whose_look_ahead_is_given_up_counts_once(
     web: WebServer, figures_set: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
