@@ -24,7 +24,7 @@ from bodyseg_data.shards.index import IndexedShards
 from bodyseg_data.shards.manifest import Manifest
 from bodyseg_data.shards.records import CheckedFile
 from bodyseg_data.shards.remote import Pause, RemoteFolder
-from bodyseg_data.shards.store import READ_ATTEMPTS, TALLY, Store
+from bodyseg_data.shards.store import READ_ATTEMPTS, TALLY, HeldFile, Store
 
 DEFAULT_CACHE_BYTES: Final = 20 * 10**9
 """Default size limit, bytes: room for about 300 000 samples."""
@@ -34,6 +34,7 @@ IN_USE_S: Final = 60.0
 
 _NAME: Final = re.compile(r"[0-9a-f]{64}(?:\.tar|\.([0-9]{1,15})\.part)")
 _POLL_S: Final = 0.01
+_LARGEST_HELD_INDEX: Final = 1 << 26  # bytes: of some five million samples
 
 BUSY: Final = -1
 """In place of a part's descriptor: another process or thread is writing it."""
@@ -343,10 +344,12 @@ def with_cache(store: Store, records: Iterable[CheckedFile], folder: str | Path 
 
 
 def with_kept_index(manifest: Manifest, store: Store, folder: str | Path | None, limit: int | None) -> Manifest:
-    """Return the manifest, read from `store`, with its index, if it has one, kept in the cache as `with_cache`."""
+    """Return the manifest, read from `store`, its index, if any, kept in the cache as `with_cache`, or in memory."""
     if not isinstance(manifest.shards, IndexedShards):
         return manifest
-    kept = with_cache(store, [manifest.shards.table], folder, limit)
+    kept, size = with_cache(store, [manifest.shards.table], folder, limit), manifest.shards.table.size
+    if isinstance(kept, RemoteFolder) and size <= _LARGEST_HELD_INDEX:
+        kept = HeldFile(store, size)
     return replace(manifest, shards=manifest.shards.kept_in(kept))
 
 

@@ -59,7 +59,7 @@ HELD_PIECES: Final = 512
 """Pieces that a process holds, those read last: 13 kB each where shards have 1080 samples."""
 
 FETCHED_PIECES: Final = 64
-"""Pieces that a reader of a remote set fetches one by one before it fetches the whole file into the cache."""
+"""Pieces that a reader of a remote set fetches one by one before it fetches the whole file."""
 
 _TEXTS: Final = ("name", "split", "sha256")
 

@@ -174,6 +174,22 @@ class LocalFolder:
         return False
 
 
+class HeldFile:
+    """Store of one file, whose first `size` bytes are fetched together when any are read, and held in memory."""
+
+    def __init__(self, store: Store, size: int) -> None:
+        self.name, self.size, self.read_file = store.name, store.size, store.read_file
+        self._store, self._length, self._data = store, size, b""
+
+    def read(self, name: str, offset: int, length: int) -> bytes:
+        data = self._data = self._data or self._store.read(name, 0, self._length)
+        return data[offset : offset + length]
+
+    def prepare_reread(self, name: str) -> bool:
+        self._data = b""
+        return True
+
+
 def open_file(store: Store, name: str) -> io.BufferedReader:
     """Open a file of a set for sequential reading. Opening and reading raise OSError or Unreachable."""
     return io.BufferedReader(_StoreFile(store, name), _BUFFER_BYTES)

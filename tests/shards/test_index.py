@@ -25,6 +25,7 @@ from bodyseg_data.shards import (
     MANIFEST_NAME,
     LocalFolder,
     Manifest,
+    RemoteFolder,
     ShardRecord,
     Unreachable,
     index,
@@ -158,6 +159,33 @@ def test_a_remote_index_is_fetched_by_pieces_and_then_whole(
     files.rm(f"/sets/indexed/{INDEX_NAME}")
     with pytest.raises(Unreachable, match=r"sets/indexed/samples\.index"):
         RangeImages(address, cache_bytes=0).location(0)
+
+
+def test_without_a_cache_a_remote_index_is_held_in_memory(indexed_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    files = pytest.importorskip("fsspec").filesystem("memory")
+    for file in indexed_set.iterdir():
+        files.pipe_file(f"/sets/held/{file.name}", file.read_bytes())
+    read: list[tuple[int, int]] = []
+    plain = RemoteFolder.read
+
+    def counted(self: RemoteFolder, name: str, offset: int, length: int) -> bytes:
+        read.append((offset, length))
+        return plain(self, name, offset, length)
+
+    monkeypatch.setattr(RemoteFolder, "read", counted)
+    monkeypatch.setattr(index, "FETCHED_PIECES", 1)
+    monkeypatch.setattr(index, "HELD_PIECES", 1)
+    images = RangeImages("memory://sets/held", split=None, cache_bytes=0)
+    for _ in range(2):
+        assert images.keys == RangeImages(indexed_set, split=None).keys
+    table = table_of(indexed_set)
+    assert read == [(0, int(table.ends[0])), (0, table.size)], "a piece, and then once all of them"
+    whole = files.cat_file(f"/sets/held/{INDEX_NAME}")
+    altered = iter([bytes(table.size), whole])
+    monkeypatch.setattr(RemoteFolder, "read", lambda *_: next(altered))
+    monkeypatch.setattr(index, "FETCHED_PIECES", 0)
+    again = RangeImages("memory://sets/held", split=None, cache_bytes=0)
+    assert again.keys == images.keys, "what a network altered is fetched again"
 
 
 def test_small_sets_have_no_index(copied: Path, small_set: Path) -> None:
