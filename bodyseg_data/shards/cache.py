@@ -34,6 +34,7 @@ IN_USE_S: Final = 60.0
 
 _NAME: Final = re.compile(r"[0-9a-f]{64}(?:\.tar|\.([0-9]{1,15})\.part)")
 _POLL_S: Final = 0.01
+_DIGITS: Final = 20
 _LARGEST_HELD_INDEX: Final = 1 << 26  # bytes: of some five million samples
 
 BUSY: Final = -1
@@ -122,14 +123,21 @@ class ShardCache:
         guard = os.open(self.folder / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         try:
             fcntl.flock(guard, fcntl.LOCK_EX)
-            if not self._make_room(record.size):
+            if not self._make_room(record.size, guard):
                 return None
             return os.open(part, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         finally:
             _release(guard)
 
-    def _make_room(self, size: int) -> bool:
-        """Evict the least recently used shards; evict none and return False if that would not free `size` bytes."""
+    def _make_room(self, size: int, guard: int) -> bool:
+        """Evict the least recently used shards; evict none and return False if that would not free `size` bytes.
+
+        guard: file that says how many bytes are held at most, so that files are looked at only where they may fill it.
+        """
+        most = os.pread(guard, _DIGITS, 0)
+        if most.isdigit() and int(most) + size <= self.limit:
+            os.pwrite(guard, b"%0*d" % (_DIGITS, int(most) + size), 0)
+            return True
         entries = sorted(self._entries())
         excess = sum(held for _, _, held in entries) + size - self.limit
         victims = []
@@ -138,7 +146,10 @@ class ShardCache:
                 break
             victims.append(path)
             excess -= held
-        return excess <= 0 and all(map(_evict, victims))
+        if not (excess <= 0 and all(map(_evict, victims))):
+            return False
+        os.pwrite(guard, b"%0*d" % (_DIGITS, self.limit + excess), 0)
+        return True
 
     def _entries(self) -> list[tuple[float, Path, int]]:
         """Time of the last read, path and size of every shard and part; a clock that was set back since may have marked

@@ -265,6 +265,30 @@ def test_what_is_in_use_stays_and_nothing_goes_in_vain(tmp_path: Path) -> None:
     assert not fill(cache, record(5, size=5000)), "larger than the cache"
 
 
+def test_what_the_cache_holds_is_looked_at_only_where_it_may_be_full(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looks: list[int] = []
+    plain = ShardCache._entries
+
+    def counted(self: ShardCache) -> Any:
+        looks.append(self.limit)
+        return plain(self)
+
+    monkeypatch.setattr(ShardCache, "_entries", counted)
+    cache = ShardCache(tmp_path, 20 * 1024)
+    assert all(fill(cache, record(number), 100 - number) for number in range(20))
+    assert len(looks) == 1, "each shard would cost a look at all before it"
+    assert fill(cache, record(20), 1000) and not cache.path(record(0)).exists()
+    assert not fill(ShardCache(tmp_path, 10 * 1024, in_use_s=1e6), record(21)), "of another process, with another limit"
+    assert len(looks) == 3
+    for path in list(tmp_path.glob("*.tar"))[:5]:
+        path.unlink()
+    assert all(fill(cache, record(30 + number)) for number in range(5))
+    assert len(looks) == 4, "what was deleted is found, and not looked for again"
+    assert used_bytes(cache) == cache.limit
+
+
 def test_a_clock_that_was_set_back_keeps_nothing_for_ever(tmp_path: Path) -> None:
     """As of a robot without a battery for its clock: what it read yesterday was read next year."""
     cache = ShardCache(tmp_path, 3072, in_use_s=60)
@@ -421,7 +445,7 @@ def test_a_disk_that_fills_up_ends_the_caching_and_not_the_run(
         with pytest.warns(RuntimeWarning, match=f"^{tmp_path}: No space left on device: shards are no longer kept"):
             read = ShardReader(store, manifest).read(0, 0)
     assert (read.range == ShardReader(paper_set, manifest).read(0, 0).range).all()
-    assert sum(path.stat().st_size for path in tmp_path.iterdir()) == 0, "what was begun takes no room"
+    assert sum(path.stat().st_size for path in tmp_path.glob("*.part")) == 0, "what was begun takes no room"
     ShardReader(store, manifest).read(1, 0)
     assert not list(tmp_path.glob("*.tar"))
 
@@ -437,7 +461,7 @@ def test_a_disk_that_really_is_full(memory: str, manifest: Manifest, paper_set: 
         with pytest.warns(RuntimeWarning, match="No space left on device"):
             read = ShardReader(store, manifest).read(0, 0)
         assert (read.range == ShardReader(paper_set, manifest).read(0, 0).range).all()
-        assert sum(path.stat().st_size for path in tmp_path.iterdir()) == 0
+        assert sum(path.stat().st_size for path in tmp_path.glob("*.part")) == 0
     finally:
         subprocess.run(["umount", str(tmp_path)], check=True)
 
