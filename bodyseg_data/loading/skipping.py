@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from itertools import takewhile
 from typing import Any, Literal, TypeVar
 
 import numpy as np
@@ -55,7 +56,8 @@ class SkipLedger:
             # A new object: raising `error` itself would tie it and a traceback's frames into a reference cycle.
             raise with_text(error, str(error))
         # By shard and key: repeating an epoch loses the same samples again.
-        lost = {(earlier.shard, earlier.key) for earlier in self.skipped if earlier.epoch == record.epoch}
+        own = takewhile(lambda earlier: earlier.epoch == record.epoch, reversed(self.skipped))
+        lost = {(earlier.shard, earlier.key) for earlier in own}
         if len(lost | {(record.shard, record.key)}) > self._budget:
             raise BadShard(
                 f"{record.why} (epoch {record.epoch} has lost {len(lost)} samples before, all that its skip_budget "

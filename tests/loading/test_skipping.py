@@ -13,7 +13,7 @@ import torch
 
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.core import BadShard
-from bodyseg_data.loading.skipping import checked_budget
+from bodyseg_data.loading.skipping import SkipLedger, Skipped, checked_budget
 from bodyseg_data.shards import Unreachable
 
 
@@ -103,6 +103,26 @@ def test_an_epoch_gone_through_again_may_lose_the_same_again(spoil: Callable[...
         images.set_epoch(0)
         assert sum(len(batch["key"]) for batch in batches) == 14
         assert len(batches.skipped) == 2 * times
+
+
+def test_a_skip_takes_no_longer_for_those_of_earlier_epochs() -> None:
+    looked: list[int] = []
+
+    class Seen(Skipped):
+        def __getattribute__(self, name: str) -> Any:
+            if name == "epoch":
+                looked.append(1)
+            return super().__getattribute__(name)
+
+    ledger, looks = SkipLedger(3), []
+    for epoch in range(20):
+        looked.clear()
+        for number in range(3):
+            ledger.add(Seen(epoch, f"k-{number}", "train-00000.tar", 512 * number, "altered"), BadShard("altered"))
+        looks.append(len(looked))
+    assert len(ledger.skipped) == 60 and set(looks[1:]) == {looks[1]}
+    with pytest.raises(BadShard, match="epoch 19 has lost 3 samples before"):
+        ledger.add(Skipped(19, "k-3", "train-00000.tar", 0, "altered"), BadShard("altered"))
 
 
 def test_what_cannot_be_skipped_ends_the_run_at_once(figures_set: Path) -> None:
