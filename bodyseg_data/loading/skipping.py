@@ -56,8 +56,8 @@ class SkipLedger:
             # A new object: raising `error` itself would tie it and a traceback's frames into a reference cycle.
             raise with_text(error, str(error))
         # By shard and key: repeating an epoch loses the same samples again.
-        own = takewhile(lambda earlier: earlier.epoch == record.epoch, reversed(self.skipped))
-        lost = {(earlier.shard, earlier.key) for earlier in own}
+        own = takewhile(lambda each: each.epoch == record.epoch, reversed(self.skipped))
+        lost = {(each.shard, each.key) for each in own}
         if len(lost | {(record.shard, record.key)}) > self._budget:
             raise BadShard(
                 f"{record.why} (epoch {record.epoch} has lost {len(lost)} samples before, all that its skip_budget "

@@ -154,15 +154,14 @@ class LookAhead:
 
     def _read(self, one: _Range) -> None:
         data = bytearray()
-        try:
+        with contextlib.suppress(Unreachable):
             one.remote.fetch(one.name, one.start, one.stop, data.extend, self._pause, ranges=True)
-        except Unreachable:
-            for *_, piece in one.pieces:
-                piece.cancel()
-            raise
         for offset, length, piece in one.pieces:
-            if piece.set_running_or_notify_cancel():
-                piece.set_result(bytes(data[offset - one.start : offset - one.start + length]))
+            part = bytes(data[offset - one.start : offset - one.start + length])
+            if len(part) < length:
+                piece.cancel()
+            elif piece.set_running_or_notify_cancel():
+                piece.set_result(part)
 
 
 def _joined(singles: list[_Range]) -> list[_Range]:

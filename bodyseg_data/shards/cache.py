@@ -34,7 +34,6 @@ IN_USE_S: Final = 60.0
 
 _NAME: Final = re.compile(r"[0-9a-f]{64}(?:\.tar|\.([0-9]{1,15})\.part)")
 _POLL_S: Final = 0.01
-_DIGITS: Final = 20
 _LARGEST_HELD_INDEX: Final = 1 << 26  # bytes: of some five million samples
 
 BUSY: Final = -1
@@ -130,25 +129,20 @@ class ShardCache:
             _release(guard)
 
     def _make_room(self, size: int, guard: int) -> bool:
-        """Evict the least recently used shards; evict none and return False if that would not free `size` bytes.
-
-        guard: file that says how many bytes are held at most, so that files are looked at only where they may fill it.
-        """
-        most = os.pread(guard, _DIGITS, 0)
-        if most.isdigit() and int(most) + size <= self.limit:
-            os.pwrite(guard, b"%0*d" % (_DIGITS, int(most) + size), 0)
-            return True
-        entries = sorted(self._entries())
-        excess = sum(held for _, _, held in entries) + size - self.limit
-        victims = []
-        for used, path, held in entries:
-            if excess <= 0 or time.time() - used < self.in_use_s:
-                break
-            victims.append(path)
-            excess -= held
-        if not (excess <= 0 and all(map(_evict, victims))):
+        """Evict the least recently used shards; evict none and return False if that would not free `size` bytes."""
+        most, victims = os.pread(guard, 20, 0), list[Path]()
+        excess = int(most) + size - self.limit if most.isdigit() else 1
+        if excess > 0:  # what is held may be less: the files tell
+            entries = sorted(self._entries())
+            excess = sum(held for _, _, held in entries) + size - self.limit
+            for used, path, held in entries:
+                if excess <= 0 or time.time() - used < self.in_use_s:
+                    break
+                victims.append(path)
+                excess -= held
+        if excess > 0 or not all(map(_evict, victims)):
             return False
-        os.pwrite(guard, b"%0*d" % (_DIGITS, self.limit + excess), 0)
+        os.pwrite(guard, b"%020d" % (self.limit + excess), 0)
         return True
 
     def _entries(self) -> list[tuple[float, Path, int]]:
@@ -216,6 +210,7 @@ class CachedStore:
 
     def __init__(self, remote: RemoteFolder, records: Iterable[CheckedFile], cache: ShardCache) -> None:
         self.remote, self._cache = remote, cache
+        self.name, self.read_file, self.size = remote.name, remote.read_file, remote.size
         self._records = {record.name: record for record in records}
         self.to_cache = set()  # names of the shards to keep whole
         self._spoiled: set[str] = set()
@@ -225,11 +220,6 @@ class CachedStore:
             if room < 0:
                 break
             self.to_cache.add(record.name)
-
-    @property
-    def name(self) -> str:
-        """The address, for messages."""
-        return self.remote.name
 
     def read(self, name: str, offset: int, length: int) -> bytes:
         record = self._records[name]
@@ -253,12 +243,6 @@ class CachedStore:
         return len(self.to_cache) == len(self._records) and all(
             self._cache.path(record).exists() for record in self._records.values()
         )
-
-    def read_file(self, name: str, limit: int) -> bytes | None:
-        return self.remote.read_file(name, limit)
-
-    def size(self, name: str) -> int:
-        return self.remote.size(name)
 
     def prepare_reread(self, name: str) -> bool:
         """See `Store.prepare_reread`. A cached shard with a wrong hash is removed, to be downloaded again.

@@ -89,11 +89,7 @@ class ShardTable:
     sizes: NDArray[np.int64]
     ends: NDArray[np.int64]
     crc32: NDArray[np.int64]
-
-    @property
-    def name(self) -> str:
-        """Name of the index."""
-        return INDEX_NAME
+    name = INDEX_NAME
 
     def __len__(self) -> int:
         return len(self.names)

@@ -143,8 +143,7 @@ class RemoteFolder:
         _unless("missing", lambda: self._with_retries(name, self._transport.remove))
 
     def prepare_reread(self, name: str) -> bool:
-        """See `Store.prepare_reread`: a network may have altered the bytes."""
-        return True
+        return True  # a network may have altered the bytes
 
     def _chunks(self, name: str, start: int, stop: int, allow_whole_file: bool) -> Any:
         return self._transport.chunks(f"{self._base}/{name}{self._query}", start, stop, allow_whole_file)

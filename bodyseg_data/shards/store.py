@@ -137,14 +137,9 @@ class LocalFolder:
     """Store of a local folder. Each read opens its file, so processes share no descriptor."""
 
     def __init__(self, path: Path) -> None:
-        self.path = path
+        self.path, self.name = path, str(path)
         self._root = path.absolute()  # the working directory may change, or be another in a worker
         self._prefix = f"{self._root}{os.sep}"  # joining paths takes longer than opening a file
-
-    @property
-    def name(self) -> str:
-        """The path, as it was given."""
-        return str(self.path)
 
     def read(self, name: str, offset: int, length: int) -> bytes:
         # Without O_NONBLOCK, opening a pipe waits for a writer; files ignore the flag.
@@ -170,8 +165,7 @@ class LocalFolder:
         return (self._root / name).stat().st_size
 
     def prepare_reread(self, name: str) -> bool:
-        """See `Store.prepare_reread`: a disk gives the same bytes again."""
-        return False
+        return False  # a disk gives the same bytes again
 
 
 class HeldFile:

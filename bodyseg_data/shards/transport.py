@@ -168,11 +168,10 @@ class HttpTransport:
                 raise PermanentFailure("the server does not say how large the file is")
             return int(total)
 
-    def put(self, address: str, content: Path | bytes) -> None:
+    def put(self, *_: object) -> None:
         raise PermanentFailure("http addresses are read, not written")
 
-    def remove(self, address: str) -> None:
-        raise PermanentFailure("http addresses are read, not written")
+    remove = put
 
     @contextmanager
     def _response(self, address: str, start: int | None, stop: int | None) -> Iterator[tuple[Any, bytes, Any]]:

@@ -216,7 +216,7 @@ class RemoteTarget:
     """
 
     def __init__(self, remote: RemoteFolder, folder: Path) -> None:
-        self._remote, self._folder = remote, folder
+        self._remote, self._folder, self.write, self.remove = remote, folder, remote.write, remote.remove
         self.store: Store = remote
 
     def holds(self, file: SharedFile, sizes_only: bool) -> bool:
@@ -235,12 +235,6 @@ class RemoteTarget:
         if not self.holds(file, sizes_only):
             raise BadShard(f"{self._remote.name}/{file.name}: the bytes that arrived are not those that were sent")
         report(file.size)
-
-    def write(self, name: str, data: bytes) -> None:
-        self._remote.write(name, data)
-
-    def remove(self, name: str) -> None:
-        self._remote.remove(name)
 
 
 Target = LocalTarget | RemoteTarget
