@@ -14,7 +14,7 @@ import struct
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, Final, overload
@@ -156,6 +156,7 @@ class IndexedShards(Sequence[ShardRecord]):
         self._store, self._kept = store, kept or store
         self._fetched = 0
         self.piece = lru_cache(HELD_PIECES)(self._read_piece)
+        self.whole = lru_cache(2)(self._read_whole)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return IndexedShards, (self.table, self.fields, self._store, self._kept)
@@ -189,6 +190,11 @@ class IndexedShards(Sequence[ShardRecord]):
             data = piece_as_current(data, self.where(number))
         return Piece(data, int(self.table.samples[number]), self.where(number))
 
+    def _read_whole(self, number: int) -> ShardRecord:
+        """The record of a shard with all columns, checked. Raises as `_read_piece`."""
+        head = {name: getattr(self[number], name) for name in ("name", "split", "size", "sha256")}
+        return record_from_json({**head, **self.piece(number).to_json()}, self.fields, self.where(number))
+
 
 class _IndexedShard(ShardRecord):
     """Record of one shard whose samples' columns are read from the index when they are first used."""
@@ -210,20 +216,10 @@ class _IndexedShard(ShardRecord):
     def entry(self, index: int) -> Entry:
         return self._shards.piece(self._number).entry(index)
 
-    @cached_property
-    def _whole(self) -> ShardRecord:
-        """The record with all columns, checked."""
-        head = {name: getattr(self, name) for name in ("name", "split", "size", "sha256")}
-        return record_from_json(
-            {**head, **self._shards.piece(self._number).to_json()},
-            self._shards.fields,
-            self._shards.where(self._number),
-        )
-
     def __getattr__(self, name: str) -> Any:
         if name not in ("keys", "offsets", "lengths", "crc32", "notes", "descriptions"):
             raise AttributeError(name)
-        return getattr(self._whole, name)
+        return getattr(self._shards.whole(self._number), name)
 
 
 def write_index(records: Iterable[ShardRecord], folder: Path) -> ShardTable:

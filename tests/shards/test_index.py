@@ -188,6 +188,20 @@ def test_without_a_cache_a_remote_index_is_held_in_memory(indexed_set: Path, mon
     assert again.keys == images.keys, "what a network altered is fetched again"
 
 
+def test_descriptions_one_by_one_parse_a_shard_once(indexed_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    parsed: list[str] = []
+
+    def counted(tree: dict[str, Any], *given: Any) -> ShardRecord:
+        parsed.append(tree["name"])
+        return record_from_json(tree, *given)
+
+    monkeypatch.setattr(index, "record_from_json", counted)
+    images = RangeImages(indexed_set)
+    found = [images.describe(number)["key"] for number in range(len(images))]
+    assert parsed == [shard.name for shard in images.manifest.shards]
+    assert found == images.keys
+
+
 def test_small_sets_have_no_index(copied: Path, small_set: Path) -> None:
     write_manifest(read_manifest(copied), copied)
     assert (copied / MANIFEST_NAME).read_bytes() == (small_set / MANIFEST_NAME).read_bytes()
