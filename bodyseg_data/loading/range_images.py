@@ -136,9 +136,6 @@ class RangeImages(SampleDataset):
         self.split, self.seed = split, seed
         self.augmentation = Augmentation(self.manifest.rig, check_variant(variant), seed, model, classes)
         """Of the set's first rig; see `augmentation_of`."""
-        self.variant = self.augmentation.variant
-        self.step_m = self.manifest.rig.range_step_m
-        """One step of the set's uint16 range images, metres: the rig's (`Rig.range_step_m`)."""
         self._augmentations: dict[int, Augmentation] = {}
         self._casts = occluder == "camera" and self.augmentation.needs_projector
         self.occluder = check_choice("occluder", occluder, OCCLUDERS)
@@ -170,6 +167,16 @@ class RangeImages(SampleDataset):
         files += [column.shards[number] for column in self.columns.values() if column.planes for number in chosen]
         self.reader = ShardReader(with_cache(store, files, cache, cache_bytes), self.manifest, self.columns)
         self.set_epoch(epoch)
+
+    @property
+    def variant(self) -> str:
+        """Name of the variant."""
+        return self.augmentation.variant
+
+    @property
+    def step_m(self) -> float:
+        """One step of the set's uint16 range images, metres: the rig's (`Rig.range_step_m`)."""
+        return self.manifest.rig.range_step_m
 
     @property
     def keys(self) -> list[str]:

@@ -168,10 +168,11 @@ class HttpTransport:
                 raise PermanentFailure("the server does not say how large the file is")
             return int(total)
 
-    def put(self, *_: object) -> None:
+    def put(self, address: str, content: Path | bytes) -> None:
         raise PermanentFailure("http addresses are read, not written")
 
-    remove = put
+    def remove(self, address: str) -> None:
+        raise PermanentFailure("http addresses are read, not written")
 
     @contextmanager
     def _response(self, address: str, start: int | None, stop: int | None) -> Iterator[tuple[Any, bytes, Any]]:
