@@ -9,7 +9,9 @@ Python of its own.
 from __future__ import annotations
 
 import atexit
+import ctypes
 import functools
+import gc
 import os
 import pickle
 import signal
@@ -28,14 +30,8 @@ from folders import HELPERS
 from processes import start_interruptible
 from servers import free_port
 
-_PRELOADED = (
-    "torch",
-    "torch._dynamo",  # which optimisers and Anny load: two and a half seconds
-    "bodyseg_data.loading.range_images",
-    "bodyseg_data.loading.workers",
-    "bodyseg_model.training.loop",
-    "numba",
-)
+_LIBRARIES = ("torch", "torch._dynamo", "numba")  # Dynamo is what optimisers and Anny load: two and a half seconds
+_OURS = ("bodyseg_data.loading.range_images", "bodyseg_data.loading.workers", "bodyseg_model.training.loop")
 
 
 class Program:
@@ -131,10 +127,24 @@ def _server() -> socket.socket:
     return ours
 
 
+def _leave(libraries: dict[str, types.ModuleType]) -> None:
+    """Keep libraries from being cleared at the end of a program, which would take a second of processor."""
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(libraries))
+    for name in libraries:
+        sys.modules.pop(name, None)
+
+
 def _serve(requests: socket.socket) -> tuple[list[str], bool]:
     """Fork for every request. Returns only in those forks, with a program's words, and whether warnings are errors."""
-    for name in _PRELOADED:
+    lasting: dict[str, types.ModuleType] = {}
+    atexit.register(_leave, lasting)  # first, so that programs come to it last
+    for name in _LIBRARIES:
         __import__(name)
+    gc.freeze()  # or every program's collections copy their memory
+    for name in _OURS:
+        __import__(name)
+    ours = sys.stdlib_module_names | {"__main__", "bodyseg_data", "bodyseg_model"}
+    lasting |= {name: module for name, module in sys.modules.items() if name.partition(".")[0] not in ours}
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     while True:
         message, files, _, _ = socket.recv_fds(requests, 1 << 20, 3)
@@ -174,11 +184,11 @@ if __name__ == "__main__":
     if _strict:
         sys.warnoptions.append("error")
         warnings.simplefilter("error")
-    _main = sys.modules["__main__"] = types.ModuleType("__main__")
+    sys.modules["__main__"] = types.ModuleType("__main__")  # and nothing else keeps it to the end
     if _words[0] == "-c":
         _folder, _file, _text, sys.argv = "", "<string>", _words[1], ["-c", *_words[2:]]
     else:
         _folder, _file, _text, sys.argv = str(Path(_words[0]).parent), _words[0], Path(_words[0]).read_text(), _words
-        _main.__file__ = _file
+        sys.modules["__main__"].__file__ = _file
     sys.path[:0] = [_folder, *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
-    exec(compile(_text, _file, "exec"), vars(_main))
+    exec(compile(_text, _file, "exec"), vars(sys.modules["__main__"]))
