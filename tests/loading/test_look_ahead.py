@@ -24,7 +24,7 @@ from bodyseg_data.loading import WorkerLost
 from bodyseg_data.loading.selection import BLOCK_SAMPLES, BlockOrder
 from bodyseg_data.shards import LookAhead, RetryPolicy, Unreachable, read_manifest
 
-QUICK = RetryPolicy(tries=12, first_wait_s=0.001, stall_s=0.3)
+QUICK = RetryPolicy(tries=12, first_wait_s=0.001)
 WAYS: list[tuple[int, Any]] = [(0, "thread"), (2, "thread"), (2, "process")]
 
 Bits = list[tuple[str, bytes]]

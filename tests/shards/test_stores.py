@@ -37,7 +37,7 @@ from bodyseg_data.shards import (
 )
 from bodyseg_data.shards.cache import CachedStore
 
-QUICK = RetryPolicy(tries=12, first_wait_s=0.001, stall_s=0.3)
+QUICK = RetryPolicy(tries=12, first_wait_s=0.001)  # what waits for a busy machine has not stalled
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +129,8 @@ def test_trouble_that_passes_does_not_show(
 ) -> None:
     if location in ("slow", "limited"):
         manifest = replace(manifest, shards=manifest.shards[:2])
-    read = contents(cached(web.url(location), manifest, tmp_path), manifest)
+    policy = replace(QUICK, stall_s=0.5) if location == "slow" else QUICK
+    read = contents(cached(web.url(location), manifest, tmp_path, retry_policy=policy), manifest)
     assert read == stored[: len(read)]
     assert len(list(tmp_path.glob("*.tar"))) == len(manifest.shards)
     assert not list(tmp_path.glob("*.part"))
@@ -220,7 +221,8 @@ def test_a_connection_that_stalls_is_given_up_and_taken_up_again(
     web.faults.act = stalled
     shard = manifest.shards[0]
     begun = time.monotonic()
-    cached(web.url("faulty"), manifest, tmp_path).read(shard.name, 0, 512)
+    policy = replace(QUICK, stall_s=2)
+    cached(web.url("faulty"), manifest, tmp_path, retry_policy=policy).read(shard.name, 0, 512)
     assert web.faults.asked[shard.name] == 2
     assert time.monotonic() - begun < 30, "the server would have gone on after a minute"
     assert [line.start for line in web.log(".tar")][-1] == 1000
@@ -586,7 +588,7 @@ def test_a_set_in_a_bucket_is_read_like_any_other(
             cache=None if limit == 0 else tmp_path,
             cache_bytes=limit,
             storage_options=s3_options(s3),
-            retry_policy=replace(QUICK, stall_s=10),
+            retry_policy=QUICK,
         )
         assert bits(images) == expected
     gone = [line for line in s3.log(".tar") if line.status == 206]
@@ -597,9 +599,9 @@ def test_a_set_in_a_bucket_is_read_like_any_other(
 
 @pytest.mark.parametrize("method", ["process", "thread"])
 def test_workers_read_buckets(method: Any, s3: WebServer, tmp_path: Path, expected: Any) -> None:
-    options, retry_policy = s3_options(s3), replace(QUICK, stall_s=10)
+    options = s3_options(s3)
     images = RangeImages(
-        "s3://bucket/shards/t*.tar", "noise", cache=tmp_path, storage_options=options, retry_policy=retry_policy
+        "s3://bucket/shards/t*.tar", "noise", cache=tmp_path, storage_options=options, retry_policy=QUICK
     )
     images.image(0)
     batches = loader(images, 4, 2, worker_method=method)
