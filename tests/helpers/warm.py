@@ -30,7 +30,8 @@ from folders import HELPERS
 from processes import start_interruptible
 from servers import free_port
 
-_LIBRARIES = ("torch", "torch._dynamo", "numba")  # Dynamo is what optimisers and Anny load: two and a half seconds
+# Optimisers and Anny load Dynamo, two and a half seconds; renderers load SciPy and NetworkX.
+_LIBRARIES = ("torch", "torch._dynamo", "numba", "scipy.stats", "networkx")
 _OURS = ("bodyseg_data.loading.range_images", "bodyseg_data.loading.workers", "bodyseg_model.training.loop")
 
 
