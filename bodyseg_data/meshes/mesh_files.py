@@ -314,13 +314,20 @@ def _ears(points: list[list[float]]) -> list[tuple[int, int, int]]:
         (x, y), (bx, by), (cx, cy) = points[a], points[b], points[c]
         return (bx - x) * (cy - y) - (by - y) * (cx - x)
 
-    ring, ears = list(range(len(points))), []
+    def is_ear(at: int, slack: float) -> bool:
+        a, b, c = ring[at - 1], ring[at], ring[(at + 1) % len(ring)]
+        inside = (area(c, a, p) >= -slack for p in concave if area(a, b, p) > 0 and area(b, c, p) > 0)
+        return points[b] == points[c] or (area(a, b, c) > 0 and not any(inside))
+
+    ring, ears, at = list(range(len(points))), [], 0
+    rounding = 1e-12 * sum(area(0, b - 1, b) for b in ring)
+    concave = [b for b in ring if area(b - 1, b, (b + 1) % len(ring)) <= rounding]
     while len(ring) > 2:
-        for at in range(len(ring)):
-            a, b, c = ring[at - 1], ring[at], ring[(at + 1) % len(ring)]
-            if area(a, b, c) > 0 and all(min(area(a, b, p), area(b, c, p), area(c, a, p)) <= 0 for p in ring):
-                break
-        ears.append((a, b, c))  # where rounding leaves none, the last three
+        around = [(at + step) % len(ring) for step in range(len(ring))]
+        # No cut may run through a corner, as of the next door of a wall, unless rounding leaves none that runs by.
+        cuts = (each for slack in (rounding, 0.0, -rounding) for each in around if is_ear(each, slack))
+        at = next(cuts, around[0])
+        ears.append((ring[at - 1], ring[at], ring[(at + 1) % len(ring)]))
         del ring[at]
     return ears
 
