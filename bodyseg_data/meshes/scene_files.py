@@ -79,8 +79,8 @@ def _for_trimesh(data: bytes, beside: dict[str, bytes], path: Path) -> tuple[byt
     """
     begin, end = (20, 20 + int.from_bytes(data[12:16], "little")) if data[:4] == b"glTF" else (0, len(data))
     tree = parse_json(data[begin:end], "its text")
-    if begin and tree.get("buffers"):
-        tree["buffers"][0]["uri"], beside["bin"] = "bin", data[end + 8 :]
+    if begin and tree.get("buffers") and tree["buffers"][0].setdefault("uri", "bin") == "bin":
+        beside["bin"] = data[end + 8 :]
     primitives = [each for mesh in tree.get("meshes", ()) for each in mesh["primitives"]]
     places = [tree["accessors"][each["attributes"]["POSITION"]] for each in primitives if each.get("mode", 4) > 3]
     unread = _UNREAD.intersection(tree.get("extensionsRequired", ())) - ({_DRACO} if find_spec("DracoPy") else set())
