@@ -112,16 +112,18 @@ def pages_of(store: Store, names: tuple[str, ...]) -> dict[str, bytes]:
 
 
 def superseded(store: Store, bundle: Bundle) -> list[str]:
-    """Return names of files of the set or network in `store` that a bundle which takes its place has not."""
+    """Return names of files to remove of the set or network in `store` whose place a bundle takes: its index, and what
+    the bundle has not.
+    """
     # First the list of columns: what an interruption leaves of them is then of no set.
-    held = [*pages_of(store, bundle.optional)]
+    held = [*pages_of(store, bundle.optional), bundle.index]
     if bundle.index == MANIFEST_NAME:  # a set that a network lies beside stays
         with contextlib.suppress(BadConfig, BadShard):  # of another format: what it holds is not known
             manifest = read_manifest(store)
             held += [file.name for file in _large_files(manifest)]
             for name in column_names(store):
                 held += [column_file(name), *(column_tar(shard.name, name) for shard in manifest.shards)]
-    kept = {bundle.index, *bundle.pages, *(file.name for file in bundle.files)}
+    kept = {*bundle.pages, *(file.name for file in bundle.files)}
     return [name for name in held if name not in kept]
 
 
@@ -272,8 +274,8 @@ def transfer(
     """Copy a bundle to a target. Interrupted at any point, it leaves a target that the same call completes.
 
     report: receives the bytes of the large files that are done so far. replace: a target that holds another bundle
-    gets this one; its index is removed first, then the files that the new one has not. sizes_only: files at the target
-    are compared by size alone.
+    gets this one; its cards and its index are removed first, then all else that the new one has not. sizes_only: files
+    at the target are compared by size alone.
 
     While files are missing or wrong the target has no index, so it is never read as whole. Raises BadConfig for a
     target that holds another bundle or page without `replace`, BadShard for bytes that are not those of their checksum,
@@ -286,7 +288,6 @@ def transfer(
     for name, data in bundle.pages.items() if held is None and not replace else ():
         if read_optional(target.store, name, _LARGEST_PAGE) not in (None, data):
             raise BadConfig(f"{target.store.name} holds another {name}: choose another place, or --replace it")
-    obsolete = superseded(target.store, bundle) if other else []
     done = 0
     missing = []
     for file in bundle.files:
@@ -297,9 +298,8 @@ def transfer(
             missing.append(file)
     if isinstance(target, LocalTarget):
         target.check_room(missing)
-    if held is not None and (other or missing):
-        target.remove(bundle.index)
-    for name in obsolete:
+    wrong = [bundle.index] if held is not None and missing else []
+    for name in superseded(target.store, bundle) if other else wrong:
         target.remove(name)
     kept = len(bundle.files) - len(missing)
 

@@ -241,6 +241,27 @@ def test_another_set_is_replaced_only_when_asked_and_leaves_nothing_behind(
     assert main(["verify", str(mine)]) == 1  # the shards of the set of an unreadable manifest are strays now
 
 
+def test_a_replacement_that_was_cut_while_it_removed_files_is_completed(
+    mine: Path, pack_figures: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = pack_figures(tmp_path / "whole")
+    with ColumnWriter(mine, "age", "int") as column:
+        for key in RangeImages(mine).keys:
+            column.write(key, 3)
+    plain = LocalTarget.remove
+
+    def cut(self: LocalTarget, name: str) -> None:
+        plain(self, name)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(LocalTarget, "remove", cut)
+        assert main(["pull", str(whole), str(mine), "--replace"]) == 130
+    assert main(["pull", str(whole), str(mine), "--replace"]) == 0
+    assert main(["push", str(mine), str(tmp_path / "copy")]) == 0, "no list of columns of the set before"
+    assert main(["verify", str(tmp_path / "copy")]) == 0
+
+
 def test_networks_are_copied_with_their_pages(
     mine: Path, breaking: type[Breaking], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
