@@ -133,10 +133,8 @@ class _Element:
 
     def numbers(self, columns: Sequence[Any]) -> dict[str, NDArray[Any]]:
         """The properties that are no lists, by name in lower case; of a text, all were read as fractions."""
-        pairs = [
-            (each, np.ravel(column)) for each, column in zip(self.properties, columns, strict=True) if not each.length
-        ]
-        return {each.name.lower(): column if each.kind[0] == "f" else column.astype(np.int64) for each, column in pairs}
+        pairs = [(own, np.ravel(each)) for own, each in zip(self.properties, columns, strict=True) if not own.length]
+        return {own.name.lower(): each if own.kind[0] == "f" else each.astype(np.int64) for own, each in pairs}
 
     def truncated(self, found: int) -> BadMesh:
         return BadMesh(f"the header announces {self.count} rows of {self.name!r}, the file ends after {found}")
@@ -446,11 +444,8 @@ def _from_one(index: int, count: int) -> int:
 
 def _read_off(data: bytes) -> _Parsed:
     """Parse the Object File Format in text: header, counts, a vertex a line, a polygon a line; # begins a comment."""
-    lines = [
-        (number, line)
-        for number, full in enumerate(data.decode("latin-1").split("\n"), 1)
-        if (line := full.partition("#")[0].strip())
-    ]
+    numbered = enumerate(data.decode("latin-1").split("\n"), 1)
+    lines = [(number, line) for number, full in numbered if (line := full.partition("#")[0].strip())]
     header = _OFF_HEADER.match(lines[0][1]) if lines else None
     if header is None:
         raise BadMesh(f"an OFF file must begin with OFF, found {lines[0][1][:20]!r}" if lines else "the file is empty")

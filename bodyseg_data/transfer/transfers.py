@@ -112,9 +112,7 @@ def pages_of(store: Store, names: tuple[str, ...]) -> dict[str, bytes]:
 
 
 def superseded(store: Store, bundle: Bundle) -> list[str]:
-    """Return names of files to remove of the set or network in `store` whose place a bundle takes: its index, and what
-    the bundle has not.
-    """
+    """Return names of files to remove, in order, of the set or network in `store` whose place a bundle takes."""
     # First the list of columns: what an interruption leaves of them is then of no set.
     held = [*pages_of(store, bundle.optional), bundle.index]
     if bundle.index == MANIFEST_NAME:  # a set that a network lies beside stays
