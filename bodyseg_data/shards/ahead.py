@@ -138,9 +138,8 @@ class LookAhead:
                 self._remotes.add(remote)
                 _, offset, length, _ = file.entry(index)
                 if (piece := remote.pieces.expect(file.name, offset, length)) is not None:
-                    singles.append(
-                        _Range(remote, file.name, offset, offset + length, number, [(offset, length, piece)])
-                    )
+                    pieces = [(offset, length, piece)]
+                    singles.append(_Range(remote, file.name, offset, offset + length, number, pieces))
                 room -= length
                 if room <= 0:
                     break

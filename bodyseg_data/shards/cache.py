@@ -227,11 +227,9 @@ class CachedStore:
         if data is None and name in self.to_cache:
             TALLY.came(False)
             while (kept := self.keep(record)) is None:
-                if (
-                    name not in self._spoiled
-                    and (data := self._cache.read(record, offset, length, part=True)) is not None
-                ):
-                    return data
+                come = None if name in self._spoiled else self._cache.read(record, offset, length, part=True)
+                if come is not None:
+                    return come
                 time.sleep(_POLL_S)
             data = self._from_cache(record, offset, length) if kept else None
         elif data is not None:
@@ -240,9 +238,8 @@ class CachedStore:
 
     def is_here(self) -> bool:
         """True if all shards are in the cache."""
-        return len(self.to_cache) == len(self._records) and all(
-            self._cache.path(record).exists() for record in self._records.values()
-        )
+        paths = map(self._cache.path, self._records.values())
+        return len(self.to_cache) == len(self._records) and all(path.exists() for path in paths)
 
     def prepare_reread(self, name: str) -> bool:
         """See `Store.prepare_reread`. A cached shard with a wrong hash is removed, to be downloaded again.

@@ -82,9 +82,7 @@ def _list_of(names: Sequence[str]) -> bytes:
 
 
 def column_files(store: Store, manifest: Manifest) -> tuple[list[ShardRecord], dict[str, bytes]]:
-    """The tars of a set's columns, and the small files that describe them, read once: name -> content. Raises as
-    `read_column`.
-    """
+    """Tars of a set's columns, and the small files that describe them, name -> content. Raises as `read_column`."""
     names, pages, tars = column_names(store), dict[str, bytes](), list[ShardRecord]()
     for name in names:
         tars += read_column(store, manifest, name, partial(pages.__setitem__, column_file(name))).shards

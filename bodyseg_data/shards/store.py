@@ -169,14 +169,21 @@ class LocalFolder:
 
 
 class HeldFile:
-    """Store of one file, whose first `size` bytes are fetched together when any are read, and held in memory."""
+    """Store of one file: one thread fetches its first `size` bytes when any are read, and they are held in memory."""
 
     def __init__(self, store: Store, size: int) -> None:
         self.name, self.size, self.read_file = store.name, store.size, store.read_file
-        self._store, self._length, self._data = store, size, b""
+        self._store, self._length, self._data, self._fetching = store, size, b"", 0  # the last: number of a process
 
     def read(self, name: str, offset: int, length: int) -> bytes:
-        data = self._data = self._data or self._store.read(name, 0, self._length)
+        if not (data := self._data):
+            if self._fetching == os.getpid():  # another thread does: as many would take as many times the memory
+                return self._store.read(name, offset, length)
+            self._fetching = os.getpid()
+            try:
+                data = self._data = self._store.read(name, 0, self._length)
+            finally:
+                self._fetching = 0
         return data[offset : offset + length]
 
     def prepare_reread(self, name: str) -> bool:

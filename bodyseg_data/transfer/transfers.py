@@ -299,7 +299,6 @@ def transfer(
     wrong = [bundle.index] if held is not None and missing else []
     for name in superseded(target.store, bundle) if other else wrong:
         target.remove(name)
-    kept = len(bundle.files) - len(missing)
 
     def add(copied: int) -> None:
         nonlocal done
@@ -312,4 +311,4 @@ def transfer(
         target.write(name, data)
     if held != bundle.index_bytes or missing:
         target.write(bundle.index, bundle.index_bytes)
-    return Outcome(len(bundle.files), kept, sum(file.size for file in missing))
+    return Outcome(len(bundle.files), len(bundle.files) - len(missing), sum(file.size for file in missing))

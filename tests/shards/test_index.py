@@ -6,7 +6,9 @@ import json
 import pickle
 import random
 import shutil
+import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
@@ -186,6 +188,34 @@ def test_without_a_cache_a_remote_index_is_held_in_memory(indexed_set: Path, mon
     monkeypatch.setattr(index, "FETCHED_PIECES", 0)
     again = RangeImages("memory://sets/held", split=None, cache_bytes=0)
     assert again.keys == images.keys, "what a network altered is fetched again"
+
+
+def test_one_thread_fetches_the_index_that_is_held_in_memory(
+    indexed_set: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = pytest.importorskip("fsspec").filesystem("memory")
+    for file in indexed_set.iterdir():
+        files.pipe_file(f"/sets/one/{file.name}", file.read_bytes())
+    plain, size = RemoteFolder.read, table_of(indexed_set).size
+    begun, other_read = threading.Event(), threading.Event()
+
+    def slow(self: RemoteFolder, name: str, offset: int, length: int) -> bytes:
+        if length == size:
+            assert not begun.is_set(), "once"
+            begun.set()
+            assert other_read.wait(20)
+        return plain(self, name, offset, length)
+
+    monkeypatch.setattr(RemoteFolder, "read", slow)
+    monkeypatch.setattr(index, "FETCHED_PIECES", 0)
+    images, local = RangeImages("memory://sets/one", split=None, cache_bytes=0), RangeImages(indexed_set, split=None)
+    with ThreadPoolExecutor(1) as pool:
+        first = pool.submit(images.location, 0)
+        assert begun.wait(20)
+        assert images.location(len(images) - 1) == local.location(len(images) - 1)
+        other_read.set()
+        assert first.result() == local.location(0)
+    assert images.keys == local.keys
 
 
 def test_descriptions_one_by_one_parse_a_shard_once(indexed_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
