@@ -70,15 +70,15 @@ def files_below(root: Path) -> list[Path]:
 
     found: list[Path] = []
     seen: set[tuple[int, int]] = set()
-    for folder, folders, names in os.walk(root, onerror=refuse, followlinks=True):
-        identity = (status := Path(folder).stat()).st_dev, status.st_ino
-        if identity in seen:  # a link to a folder above itself would never end
-            folders.clear()
-            continue
-        seen.add(identity)
-        ranked = sorted((Path(folder, name).is_symlink(), name) for name in folders if not name.startswith("."))
-        folders[:] = [name for _, name in ranked]  # links last: PATH/latest must not take what is in PATH/test
-        found += [file for name in names if not name.startswith(".") and (file := Path(folder, name)).is_file()]
+    tops = [root]
+    for top in tops:  # links after all that is none: PATH/chosen/latest must not take what is in PATH/test
+        for folder, folders, names in os.walk(top, onerror=refuse):
+            identity = (status := Path(folder).stat()).st_dev, status.st_ino
+            new = identity not in seen  # a link to a folder above itself would never end
+            seen.add(identity)
+            folders[:] = sorted(name for name in folders if new and name[0] != ".")
+            tops += [link for name in folders if (link := Path(folder, name)).is_symlink()]
+            found += [file for name in names if new and name[0] != "." and (file := Path(folder, name)).is_file()]
     return sorted(found)
 
 

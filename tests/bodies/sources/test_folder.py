@@ -83,6 +83,8 @@ def test_a_mesh_has_its_own_landmarks_or_those_of_a_folder_above(tmp_path: Path,
 def test_a_link_takes_no_mesh_from_the_folder_that_it_leads_to(tmp_path: Path) -> None:
     write_mesh(tmp_path / "test" / "ben" / "one.ply")
     (tmp_path / "latest").symlink_to("test/ben")
+    (tmp_path / "chosen").mkdir()
+    (tmp_path / "chosen" / "all").symlink_to("../test")
     assert [(body.subject, body.split) for body in FolderBodies(tmp_path).bodies()] == [("ben", "test")]
 
 
