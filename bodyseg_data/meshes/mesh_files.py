@@ -45,7 +45,7 @@ MESH_SUFFIXES: Final = (".ply", ".obj", ".off", ".ply.gz", ".obj.gz", ".off.gz")
 LARGEST_BYTES: Final = 1 << 28
 """Largest size of a mesh file, also after unpacking: a scan of a million triangles has a tenth of it."""
 
-_FOLD: Final = 1e-6  # share of a polygon's area; less is rounding
+_FOLD: Final = 1e-4  # share of a polygon's area; less is rounding, as of quads of 2 cm to a micrometre
 
 _OFF_HEADER: Final = re.compile(r"(?:ST|C|N)*OFF\b|OFF(?=\d)")
 

@@ -113,6 +113,12 @@ GOOD = {
 }
 
 
+def test_three_corners_in_line_but_for_rounding_keep_their_fan(tmp_path: Path) -> None:
+    """The second corner of this quad of 2 x 4 cm lies a micrometre inside of a line, as of a file with six decimals."""
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 0.009999 0.02 0\nv 0.02 0.04 0\nv 0 0.04 0\nf 1 2 3 4\n")
+    assert read_mesh(tmp_path / "a.obj")[1].tolist() == [[0, 1, 2], [0, 2, 3]]
+
+
 @pytest.mark.parametrize("packed", [False, True])
 @pytest.mark.parametrize("name", GOOD)
 def test_vertices_and_faces_come_in_the_order_of_the_file(tmp_path: Path, name: str, packed: bool) -> None:
