@@ -27,6 +27,7 @@ _STEEPEST: Final = 1.0  # slope, as its tangent, of surfaces whose shape third d
 _FEWEST: Final = 50  # residuals of one frame
 _VARYING: Final = 0.06  # spread of the frames' deviations, as a share, from which noise differs between frames
 _COARSE: Final = 0.16  # of a squared step: variance of two frames below which most values of both are equal
+_HELD: Final = 0.1  # share of differences beyond all noise from which a driver holds values over several frames
 _FILTERED: Final = 1.2  # variance between every other frame, over that of neighbours, from which a driver filters
 
 Row = tuple[float, int, float, float]
@@ -77,23 +78,27 @@ def _temporal(recording: MarkedRecording) -> Iterator[Row]:
         residuals = (second.range_m[both].astype(np.float64) - first.range_m[both]) / np.sqrt(2)
         if len(residuals) >= _FEWEST and residuals.any():  # else one frame, twice
             step = _step_of(first, recording.step_m)
-            variance = before_equal_rounding(clipped_variance(residuals, step), step)
-            yield variance, len(residuals), step, float(np.median(mean[both]))
+            variance = clipped_variance(residuals, step)
+            if np.mean(np.abs(residuals) > 4.5 * max(np.sqrt(variance), step / 3)) < _HELD:
+                yield before_equal_rounding(variance, step), len(residuals), step, float(np.median(mean[both]))
 
 
 def _filtered(recording: MarkedRecording, usable: Mask) -> bool:
     """True if a driver filters values over time, or holds them: frames farther apart then differ more than neighbours.
 
     Of independent frames a, b, c, d, ab and cd differ together as ac and bd do. Third differences cancel what sways.
+    Fours of which losses leave few differences say nothing.
     """
-    frames, apart = recording.frames, {1: 0.0, 2: 0.0}
-    fresh = [b for a, b in zip((frames[-1], *frames), frames, strict=False) if (a.stored != b.stored).any()]
-    for first in range(0, len(fresh) - 3, 4):
-        for place, steps in ((0, 1), (2, 1), (0, 2), (1, 2)):
-            a, b = fresh[first + place], fresh[first + place + steps]
-            away = third_differences(b.range_m - a.range_m, usable & a.body & b.body)
-            apart[steps] += clipped_variance(away, _step_of(a, recording.step_m)) if len(away) else 0.0
-    return apart[2] > _FILTERED * apart[1]
+    near, far, count = 0.0, 0.0, 0
+    for a, b, c, d in recording.fours:
+        pairs = ((a, b), (c, d), (a, c), (b, d))
+        away = [third_differences(y.range_m - x.range_m, usable & x.body & y.body) for x, y in pairs]
+        fewest = min(map(len, away))
+        if fewest >= _FEWEST:
+            step = _step_of(a, recording.step_m)
+            ab, cd, ac, bd = (clipped_variance(each, step) for each in away)
+            near, far, count = near + ab + cd, far + ac + bd, count + fewest
+    return count >= _LEAST_RESIDUALS and far > _FILTERED * near
 
 
 def _spatial(recording: MarkedRecording) -> Iterator[Row]:

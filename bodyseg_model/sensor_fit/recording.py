@@ -109,6 +109,7 @@ _STILL_SHARE: Final = 0.5  # intersection over union of a still body in two fram
 _BLOCK: Final = 8
 _LARGE_BLOCK: Final = 32
 _COHERENT: Final = 0.6  # of the means of small blocks are those of large ones that move; shared noise leaves less
+_ALIKE: Final = 0.5  # correlation of blocks between two pairs of frames; motion has 0.7 and more, noise 0.2 at most
 _MOST_DRIFT: Final = 0.4  # of the pixels' differences; blocks of 64 independent pixels show an eighth
 _LEAST_DRIFT_M: Final = 3e-4
 
@@ -150,6 +151,26 @@ class MarkedRecording:
         """True if the bodies of all pairs and of the first and last frame stand still: frames then differ by noise."""
         return bool(self.pairs) and all(self._still(a, b) for a, b in (*self.pairs, (0, len(self.frames) - 1)))
 
+    @cached_property
+    def fours(self) -> tuple[tuple[MarkedFrame, ...], ...]:
+        """Each four successive frames, none twice, that a driver has not repeated."""
+        before = (self.frames[-1], *self.frames)
+        fresh = [b for a, b in zip(before, self.frames, strict=False) if (a.stored != b.stored).any()]
+        return tuple(tuple(fresh[first : first + 4]) for first in range(0, len(fresh) - 3, 4))
+
+    @cached_property
+    def _sways(self) -> bool:
+        """True if blocks change alike in two pairs of four frames, as those of moving bodies do, or if no four tell."""
+        if not self.fours:
+            return True
+        for four in (*self.fours, (*self.fours[0][:2], *self.fours[-1][2:])):
+            known = np.logical_and.reduce([frame.body for frame in four])
+            a, b, c, d = (_block_means(frame.range_m, known, _BLOCK)[0] for frame in four)
+            for one, other in ((b - a, d - c), (c - a, d - b), (d - a, c - b)):
+                if len(a) < 4 or abs(one @ other) > _ALIKE * np.linalg.norm(one) * np.linalg.norm(other):
+                    return True
+        return False
+
     def _still(self, a: int, b: int) -> bool:
         """True if two bodies cover each other and their ranges differ from pixel to pixel, not over areas."""
         bodies = [self.frames[index].body for index in (a, b)]
@@ -158,7 +179,7 @@ class MarkedRecording:
         if not either or np.count_nonzero(first & second) < _STILL_SHARE * either:
             return False
         both = bodies[0] & bodies[1]
-        difference = np.where(both, self.frames[b].range_m - self.frames[a].range_m, 0)
+        difference = self.frames[b].range_m - self.frames[a].range_m
         means, counts = _block_means(difference, both, _BLOCK)
         if len(means) < 4:
             return False
@@ -166,12 +187,14 @@ class MarkedRecording:
         # Fewer pixels in a block leave more of the noise in its mean.
         limit = spread * (2 / np.sqrt(np.median(counts)) + _MOST_DRIFT / 2) + _LEAST_DRIFT_M
         large, _ = _block_means(difference, both, _LARGE_BLOCK)
-        return _robust(means) <= limit or (len(large) >= 4 and _robust(large) <= _COHERENT * _robust(means))
+        shared = len(large) >= 4 and _robust(large) <= _COHERENT * _robust(means)
+        return _robust(means) <= limit or (shared and not self._sways)
 
 
 def _block_means(image: NDArray[np.float32], known: Mask, side: int) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Means of an image, 0 where it is not known, in square blocks of which a quarter is, [N], and pixels of each."""
+    """Means of an image's known pixels in square blocks of which a quarter is, [N], and pixels of each."""
     rows, columns = (length // side * side for length in known.shape)
+    image = np.where(known, image, 0)
     sums, counts = (each[:rows, :columns].reshape(rows // side, side, -1, side).sum((1, 3)) for each in (image, known))
     full = counts >= side * side // 4
     return sums[full] / counts[full], counts[full]

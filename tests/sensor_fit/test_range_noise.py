@@ -13,6 +13,7 @@ from scipy.ndimage import gaussian_filter
 from bodyseg_data.artifacts import Noise
 from bodyseg_model.sensor_fit.finding import NEEDED, NOT_SEEN
 from bodyseg_model.sensor_fit.noise import before_equal_rounding, clipped_variance, measure_noise
+from bodyseg_model.sensor_fit.recording import MarkedFrame
 
 
 @pytest.mark.parametrize("moving", [False, True])
@@ -51,6 +52,26 @@ def test_noise_that_neighbours_share_is_no_motion(blur_px: float) -> None:
     assert found.strengths["low_mm"] == pytest.approx(5.0, rel=0.05) and "between frames" in found.reason
 
 
+def test_folds_that_sway_are_no_noise_that_neighbours_share() -> None:
+    once, frames = recorded(Noise(1.0, 1.0)), []
+    for shift, frame in zip((0, 1, 0, 1), once.frames, strict=True):
+        folds_m = 0.012 * np.sin(2 * np.pi * (np.arange(frame.body.shape[1]) + shift) / 24)
+        range_m = np.where(frame.body, frame.range_m + folds_m, 0).astype(np.float32)
+        frames.append(replace(frame, range_m=range_m, stored=np.rint(range_m / once.step_m).astype(np.uint16)))
+    found = measure_noise(replace(once, frames=tuple(frames)))
+    assert found.strengths["low_mm"] == pytest.approx(1.0, rel=0.1) and "within frames" in found.reason
+
+
+def test_frames_of_which_losses_leave_little_are_not_called_filtered() -> None:
+    whole, generator, frames = recorded(Noise(3.0, 3.0)), np.random.default_rng(4), []
+    upper = np.cumsum(whole.frames[0].body.any(1)) <= 120
+    for frame in whole.frames:
+        kept = frame.body & upper[:, None] & (generator.random(frame.body.shape) >= 0.5)
+        frames.append(MarkedFrame(np.where(kept, frame.stored, 0), np.where(kept, frame.range_m, 0), kept))
+    found = measure_noise(replace(whole, frames=tuple(frames)))
+    assert found.strengths["low_mm"] == pytest.approx(3.0, rel=0.05) and "between frames" in found.reason
+
+
 @pytest.mark.parametrize("driver", ["holds most", "holds some", "filters"])
 def test_noise_that_a_driver_holds_or_filters_over_frames_is_told_within_them(driver: str) -> None:
     fresh, generator = recorded(Noise(12.0, 12.0), frames=8), np.random.default_rng(0)
@@ -68,6 +89,18 @@ def test_noise_that_a_driver_holds_or_filters_over_frames_is_told_within_them(dr
     found = measure_noise(settled)
     sigma_mm = 6.0 if driver == "filters" else 12.0
     assert found.strengths["low_mm"] == pytest.approx(sigma_mm, rel=0.05) and "within frames" in found.reason
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_two_or_three_frames_tell_that_most_values_are_held(count: int) -> None:
+    fresh, generator = recorded(Noise(12.0, 12.0)), np.random.default_rng(0)
+    shown = [fresh.frames[0]]
+    for frame in fresh.frames[1:count]:
+        new = generator.random(frame.stored.shape) < 0.4
+        pixels = {name: np.where(new, vars(frame)[name], vars(shown[-1])[name]) for name in ("stored", "range_m")}
+        shown.append(replace(frame, **pixels))
+    found = measure_noise(replace(fresh, frames=tuple(shown), pairs=fresh.pairs[: count - 1]))
+    assert found.strengths["low_mm"] == pytest.approx(12.0, rel=0.05) and "within frames" in found.reason
 
 
 def test_files_in_millimetres_have_no_noise_by_that() -> None:
