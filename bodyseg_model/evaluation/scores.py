@@ -27,7 +27,7 @@ def pairs_of(truth: NDArray[np.uint8], predicted: NDArray[np.uint8], classes: in
     where = np.flatnonzero(truth != BACKGROUND)
     rows, columns = truth.ravel().take(where), predicted.ravel().take(where)
     for name, labels in (("truth", rows), ("prediction", columns)):
-        if labels.size and labels.max() >= classes:
+        if labels.size and (labels.min() < 0 or labels.max() >= classes):
             raise BadConfig(f"labels must be 0 to {classes - 1}, found {labels.max()} in the {name}")
     return rows.astype(np.int64) * classes + columns
 

@@ -62,6 +62,7 @@ def test_nothing_counted_is_no_score() -> None:
         (image(0, 1), image(0), r"must have one shape, found \(1, 2\) and \(1, 1\)"),
         (image(0, 33), image(0, 1), "labels must be 0 to 32, found 33 in the truth"),
         (image(0, 1), image(0, BACKGROUND), "labels must be 0 to 32, found 255 in the prediction"),
+        (image(0, 1), np.array([[2, -1]]), "labels must be 0 to 32, found 2 in the prediction"),
     ],
 )
 def test_what_is_no_label_is_refused(truth: np.ndarray, predicted: np.ndarray, message: str) -> None:
