@@ -41,7 +41,8 @@ def draw_legend(width: int, label_map: LabelMap = PARTS33) -> Image.Image:
     lines = -(-len(label_map) // columns)
     columns = -(-len(label_map) // lines)
     legend = Image.new("RGB", (width, lines * _LINE), PAPER)
-    pen, end = ImageDraw.Draw(legend), 38 if len(label_map) <= 100 else 46  # of a number of two digits or three
+    pen = ImageDraw.Draw(legend)
+    end = 38 if len(label_map) <= 100 else 46  # right end of the numbers, which have two digits or three
     for label, (name, colour) in enumerate(zip(label_map.names, label_map.colours.tolist(), strict=True)):
         column, line = divmod(label, lines)
         left, top = column * width // columns, line * _LINE
@@ -53,7 +54,8 @@ def draw_legend(width: int, label_map: LabelMap = PARTS33) -> Image.Image:
 
 def _cut(name: str, width: int) -> str:
     """As much of a name, in size 13, as fits into `width` pixels, with dots for the rest; the font has no accents."""
-    cut, dots = "".join(each for each in unicodedata.normalize("NFKD", name) if not unicodedata.combining(each)), ""
+    cut = "".join(each for each in unicodedata.normalize("NFKD", name) if not unicodedata.combining(each))
+    dots = ""
     while cut and font(13).getlength(cut + dots) > width:
         cut, dots = cut[:-1], "..."
     return cut + dots

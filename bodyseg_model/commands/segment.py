@@ -206,8 +206,9 @@ def _remarks(
     if background == "frame":
         lines[0] += f", mean confidence {summary.mean_confidence or 0:.0%}"
     elif summary.mean_confidence is not None:
-        mean, surely = f"{summary.people / frames:.2g}", f"mean confidence {summary.mean_confidence:.0%}"
-        lines[0] += f", {mean} {'person' if mean == '1' else 'people'} a frame, {surely}"
+        people = f"{summary.people / frames:.2g}"
+        lines[0] += f", {people} {'person' if people == '1' else 'people'} a frame"
+        lines[0] += f", mean confidence {summary.mean_confidence:.0%}"
     else:
         lines.append(
             f"nobody was found: are --units, --near and --far right? The camera is {camera.origin}, focal length "

@@ -245,7 +245,8 @@ class SetView:
         sample, made, layers = images.sample, images.variants, images.layers
         layout, window = self.layout_of(sample)
         span, projector = span_of(sample.range), sample.projector_range
-        measured, left = span_text(sample.range, self.rig.range_step_m), np.count_nonzero(layers.range)
+        measured = span_text(sample.range, self.rig.range_step_m)
+        pixels = np.count_nonzero(layers.range)
 
         def reduced(image: NDArray[Any]) -> NDArray[Any]:
             return layout.reduced(image[window] if image.shape == sample.range.shape else image)
@@ -253,7 +254,7 @@ class SetView:
         small = layers.picked(reduced)
         stored = [
             Panel("stored range", colour_range(reduced(sample.range), *span), measured),
-            Panel(f"labels, {shown.variant}", self._colours("parts", small), f"{left} pixels"),
+            Panel(f"labels, {shown.variant}", self._colours("parts", small), f"{pixels} pixels"),
         ]
         if projector is not None:
             view = colour_range(reduced(projector), *span_of(projector))
