@@ -74,7 +74,7 @@ def _header(facts: SetFacts, publication: Publication) -> str:
         "  data_files:",
     ]
     for split in facts.splits:
-        lines += [f"  - split: {split}", f"    path: {split}-*.tar"]
+        lines += [f"  - split: {split}", f"    path: {split}-?????.tar"]
     return "\n".join([*lines, f"{DIGEST_FIELD}: {facts.manifest.digest}", "---"])
 
 
@@ -113,7 +113,7 @@ def _splits(facts: SetFacts) -> str:
 def _reading(facts: SetFacts) -> str:
     members = [(f"`NAME.{member}`", MEMBERS[member]) for member in (*CODECS[facts.manifest.codec].members, "json")]
     members += [(f"`NAME.plane.{name}.*`", f"the plane `{name}`, whole numbers") for name in facts.manifest.planes]
-    files = ", ".join(f'"{split}": "{split}-*.tar"' for split in facts.splits)
+    files = ", ".join(f'"{split}": "{split}-?????.tar"' for split in facts.splits)
     options = f'variant="{facts.variants[-1]}", split="{next(iter(facts.splits))}"'
     return "\n".join(
         [
