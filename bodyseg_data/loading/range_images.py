@@ -152,6 +152,8 @@ class RangeImages(SampleDataset):
             )
         self.planes = _chosen_planes(planes, self.manifest)
         """Name -> type of the further images that items and batches hold."""
+        source = self.columns[TEMPLATE].source if TEMPLATE in self.columns else "column"
+        self._has_map = TEMPLATE in self.planes and source != "column"
         self.transforms = check_transforms(transform)
         self.unlabelled = UNLABELLED if check_bool("unlabelled", unlabelled) or self.label_map.has_rest else BACKGROUND
         camera = self.manifest.rig.camera
@@ -256,8 +258,7 @@ class RangeImages(SampleDataset):
         """
         chosen, camera = self.epoch if epoch is None else check_epoch(epoch), self.manifest.rig.camera
         shape = (camera.rows, camera.columns)
-        ranges, labels = np.empty(shape, np.uint16), np.empty(shape, np.uint8)
-        return self._made(index, chosen, ranges, labels)
+        return self._made(index, chosen, np.empty(shape, np.uint16), np.empty(shape, np.uint8))
 
     def write(
         self,
@@ -300,7 +301,7 @@ class RangeImages(SampleDataset):
             made = replace(made, planes=_in_order(sample, self.planes))
         if self.transforms:
             camera = self.manifest.rig_of(sample).camera
-            seen = with_camera(made, camera, self.step_m, sample, self.manifest.classes)
+            seen = with_camera(made, camera, self.step_m, sample, self.manifest.classes, self._has_map)
             draws = Draws(self.seed, epoch, made.key)
             made = transform_image(seen, self.transforms, draws, self.unlabelled)
         if self._joins:

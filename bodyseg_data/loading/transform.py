@@ -50,7 +50,7 @@ class CameraImage(RangeImage):
     position (x, y) of the optical axis in image coordinates, in which pixel (row, column) covers x from column to
     column + 1. sample: the stored one, for `info`; its arrays may have been used for this image. classes: of the set.
     planes: name -> uint8 or uint16 [H, W], moved along with the pixels, 0 outside of the image as it was
-    (`NOWHERE` in the map of the body, `TEMPLATE`).
+    (`NOWHERE` in the map of the body). has_map: whether the plane `TEMPLATE` is that map, and not one of the user's.
     """
 
     step_m: float
@@ -58,6 +58,7 @@ class CameraImage(RangeImage):
     centre_px: tuple[float, float]
     sample: Sample
     classes: Classes = PART_CLASSES
+    has_map: bool = False
 
     @property
     def info(self) -> SampleInfo:
@@ -76,12 +77,11 @@ class CameraImage(RangeImage):
 
 
 def with_camera(
-    image: RangeImage, camera: Camera, step_m: float, sample: Sample, classes: Classes = PART_CLASSES
+    image: RangeImage, camera: Camera, step_m: float, sample: Sample, classes: Classes, has_map: bool
 ) -> CameraImage:
     """A range image of a stored sample with the camera of its rig and the classes of its set."""
-    focal_px, centre_px = camera.focal_px, camera.centre_px
-    seen = (image.key, image.range, image.labels, image.drawn, step_m, focal_px, centre_px, sample, classes)
-    return CameraImage(*seen, planes=image.planes)
+    about = step_m, camera.focal_px, camera.centre_px, sample, classes, has_map
+    return CameraImage(image.key, image.range, image.labels, image.drawn, *about, planes=image.planes)
 
 
 def ends_of(mask: NDArray[Any]) -> Box | None:
@@ -203,8 +203,7 @@ def transform_image(
         count = counts[each.name] = counts.get(each.name, 0) + 1
         purpose = f"transform {each.name}" if count == 1 else f"transform {each.name} {count}"
         shape = each.shape(*image.range.shape)
-        found = _called(each, image, draws.generator(purpose))
-        image = _checked_image(found, image, each.name, shape, unlabelled)
+        image = _checked_image(_called(each, image, draws.generator(purpose)), image, each.name, shape, unlabelled)
     return image
 
 

@@ -109,7 +109,7 @@ class BodyCrop(Checked, Transform):
 @dataclass(frozen=True)
 class Flip(Checked, Transform):
     """The image mirrored, left and right columns exchanged, and so the labels of classes that are mirror images
-    (`LabelClass.mirror`), and points of the plane `TEMPLATE`, the map of the body.
+    (`LabelClass.mirror`), and points of the map of the body.
 
     share: of the samples that are mirrored, 0 to 1; each is drawn. The body seen is then the mirror image of the one
     rendered. Shadows of the projector lie on the other side, as of a rig whose projector stands there. Raises BadConfig
@@ -124,7 +124,7 @@ class Flip(Checked, Transform):
         if unit(random) >= self.share:
             return image
         planes = {name: plane[:, ::-1] for name, plane in image.planes.items()}
-        if TEMPLATE in planes:
+        if image.has_map:
             from bodyseg_data.bodies import load_template  # loads meshes, which streaming does not need
 
             planes[TEMPLATE] = load_template().mirrored.take(planes[TEMPLATE])
@@ -321,8 +321,9 @@ def _within(places: NDArray[np.floating[Any]], first: int, end: int) -> slice:
 def background(image: CameraImage, rows: int, columns: int) -> CameraImage:
     """The image with arrays of another size, in which nothing was measured; planes are 0, or `NOWHERE`."""
     ranges, labels = np.zeros((rows, columns), np.uint16), np.full((rows, columns), BACKGROUND, np.uint8)
-    empty = {name: NOWHERE if name == TEMPLATE else 0 for name in image.planes}
-    planes = {name: np.full((rows, columns), empty[name], plane.dtype) for name, plane in image.planes.items()}
+    planes = {name: np.zeros((rows, columns), plane.dtype) for name, plane in image.planes.items()}
+    if image.has_map:
+        planes[TEMPLATE].fill(NOWHERE)
     return replace(image, range=ranges, labels=labels, planes=planes)
 
 
@@ -342,14 +343,13 @@ def _pairs(source: CameraImage, target: CameraImage) -> Iterator[tuple[NDArray[A
 def take_window(image: CameraImage, top: int, left: int, rows: int, columns: int) -> CameraImage:
     """A window of the image, in pixels as they are; what lies outside is background."""
     (height, width), (x, y) = image.range.shape, image.centre_px
-    centre_px = (x - left, y - top)
     found = background(image, rows, columns)
     first, end = max(top, 0), min(top + rows, height)
     start, stop = max(left, 0), min(left + columns, width)
     if first < end and start < stop:
         for source, target in _pairs(image, found):
             target[first - top : end - top, start - left : stop - left] = source[first:end, start:stop]
-    return replace(found, centre_px=centre_px)
+    return replace(found, centre_px=(x - left, y - top))
 
 
 def turned(image: CameraImage, angle_deg: float) -> CameraImage:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -94,6 +95,20 @@ def test_a_flipped_image_has_flipped_planes_and_exchanged_fingers(cells: Path) -
         before, after = plain.image(index), flipped.image(index)
         assert np.array_equal(after.labels, opposite[before.labels[:, ::-1]])
         assert np.array_equal(after.planes["instances"], before.planes["instances"][:, ::-1])
+
+
+@pytest.mark.parametrize("kind", ["uint8", "uint16"])
+def test_an_own_plane_called_template_is_no_map_of_the_body(cells: Path, tmp_path: Path, kind: str) -> None:
+    folder = Path(shutil.copytree(cells, tmp_path / "cells"))
+    with ColumnWriter(folder, "template", kind) as column:
+        for index, key in enumerate(RangeImages(folder, "none").keys):
+            column.write(key, np.arange(index, index + 320).reshape(16, 20) % 256)
+    plain, flipped, cut = (
+        RangeImages(folder, "none", transform=each, planes=("template",)) for each in ((), Flip(1.0), Crop(18, 22))
+    )
+    before = plain.image(0).planes["template"]
+    assert np.array_equal(flipped.image(0).planes["template"], before[:, ::-1])
+    assert np.array_equal(cut.image(0).planes["template"], np.pad(before, 1))
 
 
 def halved(image: CameraImage, random: np.random.Generator) -> CameraImage:
