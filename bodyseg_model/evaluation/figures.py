@@ -51,7 +51,7 @@ def draw_figures(figures: Tree, folder: Path) -> list[Path]:
 
 def draw_parts(figures: Tree) -> Any:
     """Average per-class accuracy of the set and its subsets, and accuracy of each class: the paper's Fig. 6."""
-    groups = {"all": figures, **figures["subsets"]}
+    groups = {"all": figures} | figures["subsets"] | {"all": figures}  # "all" of subsets: images of none
     parts = figures["classes"]
     figure = new_chart(9.5, 3.2 + 0.27 * (len(groups) + len(parts)))
     upper, lower = figure.subplots(2, 1, height_ratios=(len(groups) + 0.6, len(parts) + 0.6), sharex=True)

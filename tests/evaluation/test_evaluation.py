@@ -28,6 +28,7 @@ from bodyseg_model.evaluation import (
     time_frames,
 )
 from bodyseg_model.evaluation.evaluation import PredictedImage
+from bodyseg_model.evaluation.figures import draw_parts
 from bodyseg_model.networks import Network, build, load_network, predict, save_network
 from bodyseg_model.networks.registry import Prediction
 
@@ -117,16 +118,18 @@ def test_scores_are_those_of_single_images(
 
 
 def test_every_sample_of_an_own_set_has_its_own_subset(tmp_path: Path) -> None:
-    """Keys like those of a body's views say nothing there."""
+    """Keys like those of a body's views say nothing there; images of no subset are not called all images."""
     seen = np.full((SMALL.camera.rows, SMALL.camera.columns), 2.0)
     with ShardWriter(tmp_path / "own", rig=SMALL, classes=["body"], projector="none", workers=0) as out:
         for number in range(4):
-            fields = {"subset": "AB"[number % 2]}
+            fields = {"subset": "AB"[number % 2]} if number < 3 else {}
             key, labels = f"room-d{100 + number}-a000", np.zeros(seen.shape, np.uint8)
             out.write(key=key, range_m=seen, labels=labels, split="test", fields=fields)
     images = RangeImages(tmp_path / "own", "none", "test")
     found = evaluate(ByRange(1).eval(), images, num_workers=0)
-    assert {name: scores.images for name, scores in found.subsets.items()} == {"A": 2, "B": 2}
+    assert {name: scores.images for name, scores in found.subsets.items()} == {"A": 2, "B": 1, "all": 1}
+    named = draw_parts(report(found)).axes[0].get_yticklabels()
+    assert [text.get_text() for text in named] == ["all  (images: 4)", "A  (images: 2)", "B  (images: 1)"]
 
 
 def keys_seen(network: Network, images: RangeImages, count: int | None, batch_size: int) -> list[str]:
