@@ -46,10 +46,8 @@ class SceneLayout:
         rig = self.rigs[scene.rig]
         size = rig.camera.rows, rig.camera.columns
         range_m = _ranges(scene.range_m, "range_m", size, rig, scene.key)
-        labels = self._labels(scene, size)
-        fields = self._fields_of(scene)
-        planes = self._planes(scene, size)
-        facing = self._facing(scene, rig, range_m)
+        labels, fields = self._labels(scene, size), self._fields_of(scene)
+        planes, facing = self._planes(scene, size), self._facing(scene, rig, range_m)
         self._check_projector(scene)
         if scene.projector is not None:
             facing = np.array(facing_from_range(rig, range_m)) if facing is None else facing
@@ -91,8 +89,9 @@ class SceneLayout:
 
     def _fields_of(self, scene: Render) -> Mapping[str, Value]:
         fields = {name: plain_value(value) for name, value in scene.fields.items()}
-        if len(self.rigs) > 1:
-            fields[RIG_FIELD] = int(scene.rig)
+        if len(self.rigs) > 1 and (found := fields.setdefault(RIG_FIELD, int(scene.rig))) != scene.rig:
+            rule = f"of several rigs, the field {RIG_FIELD!r} holds the number of the scene's, {scene.rig}"
+            raise BadSample(f"{scene.key}: {rule}: name your own otherwise, found {found!r}")
         for name, value in fields.items():
             kind = self.fields.kinds.get(name)
             if kind is None:

@@ -151,7 +151,9 @@ def test_two_projectors_several_rigs_planes_and_fields(tmp_path: Path, capsys: p
     given = {"projector_range_m": both, "planes": planes}
     with ShardWriter(tmp_path / "set", rig=[TWO, turned], classes=CLASSES, workers=0) as writer:
         writer.write(**scene(0, **given, fields=fields))
-        writer.write(**scene(1, **given, fields={"height": 2}, rig=1))
+        with pytest.raises(BadSample, match="scene-001: of several rigs, the field 'rig' holds .*, 1: .*, found 'arm'"):
+            writer.write(**scene(1, **given, fields={"rig": "arm"}, rig=1))
+        writer.write(**scene(1, **given, fields={"height": 2, "rig": 1}, rig=1))  # as `describe` gives it
     assert cli.main(["verify", str(tmp_path / "set")]) == 0
     images = RangeImages(tmp_path / "set", "none")
     assert images.manifest.planes == {"instances": "uint16", "material": "uint8"}
