@@ -243,8 +243,8 @@ def _group_keys(table: SampleTable, share: float) -> list[Group]:
         return [group_of[rows[number]] for number in table.rows[0].tolist()]
     if "subject" in places:
         at, column = places["subject"]
-        subjects = [str(row[column]) for row in table.tables[at]]
-        return [("", subjects[number]) for number in table.rows[at].tolist()]
+        subjects = [table.tables[at][row][column] for row in table.rows[at].tolist()]
+        return [("", "", str(number)) if own is None else ("", str(own)) for number, own in enumerate(subjects)]
     return [("", str(number)) for number in range(table.samples)]
 
 

@@ -13,7 +13,19 @@ import torch
 from open_sets import CELL_CLASSES, CELL_RIGS, PLANES, write_open_set
 from torch.utils.data import DataLoader
 
-from bodyseg_data import BodyCrop, CameraImage, ColumnWriter, Crop, Flip, Mixture, RangeImages, Roll, Zoom, loader
+from bodyseg_data import (
+    BodyCrop,
+    CameraImage,
+    ColumnWriter,
+    Crop,
+    Flip,
+    Mixture,
+    RangeImages,
+    Roll,
+    ShardWriter,
+    Zoom,
+    loader,
+)
 from bodyseg_data.artifacts import lit_pixels, seen_by_projectors
 from bodyseg_data.core import BadConfig, BadShard
 from bodyseg_data.labels import UNLABELLED, LabelMap, classes_of
@@ -242,3 +254,13 @@ def test_val_is_the_same_whether_a_column_of_subjects_is_open_or_not(tmp_path: P
     assert val.keys == RangeImages(tmp_path, "none", "val", val_share=0.4, where="subject=*").keys
     assert not {subject[key] for key in train.keys} & {subject[key] for key in val.keys}
     assert len(train) + len(val) == 8
+
+
+def test_val_takes_samples_without_a_subject_one_by_one(tmp_path: Path) -> None:
+    images = {"range_m": np.full((16, 20), 2.0), "labels": np.zeros((16, 20), np.uint8)}
+    with ShardWriter(tmp_path, rig=CELL_RIGS[0], classes=["wall"], projector="none", fields={"subject": "text"}) as out:
+        for number in range(12):
+            out.write(key=f"s-{number:02d}", **images, fields={"subject": "None"} if number < 2 else {})
+    train, val = (RangeImages(tmp_path, "none", split, val_share=0.25) for split in ("train", "val"))
+    assert (len(train), len(val)) == (9, 3)
+    assert {"s-00", "s-01"} <= {*train.keys} or {"s-00", "s-01"} <= {*val.keys}
