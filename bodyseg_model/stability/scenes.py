@@ -272,9 +272,10 @@ class Scenes:
         """Raise BadConfig for a condition whose images cannot be made from these samples."""
         source = self.images.manifest.source
         if _is_rendered(condition) and source not in RENDERABLE:
+            others = ", ".join(name for name, sweep in SWEEPS.items() if sweep.origin == "stored")
             raise BadConfig(
-                f"the sweep {condition.sweep!r} renders bodies anew, which needs a set of {' or '.join(RENDERABLE)}, "
-                f"found a set of {source!r}: leave it out with --sweeps"
+                f"sweeps that render bodies anew need a set of {' or '.join(RENDERABLE)}, found a set of {source!r}: "
+                f"choose others with --sweeps, of {others}"
             )
 
     def labelled_images(self, condition: SweepPoint) -> list[LabelledImage]:
