@@ -134,12 +134,14 @@ def sha256_of(store: Store, name: str) -> str:
 class LocalTarget:
     """A local folder, made if it is missing. A file is called `.NAME.part` until it is complete and checked.
 
-    All methods raise OSError.
+    All methods raise OSError. Raises BadConfig for the folder of the source itself.
     """
 
     def __init__(self, folder: Path, source: Store) -> None:
         self._folder, self._source = folder, source
         folder.mkdir(parents=True, exist_ok=True)
+        if isinstance(source, LocalFolder) and folder.samefile(source.name):
+            raise BadConfig(f"{folder} cannot be copied to itself: choose another place")
         self.store: Store = LocalFolder(folder)
 
     def holds(self, file: SharedFile, sizes_only: bool) -> bool:
