@@ -9,7 +9,7 @@ import fcntl
 import hashlib
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -278,16 +278,19 @@ def transfer(
     at the target are compared by size alone.
 
     While files are missing or wrong the target has no index, so it is never read as whole. Raises BadConfig for a
-    target that holds another bundle or page without `replace`, BadShard for bytes that are not those of their checksum,
-    OSError or Unreachable.
+    target that holds another bundle or page, or a folder without index that holds another file, without `replace`,
+    BadShard for bytes that are not those of their checksum, OSError or Unreachable.
     """
+
+    def refuse(others: Iterable[str]) -> None:
+        for name in () if replace else others:
+            raise BadConfig(f"{target.store.name} holds another {name}: choose another place, or --replace it")
+
     held = target.store.read_file(bundle.index, LARGEST_MANIFEST)
     other = held is not None and held != bundle.index_bytes
-    if other and not replace:
-        raise BadConfig(f"{target.store.name} holds another {bundle.index}: choose another place, or --replace it")
-    for name, data in bundle.pages.items() if held is None and not replace else ():
-        if read_optional(target.store, name, _LARGEST_PAGE) not in (None, data):
-            raise BadConfig(f"{target.store.name} holds another {name}: choose another place, or --replace it")
+    refuse([bundle.index] if other else [])
+    pages = bundle.pages.items()
+    refuse(name for name, data in pages if read_optional(target.store, name, _LARGEST_PAGE) not in (None, data))
     done = 0
     missing = []
     for file in bundle.files:
@@ -298,8 +301,14 @@ def transfer(
             missing.append(file)
     if isinstance(target, LocalTarget):
         target.check_room(missing)
-    wrong = [bundle.index] if held is not None and missing else []
-    for name in superseded(target.store, bundle) if other else wrong:
+    if other:
+        outdated = superseded(target.store, bundle)
+    else:
+        outdated = [file.name for file in missing if isinstance(target, LocalTarget) and Path(target.store.name, file.name).exists()]
+        refuse(outdated if held is None else [])
+        # The index last: without one, files that are wrong would be taken for the user's own.
+        outdated += [bundle.index] if held is not None and missing else []
+    for name in outdated:
         target.remove(name)
 
     def add(copied: int) -> None:
@@ -309,7 +318,7 @@ def transfer(
 
     for file in missing:
         target.receive(file, add, sizes_only)
-    for name, data in bundle.pages.items():
+    for name, data in pages:
         target.write(name, data)
     if held != bundle.index_bytes or missing:
         target.write(bundle.index, bundle.index_bytes)

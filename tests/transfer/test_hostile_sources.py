@@ -35,8 +35,8 @@ class Replaced(LocalFolder):
         return super().read_file(name, limit)
 
 
-def copy(source: Store, folder: Path) -> None:
-    transfer(set_bundle(source), LocalTarget(folder, source), lambda done: None)
+def copy(source: Store, folder: Path, replace: bool = False) -> None:
+    transfer(set_bundle(source), LocalTarget(folder, source), lambda done: None, replace)
 
 
 def test_a_set_that_is_replaced_meanwhile_is_copied_as_it_was_read(
@@ -80,7 +80,7 @@ def test_a_planted_link_is_not_written_through(small_set: Path, tmp_path: Path) 
     for name in (*names, MANIFEST_NAME):
         (back / f".{name}.part").symlink_to(victim)
     (back / names[0]).symlink_to(victim)
-    copy(LocalFolder(small_set), back)
+    copy(LocalFolder(small_set), back, replace=True)
     assert victim.read_bytes() == b"precious"
     assert not any((back / name).is_symlink() for name in (*names, MANIFEST_NAME))
     assert main(["verify", str(back)]) == 0

@@ -262,6 +262,38 @@ def test_a_replacement_that_was_cut_while_it_removed_files_is_completed(
     assert main(["verify", str(tmp_path / "copy")]) == 0
 
 
+def test_what_the_user_has_at_the_target_is_replaced_only_when_asked(
+    mine: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy, damaged = tmp_path / "copy", b"x" + (mine / "train-00000.tar").read_bytes()[1:]
+    copy.mkdir()
+    (copy / "train-00000.tar").write_bytes(b"of a packing that has not ended")
+    assert main(["pull", str(mine), str(copy)]) == 2
+    assert "copy holds another train-00000.tar: choose another place, or --replace it" in capsys.readouterr().err
+    assert contents(copy) == {"train-00000.tar": b"of a packing that has not ended"}
+    assert main(["pull", str(mine), str(copy), "--replace"]) == 0
+    with ColumnWriter(copy, "age", "int") as column:
+        for key in RangeImages(copy).keys:
+            column.write(key, 3)
+    (copy / "train-00000.tar").write_bytes(damaged)
+    assert main(["pull", str(mine), str(copy)]) == 0, "a file that is wrong beside its manifest"
+    (copy / "README.md").write_text("# Edited\n")
+    assert main(["pull", str(mine), str(copy)]) == 2
+    assert "copy holds another README.md: choose another place, or --replace it" in capsys.readouterr().err
+    assert (copy / "README.md").read_text() == "# Edited\n"
+    assert list(RangeImages(copy, columns=["age"]).manifest.fields.kinds)[-1] == "age"
+
+
+def test_a_set_is_not_copied_to_itself(mine: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (mine / "train-00000.tar").write_bytes(b"damaged")
+    before = contents(mine)
+    (mine.parent / "link").symlink_to(mine)
+    for words in (["push", str(mine), str(mine.parent / "link")], ["pull", f"file://{mine}", str(mine)]):
+        assert main(words) == 2
+        assert "cannot be copied to itself: choose another place" in capsys.readouterr().err
+    assert contents(mine) == before, "its manifest was removed, as before a repair"
+
+
 def test_networks_are_copied_with_their_pages(
     mine: Path, breaking: type[Breaking], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
