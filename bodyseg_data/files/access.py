@@ -42,8 +42,9 @@ def write_atomically(path: Path, data: bytes | Iterable[bytes], flushed: bool = 
 
     data: all bytes, or chunks of them; an error of their iterator leaves no file. flushed: False does not wait for the
     disk, which may take longer than all else; until `sync` is called, a power cut may then leave an empty file. Raises
-    OSError, which names the file.
+    OSError, which names the file, also for a pipe or a device, in whose place a file would be.
     """
+    refuse_special(path)
     aside = part_beside(path)
     with naming(path):
         try:

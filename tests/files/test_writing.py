@@ -63,6 +63,15 @@ def test_a_full_disk_is_named_and_leaves_nothing(tmp_path: Path) -> None:
         write_result(tmp_path / "none" / "file", b"")
 
 
+def test_a_pipe_or_device_is_not_replaced_by_a_file(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("pipe")
+    for name in ("pipe", "link"):
+        with pytest.raises(BadConfig, match=f"^cannot write {tmp_path / name}: not a regular file$"):
+            write_result(tmp_path / name, b"figures")
+    assert (tmp_path / "pipe").is_fifo() and (tmp_path / "link").is_symlink() and len(list(tmp_path.iterdir())) == 2
+
+
 @pytest.mark.parametrize("letter", ["x", "é", "走", "🚶"])
 def test_a_name_may_be_as_long_as_the_disk_allows(letter: str, tmp_path: Path) -> None:
     name = letter * (255 // len(letter.encode()))
