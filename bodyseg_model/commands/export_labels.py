@@ -92,12 +92,17 @@ def run(options: Options) -> int:
     """Write the export: its folder appears when it is whole, in place of one of an earlier export."""
     check_int("--fps", options.fps, 1)
     facts = {"format": _FORMAT, **provenance(command_line("bodyseg export-labels", options))}
+    if Path.cwd().is_relative_to(options.out.resolve()):
+        raise BadConfig(f"--out must not hold the folder in which the command runs, found {options.out}")
     out = options.out.resolve() if options.out.is_symlink() else options.out  # the link stays
     old, opened = part_beside(out), _frames if (Path(options.folder) / "summary.json").is_file() else _samples
     try:
         held = sorted(entry.name for entry in out.iterdir()) if out.exists() else []
-        if held and (_NOTE not in held or read_json(out / _NOTE).get("format") != _FORMAT):
+        note = read_json(out / _NOTE) if _NOTE in held else {}
+        if held and note.get("format") != _FORMAT:
             raise BadConfig(f"--out must be a new folder, or one of an earlier export: {out} holds {held[0]}")
+        if held and not (isinstance(most := note.get("holds"), int) and _count(out) <= most):
+            raise BadConfig(f"--out must hold an earlier export alone, found other files, too, in {out}: move them")
         with Progress("exporting", "images") as progress:
             label_map, images = opened(options, progress.update)
             with held_part(out, partial(Path.mkdir, parents=True)) as part:
@@ -107,7 +112,8 @@ def run(options: Options) -> int:
                     {"name": name, "color": f"#{bytes(colour).hex()}", "attributes": []} for name, colour in colours
                 ]
                 (part / "classes.json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-                write_json(part / _NOTE, {**facts, "kind": options.format, "labels": label_map.to_json()})
+                facts |= {"kind": options.format, "labels": label_map.to_json(), "holds": _count(part) + 1}
+                write_json(part / _NOTE, facts)
                 if out.exists():
                     out.rename(old)
                 part.rename(out)
@@ -118,6 +124,11 @@ def run(options: Options) -> int:
             shutil.rmtree(old) if out.exists() else old.rename(out)
     sys.stderr.write(f"wrote {options.out}\n")
     return 0
+
+
+def _count(folder: Path) -> int:
+    """Files and folders within a folder."""
+    return sum(1 for _ in folder.rglob("*"))
 
 
 def _samples(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Images]:

@@ -328,6 +328,24 @@ def test_a_link_to_a_folder_elsewhere_stays_one(figures_set: Path, tmp_path: Pat
     assert sorted(each.name for each in tmp_path.iterdir()) == ["disk", "out"]
 
 
+def test_what_the_user_put_beside_an_export_stays(
+    figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = export(tmp_path / "out", figures_set, "png")
+    (out / "labels" / "runs").mkdir()
+    (out / "labels" / "runs" / "model.pt").write_bytes(b"of a day")
+    said = refused(capsys, "--in", figures_set, "--out", out, "--format", "png")
+    assert said == f"--out must hold an earlier export alone, found other files, too, in {out}: move them"
+    assert (out / "labels" / "runs" / "model.pt").read_bytes() == b"of a day"
+    shutil.rmtree(out / "labels")
+    export(out, figures_set, "coco")
+    monkeypatch.chdir(out)
+    for word in (".", ".."):
+        assert "--out must not hold the folder in which the command runs" in refused(
+            capsys, "--in", figures_set, "--out", word, "--format", "png"
+        )
+
+
 def test_a_full_disk_is_one_line_and_leaves_the_earlier_export(
     figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
