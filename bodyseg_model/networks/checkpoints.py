@@ -145,7 +145,7 @@ class Checkpoint:
         digest = write_tensors(folder / self.file, self.tensors)
         note = {"step": self.step, "loader_state": self.loader_state, "tensors": self.file, "sha256": digest}
         write_json(folder / _CHECKPOINT, note)
-        for old in (*folder.glob("checkpoint-*.safetensors"), *parts_left(folder)):
+        for old in (*folder.glob(f"checkpoint-{'[0-9]' * 8}.safetensors"), *parts_left(folder)):
             if old.name != self.file:
                 with contextlib.suppress(OSError):
                     old.unlink()

@@ -124,12 +124,12 @@ class RunFolder:
         wanted = json.loads(json.dumps({"format": FORMAT, **plan}))
         file = self.path / RunFiles.PLAN
         held = {entry.name for entry in self.path.iterdir() if not is_leftover(entry.name)}
+        found = read_json(file) if RunFiles.PLAN in held else {}
+        if held and found.get("format") != FORMAT:
+            raise BadConfig(f"{self.path} holds files but no training: give a new or empty folder")
         if held <= {RunFiles.PLAN}:
             file.unlink(missing_ok=True)
             return None
-        if RunFiles.PLAN not in held:
-            raise BadConfig(f"{self.path} holds files but no training: give a new or empty folder")
-        found = read_json(file)
         earlier = found.pop("earlier_steps", [])
         if CardWords.PRETRAINED in found:
             wanted.setdefault(CardWords.PRETRAINED, found[CardWords.PRETRAINED])

@@ -248,6 +248,11 @@ def test_another_training_is_not_overwritten(small_set: Path, tmp_path: Path) ->
     (tmp_path / "full" / "letter.txt").write_text("dear")
     with pytest.raises(BadConfig, match="holds files but no training"):
         train(small_set, tmp_path / "full")
+    (tmp_path / "full" / "letter.txt").unlink()
+    (tmp_path / "full" / "run.json").write_text('{"of": "another program"}')
+    with pytest.raises(BadConfig, match="holds files but no training"):
+        train(small_set, tmp_path / "full")
+    assert (tmp_path / "full" / "run.json").read_text() == '{"of": "another program"}'
     assert files(tmp_path / "run") == before
 
 

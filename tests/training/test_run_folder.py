@@ -82,7 +82,10 @@ def test_what_a_kill_cut_short_goes_with_the_next_checkpoint(small_set: Path, tm
     cut = [part_beside(tmp_path / name) for name in ("checkpoint-00000003.safetensors", "best.safetensors")]
     for part in cut:
         part.write_bytes(bytes(1000))
+    kept = tmp_path / "checkpoint-00000002-before-decay.safetensors"
+    kept.write_bytes((tmp_path / "checkpoint-00000002.safetensors").read_bytes())
     train(small_set, tmp_path, steps=4, resume=True)
+    assert kept.exists() and not (tmp_path / "checkpoint-00000002.safetensors").exists(), "a copy of the user's stays"
     assert not any(part.exists() for part in cut) and (tmp_path / "checkpoint-00000004.safetensors").exists()
 
 
