@@ -133,6 +133,8 @@ def _check(options: Options) -> None:
             raise BadConfig(f"--{name} must be at least {least}, found {value}")
     use_threads(options.threads)
     check_target(options.json, "--json")
+    if options.json.suffix == ".json" and options.json.with_suffix(".safetensors").exists():
+        raise BadConfig(f"--json must not replace the card of a network, found {options.json}")
     if options.figures is not None:
         new_chart(1, 1)  # fail now if matplotlib is missing, not after hours
         make_folder(options.figures)

@@ -156,11 +156,15 @@ class Checkpoint:
 
 
 def save_network(path: Path, network: Network, name: str, facts: Mapping[str, Any], half: bool = False) -> None:
-    """Write weights to `path` (.safetensors) and the card beside it, the card last. Raises BadConfig.
+    """Write weights to `path` (.safetensors) and the card beside it, the card last. Raises BadConfig, also where another
+    file has the card's name.
 
     facts: further entries of the card, which also gets the weights' SHA-256. half: filters in 16 bits, for half the
     bytes; scales, biases and statistics stay in 32.
     """
+    if path.with_suffix(".json").exists():
+        with reported(f"{path} has its card beside it", BadConfig):
+            read_card(path)  # raises for a file of the user
     card = {"format": CardWords.FORMAT, "network": name, "settings": network.settings, **facts}
     card[CardWords.WEIGHTS_SHA256] = write_tensors(path, half_weights(network) if half else network.state_dict())
     write_json(path.with_suffix(".json"), card)

@@ -57,3 +57,17 @@ def test_bad_targets_get_one_line(run: Path, tmp_path: Path, capsys: pytest.Capt
         assert message in said
         assert said.count("\n") == 1
     assert not json.loads((run / "network.json").read_text()).get("scores")
+
+
+def test_scores_and_the_card_do_not_replace_each_other(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scores, card = tmp_path / "mine.json", (run / "network.json").read_bytes()
+    scores.write_text(text := json.dumps({"card": json.loads(card), "accuracy": 0.5}))
+    words = ["export", "--run", str(run), "--scores", str(scores), "--out", str(scores.with_suffix(".safetensors"))]
+    assert main(words) == 2
+    assert f"mine.safetensors has its card beside it: {scores}: the format must be" in capsys.readouterr().err
+    assert scores.read_text() == text and not scores.with_suffix(".safetensors").exists()
+    assert main(["evaluate", "--run", str(run), "--data", "absent", "--json", str(run / "network.json")]) == 2
+    assert "--json must not replace the card of a network, found " in capsys.readouterr().err
+    assert (run / "network.json").read_bytes() == card
