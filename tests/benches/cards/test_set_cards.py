@@ -243,6 +243,17 @@ def test_sizes_are_those_of_the_hub() -> None:
     ]
 
 
+def test_a_page_that_is_there_stays(small_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = shutil.copytree(small_set, tmp_path / "shards")
+    (folder / "README.md").write_text("# Of many hours\n")
+    assert main(["card", str(folder)]) == 2
+    assert "README.md is there already, perhaps written by hand: delete it" in capsys.readouterr().err
+    assert (folder / "README.md").read_text() == "# Of many hours\n" and not (folder / "croissant.json").exists()
+    (folder / "README.md").unlink()
+    for _ in range(2):  # the same bytes again
+        assert main(["card", str(folder), "--date", "2026-01-31"]) == 0
+
+
 def test_bad_arguments_of_card_get_one_line(
     described: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -36,6 +36,9 @@ def run(options: Options) -> int:
     else:
         files = _network_card(options.what, publication)
     for path, data in files.items():
+        if path.is_file() and path.read_bytes() != data:
+            raise BadConfig(f"{path} is there already, perhaps written by hand: delete it to write another")
+    for path, data in files.items():
         write_result(path, data)
         sys.stdout.write(f"wrote {path}\n")
     return 0
