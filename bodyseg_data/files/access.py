@@ -31,6 +31,7 @@ _LARGEST_TOML: Final = 1 << 20
 _DOTTED: Final = re.compile(r"""(?:(?<![\w"'-])(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){17}""")
 _CHUNK_BYTES: Final = 1 << 20
 _PART: Final = ".part"
+_ANY_PART: Final = f".{'[0-9a-f]' * 8}{_PART}"  # a pattern: how all names of `part_beside` end
 _LOCK: Final = ".lock"
 
 Value = TypeVar("Value")
@@ -80,11 +81,9 @@ def part_beside(path: Path) -> Path:
     return path.with_name(f".{path.name[:50]}.{secrets.token_hex(4)}{_PART}")
 
 
-def parts_left(folder: Path, names: str = "*") -> Iterator[Path]:
-    """Files of `part_beside` that killed processes left in a folder where nobody else is at work, whose names match a
-    pattern.
-    """
-    return folder.glob(f".{names}{_PART}")
+def parts_left(folder: Path) -> Iterator[Path]:
+    """Files of `part_beside` that killed processes left in a folder where nobody else is at work."""
+    return filter(Path.is_file, folder.glob(f".*{_ANY_PART}"))
 
 
 @contextlib.contextmanager
@@ -92,7 +91,7 @@ def held_part(path: Path, make: Callable[[Path], object]) -> Iterator[Path]:
     """Make the file or folder `part_beside` of `path`, which goes when the context ends unless it was renamed, and
     remove what killed processes left of such ones: they are locked as long as their process lives. Raises OSError.
     """
-    for left in parts_left(path.parent, f"{glob.escape(path.name[:50])}.????????"):
+    for left in path.parent.glob(f".{glob.escape(path.name[:50])}{_ANY_PART}"):
         with contextlib.suppress(OSError), _opened(left) as handle:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             _remove(left)

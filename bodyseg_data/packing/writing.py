@@ -23,7 +23,7 @@ from typing import Any, Final
 from bodyseg_data.bodies import BodyRef
 from bodyseg_data.core import BadConfig, BadShard, ProgressCallback, reported
 from bodyseg_data.files import claimed as held_alone
-from bodyseg_data.files import is_leftover, write_atomically
+from bodyseg_data.files import parts_left, write_atomically
 from bodyseg_data.labels import TEMPLATE
 from bodyseg_data.packing.jobs import ordered
 from bodyseg_data.packing.options import Packing
@@ -185,7 +185,7 @@ def claimed(out: Path, description: dict[str, Any], digest: str) -> Iterator[Pat
         other = "packed with other options or from other files: choose another folder, or delete it"
         raise BadConfig(f"{out} already holds a set of shards {other}")
     with held_alone(state, "packing"):
-        for leftover in filter(lambda path: is_leftover(path.name), out.iterdir()):
+        for leftover in parts_left(out):
             leftover.unlink()  # of a run that could not even clean up
         _check_plan(state / "plan.json", description, out)
         yield state

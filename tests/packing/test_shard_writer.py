@@ -21,6 +21,7 @@ from bodyseg_data import VARIANTS, BadConfig, BadSample, ColumnWriter, RangeImag
 from bodyseg_data.artifacts import lit_pixels
 from bodyseg_data.commands import cli
 from bodyseg_data.core import BodysegError
+from bodyseg_data.files import part_beside
 from bodyseg_data.rigs import Camera, Rig
 from bodyseg_data.shards import ShardRecord, shard_name
 
@@ -282,6 +283,17 @@ def test_a_full_disk_at_the_first_scene_is_one_line(tmp_path: Path, monkeypatch:
     ):
         monkeypatch.setattr("bodyseg_data.packing.shard_writer.write_atomically", full)
         writer.write(**scene(0))
+
+
+def test_hidden_files_of_others_stay_and_those_of_a_killed_writer_go(tmp_path: Path) -> None:
+    others = {".lock": b"of an editor", ".large.safetensors.part": b"of a download", ".coco.01234567.part/a": b"of export"}
+    for name, data in others.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(data)
+    part_beside(tmp_path / "manifest.json").write_bytes(b"half")
+    held = files(write(tmp_path))
+    assert {name: held.pop(name) for name in others} == others
+    assert held.keys() == {"manifest.json", "test-00000.tar", "train-00000.tar"}
 
 
 def test_a_finished_set_stays_and_a_damaged_shard_is_written_again(tmp_path: Path) -> None:
