@@ -11,7 +11,6 @@ if TYPE_CHECKING:
         claimed,
         contents,
         held_part,
-        is_leftover,
         last_name,
         make_folder,
         naming,

@@ -121,11 +121,6 @@ def _remove(path: Path) -> None:
         shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
-def is_leftover(name: str) -> bool:
-    """True for the name of a file that a killed process may leave: of `part_beside`, or of `claimed`."""
-    return name == _LOCK or (name.startswith(".") and name.endswith(_PART))
-
-
 def write_result(path: Path, data: bytes, flushed: bool = True) -> None:
     """Write a file that a user requested, as `write_atomically`. Raises BadConfig, naming it, if it cannot be
     written.

@@ -112,8 +112,8 @@ def run(options: Options) -> int:
                     {"name": name, "color": f"#{bytes(colour).hex()}", "attributes": []} for name, colour in colours
                 ]
                 (part / "classes.json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-                facts |= {"kind": options.format, "labels": label_map.to_json(), "holds": _count(part) + 1}
-                write_json(part / _NOTE, facts)
+                told = {"kind": options.format, "labels": label_map.to_json(), "holds": _count(part) + 1}
+                write_json(part / _NOTE, {**facts, **told})
                 if out.exists():
                     out.rename(old)
                 part.rename(out)

@@ -156,8 +156,8 @@ class Checkpoint:
 
 
 def save_network(path: Path, network: Network, name: str, facts: Mapping[str, Any], half: bool = False) -> None:
-    """Write weights to `path` (.safetensors) and the card beside it, the card last. Raises BadConfig, also where another
-    file has the card's name.
+    """Write weights to `path` (.safetensors) and the card beside it, the card last. Raises BadConfig, also for a file
+    of the card's name that is no card.
 
     facts: further entries of the card, which also gets the weights' SHA-256. half: filters in 16 bits, for half the
     bytes; scales, biases and statistics stay in 32.

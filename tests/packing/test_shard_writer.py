@@ -286,7 +286,7 @@ def test_a_full_disk_at_the_first_scene_is_one_line(tmp_path: Path, monkeypatch:
 
 
 def test_hidden_files_of_others_stay_and_those_of_a_killed_writer_go(tmp_path: Path) -> None:
-    others = {".lock": b"of an editor", ".large.safetensors.part": b"of a download", ".coco.01234567.part/a": b"of export"}
+    others = {".lock": b"of an editor", ".large.safetensors.part": b"of a download", ".coco.01234567.part/a": b"export"}
     for name, data in others.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes(data)
