@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import torch
 
-from bodyseg_data.commands import WHERE_HELP, Progress, command_line, option, provenance
+from bodyseg_data.commands import WHERE_HELP, Progress, check_target, command_line, option, provenance
 from bodyseg_data.core import BadConfig, check_int
 from bodyseg_data.drawing import new_chart
 from bodyseg_data.files import last_name, make_folder, write_json
@@ -67,6 +67,8 @@ def run(options: Options) -> int:
     reference = group_of(groups, options.reference)
     new_chart(1, 1)  # fail now if matplotlib is missing, not after hours
     make_folder(options.out)
+    written, picture = options.out / "stability.json", options.out / "stability.png"
+    check_target(written, "--out")
     start = time.perf_counter()
     for each in runs:
         each.trained.network.to(device)
@@ -82,7 +84,6 @@ def run(options: Options) -> int:
         **_images(options, runs, groups, sweeps, reference),
     }
     figures["seconds"] = round(time.perf_counter() - start, 1)
-    written, picture = options.out / "stability.json", options.out / "stability.png"
     write_json(written, figures)
     draw_stability(figures, picture)
     sys.stdout.writelines(f"{line}\n" for line in _curves(figures))
@@ -112,9 +113,7 @@ def _images(
                 f"{each.path}: stability is measured on the 33 parts of bodies, found the classes "
                 f"{each.manifest.classes.name!r}"
             )
-    conditions = list(
-        dict.fromkeys(condition for name, sweep in sweeps.items() for condition in sweep.conditions(name))
-    )
+    conditions = [*dict.fromkeys(each for name, sweep in sweeps.items() for each in sweep.conditions(name))]
     with Progress("building", "bodies") as bodies, Progress("stability", "images") as progress:
         scenes = Scenes(images, options.images, hard, bodies.update)
         found = evaluate_conditions(runs, conditions, scenes, progress.update)

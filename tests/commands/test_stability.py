@@ -150,6 +150,15 @@ def test_names_tell_runs_apart_and_each_counts_once(runs: Path, tmp_path: Path) 
     assert [run.name for run in load_runs(paths)] == [path.name for path in paths], "a name for two hides one"
 
 
+def test_a_folder_that_cannot_be_written_is_told_before_the_sweeps(
+    figures_set: Path, runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(command, "_images", lambda *given: pytest.fail("measured first"))
+    (tmp_path / "stability.json").mkdir()
+    with pytest.raises(BadConfig, match=r"--out needs a file in a folder that is there, found .*stability\.json"):
+        command.run(asked(figures_set, runs, tmp_path))
+
+
 def test_networks_of_other_classes_are_refused(figures_set: Path, runs: Path, tmp_path: Path) -> None:
     labels = load_label_map("limbs14").to_json()
     network = build("compact", {**SETTINGS, "classes": 14}, 1)
