@@ -99,6 +99,7 @@ def test_a_mirrored_recording_is_told(tmp_path: Path, frames: Path, capsys: pyte
         (("--nearer-than", "1.5"), "no sensor is assumed for frames of 208 x 224 pixels"),
         (("--focal", "450", "--picture", "x.jpg"), "--picture must be a .png file, found x.jpg"),
         (("--focal", "450", "--out", "absent/x.toml"), "--out needs a file in a folder that is there"),
+        (("--focal", "450", "--out", "recording.mcap"), "--out must be a .toml file, found recording.mcap"),
         (("--focal", "450", "--name", "two words"), "a sensor's name must be one plain word"),
     ],
 )
