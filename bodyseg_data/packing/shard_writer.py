@@ -250,6 +250,7 @@ class ShardWriter:
         state, layout = self._opened(), self._layout
         if split not in self._open and layout is not None:
             name = next(name for name in self._names[split] if name not in self._records)
+            (self._out / MANIFEST_NAME).unlink(missing_ok=True)
             self._open[split] = TarWriter(self._out / name, state / f"{name}.part", split, layout.fields).__enter__()
         self._open[split].write(key, members)
         if len(self._open[split]) == self._shard_samples:
@@ -358,7 +359,7 @@ class ShardWriter:
         self._records = finished_shards(self._out, state, names, layout.fields)
         self._finished = {key: self._out / name for name, record in self._records.items() for key in record.keys}
         self._done = len(self._finished)
-        self._complete = (self._out / MANIFEST_NAME).exists()
+        self._complete = (self._out / MANIFEST_NAME).exists() and len(self._records) == len(names)
         self._layout = layout if self._records else None
 
     def _opened(self) -> Path:

@@ -129,7 +129,9 @@ def write_shards(
                 writers = {}
                 for name in files_of(packing, shard.name):
                     if name not in records:
-                        fields = BODY_FIELDS if name == shard.name else _NO_FIELDS
+                        of_set = name == shard.name
+                        fields = BODY_FIELDS if of_set else _NO_FIELDS
+                        (out / (MANIFEST_NAME if of_set else column_file(TEMPLATE))).unlink(missing_ok=True)
                         writer = TarWriter(out / name, state / f"{name}.part", shard.split, fields)
                         writers[name] = stack.enter_context(writer)
                 for body, views in shard.runs:
@@ -209,8 +211,8 @@ def finished_shards(
 ) -> dict[str, ShardRecord]:
     """Records of the shards that an earlier run finished and that still have the bytes it wrote. fields: of the set.
 
-    If `out` has a manifest and not all of its shards are intact, the manifest goes: the set is no longer complete.
-    manifest: its name, that of a column for the column's tars.
+    If `out` has a manifest and not all of its shards are intact, the set is no longer complete: the manifest must go
+    before a shard is written. manifest: its name, that of a column for the column's tars.
     """
     known: dict[str, ShardRecord] = {}
     complete = (out / manifest).exists()
@@ -224,7 +226,6 @@ def finished_shards(
     if complete and len(records) < len(names):
         for record in records.values():
             record_shard(state, record)
-        (out / manifest).unlink()
     return records
 
 
