@@ -151,6 +151,10 @@ class LocalTarget:
             return False
         return sizes_only or sha256_of(self.store, file.name) == file.sha256
 
+    def holds_another(self, file: SharedFile) -> bool:
+        """Return whether a file of this name that the target does not hold as it should be may be the user's own."""
+        return (self._folder / file.name).exists()
+
     def check_room(self, files: Sequence[SharedFile]) -> None:
         """Raise BadConfig if the disk has no room for files, of the sizes that a server says."""
         parts = (self._part(file) for file in files)
@@ -227,6 +231,10 @@ class RemoteTarget:
             return False
         return sizes_only or sha256_of(self._remote, file.name) == file.sha256
 
+    def holds_another(self, file: SharedFile) -> bool:
+        """See `LocalTarget.holds_another`; what an interrupted upload has left is none: it is shorter."""
+        return (self._remote.find_size(file.name) or 0) >= file.size
+
     def receive(self, file: SharedFile, report: Report, sizes_only: bool) -> None:
         """See `LocalTarget.receive`: the local bytes are checked before, those at the address after."""
         path = self._folder / file.name
@@ -235,6 +243,7 @@ class RemoteTarget:
             raise BadShard(_altered(str(path), file, found))
         self._remote.write(file.name, path)
         if not self.holds(file, sizes_only):
+            self.remove(file.name)
             raise BadShard(f"{self._remote.name}/{file.name}: the bytes that arrived are not those that were sent")
         report(file.size)
 
@@ -278,7 +287,7 @@ def transfer(
     at the target are compared by size alone.
 
     While files are missing or wrong the target has no index, so it is never read as whole. Raises BadConfig for a
-    target that holds another bundle or page, or a folder without index that holds another file, without `replace`,
+    target that holds another bundle or page, or one without index that holds another file, without `replace`,
     BadShard for bytes that are not those of their checksum, OSError or Unreachable.
     """
 
@@ -304,7 +313,7 @@ def transfer(
     if other:
         outdated = superseded(target.store, bundle)
     else:
-        outdated = [file.name for file in missing if isinstance(target, LocalTarget) and Path(target.store.name, file.name).exists()]
+        outdated = [file.name for file in missing if target.holds_another(file)]
         refuse(outdated if held is None else [])
         # The index last: without one, files that are wrong would be taken for the user's own.
         outdated += [bundle.index] if held is not None and missing else []

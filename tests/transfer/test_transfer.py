@@ -284,6 +284,26 @@ def test_what_the_user_has_at_the_target_is_replaced_only_when_asked(
     assert list(RangeImages(copy, columns=["age"]).manifest.fields.kinds)[-1] == "age"
 
 
+def test_files_at_an_address_are_replaced_only_when_asked(
+    mine: Path, breaking: type[Breaking], capsys: pytest.CaptureFixture[str]
+) -> None:
+    files, file = breaking("breaking://"), "breaking://box/set/train-00000.tar"
+    files.pipe_file(file, own := bytes((mine / "train-00000.tar").stat().st_size))
+    assert main(["push", str(mine), "breaking://box/set"]) == 2
+    assert "holds another train-00000.tar: choose another place, or --replace it" in capsys.readouterr().err
+    assert {name: held.getvalue() for name, held in breaking.store.items()} == {file: own}
+    assert main(["push", str(mine), "breaking://box/set", "--replace"]) == 0
+    files.pipe_file(file, own[1:])
+    files.rm_file("breaking://box/set/manifest.json")
+    assert main(["push", str(mine), "breaking://box/set"]) == 0, "shorter, as an interrupted push leaves it"
+    files.pipe_file(file, own)
+    files.rm_file("breaking://box/set/manifest.json")
+    breaking.alter = True
+    assert main(["push", str(mine), "breaking://box/set", "--replace"]) == 2
+    breaking.alter = False
+    assert main(["push", str(mine), "breaking://box/set"]) == 0, "what arrived otherwise is removed"
+
+
 def test_a_set_is_not_copied_to_itself(mine: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (mine / "train-00000.tar").write_bytes(b"damaged")
     before = contents(mine)
