@@ -290,7 +290,7 @@ class ShardWriter:
             self._close(split)
         if self._layout is None or not self._records:
             raise BadConfig(f"no scene was written: {self._out} gets no manifest")
-        if not self._complete:
+        if not (self._out / MANIFEST_NAME).exists():  # else nothing was written
             layout, records = self._layout, self._records.values()
             manifest = Manifest(
                 rigs=layout.rigs,

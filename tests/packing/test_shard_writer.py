@@ -314,6 +314,9 @@ def test_a_finished_set_stays_and_a_damaged_shard_is_written_again(tmp_path: Pat
     with pytest.raises(BadSample, match="key"), ShardWriter(out, rig=RIG, classes=CLASSES, shard_samples=3) as writer:
         writer.write(**scene(4, key="bad key"))
     assert files(out) == {**before, "train-00001.tar": b""}, "the manifest stays until a scene is there in its place"
+    with ShardWriter(out, rig=RIG, classes=CLASSES, shard_samples=3) as writer:
+        assert "scene-000" in writer and "scene-004" not in writer
+    assert files(out) == {**before, "train-00001.tar": b""}, "and names the shard that is to be mended"
     write(out, range(11), shard_samples=3)
     assert files(out) == before
     with pytest.raises(BadConfig, match="packed with other options"):
