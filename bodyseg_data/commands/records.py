@@ -19,7 +19,7 @@ def provenance(command: str) -> dict[str, str]:
 def check_target(path: Path, option: str) -> None:
     """Raise BadConfig unless the file that `option` gives can be written; to be called before the measurement."""
     folder = path.absolute().parent
-    if (path.exists() and not path.is_file()) or not folder.is_dir():
+    if (path.exists() and not path.is_file()) or not folder.is_dir() or folder == Path("/dev"):  # as /dev/stdout
         raise BadConfig(f"{option} needs a file in a folder that is there, found {path}")
     if not os.access(folder, os.W_OK | os.X_OK):
         raise BadConfig(f"{option} needs a folder that can be written, found {path}")

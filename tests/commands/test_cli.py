@@ -23,7 +23,7 @@ from PIL import Image
 
 import bodyseg_data
 import bodyseg_model
-from bodyseg_data.commands import cli, option, verify
+from bodyseg_data.commands import check_target, cli, option, verify
 from bodyseg_data.commands.options import parse
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import load_label_map
@@ -405,3 +405,9 @@ def test_every_bench_has_its_module_and_its_figure() -> None:
         if takes.figure is not None:
             figure = importlib.import_module(f"{home.rpartition('.')[0]}.{takes.figure}")
             assert callable(getattr(figure, f"draw_{name}"))
+
+
+@pytest.mark.parametrize("name", ["stdout", "null", "new"])
+def test_results_are_no_devices(name: str) -> None:
+    with pytest.raises(BadConfig, match=f"^--json needs a file in a folder that is there, found /dev/{name}$"):
+        check_target(Path("/dev", name), "--json")
