@@ -27,7 +27,7 @@ from bodyseg_data.artifacts import (
     shown_with,
 )
 from bodyseg_data.bodies import Body, BodyRef, open_source
-from bodyseg_data.core import BadConfig, Draws, ProgressCallback, check_choice, silent
+from bodyseg_data.core import BadConfig, Draws, ProgressCallback, check_choice, reported, silent
 from bodyseg_data.labels import BACKGROUND, LANDMARKS
 from bodyseg_data.loading import CameraImage, RangeImages, Remnants
 from bodyseg_data.meshes import Partition
@@ -277,6 +277,10 @@ class Scenes:
                 f"sweeps that render bodies anew need a set of {' or '.join(RENDERABLE)}, found a set of {source!r}: "
                 f"choose others with --sweeps, of {others}"
             )
+        artifact = _ARTIFACTS.get(condition.sweep, lambda *_: None)(condition.strength, self.rig)
+        if isinstance(artifact, PhaseShift):
+            with reported(f"the sweep {condition.sweep!r} is to be left out with --sweeps", BadConfig):
+                artifact.optics(self.rig, 0.0)
 
     def labelled_images(self, condition: SweepPoint) -> list[LabelledImage]:
         """Make the images of a condition, always in the same order. Raises BadConfig as `check`."""

@@ -19,7 +19,7 @@ from bodyseg_data.rendering import RasterRenderer
 from bodyseg_data.rigs import axes_at, load_rig
 from bodyseg_data.samples import ViewGrid
 from bodyseg_model.evaluation import TrueSurface
-from bodyseg_model.stability import SWEEPS, Scenes
+from bodyseg_model.stability import SWEEPS, Scenes, evaluate_conditions
 from bodyseg_model.stability.scenes import (
     CLEAN,
     LabelledImage,
@@ -240,3 +240,16 @@ def test_bodies_of_files_cannot_be_drawn_anew(images: RangeImages, monkeypatch: 
     with pytest.raises(BadConfig, match="found a set of 'mit': choose others with --sweeps, of noise, missing"):
         scenes.labelled_images(SweepPoint("tilt", 5))
     assert len(scenes.labelled_images(SweepPoint("noise", 10))) == 3
+
+
+def test_fringes_of_a_rig_without_a_baseline_are_refused_before_any_sweep(
+    images: RangeImages, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenes = Scenes(images, 1)
+    scenes.check(SweepPoint("speed", 1.0))
+    monkeypatch.setattr(images, "manifest", replace(images.manifest, rigs=(load_rig("kinect_v2"),)))
+    scenes = Scenes(images, 1)
+    scenes.check(SweepPoint("mixed", 0.5))
+    for sweep in ("speed", "clothes", "ambient"):
+        with pytest.raises(BadConfig, match=f"'{sweep}' is to be left out with --sweeps: rig .* no baseline"):
+            evaluate_conditions([], [SweepPoint("noise", 10), *SWEEPS[sweep].conditions(sweep)], scenes)
