@@ -29,6 +29,7 @@ from bodyseg_model.stability import (
     group,
     group_of,
     load_runs,
+    of_rig,
     summarise,
 )
 from bodyseg_model.training import use_threads
@@ -113,6 +114,7 @@ def _images(
                 f"{each.path}: stability is measured on the 33 parts of bodies, found the classes "
                 f"{each.manifest.classes.name!r}"
             )
+    sweeps = of_rig(sweeps, images.manifest.rig)
     conditions = [*dict.fromkeys(each for name, sweep in sweeps.items() for each in sweep.conditions(name))]
     with Progress("building", "bodies") as bodies, Progress("stability", "images") as progress:
         scenes = Scenes(images, options.images, hard, bodies.update)

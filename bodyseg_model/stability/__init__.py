@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from bodyseg_data.core import lazy_door
 
 if TYPE_CHECKING:
-    from bodyseg_model.stability.scenes import SWEEPS, Scenes, Sweep, chosen
+    from bodyseg_model.stability.scenes import SWEEPS, Scenes, Sweep, chosen, of_rig
     from bodyseg_model.stability.summary import (
         FEWEST_SEEDS,
         Group,

@@ -7,7 +7,7 @@ bodies and their renderers are kept.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Final, Literal
@@ -140,6 +140,14 @@ def chosen(names: tuple[str, ...], hard: bool) -> dict[str, Sweep]:
     if hard and names and "hard" not in names:
         raise BadConfig(f"--hard is the set of the sweep 'hard', which is not among {', '.join(names)}")
     return {name: sweep for name, sweep in SWEEPS.items() if name in names or (not names and (hard or name != "hard"))}
+
+
+def of_rig(sweeps: Mapping[str, Sweep], rig: Rig) -> dict[str, Sweep]:
+    """Sweeps with strengths of a rig: distances in proportion to its stand-off, and its own focal length first."""
+    near, focals = rig.stand_off_m / load_rig().stand_off_m, (round(rig.camera.focal_px, 1), *_FOCALS_PX)
+    own = {name: tuple(round(near * each, 4) for each in SWEEPS[name].strengths) for name in ("nearer", "farther")}
+    own |= {"rig": focals, "rig_resampled": focals}
+    return {name: replace(sweep, strengths=own.get(name, sweep.strengths)) for name, sweep in sweeps.items()}
 
 
 def corrupted(sample: Sample, condition: SweepPoint, rig: Rig, seed: int) -> NDArray[np.uint16]:

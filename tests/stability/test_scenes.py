@@ -19,7 +19,7 @@ from bodyseg_data.rendering import RasterRenderer
 from bodyseg_data.rigs import axes_at, load_rig
 from bodyseg_data.samples import ViewGrid
 from bodyseg_model.evaluation import TrueSurface
-from bodyseg_model.stability import SWEEPS, Scenes, evaluate_conditions
+from bodyseg_model.stability import SWEEPS, Scenes, evaluate_conditions, of_rig
 from bodyseg_model.stability.scenes import (
     CLEAN,
     LabelledImage,
@@ -253,3 +253,12 @@ def test_fringes_of_a_rig_without_a_baseline_are_refused_before_any_sweep(
     for sweep in ("speed", "clothes", "ambient"):
         with pytest.raises(BadConfig, match=f"'{sweep}' is to be left out with --sweeps: rig .* no baseline"):
             evaluate_conditions([], [SweepPoint("noise", 10), *SWEEPS[sweep].conditions(sweep)], scenes)
+
+
+def test_strengths_are_those_of_the_sets_rig() -> None:
+    assert of_rig(SWEEPS, RIG) == SWEEPS
+    close = of_rig(SWEEPS, replace(load_rig("kinect_v1"), stand_off_m=1.5))
+    assert close["nearer"].strengths == (1.5, 1.35, 1.2, 1.05, 0.9)
+    assert close["farther"].strengths == (1.5, 1.8, 2.1, 2.4)
+    assert close["rig"].strengths == close["rig_resampled"].strengths == (525, *SWEEPS["rig"].strengths[1:])
+    assert close["noise"] == SWEEPS["noise"]
