@@ -297,22 +297,28 @@ def folded(network: Network) -> Network:
     if network.training or not any(_normalised_convolutions(module) for module in network.modules()):
         return network
     found = copy.deepcopy(network)
+    module: Any
     for module in list(found.modules()):
         for first, convolution, normalisation in _normalised_convolutions(module):
             with torch.no_grad():
                 one = fuse_conv_bn_eval(convolution, normalisation)
-            module.register_module(str(first), one)
-            module.register_module(str(first + 1), nn.Identity())
+            module[first], module[first + 1] = one, nn.Identity()
     return found
 
 
-def _normalised_convolutions(module: nn.Module) -> list[tuple[int, nn.Conv2d, nn.BatchNorm2d]]:
-    """The convolutions of a Sequential that a batch normalisation follows: number, convolution, normalisation."""
-    children = list(module) if isinstance(module, nn.Sequential) else []
+def _normalised_convolutions(module: nn.Module) -> list[tuple[int, Any, Any]]:
+    """The convolutions of a Sequential that a batch normalisation follows: number, convolution, normalisation.
+
+    Those of torch's own classes alone, which do what is known: none with weights or a `forward` of their own.
+    """
+    plain = isinstance(module, nn.Sequential) and type(module).forward is nn.Sequential.forward
+    children: Any = module if plain else ()
     return [
         (number, child, following)
         for number, (child, following) in enumerate(itertools.pairwise(children))
-        if isinstance(child, nn.Conv2d) and isinstance(following, nn.BatchNorm2d)
+        if (type(child), type(following)) == (nn.Conv2d, nn.BatchNorm2d)
+        and following.running_mean is not None
+        and not child._forward_pre_hooks  # as of `weight_norm`
     ]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -12,13 +13,14 @@ import numpy as np
 import pytest
 import torch
 from onnx_answers import ask, check_answer, frames
+from torch import nn
 from toy_network import Toy
 
 from bodyseg_data.core import BadConfig, MissingLibrary
 from bodyseg_data.machine import computes_bfloat16
 from bodyseg_data.rigs import Camera
 from bodyseg_model.commands import main
-from bodyseg_model.networks import build, load_network, predict, save_network
+from bodyseg_model.networks import build, load_network, predict, save_network, wrapped
 from bodyseg_model.runtimes import (
     OPSET,
     backend_of,
@@ -117,6 +119,38 @@ def test_batch_normalisation_is_folded_into_convolutions() -> None:
     assert on_backend(toy) is toy
     network.train()
     assert on_backend(network) is network
+
+
+class _Rectified(nn.Sequential):
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        between = self[0](image)
+        return between.relu() + self[1](between)
+
+
+class _Standardised(nn.Conv2d):
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        return self._conv_forward(image, self.weight / self.weight.std(), self.bias)
+
+
+@pytest.mark.parametrize(
+    "block",
+    [
+        nn.Sequential(OrderedDict(convolution=nn.Conv2d(33, 33, 3, padding=1), normalisation=nn.BatchNorm2d(33))),
+        _Rectified(nn.Conv2d(33, 33, 1), nn.BatchNorm2d(33)),
+        nn.Sequential(_Standardised(33, 33, 1), nn.BatchNorm2d(33)),
+        nn.Sequential(nn.Conv2d(33, 33, 1), nn.BatchNorm2d(33, track_running_stats=False)),
+        nn.Sequential(nn.utils.parametrizations.weight_norm(nn.Conv2d(33, 33, 1)), nn.BatchNorm2d(33)),
+    ],
+    ids=["names", "own forward", "own convolution", "no statistics", "weight norm"],
+)
+def test_blocks_of_any_kind_keep_their_scores(block: nn.Module) -> None:
+    for normalisation in block.modules():
+        if isinstance(normalisation, nn.BatchNorm2d):
+            nn.init.uniform_(normalisation.weight, 1, 2)
+    network = wrapped(nn.Sequential(nn.Conv2d(1, 33, 1), block)).network
+    range_m = frames(1)
+    with torch.no_grad():
+        torch.testing.assert_close(on_backend(network).scores(range_m), network.scores(range_m), atol=1e-4, rtol=1e-4)
 
 
 def test_bfloat16_is_near() -> None:
