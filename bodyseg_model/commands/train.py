@@ -154,12 +154,25 @@ def run(options: Options) -> int:
     network = _network(options, images.label_map, start, settings)
     pretrained = _pretrained(options, network, start, images)
     first_process = find_rank()[0] == 0
-    given: dict[str, Any] = {"seed": options.seed, "resume": options.resume, "device": options.device}
-    given |= {"pretrained": pretrained, "facts": provenance(command_line("bodyseg train", options))}
+    clean = dict.fromkeys(each.augmentation.sensor.name for each in sets if not each.augmentation.applied)
+    for name in clean if first_process and options.variant != "none" else ():
+        sys.stderr.write(f"sensor {name} has nothing for variant {options.variant}: images are clean\n")
     with contextlib.ExitStack() as stack:
         report = stack.enter_context(reporting(options.out, recipe.steps, options.log_every)) if first_process else None
-        given |= {"validation": validation, "run_options": run_options, "report": report}
-        trained = train(images, options.out, network, recipe, **given)
+        trained = train(
+            images,
+            options.out,
+            network,
+            recipe,
+            seed=options.seed,
+            validation=validation,
+            resume=options.resume,
+            run_options=run_options,
+            device=options.device,
+            report=report,
+            pretrained=pretrained,
+            facts=provenance(command_line("bodyseg train", options)),
+        )
     if validation is not None and first_process:
         card = trained.card
         score = f": validation per class {card['val_accuracy']:.1%}" if "val_accuracy" in card else ""

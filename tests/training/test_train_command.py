@@ -73,6 +73,20 @@ def test_scores_reach_the_log_the_progress_line_and_tensorboard(
     assert plan["sensor"]["artifacts"] == plan["data"]["artifacts"]
 
 
+def test_a_variant_that_a_sensor_has_nothing_for_is_said(
+    small_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = "sensor kinect_v2 has nothing for variant occ: images are clean\n"
+    for sensors, variant, count in (
+        (["paper", "kinect_v2"], "occ", 1),
+        (["paper"], "occ", 0),
+        (["kinect_v2"], "none", 0),
+    ):
+        words = ["--steps", "1", "--sensor", *sensors, "--variant", variant]
+        assert main(command(small_set, tmp_path / f"{len(sensors)}{variant}", *words)) == 0
+        assert capsys.readouterr().err.count(line) == count
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
