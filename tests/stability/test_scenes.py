@@ -262,3 +262,5 @@ def test_strengths_are_those_of_the_sets_rig() -> None:
     assert close["farther"].strengths == (1.5, 1.8, 2.1, 2.4)
     assert close["rig"].strengths == close["rig_resampled"].strengths == (525, *SWEEPS["rig"].strengths[1:])
     assert close["noise"] == SWEEPS["noise"]
+    wide = replace(RIG, camera=replace(RIG.camera, focal_px=150.04))
+    assert of_rig(SWEEPS, wide)["rig"].strengths == (150, *reversed(SWEEPS["rig"].strengths[1:])), "rising severity"
