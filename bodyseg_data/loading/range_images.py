@@ -213,7 +213,7 @@ class RangeImages(SampleDataset):
         """
         shard, within = self._where(index)
         sample = self.reader.read(shard, within, self.occluder == "stored", unlabelled=self.unlabelled)
-        self._label_by_place(sample)
+        vars(sample).update(labels=self._labels_of(sample))
         return self._shaded(sample) if self.occluder == "camera" else sample
 
     def _regions_of(self, path: str) -> NDArray[np.uint8]:
@@ -227,14 +227,15 @@ class RangeImages(SampleDataset):
         regions = region_labels(self.label_map)
         return np.where(regions == UNLABELLED, np.uint8(self.unlabelled), regions)
 
-    def _label_by_place(self, sample: Sample) -> None:
-        """Replace a sample's labels by regions of the template, if the label map joins those. Raises BadSample."""
-        if self._regions is not None:
-            if TEMPLATE not in sample.planes:
-                raise BadSample(f"{sample.key}: labels {self.label_map.name!r} need the column {TEMPLATE!r}")
-            found = self._regions.take(sample.planes[TEMPLATE])
-            found[sample.range == 0] = BACKGROUND
-            vars(sample).update(labels=found)
+    def _labels_of(self, sample: Sample) -> NDArray[np.uint8]:
+        """A clean sample's labels; its regions of the template, if the label map joins those. Raises BadSample."""
+        if self._regions is None:
+            return sample.labels
+        if TEMPLATE not in sample.planes:
+            raise BadSample(f"{sample.key}: labels {self.label_map.name!r} need the column {TEMPLATE!r}")
+        found: NDArray[np.uint8] = self._regions.take(sample.planes[TEMPLATE])
+        found[sample.range == 0] = BACKGROUND
+        return found
 
     def augmentation_of(self, sample: Sample) -> Augmentation:
         """The artifacts as made for the sample's own rig. Raises BadSample for a rig that is none of the set's."""
@@ -292,10 +293,13 @@ class RangeImages(SampleDataset):
 
     def _made_of(self, sample: Sample, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> RangeImage:
         """Make a clean sample in arrays of the camera's size. Raises BadSample or BadTransform."""
-        self._label_by_place(sample)
+        regions = self._labels_of(sample)
         if self._casts:
             sample = self._shaded(sample)
         made = self.augmentation_of(sample).into(sample, epoch, image, labels)
+        if self._regions is not None:  # not before: artifacts may be of the set's own parts
+            vars(sample).update(labels=regions)
+            labels[...] = np.where(made.range == 0, BACKGROUND, regions)
         TALLY.lap(Stage.ARTIFACTS)
         if self.planes:
             made = replace(made, planes=_in_order(sample, self.planes))

@@ -18,7 +18,8 @@ from shapes import evenly_drawn, figure
 from small_rig import SMALL
 from spheres import icosphere
 
-from bodyseg_data import RangeImages, ShardWriter, load_template, loader
+from bodyseg_data import RangeImages, SensorModel, ShardWriter, load_sensor_model, load_template, loader
+from bodyseg_data.artifacts import artifact_class
 from bodyseg_data.bodies import Body, BodyRef, region_labels
 from bodyseg_data.commands import main
 from bodyseg_data.core import BadConfig, BadSample, BadShard
@@ -175,6 +176,21 @@ def test_part_sets_follow_from_the_map(mapped: Path, variant: str) -> None:
     upside = RangeImages(mapped, variant, labels="joints24", transform=Upside())
     straight = RangeImages(mapped, variant, labels="joints24")
     assert torch.equal(upside[3]["labels"], straight[3]["labels"].flip(0))
+
+
+def test_artifacts_are_of_the_sets_own_parts_whatever_the_labels(mapped: Path) -> None:
+    head = SensorModel("head", (artifact_class("patch_loss")(low=1.0, high=1.0, parts=("Sellion", "Nuchale")),))
+    for sensor in (head, load_sensor_model("paper_phase_shift")):
+        plain, regions, clean = (
+            RangeImages(mapped, variant, sensor=sensor, labels=labels)
+            for variant, labels in (("all", None), ("all", "densepose24"), ("none", "densepose24"))
+        )
+        for index in (0, 9):
+            one, other = plain.image(index), regions.image(index)
+            assert (one.range == 0).sum() > (clean.image(index).range == 0).sum()
+            np.testing.assert_array_equal(one.range, other.range)
+            wanted = np.where(one.range > 0, clean.image(index).labels, BACKGROUND)
+            np.testing.assert_array_equal(other.labels, wanted)
 
 
 def test_a_mirrored_body_shows_the_points_of_its_other_side(mapped: Path) -> None:
