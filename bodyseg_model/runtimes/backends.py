@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from torch import nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from bodyseg_data.core import BadConfig, check_choice
+from bodyseg_data.core import BadConfig, check_choice, reported
 from bodyseg_data.machine import computes_bfloat16, required
 from bodyseg_model.networks import (
     CheckpointName,
@@ -134,8 +134,7 @@ class RuntimeNetwork(Network):
         focal_px = settings.get("focal_px") if isinstance(settings, dict) else None  # what a finder of people needs
         super().__init__({"focal_px": focal_px} if focal_px else {}, model.facts.classes)
         check_choice(f"the precision of {name}", precision, runtime.precisions)
-        self.output_stride = model.facts.output_stride
-        self.model = model
+        self.model, self.output_stride = model, model.facts.output_stride
         self._runtime, self._graph = runtime, scores_part(model.graph).SerializeToString()
         self._sessions: dict[int, Runtime] = {}
         self.identity: dict[str, Any] = {
@@ -229,8 +228,7 @@ def quick_precision(network: Network, backend: BackendName | None, device: str |
     """
     if isinstance(network, RuntimeNetwork) or not computes_bfloat16() or find_device(device).type != "cpu":
         return None
-    has_it = backend in (None, TORCH) or "bfloat16" in _runtime(str(backend)).precisions
-    return "bfloat16" if has_it else None
+    return "bfloat16" if backend in (None, TORCH) or "bfloat16" in _runtime(str(backend)).precisions else None
 
 
 def put_on_backend(
@@ -290,19 +288,21 @@ def _runtime(backend: str) -> type[Runtime]:
 
 def folded(network: Network) -> Network:
     """A copy of a network in evaluation mode that computes each convolution and the batch normalisation after it as one
-    convolution; the network itself where none follow each other in an `nn.Sequential`, or while it is trained.
+    convolution; the network itself where none follow each other in an `nn.Sequential`, where what it holds cannot be
+    copied, or while it is trained.
 
     Scores differ by the rounding of float32. The copy cannot be trained.
     """
     if network.training or not any(_normalised_convolutions(module) for module in network.modules()):
         return network
-    found = copy.deepcopy(network)
-    module: Any
-    for module in list(found.modules()):
+    try:
+        found = copy.deepcopy(network)
+    except (RuntimeError, TypeError):  # of a lock, or of what the last step of a training computed
+        return network
+    for module in list[Any](found.modules()):
         for first, convolution, normalisation in _normalised_convolutions(module):
             with torch.no_grad():
-                one = fuse_conv_bn_eval(convolution, normalisation)
-            module[first], module[first + 1] = one, nn.Identity()
+                module[first], module[first + 1] = fuse_conv_bn_eval(convolution, normalisation), nn.Identity()
     return found
 
 
@@ -331,7 +331,8 @@ class Bfloat16(Network):
     def __init__(self, network: Network) -> None:
         super().__init__(network.settings, network.classes)
         self.output_stride, self.on_template = network.output_stride, network.on_template
-        self.network = copy.deepcopy(network)
+        with reported("bfloat16 needs a copy of the network", BadConfig, RuntimeError, TypeError):
+            self.network = copy.deepcopy(network)
         for module in self.network.modules():
             if isinstance(module, (nn.Conv2d, nn.Linear)):
                 module.to(torch.bfloat16)  # autocast would round their weights in every call, to the same bits

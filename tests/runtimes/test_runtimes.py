@@ -153,6 +153,15 @@ def test_blocks_of_any_kind_keep_their_scores(block: nn.Module) -> None:
         torch.testing.assert_close(on_backend(network).scores(range_m), network.scores(range_m), atol=1e-4, rtol=1e-4)
 
 
+def test_a_network_that_has_no_copy_is_computed_as_it_is() -> None:
+    module = nn.Sequential(nn.Conv2d(1, 33, 1), nn.BatchNorm2d(33))
+    module.last = module(frames(1))  # type: ignore[assignment]  # of a step of a training
+    network = wrapped(module).network
+    assert on_backend(network) is network
+    with pytest.raises(BadConfig, match="bfloat16 needs a copy of the network: Only Tensors created explicitly"):
+        on_backend(network, precision="bfloat16")
+
+
 def test_bfloat16_is_near() -> None:
     network, range_m = load_network().network, frames(1)
     expected = predict(network, range_m)
