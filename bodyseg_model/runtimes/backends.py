@@ -148,6 +148,8 @@ class RuntimeNetwork(Network):
     def scores(self, range_m: torch.Tensor) -> torch.Tensor:
         """Compute scores; see `Network.scores`. Raises BadConfig for a graph that cannot, or gives others."""
         check_range_images(range_m)
+        if torch.onnx.is_in_onnx_export():  # the trace would hold the example's scores
+            raise BadConfig("its graph is there already, as its attribute `model`, which write_onnx takes")
         threads = torch.get_num_threads()
         try:
             if threads not in self._sessions:

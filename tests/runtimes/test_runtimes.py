@@ -305,6 +305,8 @@ def test_one_line_says_what_is_wrong(run: Path, tmp_path: Path, capsys: pytest.C
 def test_what_python_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(BadConfig, match="in evaluation mode"):
         answer_graph(Toy().train())
+    with pytest.raises(BadConfig, match=r"as ONNX in float32, found weights in torch\.bfloat16"):
+        answer_graph(on_backend(Toy().eval(), precision="bfloat16"))
     with pytest.raises(BadConfig, match="the backend must be one of torch, onnxruntime, openvino, found 'tvm'"):
         on_backend(Toy().eval(), "tvm")
     with pytest.raises(BadConfig, match="the precision of torch must be one of float32, bfloat16, found 'int8'"):
@@ -322,6 +324,8 @@ def test_what_python_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
     moved = RuntimeNetwork(OnnxModel(graph, GraphFacts(33, 1)), "onnxruntime", OnnxRuntime, "float32")
     with pytest.raises(BadConfig, match="an ONNX file is computed by onnxruntime or openvino, found the backend torch"):
         on_backend(moved, "torch")
+    with pytest.raises(BadConfig, match="its graph is there already, as its attribute `model`"):
+        answer_graph(moved)
     to_device(moved, "cpu")
     for package, needs in (("onnx", import_onnx), ("onnxruntime", lambda: on_backend(Toy().eval(), "onnxruntime"))):
         with monkeypatch.context() as patch:
