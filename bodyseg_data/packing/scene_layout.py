@@ -46,8 +46,10 @@ class SceneLayout:
         rig = self.rigs[scene.rig]
         size = rig.camera.rows, rig.camera.columns
         range_m = _ranges(scene.range_m, "range_m", size, rig, scene.key)
-        labels, fields = self._labels(scene, size), self._fields_of(scene)
-        planes, facing = self._planes(scene, size), self._facing(scene, rig, range_m)
+        labels = self._labels(scene, size)
+        fields = self._fields_of(scene)
+        planes = self._planes(scene, size)
+        facing = self._facing(scene, rig, range_m)
         self._check_projector(scene)
         if scene.projector is not None:
             facing = np.array(facing_from_range(rig, range_m)) if facing is None else facing

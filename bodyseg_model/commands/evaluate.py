@@ -146,10 +146,21 @@ def _open(options: Options, labels: str | LabelMap) -> list[RangeImages]:
     sets, path_of = [], dict[str, str]()
     sensor = load_sensor_model(options.sensor)
     artifacts = parse_artifacts(options.artifacts, "--artifacts", sensor)
-    strengths = options.noise_mm, options.missing, artifacts, sensor
-    chosen = options.where, options.val_share, labels, options.occluder
     for path in options.data:
-        images = open_images(path, options.variant, options.split, options.seed, *strengths, *chosen)
+        images = open_images(
+            path,
+            options.variant,
+            options.split,
+            options.seed,
+            options.noise_mm,
+            options.missing,
+            artifacts,
+            sensor,
+            options.where,
+            options.val_share,
+            labels,
+            options.occluder,
+        )
         for key in images.keys:
             if key in path_of:
                 raise BadConfig(f"a sample counts once: {key} of {path} is also in {path_of[key]}")
@@ -171,16 +182,25 @@ def _check_fit(options: Options, trained: Trained, sets: list[RangeImages]) -> N
 def _evaluate(options: Options, trained: Trained, sets: list[RangeImages], picture: SamplePicture | None) -> Evaluation:
     total = sum(_count(images, options.images) for images in sets)
     found, before = Evaluation(label_map=sets[0].label_map), 0
-    loading = {name: getattr(options, name) for name in ("batch_size", "num_workers", "worker_method")}
-    watch = None if picture is None else picture.watch
 
     def show(done: int, _: int) -> None:
         progress.update(before + done, total)
 
     with Progress("evaluating", "images") as progress:
         for images in sets:
-            given = {**loading, "label_map": trained.label_map, "progress": show, "watch": watch}
-            found.merge(evaluate(trained.network, images, options.images, **given))
+            found.merge(
+                evaluate(
+                    trained.network,
+                    images,
+                    options.images,
+                    label_map=trained.label_map,
+                    batch_size=options.batch_size,
+                    num_workers=options.num_workers,
+                    worker_method=options.worker_method,
+                    progress=show,
+                    watch=None if picture is None else picture.watch,
+                )
+            )
             before += _count(images, options.images)
     return found
 

@@ -134,7 +134,8 @@ class RuntimeNetwork(Network):
         focal_px = settings.get("focal_px") if isinstance(settings, dict) else None  # what a finder of people needs
         super().__init__({"focal_px": focal_px} if focal_px else {}, model.facts.classes)
         check_choice(f"the precision of {name}", precision, runtime.precisions)
-        self.model, self.output_stride = model, model.facts.output_stride
+        self.output_stride = model.facts.output_stride
+        self.model = model
         self._runtime, self._graph = runtime, scores_part(model.graph).SerializeToString()
         self._sessions: dict[int, Runtime] = {}
         self.identity: dict[str, Any] = {
@@ -230,7 +231,8 @@ def quick_precision(network: Network, backend: BackendName | None, device: str |
     """
     if isinstance(network, RuntimeNetwork) or not computes_bfloat16() or find_device(device).type != "cpu":
         return None
-    return "bfloat16" if backend in (None, TORCH) or "bfloat16" in _runtime(str(backend)).precisions else None
+    has_it = backend in (None, TORCH) or "bfloat16" in _runtime(str(backend)).precisions
+    return "bfloat16" if has_it else None
 
 
 def put_on_backend(

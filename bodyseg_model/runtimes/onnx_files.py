@@ -77,18 +77,25 @@ def answer_graph(network: Network) -> Any:
         raise BadConfig(f"a network is written as ONNX in float32, found weights in {', '.join(sorted(others))}")
     example = torch.zeros(_EXAMPLE)
     example[:, :, 20:-20, 20:-20] = 2.5
-    buffer: Any = io.BytesIO()  # the exporter by tracing writes into it
-    asked: Any = {"input_names": [RANGE], "output_names": [LABELS, CONFIDENCE, SCORES], "dynamic_axes": _AXES}
+    buffer, names = io.BytesIO(), [LABELS, CONFIDENCE, SCORES]
     try:
         # Traced sizes are compared where layers check their input; that the trace fixes these checks is wanted.
         # What it prints of a graph that it cannot write is of no use to users.
         with torch.no_grad(), warnings.catch_warnings(), redirect_stdout(io.StringIO()):
             warnings.simplefilter("ignore")
-            torch.onnx.export(_Answer(network).eval(), (example,), buffer, opset_version=OPSET, dynamo=False, **asked)
+            torch.onnx.export(
+                _Answer(network).eval(),
+                (example,),
+                buffer,  # type: ignore[arg-type]  # the exporter by tracing writes into it
+                input_names=[RANGE],
+                output_names=names,
+                dynamic_axes=_AXES,
+                opset_version=OPSET,
+                dynamo=False,
+            )
     except Exception as error:  # of any kind, as networks are anybody's
-        raise BadConfig(
-            f"{type(network).__name__} cannot be written as ONNX: {''.join(str(error).strip().splitlines()[:1])}"
-        ) from error
+        first = str(error).strip().splitlines()[:1] or [""]
+        raise BadConfig(f"{type(network).__name__} cannot be written as ONNX: {first[0]}") from error
     model = onnx.load_from_string(buffer.getvalue())
     del model.graph.output[2:]
     return model
@@ -174,7 +181,8 @@ def read_onnx(path: Path) -> OnnxModel:
         graph = onnx.load_from_string(data)
         onnx.checker.check_model(graph)
     except Exception as error:  # protobuf's and onnx's errors share no class
-        raise BadConfig(f"{path} is not a whole ONNX file: {''.join(str(error).strip().splitlines()[:1])}") from error
+        first = str(error).strip().splitlines()[:1] or [""]
+        raise BadConfig(f"{path} is not a whole ONNX file: {first[0]}") from error
     if fault := _fault_of(graph):
         raise BadConfig(f"{path}: {fault}")
     texts = {entry.key: entry.value for entry in graph.metadata_props}
