@@ -95,7 +95,7 @@ class _Parsed:
     names: dict[str, list[tuple[int, str]]] = field(default_factory=dict)  # kind -> first polygon, name
 
     def of_triangles(self) -> Faces:
-        """Of which polygon each triangle is a part, [F]."""
+        """Number of the polygon that each triangle is a part of, [F]."""
         sizes = [len(polygon) - 2 for polygon in self.polygons]
         return np.repeat(np.arange(len(sizes)), sizes)
 
