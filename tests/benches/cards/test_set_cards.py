@@ -247,11 +247,13 @@ def test_a_page_that_is_there_stays(small_set: Path, tmp_path: Path, capsys: pyt
     folder = shutil.copytree(small_set, tmp_path / "shards")
     (folder / "README.md").write_text("# Of many hours\n")
     assert main(["card", str(folder)]) == 2
-    assert "README.md is there already, perhaps written by hand: delete it" in capsys.readouterr().err
+    assert f"written already, perhaps by hand: {folder / 'README.md'}: delete" in capsys.readouterr().err
     assert (folder / "README.md").read_text() == "# Of many hours\n" and not (folder / "croissant.json").exists()
     (folder / "README.md").unlink()
     for _ in range(2):  # the same bytes again
         assert main(["card", str(folder), "--date", "2026-01-31"]) == 0
+    assert main(["card", str(folder), "--date", "2026-02-01"]) == 2
+    assert "croissant.json, " in (said := capsys.readouterr().err) and "README.md: delete" in said, "all in one line"
 
 
 def test_bad_arguments_of_card_get_one_line(

@@ -35,9 +35,9 @@ def run(options: Options) -> int:
         files = _set_cards(options.what, publication)
     else:
         files = _network_card(options.what, publication)
-    for path, data in files.items():
-        if path.is_file() and path.read_bytes() != data:
-            raise BadConfig(f"{path} is there already, perhaps written by hand: delete it to write another")
+    held = [str(path) for path, data in files.items() if path.is_file() and path.read_bytes() != data]
+    if held:
+        raise BadConfig(f"written already, perhaps by hand: {', '.join(held)}: delete to write anew")
     for path, data in files.items():
         write_result(path, data)
         sys.stdout.write(f"wrote {path}\n")
