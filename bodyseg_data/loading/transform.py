@@ -240,4 +240,4 @@ def _checked_image(found: Any, image: CameraImage, name: str, shape: tuple[int, 
         raise BadTransform(f"{where} must return labels 0 to {count - 1} or {BACKGROUND}, found {strange.min()}")
     labels = np.where(ranges == 0, np.uint8(BACKGROUND), np.minimum(labels, np.uint8(unlabelled)))
     planes = {what: np.ascontiguousarray(array) for what, array in found.planes.items()}
-    return replace(found, range=ranges, labels=labels, planes=planes)
+    return replace(found, range=ranges, labels=labels, planes=planes, has_map=image.has_map)

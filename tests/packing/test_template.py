@@ -204,6 +204,18 @@ def test_a_mirrored_body_shows_the_points_of_its_other_side(mapped: Path) -> Non
         assert 0 < off.max() < 0.012 and np.ptp(POINTS[after[seen], 0]) > 0.1
 
 
+def test_a_map_stays_one_after_a_transform_that_makes_a_new_image(mapped: Path) -> None:
+    def made_anew(image: CameraImage, random: np.random.Generator) -> CameraImage:
+        facts = image.drawn, image.step_m, image.focal_px, image.centre_px, image.sample
+        return CameraImage(image.key, image.range, image.labels, *facts, planes=image.planes)
+
+    planes = [
+        RangeImages(mapped, "none", transform=each, planes=["template"]).image(0).planes["template"]
+        for each in (Flip(1.0), (made_anew, Flip(1.0)))
+    ]
+    np.testing.assert_array_equal(*planes)
+
+
 @pytest.mark.parametrize("method", ["thread", "process"])
 def test_batches_have_the_labels_of_single_images(mapped: Path, method: Any) -> None:
     images = RangeImages(mapped, "all", labels="joints24", planes=["template"], epoch=1)
