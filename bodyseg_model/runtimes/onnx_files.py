@@ -73,8 +73,8 @@ def answer_graph(network: Network) -> Any:
     onnx = import_onnx()
     if network.training:
         raise BadConfig("a network is written as ONNX in evaluation mode: call network.eval() first")
-    if others := {str(each.dtype) for each in network.parameters() if each.dtype != torch.float32}:
-        raise BadConfig(f"a network is written as ONNX in float32, found weights in {', '.join(sorted(others))}")
+    if any(weights.dtype == torch.bfloat16 for weights in network.parameters()):
+        raise BadConfig("a network in bfloat16 cannot be written as ONNX, as ONNX Runtime does not compute it")
     example = torch.zeros(_EXAMPLE)
     example[:, :, 20:-20, 20:-20] = 2.5
     buffer, names = io.BytesIO(), [LABELS, CONFIDENCE, SCORES]

@@ -305,7 +305,7 @@ def test_one_line_says_what_is_wrong(run: Path, tmp_path: Path, capsys: pytest.C
 def test_what_python_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(BadConfig, match="in evaluation mode"):
         answer_graph(Toy().train())
-    with pytest.raises(BadConfig, match=r"as ONNX in float32, found weights in torch\.bfloat16"):
+    with pytest.raises(BadConfig, match="a network in bfloat16 cannot be written as ONNX"):
         answer_graph(on_backend(Toy().eval(), precision="bfloat16"))
     with pytest.raises(BadConfig, match="the backend must be one of torch, onnxruntime, openvino, found 'tvm'"):
         on_backend(Toy().eval(), "tvm")
@@ -325,6 +325,15 @@ def test_what_python_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(BadConfig, match="an ONNX file is computed by onnxruntime or openvino, found the backend torch"):
         on_backend(moved, "torch")
     with pytest.raises(BadConfig, match="its graph is there already, as its attribute `model`"):
+class _Half(Toy):
+    def __init__(self) -> None:
+        super().__init__()
+        self.factor = nn.Parameter(torch.ones((), dtype=torch.half))
+
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+        return super().scores(range_m) * self.factor
+
+
         answer_graph(moved)
     to_device(moved, "cpu")
     for package, needs in (("onnx", import_onnx), ("onnxruntime", lambda: on_backend(Toy().eval(), "onnxruntime"))):
@@ -341,6 +350,7 @@ def test_what_python_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_file_is_what_was_written(tmp_path: Path) -> None:
     model = to_onnx(Toy().eval(), {"seed": 4})
     write_onnx(tmp_path / "toy.onnx", model)
+    assert answer_graph(_Half().eval())
     read = read_onnx(tmp_path / "toy.onnx")
     assert read.facts == model.facts and read.card == {"seed": 4}
     assert [*map(np.sum, ask(read, frames()))] == [*map(np.sum, ask(model, frames()))]
