@@ -132,16 +132,39 @@ class _Standardised(nn.Conv2d):
         return self._conv_forward(image, self.weight / self.weight.std(), self.bias)
 
 
+class _Between(nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(nn.Conv2d(33, 33, 1), nn.BatchNorm2d(33))
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        between = self.layers[0](image)
+        return between.relu() + self.layers[1](between)
+
+
+class _Twice(_Between):
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        return self.layers(image) + self.layers[0](image)
+
+
+def _hooked(block: nn.Sequential) -> nn.Sequential:
+    block[1].register_forward_hook(lambda module, given, scores: scores.abs())
+    return block
+
+
 @pytest.mark.parametrize(
     "block",
     [
+        _Between(),
+        _Twice(),
+        _hooked(nn.Sequential(nn.Conv2d(33, 33, 1), nn.BatchNorm2d(33))),
         nn.Sequential(OrderedDict(convolution=nn.Conv2d(33, 33, 3, padding=1), normalisation=nn.BatchNorm2d(33))),
         _Rectified(nn.Conv2d(33, 33, 1), nn.BatchNorm2d(33)),
         nn.Sequential(_Standardised(33, 33, 1), nn.BatchNorm2d(33)),
         nn.Sequential(nn.Conv2d(33, 33, 1), nn.BatchNorm2d(33, track_running_stats=False)),
         nn.Sequential(nn.utils.parametrizations.weight_norm(nn.Conv2d(33, 33, 1)), nn.BatchNorm2d(33)),
     ],
-    ids=["names", "own forward", "own convolution", "no statistics", "weight norm"],
+    ids=["between", "twice", "hook", "names", "own forward", "own convolution", "no statistics", "weight norm"],
 )
 def test_blocks_of_any_kind_keep_their_scores(block: nn.Module) -> None:
     for normalisation in block.modules():
@@ -302,6 +325,15 @@ def test_one_line_says_what_is_wrong(run: Path, tmp_path: Path, capsys: pytest.C
         assert said.count("\n") == 1
 
 
+class _Half(Toy):
+    def __init__(self) -> None:
+        super().__init__()
+        self.factor = nn.Parameter(torch.ones((), dtype=torch.half))
+
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+        return super().scores(range_m) * self.factor
+
+
 def test_what_python_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(BadConfig, match="in evaluation mode"):
         answer_graph(Toy().train())
@@ -318,6 +350,7 @@ def test_what_python_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
 
     with pytest.raises(BadConfig, match="Odd cannot be written as ONNX: "):
         answer_graph(Odd().eval())
+    assert answer_graph(_Half().eval())
     graph = answer_graph(Toy().eval())
     with pytest.raises(BadConfig, match="must compute 'scores' from 'range_m'"):
         scores_part(onnx.helper.make_model(onnx.helper.make_graph([], "none", [], [])))
@@ -325,15 +358,6 @@ def test_what_python_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(BadConfig, match="an ONNX file is computed by onnxruntime or openvino, found the backend torch"):
         on_backend(moved, "torch")
     with pytest.raises(BadConfig, match="its graph is there already, as its attribute `model`"):
-class _Half(Toy):
-    def __init__(self) -> None:
-        super().__init__()
-        self.factor = nn.Parameter(torch.ones((), dtype=torch.half))
-
-    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
-        return super().scores(range_m) * self.factor
-
-
         answer_graph(moved)
     to_device(moved, "cpu")
     for package, needs in (("onnx", import_onnx), ("onnxruntime", lambda: on_backend(Toy().eval(), "onnxruntime"))):
@@ -350,7 +374,6 @@ class _Half(Toy):
 def test_a_file_is_what_was_written(tmp_path: Path) -> None:
     model = to_onnx(Toy().eval(), {"seed": 4})
     write_onnx(tmp_path / "toy.onnx", model)
-    assert answer_graph(_Half().eval())
     read = read_onnx(tmp_path / "toy.onnx")
     assert read.facts == model.facts and read.card == {"seed": 4}
     assert [*map(np.sum, ask(read, frames()))] == [*map(np.sum, ask(model, frames()))]
