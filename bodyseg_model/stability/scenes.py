@@ -287,9 +287,11 @@ class Scenes:
                 f"choose others with --sweeps, of {others}"
             )
         artifact = _ARTIFACTS.get(condition.sweep, lambda *_: None)(condition.strength, self.rig)
-        if isinstance(artifact, PhaseShift):
-            with reported(f"the sweep {condition.sweep!r} is to be left out with --sweeps", BadConfig):
+        with reported(f"the sweep {condition.sweep!r} is to be left out with --sweeps", BadConfig):
+            if isinstance(artifact, PhaseShift):
                 artifact.optics(self.rig, 0.0)
+            if condition.sweep == "farther":
+                self.rig.check_reach(condition.strength)
 
     def labelled_images(self, condition: SweepPoint) -> list[LabelledImage]:
         """Make the images of a condition, always in the same order. Raises BadConfig as `check`."""

@@ -255,6 +255,16 @@ def test_fringes_of_a_rig_without_a_baseline_are_refused_before_any_sweep(
             evaluate_conditions([], [SweepPoint("noise", 10), *SWEEPS[sweep].conditions(sweep)], scenes)
 
 
+def test_bodies_farther_than_a_rigs_steps_reach_are_refused_before_any_sweep(
+    images: RangeImages, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    far = replace(RIG, stand_off_m=4.2, range_step_mm=0.1)
+    monkeypatch.setattr(images, "manifest", replace(images.manifest, rigs=(far,)))
+    conditions = [each for name, sweep in of_rig(SWEEPS, far).items() for each in sweep.conditions(name)]
+    with pytest.raises(BadConfig, match=r"'farther' is to be left out with --sweeps: 65535 steps .* 6\.72 m away"):
+        evaluate_conditions([], conditions, Scenes(images, 1))
+
+
 def test_strengths_are_those_of_the_sets_rig() -> None:
     assert of_rig(SWEEPS, RIG) == SWEEPS
     close = of_rig(SWEEPS, replace(load_rig("kinect_v1"), stand_off_m=1.5))
