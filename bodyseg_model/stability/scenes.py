@@ -145,7 +145,7 @@ def chosen(names: tuple[str, ...], hard: bool) -> dict[str, Sweep]:
 def of_rig(sweeps: Mapping[str, Sweep], rig: Rig) -> dict[str, Sweep]:
     """Sweeps with strengths of a rig: distances in proportion to its stand-off; its own focal length, then others."""
     near, focal_px = rig.stand_off_m / load_rig().stand_off_m, round(rig.camera.focal_px, 1)
-    others = sorted(_FOCALS_PX, key=lambda each: max(each / focal_px, focal_px / each))
+    others = sorted({*_FOCALS_PX} - {focal_px}, key=lambda each: max(each / focal_px, focal_px / each))
     own = {name: tuple(round(near * each, 4) for each in SWEEPS[name].strengths) for name in ("nearer", "farther")}
     own |= dict.fromkeys(("rig", "rig_resampled"), (focal_px, *others))
     return {name: replace(sweep, strengths=own.get(name, sweep.strengths)) for name, sweep in sweeps.items()}
