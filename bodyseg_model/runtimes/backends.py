@@ -313,9 +313,8 @@ def folded(network: Network) -> Network:
 
 
 def _normalised_convolutions(module: nn.Module) -> list[tuple[int, Any, Any]]:
-    """The convolutions of a Sequential that a batch normalisation follows: number, convolution, normalisation.
-
-    Those of torch's own classes alone, which do what is known: none with weights or a `forward` of their own.
+    """The convolutions of a Sequential that a batch normalisation follows, both of torch's own classes, so none has
+    weights or a `forward` of its own: number, convolution, normalisation.
     """
     children: Any = module if isinstance(module, nn.Sequential) else ()
     return [
