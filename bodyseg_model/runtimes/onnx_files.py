@@ -10,6 +10,7 @@ import warnings
 from contextlib import redirect_stdout
 from dataclasses import MISSING, asdict, dataclass, field
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
@@ -96,9 +97,39 @@ def answer_graph(network: Network) -> Any:
     except Exception as error:  # of any kind, as networks are anybody's
         first = str(error).strip().splitlines()[:1] or [""]
         raise BadConfig(f"{type(network).__name__} cannot be written as ONNX: {first[0]}") from error
+    _check_trace(network, buffer.getvalue())
     model = onnx.load_from_string(buffer.getvalue())
     del model.graph.output[2:]
     return model
+
+
+def _check_trace(network: Network, graph: bytes) -> None:
+    """Raise BadConfig if a graph gives other scores than its network for images of another size and number.
+
+    A trace holds what its example made: the branch that was taken, a size that was a plain number. ONNX Runtime tells,
+    where it is installed and has the network's arithmetic.
+    """
+    other = torch.linspace(0.5, 4, 2 * 104 * 168).reshape(2, 1, 104, 168).flip(2).contiguous()
+    other[:, :, :24, 40:] = 0
+    try:
+        runtime = import_module("onnxruntime")
+        options = runtime.SessionOptions()
+        options.intra_op_num_threads, options.log_severity_level = 1, 4  # none but fatal errors: others are raised
+        session = runtime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+    except Exception:  # of the runtime's own kinds
+        return
+    with torch.no_grad():
+        expected = network.scores(other).float().permute(0, 2, 3, 1).numpy()
+    try:
+        (found,) = session.run([SCORES], {RANGE: other.numpy()})
+        same = found.shape == expected.shape and abs(found - expected).max() <= 0.1 * abs(expected).max()
+    except Exception:  # of the runtime's own kinds
+        same = False
+    if not same:
+        raise BadConfig(
+            f"{type(network).__name__} cannot be written as ONNX: traced with one image, it gives other scores for "
+            "images of another size or number, as with branches that depend on the image"
+        )
 
 
 def scores_part(model: Any) -> Any:

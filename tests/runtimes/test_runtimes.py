@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+import torch.nn.functional as F  # noqa: N812  its name everywhere
 from onnx_answers import ask, check_answer, frames
 from torch import nn
 from toy_network import Toy
@@ -323,6 +324,29 @@ def test_one_line_says_what_is_wrong(run: Path, tmp_path: Path, capsys: pytest.C
         said = capsys.readouterr().err
         assert message in said
         assert said.count("\n") == 1
+
+
+class _Branching(Toy):
+    """Traced with one image, a network whose scores take another way for others."""
+
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+        found = super().scores(range_m)
+        return -found if len(range_m) == 2 else found
+
+
+class _Permuted(Toy):
+    """A network that writes into a permuted view, which the exporter loses without a word."""
+
+    def scores(self, range_m: torch.Tensor) -> torch.Tensor:
+        found = super().scores(range_m)
+        found.permute(0, 2, 3, 1)[F.avg_pool2d(range_m[:, 0], 8, ceil_mode=True) > 2.0] = -5.0
+        return found
+
+
+@pytest.mark.parametrize("kind", [_Branching, _Permuted])
+def test_a_network_that_no_trace_holds_is_not_written(kind: type[Toy]) -> None:
+    with pytest.raises(BadConfig, match=f"{kind.__name__} cannot be written as ONNX: traced with one image"):
+        to_onnx(kind().eval())
 
 
 class _Half(Toy):
