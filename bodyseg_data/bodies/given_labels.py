@@ -50,7 +50,7 @@ class ClassTable:
         if not self.path.exists():
             return
         tree = read_json(self.path)
-        self._also += [(pattern, None) for pattern in _texts(tree.pop("unlabelled", []), f"{self.path}: 'unlabelled'")]
+        self._also += [(each, None) for each in _patterns(tree.pop("unlabelled", []), f"{self.path}: 'unlabelled'")]
         if "labels" in tree:
             (self.labels,) = _texts([tree.pop("labels")], f"{self.path}: 'labels'")
         given = tree.get("classes")
@@ -62,7 +62,7 @@ class ClassTable:
             if type(number) is not int or number in self.numbers:
                 raise BadConfig(f"{self.path}: the 'number' of {row['name']!r} must be whole and its own: {number!r}")
             self.numbers[number] = row["name"]
-            self._also += [(each, row["name"]) for each in _texts(row.pop("also", []), f"{self.path}: 'also'")]
+            self._also += [(each, row["name"]) for each in _patterns(row.pop("also", []), f"{self.path}: 'also'")]
         tree = {"name": folder.name or "labelled", **tree, "classes": rows}
         self.classes = classes_from_json(tree, str(self.path), of_pairs=True)
         entries = self.classes.entries
@@ -72,14 +72,14 @@ class ClassTable:
     def knows(self, name: str) -> bool:
         """True if classes.json says of which class a name is, or that it is of none."""
         of_class = self.classes is not None and name in self.classes.names
-        return of_class or any(fnmatchcase(name, pattern.replace("[", "[[]")) for pattern, _ in self._also)
+        return of_class or any(fnmatchcase(name, pattern) for pattern, _ in self._also)
 
     def class_of(self, name: str, where: str) -> str | None:
         """The class that a name stands for, None for none. Raises BadMesh for one that classes.json does not know."""
         if self.classes is None or name in self.classes.names:
             return name
         for pattern, found in self._also:
-            if fnmatchcase(name, pattern.replace("[", "[[]")):
+            if fnmatchcase(name, pattern):
                 return found
         raise BadMesh(f"{where}: {name!r} is no class of {self.path}, and neither in 'also' nor in 'unlabelled'")
 
@@ -258,3 +258,8 @@ def _texts(given: Any, where: str) -> list[str]:
     if not isinstance(given, list) or not all(isinstance(each, str) for each in given):
         raise BadConfig(f"{where} must be a list of names, found {given!r:.60}")
     return given
+
+
+def _patterns(given: Any, where: str) -> list[str]:
+    """Names as patterns of `fnmatch`, in which brackets stand for themselves: CAD programs write bolt[1]."""
+    return [each.replace("[", "[[]") for each in _texts(given, where)]

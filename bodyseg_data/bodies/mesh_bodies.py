@@ -214,9 +214,15 @@ class MeshBodies(ListedBodies[MeshFile]):
         scale = metres_a_unit(_used(surface), self._options.units, str(file.path))
         mesh = _mesh(body.mesh, surface[0] * scale, surface[1], file.path)
         points, unit_notes = _in_millimetres(points, mesh.surface_vertices)
-        snapped, like = points.for_mesh(mesh), f"meshes numbered like {file.path.name}"
-        counts, found = (len(mesh.vertices), len(mesh.faces)), tuple(snapped.vertices.tolist())
-        landmarks = LandmarkSet(points.source, like, *counts, found, points.ignored)
+        snapped = points.for_mesh(mesh)
+        landmarks = LandmarkSet(
+            points.source,
+            f"meshes numbered like {file.path.name}",
+            len(mesh.vertices),
+            len(mesh.faces),
+            tuple(snapped.vertices.tolist()),
+            points.ignored,
+        )
         self._notes[source] = (*unit_notes, *snapped.notes, f"{_farthest(snapped.distance_m)} on {file.path.name}")
         return landmarks
 

@@ -121,8 +121,8 @@ class ShardWriter:
         self._state: Path | None = None
         self._complete = False
         self._records: dict[str, ShardRecord] = {}
-        names = {split: map(partial(shard_name, split), itertools.count()) for split in SPLITS}
-        self._names, self._done = names, 0
+        self._names = {split: map(partial(shard_name, split), itertools.count()) for split in SPLITS}
+        self._done = 0
         self._finished: dict[str, Path] = {}
         self._seen: set[str] = set()
         self._open: dict[Split, TarWriter] = {}

@@ -8,7 +8,7 @@ from pathlib import Path
 from bodyseg_data.artifacts import SensorModel, load_sensor_model, sensor_model_names
 from bodyseg_data.commands import Progress, check_target, option
 from bodyseg_data.core import BadConfig
-from bodyseg_data.drawing import save_picture
+from bodyseg_data.drawing import check_picture, save_picture
 from bodyseg_data.files import write_result
 from bodyseg_data.rigs import load_rig, rig_names
 from bodyseg_model.recordings import (
@@ -52,11 +52,13 @@ class Options:
 
 def run(options: Options) -> int:
     """Measure a sensor, print the verdicts, and write what was asked for."""
-    for path, flag, suffix in ((options.out, "--out", ".toml"), (options.picture, "--picture", ".png")):
+    for path, flag in ((options.out, "--out"), (options.picture, "--picture")):
         if path is not None:
             check_target(path, flag)
-            if path.suffix.lower() != suffix:
-                raise BadConfig(f"{flag} must be a {suffix} file, found {path}")
+    if options.out is not None and options.out.suffix.lower() != ".toml":
+        raise BadConfig(f"--out must be a .toml file, found {options.out}")
+    if options.picture is not None:
+        check_picture(options.picture, "--picture")
     SensorModel(options.name)  # a bad name is told before the measurement
     step_m, background = None if options.units is None else metres_a_step(options.units), _background(options)
     files, skipping = find_frames(options.frames, options.topic, step_m), Skipping(options.skip_unreadable)
