@@ -12,7 +12,6 @@ if TYPE_CHECKING:
         QUICK_PRECISION_HELP,
         RUN_HELP,
         BackendName,
-        Precision,
         backend_of,
         load_run,
         on_backend,
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
         quick_precision,
         to_device,
     )
+    from bodyseg_model.runtimes.libraries import Precision
     from bodyseg_model.runtimes.onnx_files import OPSET, SUFFIX, write_onnx
 else:
     __getattr__, __dir__, __all__ = lazy_door(__name__)

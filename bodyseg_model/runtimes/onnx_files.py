@@ -10,7 +10,6 @@ import warnings
 from contextlib import redirect_stdout
 from dataclasses import MISSING, asdict, dataclass, field
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,6 +22,7 @@ from bodyseg_data.files import read_bytes, write_result
 from bodyseg_data.labels import BACKGROUND
 from bodyseg_data.machine import required
 from bodyseg_model.networks import Network, Trained, check_trained
+from bodyseg_model.runtimes.libraries import RANGE, SCORES, OnnxRuntime
 
 FORMAT: Final = "bodyseg onnx 1"
 SUFFIX: Final = ".onnx"
@@ -30,12 +30,9 @@ SUFFIX: Final = ".onnx"
 OPSET: Final = 18
 """Version of ONNX's operators that graphs use."""
 
-RANGE: Final = "range_m"
-SCORES: Final = "scores"
 LABELS: Final = "labels"
 CONFIDENCE: Final = "confidence"
-"""Names of values: range images [B, 1, H, W], metres; scores [B, H / stride, W / stride, C], rounded up; labels uint8
-and confidences float32, [B, H, W]."""
+"""Names of values beside `RANGE` and `SCORES`: labels uint8 and confidences float32, [B, H, W]."""
 
 _REFUSED: Final = ("String", "Regex", "Sequence", "Optional", "ConcatFrom")  # no runtime bounds their memory
 _EXAMPLE: Final = (1, 1, 200, 136)
@@ -112,16 +109,13 @@ def _check_trace(network: Network, graph: bytes) -> None:
     other = torch.linspace(0.5, 4, 2 * 104 * 168).reshape(2, 1, 104, 168).flip(2).contiguous()
     other[:, :, :24, 40:] = 0
     try:
-        runtime = import_module("onnxruntime")
-        options = runtime.SessionOptions()
-        options.intra_op_num_threads, options.log_severity_level = 1, 4  # none but fatal errors: others are raised
-        session = runtime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+        runtime = OnnxRuntime(graph, "float32", threads=1)
     except Exception:  # of the runtime's own kinds
         return
     with torch.no_grad():
         expected = network.scores(other).float().permute(0, 2, 3, 1).numpy()
     try:
-        (found,) = session.run([SCORES], {RANGE: other.numpy()})
+        found = runtime.scores(other.numpy())
         same = found.shape == expected.shape and abs(found - expected).max() <= 0.1 * abs(expected).max()
     except Exception:  # of the runtime's own kinds
         same = False

@@ -31,7 +31,8 @@ from bodyseg_model.runtimes import (
     to_device,
     write_onnx,
 )
-from bodyseg_model.runtimes.backends import OnnxRuntime, RuntimeNetwork, folded
+from bodyseg_model.runtimes.backends import RuntimeNetwork, folded
+from bodyseg_model.runtimes.libraries import OnnxRuntime
 from bodyseg_model.runtimes.onnx_files import (
     GraphFacts,
     OnnxModel,

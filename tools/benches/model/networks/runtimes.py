@@ -29,7 +29,7 @@ from bodyseg_model.evaluation import evaluate, open_images
 from bodyseg_model.networks import Network, Trained, build, predict
 from bodyseg_model.runtimes import Precision, load_run, on_backend, write_onnx
 from bodyseg_model.runtimes.backends import TORCH
-from bodyseg_model.runtimes.onnx_files import RANGE
+from bodyseg_model.runtimes.libraries import RANGE
 
 REFERENCE: Final = "torch float32"
 PAPERS: Final = "fcn_alexnet torch float32"

@@ -1,0 +1,104 @@
+"""The libraries that compute ONNX graphs on the processor, by name."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from abc import ABC, abstractmethod
+from functools import cache
+from threading import Lock
+from typing import Any, ClassVar, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bodyseg_data.machine import required
+
+Precision = Literal["float32", "bfloat16"]
+
+RANGE: Final = "range_m"
+SCORES: Final = "scores"
+"""Names of values of a graph: range images [B, 1, H, W], metres; scores [B, H / stride, W / stride, C], rounded up."""
+
+_FATAL_ONLY: Final = 4  # of ONNX Runtime's log
+MOST_BYTES: Final = 1 << 32
+"""That ONNX Runtime allocates in all: small graphs may ask for any number."""
+
+
+class Runtime(ABC):
+    """A library that computes ONNX graphs on the processor.
+
+    library: name of the module, and extra: of the package that installs it. precisions: those that it computes in.
+    """
+
+    library: ClassVar[str]
+    extra: ClassVar[str]
+    precisions: ClassVar[tuple[Precision, ...]]
+
+    @abstractmethod
+    def __init__(self, graph: bytes, precision: Precision, threads: int) -> None:
+        """Compile a graph from `RANGE` to `SCORES` for so many threads. Raises MissingLibrary."""
+
+    @abstractmethod
+    def scores(self, range_m: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Compute scores [B, h, w, C] of range images [B, 1, H, W], C contiguous."""
+
+    @classmethod
+    def loaded(cls) -> Any:
+        """The library's module. Raises MissingLibrary if it is not installed."""
+        return required(cls.library, f"the backend {cls.library}", cls.extra)
+
+
+class OnnxRuntime(Runtime):
+    """ONNX Runtime; its processor kernels know no bfloat16."""
+
+    library, extra = "onnxruntime", "onnx"
+    precisions: ClassVar[tuple[Precision, ...]] = ("float32",)
+
+    def __init__(self, graph: bytes, precision: Precision, threads: int) -> None:
+        library = self.loaded()
+        options = library.SessionOptions()
+        options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
+        options.log_severity_level = _FATAL_ONLY  # errors are raised, and their lines are the message
+        options.add_session_config_entry("session.use_env_allocators", "1")
+        _limit_memory()
+        self._session = library.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+
+    def scores(self, range_m: NDArray[np.float32]) -> NDArray[np.float32]:
+        found: NDArray[np.float32] = self._session.run([SCORES], {RANGE: range_m})[0]
+        return found
+
+
+@cache
+def _limit_memory() -> None:
+    """Bound what ONNX Runtime allocates in this process, unless its user already has."""
+    library = OnnxRuntime.loaded()
+    arena = library.OrtAllocatorType.ORT_ARENA_ALLOCATOR
+    info = library.OrtMemoryInfo("Cpu", arena, 0, library.OrtMemType.DEFAULT)
+    with contextlib.suppress(library.capi.onnxruntime_pybind11_state.Fail):
+        library.create_and_register_allocator(info, library.OrtArenaCfg({"max_mem": MOST_BYTES}))
+
+
+class OpenVino(Runtime):
+    library, extra = "openvino", "openvino"
+    precisions: ClassVar[tuple[Precision, ...]] = ("float32", "bfloat16")
+
+    def __init__(self, graph: bytes, precision: Precision, threads: int) -> None:
+        core = self.loaded().Core()
+        settings = {
+            "INFERENCE_NUM_THREADS": threads,
+            "INFERENCE_PRECISION_HINT": "bf16" if precision == "bfloat16" else "f32",
+            "PERFORMANCE_HINT": "LATENCY",
+            "ENABLE_CPU_PINNING": False,  # other work of the process runs beside it
+        }
+        self._request = core.compile_model(core.read_model(io.BytesIO(graph)), "CPU", settings).create_infer_request()
+        self._one_at_a_time = Lock()  # else a thread gets the scores of another one's images
+
+    def scores(self, range_m: NDArray[np.float32]) -> NDArray[np.float32]:
+        with self._one_at_a_time:
+            found: NDArray[np.float32] = self._request.infer([range_m], share_inputs=True)[0]
+        return found
+
+
+RUNTIMES: Final[dict[str, type[Runtime]]] = {"onnxruntime": OnnxRuntime, "openvino": OpenVino}
+"""Name -> class, which imports its library when it is used."""
