@@ -73,13 +73,15 @@ class Batch(TypedDict):
     """Batch of B samples. range: float32 [B, 1, H, W], metres, 0 is background; with `metres=False` uint16 in steps.
 
     labels: uint8 [B, H, W], classes of `RangeImages.label_map`, by default the set's own; 255 is background. key: the B
-    samples' keys. epoch: the B epochs of their draws, which differ in a batch of a `Mixture` only. planes: only of
-    images that were opened with `planes`, name -> uint8 or uint16 [B, H, W].
+    samples' keys, and index: their indices in the images, as `describe` and `table` take them. epoch: the B epochs of
+    their draws, which differ in a batch of a `Mixture` only. planes: only of images that were opened with `planes`,
+    name -> uint8 or uint16 [B, H, W].
     """
 
     range: torch.Tensor
     labels: torch.Tensor
     key: list[str]
+    index: list[int]
     epoch: list[int]
     planes: NotRequired[dict[str, torch.Tensor]]
 
@@ -212,7 +214,8 @@ def _other_sharding(frame: FrameType | None) -> str | None:
     for _ in range(_FRAMES_UP):
         if frame is None:
             return None
-        caller = frame.f_locals.get("self")
+        # Only of methods: the locals of a function, once asked for, live as long as its frame.
+        caller = frame.f_locals.get("self") if "self" in frame.f_code.co_varnames[:1] else None
         ranks = getattr(caller, "num_processes", getattr(caller, "num_replicas", 1))
         if (isinstance(caller, Sampler) and ranks > 1) or type(caller).__name__ == _DISPATCHER:
             return type(caller).__name__

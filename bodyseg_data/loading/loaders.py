@@ -256,10 +256,16 @@ class Loader:
             self._ledger.add(Skipped(plan.epoch, key, shard, offset, str(error)), error)
         missing = {index for index, _ in faults}
         keys = [key for index, (_, key, _) in enumerate(locations) if index not in missing]
-        epochs = [epoch for index, (epoch, _) in enumerate(requests) if index not in missing]
+        made = [request for at, request in enumerate(requests) if at not in missing]
         pin = self._options.pin_memory and torch.cuda.is_available()
         ranges, labels, *planes = state.slots.lend(slot, len(keys), pin)
-        batch: Batch = {"range": ranges, "labels": labels, "key": keys, "epoch": epochs}
+        batch: Batch = {
+            "range": ranges,
+            "labels": labels,
+            "key": keys,
+            "index": [index for _, index in made],
+            "epoch": [epoch for epoch, _ in made],
+        }
         if planes:
             batch["planes"] = dict(zip(self.images.planes, planes, strict=True))
         self._tallied[0][Stage.DELIVER] += time.perf_counter() - came

@@ -217,7 +217,7 @@ def evaluate(
     check_label_map(network, predicts)
     joined = None if predicts.difference(images.label_map) is None else predicts.joined_to(images.label_map)
     grouped = "subset" in images.manifest.fields.kinds
-    index_of, subset_of = {key: index for index, key in enumerate(images.keys)}, dict[str, str]()
+    subset_of = dict[str, str]()
     device = device_of(network)
     measures = confidences and MEASURABLE and not images.transforms  # which may move pixels
     stage = Stopwatch(_STAGES)
@@ -238,12 +238,12 @@ def evaluate(
                 predicted = joined[predicted]
         ranges, labels = batch["range"][:, 0].numpy(), batch["labels"].numpy()
         with stage("scores"):
-            for at, key in enumerate(keys):
+            for at, (key, index) in enumerate(zip(keys, batch["index"], strict=False)):
                 body = split_key(key)[0] if images.manifest.fields.of_bodies else key
-                if body not in subset_of:  # read once for all views of a body
-                    info = images.clean(index_of[key]).info if grouped else None
-                    subset_of[body] = _WHOLE if info is None else str(info.get("subset", _WHOLE))
-                away = _away(images, index_of[key], labels[at], predicted[at]) if measures else None
+                if body not in subset_of:  # the same of all views of a body
+                    fields = images.describe(index) if grouped else {}
+                    subset_of[body] = str(fields.get("subset", _WHOLE))
+                away = _away(images, index, labels[at], predicted[at]) if measures else None
                 image = PredictedImage(
                     key, subset_of[body], ranges[at], labels[at], predicted[at], confidence[at], away
                 )

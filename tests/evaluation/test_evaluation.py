@@ -92,6 +92,14 @@ def plainly(network: Network, images: RangeImages) -> dict[str, Any]:
     return found
 
 
+def test_subsets_are_told_without_reading_samples(
+    small_set: Path, network: ByRange, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    images = open_images(str(small_set), "none")
+    monkeypatch.setattr(RangeImages, "clean", lambda *_: pytest.fail("a sample was read twice"))
+    assert set(evaluate(network, images, confidences=False).subsets) == {"A", "people"}
+
+
 @pytest.mark.parametrize(("variant", "batch_size", "workers"), [("all", 3, 0), ("all", 16, 1), ("none", 5, 0)])
 def test_scores_are_those_of_single_images(
     small_set: Path, network: ByRange, variant: str, batch_size: int, workers: int

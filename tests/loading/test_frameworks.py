@@ -5,8 +5,10 @@ Their ways with samplers are imitated here; where the packages are installed, th
 
 from __future__ import annotations
 
+import gc
 import importlib.util
 import json
+import weakref
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -67,6 +69,17 @@ def test_batches_cannot_be_shared_out_twice(figures_set: Path) -> None:
             whole = BatchSamplerShard(images.batches(3, rank=0, world_size=1), 2, rank)
             keys += [key for batch in DataLoader(images, batch_sampler=whole) for key in batch["key"]]
         assert len(set(keys)) == len(keys) == len(images), "as the line says, every sample comes once"
+
+
+def test_what_reads_batches_lets_go_of_what_it_deletes(figures_set: Path) -> None:
+    for images in sets(figures_set):
+        model = torch.nn.Linear(1, 1)
+        freed = weakref.ref(model)
+        for _ in DataLoader(images, batch_sampler=images.batches(3)):
+            break
+        del model
+        gc.collect()
+        assert freed() is None
 
 
 def test_one_process_may_be_wrapped(figures_set: Path) -> None:
