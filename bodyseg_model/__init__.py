@@ -41,9 +41,9 @@ __all__ = [
 if TYPE_CHECKING:
     from bodyseg_data import __version__ as __version__
     from bodyseg_model.evaluation import Evaluation, evaluate, open_images
-    from bodyseg_model.networks import Network, Trained, load_network, predict, wrapped
+    from bodyseg_model.networks import Network, Trained, predict, wrapped
     from bodyseg_model.recordings import LiveRecording, driver_camera, frame_camera, open_recording, to_metres
-    from bodyseg_model.runtimes import on_backend, write_onnx
+    from bodyseg_model.runtimes import load_network, on_backend, write_onnx
     from bodyseg_model.segmentation import JOINTS, Background, FrameLabeller, Segmenter
     from bodyseg_model.training import Recipe, RunOptions, Validation, recipe_for, train
 else:

@@ -34,7 +34,7 @@ from bodyseg_model.runtimes import (
     BackendName,
     Precision,
     backend_of,
-    load_run,
+    load_network,
     put_on_backend,
     to_device,
 )
@@ -85,7 +85,7 @@ class Options:
 def run(options: Options) -> int:
     """Evaluate, write the scores, then draw the figures."""
     _check(options)
-    trained = load_run(options.run, options.checkpoint)
+    trained = load_network(options.run, options.checkpoint)
     trained = put_on_backend(trained, options.backend, options.precision, options.flip_average)
     step, recipe = trained.card.get("step"), trained.card.get("recipe")
     steps = recipe.get("steps") if isinstance(recipe, dict) else None

@@ -24,7 +24,7 @@ from bodyseg_model.runtimes import (
     RUN_HELP,
     BackendName,
     Precision,
-    load_run,
+    load_network,
     quick_precision,
 )
 from bodyseg_model.segmentation import (
@@ -103,7 +103,7 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
     keep_freed_memory()
     use_threads(options.threads)
     step_m = None if options.units is None else metres_a_step(options.units)
-    trained = load_run(options.run, dense=options.dense)
+    trained = load_network(options.run, dense=options.dense)
     mode = options.background or ("people" if trained.label_map.of == PART_CLASSES else "frame")
     background = Background.of_options(mode, options.near, options.far)
     frames = find_frames(options.frames, options.topic, step_m)
@@ -113,7 +113,7 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
         mirrored=options.mirrored,
         least_confidence=options.confidence,
         keep_things=options.keep_things,
-        finder=None if options.finder is None else load_run(options.finder),
+        finder=None if options.finder is None else load_network(options.finder),
         video=options.video,
         backend=options.backend,
         precision=options.precision or quick_precision(trained.network, options.backend, options.device),

@@ -178,18 +178,8 @@ def half_weights(network: Network) -> dict[str, torch.Tensor]:
 def load_network(
     path: Path | str | None = None, checkpoint: CheckpointName | None = None, *, dense: bool = False
 ) -> Trained:
-    """Load the network of a run's folder, or of a .safetensors file with its .json beside it, onto the processor.
-
-    path: or "compact" or "large", where there is no such path, for one that ships with the package. None for `compact`.
-
-    checkpoint: of a run's folder: "best" for the weights of its best validation, "last" for those of its last
-    checkpoint. None takes the network that the training ended with, or the last checkpoint of one that has not ended.
-    dense: with the head of places on the template, which the `compact` that ships has in a file of its own; others have
-    it if they were trained with one. The card's `step` says which step the weights are of, its `weights_sha256` which
-    file they were read from.
-
-    Raises BadConfig, naming the file, for what is missing, damaged or does not fit the card: with weights of another
-    SHA-256 than the card's, or a rig that is none. A card without rig, sensor or SHA-256 is valid.
+    """Load the network of a run's folder or a .safetensors file, as `bodyseg_model.load_network`, which reads .onnx
+    files, too. Raises BadConfig.
     """
     path = SHIPPED if path is None else Path(path)
     path = path if path.exists() else _NAMED.get(str(path), path)

@@ -72,7 +72,7 @@ def other_sensors() -> tuple[Sensor, ...]:
 
 def frame_camera(
     shape: tuple[int, int],
-    where: str,
+    where: str = "frames",
     rig: str | None = None,
     focal_px: float | None = None,
     centre_px: tuple[float, ...] = (),

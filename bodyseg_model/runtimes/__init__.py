@@ -13,7 +13,7 @@ if TYPE_CHECKING:
         RUN_HELP,
         BackendName,
         backend_of,
-        load_run,
+        load_network,
         on_backend,
         put_on_backend,
         quick_precision,

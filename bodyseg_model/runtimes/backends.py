@@ -16,6 +16,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from bodyseg_data.core import BadConfig, check_choice, reported
 from bodyseg_data.machine import computes_bfloat16
+from bodyseg_model import networks
 from bodyseg_model.networks import (
     CheckpointName,
     FlipAverage,
@@ -26,7 +27,6 @@ from bodyseg_model.networks import (
     check_trained,
     device_of,
     find_device,
-    load_network,
     trained_network,
 )
 from bodyseg_model.runtimes.libraries import MOST_BYTES, RUNTIMES, Precision, Runtime
@@ -155,20 +155,31 @@ def put_on_backend(
     return Trained(FlipAverage(network, trained.label_map) if flip_average else network, trained.card)
 
 
-def load_run(path: Path | None = None, checkpoint: CheckpointName | None = None, *, dense: bool = False) -> Trained:
-    """Load a run's folder or a .safetensors file (`load_network`), or an .onnx file, for the runtime `OF_FILES`.
+def load_network(
+    path: Path | str | None = None, checkpoint: CheckpointName | None = None, *, dense: bool = False
+) -> Trained:
+    """Load the network of a run's folder, of a .safetensors file with its .json beside it, or of an .onnx file, for the
+    runtime `OF_FILES`, onto the processor.
 
-    path: None for the network that ships with the package. dense: as of `load_network`.
+    path: or "compact" or "large", where there is no such path, for one that ships with the package. None for `compact`.
 
-    Raises BadConfig and MissingLibrary, naming the file, as `load_network` and `read_onnx`.
+    checkpoint: of a run's folder: "best" for the weights of its best validation, "last" for those of its last
+    checkpoint. None takes the network that the training ended with, or the last checkpoint of one that has not ended.
+    dense: with the head of places on the template, which the `compact` that ships has in a file of its own; others have
+    it if they were trained with one. The card's `step` says which step the weights are of, its `weights_sha256` which
+    file they were read from.
+
+    Raises BadConfig, naming the file, for what is missing, damaged or does not fit the card: with weights of another
+    SHA-256 than the card's, or a rig that is none; MissingLibrary for an .onnx file. A card without rig, sensor or
+    SHA-256 is valid.
     """
-    if path is None or path.suffix != SUFFIX or path.is_dir():
-        return load_network(path, checkpoint, dense=dense)
+    if path is None or Path(path).suffix != SUFFIX or Path(path).is_dir():
+        return networks.load_network(path, checkpoint, dense=dense)
     if checkpoint is not None:
         raise BadConfig(f"checkpoint {checkpoint!r} is one of a run's folder, found {path}")
-    model = read_onnx(path)
+    model = read_onnx(Path(path))
     network = RuntimeNetwork(model, OF_FILES, _runtime(OF_FILES), "float32")
-    return trained_network(network, model.card, path)
+    return trained_network(network, model.card, Path(path))
 
 
 def backend_of(network: Network) -> dict[str, Any]:

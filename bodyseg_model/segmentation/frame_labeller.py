@@ -150,13 +150,11 @@ class FrameLabeller:
         self._turned, self._turns = turned, _Turns()  # of the frames of calls and of the stream
         self._segmenter = partial(
             Segmenter,
-            self.trained.network,
+            self.trained,
             background=self.background,
             mirrored=mirrored,
             least_confidence=least_confidence,
-            rig=self.rig,
             doubted_below=self._doubted_below,
-            label_map=self.label_map,
             finder=None if self._finder is None else self._finder.network,
             dense=dense,
         )
@@ -212,6 +210,12 @@ class FrameLabeller:
         """
         return self._find_in_array(0, range_m, camera)()
 
+    def prepare(self, camera: Camera) -> None:
+        """Load the compiled loops and label usual views of a camera, so that its first frame takes no longer than
+        others; `stream` does so itself. Raises BadConfig.
+        """
+        self.of(camera)[1].prepare()
+
     def restart(self) -> None:
         """Begin another recording: nothing is carried over from frames before, neither labels of `video` nor a turn."""
         self._turns = _Turns()
@@ -231,7 +235,7 @@ class FrameLabeller:
         own, which no driver writes into again. Raises BadConfig as a call, naming the frame by its number.
         """
         self.restart()
-        self.of(camera)[1].prepare()
+        self.prepare(camera)
         found = (self._find_in_array(number, each, camera, f"frame {number}") for number, each in enumerate(frames))
         with contextlib.closing(read_ahead(found) if ahead else found) as coming:
             for label in coming:

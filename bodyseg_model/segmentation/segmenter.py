@@ -18,7 +18,7 @@ from bodyseg_data.core import BadConfig, Stopwatch, check_class
 from bodyseg_data.labels import BACKGROUND, NOWHERE, PART_COUNT, PARTS33, LabelMap
 from bodyseg_data.machine import of_each, required
 from bodyseg_data.rigs import Camera, Rig, load_rig
-from bodyseg_model.networks import Network, device_of, predict_each
+from bodyseg_model.networks import Network, Trained, device_of, predict_each
 from bodyseg_model.runtimes import on_backend
 from bodyseg_model.segmentation.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.finder import Background, Found, find_bodies, part_people, shipped_finder, view_of
@@ -190,29 +190,29 @@ def _compute_alone_in_forks() -> None:
 class Segmenter:
     """Labels the frames of one camera, each independently or, with `video`, steadied by those before it.
 
-    network: in evaluation mode, on any backend (`on_backend`); frames are moved to its device. camera: that took the
-    frames, which must be without lens distortion (`Undistortion`). background, mirrored, least_confidence, finder: as
-    of `FrameLabeller`, the background by default `Background()`. rig: that the network was trained for, by default the
-    paper's. doubted_below: of the people that the finder finds, in the background mode "people", those whose mean
-    probability times the mean confidence of their labels is less are things (`least_confidence_of_people`). video:
-    carries evidence from frame to frame of a recording, whose frames must then come in order (`CarriedLabels`); None to
-    label each alone. quarters: right angles by which the camera was mounted turned clockwise, as seen from behind it.
-    label_map: the network's classes; by default the 33 parts for a network of 33. dense: also tell where on the
-    template of the body each pixel lies (`Segmentation.template`). either_way: a person of whose parts the network is
-    unsure is labelled upside down, too, and the surer labels stay. Raises BadConfig for a confidence outside 0 to 1, a
-    camera with distortion, a network that is no finder, or knows no places and is to be dense; MissingLibrary without
-    numba.
+    network: in evaluation mode, on any backend (`on_backend`); frames are moved to its device. With its card, a
+    `Trained`, it brings rig, label_map and doubted_below. camera: that took the frames, which must be without lens
+    distortion (`Undistortion`). background, mirrored, least_confidence, finder: as of `FrameLabeller`, the background
+    by default `Background()`. rig: that the network was trained for; of a network alone, by default the paper's.
+    doubted_below: of the people that the finder finds, in the background mode "people", those whose mean probability
+    times the mean confidence of their labels is less are things (`least_confidence_of_people`). video: carries evidence
+    from frame to frame of a recording, whose frames must then come in order (`CarriedLabels`); None to label each
+    alone. quarters: right angles by which the camera was mounted turned clockwise, as seen from behind it. label_map:
+    the network's classes; by default the 33 parts for a network of 33. dense: also tell where on the template of the
+    body each pixel lies (`Segmentation.template`). either_way: a person of whose parts the network is unsure is
+    labelled upside down, too, and the surer labels stay. Raises BadConfig for a confidence outside 0 to 1, a camera
+    with distortion, a network that is no finder, or knows no places and is to be dense; MissingLibrary without numba.
     """
 
     def __init__(
         self,
-        network: Network,
+        network: Network | Trained,
         camera: Camera,
         background: Background | None = None,
         mirrored: bool = False,
         least_confidence: float = 0.0,
         rig: Rig | None = None,
-        doubted_below: float = 0.0,
+        doubted_below: float | None = None,
         video: CarriedLabels | None = None,
         quarters: int = 0,
         label_map: LabelMap | None = None,
@@ -220,6 +220,10 @@ class Segmenter:
         dense: bool = False,
         either_way: bool = True,
     ) -> None:
+        if isinstance(network, Trained):
+            rig, label_map = rig or network.rig, label_map or network.label_map
+            doubted_below = least_confidence_of_people(network.card) if doubted_below is None else doubted_below
+            network = network.network
         check_class("camera", camera, Camera)
         check_class("background", background, Background, NoneType)
         check_class("rig", rig, Rig, NoneType)
@@ -244,7 +248,7 @@ class Segmenter:
                 "`train --settings '{\"template\": true}'` trains one"
             )
         finds = self.background.mode == "people"
-        self.doubted_below = doubted_below if finds else 0.0
+        self.doubted_below = (doubted_below or 0.0) if finds else 0.0
         self.finder = on_backend(finder or shipped_finder().network) if finds else None
         if self.finder is not None:
             view_of(self.finder, self._upright)  # now, so that what is no finder is refused

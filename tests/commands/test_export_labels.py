@@ -223,7 +223,7 @@ def labelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, near_is_person: No
     """Frames, and the folder that `bodyseg segment` wrote of them: two people, and nobody."""
     monkeypatch.setattr(backends, "computes_bfloat16", lambda: False)
     trained = Trained(Places(axis=0, step=5), {"network": "places", "rig": SMALL.to_json()})
-    monkeypatch.setattr(segment, "load_run", lambda run, dense=False: trained)
+    monkeypatch.setattr(segment, "load_network", lambda run, dense=False: trained)
     frames = tmp_path / "frames"
     frames.mkdir()
     Image.fromarray(standing((10, 5, 40, 12), (10, 50, 40, 12))).save(frames / "1.png")

@@ -58,8 +58,8 @@ def check(title: str, trees: list[Any]) -> None:
 def network(monkeypatch: pytest.MonkeyPatch, near_is_person: None) -> None:
     card = {"network": "places", "settings": {}, "seed": 3, "variant": "all", "steps": 1, "rig": SMALL.to_json()}
     trained = Trained(Places(axis=0, step=5), {**card, "data": {}, "sensor": {}, "weights_sha256": "0"})
-    monkeypatch.setattr(segment, "load_run", lambda run, dense=False: trained)
-    monkeypatch.setattr(evaluate, "load_run", lambda run, checkpoint: Trained(trained.network, card))
+    monkeypatch.setattr(segment, "load_network", lambda run, dense=False: trained)
+    monkeypatch.setattr(evaluate, "load_network", lambda run, checkpoint: Trained(trained.network, card))
     monkeypatch.setattr(backends, "computes_bfloat16", lambda: False)
 
 
@@ -88,7 +88,7 @@ def test_the_keys_of_a_summary_are_those_documented(tmp_path: Path, monkeypatch:
     for number, words in enumerate(runs):
         if number >= 2:
             network = (unsure, dense)[number - 2]
-            monkeypatch.setattr(segment, "load_run", lambda run, dense=False, network=network: network)
+            monkeypatch.setattr(segment, "load_network", lambda run, dense=False, network=network: network)
         out = tmp_path / str(number)
         assert cli.main(["segment", *map(str, words), "--out", str(out)]) == 0
         trees.append(json.loads((out / "summary.json").read_text()))

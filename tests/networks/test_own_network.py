@@ -16,8 +16,17 @@ from torch import nn
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import PARTS33, load_label_map
 from bodyseg_data.rigs import Camera
-from bodyseg_model import FrameLabeller, Segmenter, evaluate, on_backend, open_images, predict, wrapped, write_onnx
-from bodyseg_model.runtimes import load_run
+from bodyseg_model import (
+    FrameLabeller,
+    Segmenter,
+    evaluate,
+    load_network,
+    on_backend,
+    open_images,
+    predict,
+    wrapped,
+    write_onnx,
+)
 
 CAMERA = Camera(60, 80, 100.0, (40.0, 30.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -67,7 +76,7 @@ def test_frames_are_labelled_and_scores_counted(unet: UNet, figures_set: Path) -
     mine = wrapped(unet, rig=SMALL, multiple=4)
     frame = np.full((60, 80), 4, np.float32)
     frame[10:50, 20:32] = 2
-    one = Segmenter(mine.network, CAMERA, rig=mine.rig)(frame)
+    one = Segmenter(mine, CAMERA)(frame)
     other = FrameLabeller(mine, device="cpu")(frame, CAMERA)
     assert (one.labels[10:50, 20:32] < 33).all() and len(one.bodies) == len(other.bodies) == 1
     np.testing.assert_array_equal(one.labels, other.labels)
@@ -79,7 +88,7 @@ def test_an_onnx_file_has_answer_and_card(unet: UNet, tmp_path: Path) -> None:
     limbs = load_label_map("limbs14")
     mine = wrapped(UNet(14, 2), limbs, rig=SMALL, multiple=4, prepare=lambda m: torch.cat([m, (m > 0).float()], 1))
     write_onnx(str(tmp_path / "mine.onnx"), mine)
-    again = load_run(tmp_path / "mine.onnx")
+    again = load_network(str(tmp_path / "mine.onnx"))
     assert again.card == json.loads(json.dumps(mine.card)) and (again.label_map, again.rig) == (limbs, SMALL)
     for shape in ((1, 1, 12, 20), (2, 1, 33, 21)):
         image = torch.rand(shape) * 3

@@ -443,5 +443,5 @@ def test_graphs_that_lie_are_one_line(tmp_path: Path) -> None:
     ):
         (tmp_path / "a.onnx").write_bytes(data)
         with pytest.raises(BadConfig, match=message) as caught:
-            predict(backends.load_run(tmp_path / "a.onnx").network, torch.ones(1, 1, 200, 136))
+            predict(backends.load_network(tmp_path / "a.onnx").network, torch.ones(1, 1, 200, 136))
         assert "\n" not in str(caught.value) and len(str(caught.value)) < 500

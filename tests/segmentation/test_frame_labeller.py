@@ -17,12 +17,12 @@ from pngs import png
 from small_rig import SMALL
 
 from bodyseg_data.core import BadConfig
-from bodyseg_data.labels import BACKGROUND
-from bodyseg_data.rigs import Camera, Distortion
+from bodyseg_data.labels import BACKGROUND, PARTS33
+from bodyseg_data.rigs import Camera, Distortion, load_rig
 from bodyseg_model.networks import Trained
 from bodyseg_model.recordings import Frame, LiveRecording, find_frames
 from bodyseg_model.segmentation import Background, FrameLabeller, LabelledFrame, Segmenter
-from bodyseg_model.segmentation.segmenter import STAGES
+from bodyseg_model.segmentation.segmenter import LEAST_CONFIDENCE, STAGES
 from bodyseg_model.segmentation.views import Undistortion
 
 CAMERA = Camera(60, 80, 100.0, (40.0, 30.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
@@ -59,6 +59,14 @@ def test_an_array_gets_the_labels_of_a_segmenter() -> None:
     assert len(found.bodies) == 1 and found.things == () and found.camera == CAMERA
     assert tuple(found.milliseconds) == ("read", *STAGES)
     assert found.frame is None and found.stored is None
+
+
+def test_a_segmenter_goes_by_its_networks_card() -> None:
+    trained = Trained(Places(0, 5), {"rig": SMALL.to_json(), LEAST_CONFIDENCE: 0.7})
+    segmenter = Segmenter(trained, CAMERA)
+    assert (segmenter.rig, segmenter.label_map, segmenter.doubted_below) == (SMALL, PARTS33, 0.7)
+    assert Segmenter(trained, CAMERA, doubted_below=0.0, rig=load_rig()).doubted_below == 0.0
+    assert Segmenter(trained.network, CAMERA).rig == load_rig()
 
 
 def test_a_camera_with_distortion_has_its_frames_undistorted() -> None:
@@ -169,7 +177,8 @@ def test_whole_frames_are_prepared_for_in_their_own_size(monkeypatch: pytest.Mon
         network, "scores", lambda range_m: sizes.append(range_m.shape[2:]) or Places.scores(network, range_m)
     )
     Segmenter(network, CAMERA, Background("frame")).prepare()
-    assert sizes == [(60, 80)], "and in no size of views of bodies"
+    FrameLabeller(Trained(network, {}), Background("frame"), device="cpu").prepare(CAMERA)
+    assert sizes == [(60, 80)] * 2, "and in no size of views of bodies"
 
 
 def test_one_frame_is_a_recording() -> None:

@@ -27,7 +27,7 @@ from bodyseg_model.commands import cli, segment
 from bodyseg_model.networks import Trained, build, save_network
 from bodyseg_model.recordings import Skipping, find_frames
 from bodyseg_model.recordings.camera_files import cameras_beside
-from bodyseg_model.runtimes import backends, load_run
+from bodyseg_model.runtimes import backends, load_network
 from bodyseg_model.segmentation.views import Undistortion, usual_views
 
 pytestmark = pytest.mark.usefixtures("near_is_person")
@@ -62,7 +62,9 @@ def network(monkeypatch: pytest.MonkeyPatch) -> Iterator[Places]:
     """Stands in for the network that ships: parts from the top down. One thread is enough for images this small."""
     places = Places(axis=0, step=5)
     card = {"network": "places", "seed": 3, "rig": SMALL.to_json()}
-    monkeypatch.setattr(segment, "load_run", lambda run, dense=False: load_run(run) if run else Trained(places, card))
+    monkeypatch.setattr(
+        segment, "load_network", lambda run, dense=False: load_network(run) if run else Trained(places, card)
+    )
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     monkeypatch.setattr(backends, "computes_bfloat16", lambda: False)  # which computes a copy of it
@@ -501,7 +503,7 @@ def test_what_the_network_doubts_is_a_thing(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     unsure = Trained(Places(0, 5, sure_m=0.1), {"rig": SMALL.to_json(), "least_confidence_of_people": 0.9})
-    monkeypatch.setattr(segment, "load_run", lambda run, dense=False: unsure)
+    monkeypatch.setattr(segment, "load_network", lambda run, dense=False: unsure)
     assert run(recording, "--focal", "100", "--out", tmp_path / "out") == 0
     facts = report(tmp_path / "out")
     assert facts["finder"] == {"weights_sha256": "1", "least_confidence_of_people": 0.9}
@@ -523,7 +525,9 @@ def test_people_are_found_whatever_classes_a_network_has(
     rest = tuple(name for name in LANDMARKS if name != "Sellion")
     halves = LabelMap("halves", (("nose", ("Sellion",)), ("rest", rest)))
     card = {"labels": halves.to_json(), "rig": SMALL.to_json()}
-    monkeypatch.setattr(segment, "load_run", lambda run, dense=False: load_run(run) if run else Trained(network, card))
+    monkeypatch.setattr(
+        segment, "load_network", lambda run, dense=False: load_network(run) if run else Trained(network, card)
+    )
     assert run(recording, "--focal", "100", "--out", tmp_path / "out") == 0
     assert report(tmp_path / "out")["people"] == 5
 

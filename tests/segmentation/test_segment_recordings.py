@@ -22,7 +22,7 @@ from bodyseg_data.labels import BACKGROUND
 from bodyseg_model.commands import cli, segment
 from bodyseg_model.networks import Trained
 from bodyseg_model.recordings.bag_messages import typestore
-from bodyseg_model.runtimes import load_run
+from bodyseg_model.runtimes import load_network
 
 
 def standing(x: int) -> NDArray[np.uint16]:
@@ -40,8 +40,8 @@ def network(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     places = Places(axis=0, step=20)
     monkeypatch.setattr(
         segment,
-        "load_run",
-        lambda run, dense=False: load_run(run) if run else Trained(places, {"network": "places", "seed": 3}),
+        "load_network",
+        lambda run, dense=False: load_network(run) if run else Trained(places, {"network": "places", "seed": 3}),
     )
     before = torch.get_num_threads()
     torch.set_num_threads(1)

@@ -16,9 +16,9 @@ from bodyseg_data import RangeImages
 from bodyseg_data.rigs import load_rig, rig_from_json
 from bodyseg_model.commands import cli, segment
 from bodyseg_model.evaluation import ConfusionMatrix
-from bodyseg_model.networks import Trained, build, load_network, save_network
+from bodyseg_model.networks import Trained, build, save_network
 from bodyseg_model.recordings import frame_camera
-from bodyseg_model.runtimes import load_run
+from bodyseg_model.runtimes import load_network
 from bodyseg_model.segmentation import Background, FrameLabeller
 from bodyseg_model.segmentation.views import STEP
 from bodyseg_model.training import GeometricAugmentation, RunFolder, RunOptions, Training, recipe_for
@@ -87,8 +87,8 @@ def test_bodies_nearer_than_those_trained_on_are_told(
 ) -> None:
     monkeypatch.setattr(
         segment,
-        "load_run",
-        lambda run, dense=False: load_run(run) if run else Trained(Places(0, 10), {"rig": SMALL.to_json()}),
+        "load_network",
+        lambda run, dense=False: load_network(run) if run else Trained(Places(0, 10), {"rig": SMALL.to_json()}),
     )
     frame = np.zeros((160, 82), np.uint16)
     frame[20:140, 20:60] = steps

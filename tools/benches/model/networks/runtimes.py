@@ -27,7 +27,7 @@ from bodyseg_data.core import MissingLibrary, ProgressCallback, check_int, silen
 from bodyseg_data.machine import processors, torch_threads
 from bodyseg_model.evaluation import evaluate, open_images
 from bodyseg_model.networks import Network, Trained, build, predict
-from bodyseg_model.runtimes import Precision, load_run, on_backend, write_onnx
+from bodyseg_model.runtimes import Precision, load_network, on_backend, write_onnx
 from bodyseg_model.runtimes.backends import TORCH
 from bodyseg_model.runtimes.libraries import RANGE
 
@@ -140,7 +140,7 @@ def _in_8_bits(trained: Trained) -> Network:
         whole, quantised = Path(folder) / "whole.onnx", Path(folder) / "int8.onnx"
         write_onnx(whole, trained)
         quantize_static(whole, quantised, images, **layers)
-        return load_run(quantised).network
+        return load_network(quantised).network
 
 
 def _timed(networks: Mapping[str, Network], images: Sequence[torch.Tensor], count: int) -> dict[str, Any]:
