@@ -65,4 +65,4 @@ def sample_of(read: Mapping[str, Any], projectors: int, unlabelled: int) -> Samp
     for name, each in members.items():
         if not isinstance(each, bytes):
             raise BadSample(f"{key}: {name} must be bytes, or decoded by decoder(), found {type(each).__name__}")
-    return decode_sample(key, members, True, None, projectors, unlabelled)
+    return decode_sample(key, members, projectors=projectors, unlabelled=unlabelled)

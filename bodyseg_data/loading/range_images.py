@@ -103,6 +103,7 @@ class RangeImages(SampleDataset):
         variant: str = "all",
         split: ReadSplit | None = None,
         seed: int = 0,
+        *,
         epoch: int = 0,
         sensor: str | Path | SensorModel = PAPER_SENSOR,
         cache: str | Path | None = None,

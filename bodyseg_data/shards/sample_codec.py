@@ -49,6 +49,7 @@ def encode_sample(sample: Sample, codec: str = "bsi") -> dict[str, bytes]:
 def decode_sample(
     key: str,
     members: Mapping[str, bytes],
+    *,
     projector: bool = True,
     out: OutputArrays | None = None,
     projectors: int = 1,

@@ -167,7 +167,15 @@ class ShardReader:
         """
         (key, members), rig = self.members(shard, index), self._manifest.rig
         try:
-            sample = decode_sample(key, members, projector, out, len(rig.projectors), unlabelled, planes)
+            sample = decode_sample(
+                key,
+                members,
+                projector=projector,
+                out=out,
+                projectors=len(rig.projectors),
+                unlabelled=unlabelled,
+                planes=planes,
+            )
             check_sizes(sample, rig)
             TALLY.lap(Stage.DECODE)
         except BadSample as error:

@@ -152,14 +152,14 @@ def _open(options: Options, labels: str | LabelMap) -> list[RangeImages]:
             options.variant,
             options.split,
             options.seed,
-            options.noise_mm,
-            options.missing,
-            artifacts,
-            sensor,
-            options.where,
-            options.val_share,
-            labels,
-            options.occluder,
+            noise_mm=options.noise_mm,
+            missing=options.missing,
+            artifacts=artifacts,
+            sensor=sensor,
+            where=options.where,
+            val_share=options.val_share,
+            labels=labels,
+            occluder=options.occluder,
         )
         for key in images.keys:
             if key in path_of:

@@ -149,6 +149,7 @@ def open_images(
     variant: str = "all",
     split: ReadSplit = "test",
     seed: int = 0,
+    *,
     noise_mm: float | None = None,
     missing: float | None = None,
     artifacts: Sequence[Artifact] = (),

@@ -209,6 +209,7 @@ class Segmenter:
         network: Network | Trained,
         camera: Camera,
         background: Background | None = None,
+        *,
         mirrored: bool = False,
         least_confidence: float = 0.0,
         rig: Rig | None = None,

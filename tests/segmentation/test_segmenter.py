@@ -108,7 +108,7 @@ def test_every_body_is_seen_by_itself_and_every_pixel_labelled_once() -> None:
 
 def test_mirrored_frames_are_labelled_the_other_way_round() -> None:
     frame = standing(31, 2.5)
-    plain, mirrored = (Segmenter(Places(1, 6), LENS, KEEP, mirrored)(frame) for mirrored in (False, True))
+    plain, mirrored = (Segmenter(Places(1, 6), LENS, KEEP, mirrored=mirrored)(frame) for mirrored in (False, True))
     row, other = plain.labels[20, 31:43].astype(int), mirrored.labels[20, 31:43].astype(int)
     assert (np.diff(row) >= 0).all() and row[0] < row[-1]
     assert np.abs(row - other[::-1]).max() <= 1, "the two rasters are half a pixel apart"

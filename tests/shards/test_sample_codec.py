@@ -83,7 +83,7 @@ def test_any_sample_of_two_projectors_survives(sample: Sample, codec: CodecName,
     for choice in FORMS:
         out = (np.full(sample.range.shape, 3, np.uint16), np.full(sample.range.shape, 5, np.uint8)) if into else None
         with computed_by(choice):
-            decoded = decode_sample(sample.key, members, projector, out, projectors=2)
+            decoded = decode_sample(sample.key, members, projector=projector, out=out, projectors=2)
         for field in ("range", "labels", "faces_projector", "faces_second"):
             assert np.array_equal(getattr(decoded, field), getattr(sample, field))
         assert decoded.info == sample.info

@@ -96,7 +96,7 @@ def test_a_set_passed_several_times_has_other_draws_each_time(known: RangeImages
 
 
 def _at(images: RangeImages, epoch: int) -> RangeImages:
-    again = RangeImages(images.path, images.variant, "train", images.seed, epoch, only=images.selection.only)
+    again = RangeImages(images.path, images.variant, "train", images.seed, epoch=epoch, only=images.selection.only)
     assert again.keys == images.keys
     return again
 

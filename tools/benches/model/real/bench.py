@@ -231,7 +231,7 @@ class _Segmentation:
     """The path of `bodyseg segment` for frames as they are stored. mirrored: what it is told of them."""
 
     def __init__(self, trained: Trained, camera: Camera, mirrored: bool) -> None:
-        self._segmenter = Segmenter(trained.network, camera, PEOPLE, mirrored, rig=trained.rig)
+        self._segmenter = Segmenter(trained.network, camera, PEOPLE, mirrored=mirrored, rig=trained.rig)
 
     def __call__(self, frame: Frame, exchanged: bool, turned: bool) -> Answer:
         """Label a frame. exchanged: answer with right and left exchanged. turned: turn the images over."""

@@ -133,7 +133,7 @@ def labelled(
 
     mirrored: frames show left for right; answers are then turned over, as the frames of the surface are.
     """
-    segment = Segmenter(trained.network, frames[0].placed.camera, PEOPLE, mirrored, rig=trained.rig)
+    segment = Segmenter(trained.network, frames[0].placed.camera, PEOPLE, mirrored=mirrored, rig=trained.rig)
     videos = {way: None if carrying is None else CarriedLabels(carrying) for way, carrying in WAYS.items()}
     answers: dict[str, list[Answer]] = {way: [] for way in WAYS}
     for done, frame in enumerate(frames, start=1):

@@ -85,7 +85,11 @@ class Recording:
     def labels(self, trained: Trained, mirrored: bool) -> list[Labels]:
         """Labels of all frames, uint8 [H, W] each, as `bodyseg segment` gives them. mirrored: what it is told."""
         segment = Segmenter(
-            trained.network, self.frames[0].placed.camera, Background("keep"), mirrored, rig=trained.rig
+            trained.network,
+            self.frames[0].placed.camera,
+            Background("keep"),
+            mirrored=mirrored,
+            rig=trained.rig,
         )
         return [segment(frame.range_m).labels for frame in self.frames]
 

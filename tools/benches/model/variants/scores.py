@@ -65,7 +65,7 @@ class Condition:
         """The images, of the test split."""
         if self.grain_px or self.flat:
             return ReliefImages(data, self)
-        return open_images(data, self.variant, "test", _SEED, self.noise_mm, self.missing)
+        return open_images(data, self.variant, "test", _SEED, noise_mm=self.noise_mm, missing=self.missing)
 
 
 class AlteredImages(RangeImages, ABC):
