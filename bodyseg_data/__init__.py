@@ -17,6 +17,8 @@ __all__ = [
     "Artifact",
     "Augmentation",
     "BadConfig",
+    "BadLandmarks",
+    "BadMesh",
     "BadSample",
     "BadShard",
     "BadTransform",
@@ -30,16 +32,20 @@ __all__ = [
     "CameraImage",
     "ColumnWriter",
     "Crop",
+    "Distortion",
     "Draws",
+    "FaultyMeshes",
     "Flip",
     "LabelClass",
     "LabelMap",
     "Loader",
     "Mesh",
     "MissingData",
+    "MissingLibrary",
     "Mixture",
     "Noise",
     "Occlusion",
+    "OnFaults",
     "Packing",
     "RangeImage",
     "RangeImages",
@@ -85,7 +91,16 @@ if TYPE_CHECKING:
         load_sensor_model,
     )
     from bodyseg_data.bodies import Body, BodyRef, BodySource, load_template, open_source
-    from bodyseg_data.core import BadConfig, BadSample, BadShard, BodysegError, Draws
+    from bodyseg_data.core import (
+        BadConfig,
+        BadLandmarks,
+        BadMesh,
+        BadSample,
+        BadShard,
+        BodysegError,
+        Draws,
+        MissingLibrary,
+    )
     from bodyseg_data.shards import Unreachable
     from bodyseg_data.loading import BadTransform
     from bodyseg_data.loading import WorkerLost
@@ -109,8 +124,8 @@ if TYPE_CHECKING:
         loader,
     )
     from bodyseg_data.meshes import Mesh
-    from bodyseg_data.packing import Packing, ShardWriter, pack, plan
-    from bodyseg_data.rigs import Camera, Rig, load_rig
+    from bodyseg_data.packing import FaultyMeshes, OnFaults, Packing, ShardWriter, pack, plan
+    from bodyseg_data.rigs import Camera, Distortion, Rig, load_rig
     from bodyseg_data.samples import Sample, ViewGrid
     from bodyseg_data.shards import ColumnWriter, RetryPolicy, decode_sample
 

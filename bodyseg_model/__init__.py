@@ -14,12 +14,17 @@ from bodyseg_data.core import lazy_door
 __all__ = [
     "JOINTS",
     "Background",
+    "CarriedLabels",
+    "Diverged",
     "Evaluation",
     "FrameLabeller",
+    "GeometricAugmentation",
+    "LabelledFrame",
     "LiveRecording",
     "Network",
     "Recipe",
     "RunOptions",
+    "Segmentation",
     "Segmenter",
     "Trained",
     "Validation",
@@ -44,7 +49,23 @@ if TYPE_CHECKING:
     from bodyseg_model.networks import Network, Trained, predict, wrapped
     from bodyseg_model.recordings import LiveRecording, driver_camera, frame_camera, open_recording, to_metres
     from bodyseg_model.runtimes import load_network, on_backend, write_onnx
-    from bodyseg_model.segmentation import JOINTS, Background, FrameLabeller, Segmenter
-    from bodyseg_model.training import Recipe, RunOptions, Validation, recipe_for, train
+    from bodyseg_model.segmentation import (
+        JOINTS,
+        Background,
+        CarriedLabels,
+        FrameLabeller,
+        LabelledFrame,
+        Segmentation,
+        Segmenter,
+    )
+    from bodyseg_model.training import (
+        Diverged,
+        GeometricAugmentation,
+        Recipe,
+        RunOptions,
+        Validation,
+        recipe_for,
+        train,
+    )
 else:
     __getattr__, __dir__, _ = lazy_door(__name__)

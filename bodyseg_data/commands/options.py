@@ -33,14 +33,20 @@ _NEGATIVE_RANGE: Final = re.compile(r"-[0-9]+\.\.[+-]?[0-9]+")
 
 
 def option(
-    text: str, default: Any = MISSING, positional: bool = False, address: bool = False, flag: str | None = None
+    text: str,
+    default: Any = MISSING,
+    positional: bool = False,
+    address: bool = False,
+    flag: str | None = None,
+    heading: str | None = None,
 ) -> Any:
     """Declare a field of an options class: its help text and its default (none: required).
 
     positional: given without a flag. address: its text is a path or an address. flag: its name on the command line if
-    that differs from the field's, as `lr` for `learning_rate`.
+    that differs from the field's, as `lr` for `learning_rate`. heading: of the help, above this option and those after
+    it.
     """
-    metadata = {"help": text, "positional": positional, "address": address, "flag": flag}
+    metadata = {"help": text, "positional": positional, "address": address, "flag": flag, "heading": heading}
     return dataclasses.field(default=default, metadata=metadata)
 
 
@@ -87,14 +93,16 @@ def command_parser(kind: type[Any], program: str, summary: str, example: str) ->
     from cyclopts.help import DefaultFormatter, PanelSpec
     from rich.box import Box
 
-    hints = typing.get_type_hints(kind)
+    hints, headings = typing.get_type_hints(kind), _headings(kind)
     fields = sorted(dataclasses.fields(kind), key=lambda field: not field.metadata["positional"])
 
     def read(*values: Any, **named: Any) -> Any:
         return kind(**{field.name: value for field, value in zip(fields, values, strict=False)}, **named)
 
     # A function stands for the dataclass, none of whose fields could be positional only.
-    read.__signature__ = inspect.Signature([_parameter(field, hints[field.name]) for field in fields])  # type: ignore[attr-defined]
+    read.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [_parameter(field, hints[field.name], headings[field.name]) for field in fields]
+    )
     columns = DefaultFormatter(panel_spec=PanelSpec(box=Box("    \n" * 8), padding=0))  # without lines around them
     app = App(
         program,
@@ -142,7 +150,19 @@ def flag_of(field: dataclasses.Field[Any]) -> str:
     return "--" + (field.metadata["flag"] or field.name.replace("_", "-"))
 
 
-def _parameter(field: dataclasses.Field[Any], hint: Any) -> inspect.Parameter:
+def _headings(kind: type[Any]) -> dict[str, Any]:
+    """The group of the help in which each field stands, by name; None above the first heading."""
+    from cyclopts import Group
+
+    headings, group = dict[str, Any](), None
+    for number, field in enumerate(dataclasses.fields(kind), start=1):
+        if field.metadata["heading"] is not None:
+            group = Group(field.metadata["heading"], sort_key=number)
+        headings[field.name] = group
+    return headings
+
+
+def _parameter(field: dataclasses.Field[Any], hint: Any, group: Any) -> inspect.Parameter:
     from cyclopts import Parameter, convert
 
     kind, many = _kind(hint)
@@ -151,6 +171,7 @@ def _parameter(field: dataclasses.Field[Any], hint: Any) -> inspect.Parameter:
     settings = Parameter(
         name=None if positional else flag_of(field),
         help=field.metadata["help"],
+        **({} if group is None else {"group": group}),
         converter=partial(convert, converter=_value),
         consume_multiple=(1, None),
         allow_repeating=True,  # the last one counts

@@ -62,23 +62,25 @@ class Options:
         f"rendered elsewhere; or {ROOMS}: made rooms with people and furniture"
     )
     path: Path | None = option("folder of the source's meshes or renders, for sources that read one", None)
-    layout: LayoutName | None = option("renders: layout of their folder (default: by its files)", None)
+    out: Path | None = option("folder for the shards; a packing cut short carries on where it stopped", None)
+    layout: LayoutName | None = option(
+        "layout of the folder (default: by its files)", None, heading="Renders (--source renders)"
+    )
     projector: ProjectorKind | None = option(
-        "renders: what is stored of the projector's range (default: shadow, what its shadow needs, if there is any)",
+        "what is stored of the projector's range (default: shadow, what its shadow needs, if there is any)",
         None,
     )
-    samples: int | None = option("rooms: how many", None)
-    split: Split = option("rooms: people and split of all of them", "train")
-    kinds: tuple[str, ...] = option("rooms: kinds of things in them (default: all)", ())
-    without: tuple[str, ...] = option("rooms: kinds of things that are left out, to test with", ())
-    scene: Path | None = option("rooms: folder of meshes that stand in them, too, as no body", None)
+    samples: int | None = option("how many rooms", None, heading="Rooms (--source rooms)")
+    split: Split = option("split of all of them, and of the people in them", "train")
+    kinds: tuple[str, ...] = option("kinds of things in them (default: all)", ())
+    without: tuple[str, ...] = option("kinds of things that are left out, to test with", ())
+    scene: Path | None = option("folder of meshes that stand in them, too, as no body", None)
     landmarks: Path | None = option(
-        "landmark file, or folder of them (default: those beside the meshes, or shipped)", None
+        "landmark file, or folder of them (default: those beside the meshes, or shipped)", None, heading="Meshes"
     )
     units: Units = option("unit of the mesh files", Packing.units)
     up: UpAxis = option("their axis that points up; a negative one as --up=-y", Packing.up)
-    out: Path | None = option("folder for the shards; a packing cut short carries on where it stopped", None)
-    poses: tuple[str, ...] = option("poses of the bodies, as lying* (default: all)", ())
+    poses: tuple[str, ...] = option("poses of the bodies, as lying* (default: all)", (), heading="Views")
     meshes: int | None = option("number of bodies, evenly from every subset (default: all)", None)
     views: int | None = option("number of views of each body (default: all combinations)", None)
     distances: tuple[int, ...] = option("distances from the camera, cm", ViewGrid.distances_cm)
@@ -91,7 +93,7 @@ class Options:
     )
     roll: tuple[str, ...] = option("degrees by which it is turned clockwise about its axis, or one range", ("0",))
     height: tuple[str, ...] = option("cm by which it is then raised without turning, or one range", ("0",))
-    rig: str = option("a rig that ships with the package, or a .toml file", PAPER)
+    rig: str = option("a rig that ships with the package, or a .toml file", PAPER, heading="Rendering")
     geodesics: GeodesicMethod = option("method of measuring distances along the surface", Packing.geodesics)
     tolerance_mm: float | None = option(
         "range error, mm, to which meshes are reduced by pymeshlab; 0: none is (default: those that --pymeshlab names)",
@@ -103,7 +105,7 @@ class Options:
     renderer: RendererName = option("renderer", Packing.renderer)
     things: ThingsPlace = option("draw furniture without labels around the bodies", Packing.things)
     template: bool = option("open sources: also pack the map of the body, the column 'template'", False)
-    codec: CodecName = option("codec of the stored images", Packing.codec)
+    codec: CodecName = option("codec of the stored images", Packing.codec, heading="Packing")
     shard_samples: int = option("samples a shard", Packing.shard_samples)
     engine: str = option("processes (of this machine), or dask://HOST:PORT of a running scheduler", PROCESSES)
     workers: int | None = option("rendering processes (default: one a processor, or all that the cluster has)", None)

@@ -53,7 +53,7 @@ class BadShard(BodysegError):
     """A shard or its manifest is cut, altered, or of another format."""
 
 
-class MissingLibrary(BodysegError):
+class MissingLibrary(BodysegError, ImportError):
     """An optional package or a system library that the chosen feature needs is not installed."""
 
 

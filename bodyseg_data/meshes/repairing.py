@@ -118,9 +118,9 @@ def _release_frames(error: BaseException) -> None:
 
 
 def _import_pymeshlab(feature: str) -> Any:
+    # Without libOpenGL pymeshlab prints a page of warnings and comes up without half of its filters.
+    require_libraries(feature, ("GL", "OpenGL"))
     try:
-        # Without libOpenGL pymeshlab prints a page of warnings and comes up without half of its filters.
-        require_libraries(feature, ("GL", "OpenGL"))
         if "pymeshlab" not in sys.modules:
             _load_shared_libraries()
         import pymeshlab

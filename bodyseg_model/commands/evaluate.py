@@ -51,14 +51,14 @@ _OF_IMAGES: Final = ("variant", "split", "val_share", "where", "seed", "sensor",
 class Options:
     data: tuple[str, ...] = option("folders or addresses of sets of shards", address=True)
     json: Path = option("write the scores to this file")
-    run: Path | None = option(RUN_HELP, None)
+    run: Path | None = option(RUN_HELP, None, heading="Network")
     backend: BackendName | None = option(BACKEND_HELP, None)
     precision: Precision | None = option(PRECISION_HELP, None)
     flip_average: bool = option(FLIP_HELP, False)
     checkpoint: CheckpointName | None = option(
         "of a run: its best or last one (default: what the training ended with)", None
     )
-    variant: VariantName = option("which artifacts the images have", "all")
+    variant: VariantName = option("which artifacts the images have", "all", heading="Images")
     split: ReadSplit = option("which split of the sets", "test")
     val_share: float = option("share of train that is the split val, and not train", 0.0)
     where: tuple[str, ...] = option(WHERE_HELP, ())
@@ -70,9 +70,9 @@ class Options:
     occluder: OccluderName = option(OCCLUDER_HELP, "stored")
     artifacts: str = option("strengths of any artifacts that differ from the sensor's, as JSON", "{}")
     seed: int = option("seed of the artifacts, and of the choice of images", 0)
-    figures: Path | None = option("also draw charts and sample images as PNGs into this folder", None)
+    figures: Path | None = option("also draw charts and sample images as PNGs into this folder", None, heading="Report")
     frames: int = option("images to time the network on, one at a time (0: none)", 50)
-    batch_size: int = option("images that go through the network together", 16)
+    batch_size: int = option("images that go through the network together", 16, heading="Machine")
     num_workers: int = option("workers that load images (0: none, the program itself does)", 2)
     worker_method: WorkerMethod = option("kind of these workers", DEFAULT_WORKER_METHOD)
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)

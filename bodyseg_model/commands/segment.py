@@ -59,11 +59,13 @@ class Options:
     out: Path = option("folder for labels, overlays, preview.gif, legend.png and summary.json")
     labels_out: Path | None = option("also write labels with their frames' times into this .mcap file", None)
     points: bool = option("with --labels-out: also write the points of people, with label and confidence", False)
-    run: Path | None = option(RUN_HELP, None)
+    run: Path | None = option(RUN_HELP, None, heading="Network")
     backend: BackendName | None = option(BACKEND_HELP, None)
     precision: Precision | None = option(QUICK_PRECISION_HELP, None)
     flip_average: bool = option(FLIP_HELP, False)
-    topic: str | None = option("topic of a bag or array of an NPZ file (default: the only one of frames)", None)
+    topic: str | None = option(
+        "topic of a bag or array of an NPZ file (default: the only one of frames)", None, heading="Frames and camera"
+    )
     units: str | None = option(UNITS_HELP, None)
     rig: str | None = option(f"frames are from this camera: {', '.join(rig_names())} or a rig file (.toml)", None)
     focal: float | None = option("focal length of the camera, pixels (default: told by the frames' size)", None)
@@ -75,6 +77,7 @@ class Options:
         "measured, as one body; frame: label whole frames as they stand (default: people, or frame for a network of "
         "other classes than body parts)",
         None,
+        heading="People",
     )
     video: bool = option("frames are a video: labels are steadied by those of the frames before", False)
     finder: Path | None = option(
@@ -85,10 +88,12 @@ class Options:
     near: float | None = option("the near limit, metres (default: 0.4)", None)
     far: float | None = option("the far limit, metres (default: 6)", None)
     confidence: float = option("give no label to pixels of less confidence, 0 to 1", 0.0)
-    no_overlay: bool = option("write labels and summary alone: no overlay, preview.gif and legend.png", False)
+    no_overlay: bool = option(
+        "write labels and summary alone: no overlay, preview.gif and legend.png", False, heading="Output"
+    )
     skip_unreadable: int = option("skip up to this many frames that cannot be read, and list them", 0)
     fps: float = option("frames per second of preview.gif, and of --labels-out where frames have no times", 10.0)
-    ahead: bool = option("find the people of the next frame while this one is labelled", False)
+    ahead: bool = option("find the people of the next frame while this one is labelled", False, heading="Machine")
     threads: int | None = option("threads that compute the network on the processor (default: all)", None)
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
 

@@ -74,16 +74,17 @@ class Options:
     out: Path = option("folder of the run: log, checkpoints, network")
     variant: VariantName = option("which artifacts the images have", "all")
     network: NetworkName = option("which network", "compact")
-    weights: tuple[float, ...] = option("weights of the sets (default: their numbers of samples)", ())
+    weights: tuple[float, ...] = option("weights of the sets (default: their numbers of samples)", (), heading="Images")
     samples: int | None = option("samples in an epoch of several sets (default: all of theirs together)", None)
     labels: str | None = option(
-        f"classes to predict (default: the set's): {', '.join(label_map_names())} or a label map (.toml)", None
+        f"classes to predict (default: the set's): {', '.join(label_map_names())} or a label map (.toml)",
+        None,
     )
     no_mirror: bool = option("never mirror images, as for classes without a mirror image", False)
     occluder: OccluderName = option(OCCLUDER_HELP, "stored")
     only: tuple[str, ...] = option("patterns, of which a sample's key must match one, like '*-d255-*'", ())
     where: tuple[str, ...] = option(WHERE_HELP, ())
-    noise_mm: float | None = option("largest sigma of the noise, mm (default: 100)", None)
+    noise_mm: float | None = option("largest sigma of the noise, mm (default: 100)", None, heading="Artifacts")
     missing: tuple[float, ...] | None = option("shares of pixels that images lose (default: 0 0.05 0.5)", None)
     losses: float | None = option("largest share of pixels lost in patches or stripes", None)
     sensor: tuple[str, ...] = option(
@@ -91,7 +92,7 @@ class Options:
         (PAPER_SENSOR,),
     )
     artifacts: str = option("strengths of any artifacts that differ from the sensor's, as JSON", "{}")
-    recipe: RecipeName | None = option("the recipe (default: the network's own)", None)
+    recipe: RecipeName | None = option("the recipe (default: the network's own)", None, heading="Recipe")
     steps: int | None = option("how often weights change (default: the network's recipe); may differ on --resume", None)
     batch_size: int | None = option("images that go through the network together (default: the recipe's)", None)
     accumulate: int | None = option("such batches a step (default: the recipe's)", None)
@@ -103,21 +104,24 @@ class Options:
     ema: float | None = option("decay of averaged weights, like 0.999, which are validated and saved", None)
     shuffle: Literal["global", "blocks"] = option("order of samples; blocks read a far store in few pieces", "global")
     val_share: float | None = option(
-        "share of the train split to hold out, by subject and motion, to validate on", None
+        "share of the train split to hold out, by subject and motion, to validate on", None, heading="Validation"
     )
     val_every: int | None = option("steps between validations (default: 500)", None)
     val_images: int | None = option("images to validate on, drawn from those held out (default: all)", None)
     keep: CheckpointName | None = option("weights of the run's network (default: the best, if validated)", None)
-    seed: int = option("of weights, order, artifacts and all other draws", 0)
+    seed: int = option("of weights, order, artifacts and all other draws", 0, heading="Run")
     resume: bool = option("carry on from the folder's last checkpoint", False)
     pretrained: Path | None = option(
         "weights to start from: compact, large, a run's folder, a .safetensors file; for fcn_alexnet also AlexNet's",
         None,
+        heading="Network",
     )
     settings: str = option("settings of the network that differ from its defaults, as JSON", "{}")
     only_template: bool = option("train the head of places alone: labels stay the same bits; with --pretrained", False)
     precision: Literal["recipe", "float32", "bfloat16"] = option(
-        "what layers compute in; recipe: float32 on a processor without instructions for bfloat16", "recipe"
+        "what layers compute in; recipe: float32 on a processor without instructions for bfloat16",
+        "recipe",
+        heading="Machine",
     )
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
     threads: int | None = option("threads that compute on the processor (default: all)", None)

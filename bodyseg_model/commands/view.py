@@ -36,26 +36,28 @@ class Options:
     port: int = option("serve on this port, or the next free one", 8080)
     save: Path | None = option("folder for saved pictures (default: the browser downloads them)", None)
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
-    split: ReadSplit | None = option("sets: only this split (default: train and test)", None)
-    val_share: float = option("sets: share of train that is the split val, and not train", 0.0)
-    where: tuple[str, ...] = option(f"sets: {WHERE_HELP}", ())
-    only: tuple[str, ...] = option("sets: patterns of keys, of which a sample's must match one, like 'open-A-*'", ())
+    split: ReadSplit | None = option("only this split (default: train and test)", None, heading="Sets")
+    val_share: float = option("share of train that is the split val, and not train", 0.0)
+    where: tuple[str, ...] = option(WHERE_HELP, ())
+    only: tuple[str, ...] = option("patterns of keys, of which a sample's must match one, like 'open-A-*'", ())
     labels: str | None = option(
-        f"sets: classes to show: {', '.join(label_map_names())} or a label map (.toml) (default: the network's)", None
+        f"classes to show: {', '.join(label_map_names())} or a label map (.toml) (default: the network's)", None
     )
-    variant: VariantName = option("sets: the variant to begin with", "all")
-    sensor: str = option("sets: the artifacts: a sensor that ships with the package, or a TOML file", PAPER_SENSOR)
-    seed: int = option("sets: seed of the artifacts' random draws", 0)
-    topic: str | None = option("frames: topic of a bag or array of an NPZ file (default: the only one of frames)", None)
-    units: str | None = option(f"frames: {UNITS_HELP}", None)
-    rig: str | None = option(f"frames: their camera: {', '.join(rig_names())} or a rig file (.toml)", None)
-    focal: float | None = option("frames: focal length of the camera, pixels (default: told by their size)", None)
-    centre: tuple[float, ...] = option("frames: principal point of the camera, x y (default: the image's middle)", ())
-    mirrored: bool = option("frames: they show left for right, as some drivers give them", False)
-    turned: Turned | None = option(f"frames: {TURNED_HELP} (default: the rig's roll)", None)
-    background: BackgroundMode | None = option("frames: as for `segment`", None)
-    keep_things: bool = option("frames: as for `segment`", False)
-    confidence: float = option("frames: give no label to pixels of less confidence, 0 to 1", 0.0)
+    variant: VariantName = option("the variant to begin with", "all")
+    sensor: str = option("the artifacts: a sensor that ships with the package, or a TOML file", PAPER_SENSOR)
+    seed: int = option("seed of the artifacts' random draws", 0)
+    topic: str | None = option(
+        "topic of a bag or array of an NPZ file (default: the only one of frames)", None, heading="Frames"
+    )
+    units: str | None = option(UNITS_HELP, None)
+    rig: str | None = option(f"their camera: {', '.join(rig_names())} or a rig file (.toml)", None)
+    focal: float | None = option("focal length of the camera, pixels (default: told by their size)", None)
+    centre: tuple[float, ...] = option("principal point of the camera, x y (default: the image's middle)", ())
+    mirrored: bool = option("frames show left for right, as some drivers give them", False)
+    turned: Turned | None = option(f"{TURNED_HELP} (default: the rig's roll)", None)
+    background: BackgroundMode | None = option("as for `segment`", None)
+    keep_things: bool = option("as for `segment`", False)
+    confidence: float = option("give no label to pixels of less confidence, 0 to 1", 0.0)
 
 
 def run(options: Options) -> int:

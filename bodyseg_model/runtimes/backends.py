@@ -16,7 +16,6 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from bodyseg_data.core import BadConfig, check_choice, reported
 from bodyseg_data.machine import computes_bfloat16
-from bodyseg_model import networks
 from bodyseg_model.networks import (
     CheckpointName,
     FlipAverage,
@@ -29,6 +28,7 @@ from bodyseg_model.networks import (
     find_device,
     trained_network,
 )
+from bodyseg_model.networks import load_network as load_weights
 from bodyseg_model.runtimes.libraries import MOST_BYTES, RUNTIMES, Precision, Runtime
 from bodyseg_model.runtimes.onnx_files import SUFFIX, OnnxModel, read_onnx, scores_part, to_onnx
 
@@ -174,7 +174,7 @@ def load_network(
     SHA-256 is valid.
     """
     if path is None or Path(path).suffix != SUFFIX or Path(path).is_dir():
-        return networks.load_network(path, checkpoint, dense=dense)
+        return load_weights(path, checkpoint, dense=dense)
     if checkpoint is not None:
         raise BadConfig(f"checkpoint {checkpoint!r} is one of a run's folder, found {path}")
     model = read_onnx(Path(path))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -67,3 +68,16 @@ def test_a_range_may_begin_with_a_negative_number(line: str, pitch: tuple[str, .
 def test_a_range_without_its_flag_is_no_flag_either() -> None:
     with pytest.raises(BadConfig):
         parse(Ranges, ["-30..10"], "program", "", "")
+
+
+def test_help_stands_under_headings(capsys: pytest.CaptureFixture[str]) -> None:
+    @dataclass(frozen=True)
+    class Divided:
+        out: str = option("a file")
+        near: float = option("a limit", 1.0, heading="Limits")
+        far: float = option("another", 2.0)
+        quiet: bool = option("a switch", False, heading="A report")
+
+    assert parse(Divided, ["--help"], "program", "", "") is None
+    words = re.findall(r"Parameters|Limits|A report|--\w+", capsys.readouterr().out.partition("\n")[2])
+    assert words == ["Parameters", "--out", "Limits", "--near", "--far", "A report", "--quiet"]

@@ -11,6 +11,9 @@ from types import ModuleType
 
 import pytest
 
+import bodyseg_data
+import bodyseg_model
+from bodyseg_data.core import BodysegError
 from bodyseg_data.core.doors import lazy_door
 
 DOOR = """
@@ -63,3 +66,10 @@ def test_other_names_are_refused(house: ModuleType) -> None:
 def test_a_package_without_such_imports_is_refused() -> None:
     with pytest.raises(ImportError, match="house needs its bytecode: the imports under TYPE_CHECKING"):
         exec("lazy_door('house')", {"lazy_door": lazy_door})
+
+
+def test_errors_that_commands_and_functions_raise_are_public() -> None:
+    public = {name: getattr(package, name) for package in (bodyseg_data, bodyseg_model) for name in package.__all__}
+    kinds = [kind for kind in BodysegError.__subclasses__() if "bodyseg" in kind.__module__]
+    assert len(kinds) > 8 and not [kind for kind in kinds if public.get(kind.__name__) is not kind]
+    assert issubclass(public["MissingLibrary"], ImportError), "as who guards an import expects"
