@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import textwrap
 from collections.abc import Mapping
 from dataclasses import FrozenInstanceError, dataclass, fields, replace
 from functools import partial
@@ -120,13 +119,13 @@ def test_a_new_artifact_is_found_by_name_everywhere(figures_set: Path, dots: Sen
 
 
 def test_the_artifact_of_the_documentation_works(figures_set: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    text = (Path(__file__).parents[2] / "docs" / "explanation" / "noise.md").read_text()
-    block = text[text.index("    @dataclass(frozen=True)") : text.index("\nWith `sensor=")]
+    text = (Path(__file__).parents[2] / "docs" / "how-to" / "add_your_own.md").read_text()
+    block = text[text.index("@dataclass(frozen=True)") : text.index("\nsensor = SensorModel(")]
     names: dict[str, Any] = dict(globals())
-    exec(textwrap.dedent(block), names)
-    monkeypatch.setitem(ARTIFACTS, "dropouts", names["Dropouts"])
+    exec(block, names)
+    monkeypatch.setitem(ARTIFACTS, "dead_rows", names["DeadRows"])
     usual = RangeImages(figures_set, "md")
-    images = RangeImages(figures_set, "md", sensor=PAPER.with_artifacts(names["Dropouts"](0.3)))
+    images = RangeImages(figures_set, "md", sensor=PAPER.with_artifacts(names["DeadRows"](0.3)))
     lost = 0
     for index in range(4):
         image, before = images.image(index), usual.image(index)
