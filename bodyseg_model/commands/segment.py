@@ -63,6 +63,9 @@ class Options:
     backend: BackendName | None = option(BACKEND_HELP, None)
     precision: Precision | None = option(QUICK_PRECISION_HELP, None)
     flip_average: bool = option(FLIP_HELP, False)
+    labels: str | None = option(
+        "coarser classes to give, of which the network's are parts, such as limbs14 (default: the network's)", None
+    )
     topic: str | None = option(
         "topic of a bag or array of an NPZ file (default: the only one of frames)", None, heading="Frames and camera"
     )
@@ -126,6 +129,7 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
         device=options.device,
         turned=options.turned,
         dense=options.dense,
+        labels=options.labels,
     )
     animation = Preview(options.fps, labeller.label_map)  # checks the rate, which labels without times have, too
     preview = None if options.no_overlay else animation

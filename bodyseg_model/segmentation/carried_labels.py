@@ -23,6 +23,9 @@ Floats = NDArray[np.float32]
 SeenBody = tuple[NDArray[np.intp], Floats]
 """Pixels of a body in a frame and the confidence of each, both [N]."""
 
+Middle = NDArray[np.float64]
+"""The middle of a body's surface, [3], metres."""
+
 Rigid = NDArray[np.float64]
 """A rigid motion, [3, 4]: rotation and, last, translation, metres."""
 
@@ -30,6 +33,7 @@ MotionModel = Literal["still", "rigid", "parts"]
 SAME_BODY_M: Final = 0.5
 """Bodies of two frames are one if their middles are nearer, metres: 12 m/s at 25 frames a second."""
 
+_AWAY_FRAMES: Final = 30  # for which a body may be out of sight and keep its number
 _UNMOVED: Final = np.eye(3, 4, dtype=np.float32)
 _LEAST_PIXELS: Final = 1 << 12  # of a thread that carries evidence, so that starting it pays
 _NOWHERE: Final = -1.0  # a tolerance within which no range is: evidence starts anew
@@ -165,16 +169,22 @@ class CarriedLabels:
     frame's confidence is added. Starts anew at `restart`, for frames of another camera, and for a body that was not
     seen in the last frame. The result is the same on every run, for any number of torch's threads. Raises
     MissingLibrary without numba.
+
+    tracks: of each body of the last frame, the number that it keeps while the nearest body of the next frame is less
+    than `SAME_BODY_M` away, also when it was out of sight for a second, from 1 in the order of coming into view.
     """
 
     def __init__(self, carrying: Carrying | None = None) -> None:
         self.carrying = carrying or Carrying()
         self._loops = import_module(f"{__package__}.carried_loops")
-        self._last: _LastFrame | None = None
+        self.restart()
 
     def restart(self) -> None:
         """Forget all frames, as at the start of a recording."""
-        self._last = None
+        self._last: _LastFrame | None = None
+        self._frame = self._bodies = 0
+        self._tracked: dict[int, tuple[Middle, int]] = {}  # number -> middle, and the frame in which it was there
+        self.tracks: list[int] = []
 
     def __call__(self, range_m: Floats, labels: Labels, bodies: Sequence[SeenBody], camera: Camera) -> Labels:
         """Steady the labels of the next frame; returns the label image, uint8 [H, W], 255 off the bodies.
@@ -191,7 +201,10 @@ class CarriedLabels:
         new = Images(np.zeros(flat.size, np.float32), slots, np.full(flat.size, BACKGROUND, np.uint8))
         lenses = [self._lens(body, camera) for body in seen]
         cells, known = list(map(self._cells, seen, lenses)), []
-        for body, lens, own, number in zip(seen, lenses, cells, self._pairs(cells), strict=True):
+        middles = list(map(_middle, cells))
+        self._track(middles)
+        pairs = _nearest(middles, dict(enumerate(_middle(body) for body, *_ in last.bodies)) if last else {})
+        for body, lens, own, number in zip(seen, lenses, cells, pairs, strict=True):
             rigid, field, gain = _UNMOVED, np.zeros_like(own.points), 0.0
             old, rule = new, self._rule(_NOWHERE)
             if last is not None and number is not None:
@@ -231,16 +244,17 @@ class CarriedLabels:
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
         return Cells(grid, points, normals, beside, labels, noise_m)
 
-    def _pairs(self, cells: Sequence[Cells]) -> list[int | None]:
-        """For every body its number in the last frame: the nearest that is left; None for a new one."""
-        left = dict(enumerate(() if self._last is None else (_middle(body) for body, *_ in self._last.bodies)))
-        found: list[int | None] = []
-        for own in map(_middle, cells):
-            away = {number: float(np.linalg.norm(own - middle)) for number, middle in left.items()}
-            near = {number: metres for number, metres in away.items() if metres <= SAME_BODY_M}
-            found.append(min(near, key=near.__getitem__, default=None))
-            left = {number: middle for number, middle in left.items() if number != found[-1]}
-        return found
+    def _track(self, middles: Sequence[Middle]) -> None:
+        """Number the bodies of the next frame."""
+        self._frame += 1
+        known = {n: middle for n, (middle, frame) in self._tracked.items() if frame >= self._frame - _AWAY_FRAMES}
+        found = _nearest(middles, known)
+        new = range(self._bodies + 1, self._bodies + 1 + found.count(None))
+        self._bodies += len(new)
+        unused = iter(new)
+        self.tracks = [next(unused) if number is None else number for number in found]
+        kept = {number: self._tracked[number] for number in known}
+        self._tracked = kept | {n: (middle, self._frame) for n, middle in zip(self.tracks, middles, strict=True)}
 
     def _rule(self, tolerance_m: float, bends: bool = False) -> Rule:
         """The parameters as the loops take them."""
@@ -365,7 +379,18 @@ def _parts(points: Floats, labels: Labels) -> tuple[NDArray[np.float64], NDArray
     return sums / np.maximum(areas, 1e-6)[:, None], areas
 
 
-def _middle(cells: Cells) -> NDArray[np.float64]:
+def _nearest(middles: Sequence[Middle], known: dict[int, Middle]) -> list[int | None]:
+    """For every body the number of the nearest known one that is left; None for a new one."""
+    found: list[int | None] = []
+    for own in middles:
+        away = {number: float(np.linalg.norm(own - middle)) for number, middle in known.items()}
+        near = {number: metres for number, metres in away.items() if metres <= SAME_BODY_M}
+        found.append(min(near, key=near.__getitem__, default=None))
+        known = {number: middle for number, middle in known.items() if number != found[-1]}
+    return found
+
+
+def _middle(cells: Cells) -> Middle:
     """Mean point of a body, float64 [3], metres; NaN of one that is too small for a cell."""
     middle: NDArray[np.float64] = cells.points.sum(axis=0, dtype=np.float64) / (len(cells.points) or np.nan)
     return middle

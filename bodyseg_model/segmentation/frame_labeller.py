@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, Stopwatch, check_choice, check_class, reported
-from bodyseg_data.labels import PART_CLASSES
+from bodyseg_data.labels import PART_CLASSES, LabelMap, load_label_map
 from bodyseg_data.rigs import Camera
 from bodyseg_model.networks import CardWords, Trained, device_of, load_network
 from bodyseg_model.recordings import Frame, FrameCamera, FrameCameras, Pixels, Skipping, Stamp, find_frames, to_metres
@@ -108,10 +108,11 @@ class FrameLabeller:
     "cpu", "cuda", "cuda:1" ..., by default a GPU if there is one. turned: degrees by which the camera was mounted
     turned clockwise, as seen from behind it: 0; 90, heads point left in its frames; 180, down; 270, right; "auto", the
     turn at which the network is surest of a person in four frames with people; by default the roll of the frames'
-    camera. Frames are turned upright before they are labelled, and labels back. dense: as of `Segmenter`.
+    camera. Frames are turned upright before they are labelled, and labels back. dense: as of `Segmenter`. labels:
+    coarser classes to give, of which the network's are parts: a label map, or its name or file (`load_label_map`).
 
-    Raises BadConfig for a confidence outside 0 to 1 as soon as a camera is known, for another turn, or as `on_backend`
-    and `to_device`; MissingLibrary.
+    Raises BadConfig for classes that the network's cannot be joined to, a confidence outside 0 to 1 as soon as a camera
+    is known, for another turn, or as `on_backend` and `to_device`; MissingLibrary.
     """
 
     def __init__(
@@ -130,13 +131,17 @@ class FrameLabeller:
         device: str | None = None,
         turned: int | Turned | None = None,
         dense: bool = False,
+        labels: str | Path | LabelMap | None = None,
     ) -> None:
         if turned is not None:
             check_choice("turned", str(turned), get_args(Turned))
         self.trained = put_on_backend(trained or load_network(dense=dense), backend, precision, flip_average)
         to_device(self.trained.network, device)
-        self.label_map, self.rig = self.trained.label_map, self.trained.rig
-        of_parts = self.label_map.of == PART_CLASSES
+        own, self.rig = self.trained.label_map, self.trained.rig
+        self.label_map = own if labels is None else load_label_map(labels, own.of)
+        if labels is not None:
+            own.joined_to(self.label_map)  # now, so that classes that cannot be given are refused
+        of_parts = own.of == PART_CLASSES
         self.background = background or Background("people" if of_parts else "frame")
         check_class("background", self.background, Background)
         self.mirrored, self.least_confidence = mirrored, least_confidence
@@ -223,12 +228,13 @@ class FrameLabeller:
             self.video.restart()
 
     def stream(
-        self, frames: Iterable[NDArray[np.float32]], camera: Camera, ahead: bool = False
+        self, frames: Iterable[NDArray[np.float32] | Frame], camera: Camera, ahead: bool = False
     ) -> Generator[LabelledFrame, None, None]:
         """Label frames as they come, such as those of a live sensor; yields the answer to each before it asks for the
         next.
 
-        frames: float32 [H, W], metres, 0 = nothing measured; they may never end. camera: that takes them, with or
+        frames: float32 [H, W], metres, 0 = nothing measured, or those of a `LiveRecording`, with their times, as
+        `answer.frame.time_s`; they may never end. camera: that takes them, with or
         without lens distortion. Before the first frame is asked for, compiled loops are loaded and usual views are
         labelled. ahead: a thread asks for the next frame and finds its people while this one is labelled; the same
         answers in the same order, more of them a second where a processor is free. Each frame then is an array of its
@@ -241,10 +247,13 @@ class FrameLabeller:
             for label in coming:
                 yield label()
 
-    def _find_in_array(self, number: int, range_m: NDArray[np.float32], camera: Any, where: str = "") -> Labelling:
-        watch = Stopwatch((_READ,))
+    def _find_in_array(
+        self, number: int, given: NDArray[np.float32] | Frame, camera: Any, where: str = ""
+    ) -> Labelling:
+        watch, frame = Stopwatch((_READ,)), given if isinstance(given, Frame) else None
         with reported(where, BadConfig):
             with watch(_READ):
+                range_m = given if not isinstance(given, Frame) else to_metres(given.read(), given.step_m)
                 lens, segmenter = self.of(camera)
                 ideal = range_m if lens is None else lens(metres_of(range_m, camera))
             if self.tells_turn and self._turns.open:
@@ -252,7 +261,8 @@ class FrameLabeller:
                 _, segmenter = self.of(camera)
             self._turns.frames += 1
             found = segmenter.find(ideal)
-        return partial(_label_found, where, segmenter, found, watch.milliseconds[_READ], number=number)
+        read_ms = watch.milliseconds[_READ]
+        return partial(_label_found, where, segmenter, self.label_map, found, read_ms, number=number, frame=frame)
 
     def recording(
         self,
@@ -403,6 +413,7 @@ class LabelledRecording:
             _label_found,
             frame.where,
             segmenter,
+            self.labeller.label_map,
             found,
             watch.milliseconds[_READ],
             number=number,
@@ -428,11 +439,13 @@ class LabelledRecording:
 
 
 def _label_found(
-    where: str, segmenter: Segmenter, found: FoundBodies, read_ms: float, **of_frame: Any
+    where: str, segmenter: Segmenter, label_map: LabelMap, found: FoundBodies, read_ms: float, **of_frame: Any
 ) -> LabelledFrame:
     """Label the bodies of a frame. of_frame: other fields of the answer. Raises BadConfig, naming it."""
     with reported(where, BadConfig):
         answer = segmenter.label(found)
+    if segmenter.label_map is not label_map:
+        answer = answer.joined(label_map)
     times = {_READ: read_ms, **answer.milliseconds}
     fields = {**vars(answer), **of_frame, "milliseconds": times}
     return LabelledFrame(**fields)

@@ -26,6 +26,7 @@ PART: Final = np.dtype(
         ("person", "u2"),
         ("part", "u1"),
         ("pixels", "u4"),
+        ("area_m2", "f4"),
         ("rows", "i4", 2),
         ("columns", "i4", 2),
         ("centroid_m", "f4", 3),
@@ -35,9 +36,10 @@ PART: Final = np.dtype(
     ],
     align=True,
 )
-"""A part of a person. person: from 1. part: its label. pixels: how many show it. rows, columns: of its box, the first
-and one beyond the last, as slices take them. centroid_m: mean of its points. nearest_m: the one nearest to the camera,
-or to the point that was given, and distance_m: how far. confidence: mean of its pixels, 0 to 1.
+"""A part of a person. person: from 1. part: its label. pixels: how many show it. area_m2: the area that they cover, as
+seen from the camera, square metres: less than the skin's where it is slanted. rows, columns: of its box, the first and
+one beyond the last, as slices take them. centroid_m: mean of its points. nearest_m: the one nearest to the camera, or
+to the point that was given, and distance_m: how far. confidence: mean of its pixels, 0 to 1.
 """
 
 NUMBERS: Final = 1 << 8
@@ -52,7 +54,8 @@ class SurfacePixels:
 
     pixels: int64 [N], row * W + column. person: uint16 [N], from 1. label: uint8 [N]. keys: uint32 [N], 256 x person +
     label. row, column: int32 [N]. confidence: float32 [N]. x, y, z: float32 [N], metres, in the camera's frame. across,
-    down: float32 [W] and [H], x and y at z = 1. begin: int64 [R], the first pixel of each run.
+    down: float32 [W] and [H], x and y at z = 1. pixel_m2: what a pixel covers at z = 1, square metres. begin: int64
+    [R], the first pixel of each run.
     """
 
     def __init__(self, answer: Any) -> None:
@@ -75,6 +78,7 @@ class SurfacePixels:
         self.row = narrow // np.int32(columns)
         self.column = narrow - self.row * np.int32(columns)
         self.across, self.down = (slopes.astype(np.float32) for slopes in answer.camera.slopes)
+        self.pixel_m2 = answer.camera.focal_px**-2.0
         if answer.mirrored:
             self.across = -self.across
         self.x, self.y = z * self.across.take(self.column), z * self.down.take(self.row)
@@ -112,6 +116,7 @@ class SurfacePixels:
         parts["person"], parts["part"] = np.divmod(found, NUMBERS)
         parts["pixels"] = count = np.bincount(of, end - begin)
         parts["confidence"] = sums(self.confidence) / count
+        parts["area_m2"] = sums(np.square(self.z)) * self.pixel_m2
         last = order[first + runs - 1]
         parts["rows"] = np.stack([self.row[begin[order[first]]], self.row[begin[last]] + 1], axis=1)
         left, right = self.column[begin[order]], self.column[end[order] - 1] + 1

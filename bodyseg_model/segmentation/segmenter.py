@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from types import NoneType
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 import torch
@@ -48,7 +48,8 @@ class LabelledBody:
 
     median_range_m, turn_rad, scale: its median range, and rotation and scale of its view for the network (`BodyView`).
     person: mean probability over its pixels that they show a person, 0 to 1, by the finder; None if none was asked.
-    places: of a dense segmenter alone, the point of the template that each pixel shows, uint16 [N].
+    places: of a dense segmenter alone, the point of the template that each pixel shows, uint16 [N]. track: of frames of
+    a video alone, the number that the body keeps from frame to frame (`CarriedLabels`).
     """
 
     pixels: NDArray[np.intp] = field(repr=False)
@@ -58,6 +59,7 @@ class LabelledBody:
     confidence: NDArray[np.float32] = field(repr=False)
     person: float | None = None
     places: NDArray[np.uint16] | None = field(default=None, repr=False)
+    track: int | None = None
 
     @property
     def mean_confidence(self) -> float:
@@ -121,6 +123,14 @@ class Segmentation:
         for body, values in zip(self.bodies, of_bodies, strict=True):
             image.ravel()[body.pixels] = values
         return image
+
+    def joined(self, coarser: LabelMap) -> Self:
+        """The same frame with labels of coarser classes, of which the network's are parts; confidences stay those of
+        the finer labels. Raises BadConfig as `LabelMap.joined_to`, or where the network's classes are not known.
+        """
+        if self.label_map is None:
+            raise BadConfig(f"labels {coarser.name!r} are joined from known classes: the segmenter has no label_map")
+        return replace(self, labels=self.label_map.joined_to(coarser)[self.labels], label_map=coarser)
 
     def points(self) -> Records:
         """Points of people, `POINT` [N]: x, y, z (metres: right, down, ahead), label (255 none), person, confidence."""
@@ -304,7 +314,7 @@ class Segmenter:
             for ((pixels, person), view), answer in zip(found.bodies, answers, strict=True):
                 own_labels, confidence, *places = map(view.back, answer)
                 seen_as = view.median_range_m, view.turn_rad, view.scale
-                body = LabelledBody(pixels, *seen_as, confidence, person, *places)
+                body = LabelledBody(pixels, *seen_as, confidence, person, places=places[0] if places else None)
                 if person is not None and person * body.mean_confidence < self.doubted_below:
                     things.append(body)
                     continue
@@ -314,6 +324,7 @@ class Segmenter:
             with watch("video"):
                 seen = [(body.pixels, body.confidence) for body in bodies]
                 labels = self.video(range_m, labels, seen, self._upright)
+                bodies = [replace(body, track=n) for body, n in zip(bodies, self.video.tracks, strict=True)]
                 if all(self._asked):  # the network's points are of the parts that it sees, not of those shown
                     nearest, shown = load_template().nearest_of_parts, labels.ravel()
                     bodies = [replace(body, places=nearest[shown[body.pixels], body.places]) for body in bodies]

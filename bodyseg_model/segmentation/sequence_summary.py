@@ -149,6 +149,7 @@ def _body(body: LabelledBody, columns: int) -> dict[str, Any]:
         "scale": round(body.scale, 4),
         "mean_confidence": _rounded(body.mean_confidence),
         **({} if body.person is None else {"person": _rounded(body.person)}),
+        **({} if body.track is None else {"track": body.track}),
     }
 
 

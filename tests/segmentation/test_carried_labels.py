@@ -171,6 +171,28 @@ def test_two_bodies_keep_to_themselves_and_nobody_is_no_error() -> None:
     assert (anew[range_m > 0] == 30).all(), "nobody was seen in the frame between"
 
 
+def test_a_body_keeps_its_number_also_out_of_sight_for_a_second() -> None:
+    carried = CarriedLabels()
+
+    def tracks(*places_m: float) -> list[int]:
+        frames = [pillar(x_m=x_m)[0] for x_m in places_m]
+        bodies = [(np.flatnonzero(each), np.ones(np.count_nonzero(each), np.float32)) for each in frames]
+        range_m = sum(frames, np.zeros_like(pillar()[0]))
+        carried(range_m, np.where(range_m > 0, np.uint8(3), np.uint8(BACKGROUND)), bodies, LENS)
+        return carried.tracks
+
+    assert tracks(-0.4, 0.4) == [1, 2]
+    assert tracks(0.35, -0.35) == [2, 1], "the largest body comes first, whoever it is"
+    for _ in range(carried_labels._AWAY_FRAMES - 1):
+        assert tracks(-0.35) == [1]
+    assert tracks(-0.35, 0.35) == [1, 2]
+    for _ in range(carried_labels._AWAY_FRAMES):
+        assert tracks() == []
+    assert tracks(-0.35, 0.35) == [3, 4], "after longer they are others"
+    carried.restart()
+    assert tracks(0.35) == [1] and len(carried._tracked) == 1
+
+
 def counted(frames: list[tuple[Labels, NDArray[np.float32]]], rule: Carrying) -> list[Labels]:
     """Labels shown, [H, W], of a board that stays in place, by the rule in docs/how-to/steady.md, in whole numbers."""
     keeps = round(1024 * rule.keep), round(1024 * rule.stiff_border_share * rule.keep)

@@ -17,7 +17,7 @@ from pngs import png
 from small_rig import SMALL
 
 from bodyseg_data.core import BadConfig
-from bodyseg_data.labels import BACKGROUND, PARTS33
+from bodyseg_data.labels import BACKGROUND, PARTS33, load_label_map
 from bodyseg_data.rigs import Camera, Distortion, load_rig
 from bodyseg_model.networks import Trained
 from bodyseg_model.recordings import Frame, LiveRecording, find_frames
@@ -59,6 +59,34 @@ def test_an_array_gets_the_labels_of_a_segmenter() -> None:
     assert len(found.bodies) == 1 and found.things == () and found.camera == CAMERA
     assert tuple(found.milliseconds) == ("read", *STAGES)
     assert found.frame is None and found.stored is None
+
+
+def test_a_stream_of_frames_tells_their_times() -> None:
+    arrays = [(0.5, np.rint(1000 * standing(30)).astype(np.uint16)), (0.6, standing(34))]
+    found = list(labeller(video=True).stream(LiveRecording(arrays), CAMERA))
+    assert [answer.frame and answer.frame.time_s for answer in found] == [0.5, 0.6]
+    for answer, (plain, column) in zip(found, ((standing(30), 30), (standing(34), 34)), strict=True):
+        np.testing.assert_array_equal(answer.range_m, plain)
+        assert (answer.labels[20:40, column : column + 12] != BACKGROUND).all()
+    assert [body.track for answer in found for body in answer.bodies] == [1, 1]
+    assert [body.track for answer in labeller().stream([standing(30)], CAMERA) for body in answer.bodies] == [None]
+
+
+def test_labels_may_be_joined_to_coarser_classes() -> None:
+    trained = Trained(Places(0, 5), {"rig": SMALL.to_json()})
+    own = FrameLabeller(trained)(standing(30), CAMERA)
+    limbs = FrameLabeller(trained, labels="limbs14")(standing(30), CAMERA)
+    assert limbs.label_map == load_label_map("limbs14")
+    np.testing.assert_array_equal(limbs.labels, load_label_map("limbs14").table[own.labels])
+    np.testing.assert_array_equal(limbs.confidence, own.confidence)
+    assert len(set(limbs.parts()["part"])) < len(set(own.parts()["part"]))
+    assert own.joints().shape == (1, 15)
+    with pytest.raises(BadConfig, match="^joints are found from the 33 parts alone, found labels 'limbs14'$"):
+        limbs.joints()
+    with pytest.raises(BadConfig, match="^labels 'parts33' and 'joints24' are of other classes"):
+        FrameLabeller(trained, labels="joints24")
+    with pytest.raises(BadConfig, match="^labels 'limbs14' are joined from known classes"):
+        replace(own, label_map=None).joined(load_label_map("limbs14"))
 
 
 def test_a_segmenter_goes_by_its_networks_card() -> None:

@@ -74,7 +74,10 @@ def slow_parts(answer: Segmentation, near: tuple[float, ...]) -> list[tuple[Any,
             away = np.linalg.norm(points - near, axis=1)
             box = [[places[:, axis].min(), places[:, axis].max() + 1] for axis in (0, 1)]
             sure = answer.confidence[seen].mean()
-            rows.append((person, part, len(places), *box, points.mean(0), points[away.argmin()], away.min(), sure))
+            area = (points[:, 2] ** 2).sum() / CAMERA.focal_px**2
+            rows.append(
+                (person, part, len(places), area, *box, points.mean(0), points[away.argmin()], away.min(), sure)
+            )
     return rows
 
 

@@ -97,6 +97,16 @@ def test_an_install_without_numba_names_the_extra(
     assert said.startswith("labelling frames needs the package 'numba': pip install 'bodyseg[segment]'")
 
 
+def test_coarser_classes_may_be_asked_for(recording: Path, tmp_path: Path) -> None:
+    for out, words in (("fine", ()), ("coarse", ("--labels", "limbs14", "--video"))):
+        assert run(recording, "--focal", "100", "--out", tmp_path / out, *words) == 0
+    fine, coarse = (np.asarray(Image.open(tmp_path / out / "labels" / "9.png")) for out in ("fine", "coarse"))
+    np.testing.assert_array_equal(coarse, load_label_map("limbs14").table[fine])
+    assert report(tmp_path / "coarse")["labels"]["name"] == "limbs14"
+    tracks = [body["track"] for frame in report(tmp_path / "coarse")["each"] for body in frame["bodies"]]
+    assert tracks == [1] * 5 and "track" not in report(tmp_path / "fine")["each"][0]["bodies"][0]
+
+
 def test_a_recording_is_labelled(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "new" / "out"
     assert run(recording, "--focal", "100", "--out", out, "--fps", "5") == 0
