@@ -3,6 +3,7 @@
 Packages of users add theirs by the entry point `bodyseg.artifacts`: name -> class.
 """
 
+from collections.abc import Mapping
 from dataclasses import is_dataclass
 from functools import cache
 from importlib import metadata
@@ -56,7 +57,10 @@ def check_artifact_class(kind: Any, where: str) -> type[Artifact]:
         raise BadConfig(
             f"{where}: an artifact must have a name and one kind of {', '.join(get_args(Kind))}, found {kind.__name__}"
         )
-    return cast(type[Artifact], kind)
+    found = cast(type[Artifact], kind)
+    if not isinstance(found.purposes, tuple) or not isinstance(found.drawn, Mapping):
+        raise BadConfig(f"{where}: purposes must be a tuple, and drawn a dict, name -> caption, in {found.__name__}")
+    return found
 
 
 @cache

@@ -124,7 +124,7 @@ class Augmentation:
         _check_fit(sample, "the image of labels", labels, np.uint8)
         drawn: dict[str, float] = {}
         for artifact in self.applied:
-            drawn.update(artifact.draw(draws))
+            drawn.update(artifact.draw(replace(draws, purposes=artifact.purposes)))
         made = RangeImage(sample.key, image, labels, drawn)
         covered, clean = 0, sample
         # Artifacts see the clean sample, also where its arrays are to be written.
@@ -140,7 +140,7 @@ class Augmentation:
         if covered < len(self.applied):
             scene = Scene(clean, self.rig, self.classes)
             for artifact in self.applied[covered:]:
-                artifact.apply(made, scene, draws)
+                artifact.apply(made, scene, replace(draws, purposes=artifact.purposes))
             _unlabel_lost(made)
         return made
 

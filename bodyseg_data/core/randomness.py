@@ -33,13 +33,20 @@ def check_epoch(epoch: int) -> int:
 
 @dataclass(frozen=True)
 class Draws:
-    """The random numbers of one sample in one epoch: each purpose has its own, whatever else is drawn."""
+    """The random numbers of one sample in one epoch: each purpose has its own, whatever else is drawn.
+
+    purposes: the only ones that may be drawn for, None for any. Raises BadConfig for another.
+    """
 
     seed: int
     epoch: int
     key: str
+    purposes: tuple[str, ...] | None = None
 
     def _digest(self, purpose: str) -> bytes:
+        if self.purposes is not None and purpose not in self.purposes:
+            listed = ", ".join(map(repr, self.purposes)) or "none"
+            raise BadConfig(f"random numbers are drawn for the purposes that an artifact lists, {listed}: {purpose!r}")
         identity = "\0".join((str(self.seed), str(self.epoch), self.key, purpose))
         return hashlib.blake2b(identity.encode(), digest_size=16, person=b"bodyseg").digest()
 

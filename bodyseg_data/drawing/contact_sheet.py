@@ -61,8 +61,14 @@ class Row:
     variants: dict[VariantName, RangeImage]
 
 
-def colour_range(image: NDArray[np.uint16 | np.float32], near: float, far: float) -> NDArray[np.uint8]:
-    """Colour a range image [H, W], in steps or metres, as sRGB uint8 [H, W, 3], light at `near` and dark at `far`."""
+def colour_range(
+    image: NDArray[np.uint16 | np.float32], near: float | None = None, far: float | None = None
+) -> NDArray[np.uint8]:
+    """Colour a range image [H, W], in steps or metres, as sRGB uint8 [H, W, 3], light at `near` and dark at `far`, by
+    default the image's own ends.
+    """
+    ends = span_of(image)
+    near, far = ends[0] if near is None else near, ends[1] if far is None else far
     colours = colour_shares((image.astype(np.float64) - near) / ((far - near) or 1), _RAMP)
     colours[image == 0] = EMPTY
     return colours

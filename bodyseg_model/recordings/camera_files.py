@@ -106,7 +106,10 @@ def _shared(where: Path) -> tuple[Intrinsics | None, dict[str, Intrinsics]]:
     unknown = sorted(tree.keys() - {"default", "frames"})
     frames = tree.get("frames", {})
     if unknown or not isinstance(frames, dict) or not tree:
-        raise BadConfig(f"{where} must hold 'frames', cameras by the frames' names, and 'default', or one of them")
+        raise BadConfig(
+            f"{where} must hold 'frames', cameras by the frames' names, and 'default', or one of them: with a "
+            "focal length (--focal) or a rig it is not read"
+        )
     default = _intrinsics(tree["default"], f"{where}, default") if "default" in tree else None
     return default, {name: _intrinsics(camera, f"{where}, {name}") for name, camera in frames.items()}
 

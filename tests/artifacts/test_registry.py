@@ -59,6 +59,21 @@ class Dots(Artifact):
         image.range.reshape(-1)[scene.pixels[lost]] = 0
 
 
+@dataclass(frozen=True)
+class Strays(Artifact):
+    name = "strays"
+    kind = "noise"
+    purposes = ("strays",)
+
+    def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
+        image.range[...] += draws.pixels("missing data", image.range.size, np.uint16).reshape(image.range.shape) // 99
+
+
+@dataclass(frozen=True)
+class Named(Strays):
+    drawn: ClassVar[Any] = ("share",)
+
+
 @pytest.fixture
 def dots(monkeypatch: pytest.MonkeyPatch) -> SensorModel:
     """The paper's artifacts and one more, which the registry now has."""
@@ -101,6 +116,14 @@ def test_a_new_artifact_streams_in_every_variant_of_its_kind_and_changes_no_othe
         for key, pair in streamed(variant, dots).items():
             for ours, theirs in zip(pair, plain[key], strict=True):
                 np.testing.assert_array_equal(ours, theirs)
+
+
+def test_an_artifact_draws_for_its_own_purposes_alone(figures_set: Path) -> None:
+    sensor = PAPER.with_artifacts(Strays())
+    with pytest.raises(BadConfig, match=r"^random numbers .* that an artifact lists, 'strays': 'missing data'$"):
+        RangeImages(figures_set, "noise", sensor=sensor).image(0)
+    with pytest.raises(BadConfig, match="drawn a dict, name -> caption, in Named"):
+        PAPER.with_artifacts(Named())
 
 
 def test_a_new_artifact_is_found_by_name_everywhere(figures_set: Path, dots: SensorModel) -> None:

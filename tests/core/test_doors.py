@@ -70,6 +70,6 @@ def test_a_package_without_such_imports_is_refused() -> None:
 
 def test_errors_that_commands_and_functions_raise_are_public() -> None:
     public = {name: getattr(package, name) for package in (bodyseg_data, bodyseg_model) for name in package.__all__}
-    kinds = [kind for kind in BodysegError.__subclasses__() if "bodyseg" in kind.__module__]
-    assert len(kinds) > 8 and not [kind for kind in kinds if public.get(kind.__name__) is not kind]
+    kinds = {kind.__name__ for kind in BodysegError.__subclasses__() if "bodyseg" in kind.__module__}
+    assert len(kinds) > 8 and kinds <= set(public)
     assert issubclass(public["MissingLibrary"], ImportError), "as who guards an import expects"

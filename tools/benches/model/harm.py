@@ -16,8 +16,16 @@ from benches.model.ablation.conditions import AblationCondition
 from benches.model.ablation.costs import loading_ms
 from benches.model.chosen import chosen_network
 from benches.model.variants.verdicts import DECIDE_POINTS, paired
-from bodyseg_data.artifacts import Artifact, MissingData, MixedPixels, Noise, SensorModel, load_sensor_model
-from bodyseg_data.artifacts.lost_pixels import PatchLoss, StripeLoss
+from bodyseg_data.artifacts import (
+    Artifact,
+    MissingData,
+    MixedPixels,
+    Noise,
+    PatchLoss,
+    SensorModel,
+    StripeLoss,
+    load_sensor_model,
+)
 from bodyseg_data.core import ProgressCallback, check_int, silent
 from bodyseg_data.loading import RangeImages
 from bodyseg_model.evaluation import evaluate, over_seeds
