@@ -64,6 +64,13 @@ BEFORE: Final = {
     "recordings.md": (
         "import numpy as np\narrays = [np.full((4, 6), 1500, np.uint16)]\nnp.save('frames.npy', np.stack(arrays))\n"
     ),
+    "robot.md": (
+        "import pathlib, PIL.Image\nfrom bodyseg_data import RangeImages, example_set\n"
+        "pathlib.Path('recording').mkdir()\n"
+        "for i in range(2):\n"
+        "    millimetres = 1000 * RangeImages(example_set(), 'occ', 'test')[i]['range'][0].numpy()\n"
+        "    PIL.Image.fromarray(millimetres.astype('uint16')).save(f'recording/{i}.png')\n"
+    ),
     "columns.md": (
         "import pathlib, shutil\nlink = pathlib.Path('my-shards')\nwhole = link.resolve()\nlink.unlink()\n"
         "shutil.copytree(whole, link)\n"
@@ -79,6 +86,8 @@ BEFORE: Final = {
 AFTER: Final = {
     "engines.md": "one = RangeImages(urls[0], 'all', seed=0)[0]\n"
     "assert rows[0]['range'].dtype == 'float32' and (rows[0]['range'] == one['range'].numpy()).all()",
+    "robot.md": "found = pathlib.Path('parts.csv').read_text().splitlines()\n"
+    "assert len(found) > 30 and found[1].count(',') == 8 and ',1,Sellion,' in found[1]",
 }
 """Document -> code that is run after its blocks: what they say of their results."""
 
