@@ -9,30 +9,27 @@ from bodyseg_data.drawing import new_chart, save_chart
 
 Tree = dict[str, Any]
 
-_MARKS: Final = {"torch": "o", "onnxruntime": "s", "openvino": "^"}
 _COLOURS: Final = {"float32": "#1f4fa8", "bfloat16": "#c25a00", "int8": "#2a8a5a"}
 
 
 def draw_runtimes(figures: Tree, path: Path) -> None:
-    """Write a PNG of `bench_runtimes`'s results: accuracy over milliseconds of a frame that a body fills, all threads.
+    """Write a PNG of `bench_runtimes`'s results: milliseconds of a frame that a body fills, all threads, and accuracy.
 
     Raises MissingLibrary without matplotlib, BadConfig if the file cannot be written.
     """
     row = [row for row in figures["times"] if row["frame"] == "filled"][-1]
-    figure = new_chart(8, 4.6)
+    times = {name: row["networks"][name]["ms"] for name in figures["networks"]}
+    figure = new_chart(8, 0.9 + 0.4 * len(times))
     axis = figure.subplots()
-    points = sorted(
-        (row["networks"][name]["ms"], facts["average_per_class_accuracy"], name)
-        for name, facts in figures["networks"].items()
-    )
-    for number, (ms, accuracy, name) in enumerate(points):
-        backend, precision = name.split(" ")
-        axis.plot(ms, accuracy, _MARKS[backend], color=_COLOURS[precision], markersize=8)
-        away = -17 if number % 2 else 9  # names of neighbours stand above and below
-        axis.annotate(name, (ms, accuracy), xytext=(0, away), textcoords="offset points", fontsize=9, ha="center")
-    axis.margins(y=0.15)
-    axis.set_xlim(0, 1.15 * points[-1][0])
+    axis.barh(list(times), list(times.values()), color=[_COLOURS[name.split(" ")[1]] for name in times], height=0.6)
+    for name, facts in figures["networks"].items():
+        text = f"{times[name]:.1f} ms, {100 * facts['average_per_class_accuracy']:.2f} % right"
+        axis.annotate(text, (times[name], name), xytext=(5, 0), textcoords="offset points", fontsize=9, va="center")
+    axis.invert_yaxis()
+    axis.set_xlim(0, 1.35 * max(times.values()))
     axis.set_xlabel(f"ms from {figures['rows']} x {figures['columns']} ranges to labels, {row['threads']} threads")
-    axis.set_ylabel(f"average per-class accuracy, {figures['test_images']} images")
-    axis.grid(color="#e4e4e8")
+    axis.set_title(f"% right: average per class, {figures['test_images']} images", loc="left", fontsize=10)
+    axis.grid(axis="x", color="#e4e4e8")
+    axis.set_axisbelow(True)
+    axis.spines[["top", "right"]].set_visible(False)
     save_chart(figure, path, dpi=110)
