@@ -238,7 +238,7 @@ _NETWORKS: Final = Choice(
     "networks",
     "architectures",
     "Which network?",
-    "Trained the same way, tested on `all`; bars: standard deviation over seeds.",
+    "Trained the same way, tested with all artifacts; bars: standard deviation over seeds.",
     Axis("ms a frame", "time"),
     Axis("average per-class accuracy, %", "accuracy", more_is_better=True, factor=100),
     _networks,
@@ -248,7 +248,7 @@ _SMALLER_NETWORKS: Final = replace(
     _NETWORKS,
     name="smaller_networks",
     title="How small a network?",
-    note="Trained alike, tested on `all`; bars: standard deviation over seeds.",
+    note="Trained alike, tested with all artifacts; bars: standard deviation over seeds.",
     results="smaller",
 )
 
@@ -316,7 +316,7 @@ CHOICES: Final = (
         "loader",
         "loader",
         "Which loader?",
-        "All but ours read a set made before, with the same noise in every epoch; ours makes `all` from clean samples.",
+        "All but ours read a set made before, with the same noise in every epoch; ours adds artifacts to clean samples.",
         Axis("samples a second", "speed", more_is_better=True),
         Axis("kB a sample on disk", "size", factor=1e-3),
         _loader,

@@ -32,7 +32,7 @@ def draw_workers(figures: dict[str, Any], path: Path) -> None:
         rows = [row for row in figures["rows"] if row["variant"] == variant]
         for axis, (field, title) in zip(line, panels.items(), strict=True):
             _bars(axis, rows, field)
-            axis.set_title(f"{title}, `{variant}`", loc="left", fontsize=11)
+            axis.set_title(f"{title}: {variant}", loc="left", fontsize=11)
     handles, labels = axes[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(_METHODS), frameon=False)
     save_chart(figure, path, dpi=120)

@@ -43,7 +43,7 @@ def draw_network(figures: Tree, path: Path) -> None:
     handles = [_handle(position, name, figures["networks"][name]) for position, name in enumerate(names)]
     handles += _reference_lines()
     figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize=10, frameon=False)
-    head = f"{', '.join(names[1:])} takes   ({names[0]} does)"
+    head = f"times {names[0]}'s: {', '.join(names[1:])}   ({names[0]} itself)"
     axes[0].set_title(head, loc="right", fontsize=9, x=1.16)
     save_chart(figure, path, dpi=110)
 

@@ -39,13 +39,13 @@ markers for those who print in grey.
 """
 
 _PANELS: Final = {
-    "noise": ("sigma of the noise, mm", 1, 40, "Noise, other artifacts as in X_all (Fig. 7)"),
-    "missing": ("missing pixels, %", 100, 50, "Missing data, other artifacts as in X_all (Fig. 8)"),
+    "noise": ("sigma of the noise, mm", 1, 40, "Noise, other artifacts as in all (Fig. 7)"),
+    "missing": ("missing pixels, %", 100, 50, "Missing data, other artifacts as in all (Fig. 8)"),
     "grain": (
         "side of squares of equal noise, pixels",
         1,
         16,
-        "40 mm, equal over squares, no other artifact",
+        "Noise of 40 mm in squares, nothing else",
     ),
 }
 """Sweep -> axis, what strengths are multiplied by, the strength to mark, title."""
