@@ -316,7 +316,7 @@ CHOICES: Final = (
         "loader",
         "loader",
         "Which loader?",
-        "All but ours read a set made before, with the same noise in every epoch; ours adds artifacts to clean samples.",
+        "All but ours read a set made before, with the same noise each epoch; ours adds artifacts to clean samples.",
         Axis("samples a second", "speed", more_is_better=True),
         Axis("kB a sample on disk", "size", factor=1e-3),
         _loader,
