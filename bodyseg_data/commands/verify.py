@@ -71,5 +71,5 @@ def _faults(store: Store, manifest: Manifest) -> Iterator[object]:
     listed = {shard.name for shard in manifest.shards}
     with contextlib.suppress(BadShard):  # which was printed
         listed |= {column_tar(name, column) for column in column_names(store) for name in listed}
-    for name in sorted(path.name for path in store.path.glob("*.tar") if path.name not in listed):
+    for name in sorted(path.name for path in store.path.glob("[!.]*.tar") if path.name not in listed):
         yield f"{name}: -: offset 0: not in the manifest"

@@ -151,6 +151,7 @@ def test_faults_are_one_line_each_on_the_command_line(copy: Path, capsys: pytest
     (copy / "train-00001.tar").write_bytes(spoiled)
     (copy / "test-00000.tar").unlink()
     (copy / "stray.tar").write_bytes(b"")
+    (copy / "._train-00000.tar").write_bytes(b"")  # as macOS leaves beside files on other disks
     assert main(["verify", str(copy)]) == 1
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 3
