@@ -54,7 +54,8 @@ class BlenderProcRenders(RenderSource):
 
 
 def _frames(folder: Path) -> dict[str, Path]:
-    paths = [path for path in sorted(folder.iterdir()) if path.suffix in ENDINGS] if folder.is_dir() else []
+    inside = sorted(folder.iterdir()) if folder.is_dir() else []
+    paths = [path for path in inside if path.suffix in ENDINGS and not path.name.startswith(".")]
     if not paths:
         raise BadConfig(f"{folder}: BlenderProc writes {ENDINGS[0]} files, found none")
     return by_key((path.stem, path) for path in paths)

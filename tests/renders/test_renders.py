@@ -88,7 +88,10 @@ def test_every_layout_gives_the_same_scene(tmp_path: Path, write: Any, options: 
 def test_a_command_packs_them(tmp_path: Path, write: Any) -> None:
     if write is blenderproc:
         pytest.importorskip("h5py")
-    images = packed(write(tmp_path / "cell"))
+    folder = write(tmp_path / "cell")
+    for path in [each for each in folder.rglob("*") if each.is_file()]:
+        path.with_name(f"._{path.name}").write_bytes(b"")  # as macOS leaves beside files on other disks
+    images = packed(folder)
     assert sorted(images.manifest.classes.names) == sorted(NAMES)
 
 
