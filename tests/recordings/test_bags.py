@@ -315,6 +315,7 @@ def test_messages_of_sqlite_may_be_compressed_or_lost(tmp_path: Path) -> None:
 def test_files_of_one_bag_are_joined(tmp_path: Path) -> None:
     folder = write_ros2(tmp_path / "a", stream(), StoragePlugin.MCAP)
     write_mcap(folder / "a_10.mcap", [image(RAMP // 3, "16UC1")])
+    (folder / "._a_10.mcap").write_bytes(b"")  # as macOS leaves beside files on other disks
     recording = open_recording(folder)
     assert len(recording) == 4
     np.testing.assert_array_equal(recording[3].read(), RAMP // 3)
