@@ -36,6 +36,7 @@ EXAMPLE = "bodyseg export-labels --in labelled --out coco --format coco"
 
 _FORMAT: Final = "bodyseg label export 1"
 _NOTE: Final = "export.json"  # of every export: what it is, and that another may replace it
+_APPLES: Final = ("._", ".DS_Store")  # how names of files begin that macOS leaves where somebody looks
 
 DENSE_POSE: Final = np.zeros(256, np.uint8)
 """Label of the 33 parts -> DensePose's chart, uint8 [256], 0 for none; the first of those not told apart."""
@@ -97,7 +98,8 @@ def run(options: Options) -> int:
     out = options.out.resolve() if options.out.is_symlink() else options.out  # the link stays
     old, opened = part_beside(out), _frames if (Path(options.folder) / "summary.json").is_file() else _samples
     try:
-        held = sorted(entry.name for entry in out.iterdir()) if out.exists() else []
+        inside = out.iterdir() if out.exists() else ()
+        held = sorted(entry.name for entry in inside if not entry.name.startswith(_APPLES))
         note = read_json(out / _NOTE) if _NOTE in held else {}
         if held and note.get("format") != _FORMAT:
             raise BadConfig(f"--out must be a new folder, or one of an earlier export: {out} holds {held[0]}")
@@ -127,8 +129,8 @@ def run(options: Options) -> int:
 
 
 def _count(folder: Path) -> int:
-    """Files and folders within a folder."""
-    return sum(1 for _ in folder.rglob("*"))
+    """Files and folders within a folder, without macOS's own."""
+    return sum(not entry.name.startswith(_APPLES) for entry in folder.rglob("*"))
 
 
 def _samples(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Images]:

@@ -322,7 +322,9 @@ def test_a_link_to_a_folder_elsewhere_stays_one(figures_set: Path, tmp_path: Pat
     disk.mkdir()
     link.symlink_to(disk)
     part_beside(disk).mkdir()  # as a killed export leaves it
-    for _ in range(2):  # into an empty folder, and in place of an earlier export
+    for number in range(2):  # into an empty folder, and in place of an earlier export
+        (disk / ".DS_Store").touch()  # as macOS leaves where somebody looks, and on other disks beside each file
+        (disk / f"._{number}").touch()
         export(link, figures_set, "png")
         assert link.is_symlink() and (disk / "labels").is_dir()
     assert sorted(each.name for each in tmp_path.iterdir()) == ["disk", "out"]
