@@ -2,7 +2,7 @@
 
 Threads start at once, share all memory, and run side by side where the GIL is released: by reading, checksums, zstd and
 the compiled loops; the Python code between them takes turns. Processes handle requests in turn, each over its own pipe:
-no semaphore, thread or named resource.
+no semaphore or named resource.
 """
 
 from __future__ import annotations
@@ -321,13 +321,24 @@ def _serve_process(carried: _Carried, pipe: Connection, inherited: Sequence[Conn
         other.close()  # otherwise sibling workers would keep each other's pipes open
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     torch.set_num_threads(1)
-    work, parent = carried.opened(), os.getppid()
-    with contextlib.suppress(EOFError, OSError):  # the parent is gone
-        while True:
+    work, requests = carried.opened(), SimpleQueue[Any]()
+    threading.Thread(target=_receive, args=(pipe, requests), daemon=True).start()
+    with contextlib.suppress(OSError):  # the parent is gone
+        while (request := requests.get()) != _END:
+            pipe.send(handle(work, request))
+
+
+def _receive(pipe: Connection, requests: SimpleQueue[Any]) -> None:
+    """Empty the pipe while requests are handled: with both ways full, parent and worker would wait for each other."""
+    parent, request = os.getppid(), None
+    try:
+        while request != _END:
             while not pipe.poll(_POLL_S):
                 if os.getppid() != parent:
                     return
             request = pipe.recv()
-            if request == _END:
-                return
-            pipe.send(handle(work, request))
+            requests.put(request)
+    except (EOFError, OSError):
+        pass  # the parent is gone
+    finally:
+        requests.put(_END)

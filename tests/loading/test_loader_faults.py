@@ -18,6 +18,7 @@ import warm
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.core import BodysegError
 from bodyseg_data.loading import Loader, WorkerLost
+from bodyseg_data.loading.workers import ProcessWorkers
 
 EPOCHS = int(os.environ.get("BODYSEG_LEAK_EPOCHS", "3"))
 
@@ -197,6 +198,24 @@ def test_workers_end_when_told_to_whoever_else_has_their_pipes(
     del batches, pair[0]
     await_end(processes)
     assert len(keys(pair[0])) == 24
+
+
+def test_requests_and_answers_larger_than_a_pipe_pass_each_other() -> None:
+    """As in large batches of which much is skipped."""
+    workers, found = ProcessWorkers(lambda data: 2 * data, 1, "fork"), list[int]()
+
+    def exchange() -> None:
+        for _ in range(3):
+            workers.submit(bytes(1 << 20))
+        found.extend(len(workers.result()) for _ in range(3))
+
+    thread = threading.Thread(target=exchange, daemon=True)
+    thread.start()
+    thread.join(WITHIN_S)
+    workers._processes[0].kill()  # else a worker that hangs would end neither
+    thread.join()
+    workers.close()
+    assert found == [1 << 21] * 3
 
 
 def test_a_fork_of_the_process_has_workers_of_its_own(small_set: Path) -> None:
