@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import asdict, dataclass
-from itertools import takewhile
 from typing import Any, Literal, TypeVar
 
 import numpy as np
@@ -44,6 +44,7 @@ class SkipLedger:
     def __init__(self, budget: int | None) -> None:
         self._budget = budget
         self.skipped: list[Skipped] = []
+        self._lost: defaultdict[int, set[tuple[str, str]]] = defaultdict(set)  # shards and keys by epoch
 
     @property
     def strict(self) -> bool:
@@ -56,13 +57,13 @@ class SkipLedger:
             # A new object: raising `error` itself would tie it and a traceback's frames into a reference cycle.
             raise with_text(error, str(error))
         # By shard and key: repeating an epoch loses the same samples again.
-        own = takewhile(lambda each: each.epoch == record.epoch, reversed(self.skipped))
-        lost = {(each.shard, each.key) for each in own}
-        if len(lost | {(record.shard, record.key)}) > self._budget:
+        lost, sample = self._lost[record.epoch], (record.shard, record.key)
+        if sample not in lost and len(lost) >= self._budget:
             raise BadShard(
                 f"{record.why} (epoch {record.epoch} has lost {len(lost)} samples before, all that its skip_budget "
                 "allows)"
             )
+        lost.add(sample)
         self.skipped.append(record)
 
     def state(self) -> list[dict[str, Any]]:
@@ -75,6 +76,9 @@ class SkipLedger:
             self.skipped = [Skipped(**record) for record in state]
         except (TypeError, BadConfig):
             raise BadConfig("a state's 'skipped' must be a list of records as a loader writes them") from None
+        self._lost.clear()
+        for each in self.skipped:
+            self._lost[each.epoch].add((each.shard, each.key))
 
 
 def checked_budget(on_error: str, budget: float | None, samples: int) -> int | None:
