@@ -59,29 +59,28 @@ def missing_library(
     if isinstance(error, ModuleNotFoundError):
         package = (error.name or "").partition(".")[0]
         return MissingLibrary(f"{feature} needs the package {package!r}: pip install 'bodyseg[{extra}]' ({cause})")
-    names = dict.fromkeys([*needs, *_named_in(error)])
-    absent = [name for name in names if not can_load(name)]
+    absent = [name for name in dict.fromkeys([*needs, *_named_in(error)]) if not can_load(name)]
     if absent:
         return MissingLibrary(f"{_needs(feature, absent)} ({cause})")
     return MissingLibrary(f"{feature} cannot be loaded: {cause}")
 
 
 def require_libraries(feature: str, needs: Iterable[str]) -> None:
-    """Raise MissingLibrary if a shared library of `needs` is absent; on Linux only, since names differ elsewhere.
+    """Raise MissingLibrary if a shared library of `needs` is absent.
 
     For packages whose import succeeds without a library that they need later.
     """
-    absent = [name for name in needs if not can_load(name)] if sys.platform.startswith("linux") else []
+    absent = [name for name in needs if not can_load(name)]
     if absent:
         raise MissingLibrary(_needs(feature, absent))
 
 
 def can_load(name: str) -> bool:
-    """Load a shared library as a test; `name` as in "GL" for libGL."""
+    """Load a shared library as a test; `name` as in "GL" for libGL. True elsewhere than on Linux, whose names they are."""
     try:
         ctypes.CDLL(ctypes.util.find_library(name) or f"lib{name}.so")
     except OSError:
-        return False
+        return not sys.platform.startswith("linux")
     return True
 
 

@@ -151,6 +151,13 @@ def test_a_library_named_by_the_cause_is_found(monkeypatch: pytest.MonkeyPatch) 
     assert str(missing_library("x", error)) == "x needs libEGL: apt-get install libegl1 (no luck)"
 
 
+def test_elsewhere_than_on_linux_no_package_of_debian_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.platform", "darwin")
+    require_libraries("x", ("nothinglikethis",))
+    told = str(missing_library("x", ImportError("no OpenGL framework here"), ("nothinglikethis", "EGL")))
+    assert told == "x cannot be loaded: no OpenGL framework here"
+
+
 @needs_linux
 def test_required_libraries() -> None:
     require_libraries("x", ("c",))
