@@ -140,17 +140,8 @@ def _load_shared_libraries() -> None:
                 ctypes.CDLL(str(Path(folder) / name))
 
 
-_worker = _Worker()
-
-
-def _renew_worker() -> None:
-    """In a forked child: the parent's thread did not come along."""
-    global _worker
-    _worker = _Worker()
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_renew_worker)
+_worker: Final = _Worker()
+os.register_at_fork(after_in_child=_worker.__init__)  # type: ignore[misc]  # a child has none of its parent's threads
 
 
 def _filtered(
