@@ -73,10 +73,9 @@ class SkipLedger:
     def load_state(self, state: Any) -> None:
         """Replace the records by those of an earlier run. Raises BadConfig for anything but a list of records."""
         try:
-            self.skipped = [Skipped(**record) for record in state]
+            self.skipped, self._lost = [Skipped(**record) for record in state], defaultdict(set)
         except (TypeError, BadConfig):
             raise BadConfig("a state's 'skipped' must be a list of records as a loader writes them") from None
-        self._lost.clear()
         for each in self.skipped:
             self._lost[each.epoch].add((each.shard, each.key))
 

@@ -330,15 +330,9 @@ def _serve_process(carried: _Carried, pipe: Connection, inherited: Sequence[Conn
 
 def _receive(pipe: Connection, requests: SimpleQueue[Any]) -> None:
     """Empty the pipe while requests are handled: with both ways full, parent and worker would wait for each other."""
-    parent, request = os.getppid(), None
-    try:
-        while request != _END:
-            while not pipe.poll(_POLL_S):
-                if os.getppid() != parent:
-                    return
-            request = pipe.recv()
-            requests.put(request)
-    except (EOFError, OSError):
-        pass  # the parent is gone
-    finally:
-        requests.put(_END)
+    parent = os.getppid()
+    with contextlib.suppress(Exception):  # the parent is gone
+        while pipe.poll(_POLL_S) or os.getppid() == parent:
+            if pipe.poll():
+                requests.put(pipe.recv())
+    requests.put(_END)

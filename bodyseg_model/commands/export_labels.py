@@ -98,8 +98,7 @@ def run(options: Options) -> int:
     out = options.out.resolve() if options.out.is_symlink() else options.out  # the link stays
     old, opened = part_beside(out), _frames if (Path(options.folder) / "summary.json").is_file() else _samples
     try:
-        inside = out.iterdir() if out.exists() else ()
-        held = sorted(entry.name for entry in inside if not entry.name.startswith(_APPLES))
+        held = sorted(each.name for each in out.iterdir() if not each.name.startswith(_APPLES)) if out.exists() else []
         note = read_json(out / _NOTE) if _NOTE in held else {}
         if held and note.get("format") != _FORMAT:
             raise BadConfig(f"--out must be a new folder, or one of an earlier export: {out} holds {held[0]}")

@@ -308,8 +308,7 @@ class _JoinedBags:
     """The folder of a ROS 2 bag, whose files are read one after another. Raises BadConfig, MissingLibrary."""
 
     def __init__(self, path: Path) -> None:
-        files = [file for file in path.iterdir() if not file.name.startswith(".")]
-        files.sort(key=lambda file: (len(file.name), file.name))
+        files = sorted(path.glob("[!.]*"), key=lambda file: (len(file.name), file.name))
         packed = [file for file in files if file.suffix.lower() in _PACKED]
         if packed:
             raise BadConfig(f"files of a bag must be decompressed first, by `zstd -d`: {packed[0]}")
