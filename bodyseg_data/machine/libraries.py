@@ -76,7 +76,7 @@ def require_libraries(feature: str, needs: Iterable[str]) -> None:
 
 
 def can_load(name: str) -> bool:
-    """Load a shared library as a test; `name` as in "GL" for libGL. True elsewhere than on Linux, whose names they are."""
+    """Load a shared library as a test; `name` as in "GL" for libGL. True but on Linux, whose names they are."""
     try:
         ctypes.CDLL(ctypes.util.find_library(name) or f"lib{name}.so")
     except OSError:
