@@ -139,7 +139,8 @@ class FunctionTransform(Transform):
 
 
 def _name_of(function: Function) -> str:
-    return f"{function.__module__}.{function.__qualname__}"
+    module = function.__module__.replace("__mp_main__", "__main__")  # the former is the program in spawned processes
+    return f"{module}.{function.__qualname__}"
 
 
 def check_transforms(given: Transforms) -> tuple[Transform, ...]:

@@ -79,6 +79,19 @@ def test_bits_depend_on_no_worker(figures_set: Path) -> None:
     assert not torch.equal(one["range"], images[3]["range"]), "every epoch has draws of its own"
 
 
+def test_a_function_of_the_program_draws_alike_in_processes_that_are_not_forked(
+    figures_set: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def drawn(image: CameraImage, random: np.random.Generator) -> CameraImage:
+        return Constant()(image, random)
+
+    found = []
+    for module in ("__main__", "__mp_main__"):  # as the program and a process that it spawns call the same one
+        monkeypatch.setattr(drawn, "__module__", module)
+        found.append(bits(loader(RangeImages(figures_set, transform=drawn), 5)))
+    assert found[0] == found[1]
+
+
 def test_variants_of_a_sample_share_their_draws(figures_set: Path) -> None:
     seen = {name: RangeImages(figures_set, name, transform=ALL).image(2) for name in VARIANTS}
     for other in ("noise", "occ", "md", "all"):
