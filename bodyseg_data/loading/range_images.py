@@ -8,9 +8,10 @@ shard size.
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
@@ -440,19 +441,18 @@ class RangeImages(SampleDataset):
         import webdataset
 
         chosen = None if epoch is None else check_epoch(epoch)
-        ends = np.cumsum(self._samples.counts).tolist()
-        held = {
-            url: range(end - count, end)
-            for url, count, end in zip(self.urls(), self._samples.counts, ends, strict=True)
-        }
-
-        def images(shards: Iterable[dict[str, str]]) -> Iterator[dict[str, Any]]:
-            for shard in shards:
-                for index in held[shard["url"]]:
-                    yield self._item(self.image(index, chosen))
-
+        ends = itertools.accumulate(self._samples.counts, initial=0)
+        held = {url: range(*pair) for url, pair in zip(self.urls(), itertools.pairwise(ends), strict=True)}
         pipeline = webdataset.FluidWrapper(webdataset.SimpleShardList(list(held)))
+        images = partial(self._streamed, held, chosen)  # which can be pickled for workers
         return pipeline.compose(webdataset.single_node_only, webdataset.split_by_worker, images)
+
+    def _streamed(
+        self, held: Mapping[str, range], epoch: int | None, shards: Iterable[Mapping[str, str]]
+    ) -> Iterator[dict[str, Any]]:
+        for shard in shards:
+            for index in held[shard["url"]]:
+                yield self._item(self.image(index, epoch))
 
     def stored_bytes(self) -> int:
         """Return the bytes that the chosen samples take in their shards, headers included."""

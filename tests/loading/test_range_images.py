@@ -179,6 +179,8 @@ def test_a_webdataset_pipeline_gives_the_same_bits(small_set: Path) -> None:
         assert torch.equal(streamed[index]["range"], images[index]["range"])
         assert torch.equal(streamed[index]["labels"], images[index]["labels"])
     assert not torch.equal(next(iter(images.webdataset(epoch=4)))["range"], images[0]["range"])
+    again = pickle.loads(pickle.dumps(pipeline))  # as workers that are not forked receive it
+    assert torch.equal(next(iter(again))["range"], streamed[0]["range"])
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore::ResourceWarning")
