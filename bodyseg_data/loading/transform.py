@@ -131,7 +131,7 @@ class FunctionTransform(Transform):
 
     @property
     def name(self) -> str:  # type: ignore[override]  # a class has one name, and functions have one each
-        """Module and qualified name of the function."""
+        """Module and qualified name of the function, the same in spawned processes, to which a program is __mp_main__."""
         return _name_of(self.function)
 
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
@@ -139,8 +139,7 @@ class FunctionTransform(Transform):
 
 
 def _name_of(function: Function) -> str:
-    module = function.__module__.replace("__mp_main__", "__main__")  # the former is the program in spawned processes
-    return f"{module}.{function.__qualname__}"
+    return f"{function.__module__}.{function.__qualname__}".replace("__mp_main__.", "__main__.")
 
 
 def check_transforms(given: Transforms) -> tuple[Transform, ...]:
