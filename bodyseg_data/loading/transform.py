@@ -131,7 +131,7 @@ class FunctionTransform(Transform):
 
     @property
     def name(self) -> str:  # type: ignore[override]  # a class has one name, and functions have one each
-        """Module and qualified name of the function, the same in spawned processes, to which a program is __mp_main__."""
+        """Module and qualified name of the function, the same in spawned processes, where a program is __mp_main__."""
         return _name_of(self.function)
 
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
