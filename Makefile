@@ -75,7 +75,7 @@ lock:
 	$(PYTHON) -m venv $(VENV)/lock
 	tools/install_torch $(VENV)/lock/bin
 	$(VENV)/lock/bin/pip install --quiet ".[dev]" setuptools
-	{ head -n 1 tools/requirements.lock; $(VENV)/lock/bin/pip freeze --all --exclude pip --exclude bodyseg | sed -E 's/[+]cpu$$//; s/^backports.zstd==.*/&; python_version < "3.14"/'; } > tools/requirements.new
+	{ head -n 1 tools/requirements.lock; $(VENV)/lock/bin/pip freeze --all --exclude pip --exclude bodyseg | sed -E 's/[+]cpu$$//; s/^backports.zstd==.*/&; python_version < "3.14"/; s/^embreex==.*/&; sys_platform != "linux" or platform_machine == "x86_64"/'; } > tools/requirements.new
 	mv tools/requirements.new tools/requirements.lock
 
 # Source distribution and wheel in dist/, checked as PyPI checks them.

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import yaml
 from folders import ROOT, TESTS
+from packaging.requirements import Requirement
 
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 DOCKER = ROOT / "tools" / "docker"
@@ -84,8 +85,20 @@ def test_the_container_ends_without_root() -> None:
 @pytest.mark.parametrize("name", ["requirements.lock", "requirements-release.lock"])
 def test_versions_are_exact(name: str) -> None:
     lines = [line for line in (ROOT / "tools" / name).read_text().splitlines() if not line.startswith("#")]
-    exact = re.compile(r'[\w.-]+==[\w.]+(; python_version [<>]=? "3\.\d+")?')
+    exact = re.compile(r'[\w.-]+==[\w.]+(; (python_version [<>]=? "3\.\d+"|sys_platform [\w=!" ]+))?')
     assert len(lines) > 40 and all(exact.fullmatch(line) for line in lines)
+
+
+def test_what_there_is_no_build_of_is_not_asked_for_on_arm() -> None:
+    """pip would install nothing, not even the default renderer, which needs no embreex."""
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    locked = [line for line in (ROOT / "tools/requirements.lock").read_text().splitlines() if line[0] != "#"]
+    for lines in (extras["render"], locked):
+        (embreex,) = (need for need in map(Requirement, lines) if need.name == "embreex")
+        assert embreex.marker is not None
+        for machine, expected in (("x86_64", True), ("aarch64", False)):
+            assert embreex.marker.evaluate({"sys_platform": "linux", "platform_machine": machine}) is expected
+        assert embreex.marker.evaluate({"sys_platform": "darwin", "platform_machine": "arm64"})
 
 
 def test_what_builds_and_checks_a_release_is_listed() -> None:
