@@ -37,9 +37,9 @@ def hardware() -> str:
     """Describe processors and memory in one line: "2 cores of Intel Xeon Processor with AMX (x86_64), 24 GiB"."""
     about = _lines("/proc/cpuinfo")
     names = [line.partition(":")[2] for line in about if line.startswith("model name")]
-    name = " ".join(_TRADE_MARK.sub("", names[0] if names else platform.processor()).split())
-    known = _flags(about)
-    name += next((f" with {words}" for flag, words in _INSTRUCTIONS.items() if flag in known), "")
+    names = names or _lines("/proc/device-tree/model") or [platform.processor() or "unknown"]  # ARM has no names
+    name = " ".join(_TRADE_MARK.sub("", names[0]).strip("\0").split())
+    name += next((f" with {words}" for flag, words in _INSTRUCTIONS.items() if flag in _flags(about)), "")
     kilobytes = [int(line.split()[1]) for line in _lines("/proc/meminfo") if line.startswith("MemTotal")]
     memory = f", {kilobytes[0] / 1024**2:.0f} GiB" if kilobytes else ""
     return f"{processors()} cores of {name} ({platform.machine()}){memory}"

@@ -29,6 +29,25 @@ def test_a_processor_is_named_without_trade_marks_and_with_its_widest_instructio
 
 
 @pytest.mark.parametrize(
+    ("board", "processor", "shown"),
+    [
+        (["Raspberry Pi 5 Model B Rev 1.0\0"], "", "Raspberry Pi 5 Model B Rev 1.0"),
+        ([], "aarch64", "aarch64"),
+        ([], "", "unknown"),  # Debian in a virtual machine
+    ],
+)
+def test_an_arm_processor_is_named_by_its_board(
+    board: list[str], processor: str, shown: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = {"/proc/cpuinfo": ["processor\t: 0", "Features\t: fp asimd", "CPU part\t: 0xd0b"], "/proc/meminfo": []}
+    monkeypatch.setattr(machine, "_lines", lambda path: {**files, "/proc/device-tree/model": board}[path])
+    monkeypatch.setattr(machine, "processors", lambda: 4)
+    monkeypatch.setattr(machine.platform, "machine", lambda: "aarch64")
+    monkeypatch.setattr(machine.platform, "processor", lambda: processor)
+    assert hardware() == f"4 cores of {shown} (aarch64)"
+
+
+@pytest.mark.parametrize(
     ("flags", "expected"), [("fpu amx_bf16", True), ("fpu avx512_bf16 avx512_vnni", True), ("fpu avx512_vnni", False)]
 )
 def test_bfloat16_is_known_by_flags(flags: str, expected: bool, monkeypatch: pytest.MonkeyPatch) -> None:
