@@ -60,6 +60,7 @@ def _cast(
     """
     rows, columns = ranges.shape
     high, wide = found.shape
+    alone = np.ones(ranges.shape, np.bool_)  # of no triangle
     for r in range(rows):
         for c in range(columns):
             z = np.float32(ranges[r, c])
@@ -75,6 +76,7 @@ def _cast(
                 seen = places[2, r0, c0] > 0 and places[2, r + 1, c] > 0 and places[2, r, c + 1] > 0
                 if not (seen and below[r, c + half] and beside[r + half, c]):
                     continue
+                alone[r0, c0] = alone[r + 1, c] = alone[r, c + 1] = False
                 x0, y0 = places[0, r0, c0], places[1, r0, c0]
                 x1, y1 = places[0, r + 1, c] - x0, places[1, r + 1, c] - y0
                 x2, y2 = places[0, r, c + 1] - x0, places[1, r, c + 1] - y0
@@ -95,8 +97,10 @@ def _cast(
                             away = np.uint16(np.rint(1 / (w0 + along * w1 + across * w2)))
                             if found[row, column] == 0 or away < found[row, column]:
                                 found[row, column] = away
-    for r in range(rows):  # thin things, of which no triangle is left
+    for r in range(rows):  # rims, and thin things, of which no triangle is left
         for c in range(columns):
             y, x = np.int64(np.rint(places[1, r, c])), np.int64(np.rint(places[0, r, c]))
-            if places[2, r, c] > 0 and 0 <= y < high and 0 <= x < wide and found[y, x] == 0:
-                found[y, x] = np.uint16(np.rint(1 / places[2, r, c]))
+            if places[2, r, c] > 0 and 0 <= y < high and 0 <= x < wide:
+                away = np.uint16(np.rint(1 / places[2, r, c]))
+                if found[y, x] == 0 or (alone[r, c] and away < found[y, x]):
+                    found[y, x] = away

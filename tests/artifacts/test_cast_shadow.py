@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from open_sets import cell_rig
 
-from bodyseg_data.artifacts import seen_by_projectors
+from bodyseg_data.artifacts import ShadowTest, seen_by_projectors
+from bodyseg_data.artifacts.cast_shadow import _joined
 from bodyseg_data.rigs import Rig
 
 
@@ -52,3 +53,62 @@ def test_two_projectors_stand_one_below_the_other() -> None:
     assert both.shape == (32, 20)
     assert np.array_equal(both[:16], seen_by_projectors(camera, rig))
     assert np.array_equal(both[16:], seen_by_projectors(camera, replace(rig, projector=second)))
+
+
+def scene(seed: int) -> tuple[np.ndarray, Rig]:
+    """Boards at random ranges before a slanted wall, holes, and things of one pixel; no texel lies on an edge."""
+    rig, draws = cell_rig(focal_px=30.0), np.random.default_rng(seed)
+    image = slanted(rig)[0].astype(np.int64)
+    rig = replace(rig, projector=replace(rig.projector, position_m=(0.2, 0.03, 0.02), aims_at_m=(0.1, 0.0, 2.0)))
+    for _ in range(3):
+        (top, bottom), (left, right) = (np.sort(draws.integers(0, side + 1, 2)) for side in image.shape)
+        image[top:bottom, left:right] = draws.integers(600, 1_900) + 9 * np.arange(right - left)
+    image[draws.random(image.shape) < 0.04] = 0
+    image[draws.random(image.shape) < 0.02] = draws.choice([1, 600, 65_535])
+    return image.astype(np.uint16), rig
+
+
+def drawn_plainly(image: np.ndarray, rig: Rig) -> np.ndarray:
+    """Nearest hit of every texel's ray with the triangles of neighbouring pixels on one surface; then their corners:
+    where nothing is known, and, of pixels of no triangle, where they are nearer.
+    """
+    (rows, columns), device, step_m = image.shape, rig.projector, rig.range_step_m
+    rotation, offset = rig.camera_to_projector()
+    points = rig.camera.pixel_rays() * image[..., None] @ rotation.T + offset / step_m
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = points[..., :2] / points[..., 2:] * device.focal_px + device.centre_px - 0.5
+    seen = (image > 0) & (points[..., 2] >= 1) & (points[..., 2] <= 65_535)
+    edge = ShadowTest(rig).edge_steps
+    below, beside = _joined(image, edge), _joined(image.T, edge).T
+    texels = np.stack(np.meshgrid(np.arange(device.columns), np.arange(device.rows), indexing="xy"), -1)
+    found, alone = np.full((device.rows, device.columns), np.inf), np.ones(image.shape, np.bool_)
+    for row, column, half in np.ndindex(rows - 1, columns - 1, 2):
+        corners = (row + half, column + half), (row + 1, column), (row, column + 1)
+        if all(seen[each] for each in corners) and below[row, column + half] and beside[row + half, column]:
+            origin, *ends = (at[each] for each in corners)
+            shares = (texels - origin) @ np.linalg.inv(np.stack(ends) - origin)
+            shares = np.stack([1 - shares.sum(-1), *np.moveaxis(shares, -1, 0)])
+            away = 1 / np.tensordot([1 / points[each][2] for each in corners], shares, 1)
+            found = np.minimum(found, np.where((shares >= 0).all(0), away, np.inf))
+            for each in corners:
+                alone[each] = False
+    for each in np.argwhere(seen):
+        x, y = np.rint(at[tuple(each)]).astype(int)
+        if 0 <= x < device.columns and 0 <= y < device.rows:
+            away = points[tuple(each)][2]
+            if found[y, x] == np.inf or (alone[tuple(each)] and away < found[y, x]):
+                found[y, x] = away
+    return np.where(np.isfinite(found), found, 0)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_triangles_are_drawn_as_by_a_plain_form(seed: int) -> None:
+    image, rig = scene(seed)
+    assert np.abs(seen_by_projectors(image, rig) - drawn_plainly(image, rig)).max() <= 0.51
+
+
+def test_a_pole_of_one_pixel_hides_the_wall_behind() -> None:
+    rig = cell_rig()
+    image = slanted(rig)[0]
+    image[:, 11] = 1_000
+    assert np.count_nonzero(seen_by_projectors(image, rig) == 1_000) == len(image)
