@@ -172,20 +172,15 @@ def axes_at(azimuth_deg: int, pitch_deg: float = 0.0, roll_deg: float = 0.0) -> 
 
     pitch_deg: angle of the optical axis above the horizontal; negative looks down. roll_deg: as of `rolled`.
     """
-    turn = math.radians(azimuth_deg)
-    right, back = [math.cos(turn), 0.0, -math.sin(turn)], np.array([math.sin(turn), 0.0, math.cos(turn)])
-    axes = np.array([right, [0.0, -1.0, 0.0], -back])
-    if pitch_deg:
-        _, down, forward = axes
-        cos, sin = math.cos(math.radians(pitch_deg)), math.sin(math.radians(pitch_deg))
-        axes = np.array([right, cos * down + sin * forward, cos * forward - sin * down])
-    return rolled(axes, roll_deg)
+    turn, pitch = math.radians(azimuth_deg), math.radians(pitch_deg)
+    right, down = [math.cos(turn), 0.0, -math.sin(turn)], np.array([0.0, -1.0, 0.0])
+    forward = np.array([-math.sin(turn), 0.0, -math.cos(turn)])
+    cos, sin = math.cos(pitch), math.sin(pitch)
+    return rolled(np.array([right, cos * down + sin * forward, cos * forward - sin * down]), roll_deg)
 
 
 def rolled(axes: Floats, roll_deg: float) -> Floats:
     """Axes [3, 3] of a camera turned about its optical axis, clockwise as seen from behind it."""
-    if not roll_deg:
-        return axes
     right, down, forward = axes
     cos, sin = math.cos(math.radians(roll_deg)), math.sin(math.radians(roll_deg))
     return np.array([cos * right + sin * down, cos * down - sin * right, forward])

@@ -26,6 +26,7 @@ TURNED = replace(
     camera=replace(RIG.camera, roll_deg=30.0),
     projector=replace(RIG.projector, roll_deg=-12.5),
 )
+ASIDE = replace(RIG, camera=replace(RIG.camera, position_m=(0.3, -0.2, 0.1)))
 
 
 def camera_of(view: View) -> PlacedCamera:
@@ -78,7 +79,7 @@ def test_height_raises_the_camera_without_turning_it(view: View) -> None:
         assert pixel_of(replace(view, height_cm=40), 0, 0, 0)[1] > 50, "the body moves down"
 
 
-@pytest.mark.parametrize("rig", [RIG, TURNED], ids=["paper", "turned"])
+@pytest.mark.parametrize("rig", [RIG, TURNED, ASIDE], ids=["paper", "turned", "aside"])
 @pytest.mark.parametrize("view", [View(255, 0), View(255, 70, -30, 20, 15), View(215, 200, -90, 180, -40)])
 def test_the_projector_keeps_its_place_beside_the_camera(rig: Any, view: View) -> None:
     camera, projector = rig.placed(CENTRE, view)

@@ -114,6 +114,8 @@ def test_a_rig_survives_json() -> None:
     assert rig_from_json(json.loads(json.dumps(rig.to_json()))) == rig
     with pytest.raises(BadConfig, match="format"):
         rig_from_json([])
+    with pytest.raises(BadConfig, match="^a stored rig's 'format' must be 'bodyseg rig 1'$"):
+        rig_from_json({**rig.to_json(), "format": "bodyseg rig 2"})
 
 
 @pytest.mark.parametrize(
@@ -155,6 +157,7 @@ def test_another_rig_is_another_file(tmp_path: Path) -> None:
         ("bodyseg rig 1", "bodyseg rig 9", "rig x: 'format' must be 'bodyseg rig 1'"),
         ("stand_off_m = 2.5", "stand_off_m = -1.0", "rig x: a rig's stand-off must be positive, found -1.0 m"),
         ("stand_off_m", "standoff", "rig x: number 'stand_off_m' is missing"),
+        ("stand_off_m = 2.5", "stand_off_m = 2.5\nlens = 1", "^rig x: unknown 'lens'"),
         (
             "range_step_mm = 1.0",
             "range_step_mm = 0.001",
