@@ -28,7 +28,8 @@ def pairs_of(truth: NDArray[np.uint8], predicted: NDArray[np.uint8], classes: in
     rows, columns = truth.ravel().take(where), predicted.ravel().take(where)
     for name, labels in (("truth", rows), ("prediction", columns)):
         if labels.size and (labels.min() < 0 or labels.max() >= classes):
-            raise BadConfig(f"labels must be 0 to {classes - 1}, found {labels.max()} in the {name}")
+            found = labels.min() if labels.min() < 0 else labels.max()
+            raise BadConfig(f"labels must be 0 to {classes - 1}, found {found} in the {name}")
     return rows.astype(np.int64) * classes + columns
 
 
@@ -125,11 +126,11 @@ class PerImageAccuracy:
     def deviation(self) -> NDArray[np.float64]:
         """Standard deviation over images, divisor n - 1, float64 [C + 1]; NaN for fewer than two."""
         squares = np.maximum(self.squares - self.images * np.nan_to_num(self.mean()) ** 2, 0.0)
-        return np.sqrt(_ratios(squares, np.maximum(self.images - 1, 0)))
+        return np.sqrt(_ratios(squares, self.images - 1))
 
 
 def _ratios(part: NDArray[Any], whole: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Quotients, float64, NaN where `whole` is 0."""
+    """Quotients, float64, NaN where `whole` is not above 0."""
     shares = np.full(whole.shape, np.nan)
     np.divide(part, whole, out=shares, where=whole > 0)
     return shares
@@ -265,7 +266,7 @@ class Confidences:
         inside = self.counts.sum(axis=0)
         filled = inside > 0
         kept = np.cumsum(inside[filled])
-        return kept / max(self.pixels, 1), np.cumsum(self.counts[1][filled]) / kept
+        return kept / self.pixels, np.cumsum(self.counts[1][filled]) / kept
 
     def above(self, threshold: float) -> ConfidentPixels:
         """Share and accuracy of the pixels whose confidence is above `threshold`.

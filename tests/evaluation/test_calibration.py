@@ -47,9 +47,10 @@ def test_area_under_the_curve_is_that_of_sorted_pixels(sharp: float) -> None:
     assert abs(found - expected) <= abs(exact_aurc(pairs, coarse) - expected) + 3e-5
 
 
-def test_area_by_hand() -> None:
+@pytest.mark.parametrize("confidences", [(0.9, 0.6), (0.99999, 0.9997)], ids=["apart", "within the surest step"])
+def test_area_by_hand(confidences: tuple[float, float]) -> None:
     surer = Confidences()
-    surer.add(np.array([0, 1]), np.array([0.9, 0.6], np.float32))
+    surer.add(np.array([0, 1]), np.array(confidences, np.float32))
     # Of the surest half nothing is wrong; then wrong pixels come in evenly: the integral of (t / 2) / (1/2 + t / 2).
     assert surer.aurc() == pytest.approx((1 - math.log(2)) / 2)
     same = Confidences()

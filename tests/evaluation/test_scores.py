@@ -62,7 +62,7 @@ def test_nothing_counted_is_no_score() -> None:
         (image(0, 1), image(0), r"must have one shape, found \(1, 2\) and \(1, 1\)"),
         (image(0, 33), image(0, 1), "labels must be 0 to 32, found 33 in the truth"),
         (image(0, 1), image(0, BACKGROUND), "labels must be 0 to 32, found 255 in the prediction"),
-        (image(0, 1), np.array([[2, -1]]), "labels must be 0 to 32, found 2 in the prediction"),
+        (image(0, 1), np.array([[2, -1]]), "labels must be 0 to 32, found -1 in the prediction"),
     ],
 )
 def test_what_is_no_label_is_refused(truth: np.ndarray, predicted: np.ndarray, message: str) -> None:
@@ -89,6 +89,9 @@ def test_spread_counts_every_image_once() -> None:
     assert spread.deviation()[[0, 33]] == pytest.approx([np.std([0.75, 0.5], ddof=1), np.std([0.625, 0.5], ddof=1)])
     assert np.isnan(spread.mean()[1])
     assert np.isnan(spread.deviation()[[1, 7]]).all(), "one image has no deviation"
+    for _ in range(3):  # of accuracy 0.8, whose squares are rounded below
+        spread.add(count_pairs(pairs_of(image(*[9] * 5), image(9, 9, 9, 9, 2))))
+    assert spread.deviation()[9] == 0
 
 
 def test_counts_print_in_one_line() -> None:
