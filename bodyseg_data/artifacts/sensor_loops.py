@@ -7,7 +7,7 @@ import numpy as np
 
 from bodyseg_data.machine import compiled
 
-_LEAST, _MOST = np.float64(1), np.float64(65535)
+_MOST = np.float64(65535)
 _kernel = partial(compiled, feature="the compiled form of the artifacts")
 
 
@@ -35,4 +35,4 @@ def mix(
         if gap * step_m * 1000 >= jump_mm:
             position = np.float64(bits[point] & np.uint32(0xFFFF)) / 65536
             value_f = np.rint(np.float64(before) + gap * position)
-            image[pixel] = np.uint16(np.int32(min(max(value_f, _LEAST), _MOST)))
+            image[pixel] = np.uint16(np.int32(min(value_f, _MOST)))

@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from planes import sample_of, shown
+from kernel_forms import by_both
+from planes import RIG, sample_of, shown
 
+from bodyseg_data.artifacts import RangeImage, Scene
 from bodyseg_data.artifacts.mixed_pixels import MixedPixels
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, Draws
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
@@ -56,6 +58,21 @@ def test_nothing_and_lost_pixels_stay_nothing() -> None:
     assert not shown(MixedPixels(1.0), sample_of(z)).range.any()
     z[100, 80] = 6.5535
     assert shown(MixedPixels(1.0), sample_of(z)).range.max() > 50_000
+
+
+def test_both_forms_agree_at_borders_at_extremes_and_where_pixels_are_lost() -> None:
+    draws = np.random.default_rng(3)
+    sample = sample_of(draws.choice([0, 1e-4, 2e-4, 2.0, 6.5535], (200, 160)))
+    before = sample.range * (draws.random((200, 160)) < 0.8)
+
+    def mixed() -> Any:
+        image = RangeImage(sample.key, before.copy(), sample.labels.copy(), {})
+        MixedPixels(1.0, 10.0, 0.1).apply(image, Scene(sample, RIG), Draws(0, 0, "k"))
+        return image.range
+
+    loops, plain = by_both(mixed)
+    np.testing.assert_array_equal(loops, plain)
+    assert not loops[before == 0].any() and (loops == 65_535).any()
 
 
 @pytest.mark.parametrize(
