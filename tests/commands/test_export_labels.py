@@ -74,6 +74,7 @@ def test_coco_holds_labels_areas_boxes_and_ranges(coco: Path, figures_set: Path)
         np.testing.assert_array_equal(pixels(coco / image["file_name"]), images.image(index).range)
         for each in found["annotations"]:
             if each["image_id"] == image["id"]:
+                assert isinstance(each["segmentation"]["counts"], str), "COCO's text, which its own tools read"
                 mask = decoded(each["segmentation"])
                 rows, columns = mask.nonzero()
                 left, top, width, height = each["bbox"]

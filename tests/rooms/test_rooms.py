@@ -140,6 +140,23 @@ def test_dark_things_are_not_measured_but_hide_what_is_behind() -> None:
     assert beside[things[:, 1:] & things[:, :-1]].mean() > 0.8  # in patches, not pixel by pixel
 
 
+def test_grazing_surfaces_lose_more_and_people_lose_by_their_parts() -> None:
+    face, people, labels = np.zeros((8, 12), np.int32), np.zeros((8, 12), np.uint8), np.zeros((8, 12), np.uint8)
+    face[:, 4:8], face[:, 8:] = 1, 2  # a surface that faces the camera, one that hardly does, and two people
+    face[0] = -1
+    people[:, 8:], people[:, 10:], labels[:, 8::2] = 1, 2, 5
+    normals = np.array([[0.0, 0.0, -2.0], [3.0, 0.0, -0.1], [0.0, 0.0, -1.0]])
+    losses = np.full((68, 3), (-9.0, 0.0, 1.0))
+    losses[66:] = (-3.99, 12.0, 1.0)  # of both surfaces
+    losses[33 + 5] = (9.0, 0.0, 1.0)
+    view = np.eye(3), np.array([0.2, -0.1, 0.3]), np.linspace(-0.02, 0.02, 12), np.linspace(-0.02, 0.02, 8)
+    surface = face, np.array([66, 67, 0]), normals
+    lost = scenes._lose(np.full((8, 12), 2.0, np.float32), labels, people, surface, view, losses, scenes._LATTICE)
+    expected = np.zeros((8, 12), np.bool_)
+    expected[1:, 4:8] = expected[1:, 10] = True
+    np.testing.assert_array_equal(lost, expected)
+
+
 def test_own_things_stand_in_rooms_or_reach_into_the_image() -> None:
     own, placed, near = [("press", cuboid((0.5, 0.9, 0.4), (0.0, 0.45, 0.0)))], 0, 0
     for number in range(24):
