@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 from typing import Any
 
@@ -20,7 +21,7 @@ from bodyseg_model.networks import build
 from bodyseg_model.runtimes import on_backend
 from bodyseg_model.segmentation import Background, find_bodies
 from bodyseg_model.segmentation.finder import FinderView, part_people
-from bodyseg_model.segmentation.pixel_loops import first_of, join_rows, spread_odds, take_nearest
+from bodyseg_model.segmentation.pixel_loops import AROUND, first_of, join_rows, spread_odds, take_nearest
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -328,6 +329,39 @@ def test_odds_of_cells_follow_the_surfaces_that_pixels_are_of() -> None:
     np.testing.assert_array_equal(found > 0.5, range_m == 2)
     spread_odds(odds, ~agreed, range_m, 4, found)
     np.testing.assert_array_equal(found > 0.5, (range_m > 0) & (np.arange(40) < 20))
+
+
+def test_odds_are_those_of_a_plain_mean_by_distance_in_image_and_range() -> None:
+    draws = np.random.default_rng(5)
+    odds, agreed = draws.normal(0, 3, (6, 9)).astype(np.float32), draws.random((6, 9)) < 0.2
+    range_m = (draws.choice([0, 0.7, 2.0, 3.0], (22, 35)) * draws.uniform(1, 1.04, (22, 35))).astype(np.float32)
+    found, expected = np.zeros_like(range_m), np.zeros(range_m.shape)
+    spread_odds(odds, agreed, range_m, 4, found)
+    centres = range_m[np.ix_(np.minimum(4 * np.arange(6) + 2, 21), np.minimum(4 * np.arange(9) + 2, 34))]
+    for row, column in np.argwhere(range_m > 0):
+        z, (i, j) = float(range_m[row, column]), (row // 4, column // 4)
+        k, m = np.mgrid[max(i - AROUND, 0) : min(i + AROUND + 1, 6), max(j - AROUND, 0) : min(j + AROUND + 1, 9)]
+        apart = ((row + 0.5) / 4 - 0.5 - k) ** 2 + ((column + 0.5) / 4 - 0.5 - m) ** 2
+        near = np.maximum(1 - ((centres[k, m] - z) / (0.05 * max(z, 1))) ** 2, 0) ** 2
+        weights = np.exp(-apart / 1.5**2 / 2) * near
+        mean = odds[i, j] if agreed[i, j] or not weights.any() else np.average(odds[k, m], weights=weights)
+        expected[row, column] = 1 / (1 + np.exp(-mean))
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_a_pixel_takes_the_value_of_the_nearest_range_around_its_sample() -> None:
+    draws = np.random.default_rng(6)
+    seen, values = draws.uniform(1, 1.5, (5, 6)).astype(np.float32), np.arange(1, 31, dtype=np.int16).reshape(5, 6)
+    range_m = draws.uniform(0.9, 1.6, (12, 13)).astype(np.float32)
+    rows, columns = draws.integers(0, 5, 12), draws.integers(0, 6, 13)
+    found, jump = np.zeros(range_m.shape, np.int16), np.array([0.06, 0.055], np.float32)
+    take_nearest(range_m, jump, rows, columns, seen, values, found)
+    for (row, column), z in np.ndenumerate(range_m):
+        own, limit = (rows[row], columns[column]), max(0.06, 0.055 * z)
+        around = itertools.product(range(max(own[0] - 1, 0), own[0] + 2), range(max(own[1] - 1, 0), own[1] + 2))
+        inside = [place for place in around if place[0] < 5 and place[1] < 6]
+        best = own if abs(seen[own] - z) <= limit else min(inside, key=lambda place: abs(seen[place] - z))
+        assert found[row, column] == (values[best] if abs(seen[best] - z) <= limit else 0)
 
 
 def test_a_pixel_takes_the_value_of_a_sample_of_its_own_surface() -> None:
