@@ -227,6 +227,7 @@ def room(rows: int, columns: int) -> torch.Tensor:
     image = 0.5 + 4 * torch.rand(2, 1, rows, columns, generator=draw)
     image *= torch.rand(2, 1, rows, columns, generator=draw) < 0.8
     image[:, :, :9, :17] = 0  # patches without a range
+    image[0, 0, 2, 3] = 0.2  # but for one of a single pixel, which is near
     return image
 
 
