@@ -13,7 +13,7 @@ Indices = NDArray[np.intp]
 
 
 class PlainViewLoops:
-    """The functions of `view_loops`, with the same bits."""
+    """The functions of `pixel_loops`, with the same bits."""
 
     @staticmethod
     def map_to_view(
