@@ -14,7 +14,7 @@ from kernel_forms import by_both
 from numpy.typing import NDArray
 
 from bodyseg_data import ShardWriter
-from bodyseg_data.artifacts import Augmentation, Scene, SensorModel, load_sensor_model
+from bodyseg_data.artifacts import Augmentation, MissingData, Scene, SensorModel, load_sensor_model
 from bodyseg_data.artifacts.fringes import REACH, decode
 from bodyseg_data.artifacts.phase_shift import PhaseShift
 from bodyseg_data.core import BadConfig, Draws
@@ -225,6 +225,20 @@ def test_both_forms_give_the_same_bits_for_any_strengths(figures_set: Path, rig_
     for index in range(0, 12, 3):
         ours, theirs = by_both(partial(images.image, index))
         np.testing.assert_array_equal(ours.range, theirs.range)
+
+
+def test_both_forms_agree_at_borders_at_extremes_and_for_labels_of_no_part() -> None:
+    draws, shape = np.random.default_rng(2), (40, 61)
+    rig = replace(RIG, camera=replace(RIG.camera, rows=40, columns=61, centre_px=(30.0, 20.0)))
+    near = np.round(2 / RIG.range_step_m) + draws.integers(-9, 10, shape)
+    ranges = np.where(draws.random(shape) < 0.02, draws.choice([0, 1, 65_535], shape), near).astype(np.uint16)
+    labels = np.where(ranges > 0, np.uint8([3, 20, 33, 254])[np.arange(shape[1]) // 5 % 4], 255).astype(np.uint8)
+    sample = Sample("a", ranges, None, labels, ranges > 0, SampleInfo("train"))
+    moving = PhaseShift(slowest_m_s=0.5, fastest_m_s=0.5, threshold_e=0, read_noise_e=1e4)
+    sensor = SensorModel("moving", (MissingData(rates=(0.2,)), moving))
+    ours, theirs = by_both(lambda: Augmentation(rig, "all", sensor=sensor)(sample).range)
+    np.testing.assert_array_equal(ours, theirs)
+    assert 0.1 < (ours > 0).mean() < 0.8 and (ours[:, [0, -1]] > 0).any()
 
 
 def test_an_image_leaves_no_marks_for_a_smaller_one() -> None:
