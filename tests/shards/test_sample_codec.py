@@ -65,6 +65,22 @@ def test_every_value_of_16_bits_survives(codec: CodecName, choice: str) -> None:
         assert same(decode_sample(sample.key, encode_sample(sample, codec)), sample)
 
 
+@pytest.mark.parametrize("length", [254, 255, 256, 511, 70_001])
+def test_runs_whose_length_takes_several_bytes_survive(length: int) -> None:
+    ranges = np.repeat(np.uint16([0, 9_000, 20_000, 0, 30_000]), (3, length, length + 258, 260, 2)).reshape(1, -1)
+    ranges = np.resize(ranges, (-(-ranges.size // 8000), min(8000, ranges.size)))
+    labels = np.where(ranges > 0, ranges // 1000, 255).astype(np.uint8)
+    sample = Sample("a", ranges, ranges.copy(), labels, ranges == 9_000, INFO)
+    members = encode_sample(sample)
+    for choice in FORMS:
+        with computed_by(choice):
+            assert same(decode_sample(sample.key, members), sample)
+    with computed_by("compiled"):
+        into = decode_sample(sample.key, members, out=(np.empty_like(ranges), np.empty_like(labels)))
+    assert same(into, sample) and into.occupancy is not None
+    assert into.occupancy.edges is not None, "NumPy's form decodes what the loop refuses"
+
+
 @given(sample=samples(), codec=st.sampled_from(list(CODECS)))
 def test_any_sample_survives(sample: Sample, codec: CodecName) -> None:
     assume(codec != "png" or sample.projector_range is None or sample.projector_range.size > 1)  # one pixel is none
@@ -84,6 +100,8 @@ def test_any_sample_of_two_projectors_survives(sample: Sample, codec: CodecName,
         out = (np.full(sample.range.shape, 3, np.uint16), np.full(sample.range.shape, 5, np.uint8)) if into else None
         with computed_by(choice):
             decoded = decode_sample(sample.key, members, projector=projector, out=out, projectors=2)
+        if into and (choice, codec) == ("compiled", "bsi"):
+            assert decoded.occupancy is not None and decoded.occupancy.edges is not None, "the loop refuses it"
         for field in ("range", "labels", "faces_projector", "faces_second"):
             assert np.array_equal(getattr(decoded, field), getattr(sample, field))
         assert decoded.info == sample.info
