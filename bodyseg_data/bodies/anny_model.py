@@ -22,7 +22,7 @@ from bodyseg_data.bodies.anny_people import Person
 from bodyseg_data.bodies.outfits import Outfit
 from bodyseg_data.bodies.skeleton import Floats, Pose, bone_rotations
 from bodyseg_data.bodies.template import load_template
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, reported
 from bodyseg_data.machine import required, torch_threads
 
 if TYPE_CHECKING:
@@ -41,9 +41,10 @@ _CROWN_M: Final = 0.06  # generous: the highest and lowest vertices of people di
 def load_anny() -> Any:
     """Load Anny's model: two seconds; about twelve the first time on a machine, when its text files are parsed.
 
-    Raises MissingLibrary, or BadConfig for its cache.
+    Raises MissingLibrary, or BadConfig for its cache or a user without a home.
     """
-    anny = required("anny", "making bodies")
+    with reported("anny needs a home, also beside ANNY_CACHE_DIR: set HOME", BadConfig, RuntimeError):
+        anny = required("anny", "making bodies")
     with torch_threads(1), _cache(), _fast_parsing():
         # The compact basis would halve the time a body takes, but comes from a decomposition whose bits depend on the
         # machine and on its threads. Plain "lbs" skinning needs nothing compiled.

@@ -31,8 +31,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
-from bodyseg_data.core import MissingLibrary, check_choice
-from bodyseg_data.machine.host import processors
+from bodyseg_data.core import BadConfig, MissingLibrary, check_choice
+from bodyseg_data.machine.host import cache_folder, processors
 from bodyseg_data.machine.libraries import required
 
 VARIABLE: Final = "BODYSEG_KERNELS"
@@ -246,9 +246,8 @@ def _folder(named: str, digest: str) -> Path | None:
     Only this user may write there, for its files are run. Where it has no code yet, the disk must have room for it.
     """
     home = None
-    with contextlib.suppress(RuntimeError):  # this user has no home
-        cache = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
-        home = Path(named) if named else Path(cache) / "bodyseg" / "kernels"
+    with contextlib.suppress(BadConfig):  # this user has no home
+        home = Path(named) if named else cache_folder() / "kernels"
     for root in _given or (home, None):
         with contextlib.suppress(OSError):
             folder = (root or _of_process(home)) / digest

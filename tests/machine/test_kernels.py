@@ -174,6 +174,12 @@ def test_without_a_folder_that_can_be_written_loops_still_run(
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
+def test_a_user_without_a_home_may_name_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "expanduser", _no_home)
+    assert kernels._folder(str(tmp_path / "named"), "digest") == tmp_path / "named" / "digest"
+
+
 def _no_home(path: Path) -> Path:
     raise RuntimeError("Could not determine home directory.")
 

@@ -20,6 +20,7 @@ from samples import GOOD
 
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.core import BadConfig, BadShard, MissingLibrary
+from bodyseg_data.machine import cache_folder
 from bodyseg_data.shards import (
     LocalFolder,
     Manifest,
@@ -34,7 +35,7 @@ from bodyseg_data.shards import (
     read_manifest,
     with_cache,
 )
-from bodyseg_data.shards.cache import BUSY, CachedStore, ShardCache, default_folder
+from bodyseg_data.shards.cache import BUSY, CachedStore, ShardCache
 from bodyseg_data.shards.records import BODY_FIELDS, describe, read_checked
 
 fsspec = pytest.importorskip("fsspec")
@@ -234,11 +235,21 @@ def test_a_manifest_larger_than_any_is_not_read(remote: bool, memory: str, paper
 
 def test_the_cache_is_where_the_system_says(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert default_folder() == tmp_path / "bodyseg"
+    assert cache_folder() == tmp_path / "bodyseg"
     monkeypatch.setenv("HOME", "/home/someone")
     for relative in ("", "not/absolute"):
         monkeypatch.setenv("XDG_CACHE_HOME", relative)
-        assert default_folder() == Path("/home/someone/.cache/bodyseg")
+        assert cache_folder() == Path("/home/someone/.cache/bodyseg")
+
+
+def test_a_user_without_a_home_is_told_to_name_a_cache(memory: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_home(path: Path) -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "expanduser", no_home)  # in a container, as a user that it does not know
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    with pytest.raises(BadConfig, match="^a cache's folder must be given, by XDG_CACHE_HOME or HOME: Could not det"):
+        RangeImages(memory, split="train")
 
 
 def test_what_was_not_used_for_longest_goes_first(tmp_path: Path) -> None:
