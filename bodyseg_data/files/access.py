@@ -148,7 +148,7 @@ def claimed(folder: Path, work: str) -> Iterator[None]:
     except BlockingIOError:
         raise BadConfig(f"another {work} is at work in {folder}: wait for its end, or give another folder") from None
     except OSError as error:
-        raise BadConfig(f"cannot write {path}: {error.strerror or error}") from error
+        raise BadConfig(f"cannot write and lock {path}: {error.strerror or error}") from error
     try:
         yield
     finally:
@@ -180,7 +180,11 @@ def last_name(path: str) -> str:
 def sync(path: Path) -> None:
     """Wait until the disk holds a file, or a folder's entries, so that renames within it survive a power cut."""
     with _opened(path) as handle:
-        os.fsync(handle)
+        try:
+            os.fsync(handle)
+        except OSError as error:
+            if error.errno != errno.EINVAL:  # of folders on file systems that cannot sync them, as shared with a guest
+                raise
 
 
 def refuse_special(path: Path) -> None:

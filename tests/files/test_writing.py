@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
+import stat
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -101,9 +103,34 @@ def test_what_a_killed_process_leaves_holds_nobody_up(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+def test_a_file_system_without_locks_is_told_from_one_that_cannot_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def flock(handle: int, operation: int) -> None:
+        raise OSError(errno.ENOSYS, "Function not implemented")  # as Lustre does unless mounted with locks
+
+    monkeypatch.setattr("fcntl.flock", flock)
+    with pytest.raises(BadConfig, match=r"^cannot write and lock .*\.lock: Function not"), claimed(tmp_path, "training"):
+        pass
+
+
+@pytest.mark.parametrize("number", [errno.EINVAL, errno.EIO])
+def test_folders_that_cannot_be_synced_still_take_files(
+    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fsync(handle: int) -> None:
+        if stat.S_ISDIR(os.fstat(handle).st_mode):
+            raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("os.fsync", fsync)
+    with contextlib.nullcontext() if number == errno.EINVAL else pytest.raises(BadConfig, match="Input/output error"):
+        write_result(tmp_path / "scores.json", b"{}")  # folders that VirtualBox shares answer EINVAL
+    assert (tmp_path / "scores.json").read_bytes() == b"{}"
+
+
 def test_a_planted_lock_is_not_followed(tmp_path: Path) -> None:
     (tmp_path / ".lock").symlink_to(tmp_path / "victim")
-    with pytest.raises(BadConfig, match=r"^cannot write .*\.lock: "), claimed(tmp_path, "training"):
+    with pytest.raises(BadConfig, match=r"^cannot write and lock .*\.lock: "), claimed(tmp_path, "training"):
         pass
     assert not (tmp_path / "victim").exists()
 
