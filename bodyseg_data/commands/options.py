@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import inspect
 import io
+import os
 import re
 import sys
 import types
@@ -58,6 +59,8 @@ def parse(kind: type[Options], arguments: Sequence[str], program: str, summary: 
     """
     from cyclopts import CycloptsError, MissingArgumentError
 
+    if os.environ.get("COLUMNS") in ("0", "1", "2"):  # a terminal of unknown width: cyclopts would wrap without end
+        del os.environ["COLUMNS"]
     parser = command_parser(kind, program, summary, example)
     page = io.StringIO()  # written below: rich would end a program whose output is closed with its own exit status
     try:

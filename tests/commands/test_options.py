@@ -81,3 +81,13 @@ def test_help_stands_under_headings(capsys: pytest.CaptureFixture[str]) -> None:
     assert parse(Divided, ["--help"], "program", "", "") is None
     words = re.findall(r"Parameters|Limits|A report|--\w+", capsys.readouterr().out.partition("\n")[2])
     assert words == ["Parameters", "--out", "Limits", "--near", "--far", "A report", "--quiet"]
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("columns", ["0", "2"])
+def test_help_comes_whatever_width_the_terminal_claims(
+    columns: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", columns)
+    assert parse(Ranges, ["--help"], "program", "what it does", "an example") is None
+    assert "numbers or a range" in capsys.readouterr().out
