@@ -63,8 +63,8 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
     for stream in ("stdout", "stderr"):
         if getattr(sys, stream) is None:  # closed by the parent process
             setattr(sys, stream, Path(os.devnull).open("w"))  # noqa: SIM115  open as long as the process
-    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
-        sys.stdout.reconfigure(errors="backslashreplace")  # a path may have letters that the terminal has not
+    if isinstance(sys.stdout, io.TextIOWrapper) and (sys.stdout.errors == "strict" or sys.stdout.encoding != "utf-8"):
+        sys.stdout.reconfigure(errors="backslashreplace")  # a text may have letters that the terminal has not
     before = _handle_signals()
     try:
         status = _run(program, commands, name, words)
@@ -93,6 +93,8 @@ def main(arguments: Sequence[str] | None = None, commands: Commands = COMMANDS, 
             raise
         if isinstance(error, UnicodeEncodeError) and error.encoding == "utf-8":  # of a library that opens files itself
             return _say(f"{program}{name}", f"a path must be UTF-8 here, found {error.object!r:.200}", 2)
+        if str(error) == "can't start new thread":
+            return _say(f"{program}{name}", "no thread can be started: ulimit -u or the container allows no more", 2)
         what = f"{type(error).__name__}: {error}"
         return _say(f"{program}{name}", f"internal error: {what} (BODYSEG_TRACEBACK=1 shows where)", INTERNAL_ERROR)
     finally:

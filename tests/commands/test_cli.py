@@ -254,6 +254,28 @@ def test_a_surprise_is_one_line_unless_the_trace_is_asked_for(
         main(["verify", "x"])
 
 
+def test_a_limit_of_threads_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def start(options: object) -> int:
+        raise RuntimeError("can't start new thread")  # as Python says
+
+    monkeypatch.setattr(verify, "run", start)
+    assert main(["verify", "x"]) == 2
+    line = "bodyseg verify: no thread can be started: ulimit -u or the container allows no more\n"
+    assert capsys.readouterr().err == line
+
+
+def test_texts_are_printed_where_the_locale_has_ascii_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    def measured(options: object) -> int:
+        sys.stdout.write("12 ± 1 mm")
+        return 0
+
+    monkeypatch.setattr(verify, "run", measured)
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), "ascii", "surrogateescape"))  # as in POSIX's
+    assert main(["verify", "x"]) == 0
+    sys.stdout.seek(0)
+    assert sys.stdout.read() == r"12 \xb1 1 mm"
+
+
 @pytest.mark.parametrize("encoding", ["ascii", "utf-8"])
 def test_paths_are_printed_whatever_their_letters(
     encoding: str, figures_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
