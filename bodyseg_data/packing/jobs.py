@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+from bodyseg_data.core import BadConfig, reported
 from bodyseg_data.machine import processors, signals_held
 
 Result = TypeVar("Result")
@@ -57,7 +58,8 @@ def processes(workers: int | None) -> Iterator[Engine]:
     # Fresh processes, not forks: a fork of a process that has used threads, or drawn with OpenGL, can deadlock.
     context = multiprocessing.get_context("spawn")
     others = set(multiprocessing.active_children())
-    executor = _Workers(count, mp_context=context, initializer=_end_with_parent)
+    with reported("processes need locks, which the system keeps in /dev/shm", BadConfig, OSError):
+        executor = _Workers(count, mp_context=context, initializer=_end_with_parent)
     try:
         yield Engine(executor, count)
     except BaseException:

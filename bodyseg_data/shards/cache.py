@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from bodyseg_data.core import BadConfig, check_int
+from bodyseg_data.core import BadConfig, check_int, reported
 from bodyseg_data.machine import cache_folder
 from bodyseg_data.shards.index import IndexedShards
 from bodyseg_data.shards.manifest import Manifest
@@ -320,13 +320,11 @@ def with_cache(store: Store, records: Iterable[CheckedFile], folder: str | Path 
     if limit == 0:
         return store
     cache = ShardCache(cache_folder() if folder is None else Path(folder), limit)
-    try:
+    advice = "give another cache, by XDG_CACHE_HOME, too, or cache_bytes=0 for none"
+    with reported(f"{cache.folder}: the cache's folder cannot be written; {advice}", BadConfig, OSError):
         cache.folder.mkdir(parents=True, exist_ok=True)
-        problem = None if os.access(cache.folder, os.W_OK | os.X_OK) else "cannot be written"
-    except OSError as error:
-        problem = error.strerror or str(error)
-    if problem is not None:
-        raise BadConfig(f"{cache.folder}: the cache's folder {problem}; give another cache, or cache_bytes=0 for none")
+        if not os.access(cache.folder, os.W_OK | os.X_OK):
+            raise PermissionError("no permission")
     return CachedStore(store, records, cache)
 
 

@@ -37,7 +37,7 @@ from bodyseg_data.core import BadConfig, BadMesh, MissingLibrary
 from bodyseg_data.meshes import Mesh
 from bodyseg_data.packing import Packing, check_engine, cluster, open_engine, pack
 from bodyseg_data.packing import cluster as workers
-from bodyseg_data.packing.jobs import Engine
+from bodyseg_data.packing.jobs import Engine, processes
 from bodyseg_data.packing.options import forget_sources
 from bodyseg_data.packing.writing import STATE_NAME
 from bodyseg_data.samples import ViewGrid
@@ -52,6 +52,15 @@ def contents(folder: Path) -> dict[str, str]:
 
 WITHIN_S: Final = 100
 """How long what takes a moment may take on a busy machine."""
+
+
+def test_a_machine_without_shared_memory_is_told_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def lock(*arguments: object) -> None:
+        raise PermissionError(13, "Permission denied")  # as the system where /dev/shm cannot be written
+
+    monkeypatch.setattr("multiprocessing.synchronize._multiprocessing.SemLock", lock)
+    with pytest.raises(BadConfig, match="^processes need locks, .* in /dev/shm: Permission denied"), processes(1):
+        pass
 
 
 def until(true: Callable[[], Any], what: str) -> None:
