@@ -98,16 +98,13 @@ def _cache() -> Iterator[None]:
     from safetensors import SafetensorError
 
     folder = get_anny_cache_path()
-    try:
-        with ExitStack() as held:
-            with suppress(OSError):  # no lock for a cache that cannot be written: it is complete, or Anny will fail
-                folder.mkdir(parents=True, exist_ok=True)
-                fcntl.flock(held.enter_context((folder / "bodyseg.lock").open("w")), fcntl.LOCK_EX)
-            yield
-    except OSError as error:
-        raise BadConfig(f"anny cannot write to {folder} ({error}): set ANNY_CACHE_DIR") from error
-    except SafetensorError as error:
-        raise BadConfig(f"anny's cache {folder} is damaged ({error}): delete it") from error
+    unwritten = reported(f"anny cannot write to {folder}, set ANNY_CACHE_DIR", BadConfig, OSError)
+    damaged = reported(f"anny's cache {folder} is damaged, delete it", BadConfig, SafetensorError)
+    with unwritten, damaged, ExitStack() as held:
+        with suppress(OSError):  # no lock for a cache that cannot be written: it is complete, or Anny will fail
+            folder.mkdir(parents=True, exist_ok=True)
+            fcntl.flock(held.enter_context((folder / "bodyseg.lock").open("w")), fcntl.LOCK_EX)
+        yield
 
 
 @dataclass(frozen=True)

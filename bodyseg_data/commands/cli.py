@@ -170,7 +170,5 @@ def _say(command: str, message: str, status: int) -> int:
 def _overview(program: str, commands: Commands, group: str = "") -> str:
     width = max(map(len, commands))
     lines = [f"  {name:{width}}  {summary}" for name, (_, summary) in commands.items()]
-    if group:
-        return "\n".join([f"Usage: {program}{group} COMMAND [--help] ...", "", *lines, ""])
-    version = f"\n       {program}--version" if program.endswith(" ") else ""
-    return "\n".join([f"Usage: {program}COMMAND [--help] ...{version}", "", *lines, ""])
+    version = f"\n       {program}--version" if program.endswith(" ") and not group else ""
+    return "\n".join([f"Usage: {program}{group and f'{group} '}COMMAND [--help] ...{version}", "", *lines, ""])

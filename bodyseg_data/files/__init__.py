@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from bodyseg_data.files.access import (
         Table,
         TomlFiles,
+        cache_folder,
         claimed,
         contents,
         held_part,

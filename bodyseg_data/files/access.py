@@ -135,6 +135,15 @@ def make_folder(path: Path) -> None:
         path.mkdir(parents=True, exist_ok=True)
 
 
+def cache_folder() -> Path:
+    """The folder `bodyseg` in XDG_CACHE_HOME or ~/.cache; a relative XDG_CACHE_HOME is ignored, as XDG requires. Raises
+    BadConfig for a user without a home.
+    """
+    chosen = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    with reported("a cache's folder must be given, by XDG_CACHE_HOME or HOME", BadConfig, RuntimeError):
+        return (chosen if chosen.is_absolute() else Path.home() / ".cache") / "bodyseg"
+
+
 @contextlib.contextmanager
 def claimed(folder: Path, work: str) -> Iterator[None]:
     """Hold a folder, made if it is not there, against others who claim it while the context lasts.

@@ -13,8 +13,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from bodyseg_data.core import BadConfig, reported
-
 _TRADE_MARK: Final = re.compile(r"\((?:R|TM)\)")
 _INSTRUCTIONS: Final = {"amx_tile": "AMX", "avx512f": "AVX-512"}
 """Flags of processors -> instructions that decide how fast a network is there, the quickest first."""
@@ -26,16 +24,6 @@ _TRIM_THRESHOLD: Final = (-1, 1 << 28)
 _MMAP_THRESHOLD: Final = (-3, 1 << 25)
 """Numbers of glibc's mallopt, and bytes: free memory that is kept, and an array that has a mapping of its own. The
 greatest of the second is 32 MB."""
-
-
-def cache_folder() -> Path:
-    """The folder `bodyseg` in XDG_CACHE_HOME or ~/.cache; a relative XDG_CACHE_HOME is ignored, as XDG requires.
-
-    Raises BadConfig for a user without a home.
-    """
-    chosen = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    with reported("a cache's folder must be given, by XDG_CACHE_HOME or HOME", BadConfig, RuntimeError):
-        return (chosen if chosen.is_absolute() else Path.home() / ".cache") / "bodyseg"
 
 
 def processors() -> int:

@@ -32,7 +32,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from bodyseg_data.core import BadConfig, MissingLibrary, check_choice
-from bodyseg_data.machine.host import cache_folder, processors
+from bodyseg_data.files import cache_folder
+from bodyseg_data.machine.host import processors
 from bodyseg_data.machine.libraries import required
 
 VARIABLE: Final = "BODYSEG_KERNELS"

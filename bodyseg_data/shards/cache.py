@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Final
 
 from bodyseg_data.core import BadConfig, check_int, reported
-from bodyseg_data.machine import cache_folder
+from bodyseg_data.files import cache_folder
 from bodyseg_data.shards.index import IndexedShards
 from bodyseg_data.shards.manifest import Manifest
 from bodyseg_data.shards.records import CheckedFile
@@ -280,7 +280,7 @@ class CachedStore:
                 # Its samples may be intact: each is checked when it is read.
                 self.to_cache.discard(record.name)
                 altered = f"{self.name}: {record.name}: altered (fetched {READ_ATTEMPTS} times)"
-                _warn(f"{altered}: this shard is not kept, but read by range")
+                warnings.warn(f"{altered}: this shard is not kept, but read by range", RuntimeWarning, stacklevel=2)
         except OSError:
             with contextlib.suppress(OSError):
                 os.ftruncate(handle, 0)  # leave a full disk as it was
@@ -304,7 +304,8 @@ class CachedStore:
     def _disable_cache(self, error: OSError) -> None:
         """Stop caching, with a warning: a full disk must not end a run, so shards are read by byte range."""
         self.to_cache.clear()
-        _warn(f"{self._cache.folder}: {error.strerror or error}: shards are no longer kept there, but read by range")
+        what = f"{self._cache.folder}: {error.strerror or error}"
+        warnings.warn(f"{what}: shards are no longer kept there, but read by range", RuntimeWarning, stacklevel=2)
 
 
 def with_cache(store: Store, records: Iterable[CheckedFile], folder: str | Path | None, limit: int | None) -> Store:
@@ -336,7 +337,3 @@ def with_kept_index(manifest: Manifest, store: Store, folder: str | Path | None,
     if isinstance(kept, RemoteFolder) and size <= _LARGEST_HELD_INDEX:
         kept = HeldFile(store, size)
     return replace(manifest, shards=manifest.shards.kept_in(kept))
-
-
-def _warn(text: str) -> None:
-    warnings.warn(text, RuntimeWarning, stacklevel=3)

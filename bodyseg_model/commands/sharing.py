@@ -3,7 +3,6 @@
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 from bodyseg_data.commands import Progress, option
 from bodyseg_data.core import BadConfig
@@ -20,8 +19,6 @@ from bodyseg_data.transfer import (
     set_bundle,
     transfer,
 )
-
-_WEIGHTS: Final = ".safetensors"
 
 
 class Push:
@@ -100,7 +97,7 @@ def _bundle_at(address: str) -> tuple[Store, Bundle]:
     from bodyseg_model.networks import RunFiles
 
     path, mark, query = address.partition("?") if address.startswith(("http://", "https://")) else (address, "", "")
-    weights = path.rpartition("/")[2] if path.endswith(_WEIGHTS) else ""
+    weights = path.rpartition("/")[2] if path.endswith(".safetensors") else ""
     if weights:
         parent = path.rpartition("/")[0] if "/" in path else "."
         store, _ = open_store(f"{parent}{mark}{query}")

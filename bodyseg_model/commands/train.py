@@ -300,7 +300,13 @@ def _entry(path: Path, digest: str) -> dict[str, Any]:
 @contextlib.contextmanager
 def reporting(folder: Path, steps: int, log_every: int) -> Iterator[Report]:
     """Report a training in `folder`: progress on standard error, and TensorBoard's log where that is installed."""
-    new_board = _tensorboard()
+    new_board: Any = None
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+
+        new_board = SummaryWriter  # which makes its files when it is made
+    except ImportError:
+        sys.stderr.write("bodyseg train: tensorboard is not installed, figures go to log.jsonl alone\n")
     board: Any = None
     start = time.monotonic()
     first: int | None = None
@@ -342,13 +348,3 @@ def reporting(folder: Path, steps: int, log_every: int) -> Iterator[Report]:
             sys.stderr.write(f"waited mostly for {stage}; what may help: {WAITING_ADVICE[stage]}\n")
     if first is None:
         sys.stderr.write(f"{folder} holds this training, ended: more --steps carry it on\n")
-
-
-def _tensorboard() -> Any:
-    """TensorBoard's writer, which makes its files when it is made; None without the package."""
-    try:
-        from torch.utils.tensorboard import SummaryWriter
-    except ImportError:
-        sys.stderr.write("bodyseg train: tensorboard is not installed, figures go to log.jsonl alone\n")
-        return None
-    return SummaryWriter

@@ -20,7 +20,7 @@ from samples import GOOD
 
 from bodyseg_data import RangeImages, loader
 from bodyseg_data.core import BadConfig, BadShard, MissingLibrary
-from bodyseg_data.machine import cache_folder
+from bodyseg_data.files import cache_folder
 from bodyseg_data.shards import (
     LocalFolder,
     Manifest,
