@@ -20,6 +20,8 @@ _INSTRUCTIONS: Final = {"amx_tile": "AMX", "avx512f": "AVX-512"}
 _BFLOAT16: Final = frozenset({"amx_bf16", "avx512_bf16"})
 """The flags of processors with instructions for bfloat16; others compute it by way of float32, slower than that."""
 
+_SHARE: Final = "/sys/fs/cgroup/cpu.max"  # of a container, as of `docker run --cpus 2`: microseconds in a period
+
 _TRIM_THRESHOLD: Final = (-1, 1 << 28)
 _MMAP_THRESHOLD: Final = (-3, 1 << 25)
 """Numbers of glibc's mallopt, and bytes: free memory that is kept, and an array that has a mapping of its own. The
@@ -27,10 +29,10 @@ greatest of the second is 32 MB."""
 
 
 def processors() -> int:
-    """Return the number of processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    """Return the number of processors that this process may use, no more than a container's share of their time."""
+    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    quota, period = " ".join(_lines(_SHARE)).split() or ("max", "1")
+    return count if quota == "max" else min(count, max(1, round(int(quota) / int(period))))
 
 
 def hardware() -> str:

@@ -29,6 +29,18 @@ def test_a_processor_is_named_without_trade_marks_and_with_its_widest_instructio
 
 
 @pytest.mark.parametrize(
+    ("share", "expected"),
+    [([], 8), (["max 100000"], 8), (["200000 100000"], 2), (["50000 100000"], 1), (["1600000 100000"], 8)],
+)
+def test_a_containers_share_of_time_counts_as_so_many_processors(
+    share: list[str], expected: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(machine.os, "sched_getaffinity", lambda _: range(8), raising=False)
+    monkeypatch.setattr(machine, "_lines", lambda path: {"/sys/fs/cgroup/cpu.max": share}[path])
+    assert machine.processors() == expected
+
+
+@pytest.mark.parametrize(
     ("board", "processor", "shown"),
     [
         (["Raspberry Pi 5 Model B Rev 1.0\0"], "", "Raspberry Pi 5 Model B Rev 1.0"),
