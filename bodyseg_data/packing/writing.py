@@ -171,7 +171,7 @@ def check_folder(out: Path) -> None:
     if out.exists() and not out.is_dir():
         raise BadConfig(f"shards go into a folder, {out} is a file")
     begun = (out / MANIFEST_NAME).exists() or (out / STATE_NAME).exists()
-    if not begun and out.exists() and any(out.glob("*.tar")):
+    if not begun and out.exists() and any(out.glob("[!.]*.tar")):
         raise BadConfig(f"{out} holds tars of no packing: choose another folder")
 
 

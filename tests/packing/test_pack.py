@@ -213,6 +213,8 @@ def test_other_bodies_of_the_same_names_are_another_packing(
 
 
 def test_a_folder_with_something_else_is_refused(tmp_path: Path, pack_figures: Pack, known: dict[Any, Any]) -> None:
+    (tmp_path / "shards").mkdir()
+    (tmp_path / "shards" / "._train-00000.tar").touch()  # no tar: what macOS leaves beside one on other disks
     out = pack_figures(tmp_path / "shards", Renders(known), meshes=2)
     with pytest.raises(BadConfig, match="already holds a set of shards packed with other options"):
         pack_figures(out, Renders(known), meshes=3)
