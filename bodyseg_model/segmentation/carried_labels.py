@@ -34,6 +34,7 @@ SAME_BODY_M: Final = 0.5
 """Bodies of two frames are one if their middles are nearer, metres: 12 m/s at 25 frames a second."""
 
 _AWAY_FRAMES: Final = 30  # for which a body may be out of sight and keep its number
+_AWAY_M: Final = 1.0  # that it may be farther then: people pass behind others
 _UNMOVED: Final = np.eye(3, 4, dtype=np.float32)
 _LEAST_PIXELS: Final = 1 << 12  # of a thread that carries evidence, so that starting it pays
 _NOWHERE: Final = -1.0  # a tolerance within which no range is: evidence starts anew
@@ -170,8 +171,8 @@ class CarriedLabels:
     seen in the last frame. The result is the same on every run, for any number of torch's threads. Raises
     MissingLibrary without numba.
 
-    tracks: of each body of the last frame, the number that it keeps while the nearest body of the next frame is less
-    than `SAME_BODY_M` away, also when it was out of sight for a second, from 1 in the order of coming into view.
+    tracks: of each body of the last frame, the number that it keeps while it moves by at most `SAME_BODY_M` from frame
+    to frame, or by a metre while it is out of sight, for 30 frames at most; from 1 in the order of coming into view.
     """
 
     def __init__(self, carrying: Carrying | None = None) -> None:
@@ -182,7 +183,7 @@ class CarriedLabels:
     def restart(self) -> None:
         """Forget all frames, as at the start of a recording."""
         self._last: _LastFrame | None = None
-        self._frame = self._bodies = 0
+        self._frame, self._new = 0, itertools.count(1)
         self._tracked: dict[int, tuple[Middle, int]] = {}  # number -> middle, and the frame in which it was there
         self.tracks: list[int] = []
 
@@ -202,8 +203,8 @@ class CarriedLabels:
         lenses = [self._lens(body, camera) for body in seen]
         cells, known = list(map(self._cells, seen, lenses)), []
         middles = list(map(_middle, cells))
-        self._track(middles)
         pairs = _nearest(middles, dict(enumerate(_middle(body) for body, *_ in last.bodies)) if last else {})
+        self._track(middles, pairs)
         for body, lens, own, number in zip(seen, lenses, cells, pairs, strict=True):
             rigid, field, gain = _UNMOVED, np.zeros_like(own.points), 0.0
             old, rule = new, self._rule(_NOWHERE)
@@ -244,17 +245,15 @@ class CarriedLabels:
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
         return Cells(grid, points, normals, beside, labels, noise_m)
 
-    def _track(self, middles: Sequence[Middle]) -> None:
-        """Number the bodies of the next frame."""
+    def _track(self, middles: Sequence[Middle], pairs: Sequence[int | None]) -> None:
+        """Number the bodies of the next frame: as those of the frame before that they are, else as those away."""
         self._frame += 1
-        known = {n: middle for n, (middle, frame) in self._tracked.items() if frame >= self._frame - _AWAY_FRAMES}
-        found = _nearest(middles, known)
-        new = range(self._bodies + 1, self._bodies + 1 + found.count(None))
-        self._bodies += len(new)
-        unused = iter(new)
-        self.tracks = [next(unused) if number is None else number for number in found]
-        kept = {number: self._tracked[number] for number in known}
-        self._tracked = kept | {n: (middle, self._frame) for n, middle in zip(self.tracks, middles, strict=True)}
+        known = {n: seen for n, seen in self._tracked.items() if seen[1] >= self._frame - _AWAY_FRAMES}
+        numbers = [None if pair is None else self.tracks[pair] for pair in pairs]
+        away = {n: middle for n, (middle, _) in known.items() if n not in numbers}
+        back = iter(_nearest([middle for middle, n in zip(middles, numbers, strict=True) if n is None], away, _AWAY_M))
+        self.tracks = [n or next(back) or next(self._new) for n in numbers]
+        self._tracked = known | {n: (middle, self._frame) for n, middle in zip(self.tracks, middles, strict=True)}
 
     def _rule(self, tolerance_m: float, bends: bool = False) -> Rule:
         """The parameters as the loops take them."""
@@ -379,14 +378,13 @@ def _parts(points: Floats, labels: Labels) -> tuple[NDArray[np.float64], NDArray
     return sums / np.maximum(areas, 1e-6)[:, None], areas
 
 
-def _nearest(middles: Sequence[Middle], known: dict[int, Middle]) -> list[int | None]:
-    """For every body the number of the nearest known one that is left; None for a new one."""
-    found: list[int | None] = []
-    for own in middles:
-        away = {number: float(np.linalg.norm(own - middle)) for number, middle in known.items()}
-        near = {number: metres for number, metres in away.items() if metres <= SAME_BODY_M}
-        found.append(min(near, key=near.__getitem__, default=None))
-        known = {number: middle for number, middle in known.items() if number != found[-1]}
+def _nearest(middles: Sequence[Middle], known: dict[int, Middle], within_m: float = SAME_BODY_M) -> list[int | None]:
+    """For every body the number of a known one, the nearest pairs first; None for a new one."""
+    away = {(at, n): float(np.linalg.norm(own - known[n])) for at, own in enumerate(middles) for n in known}
+    found: list[int | None] = [None] * len(middles)
+    for at, n in sorted((pair for pair in away if away[pair] <= within_m), key=away.__getitem__):  # none is NaN
+        if found[at] is None and n not in found:
+            found[at] = n
     return found
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytest
@@ -171,15 +172,33 @@ def test_two_bodies_keep_to_themselves_and_nobody_is_no_error() -> None:
     assert (anew[range_m > 0] == 30).all(), "nobody was seen in the frame between"
 
 
+def tracks_of(carried: CarriedLabels, *places_m: float) -> list[int]:
+    """Numbers of pillars in the next frame."""
+    frames = [pillar(x_m=x_m)[0] for x_m in places_m]
+    bodies = [(np.flatnonzero(each), np.ones(np.count_nonzero(each), np.float32)) for each in frames]
+    range_m = np.max([np.zeros_like(pillar()[0]), *frames], axis=0)
+    carried(range_m, np.where(range_m > 0, np.uint8(3), np.uint8(BACKGROUND)), bodies, LENS)
+    return carried.tracks
+
+
+@pytest.mark.parametrize(
+    ("frames", "expected"),
+    [
+        ([(0.02,), (0.3, 0.0)], [2, 1]),  # the newcomer is larger, and so comes first
+        ([(0.4, 0.2), (0.22,), (0.41,)], [2]),  # follows another one out of sight
+        ([(-0.35, 0.0), (0.0,), (0.35, 0.0)], [1, 2]),  # walks past behind another one
+    ],
+)
+def test_a_body_that_comes_near_another_one_takes_no_number_of_it(
+    frames: list[tuple[float, ...]], expected: list[int]
+) -> None:
+    carried = CarriedLabels()
+    assert [tracks_of(carried, *places_m) for places_m in frames][-1] == expected
+
+
 def test_a_body_keeps_its_number_also_out_of_sight_for_a_second() -> None:
     carried = CarriedLabels()
-
-    def tracks(*places_m: float) -> list[int]:
-        frames = [pillar(x_m=x_m)[0] for x_m in places_m]
-        bodies = [(np.flatnonzero(each), np.ones(np.count_nonzero(each), np.float32)) for each in frames]
-        range_m = sum(frames, np.zeros_like(pillar()[0]))
-        carried(range_m, np.where(range_m > 0, np.uint8(3), np.uint8(BACKGROUND)), bodies, LENS)
-        return carried.tracks
+    tracks = partial(tracks_of, carried)
 
     assert tracks(-0.4, 0.4) == [1, 2]
     assert tracks(0.35, -0.35) == [2, 1], "the largest body comes first, whoever it is"
