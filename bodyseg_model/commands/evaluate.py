@@ -70,6 +70,9 @@ class Options:
     occluder: OccluderName = option(OCCLUDER_HELP, "stored")
     artifacts: str = option("strengths of any artifacts that differ from the sensor's, as JSON", "{}")
     seed: int = option("seed of the artifacts, and of the choice of images", 0)
+    other_rig: bool = option(
+        "also score images of a rig that is far from the one that the network was trained for", False
+    )
     figures: Path | None = option("also draw charts and sample images as PNGs into this folder", None, heading="Report")
     frames: int = option("images to time the network on, one at a time (0: none)", 50)
     batch_size: int = option("images that go through the network together", 16, heading="Machine")
@@ -77,9 +80,6 @@ class Options:
     worker_method: WorkerMethod = option("kind of these workers", DEFAULT_WORKER_METHOD)
     device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
     threads: int | None = option("threads that compute on the processor (default: all)", None)
-    other_rig: bool = option(
-        "also score images of a rig that is far from the one that the network was trained for", False
-    )
 
 
 def run(options: Options) -> int:
