@@ -172,7 +172,7 @@ class CarriedLabels:
     MissingLibrary without numba.
 
     tracks: of each body of the last frame, the number that it keeps while it moves by at most `SAME_BODY_M` from frame
-    to frame, or by a metre while it is out of sight, for 30 frames at most; from 1 in the order of coming into view.
+    to frame, or by a metre while the camera changes or it is out of sight, for 30 frames at most; from 1 on.
     """
 
     def __init__(self, carrying: Carrying | None = None) -> None:
@@ -194,7 +194,7 @@ class CarriedLabels:
         int64 [N], row * W + column, ascending, and confidence, float32 [N], of each. camera: that of the frame.
         """
         if self._last is not None and self._last.camera != camera:
-            self.restart()
+            self._last = None
         last = self._last
         flat, named = np.ascontiguousarray(range_m).ravel(), np.ascontiguousarray(labels).ravel()
         seen = [BodyPixels(*body, flat, named) for body in bodies if len(body[0])]

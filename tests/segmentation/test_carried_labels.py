@@ -172,12 +172,12 @@ def test_two_bodies_keep_to_themselves_and_nobody_is_no_error() -> None:
     assert (anew[range_m > 0] == 30).all(), "nobody was seen in the frame between"
 
 
-def tracks_of(carried: CarriedLabels, *places_m: float) -> list[int]:
+def tracks_of(carried: CarriedLabels, *places_m: float, camera: Camera = LENS) -> list[int]:
     """Numbers of pillars in the next frame."""
-    frames = [pillar(x_m=x_m)[0] for x_m in places_m]
+    frames = [pillar(x_m=x_m, camera=camera)[0] for x_m in places_m]
     bodies = [(np.flatnonzero(each), np.ones(np.count_nonzero(each), np.float32)) for each in frames]
-    range_m = np.max([np.zeros_like(pillar()[0]), *frames], axis=0)
-    carried(range_m, np.where(range_m > 0, np.uint8(3), np.uint8(BACKGROUND)), bodies, LENS)
+    range_m = np.max([np.zeros_like(pillar(camera=camera)[0]), *frames], axis=0)
+    carried(range_m, np.where(range_m > 0, np.uint8(3), np.uint8(BACKGROUND)), bodies, camera)
     return carried.tracks
 
 
@@ -194,6 +194,12 @@ def test_a_body_that_comes_near_another_one_takes_no_number_of_it(
 ) -> None:
     carried = CarriedLabels()
     assert [tracks_of(carried, *places_m) for places_m in frames][-1] == expected
+
+
+def test_bodies_keep_their_numbers_where_each_frame_has_a_camera_of_its_own() -> None:
+    carried = CarriedLabels()
+    assert tracks_of(carried, -0.4, 0.4) == [1, 2]
+    assert tracks_of(carried, 0.4, -0.4, camera=OTHER) == [2, 1]
 
 
 def test_a_body_keeps_its_number_also_out_of_sight_for_a_second() -> None:
