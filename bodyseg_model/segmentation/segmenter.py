@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
+from pathlib import Path
 from types import NoneType
 from typing import Any, Final, Self
 
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies import load_template
 from bodyseg_data.core import BadConfig, Stopwatch, check_class
-from bodyseg_data.labels import BACKGROUND, NOWHERE, PART_COUNT, PARTS33, LabelMap
+from bodyseg_data.labels import BACKGROUND, NOWHERE, PART_COUNT, PARTS33, LabelMap, load_label_map
 from bodyseg_data.machine import of_each, required
 from bodyseg_data.rigs import Camera, Rig, load_rig
 from bodyseg_model.networks import Network, Trained, device_of, predict_each
@@ -124,12 +125,13 @@ class Segmentation:
             image.ravel()[body.pixels] = values
         return image
 
-    def joined(self, coarser: LabelMap) -> Self:
+    def joined(self, coarser: str | Path | LabelMap) -> Self:
         """The same frame with labels of coarser classes, of which the network's are parts; confidences stay those of
-        the finer labels. Raises BadConfig as `LabelMap.joined_to`, or where the network's classes are not known.
+        the finer labels. Raises BadConfig as `load_label_map` and `LabelMap.joined_to`, or without a `label_map`.
         """
         if self.label_map is None:
-            raise BadConfig(f"labels {coarser.name!r} are joined from known classes: the segmenter has no label_map")
+            raise BadConfig(f"labels {coarser!s} are joined from known classes: the segmenter has no label_map")
+        coarser = coarser if isinstance(coarser, LabelMap) else load_label_map(coarser, self.label_map.of)
         return replace(self, labels=self.label_map.joined_to(coarser)[self.labels], label_map=coarser)
 
     def points(self) -> Records:

@@ -80,13 +80,14 @@ def test_labels_may_be_joined_to_coarser_classes() -> None:
     np.testing.assert_array_equal(limbs.labels, load_label_map("limbs14").table[own.labels])
     np.testing.assert_array_equal(limbs.confidence, own.confidence)
     assert len(set(limbs.parts()["part"])) < len(set(own.parts()["part"]))
+    np.testing.assert_array_equal(own.joined("limbs14").labels, limbs.labels)
     assert own.joints().shape == (1, 15)
     with pytest.raises(BadConfig, match="^joints are found from the 33 parts alone, found labels 'limbs14'$"):
         limbs.joints()
     with pytest.raises(BadConfig, match="^labels 'parts33' and 'joints24' are of other classes"):
         FrameLabeller(trained, labels="joints24")
-    with pytest.raises(BadConfig, match="^labels 'limbs14' are joined from known classes"):
-        replace(own, label_map=None).joined(load_label_map("limbs14"))
+    with pytest.raises(BadConfig, match="^labels limbs14 are joined from known classes"):
+        replace(own, label_map=None).joined("limbs14")
 
 
 def test_a_segmenter_goes_by_its_networks_card() -> None:
