@@ -77,8 +77,7 @@ class Options:
     weights: tuple[float, ...] = option("weights of the sets (default: their numbers of samples)", (), heading="Images")
     samples: int | None = option("samples in an epoch of several sets (default: all of theirs together)", None)
     labels: str | None = option(
-        f"classes to predict (default: the set's): {', '.join(label_map_names())} or a label map (.toml)",
-        None,
+        f"classes to predict (default: the set's): {', '.join(label_map_names())} or a label map (.toml)", None
     )
     no_mirror: bool = option("never mirror images, as for classes without a mirror image", False)
     occluder: OccluderName = option(OCCLUDER_HELP, "stored")

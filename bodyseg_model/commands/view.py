@@ -120,10 +120,11 @@ def is_set(source: Sequence[str]) -> bool:
 
 def check_options(options: Options, kind: str) -> None:
     """Raise BadConfig for an option that a set or a recording does not have, so that none is given in vain."""
-    other = "frames" if kind == "set" else "sets"
+    heading, other = None, "Frames" if kind == "set" else "Sets"
     for field in fields(options):
-        if field.metadata["help"].startswith(f"{other}: ") and getattr(options, field.name) != field.default:
-            raise BadConfig(f"--{field.name.replace('_', '-')} is for {other}, found it with a {kind}")
+        heading = field.metadata["heading"] or heading
+        if heading == other and getattr(options, field.name) != field.default:
+            raise BadConfig(f"--{field.name.replace('_', '-')} is for {other.lower()}, found it with a {kind}")
 
 
 def _recording_view(options: Options, trained: Trained) -> RecordingView:
