@@ -31,6 +31,8 @@ def _described(title: str, summary: str, command: Any) -> Iterator[str]:
     yield from ("| option | value | default | meaning |", "| --- | --- | --- | --- |")
     hints = typing.get_type_hints(command.Options)
     for field in sorted(fields, key=lambda field: not field.metadata["positional"]):
+        if field.metadata["heading"] is not None:
+            yield f"| **{field.metadata['heading']}** |  |  |  |"
         name = field.name.upper() if field.metadata["positional"] else flag_of(field)
         cells = (f"`{name}`", value_text(hints[field.name]), default_text(field), field.metadata["help"])
         yield f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
