@@ -56,9 +56,9 @@ class LabelledFrame(Segmentation):
     number: its place, from 0, among the frames of its recording or stream. milliseconds: of reading, "read", and of
     each of the segmenter's `STAGES`.
 
-    Of a recording's frames alone: frame, which knows name, time and file; stored: uint16 [H, W], without lens
-    distortion, in the recording's steps; own_camera: if it has one of its own; stamp: of its message, if it was asked
-    for.
+    Of a recording's frames alone, live or stored: frame, which knows name, time and file. Of a stored one's: stored,
+    uint16 [H, W], without lens distortion, in its steps; own_camera: if the frame has one of its own; stamp: of its
+    message, if it was asked for.
     """
 
     number: int
@@ -234,9 +234,8 @@ class FrameLabeller:
         next.
 
         frames: float32 [H, W], metres, 0 = nothing measured, or those of a `LiveRecording`, with their times, as
-        `answer.frame.time_s`; they may never end. camera: that takes them, with or
-        without lens distortion. Before the first frame is asked for, compiled loops are loaded and usual views are
-        labelled. ahead: a thread asks for the next frame and finds its people while this one is labelled; the same
+        `answer.frame.time_s`; they may never end. camera: that takes them, with or without lens distortion; `prepare`
+        comes first. ahead: a thread asks for the next frame and finds its people while this one is labelled; the same
         answers in the same order, more of them a second where a processor is free. Each frame then is an array of its
         own, which no driver writes into again. Raises BadConfig as a call, naming the frame by its number.
         """

@@ -19,7 +19,7 @@ from bodyseg_data.core import BadConfig, Stopwatch, check_class
 from bodyseg_data.labels import BACKGROUND, NOWHERE, PART_COUNT, PARTS33, LabelMap, load_label_map
 from bodyseg_data.machine import of_each, required
 from bodyseg_data.rigs import Camera, Rig, load_rig
-from bodyseg_model.networks import Network, Trained, device_of, predict_each
+from bodyseg_model.networks import Network, Trained, check_label_map, device_of, predict_each
 from bodyseg_model.runtimes import on_backend
 from bodyseg_model.segmentation.carried_labels import CarriedLabels
 from bodyseg_model.segmentation.finder import Background, Found, find_bodies, part_people, shipped_finder, view_of
@@ -205,15 +205,15 @@ class Segmenter:
     network: in evaluation mode, on any backend (`on_backend`); frames are moved to its device. With its card, a
     `Trained`, it brings rig, label_map and doubted_below. camera: that took the frames, which must be without lens
     distortion (`Undistortion`). background, mirrored, least_confidence, finder: as of `FrameLabeller`, the background
-    by default `Background()`. rig: that the network was trained for; of a network alone, by default the paper's.
-    doubted_below: of the people that the finder finds, in the background mode "people", those whose mean probability
-    times the mean confidence of their labels is less are things (`least_confidence_of_people`). video: carries evidence
-    from frame to frame of a recording, whose frames must then come in order (`CarriedLabels`); None to label each
-    alone. quarters: right angles by which the camera was mounted turned clockwise, as seen from behind it. label_map:
-    the network's classes; by default the 33 parts for a network of 33. dense: also tell where on the template of the
-    body each pixel lies (`Segmentation.template`). either_way: a person of whose parts the network is unsure is
-    labelled upside down, too, and the surer labels stay. Raises BadConfig for a confidence outside 0 to 1, a camera
-    with distortion, a network that is no finder, or knows no places and is to be dense; MissingLibrary without numba.
+    by default `Background()`. rig: that the network was trained for, by default the paper's. doubted_below: of the
+    people that the finder finds, in the background mode "people", those whose mean probability times the mean
+    confidence of their labels is less are things (`least_confidence_of_people`). video: carries evidence from frame to
+    frame of a recording, whose frames must come in order (`CarriedLabels`); None to label each alone. quarters: right
+    angles by which the camera was mounted turned clockwise, as seen from behind it. label_map: the network's classes;
+    by default the 33 parts for a network of 33. dense: also tell where on the template of the body each pixel lies
+    (`Segmentation.template`). either_way: a person of whose parts the network is unsure is labelled upside down, too,
+    and the surer labels stay. Raises BadConfig for a confidence outside 0 to 1, a camera with distortion, a network of
+    other classes, that is no finder or knows no places and is to be dense; MissingLibrary without numba.
     """
 
     def __init__(
@@ -240,7 +240,6 @@ class Segmenter:
         check_class("camera", camera, Camera)
         check_class("background", background, Background, NoneType)
         check_class("rig", rig, Rig, NoneType)
-        check_class("label_map", label_map, LabelMap, NoneType)
         check_class("video", video, CarriedLabels, NoneType)
         if not 0 <= least_confidence <= 1:
             raise BadConfig(f"a confidence must be 0 to 1, found {least_confidence:g}")
@@ -268,6 +267,8 @@ class Segmenter:
         self.label_map = label_map or (PARTS33 if network.classes == PART_COUNT else None)
         self._asked = dense, self.label_map == PARTS33
         self._either_way = either_way and self.label_map == PARTS33 and self.background.mode != "frame"
+        if self.label_map is not None:
+            check_label_map(self._network, self.label_map)
         self._prepared = False
 
     def __repr__(self) -> str:

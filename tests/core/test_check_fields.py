@@ -198,7 +198,7 @@ def test_arguments_of_the_public_functions_say_what_they_must_be(figures_set: Pa
         ("camera must be of class Camera, found FrameCamera", Segmenter, (network, mine), {}),
         ("background must be of class Background or None, found 'keep'", Segmenter, (network, camera, "keep"), {}),
         ("rig must be of class Rig or None, found 'paper'", Segmenter, (network, camera), {"rig": "paper"}),
-        ("label_map must be of class LabelMap or None, found 1", Segmenter, (network, camera), {"label_map": 1}),
+        ("label_map must be of class LabelMap, found 1", Segmenter, (network, camera), {"label_map": 1}),
         ("video must be of class CarriedLabels or None, found True", Segmenter, (network, camera), {"video": True}),
         ("background must be of class Background, found 'keep'", FrameLabeller, (trained, "keep"), {}),
         ("a frame needs its camera, like .*, found FrameCamera", lambda *given: next(stream(*given)), ([], mine), {}),

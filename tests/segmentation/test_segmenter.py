@@ -115,6 +115,11 @@ def test_mirrored_frames_are_labelled_the_other_way_round() -> None:
     assert other[0] > other[-1]
 
 
+def test_a_label_map_has_the_networks_classes() -> None:
+    with pytest.raises(BadConfig, match="^the network must have the 14 classes of labels 'limbs14', found 33$"):
+        Segmenter(Places(1, 6), LENS, KEEP, label_map=load_label_map("limbs14"))
+
+
 def test_unsure_pixels_get_no_label_but_still_count() -> None:
     frame = standing(20, 2.0)
     frame[30:] += np.where(frame[30:] > 0, np.float32(0.2), np.float32(0))
