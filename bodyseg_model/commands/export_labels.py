@@ -8,12 +8,13 @@ import io
 import json
 import shutil
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from itertools import chain
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
@@ -76,7 +77,7 @@ class LabelImage(NamedTuple):
     name: of its files; it may name folders. number: from 1, the same in every export. instances: uint16 [H, W], number,
     from 1, of a pixel's person or thing, 0: not known; None where nothing is counted. crowds: numbers that several
     share. range: uint16 [H, W], steps of `step_m` metres, 0 = nothing measured; None: not known. sequence: of images
-    that follow each other.
+    that follow each other. time_s: of a frame, seconds. tracks: numbers that instances keep from frame to frame.
     """
 
     name: str
@@ -87,6 +88,8 @@ class LabelImage(NamedTuple):
     range: NDArray[np.uint16] | None = None
     step_m: float = 1e-3
     sequence: str = ""
+    time_s: float | None = None
+    tracks: Mapping[int, int] = MappingProxyType({})
 
 
 def run(options: Options) -> int:
@@ -169,6 +172,8 @@ def _frames(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Ima
         label_map = label_map_from_json(summary["labels"], f"{folder / 'summary.json'}, labels")
         boxes = [np.array([body["box"] for body in at["bodies"]], int).reshape(-1, 4) for at in summary["each"]]
         each = [(str(at["name"]), str(at["path_id"]), own) for at, own in zip(summary["each"], boxes, strict=True)]
+        times = [at.get("time_s") for at in summary["each"]]
+        tracks = [{n: b["track"] for n, b in enumerate(at["bodies"], 1) if "track" in b} for at in summary["each"]]
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadConfig(f"{folder / 'summary.json'} is none of `bodyseg segment`: {error!r}") from error
     given = find_frames(options.frames, options.topic, summary.get("given_unit_m")) if options.frames else []
@@ -191,7 +196,8 @@ def _frames(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Ima
                 if ranges.shape != labels.shape:
                     raise BadConfig(f"{frame.where}: its labels are of another size, {labels.shape}")
                 of_range = ranges * (ranges < 65535), frame.step_m, str(frame.sequence)  # 65535 is saturated
-            yield LabelImage(name, number, labels, counted[0], counted[1], *of_range)
+            of_frame = *of_range, times[number - 1], tracks[number - 1]
+            yield LabelImage(name, number, labels, counted[0], counted[1], *of_frame)
             progress(number, len(each))
 
     return label_map, images()
@@ -228,6 +234,7 @@ def segments(image: LabelImage) -> Iterator[tuple[dict[str, Any], NDArray[np.int
         box = [int(left[0]), first, int(right[-1] - left[0]) + 1, last - first + 1]
         facts = {"id": code, "category_id": code & 255, "area": int(counts[1::2].sum()), "bbox": box}
         facts |= {"iscrowd": int(code >> 8 in image.crowds), "instance": code >> 8}
+        facts |= {"track_id": image.tracks[code >> 8]} if code >> 8 in image.tracks else {}
         yield facts, counts if counts[-1] else counts[:-1]
 
 
@@ -281,6 +288,7 @@ def _coco(folder: Path, label_map: LabelMap, images: Images, options: Options, p
             size = {"width": columns, "height": rows, "range_step_m": image.step_m}
             name = f"{'' if image.range is None else 'range/'}{image.name}.png"  # else as in the folder of the frames
             told_images.append({"id": image.number, "file_name": name, **size})
+            told_images[-1] |= {} if image.time_s is None else {"time_s": image.time_s}
             entries, ids = list[dict[str, Any]](), np.zeros(image.labels.size, np.uint32)
             for facts, counts in segments(image):
                 ids[np.repeat(np.arange(len(counts)) % 2 > 0, counts)] = facts["id"]

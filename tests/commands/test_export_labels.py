@@ -251,6 +251,21 @@ def test_a_folder_of_segment_is_exported_with_its_people(labelled: tuple[Path, P
     assert not (out / "annotations.json").exists(), "the earlier export is gone"
 
 
+def test_times_of_frames_and_numbers_of_people_in_a_video_are_exported(
+    labelled: tuple[Path, Path], tmp_path: Path
+) -> None:
+    stack = np.stack([standing((10, 5, 40, 12)), standing((10, 7, 40, 12), (8, 50, 44, 14))])
+    np.savez(tmp_path / "a.npz", depth=stack, timestamps=np.array([0.5, 0.6]))
+    words = ["segment", str(tmp_path / "a.npz"), "--focal", "100", "--video", "--out", str(tmp_path / "b")]
+    assert cli.main([*words, "--keep-things"]) == 0
+    found = tree(export(tmp_path / "coco", tmp_path / "b", "coco") / "annotations.json")
+    times = [each["time_s"] for each in json.loads((tmp_path / "b" / "summary.json").read_text())["each"]]
+    assert [image["time_s"] for image in found["images"]] == times == [0.5, 0.6]
+    told = {(each["image_id"], each["instance"], each["track_id"]) for each in found["annotations"]}
+    assert told == {(1, 1, 1), (2, 1, 2), (2, 2, 1)}, "the newcomer is the larger body"
+    assert "track_id" not in tree(export(tmp_path / "coco", labelled[1], "coco") / "annotations.json")["annotations"][0]
+
+
 @pytest.mark.parametrize(("scale", "kind", "units"), [(10, np.uint16, "0.1mm"), (1, np.float32, "mm")])
 def test_ranges_are_exported_in_the_units_that_were_given_to_segment(
     labelled: tuple[Path, Path], tmp_path: Path, scale: int, kind: type, units: str
