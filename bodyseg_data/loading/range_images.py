@@ -70,28 +70,32 @@ OCCLUDERS: Final[tuple[OccluderName, ...]] = get_args(OccluderName)
 
 
 class RangeImages(SampleDataset):
-    """Dataset over a set of shards with the artifacts of one of the five variants. Random access; `len()` is exact.
+    """Dataset of range images with artifacts: one variant of a set of shards. Random access; `len()` is exact.
 
     path: the folder of a set, or a glob that picks some of its shards ("shards/train-*.tar"), on this machine or at an
-    address like https://host/shards or s3://bucket/shards. variant: "none", "occ", "noise", "md", "all", or two
-    artifacts, like "noise+md". split: "train", "test", "val" (with `val_share`), or None for train and test. seed: of
-    all draws and of the order. epoch: the first epoch. sensor: the artifacts, of which the variant takes those of its
-    kinds: a model, the name of one that ships with the package, or a TOML file (docs/how-to/sensors.md). transform: of
-    the samples, applied in the workers, one or several in their order (docs/how-to/transforms.md). labels: classes that
-    take the place of the set's own: a map, the name of one that ships with the package, or a TOML file
-    (docs/how-to/label_maps.md); a map of regions of the template takes them from the column `template`. unlabelled:
-    give 254 and not 255 to surfaces that have no class, so that 255 means that nothing was measured. planes: names of
-    further images of the set, like "instances", that items and batches hold, too, as stored, also where artifacts lose
-    pixels. occluder: "camera" makes the projector's range out of what the camera sees, also for a set that holds none;
-    what the camera does not see then casts no shadow (docs/how-to/streaming.md). only: patterns as for file names
-    ("open-A-*", "*-d255-*"), one or several; a sample's key must match one of them. where: conditions like
-    "distance_cm<=255", one or several, which a sample's description must all meet (docs/how-to/streaming.md). columns:
-    names of columns to open, planes or fields that the set got later (docs/how-to/columns.md); those that `where` and
-    `planes` name are opened in any case. val_share: share of train, 0 to 1, that is read as "val" and not as "train":
-    whole people and motions (docs/how-to/splits.md).
+    address like https://host/shards or s3://bucket/shards.
+    variant: "none", "occ", "noise", "md", "all", or two artifacts, like "noise+md".
+    split: "train", "test", "val" (with `val_share`), or None for train and test.
+    seed: of all draws and of the order. epoch: the first epoch.
+    sensor: the artifacts, of which the variant takes those of its kinds: a model, the name of one that ships with the
+    package, or a TOML file (docs/how-to/sensors.md).
+    transform: one or several, applied to samples in their order by the workers (docs/how-to/transforms.md).
+    labels: classes in place of the set's own: a map, the name of one that ships with the package, or a TOML file
+    (docs/how-to/label_maps.md). A map of regions of the template takes them from the column `template`.
+    unlabelled: label surfaces of no class 254 instead of 255, so that 255 means that nothing was measured.
+    planes: names of further images that items and batches hold, like "instances": as stored, also where pixels are
+    lost.
+    occluder: "camera" makes the projector's range out of what the camera sees, also for a set that holds none; what the
+    camera does not see then casts no shadow (docs/how-to/streaming.md).
+    only: patterns as for file names ("open-A-*", "*-d255-*"), one or several, one of which a sample's key must match.
+    where: conditions like "distance_cm<=255", one or several, that a sample must all meet (docs/how-to/streaming.md).
+    columns: names of columns to open, planes or fields that the set got later (docs/how-to/columns.md); those that
+    `where` and `planes` name are opened in any case.
+    val_share: share of train, 0 to below 1, read as "val" instead: whole people and motions (docs/how-to/splits.md).
 
-    For remote sets (docs/how-to/remote.md): cache: folder that keeps fetched shards, None for `bodyseg` in the user's
-    cache folder. cache_bytes: its limit, None for 20 GB, 0 for no cache. storage_options: for the fsspec filesystem.
+    For remote sets (docs/how-to/remote.md):
+    cache: folder that keeps fetched shards, None for `bodyseg` in the user's cache folder.
+    cache_bytes: its limit, None for 20 GB, 0 for no cache. storage_options: for the fsspec filesystem.
     retry_policy: limits of retries and of waiting.
 
     Raises BadConfig for an unknown name, a bad sensor or an empty selection, BadShard for a set that is damaged or
@@ -210,8 +214,8 @@ class RangeImages(SampleDataset):
     def clean(self, index: int) -> Sample:
         """Return the stored sample, without artifacts, with all of its planes and the set's own labels.
 
-        With `labels` of the template, its labels are regions of that, the classes of `manifest.classes` here.
-        Its projector range is the one that artifacts use: with `occluder="camera"`, made of the camera's.
+        With `labels` of the template, these are regions of the template instead, the classes of `manifest.classes`
+        here. With `occluder="camera"`, the projector's range is made of the camera's, as artifacts use it.
         """
         shard, within = self._where(index)
         sample = self.reader.read(shard, within, self.occluder == "stored", unlabelled=self.unlabelled)
@@ -240,7 +244,7 @@ class RangeImages(SampleDataset):
         return found
 
     def augmentation_of(self, sample: Sample) -> Augmentation:
-        """The artifacts as made for the sample's own rig. Raises BadSample for a rig that is none of the set's."""
+        """Return the artifacts made for the sample's own rig. Raises BadSample for a rig that the set does not have."""
         if len(self.manifest.rigs) == 1:
             return self.augmentation
         rig, number = self.manifest.rig_of(sample), sample.info.get(RIG_FIELD)
@@ -317,11 +321,11 @@ class RangeImages(SampleDataset):
         return made
 
     def __getitem__(self, index: int | Request) -> dict[str, Any]:
-        """Return one sample: range float32 [1, H, W] in metres, labels uint8 [H, W], key; and planes, if any were asked
-        for, name -> uint8 or uint16 [H, W].
+        """Return one sample: range float32 [1, H, W] in metres, labels uint8 [H, W], key.
 
+        If planes were asked for, also planes: name -> uint8 or uint16 [H, W].
         index: the sample's index, or (epoch, index) as `batches` yields. An index alone takes the epoch last set in
-        this process; `set_epoch` does not reach workers that are already running.
+        this process; `set_epoch` does not reach workers that already run.
         """
         epoch, index = index if isinstance(index, tuple) and len(index) == 2 else (None, index)
         return self._item(self.image(index, epoch))
@@ -329,9 +333,9 @@ class RangeImages(SampleDataset):
     def make(self, sample: Mapping[str, Any]) -> dict[str, Any]:
         """Make the item of a sample that plain `webdataset` has read: for `WebDataset(...).map(images.make)`.
 
-        sample: `__key__` and the members, as bytes or decoded by `decoder`. The item is that of `images[index]`, in the
-        same bits, with draws of the epoch last set in this process; and `__key__`, which further steps need. Raises
-        BadSample for members that are damaged or of another set, BadTransform.
+        sample: `__key__` and the members, as bytes or decoded by `decoder`. The item is that of `images[index]`, to the
+        bit, with draws of the epoch last set in this process; it also has `__key__`, which further steps need. Raises
+        BadSample for members that are damaged or of another set, BadTransform for a transform that fails.
         """
         projectors, count = len(self.manifest.rig.projectors), len(self.manifest.classes)
         clean = sample_of(sample, projectors, self.unlabelled)
@@ -348,17 +352,17 @@ class RangeImages(SampleDataset):
         return item
 
     def describe(self, index: int) -> dict[str, Any]:
-        """Return key, split and fields of a sample, as the manifest has them: no shard is read."""
+        """Return key, split and fields of a sample from the manifest; no shard is read."""
         number, within = self._where(index)
         shard = self.manifest.shards[number]
         info = shard.descriptions.info(within, shard.split)
         return {"key": shard.entry(within).key, "split": info.split, **info.fields}
 
     def table(self) -> dict[str, NDArray[Any]]:
-        """Return what `describe` gives of all samples: name -> array [N]; no shard is read.
+        """Return what `describe` gives of all samples, name -> array [N]; no shard is read.
 
-        Text is of NumPy's `str` type, whole numbers int64, other numbers float64, flags bool, tuples of numbers
-        objects. Where samples lack a field, its array is masked.
+        Text has NumPy's `str` type, whole numbers int64, other numbers float64, flags bool; tuples of numbers are
+        objects. An array is masked where samples lack the field.
         """
         return table_of(self.manifest.fields, list(self._chosen_records()))
 
@@ -407,7 +411,7 @@ class RangeImages(SampleDataset):
     def order(self, epoch: int, shuffle: Shuffle = True) -> NDArray[np.int64]:
         """Return the sample indices in the order of a pass, int64 [len(self)]: a function of seed and epoch alone.
 
-        shuffle: "blocks" for the order of `BlockOrder`: blocks of 32 neighbours, 32 of them mixed at a time.
+        shuffle: "blocks" for the order of `BlockOrder`: blocks of 32 neighbours, 32 of which are mixed at a time.
         """
         if shuffle == "blocks":
             return BlockOrder(len(self), self.seed, check_epoch(epoch))[:]
@@ -415,7 +419,7 @@ class RangeImages(SampleDataset):
         return permutation(len(self), self.seed, check_epoch(epoch)) if mixed else np.arange(len(self))
 
     def requests(self, epoch: int, shuffle: Shuffle = True) -> Requests:
-        """`order`, by blocks in parts, with the epoch of the draws, the same for all samples."""
+        """Return `order` with the epoch of the draws, the same for all samples; by blocks, it comes in parts."""
         blocks = shuffle == "blocks"
         order = BlockOrder(len(self), self.seed, check_epoch(epoch)) if blocks else self.order(epoch, shuffle)
         return Requests(order, np.broadcast_to(np.int64(epoch), len(self)))
@@ -434,9 +438,9 @@ class RangeImages(SampleDataset):
         """Return a `webdataset` pipeline over the chosen shards that yields this variant's images, in stored order.
 
         epoch: of the draws, None for the one set last before a pass. Chain `.shuffle(1000)` and other steps to it;
-        workers divide the shards among them. Each sample is read by its offset in the manifest, as by index: to a
-        reader of streams, a tar that is cut or has an altered header may look complete. Raises BadShard for a sample
-        that is altered or missing.
+        workers divide the shards among them. Samples are read by their offset in the manifest, as by index, since a
+        reader of streams may take a tar that is cut, or has an altered header, for complete. Raises BadShard for a
+        sample that is altered or missing.
         """
         import webdataset
 
