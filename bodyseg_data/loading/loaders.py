@@ -107,11 +107,10 @@ class _BatchMaker:
 class Loader:
     """Iterates over batches, pass after pass; every pass is another epoch with another order and other draws.
 
-    What a pass reads from an address is fetched ahead, in the order in which it is needed, while the pass lasts.
-
     The first pass is the images' `epoch`; `images.set_epoch(n)` makes the next pass epoch n. Use one loader for all
     epochs: a new one starts at `images.epoch` and starts new workers. One pass runs at a time. A batch never changes
     while a reference to it is held, except in a fork of this process. Workers end with the loader, or after an error.
+    From an address, a pass fetches ahead what it reads, in the order in which it is needed.
 
     order: assignment of samples to batches; see `BatchOrder`.
     """
@@ -151,17 +150,17 @@ class Loader:
     def worker_peaks_mb(self) -> list[float | None]:
         """The most memory that each worker process has had so far, MB; None where the system does not tell.
 
-        Empty for threads, which are in this process, and while no workers run.
+        Empty while no workers run, and for threads, which belong to this process.
         """
         return [] if self._state is None else self._state.workers.peaks_mb()
 
     def stats(self) -> dict[str, float]:
-        """Times and counts so far, at any time and in any thread: name -> number, all workers and passes together.
+        """Times and counts so far, name -> number, of all workers and passes together; at any time, from any thread.
 
-        Seconds of workers: store (waiting for bytes), decode, artifacts, transform (and label map), deliver (metres,
-        hand-over); fetch: of requests to a network; waited: of the loop, for batches. batches, samples: made. bytes,
-        requests: fetched. hits, stalls: samples of a remote set whose bytes were at hand, and that were waited for.
-        ready, in_flight: batches that are made and that are ordered, now.
+        Seconds of workers: store (waiting for bytes), decode, artifacts, transform (with the label map), deliver (to
+        metres, and hand-over). Other seconds: fetch (requests to a network), waited (by the loop, for batches).
+        Counts: batches and samples made; bytes and requests fetched; hits and stalls, samples of a remote set whose
+        bytes were at hand or had to be waited for; ready and in_flight, batches that are made or ordered now.
         """
         state = self._state
         rows = self._tallied if state is None else [*self._tallied, *state.slots.tallies()]
@@ -174,10 +173,9 @@ class Loader:
         return {**self.order.state_dict(), "skipped": self._ledger.state()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Make the next pass continue behind the last batch that `state` counts as delivered.
+        """Make the next pass continue after the last batch that `state` counts as delivered.
 
-        Workers, world size and batch size may differ from the earlier run's. Raises BadConfig for a state of other
-        images.
+        Workers, world size and batch size may differ from the earlier run's. A state of other images raises BadConfig.
         """
         self.order.load_state_dict(state)
         self._ledger.load_state(state.get("skipped", []))
@@ -295,24 +293,26 @@ def loader(
     worker_method: WorkerMethod = DEFAULT_WORKER_METHOD,
     start_method: StartMethod | None = None,
 ) -> Loader:
-    """Return a loader of batches of `images`, made by `num_workers` workers (0: by the caller's thread); see `Batch`.
+    """Return a loader of batches of `images`; see `Batch`.
 
-    images: `RangeImages` or a `Mixture`. shuffle: True for a permutation of all samples, "blocks" for one that reads
-    few shards at a time (docs/how-to/remote.md), None for True with the train split only. drop_last: leave out the last
-    batch if it is not full.
+    images: `RangeImages` or a `Mixture`. num_workers: workers that make the batches; 0: the caller's thread does.
+    shuffle: True for a permutation of all samples, "blocks" for one that reads few shards at a time
+    (docs/how-to/remote.md); None is True with the train split, else False.
+    drop_last: leave out the last batch if it is not full.
 
-    rank, world_size: number of this process and of all processes; each gets the same number of batches of
-    `batch_size`. None takes them from torch.distributed, then from torchrun's RANK and WORLD_SIZE.
+    rank, world_size: number of this process, and of all processes; each gets as many batches of `batch_size` as the
+    others. None takes them from torch.distributed, then from torchrun's RANK and WORLD_SIZE.
 
-    on_error: "stop" raises for a bad sample. "skip" leaves it out: its batch gets shorter, possibly empty; the number
-    of batches stays. skip_budget: the most samples that a pass of this rank may skip, as a number or as a share of the
-    set (a float below 1); `Loader.skipped` lists them.
+    on_error: "stop" raises for a bad sample; "skip" leaves it out of its batch, which stays even if it becomes empty.
+    skip_budget: the most samples that a pass of this rank may skip, as a number or as a share of the set (a float below
+    1); `Loader.skipped` lists them.
 
-    metres: False leaves ranges as uint16 in steps of `images.step_m`, half the bytes, for a GPU to convert. pin_memory:
-    deliver in page-locked memory, if CUDA is available. prefetch_factor: batches that each worker makes in advance, as
-    in PyTorch: `num_workers * prefetch_factor` in all, and none with `num_workers=0`, where a batch is made when it is
-    requested. worker_method: "thread" or "process"; threads call `images.write` at the same time. start_method: of
-    worker processes, "fork", "spawn" or "forkserver"; None is Python's default.
+    metres: False leaves ranges as uint16 in steps of `images.step_m`, half the bytes, for a GPU to convert.
+    pin_memory: deliver in page-locked memory, if CUDA is available.
+    prefetch_factor: batches that each worker makes in advance, as in PyTorch: `num_workers * prefetch_factor` in all.
+    With `num_workers=0` none is; a batch is made when it is requested.
+    worker_method: "thread" or "process". Threads call `images.write` at the same time.
+    start_method: of worker processes, "fork", "spawn" or "forkserver"; None is Python's default.
 
     Raises BadConfig for an option out of its range.
     """
