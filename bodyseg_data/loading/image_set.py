@@ -70,12 +70,13 @@ class Requests:
 
 
 class Batch(TypedDict):
-    """Batch of B samples. range: float32 [B, 1, H, W], metres, 0 is background; with `metres=False` uint16 in steps.
+    """A batch of B samples, as a loader gives it: a dictionary.
 
-    labels: uint8 [B, H, W], classes of `RangeImages.label_map`, by default the set's own; 255 is background. key: the B
-    samples' keys, and index: their places in `images.keys`, as `describe` and `table` take them; a `Mixture` has
-    `keys` alone. epoch: the B epochs of their draws, which differ in a batch of a `Mixture` only. planes: only of
-    images that were opened with `planes`, name -> uint8 or uint16 [B, H, W].
+    range: float32 [B, 1, H, W], metres, 0 is background; with `metres=False` uint16 in steps.
+    labels: uint8 [B, H, W], classes of `RangeImages.label_map`, by default the set's own; 255 is background.
+    key: keys of the B samples. epoch: the B epochs of their draws, which differ only in a batch of a `Mixture`.
+    index: their places in `images.keys`, as `describe` and `table` take them; a `Mixture` has only `keys`.
+    planes: name -> uint8 or uint16 [B, H, W]; there only if the images were opened with `planes`.
     """
 
     range: torch.Tensor
