@@ -244,26 +244,24 @@ class Mixture(SampleDataset):
     """Several sets as one: every epoch has `samples` samples, and each set gives its share of them. `len()` is exact.
 
     sets: (images, weight) of each set, or (images, weight, sample weights). A weight is a number, or knots (epoch,
-    weight) with a straight line between them and constants outside. Sample weights, float [len(images)], say how often
-    samples come in comparison with each other. samples: in an epoch, None for the sum of the sets' lengths. seed: of
-    the order in which the sets are mixed; order within a set and all draws have the seed of its own images. epoch: the
-    first epoch.
+    weight), between which it changes along straight lines; before the first and after the last it is constant. Sample
+    weights, float [len(images)], say how often samples come in comparison with each other.
+    samples: number in an epoch; None for the sum of the sets' lengths. epoch: the first epoch.
+    seed: of the order in which the sets are mixed; the order within a set, and all draws, have the seed of its images.
 
-    Shares of an epoch are whole samples whose sum is exact, rounded over all epochs so far: with constant weights, a
-    set of K has given samples * weight / sum of weights for each epoch, to within (K - 1) / 2 samples however many
-    epochs have passed.
+    Shares of an epoch are whole samples with an exact sum, rounded over all epochs so far: with constant weights, one
+    of K sets has given samples * weight / sum of weights for each epoch so far, to within (K - 1) / 2 samples.
 
     A set gives its samples pass after pass, each in another order, and goes on in an epoch where it stopped in the one
-    before. So over the epochs all its samples come equally often, or as their weights say; and the number of the pass
-    is the epoch of the draws, so that a set that is passed several times in one epoch has other draws each time. With
-    sample weights a sample comes in each pass floor or ceil of its expected number of times, always with other draws.
+    before. So over the epochs all its samples come equally often, or as their weights say. The number of the pass is
+    the epoch of the draws: a set that is passed several times in one epoch has other draws each time. With sample
+    weights, a sample comes in each pass floor or ceil of its expected number of times, always with other draws.
 
-    Indices are those of the stored samples, the sets one after the other. A sample alone, `mixture[i]`, is the one at
-    position i of the epoch last set, in the order of a loader.
+    Indices are those of the stored samples, one set after the other. `mixture[i]` is the sample at position i of the
+    epoch last set, in the order of a loader.
 
-    Raises BadConfig for sets whose images differ in size, step, planes or classes (other sets' classes may be joined to
-    the same ones by `labels`), for weights that are negative, not finite
-    or all 0 in some epoch, and for sample weights that do not fit.
+    Raises BadConfig for sets whose images differ in size, step, planes or classes (`labels` can make classes the same),
+    for weights that are negative, not finite or all 0 in some epoch, and for sample weights that do not fit.
     """
 
     def __init__(self, sets: Sequence[Part], samples: int | None = None, seed: int = 0, epoch: int = 0) -> None:
@@ -314,11 +312,11 @@ class Mixture(SampleDataset):
         return [end - start for start, end in zip(before, after, strict=True)]
 
     def requests(self, epoch: int, shuffle: Shuffle = True) -> Requests:
-        """Samples of an epoch in the order of a pass: a function of the seeds and the epoch alone.
+        """Return the samples of an epoch in the order of a pass: a function of the seeds and the epoch alone.
 
-        shuffle: False gives the sets one after the other, each in stored order; "blocks" mixes the sets and leaves the
-        samples of each in its order by blocks. No other epoch is computed: the time is
-        the same for every epoch, but for a few microseconds for each epoch before the last knot of a schedule.
+        shuffle: False gives one set after the other, each in stored order; "blocks" mixes the sets and leaves the
+        samples of each in its order by blocks. No other epoch is computed: every epoch takes the same time, but for a
+        few microseconds for each epoch before the last knot of a schedule.
         """
         if self._held is None or self._held[:2] != (epoch, shuffle):
             self._held = None
@@ -342,7 +340,7 @@ class Mixture(SampleDataset):
         return Requests(indices[mixed], epochs[mixed])
 
     def evenly_sampled(self, count: int) -> NDArray[np.int64]:
-        """Return indices of about `count` samples that stand for the whole, int64 [M]: of each set as its share is.
+        """Return indices of about `count` samples that stand for the whole, int64 [M]: from each set in its share.
 
         The share is that of all epochs up to the last knot of a schedule.
         """
