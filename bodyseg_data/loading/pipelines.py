@@ -25,10 +25,10 @@ def decoder() -> Callable[[str, bytes], Any]:
 
     Member `bsi` becomes a dictionary: range uint16 [H, W] in steps, 0 is background; projector uint16 [Hp, Wp], the
     projector's range, or None; labels uint8 [H, W], 254 on surfaces of no class, 255 where range is 0; facing uint8
-    [H, W], bit 0 set where the surface is turned towards the projector, bit 1 for a second one. `plane.NAME.bsp`
-    becomes an image uint8 or uint16 [H, W], `json` a dictionary of the split and the fields. Other members are left to
-    further decoders, as are the images of sets of PNGs. It raises BadSample, which `webdataset` wraps, for bytes that
-    are no such member.
+    [H, W], bit 0 set where the surface is turned towards the projector, bit 1 for a second one. Member `plane.NAME.bsp`
+    becomes an image uint8 or uint16 [H, W], and `json` a dictionary of the split and the fields. Other members, such as
+    the images of sets of PNGs, are left to further decoders. The decoder raises BadSample, which `webdataset` wraps,
+    for bytes that are no such member.
     """
     return _decoded
 
