@@ -43,14 +43,15 @@ Box = tuple[int, int, int, int]
 
 @dataclass(frozen=True, repr=False)
 class CameraImage(RangeImage):
-    """A range image with artifacts, and the pinhole camera whose image it is; `dataclasses.replace` makes altered ones.
+    """A range image with artifacts, and the pinhole camera that took it. Make altered ones by `dataclasses.replace`.
 
-    range: uint16 [H, W], steps of `step_m` along the optical axis, 0 where nothing was measured. labels: uint8 [H, W],
-    classes of the set, 255 where there is none. step_m: one step, metres. focal_px: focal length in pixels. centre_px:
-    position (x, y) of the optical axis in image coordinates, in which pixel (row, column) covers x from column to
-    column + 1. sample: the stored one, for `info`; its arrays may have been used for this image. classes: of the set.
-    planes: name -> uint8 or uint16 [H, W], moved along with the pixels, 0 outside of the image as it was
-    (`NOWHERE` in the map of the body). has_map: whether the plane `TEMPLATE` is that map, and not one of the user's.
+    range: uint16 [H, W], steps of `step_m` along the optical axis, 0 where nothing was measured.
+    labels: uint8 [H, W], classes of the set, 255 where there is none.
+    step_m: one step, metres. focal_px: focal length in pixels. classes: of the set.
+    centre_px: (x, y) of the optical axis in image coordinates: pixel (row, column) covers x from column to column + 1.
+    sample: the stored one, for `info`; its arrays may have been used for this image.
+    planes: name -> uint8 or uint16 [H, W], moved along with the pixels, 0 outside of the image as it was (`NOWHERE` in
+    the map of the body). has_map: whether the plane `TEMPLATE` is that map, and not one of the user's.
     """
 
     step_m: float
@@ -93,8 +94,8 @@ def ends_of(mask: NDArray[Any]) -> Box | None:
 class Transform(Protocol):
     """An alteration of samples. Implementations are frozen dataclasses, whose fields are parameters.
 
-    name: in `RangeImages.identity()` and in cards. version: of the code; goes up when the same parameters and draws
-    give other samples.
+    name: of the transform in `RangeImages.identity()` and in cards.
+    version: of the code; goes up when the same parameters and draws give other samples.
     """
 
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
@@ -102,17 +103,17 @@ class Transform(Protocol):
     version: ClassVar[int] = 1
 
     def shape(self, rows: int, columns: int) -> tuple[int, int]:
-        """Rows and columns of the images that come out, for those that go in."""
+        """Return rows and columns of the images that come out, given those of the images that go in."""
         return rows, columns
 
     def __call__(self, image: CameraImage, random: np.random.Generator) -> CameraImage:
         """Return the altered sample; arrays of `image` may be altered in place and returned.
 
-        image: ranges in steps, labels of the set, and the camera, which a transform that moves pixels keeps up to
-        date. random: a generator that belongs to (seed, epoch, key of the sample, name of the transform), so that the
-        draws depend on nothing else. Where the range returned is 0, the label becomes background; elsewhere background
-        becomes 254 where surfaces without a class have that. Raises BadSample for a sample that should be left out
-        (`on_error="skip"`); any other error ends the run as BadTransform.
+        image: ranges in steps, labels of the set, and the camera, which a transform that moves pixels keeps up to date.
+        random: a generator for (seed, epoch, key of the sample, name of the transform); draws depend on nothing else.
+        Where the returned range is 0, the label becomes background; elsewhere background becomes 254 where surfaces
+        without a class have that. Raises BadSample for a sample that should be left out (`on_error="skip"`); any other
+        error ends the run as BadTransform.
         """
 
 
