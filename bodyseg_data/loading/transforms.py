@@ -36,10 +36,10 @@ _CELL: Final = 4  # side of the squares of pixels that are remnants or not
 class Crop(Checked, Transform):
     """A window of `rows` x `columns` pixels, unscaled; what lies outside of the image is background.
 
-    at: "axis" centres it on the optical axis, at which bodies are rendered. "body" centres it on the box of the
-    labelled pixels, and on the axis if there are none; the box is that of the image with artifacts, so that the windows
-    of two variants may differ by pixels lost at the body's outline. "anywhere" draws its place inside the image,
-    uniformly; along a side longer than the image's, the place of the image inside the window. Ranges stay as they are.
+    at: "axis" centres the window on the optical axis, at which bodies are rendered. "body" centres it on the box of the
+    labelled pixels, or on the axis if there are none; the box is that of the image with artifacts, so windows of two
+    variants may differ where pixels are lost at the body's outline. "anywhere" draws its place inside the image,
+    uniformly; where the window is longer than the image, the image's place inside the window. Ranges stay as they are.
     Raises BadConfig for a size or a place out of range.
     """
 
@@ -75,10 +75,10 @@ class BodyCrop(Checked, Transform):
     """The smallest window that holds the body with a margin, scaled to `rows` x `columns` pixels.
 
     margin: width of the border around the box of the labelled pixels, as a share of the box's height and width, 0 to 1.
-    The window has the sides' ratio of the result, and the box's centre; outside of the image it holds background. Of
-    an image without labels it holds all. Pixels take the value of the nearest one; ranges stay as they are, and the
-    focal length in pixels grows with the scale. The box is that of the image with artifacts, so that the windows of two
-    variants may differ slightly. Raises BadConfig for a size or a margin out of range.
+    The window has the aspect ratio of the result and the centre of the box; outside of the image it holds background.
+    If the image has no labels, the window holds all of it. Pixels take the value of the nearest one; ranges stay as
+    they are, and the focal length in pixels grows with the scale. The box is that of the image with artifacts, so the
+    windows of two variants may differ slightly. Raises BadConfig for a size or a margin out of range.
     """
 
     name = "body_crop"
@@ -108,10 +108,11 @@ class BodyCrop(Checked, Transform):
 
 @dataclass(frozen=True)
 class Flip(Checked, Transform):
-    """The image mirrored, left and right columns exchanged, and so the labels of classes that are mirror images
-    (`LabelClass.mirror`), and points of the map of the body.
+    """The image mirrored left to right.
 
-    share: of the samples that are mirrored, 0 to 1; each is drawn. The body seen is then the mirror image of the one
+    Labels of classes that are mirror images of each other (`LabelClass.mirror`) are exchanged, and so are points of the
+    map of the body.
+    share: of the samples that are mirrored, 0 to 1; drawn for each. The body seen is then the mirror image of the one
     rendered. Shadows of the projector lie on the other side, as of a rig whose projector stands there. Raises BadConfig
     for a share out of range.
     """
@@ -139,10 +140,10 @@ class Flip(Checked, Transform):
 
 @dataclass(frozen=True)
 class Roll(Checked, Transform):
-    """The image as the camera takes it turned about its optical axis; what leaves the image is lost.
+    """The image that the camera takes when turned about its optical axis; what leaves the image is lost.
 
     largest_deg: largest angle either way, degrees, 0 to 180; the angle is drawn uniformly. Positive angles turn the
-    camera clockwise as seen from behind it (`View.roll_deg`) and the body in the image the other way. Ranges are along
+    camera clockwise as seen from behind it (`View.roll_deg`), and the body in the image the other way. Ranges are along
     the axis and stay as they are. Pixels take the value of the nearest one. Noise and shadows turn with the image, as
     if the projector were turned, too. Raises BadConfig for an angle out of range.
     """
@@ -158,11 +159,11 @@ class Roll(Checked, Transform):
 
 @dataclass(frozen=True)
 class Zoom(Checked, Transform):
-    """The image magnified about the optical axis, as by another focal length: ranges stay, and pixels take the value of
-    the nearest one.
+    """The image magnified about the optical axis, as by another focal length.
 
-    largest: largest magnification, 1 to 4; it is drawn from 1 / largest to largest, its logarithm uniformly. Noise and
-    lost pixels are magnified with the image. Raises BadConfig for a magnification out of range.
+    largest: largest magnification, 1 to 4; it is drawn from 1 / largest to largest, its logarithm uniformly. Ranges
+    stay, and pixels take the value of the nearest one. Noise and lost pixels are magnified with the image. Raises
+    BadConfig for a magnification out of range.
     """
 
     name = "zoom"
@@ -184,11 +185,12 @@ def magnified(image: CameraImage, by: float) -> CameraImage:
 class Remnants(Checked, Transform):
     """Remnants of a wall behind the body, as the removal of a background leaves them in; they have no class.
 
-    share: of the images that get any. nearest_m, farthest_m: the wall, a tilted plane, is so far behind the body's
-    median range, as drawn, but nowhere before its outline. widest_m: remnants reach up to so far from the outline; how
-    far is drawn for each image, and from place to place, so that much of an outline has none. Over up to 4 cm the range
-    rises from the outline's to the wall's, as sensors see it that match windows of several pixels. Remnants have the
-    body's noise and lose as many pixels. Raises BadConfig for a share or a distance out of range.
+    share: of the images that get any. nearest_m, farthest_m: distance of the wall, a tilted plane, behind the body's
+    median range, drawn between the two; it is nowhere before the body's outline. Over up to 4 cm the range rises from
+    the outline's to the wall's, as with sensors that match windows of several pixels.
+    widest_m: remnants reach at most so far from the outline; how far is drawn for each image, and from place to place,
+    so that much of an outline has none. Remnants have the body's noise and lose as many pixels.
+    Raises BadConfig for a share or a distance out of range.
     """
 
     name = "remnants"
