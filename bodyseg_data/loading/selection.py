@@ -230,7 +230,7 @@ def mark_val(table: SampleTable, share: float) -> NDArray[np.bool_]:
     keys = _group_keys(table, share)
     sizes = Counter[Group](keys)
     if len(sizes) < 2:
-        raise BadConfig(f"val_share={share:g} divides train by people and motions, found {len(sizes)} group of them")
+        raise BadConfig(f"val_share={share:g} divides train by people and motions, which are {len(sizes)} group")
     chosen = choose_groups(sizes, share)
     return np.array([key in chosen for key in keys], np.bool_)
 

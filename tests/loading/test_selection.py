@@ -414,7 +414,7 @@ def test_neither_part_is_ever_empty(share: float) -> None:
 
 
 def test_one_group_cannot_be_divided() -> None:
-    with pytest.raises(BadConfig, match=r"^val_share=0\.1 divides train by people and motions, found 1 group of them$"):
+    with pytest.raises(BadConfig, match=r"^val_share=0\.1 divides train by people and motions, which are 1 group$"):
         mark_val(table_of(rows("X", 1, 1, 40)), 0.1)
 
 
