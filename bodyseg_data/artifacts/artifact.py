@@ -33,9 +33,9 @@ that are lost. Every artifact is of one kind, and variants name kinds."""
 class RangeImage:
     """A sample as a sensor would deliver it.
 
-    range: uint16 [H, W], in the rig's steps, 0 where nothing was measured; labels: uint8 [H, W], 255 there.
-    drawn: the quantities drawn for this image by name (`Artifact.drawn`): "sigma_mm", "missing_rate".
-    planes: name -> uint8 or uint16 [H, W], further images that were asked for: as stored, where pixels are lost, too.
+    range: uint16 [H, W], in the rig's steps, 0 where nothing was measured. labels: uint8 [H, W], 255 where range is 0.
+    drawn: the quantities drawn for this image, by their names (`Artifact.drawn`), such as "sigma_mm" or "missing_rate".
+    planes: name -> uint8 or uint16 [H, W], further images that were asked for; as stored, also where pixels are lost.
     """
 
     key: str
@@ -52,9 +52,7 @@ class RangeImage:
 
 @dataclass(frozen=True)
 class Scene:
-    """A clean sample, the rig that sees it and the classes of its set: the input of every artifact, which none of them
-    alters.
-    """
+    """Input of every artifact, which none alters: a clean sample, the rig that sees it, and the classes of its set."""
 
     sample: Sample
     rig: Rig
@@ -69,8 +67,8 @@ class Scene:
     def pixels(self) -> NDArray[np.intp]:
         """Flat indices of the clean foreground in reading order, [N].
 
-        An artifact that draws once a pixel draws for these, whatever was lost before it: the draws of one pixel are
-        then the same in every variant.
+        An artifact that draws a number for each pixel draws for all of these, also for pixels that are lost already:
+        the draws of a pixel are then the same in every variant.
         """
         return np.flatnonzero(self.sample.range != 0)
 
@@ -78,11 +76,12 @@ class Scene:
 class Artifact(Protocol):
     """A fault of a sensor, made in a clean range image. Implementations are frozen dataclasses; fields are strengths.
 
-    name: of the registry, and of the strengths in JSON. kind: the artifact of Table 1 whose variants have this one.
-    version: of the code; goes up when the same strengths and draws give other images. purposes: of its random numbers
-    (`Draws`); no other artifact of a sensor may have them. either: strengths of which one is given. drawn: quantities
-    drawn once an image, name -> caption to format with the value. needs_projector: whether `apply` reads the
-    projector's range. Strengths out of range raise BadConfig when the object is made.
+    name: in the registry, and of the strengths in JSON. kind: the artifact of Table 1 whose variants have this one.
+    version: of the code; goes up when the same strengths and draws give other images.
+    purposes: of its random numbers (`Draws`); no other artifact of a sensor may have them.
+    either: strengths that exclude each other. needs_projector: whether `apply` reads the projector's range.
+    drawn: quantities drawn once an image: name -> caption, which is formatted with the value.
+    Raises BadConfig, when it is made, for strengths out of range.
     """
 
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
@@ -99,13 +98,14 @@ class Artifact(Protocol):
         check_fields(self)
 
     def draw(self, draws: Draws) -> dict[str, float]:
-        """The quantities of one image, by their names in `drawn`."""
+        """Draw the quantities of one image: name in `drawn` -> value."""
         return {}
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         """Alter an image in place, in NumPy: the reference of any faster form.
 
-        image: as the artifacts before this one left it, 0 in range where pixels are lost, which stay lost; contiguous.
-        Labels of lost pixels become background afterwards. image.drawn holds the quantities of all artifacts. draws:
-        the same numbers whichever other artifacts there are. Raises BadSample for a scene that lacks what is needed.
+        image: as the artifacts before this one left it, contiguous. Its range is 0 where pixels are lost; these stay
+        lost, and their labels become background afterwards. `image.drawn` holds the quantities of all artifacts.
+        draws: gives the same numbers whichever other artifacts there are.
+        Raises BadSample for a scene that lacks what is needed.
         """
