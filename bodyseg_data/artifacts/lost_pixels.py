@@ -110,9 +110,9 @@ SHAPES: Final = {"patches": lost_patches, "stripes": lost_stripes}
 
 @dataclass(frozen=True)
 class Losses(Artifact):
-    """Patches, stripes or nothing lost, each as likely; the paper has none of it.
+    """Pixels lost in patches, in stripes, or not at all, each as likely; the paper has no such artifact.
 
-    most: the largest share of the foreground that is lost; each image's share is uniform from 0 to it.
+    most: largest share of the foreground that is lost; the share of each image is drawn uniformly from 0 to it.
     """
 
     name = "losses"
@@ -148,10 +148,11 @@ class _ShareLost(Artifact):
 
 @dataclass(frozen=True)
 class PatchLoss(_ShareLost):
-    """One to four patches lost whole, as dark cloth and hair are: a share of the body that is drawn once an image.
+    """One to four whole patches lost, as dark cloth and hair are.
 
-    The share is uniform from `low` to `high`. parts: names of the parts that may be lost, as in `PARTS`; () for all.
-    With parts, the share is of their pixels; `apply` raises BadConfig for a set of other classes.
+    The share of the body that is lost is drawn once an image, uniformly from `low` to `high`.
+    parts: names of the parts that may be lost, as in `PARTS`; () for all. The share is then that of their pixels, and
+    `apply` raises BadConfig for a set of other classes.
     """
 
     name = "patch_loss"
@@ -164,12 +165,12 @@ class PatchLoss(_ShareLost):
         super().__post_init__()
         for part in self.parts:
             if part not in _LABELS:
-                raise BadConfig(f"parts must be landmarks of the 33 parts, found {part!r}")
+                raise BadConfig(f"parts must be names of the 33 parts, found {part!r}")
 
     def apply(self, image: RangeImage, scene: Scene, draws: Draws) -> None:
         clean = scene.sample.range
         if self.parts and scene.classes != PART_CLASSES:
-            raise BadConfig(f"the 'parts' of patch_loss are of the 33 parts, found classes {scene.classes.name!r}")
+            raise BadConfig(f"patch_loss with 'parts' needs the 33 parts, found classes {scene.classes.name!r}")
         if self.parts:
             clean = np.where(np.isin(scene.sample.labels, [_LABELS[part] for part in self.parts]), clean, np.uint16(0))
         lost = lost_patches(clean, image.drawn["patch_share"], draws.generator("patch loss"))
@@ -178,9 +179,9 @@ class PatchLoss(_ShareLost):
 
 @dataclass(frozen=True)
 class StripeLoss(_ShareLost):
-    """Two to twelve parallel stripes lost whole: a share of the body that is drawn once an image, uniform from `low` to
-    `high`.
+    """Two to twelve whole parallel stripes lost.
 
+    The share of the body that is lost is drawn once an image, uniformly from `low` to `high`.
     along: "rows" for bands across the image, "columns" for bands down it. None for lines of one code of the rig's
     projector, at right angles to the line from camera to projector: columns for a projector beside the camera.
     """

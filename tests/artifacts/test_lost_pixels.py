@@ -39,7 +39,7 @@ def test_patches_of_parts_are_for_sets_of_the_parts() -> None:
     made = Augmentation(
         RIG, "md", 0, SensorModel("mine", (PatchLoss(0.5, 0.5, ("Nuchale",)),)), classes_of(["floor", "arm"])
     )
-    with pytest.raises(BadConfig, match="the 'parts' of patch_loss are of the 33 parts, found classes 'classes'"):
+    with pytest.raises(BadConfig, match="patch_loss with 'parts' needs the 33 parts, found classes 'classes'"):
         made(plane(2.0))
 
 
@@ -71,7 +71,7 @@ def test_an_empty_image_stays_empty(artifact: Artifact) -> None:
     ("kind", "strengths", "message"),
     [
         (PatchLoss, {"low": 0.5, "high": 0.2}, "low must be at most high, found 0.5 and 0.2"),
-        (PatchLoss, {"parts": ("Nose",)}, "parts must be landmarks of the 33 parts, found 'Nose'"),
+        (PatchLoss, {"parts": ("Nose",)}, "parts must be names of the 33 parts, found 'Nose'"),
         (StripeLoss, {"high": 1.2}, "StripeLoss: high must be from 0 to 1, found 1.2"),
         (StripeLoss, {"along": "lines"}, "StripeLoss: along must be 'rows' or 'columns' or None, found 'lines'"),
     ],
