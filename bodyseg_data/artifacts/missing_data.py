@@ -13,10 +13,10 @@ from bodyseg_data.core import BadConfig, Draws, bounded
 
 @dataclass(frozen=True)
 class MissingData(Artifact):
-    """Pixels lost at random: a share of the foreground that is drawn once an image.
+    """Pixels lost at random; the share of the foreground that is lost is drawn once an image.
 
-    The paper's "randomly chosen between 0%, 5% and 50%" is read as one of `rates`, each as likely. With `between` set
-    to (low, high), which goes with no `rates` of one's own, the rate is drawn uniformly from that interval instead.
+    rates: shares to choose from, each as likely; so the paper's "randomly chosen between 0%, 5% and 50%" is read.
+    between: (low, high) draws the share uniformly from that interval instead; it cannot be given together with `rates`.
     """
 
     name = "missing_data"
@@ -33,12 +33,12 @@ class MissingData(Artifact):
         if not self.rates:
             raise BadConfig("missing data must have one rate at least, found none")
         if self.between is not None and self.between[0] > self.between[1]:
-            raise BadConfig(f"missing-data rates must lie between low <= high, found {self.between}")
+            raise BadConfig(f"missing data: between must be (low, high) with low <= high, found {self.between}")
         if self.between is not None and self.rates != MissingData.rates:  # the default is stored with `between`
-            raise BadConfig(f"missing data takes rates or between, found {self.rates} and {self.between}")
+            raise BadConfig(f"missing data takes rates or between, not both, found {self.rates} and {self.between}")
 
     def rate(self, chance: float) -> float:
-        """The share of pixels that one image loses; chance: uniform from 0 to below 1."""
+        """The share of pixels that one image loses. chance: a number drawn uniformly from 0 to below 1."""
         if self.between is not None:
             low, high = self.between
             return low + (high - low) * chance

@@ -105,8 +105,8 @@ def test_rates_from_a_range_are_one_setting_away() -> None:
         ({"rates": ()}, "must have one rate at least, found none"),
         ({"rates": (0.5, 50.0)}, "rates must be from 0 to 1, found \\(0.5, 50.0\\)"),
         ({"rates": (float("nan"),)}, "rates must be from 0 to 1, found \\(nan,\\)"),
-        ({"between": (0.5, 0.1)}, "between low <= high, found \\(0.5, 0.1\\)"),
-        ({"between": (0.1, 0.5), "rates": (0.2,)}, "rates or between, found \\(0.2,\\) and \\(0.1, 0.5\\)"),
+        ({"between": (0.5, 0.1)}, "with low <= high, found \\(0.5, 0.1\\)"),
+        ({"between": (0.1, 0.5), "rates": (0.2,)}, "rates or between, not both, found \\(0.2,\\) and \\(0.1, 0.5\\)"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(options: dict[str, Any], message: str) -> None:
