@@ -39,10 +39,10 @@ class SensorModel:
         SensorModel("mine", (Occlusion(), Noise(0.0, 5.0), MissingData((0.1,))))
         load_sensor_model("paper").with_artifacts(Noise(0.0, 50.0))
 
-    name: one plain word. title: the sensor's name in prose.
+    name: one plain word of at most 40 letters. title: the sensor's name in prose.
 
-    Draws belong to (seed, epoch, sample key, purpose), so an artifact draws the same numbers in every model. Raises
-    BadConfig for an object that is no artifact, for a strength that is no plain JSON, for one artifact given twice, and
+    An artifact draws the same numbers in every model, since draws belong to (seed, epoch, sample key, purpose). Raises
+    BadConfig for an object that is no artifact, for a strength that is no plain JSON, for an artifact given twice, and
     for artifacts that share a purpose of random numbers or the name of a drawn quantity.
     """
 
@@ -84,9 +84,9 @@ class SensorModel:
         return f"SensorModel({self.name!r}, {', '.join(map(repr, self.artifacts)) or 'no artifacts'})"
 
     def with_artifacts(self, *given: Artifact) -> SensorModel:
-        """The model with other strengths: each given artifact replaces that of its name, or else comes last.
+        """Return the model with other strengths: a given artifact replaces the one of its name, or else is added last.
 
-        Raises BadConfig for one that is given twice; otherwise as `SensorModel`.
+        Raises BadConfig for an artifact that is given twice; otherwise as `SensorModel`.
         """
         by_name, names = {artifact.name: artifact for artifact in self.artifacts}, set[str]()
         for artifact in given:
@@ -98,20 +98,20 @@ class SensorModel:
         return replace(self, artifacts=tuple(by_name.values()))
 
     def without(self, *names: str) -> SensorModel:
-        """The model without the artifacts of these names. Raises BadConfig for a name that no artifact of it has."""
+        """Return the model without the artifacts of these names. Raises BadConfig for a name that it does not have."""
         held = [artifact.name for artifact in self.artifacts]
         for name in names:
             if name not in held:
-                raise BadConfig(f"sensor {self.name} has {', '.join(held) or 'no artifact'}, found {name!r}")
+                raise BadConfig(f"sensor {self.name} has no {name!r}: its artifacts are {', '.join(held) or 'none'}")
         return replace(self, artifacts=tuple(each for each in self.artifacts if each.name not in names))
 
     def caption(self, drawn: Mapping[str, float]) -> str:
-        """The quantities drawn for an image (`RangeImage.drawn`) in words: "noise 23 mm, 5% missing"."""
+        """Put the quantities drawn for an image (`RangeImage.drawn`) in words: "noise 23 mm, 5% missing"."""
         captions = {name: text for artifact in self for name, text in artifact.drawn.items()}
         return ", ".join(captions[name].format(value) for name, value in drawn.items())
 
     def to_json(self) -> dict[str, Any]:
-        """The model as plain JSON: format, name, title, and `artifacts_to_json`."""
+        """Return the model as plain JSON: format, name, title, and `artifacts_to_json`."""
         return {
             "format": SENSOR_FORMAT,
             "name": self.name,
@@ -120,9 +120,9 @@ class SensorModel:
         }
 
     def to_toml(self, comments: Mapping[str, str] | None = None) -> str:
-        """The model as the text of a sensor file, which `load_sensor_model` reads.
+        """Return the model as the text of a sensor file, which `load_sensor_model` reads.
 
-        comments: name of an artifact, or "" for the whole file -> text to write above it.
+        comments: text to write above an artifact, by its name; "" for above the whole file.
         """
         comments = comments or {}
         lines = [*_comment(comments.get("", "")), f"format = {_toml(SENSOR_FORMAT)}", f"name = {_toml(self.name)}"]
@@ -150,7 +150,7 @@ def sensor_model_names() -> tuple[str, ...]:
 
 
 def load_sensor_model(sensor: str | Path | SensorModel = PAPER_SENSOR) -> SensorModel:
-    """Read a sensor model by the name of one that ships with the package, or from a TOML file (docs/how-to/sensors.md).
+    """Load a sensor model by the name of one that ships with the package, or from a TOML file (docs/how-to/sensors.md).
 
     A SensorModel is returned as it is. Raises BadConfig, naming file and key, for anything missing, unknown or out of
     range.

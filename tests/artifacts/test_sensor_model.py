@@ -83,7 +83,7 @@ def test_artifacts_are_replaced_where_they_stand_and_new_ones_come_last() -> Non
     ]
     assert list(PAPER.without("noise", "occlusion")) == [MissingData()]
     assert PAPER.with_artifacts() == PAPER == PAPER.with_artifacts(Noise()).without()
-    with pytest.raises(BadConfig, match="sensor paper has occlusion, noise, missing_data, found 'losses'"):
+    with pytest.raises(BadConfig, match="sensor paper has no 'losses': its artifacts are occlusion, noise, missing"):
         PAPER.without("losses")
     with pytest.raises(BadConfig, match="an artifact may be given once, found noise twice"):
         PAPER.with_artifacts(Noise(), Noise(1.0))
@@ -315,7 +315,7 @@ def test_strengths_left_out_are_the_sensors() -> None:
         ('{"missing_data": {"rates": 0.5}}', "--artifacts: MissingData: rates must be a tuple, .* found 0.5"),
         (
             '{"missing_data": {"rates": [0.2], "between": [0, 1]}}',
-            r"--artifacts: missing data takes rates or between, found \(0.2,\) and \(0.0, 1.0\)",
+            r"--artifacts: missing data takes rates or between, not both, found \(0.2,\) and \(0.0, 1.0\)",
         ),
         ('{"missing_data": {"between": [1]}}', r"--artifacts: MissingData: between must be a tuple .* found \[1\]"),
     ],
