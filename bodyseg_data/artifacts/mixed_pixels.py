@@ -12,15 +12,15 @@ from bodyseg_data.machine import if_ready, loops
 
 @dataclass(frozen=True)
 class MixedPixels(Artifact):
-    """Pixels beside a farther surface, each with probability `share`, get a range between both, uniform over the gap.
+    """Mixed (flying) pixels: a pixel beside a farther surface gets a range between both, uniform over the gap.
 
-    A surface is farther if it is at least `jump_mm` behind, in a pixel above, below, left or right. background_m: range
-    of what lies behind the body, metres, for the body's own silhouette; None if nothing is in reach of the sensor, so
-    only edges before other parts of the body are mixed. Labels stay: the pixel sees the body, too.
-
-    least, nearest_m: of each image the share is drawn uniformly from `least` to `share`, and the background's range
-    from `nearest_m` to `background_m`; None for `share` and `background_m` in every image. No body's silhouette is
-    mixed with a background that is not behind it, so a small `nearest_m` also leaves images as they are.
+    share: probability with which such a pixel is mixed. Labels stay: the pixel sees the body, too.
+    jump_mm: a surface counts as farther if it is at least so many mm behind, in the pixel above, below, left or right.
+    background_m: range, metres, of what lies behind the body, for the body's own silhouette. None if nothing is in
+    reach of the sensor: then only edges before other parts of the body are mixed.
+    least: the share of each image is drawn uniformly from `least` to `share`; None for `share` in every image.
+    nearest_m: likewise the background's range, from `nearest_m` to `background_m`. No silhouette is mixed with a
+    background that is not behind the body, so a small `nearest_m` also leaves images as they are.
     """
 
     name = "mixed_pixels"
