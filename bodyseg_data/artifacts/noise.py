@@ -18,7 +18,7 @@ from bodyseg_data.machine import if_ready, loops
 
 @dataclass(frozen=True)
 class Noise(Artifact):
-    """Gaussian noise of one standard deviation an image, drawn uniformly from [low_mm, high_mm], millimetres."""
+    """Gaussian noise; each image's standard deviation is drawn uniformly from `low_mm` to `high_mm`, millimetres."""
 
     name = "noise"
     kind = "noise"

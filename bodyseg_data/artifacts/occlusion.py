@@ -34,10 +34,7 @@ _HALF: Final = np.float32(0.5)
 
 @dataclass(frozen=True)
 class Occlusion(Artifact):
-    """The projector's shadow: pixels are lost where its light does not reach the surface (paper, section 3.1).
-
-    Of a rig with two projectors, where neither one's light does.
-    """
+    """The projector's shadow: pixels are lost where no projector of the rig lights the surface (paper, section 3.1)."""
 
     name = "occlusion"
     kind = "occlusion"
