@@ -32,21 +32,23 @@ OfRig = tuple[Optics, NDArray[np.float32], NDArray[np.float32]]
 
 @dataclass(frozen=True)
 class PhaseShift(Artifact):
-    """Range and losses of phase shifting with a Gray code, for the rig's first projector.
+    """Errors of ranges, and lost pixels, of phase shifting with a Gray code, for the rig's first projector.
 
-    Of an image are drawn: how fast limbs move and how bright other light is, between their bounds, and how light the
-    coat is, from `darkest` to `lightest`. What stays the same over a part of the body is drawn with them: reflectances
-    and patterns of skin, hair and clothes, and a motion that is rigid for each part and continuous where a part meets
-    the next. A set without the 33 parts gets one garment and one rigid motion.
+    Drawn for each image, between their bounds: how fast limbs move, how bright other light is, and how light the coat
+    is. Drawn for each part of the body: reflectances and patterns of skin, hair and clothes, and a rigid motion that is
+    continuous where a part meets the next. A set without the 33 parts gets one garment and one rigid motion.
 
-    phase_patterns: N; binary_patterns: those of the Gray code, which count 2**binary_patterns fringes over the
-    projector's image, finest last and before the fringes; rate_hz: of all patterns. signal_e: half the brightest of a
-    fringe on a white surface that faces the projector at the rig's stand-off, electrons; read_noise_e: of a camera's
-    pixel, electrons; threshold_e: pixels whose fringes are weaker are lost, electrons. dimmest, brightest: other light,
-    a share of signal_e. gamma: of the projector, after its calibration. aperture_mm: diameter of its lens, which is
-    focused on the stand-off. edge_fringes: half the width of a binary edge in the camera's image. jumps_found: share of
-    jumps by one fringe that the sensor finds, and loses. slowest_m_s, fastest_m_s: of hands and feet. darkest,
-    lightest: reflectance of cloth; patterned: share of garments with stripes, checks or prints.
+    phase_patterns: N, the number of fringe patterns. rate_hz: rate of all patterns.
+    binary_patterns: number of patterns of the Gray code, which count 2**binary_patterns fringes over the projector's
+    image; they are shown before the fringes, the finest last.
+    signal_e: half the brightest of a fringe on a white surface that faces the projector at the rig's stand-off.
+    read_noise_e: of a pixel of the camera. threshold_e: pixels of weaker fringes are lost. All three are in electrons.
+    dimmest, brightest: bounds of other light, as a share of `signal_e`.
+    gamma: of the projector, after its calibration. aperture_mm: diameter of its lens, focused on the stand-off.
+    edge_fringes: half the width of a binary edge in the camera's image.
+    jumps_found: share of jumps by one fringe that the sensor finds; it loses these pixels.
+    slowest_m_s, fastest_m_s: bounds of the speed of hands and feet.
+    darkest, lightest: bounds of the reflectance of cloth. patterned: share of garments with stripes, checks or prints.
     """
 
     name = "phase_shift"
@@ -78,7 +80,7 @@ class PhaseShift(Artifact):
     patterned: float = bounded(0.5, 0, 1)
 
     def draw(self, draws: Draws) -> dict[str, float]:
-        """As `Artifact.draw`: "speed_m_s"; "ambient", a share of `signal_e`; "coat", its reflectance."""
+        """As `Artifact.draw`: "speed_m_s"; "ambient", a share of `signal_e`; and "coat", the coat's reflectance."""
         speed, light, coat = (draws.chance(purpose) for purpose in self.purposes[:3])
         return {
             "speed_m_s": self.slowest_m_s + (self.fastest_m_s - self.slowest_m_s) * speed * speed,
