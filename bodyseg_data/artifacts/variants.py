@@ -75,7 +75,7 @@ def sensor_for(variant: str, sensor: SensorModel, given: Sequence[Artifact]) -> 
 
 @dataclass(frozen=True)
 class Augmentation:
-    """Turns clean samples of `rig` into one variant. The same (seed, epoch, sample) gives the same bits anywhere.
+    """Makes one variant of clean samples of a rig. The same (seed, epoch, sample) gives the same bits anywhere.
 
     sensor: the artifacts; the variant takes those of its kinds. classes: of the samples' labels. Raises BadConfig for
     an unknown variant, a bad seed, or objects of other classes.
@@ -106,17 +106,16 @@ class Augmentation:
         return any(artifact.needs_projector for artifact in self.applied)
 
     def __call__(self, sample: Sample, epoch: int = 0) -> RangeImage:
-        """The sample as the variant shows it, in arrays of its own. Raises as `into`."""
+        """Return the sample as the variant shows it, in new arrays. Raises as `into`."""
         return self.into(sample, epoch, np.empty(sample.range.shape, np.uint16), np.empty(sample.range.shape, np.uint8))
 
     def into(self, sample: Sample, epoch: int, image: NDArray[np.uint16], labels: NDArray[np.uint8]) -> RangeImage:
-        """The sample as the variant shows it, in given arrays, uint16 and uint8 [H, W], contiguous, whatever they hold.
+        """Write the sample as the variant shows it into given arrays, by the variant's artifacts in the sensor's order.
 
-        They may be the sample's own, which is then gone.
-
-        Applies the variant's artifacts in the sensor's order; the paper's is occlusion, noise, missing data. Raises
-        BadSample for arrays that do not fit the sample, or a sample whose images fit neither each other nor the rig, or
-        that lacks the projector's range.
+        image, labels: uint16 and uint8 [H, W], contiguous, with any content. They may be the sample's own arrays, which
+        are then overwritten. In the paper's sensor, artifacts are in the order occlusion, noise, missing data.
+        Raises BadSample for arrays that do not fit the sample, for a sample whose images do not fit each other and the
+        rig, or for one that lacks the projector's range.
         """
         draws = Draws(self.seed, check_epoch(epoch), sample.key)
         _check_sample(sample, self.rig)
