@@ -73,9 +73,9 @@ DEFAULTS: Final = MeshOptions()
 
 @dataclass(frozen=True)
 class BodyRef:
-    """Name of one body within a source. No field may contain a dot or a slash: they become sample keys.
+    """Name of one body within a source. Fields become sample keys, so none may contain a dot or a slash.
 
-    subset: the paper's group that it belongs or corresponds to ("A", "B", "C", "people"), else the source's name.
+    subset: the paper's group that the body belongs or corresponds to ("A", "B", "C", "people"), else the source's name.
     subject: the person. mesh: unique within the source. pose: the posture or motion in words. split: train or test.
     """
 
@@ -90,10 +90,11 @@ class BodyRef:
 class Body:
     """A body ready to be labelled, or a scene that brings its labels (`SceneMesh`).
 
-    landmarks: int64 [N], the vertex of each of the 33 landmarks in the order of `PARTS`; of a scene none. notes:
-    repairs of the mesh and the like, one line each, for its owner. pieces: those of the mesh that lie over the body,
-    like a skirt or a held thing. template: called where it is needed, gives where on the template of the body the first
-    vertices lie, all but those of `pieces`, float64 [V, 3], metres; None for bodies of another topology.
+    landmarks: int64 [N], the vertex of each of the 33 landmarks in the order of `PARTS`; none for a scene.
+    notes: repairs of the mesh and the like, one line each, for the user who owns it.
+    pieces: those pieces of the mesh that lie over the body, like a skirt or a held thing.
+    template: function without arguments that returns where on the template of the body the first vertices lie (all but
+    those of `pieces`), float64 [V, 3], metres; called where needed, None for bodies of another topology.
     """
 
     mesh: Mesh
@@ -107,12 +108,12 @@ class Body:
         return partition(self.mesh, self.landmarks, method, self.pieces)
 
     def surface_labels(self, method: GeodesicMethod = "exact") -> Partition | SceneMesh:
-        """The labels of its samples: those of a scene's mesh, else those of `partition`, with its errors."""
+        """Return the labels of the body's samples: those of a scene's mesh, else as `partition`, with its errors."""
         return self.mesh if isinstance(self.mesh, SceneMesh) else self.partition(method)
 
 
 class BodySource(Protocol):
-    """A set of bodies."""
+    """Bodies to render, as `open_source` returns them."""
 
     name: str
 
@@ -131,7 +132,7 @@ class BodySource(Protocol):
     def check(self, body: BodyRef) -> None:
         """Raise BadMesh or BadLandmarks for a body that cannot be built.
 
-        Packing calls it, for sources that read files, for all bodies before it builds the first.
+        For sources that read files, packing checks all bodies before it builds the first.
         """
 
     def build(self, body: BodyRef) -> Body:
