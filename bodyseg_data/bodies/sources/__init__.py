@@ -86,14 +86,15 @@ def open_source(
     up: UpAxis = "auto",
     pymeshlab: bool = False,
 ) -> BodySource:
-    """Open the source called `name`.
+    """Open the source of bodies called `name`.
 
-    path: the folder it reads, for sources that read one. landmarks: a landmark file for all of its meshes that have
-    none of their own, or a folder searched for landmark files instead of `path`; sources of the open body take a file
-    of its vertices. units, up: unit of the mesh files and their axis that points up, found from body and landmarks if
-    "auto" (`alignment`). pymeshlab: repair scans that break a rule of meshes by that package (GPL-3.0). Raises
-    BadConfig for an unknown name, or for arguments that the source does not take, BadLandmarks for a file that is not
-    of the open body.
+    path: the folder it reads, for sources that read one.
+    landmarks: a landmark file for all of its meshes that have none of their own, or a folder that is searched for
+    landmark files instead of `path`; sources of the open body take a file of its vertices.
+    units, up: unit of the mesh files and their axis that points up; "auto" finds them from body and landmarks.
+    pymeshlab: repair scans that break a rule of meshes by that package (GPL-3.0).
+    Raises BadConfig for an unknown name, or for arguments that the source does not take, BadLandmarks for a file that
+    is not of the open body.
     """
     entry = SOURCES[name] if name in SOURCES else _added(name)
     path, landmarks = (None if each is None else Path(each) for each in (path, landmarks))
