@@ -33,9 +33,9 @@ def check_epoch(epoch: int) -> int:
 
 @dataclass(frozen=True)
 class Draws:
-    """The random numbers of one sample in one epoch: each purpose has its own, whatever else is drawn.
+    """The random numbers of one sample in one epoch. Each purpose has its own, whatever else is drawn.
 
-    purposes: the only ones that may be drawn for, None for any. Raises BadConfig for another.
+    purposes: the only ones that may be drawn for; None for any. Raises BadConfig where another is drawn for.
     """
 
     seed: int
@@ -51,11 +51,11 @@ class Draws:
         return hashlib.blake2b(identity.encode(), digest_size=16, person=b"bodyseg").digest()
 
     def chance(self, purpose: str) -> float:
-        """One number for a purpose that draws once a sample, uniform over the multiples of 2**-53 from 0 to below 1."""
+        """Return one number for a purpose that draws once a sample: a multiple of 2**-53, uniform from 0 to below 1."""
         return (int.from_bytes(self._digest(purpose)[:8], "little") >> 11) * 2.0**-53
 
     def stream(self, purpose: str) -> Stream:
-        """The stream of a purpose.
+        """Return the stream of random numbers of a purpose.
 
         Philox is counter-based (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", 2011): any 128-bit key
         gives an independent stream at no set-up cost.
@@ -63,14 +63,14 @@ class Draws:
         return np.frombuffer(self._digest(purpose), "<u8").astype(np.uint64)
 
     def pixels(self, purpose: str, count: int, kind: type[np.uint16] | type[np.uint32]) -> NDArray[Any]:
-        """One draw a pixel, uniform over all values of `kind`, [count]: the raw words, cut up from their low end.
+        """Draw one number a pixel, [count], uniform over all values of `kind`: raw words, cut up from their low end.
 
-        NumPy guarantees the bits of raw words, as it does not those of its distributions.
+        NumPy guarantees the bits of raw words, but not those of its distributions.
         """
         each = 8 // np.dtype(kind).itemsize
         words = np.random.Philox(key=self.stream(purpose)).random_raw(-(-count // each)).astype("<u8")
         return words.view(np.dtype(kind).newbyteorder("<"))[:count].astype(kind)
 
     def generator(self, purpose: str) -> np.random.Generator:
-        """The random generator of a purpose."""
+        """Return the random generator of a purpose."""
         return np.random.Generator(np.random.Philox(key=self.stream(purpose)))
