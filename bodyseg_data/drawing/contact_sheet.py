@@ -64,8 +64,9 @@ class Row:
 def colour_range(
     image: NDArray[np.uint16 | np.float32], near: float | None = None, far: float | None = None
 ) -> NDArray[np.uint8]:
-    """Colour a range image [H, W], in steps or metres, as sRGB uint8 [H, W, 3], light at `near` and dark at `far`, by
-    default the image's own ends.
+    """Colour a range image [H, W], in steps or metres, as sRGB uint8 [H, W, 3]: light at `near`, dark at `far`.
+
+    near, far: in the unit of the image, by default its own ends.
     """
     ends = span_of(image)
     near, far = ends[0] if near is None else near, ends[1] if far is None else far
