@@ -50,10 +50,10 @@ _SIDE: Final = re.compile(r"[Ll]eft|LEFT|[Rr]ight|RIGHT|(?:(?<=^)|(?<=[_. -]))[L
 class LabelClass:
     """One class of a set.
 
-    mirror: name of the class that it is in the mirror image, such as the left hand of the right one; None for itself.
-    colour: sRGB as "#rrggbb"; None for one that is drawn. within: name of a wider class that it is a part of, for
-    readers; it need not be a class of the set. side: of a pair, which of the two it is; None: found from the names'
-    order. Classes that differ by the last three alone are equal: labels mean the same.
+    mirror: name of the class that this one is in a mirror image, as the left hand is the right one there; None: itself.
+    colour: sRGB as "#rrggbb"; None: one is chosen. within: name of a wider class that it is a part of, for readers,
+    which need not be a class of the set. side: which of a pair it is; None: found from the order of the names. Classes
+    that differ only in colour, within or side are equal: their labels mean the same.
     """
 
     name: str
