@@ -45,9 +45,9 @@ _REGIONS: Final = ("parts33", "bones", "landmarks")
 
 
 def colour_labels(labels: Bytes, background: tuple[int, int, int] = (24, 26, 32), colours: Bytes = COLOURS) -> Bytes:
-    """Draw a label image: uint8 [H, W] -> sRGB uint8 [H, W, 3]; `background` where a label has no colour.
+    """Draw a label image: uint8 [H, W] -> sRGB uint8 [H, W, 3].
 
-    colours: sRGB of every label from 0 on, uint8 [N, 3]; by default those of the 33 parts.
+    background: colour where a label has none. colours: of all labels from 0 on, uint8 [N, 3]; default: the 33 parts'.
     """
     table = np.empty((256, 3), np.uint8)
     table[:] = background
@@ -72,11 +72,11 @@ class OnTemplate:
 class LabelMap:
     """Classes that take the place of a set's own, each a union of some of them.
 
-    name: of the map. classes: (name, names of the set's classes that it joins) of each; a class's label is its index.
-    Classes of the set that stand nowhere are labelled as background, unless a class joins `REST`, as for a network that
-    is to tell people from the room. of: the set's own. Raises BadConfig for a map without classes or with more than
-    254, one that joins none, an unknown class, one in two classes, or a name given twice.
-    template: of regions of the template, `of` names these; None for classes of the set.
+    name: of the map. classes: name of each class, and names of the set's classes that it joins; its label is its index.
+    The set's classes that are in none become background, unless a class joins `REST`, as for a network that tells
+    people from the room. of: the set's own classes. template: None unless these are regions of the template.
+    Raises BadConfig for a map without classes or with more than 254, an empty class, an unknown class, one in two
+    classes, or a name given twice.
     """
 
     name: str
@@ -119,7 +119,7 @@ class LabelMap:
 
     @cached_property
     def members(self) -> tuple[tuple[int, ...], ...]:
-        """Labels, in the set, of what each class joins; for the rest, those of classes that stand nowhere."""
+        """The set's labels that each class joins; for the class of the rest, those of classes that are in no other."""
         named = {each for _, members in self.classes for each in members}
         rest = tuple(label for label, each in enumerate(self.of.names) if each not in named)
         return tuple(
@@ -149,9 +149,9 @@ class LabelMap:
     def write(self, labels: Bytes, edges: NDArray[np.int32] | None = None, unlabelled: int = BACKGROUND) -> None:
         """Replace a set's labels by class labels in place.
 
-        labels: uint8 [H, W], contiguous. edges: int32 [2 N], flat indices in reading order where foreground begins,
-        ends, begins ...; all else must be background. None: not known. unlabelled: what surfaces of no class get, 254
-        or 255.
+        labels: uint8 [H, W], contiguous. unlabelled: label for surfaces of no class, 254 or 255.
+        edges: int32 [2 N], flat indices in reading order where foreground begins, ends, begins and so on; all else must
+        be background. None if they are not known.
         """
         flat = labels.reshape(-1)
         table = self._tables[unlabelled]
@@ -165,8 +165,8 @@ class LabelMap:
     def mirrored(self) -> Bytes:
         """Class label -> class label in the mirror image, uint8 [256]; other values stay as they are.
 
-        Raises BadConfig where the mirror images of a class's members are not the members of one class: a flipped image
-        would need labels that the map has thrown away.
+        Raises BadConfig if the mirror images of a class's members are not the members of one class: a flipped image
+        would need labels that the map has dropped.
         """
         lopsided = self._lopsided
         if lopsided is not None:
@@ -216,21 +216,21 @@ class LabelMap:
 
     @cached_property
     def colours(self) -> Bytes:
-        """Colours of the classes, sRGB, uint8 [len(self), 3]; of a map that changes nothing, those of the set."""
+        """Colours of the classes, sRGB, uint8 [len(self), 3]; a map that changes nothing has those of the set."""
         if self.is_whole:
             return self.of.colours
         return class_colours(self.sides, [min(label, int(self._opposites[label])) for label in range(len(self))])
 
     @property
     def is_whole(self) -> bool:
-        """True if labels stay as they are: the classes are those of the set itself, with other names perhaps."""
+        """True if labels stay as they are: the classes are the set's own, perhaps by other names."""
         return not self.has_rest and self.members == tuple((label,) for label in range(len(self.of)))
 
     def joined_to(self, coarser: LabelMap) -> Bytes:
         """Class label of this map -> that of a map whose classes are unions of this one's, uint8 [256].
 
-        Values that are no label become `BACKGROUND`. Raises BadConfig if `coarser` splits a class or leaves members of
-        it out, for then a class has no counterpart, or if it is a map of another set's classes.
+        Values that are no label become `BACKGROUND`. Raises BadConfig if `coarser` splits a class or leaves out some of
+        its members, since the class then has no counterpart, or if it is a map of another set's classes.
         """
         if differing := whole_map(self.of).difference(whole_map(coarser.of)):
             raise BadConfig(f"labels {self.name!r} and {coarser.name!r} are of other classes: found {differing}")
@@ -244,9 +244,9 @@ class LabelMap:
         return found
 
     def difference(self, other: LabelMap) -> str | None:
-        """In words the first difference between the classes of two label maps, None if labels mean the same.
+        """Return the first difference between the classes of two label maps in words, None if labels mean the same.
 
-        Classes that have the same names in the same order do, of whatever sets' classes they are made.
+        They do if the classes have the same names in the same order, of whatever sets' classes they are made.
         """
         for label, (own, others) in enumerate(zip_longest(self.names, other.names)):
             if own != others:
@@ -295,7 +295,7 @@ def label_map_from_json(tree: Any, where: str) -> LabelMap:
 
 
 def load_label_map(labels: str | Path | LabelMap, of: Classes = PART_CLASSES) -> LabelMap:
-    """Return a label map: as given, one that ships or `of` itself by its name, or that of a TOML file.
+    """Load a label map: one that ships, or `of` itself, by its name, or that of a TOML file; a LabelMap stays as it is.
 
     of: the classes of the set, which a map of regions of the template does not need. Raises BadConfig, also for a map
     of another set's classes.
