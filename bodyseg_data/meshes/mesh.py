@@ -97,9 +97,10 @@ def components(count: int, pairs: NDArray[np.integer[Any]]) -> NDArray[np.int32]
 
 @dataclass(frozen=True)
 class Mesh:
-    """The surface of a body. vertices: float64 [V, 3], metres, body frame. faces: int32 [F, 3], vertex indices, ordered
-    so that normals point outwards by the right-hand rule. Both arrays are copied and read-only.
+    """The surface of a body. Both arrays are copied and read-only.
 
+    vertices: float64 [V, 3], metres, body frame.
+    faces: int32 [F, 3], vertex indices in such an order that normals point outwards by the right-hand rule.
     Raises BadMesh, naming the mesh, for: no vertices or faces, coordinates that are not finite, indices outside the
     vertices, a largest extent outside 0.5 to 2.5 m, faces that point inwards or disagree with their neighbours.
     """
