@@ -24,14 +24,14 @@ PACKING_VERSION: Final = 3
 
 @dataclass(frozen=True)
 class Packing:
-    """The options of a packing. All of them shape the bytes; the number of workers does not.
+    """The options of a packing. All of them shape the bytes of the set; the number of workers does not.
 
-    source, path, landmarks, units, up, pymeshlab: where bodies come from (`open_source`). poses: shell patterns, one of
-    which their pose fits, if there are any. meshes: how many of them, taken evenly from every subset; all if None.
-    views: of each body. renderer, codec: by name. shard_samples: samples a shard. geodesics: how distances along the
-    surface are measured. tolerance_mm, pymeshlab: how coarse meshes may be (`reduced_body`). things: where things stand
-    around the bodies (docs/reference/things.md). template: also pack the map of the body, a column; the set's own bytes
-    are the same without it.
+    source, path, landmarks, units, up: where bodies come from (`open_source`). poses: shell patterns; if there are any,
+    a body's pose must match one. meshes: number of bodies, taken evenly from every subset; None for all.
+    views: of each body. renderer, codec: by name. shard_samples: samples a shard.
+    geodesics: how distances along the surface are measured. tolerance_mm: how coarse meshes may be (`reduced_body`).
+    pymeshlab: for `open_source` and `reduced_body`. things: where they stand around bodies (docs/reference/things.md).
+    template: also pack the map of the body, a column; the set's own bytes are the same without it.
     """
 
     source: str
@@ -55,13 +55,13 @@ class Packing:
     def __post_init__(self) -> None:
         check_fields(self)
         if self.template and self.tolerance_mm:
-            raise BadConfig(f"the map of the body is of whole meshes, found a tolerance of {self.tolerance_mm:g} mm")
+            raise BadConfig(f"the map of the body needs whole meshes, found a tolerance of {self.tolerance_mm:g} mm")
         with reported(f"rig {self.rig.name}", BadConfig):
             self.rig.check_reach(max(self.views.distances_cm) / 100)
 
     def bodies(self) -> list[BodyRef]:
-        """The bodies to pack, in the source's order. Raises BadConfig if two have one name, a split is none, none is of
-        `poses`, or they are fewer than `meshes`.
+        """Return the bodies to pack, in the source's order. Raises BadConfig if two have one name, if a split is
+        unknown, if none has a pose that fits `poses`, or if they are fewer than `meshes`.
         """
         bodies = self.opened().bodies()
         if len({body.mesh for body in bodies}) < len(bodies) or {body.split for body in bodies} - {*SPLITS}:

@@ -52,9 +52,9 @@ from bodyseg_data.shards import (
 
 
 def plan(packing: Packing) -> dict[str, Any]:
-    """Counts per subset and split, without reading or rendering any mesh; plain JSON.
+    """Count the bodies and samples of a packing by subset and split, as plain JSON; no mesh is read or rendered.
 
-    "missing" is there if the source is not complete: the bodies that a complete one would have, runs of names in one.
+    "missing" is there if the source lacks bodies that a complete one has: their names, with runs of names in one.
     """
     bodies = packing.bodies()
     subsets: dict[str, dict[str, int]] = {}
@@ -139,18 +139,19 @@ def pack(
 ) -> Manifest:
     """Pack into the folder `out` and return its manifest; carries on where an interrupted packing stopped.
 
-    executor: runs `check_run` and `render_run`; workers: how many of its workers to keep busy. on_faults: for meshes
-    that cannot be packed. Raises BadConfig if `out` holds something else or another packing is at work there,
-    FaultyMeshes for meshes that cannot be packed, all that the check before rendering finds, or that are more than may
-    be left out; BadMesh, BadLandmarks or BadSample for one that fails later. After an error, finished shards stay and
-    the same call carries on from them; the caller cancels the jobs that the executor has not begun. In a finished set,
-    shards that are missing or altered are made again; its meshes are not checked again while their files are unchanged.
+    executor: runs `check_run` and `render_run`. workers: how many of its workers to keep busy.
+    on_faults: treatment of meshes that cannot be packed.
+    Raises BadConfig if `out` holds something else or another packing is at work there; FaultyMeshes for meshes that
+    cannot be packed, all that the check before rendering finds, or for more of them than may be left out; BadMesh,
+    BadLandmarks or BadSample for one that fails later. After an error finished shards stay, and the same call carries
+    on from them; the caller cancels the jobs that the executor has not begun. In a finished set, shards that are
+    missing or altered are made again; its meshes are not checked again while their files are unchanged.
     """
     forget_sources()
     out = Path(out)
     check_folder(out)
     if packing.template and not getattr(packing.opened(), "on_template", False):
-        raise BadConfig(f"the map of the body is of bodies that are made, found the source {packing.source!r}")
+        raise BadConfig(f"the map of the body needs bodies that are made, found the source {packing.source!r}")
     bodies = packing.bodies()
     skips = SkipList(on_faults, len(bodies), packing.path)
     try:

@@ -135,11 +135,11 @@ def test_the_bytes_are_the_same_however_they_are_packed(mapped: Path, tmp_path: 
 
 
 def test_bodies_of_another_topology_have_no_map(tmp_path: Path, pack_figures: Pack) -> None:
-    with pytest.raises(BadConfig, match="the map of the body is of whole meshes, found a tolerance of 1 mm"):
+    with pytest.raises(BadConfig, match="the map of the body needs whole meshes, found a tolerance of 1 mm"):
         Packing("open", template=True, tolerance_mm=1.0)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("fakes.Figures.on_template", False)
-        with pytest.raises(BadConfig, match="is of bodies that are made, found the source 'open'"):
+        with pytest.raises(BadConfig, match="needs bodies that are made, found the source 'open'"):
             pack_figures(tmp_path / "set", template=True)
     assert not (tmp_path / "set").exists()
 
