@@ -60,20 +60,21 @@ class ShardWriter:
         with ShardWriter("mine/", rig="rig.toml", classes=["floor", "arm"]) as out:
             out.write(key="scene-000", range_m=z, labels=classes, projector_range_m=p)
 
-    rig: the rig, its name or its file; or a list of rigs, of which each scene names its own by number. classes: names
-    or `LabelClass`es, in the order of their labels, or `Classes`. projector: what is stored of the projector's range:
-    "shadow", as far as the shadow test with this rig needs it; "exact", as rendered; "none". planes: name -> "uint8" or
-    "uint16" of further images. fields: name -> kind ("text", "int", "float", "flag", "numbers") of the descriptions.
-    What is None of these three is as the first scene has it. source: name of the origin, for cards. codec: by name.
-    shard_samples: samples a shard. workers: threads that encode, 0 for none. executor: encodes in their place, such as
-    that of a Dask client, of which `workers` are kept busy. part: (i, n) for the i-th of n writers, 0 <= i < n, each
-    with its share of the scenes: it writes a set of its own in a folder of `out`, and `bodyseg join` makes one of all.
-    progress: called with the number of scenes written, twice.
+    rig: the rig, its name or its file; or a list of rigs, of which each scene names its own by number.
+    classes: names or `LabelClass`es, in the order of their labels, or `Classes`.
+    projector: what is stored of the projector's range: "shadow", as far as the shadow test with this rig needs it;
+    "exact", as rendered; "none". planes: name -> "uint8" or "uint16", for further images. fields: name -> kind of the
+    descriptions ("text", "int", "float", "flag", "numbers"). Where one of the three is None, the first scene decides.
+    source: name of the origin, for cards. codec: by name. shard_samples: samples a shard.
+    workers: threads that encode, 0 for none. executor: encodes in their place, for example that of a Dask client;
+    `workers` is then how many of its workers are kept busy.
+    part: (i, n) for the i-th of n writers, 0 <= i < n, each with its share of the scenes: it writes a set of its own in
+    a folder of `out`, and `bodyseg join` makes one of all. progress: called with the number of scenes written, twice.
 
     The manifest is written when the context ends without an error. After an error finished shards stay, and the same
-    writer with the same scenes carries on: scenes of finished shards are skipped. If all were in a set that was whole
-    before, a warning says that nothing was written. Raises BadConfig for an argument out of range, or if `out` holds
-    something else or another writer is at work there; BadShard for rigs or planes that one set cannot have.
+    writer with the same scenes carries on: scenes of finished shards are skipped. If the set was already whole and
+    holds them all, a warning says that nothing was written. Raises BadConfig for an argument out of range, or if `out`
+    holds something else or another writer is at work there; BadShard for rigs or planes that one set cannot have.
     """
 
     def __init__(
@@ -148,7 +149,7 @@ class ShardWriter:
         return key in self._finished
 
     def finished(self) -> Mapping[str, Path]:
-        """Key -> file of the scenes of shards that earlier runs finished."""
+        """The scenes in shards that earlier runs finished: key -> file of the shard."""
         return self._finished
 
     def write(
@@ -166,20 +167,22 @@ class ShardWriter:
         planes: Mapping[str, Any] | None = None,
         rig: int = 0,
     ) -> bool:
-        """Write one scene; False if an earlier run's finished shards hold it. Arrays of NumPy or torch, free for use
-        again once this returns.
+        """Write one scene; False if a shard that an earlier run finished holds it already.
 
-        key: unique in the set, 1 to 80 letters, digits, "_", "+" and "-". range_m: floats [H, W], metres along the
-        camera's axis, 0 where nothing was measured. labels: whole numbers [H, W], classes of the set, 254 on surfaces
-        of none, 255 where nothing was measured; stored is 255 exactly where `range_m` is 0, so a label given there (of
-        a background, say) is dropped, and 255 on a surface becomes 254. projector_range_m: floats [Hp, Wp], the same
-        for the projector, of two projectors the second's rows below the first's. projector: instead, a function of rows
-        and columns [N] of texels in that image that returns their ranges [N]; it is called once a projector, in this
-        thread, and only for texels that the set needs. facing: bool [H, W], or [2, H, W] for two projectors, whether
-        the surface is turned towards the projector. normals: instead, floats [H, W, 3], the outward normals in the
-        camera's frame (x right, y down, z forward). Without both, facing is found from `range_m`; all scenes of a set
-        do it alike. split: "train" or "test". fields: values of the description, some of the set's. planes: name ->
-        whole numbers [H, W], all of the set's. rig: number of the scene's rig in the set's list.
+        Arrays are of NumPy or torch; the caller may use them again once this returns.
+        key: unique in the set, 1 to 80 letters, digits, "_", "+" and "-".
+        range_m: floats [H, W], metres along the camera's axis, 0 where nothing was measured.
+        labels: whole numbers [H, W], classes of the set, 254 on surfaces of none, 255 where nothing was measured.
+        Stored is 255 exactly where `range_m` is 0: other labels there (as of a background) are dropped, and 255 on a
+        surface becomes 254.
+        projector_range_m: floats [Hp, Wp], likewise for the projector; of two, the second's rows below the first's.
+        projector: in its place a function that takes rows and columns [N] of texels in that image and returns their
+        ranges [N]. It is called once a projector, in this thread, and only for texels that the set needs.
+        facing: bool [H, W], or [2, H, W] for two projectors: whether the surface is turned towards the projector.
+        normals: in its place floats [H, W, 3], the outward normals in the camera's frame (x right, y down, z forward).
+        Without both, facing is found from `range_m`; all scenes of a set do it alike.
+        split: "train" or "test". fields: values of the description, some of the set's. planes: name -> whole numbers
+        [H, W], all of the set's. rig: number of the scene's rig in the set's list.
 
         Raises BadSample, naming the key, for what breaks a rule: the scene is then not written, and the writer goes on.
         """
@@ -198,12 +201,11 @@ class ShardWriter:
         return True
 
     def write_all(self, scenes: Mapping[str, Any], function: Callable[[Any], Mapping[str, Any]]) -> None:
-        """Make scenes with a function where they are encoded, in the writer's threads or executor, and write them.
+        """Write scenes that a function makes where they are encoded: in the writer's threads or executor.
 
-        scenes: key -> whatever the function needs to make the scene, a path say. function: returns the arguments of
-        `write` but `key`. Scenes of finished shards are not made again. Functions and what they are given must be such
-        as can be pickled where the executor is of processes or of a cluster. Raises as `write`; the writer then does
-        not go on.
+        scenes: key -> what the function needs to make the scene, such as a path. Those of finished shards are skipped.
+        function: returns the arguments of `write`, without `key`. With an executor of processes or of a cluster, the
+        function and what it is given must be picklable. Raises as `write`, but the writer then does not go on.
         """
         for key, reference in scenes.items():
             if not self._is_new(key):
