@@ -28,11 +28,10 @@ _NAMED: Final = 3
 class OnFaults:
     """Treatment of meshes that cannot be packed; no byte of the other meshes' samples depends on it.
 
-    on_error: "stop" names all that the check finds, and renders nothing; "skip" leaves them out. skip_budget: the most
-    meshes that may be left out, as a number or as a share of the meshes asked for (a float below 1). progress: called
-    with (meshes checked, meshes in all).
-
-    Raises BadConfig for on_error="skip" without a budget, or a budget without it.
+    on_error: "stop" names all that the check finds, and renders nothing; "skip" leaves them out.
+    skip_budget: the most meshes that may be left out, a number or a share of the meshes asked for (a float below 1).
+    progress: called with (meshes checked, meshes in all).
+    Raises BadConfig for on_error="skip" without a budget, or for a budget without it.
     """
 
     on_error: OnError = "stop"
