@@ -47,12 +47,14 @@ _UP: Final = (0.0, -1.0, 0.0)  # of a rig's frame, whose y points down
 class Camera:
     """A pinhole camera or, with light going the other way, a projector.
 
-    rows, columns: image size in pixels. focal_px: focal length in pixels (square pixels). centre_px: principal
-    point (x, y) in image coordinates. position_m: optical centre in the rig's frame. aims_at_m: the point of the
-    rig's frame on the optical axis. up: a direction of the rig's frame; without roll the image's x axis is at right
-    angles to it, and it points up in the image. roll_deg: rotation about the optical axis, -180 to 180, clockwise as
-    seen from behind the camera; what is seen turns the other way. distortion: of the frames that the camera takes; all
-    else here, and all that is rendered, is of the ideal image without it. Raises BadConfig for a value out of range.
+    rows, columns: image size in pixels. focal_px: focal length in pixels (square pixels).
+    centre_px: principal point (x, y) in image coordinates.
+    position_m, aims_at_m: optical centre, and a point on the optical axis before it, in the rig's frame, metres.
+    up: a direction of the rig's frame, up in the image; without roll, the image's x axis is at right angles to it.
+    roll_deg: rotation about the optical axis, -180 to 180, clockwise as seen from behind the camera; what is seen turns
+    the other way.
+    distortion: of the frames that the camera takes; all else here, and all that is rendered, is of the ideal image
+    without it. Raises BadConfig for a value out of range.
     """
 
     rows: int = bounded(MISSING, 1, MAX_SIDE)
@@ -85,10 +87,7 @@ class Camera:
         return rolled(np.stack([right, np.cross(forward, right), forward]), self.roll_deg)
 
     def pixel_rays(self) -> Floats:
-        """Directions through all pixel centres in this camera's own frame, [rows, columns, 3], scaled to z = 1.
-
-        With that scale the parameter of a point on the ray *is* its range.
-        """
+        """Rays through all pixel centres in this camera's frame, [rows, columns, 3], z = 1: point = range * ray."""
         rays = np.ones((self.rows, self.columns, 3))
         rays[..., 0], rays[..., 1] = self.slopes[0], self.slopes[1][:, None]
         return rays
@@ -100,7 +99,7 @@ class Camera:
         return across, np.divide(np.arange(self.rows) + 0.5 - self.centre_px[1], self.focal_px)
 
     def turned(self, quarters: int) -> Camera:
-        """The camera of its images turned clockwise by so many right angles, `np.rot90(image, -quarters)`.
+        """The camera of images that are turned clockwise by so many right angles, `np.rot90(image, -quarters)`.
 
         Its roll is less by as much: a camera that was mounted turned clockwise becomes an upright one.
         """
@@ -188,10 +187,10 @@ def rolled(axes: Floats, roll_deg: float) -> Floats:
 
 @dataclass(frozen=True)
 class Distortion(Checked):
-    """Coefficients of the model, without unit: radial k1, k2, k3, tangential p1, p2. Raises BadConfig beyond 1e6.
+    """Distortion of a lens by radial coefficients k1, k2, k3 and tangential p1, p2, without unit.
 
-    aspect: what is drawn is stretched across by it and down by its inverse: the root of fx / fy where pixels are not
-    square.
+    aspect: factor by which images are stretched across, and its inverse down: the root of fx / fy where pixels are not
+    square. Raises BadConfig beyond 1e6.
     """
 
     k1: float = bounded(0.0, -_MOST, _MOST)
@@ -202,7 +201,7 @@ class Distortion(Checked):
     aspect: float = bounded(1.0, 0, _MOST, above=True)
 
     def apply(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Return where the lens draws directions (x, y, 1), at z = 1; all float64 of one shape."""
+        """Return where the lens draws the directions (x, y, 1), at z = 1; all float64 of one shape."""
         squared = x * x + y * y
         radial = 1 + squared * (self.k1 + squared * (self.k2 + squared * self.k3))
         return (
