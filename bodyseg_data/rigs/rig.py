@@ -40,7 +40,7 @@ _NAME: Final = re.compile(r"[A-Za-z0-9_+.-]{1,40}")
 
 @dataclass(frozen=True)
 class Rig:
-    """A structured-light rig: a camera and a projector, or two. The rig's frame is the camera's if that has no pose.
+    """A structured-light rig: a camera with one or two projectors. The rig's frame is the camera's if that has no pose.
 
     stand_off_m: the distance for which the rig is made, metres; bodies in other sensors' frames are resampled to it.
     range_step_mm: one step of its stored ranges, millimetres, 0.01 to 10. second_projector: with it, shadow is where
@@ -89,7 +89,7 @@ class Rig:
         return tuple(replace(self, projector=projector, second_projector=None) for projector in self.projectors)
 
     def check_reach(self, distance_m: float) -> None:
-        """Raise BadConfig unless 16 bits hold the ranges of a body that far away on the camera's axis, metres.
+        """Raise BadConfig unless 16 bits hold the ranges of a body so far away on the camera's axis, metres.
 
         All devices must reach `BODY_REACH_M` behind its centre.
         """
@@ -111,8 +111,8 @@ class Rig:
         """Camera and first projector in the frame of a body whose bounding box is centred on `centre` [3].
 
         The rig moves and the body stays, so that whatever was built for the body's mesh serves all its views. The
-        camera gets the pose that `View` describes and its own roll besides, the projector the same place beside it.
-        Body frame: x to the subject's left, y up, z to the front, metres.
+        camera gets the pose that `View` describes and its own roll besides; the projector keeps its place beside the
+        camera. Body frame: x to the subject's left, y up, z to the front, metres.
         """
         aim = np.add(centre, (0.0, view.height_cm / 100, 0.0))
         camera_axes = axes_at(view.azimuth_deg, view.pitch_deg, view.roll_deg + self.camera.roll_deg)
@@ -125,10 +125,7 @@ class Rig:
         return PlacedCamera(self.camera, camera_axes, camera_position), projector
 
     def camera_to_projector(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Rotation [3, 3] and translation [3] with projector_point = rotation @ camera_point + translation.
-
-        The projector is the first one.
-        """
+        """Rotation R [3, 3] and translation t [3] from the camera's frame to the first projector's: R @ point + t."""
         rotation = self.projector.axes @ self.camera.axes.T
         offset = np.subtract(self.camera.position_m, self.projector.position_m)
         return rotation, self.projector.axes @ offset
@@ -169,7 +166,7 @@ def rig_names() -> tuple[str, ...]:
 
 
 def load_rig(name_or_path: str | Path = PAPER) -> Rig:
-    """Read a rig by the name of one that ships with the package, or from a TOML file (docs/how-to/rig.md).
+    """Load a rig by the name of one that ships with the package, or from a TOML file (docs/how-to/rig.md).
 
     Raises BadConfig, naming file and key, for anything missing, unknown or out of range, and for a camera alone.
     """
