@@ -174,13 +174,12 @@ class Sample:
     range: uint16 [H, W], the camera's range in the rig's steps along its optical axis; 0 is background.
     projector_range: uint16 [Hp, Wp], the same for the projector; None if it was not read. Of a rig with two projectors,
     the second's rows follow the first's.
-    labels: uint8 [H, W], classes of the set, 0 to 253, `UNLABELLED` (254) on surfaces of none, 255 where range is 0.
-    Read as batches need them, surfaces of no class are 255, too.
-    faces_projector: bool [H, W], whether the surface seen is turned towards the projector (lit unless something
-    stands between); False on background.
+    labels: uint8 [H, W], classes of the set, 0 to 253, `UNLABELLED` (254) on surfaces of none, 255 where range is 0. In
+    samples that were read for batches, surfaces of no class are 255, too.
+    faces_projector: bool [H, W], whether the surface seen is turned towards the projector (lit unless something stands
+    between); False on background. faces_second: the same for a second projector; None if the rig has one.
     occupancy: only of samples decoded into given arrays.
-    faces_second: as faces_projector, for a rig's second projector; None of a rig with one. planes: name -> uint8 or
-    uint16 [H, W], further images of integers that a set may have.
+    planes: name -> uint8 or uint16 [H, W], further images of integers that a set may have.
     """
 
     key: str
