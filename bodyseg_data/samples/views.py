@@ -81,13 +81,12 @@ Choice = tuple[int, ...] | Drawn
 
 @dataclass(frozen=True)
 class ViewGrid:
-    """Views at all distances, pitches, rolls and heights from all azimuths. The defaults are the paper's 3 × 18 = 54
-    views, 10° apart, level and upright.
+    """Views of a body from all combinations of distances, pitches, rolls and heights, at all azimuths.
 
-    The paper turns by 10° eighteen times, which covers half a turn, while its results show full turns; the span
-    is therefore a parameter. Pitches, rolls and heights (see `View`) are values of the grid or ranges to draw from.
-    `count` thins the grid evenly over azimuths, with the other values in turn. Raises BadConfig for a value out of
-    range.
+    The defaults are the paper's 3 × 18 = 54 views, 10° apart, level and upright. The paper turns by 10° eighteen times,
+    half a turn, while its results show full turns; so the span is a parameter. Pitches, rolls and heights (see `View`)
+    are values of the grid, or ranges to draw from. `count` thins the grid evenly over azimuths, with the other values
+    in turn. Raises BadConfig for a value out of range.
     """
 
     distances_cm: tuple[int, ...] = (215, 255, 295)
@@ -110,18 +109,18 @@ class ViewGrid:
 
     @property
     def full(self) -> int:
-        """Views in the whole grid, before thinning."""
+        """Number of views in the whole grid, before thinning."""
         return len(self._rows()) * self.azimuths
 
     @property
     def drawn(self) -> dict[str, Drawn]:
-        """The ranges that views draw from: field of `View` -> range."""
+        """The ranges that views draw from, by the field of `View`."""
         choices = ((name, getattr(self, name)) for name in _LIMITS)
         return {name: choice for name, choice in choices if isinstance(choice, Drawn)}
 
     @property
     def pitches_deg(self) -> tuple[int, ...]:
-        """The pitches of the grid, or the least, the middle and the greatest one of a range."""
+        """The pitches of the grid; of a range, its least, middle and greatest one."""
         if isinstance(self.pitch_deg, Drawn):
             low, high = self.pitch_deg.low, self.pitch_deg.high
             return tuple(sorted({low, (low + high) // 2, high}))
@@ -136,7 +135,7 @@ class ViewGrid:
         return self.full if self.count is None else self.count
 
     def __iter__(self) -> Iterator[View]:
-        """The views of a body without a name; those of every body if nothing is drawn."""
+        """The views of a body without a name; if nothing is drawn, those of every body."""
         return self.of("")
 
     def of(self, body: str) -> Iterator[View]:
