@@ -131,10 +131,10 @@ class ColumnWriter:
                 column.write(key, instances)
 
     folder: of the set. name: a lower-case word. kind: "uint8" or "uint16" for a plane; "text", "int", "float", "flag"
-    or "numbers" for a field. The column is there when the block ends, all of it; after an error nothing is. Samples may
-    come in any order; in the set's own, those of one shard are in memory at a time.
+    or "numbers" for a field. The column is there, whole, when the block ends; after an error there is none. Samples may
+    come in any order; in the set's own order, only those of one shard are in memory at a time.
 
-    Raises BadConfig for a name or kind that cannot be, or for a column that is there.
+    Raises BadConfig for a name or kind that cannot be, or for a column that is there already.
     """
 
     def __init__(self, folder: str | Path, name: str, kind: str) -> None:
@@ -170,8 +170,8 @@ class ColumnWriter:
     def write(self, key: str, value: Any) -> None:
         """Give a sample its plane, integers [H, W] as large as the set's images, or the value of its field.
 
-        value: a NumPy array, a torch tensor or a plain value. Raises BadSample for a key that the set has not or that
-        was written, or for a value of another kind or size; BadConfig if the disk cannot be written.
+        value: a NumPy array, a torch tensor or a plain value. Raises BadSample for a key that the set does not have or
+        that was written before, or for a value of another kind or size; BadConfig if the disk cannot be written.
         """
         if self._claim is None:
             raise BadConfig("a ColumnWriter writes in a with statement: with ColumnWriter(...) as column")
