@@ -44,12 +44,11 @@ class RetryPolicy(Checked):
     """Limits of retries and timeouts for a remote set.
 
     tries: consecutive failed attempts before giving up. total_s: longest duration of consecutive failures, seconds.
-    stall_s: seconds without a byte after which a connection counts as broken. first_wait_s: pause after the first
-    failure, seconds; each further pause is twice as long. A random factor of 0.5 to 1 shortens pauses, so that many
-    processes do not retry at once. progress_bytes: an attempt that received as many starts a new count of failures; a
-    server that cuts every connection earlier can give files of at most `tries` times as many bytes.
-
-    Raises BadConfig.
+    stall_s: seconds without a byte after which a connection counts as broken.
+    first_wait_s: pause after the first failure, seconds; each further pause is twice as long. A random factor of 0.5 to
+    1 shortens pauses, so that many processes do not retry at once.
+    progress_bytes: an attempt that received as many starts a new count of failures; a server that cuts every connection
+    earlier can give files of at most `tries` times as many bytes. Raises BadConfig for a value out of range.
     """
 
     tries: int = bounded(6, 1)
