@@ -56,12 +56,12 @@ def decode_sample(
     unlabelled: int = UNLABELLED,
     planes: Sequence[str] | None = None,
 ) -> Sample:
-    """Decode the members that `encode_sample` gives, of either codec.
+    """Decode the members of a sample that `encode_sample` gives, of either codec.
 
-    projector: decode the projector's range, too. out: arrays for range and labels, uint16 and uint8 [H, W], contiguous,
-    used if the codec supports it; the sample is then valid until this thread decodes another one, and its `info` is
-    parsed when it is asked for. projectors: how many the rig has, 1 or 2. unlabelled: the label to give to surfaces of
-    no class, 254 as stored or 255. planes: names of further planes to decode, None for all.
+    projector: decode the projector's range, too. projectors: how many the rig has, 1 or 2.
+    out: arrays for range and labels, uint16 and uint8 [H, W], contiguous, used if the codec supports it. The sample is
+    then valid until this thread decodes another one, and its `info` is parsed when it is asked for.
+    unlabelled: label for surfaces of no class, 254 as stored or 255. planes: further planes to decode, None for all.
 
     Raises BadSample, naming key and member, for members that are missing, unknown or damaged; with `out`, a damaged
     description raises when it is asked for.
