@@ -169,10 +169,10 @@ def writing_into(out: Path) -> contextlib.AbstractContextManager[None]:
 def check_folder(out: Path) -> None:
     """Raise BadConfig unless `out` is no folder yet, one without shards, or one that a packing has begun or ended."""
     if out.exists() and not out.is_dir():
-        raise BadConfig(f"shards go into a folder, {out} is a file")
+        raise BadConfig(f"shards are written into a folder, but {out} is a file")
     begun = (out / MANIFEST_NAME).exists() or (out / STATE_NAME).exists()
     if not begun and out.exists() and any(out.glob("[!.]*.tar")):
-        raise BadConfig(f"{out} holds tars of no packing: choose another folder")
+        raise BadConfig(f"{out} holds tar files that no packing wrote: choose another folder")
 
 
 @contextlib.contextmanager

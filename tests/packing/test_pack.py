@@ -224,7 +224,7 @@ def test_a_folder_with_something_else_is_refused(tmp_path: Path, pack_figures: P
         pack_figures(tmp_path / "unfinished", Renders(known), meshes=3)
     (tmp_path / "tars").mkdir()
     (tmp_path / "tars" / "mine.tar").touch()
-    with pytest.raises(BadConfig, match="holds tars of no packing"):
+    with pytest.raises(BadConfig, match="holds tar files that no packing wrote"):
         pack_figures(tmp_path / "tars", Renders(known))
     (tmp_path / "file").touch()
     with pytest.raises(BadConfig, match="is a file"):
