@@ -112,7 +112,7 @@ def _check_part(part: Manifest, folder: Path, first: Manifest, first_folder: Pat
             what = "options of their writers" if name == "plan" else f"{name!r}"
             raise BadConfig(f"{folder} and {first_folder} are no parts of one set: their {what} differ")
     if columns := column_names(LocalFolder(folder)):
-        raise BadConfig(f"{folder}: columns are written for the joined set, found {columns[0]!r} of a part")
+        raise BadConfig(f"{folder}: parts must have no columns, found {columns[0]!r}: write it for the joined set")
 
 
 def _all_fields(parts: Sequence[Manifest], folders: Sequence[Path]) -> Fields:

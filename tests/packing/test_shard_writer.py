@@ -200,7 +200,7 @@ def test_parts_that_do_not_belong_together_are_refused(tmp_path: Path, capsys: p
     assert said(first, tmp_path / "nothing") == "no such folder: nothing"
     with ColumnWriter(other, "visit", "int") as column:
         column.write("scene-001", 3)
-    assert said(other) == "other: columns are written for the joined set, found 'visit' of a part"
+    assert said(other) == "other: parts must have no columns, found 'visit': write it for the joined set"
 
 
 def test_a_damaged_shard_of_a_part_names_the_part(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
