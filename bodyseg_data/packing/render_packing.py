@@ -89,7 +89,7 @@ def check_unchanged(source: RenderSource, packed: Mapping[str, Path], out: Path)
     known = parse_json(note.read_bytes(), str(note)) if note.exists() else {}
     for key, tar in packed.items():
         if key not in made:
-            raise BadConfig(f"{tar} holds the sample {key!r}, which is no longer there: pack into another folder")
+            raise BadConfig(f"{tar} holds the sample {key!r}, which is gone from the renders: pack into another folder")
         newer = key not in known and any(file.stat().st_mtime > tar.stat().st_mtime for file in source.files(key))
         if newer or known.get(key, made[key]) != made[key]:
             other = f"{tar} holds the sample {key!r} from other files, or by another set.toml or table of samples"

@@ -110,7 +110,7 @@ def test_packing_carries_on_without_reading_what_is_done(tmp_path: Path, monkeyp
         (folder / kind / "scene-001.png").unlink()
     rows = (folder / "samples.jsonl").read_text().splitlines(keepends=True)
     (folder / "samples.jsonl").write_text("".join(row for row in rows if "scene-001" not in row))
-    with pytest.raises(BadConfig, match="train-00000.tar holds the sample 'scene-001', which is no longer there"):
+    with pytest.raises(BadConfig, match="train-00000.tar holds the sample 'scene-001', which is gone from the renders"):
         pack_renders(open_renders(folder), Path(whole.path), "bsi", None, 2, 0)
 
 
