@@ -58,30 +58,30 @@ _WHY: Final = {
 @dataclass(frozen=True)
 class Options:
     source: str = option(
-        f"source of the bodies: {', '.join(SOURCES)}, or one that an installed package adds; or {RENDERS}: scenes "
-        f"rendered elsewhere; or {ROOMS}: made rooms with people and furniture"
+        f"a source of bodies ({', '.join(SOURCES)}, or one that an installed package adds), {RENDERS} (scenes rendered "
+        f"elsewhere) or {ROOMS} (made rooms with people and furniture)"
     )
     path: Path | None = option("folder of the source's meshes or renders, for sources that read one", None)
-    out: Path | None = option("folder for the shards; a packing cut short carries on where it stopped", None)
+    out: Path | None = option("folder for the shards; an interrupted packing carries on there where it stopped", None)
     layout: LayoutName | None = option(
-        "layout of the folder (default: by its files)", None, heading="Renders (--source renders)"
+        "layout of the folder (default: found from its files)", None, heading="Renders (--source renders)"
     )
     projector: ProjectorKind | None = option(
-        "what is stored of the projector's range (default: shadow, what its shadow needs, if there is any)",
+        "what to store of the projector's range (default: shadow: what its shadow needs, if there is any)",
         None,
     )
-    samples: int | None = option("how many rooms", None, heading="Rooms (--source rooms)")
-    split: Split = option("split of all of them, and of the people in them", "train")
-    kinds: tuple[str, ...] = option("kinds of things in them (default: all)", ())
-    without: tuple[str, ...] = option("kinds of things that are left out, to test with", ())
-    scene: Path | None = option("folder of meshes that stand in them, too, as no body", None)
+    samples: int | None = option("number of rooms", None, heading="Rooms (--source rooms)")
+    split: Split = option("split that all rooms, and the people in them, belong to", "train")
+    kinds: tuple[str, ...] = option("kinds of things in the rooms (default: all)", ())
+    without: tuple[str, ...] = option("kinds of things to leave out, and to test with later", ())
+    scene: Path | None = option("folder of meshes of further things in the rooms, not bodies", None)
     landmarks: Path | None = option(
         "landmark file, or folder of them (default: those beside the meshes, or shipped)", None, heading="Meshes"
     )
     units: Units = option("unit of the mesh files", Packing.units)
-    up: UpAxis = option("their axis that points up; a negative one as --up=-y", Packing.up)
-    poses: tuple[str, ...] = option("poses of the bodies, as lying* (default: all)", (), heading="Views")
-    meshes: int | None = option("number of bodies, evenly from every subset (default: all)", None)
+    up: UpAxis = option("axis of the mesh files that points up; a negative one as --up=-y", Packing.up)
+    poses: tuple[str, ...] = option("only bodies in these poses, such as lying* (default: all)", (), heading="Views")
+    meshes: int | None = option("number of bodies, taken evenly from every subset (default: all)", None)
     views: int | None = option("number of views of each body (default: all combinations)", None)
     distances: tuple[int, ...] = option("distances from the camera, cm", ViewGrid.distances_cm)
     azimuths: int = option("number of directions around the body", ViewGrid.azimuths)
@@ -91,25 +91,25 @@ class Options:
         "or one range like -30..10, which each view draws from",
         ("0",),
     )
-    roll: tuple[str, ...] = option("degrees by which it is turned clockwise about its axis, or one range", ("0",))
-    height: tuple[str, ...] = option("cm by which it is then raised without turning, or one range", ("0",))
+    roll: tuple[str, ...] = option("degrees by which the camera is turned clockwise, or one range", ("0",))
+    height: tuple[str, ...] = option("cm by which the camera is then raised without turning, or one range", ("0",))
     rig: str = option("a rig that ships with the package, or a .toml file", PAPER, heading="Rendering")
     geodesics: GeodesicMethod = option("method of measuring distances along the surface", Packing.geodesics)
     tolerance_mm: float | None = option(
-        "range error, mm, to which meshes are reduced by pymeshlab; 0: none is (default: those that --pymeshlab names)",
+        "range error, mm, to which pymeshlab reduces meshes; 0 reduces none (default: as --pymeshlab says)",
         Packing.tolerance_mm,
     )
     pymeshlab: bool = option(
-        "repair scans, and reduce meshes of 150 000 triangles and more to 0.2 mm, by this package (GPL-3.0)", False
+        "let pymeshlab (GPL-3.0) repair scans, and reduce meshes of 150 000 triangles and more to 0.2 mm", False
     )
     renderer: RendererName = option("renderer", Packing.renderer)
     things: ThingsPlace = option("draw furniture without labels around the bodies", Packing.things)
-    template: bool = option("open sources: also pack the map of the body, the column 'template'", False)
+    template: bool = option("also pack the map of the body, the column 'template' (open sources)", False)
     codec: CodecName = option("codec of the stored images", Packing.codec, heading="Packing")
     shard_samples: int = option("samples a shard", Packing.shard_samples)
     engine: str = option("processes (of this machine), or dask://HOST:PORT of a running scheduler", PROCESSES)
     workers: int | None = option("rendering processes (default: one a processor, or all that the cluster has)", None)
-    on_error: OnError = option("stop at meshes that cannot be packed, naming all, or skip them", OnFaults.on_error)
+    on_error: OnError = option("for meshes that cannot be packed: stop and name all, or skip them", OnFaults.on_error)
     skip_budget: float | None = option("the most meshes to skip: a number, or a share below 1", OnFaults.skip_budget)
     plan: bool = option("print the counts as JSON and render nothing", False)
 

@@ -69,7 +69,7 @@ def test_every_command_is_described_with_every_option_and_default() -> None:
     assert "| `--renderer` | `raster`, `embree`, `opengl` | `raster` | " in text
     assert "| `--resume` | switch |  | " in text
     assert "| `FOLDER` | text | required | " in text
-    assert "| **Rooms (--source rooms)** |  |  |  |\n| `--samples` | whole number |  | how many rooms |" in text
+    assert "| **Rooms (--source rooms)** |  |  |  |\n| `--samples` | whole number |  | number of rooms |" in text
 
 
 def test_every_room_and_public_name_has_a_place() -> None:
