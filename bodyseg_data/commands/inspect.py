@@ -33,7 +33,7 @@ MOST_ROWS: Final = 500
 @dataclass(frozen=True)
 class Options:
     folder: str = option("folder or address of a set of shards", positional=True, address=True)
-    variant: VariantName = option("the variant that --json counts and whose labels the sheet shows last", "all")
+    variant: VariantName = option("variant that --json counts and whose labels the sheet shows last", "all")
     sensor: str = option("the artifacts: a sensor that ships with the package, or a TOML file", PAPER_SENSOR)
     labels: str | None = option(
         f"classes to count (default: the set's): {', '.join(label_map_names())} or a label map (.toml)", None
@@ -44,7 +44,7 @@ class Options:
     where: tuple[str, ...] = option(WHERE_HELP, ())
     out: Path | None = option("write a contact sheet to this PNG file", None)
     json: bool = option("print what the set holds as JSON", False)
-    rows: int = option(f"samples on the sheet, evenly over the set, 1 to {MOST_ROWS}", 6)
+    rows: int = option(f"samples on the sheet, taken evenly from the set, 1 to {MOST_ROWS}", 6)
     seed: int = option("seed of the artifacts' random draws", 0)
 
 

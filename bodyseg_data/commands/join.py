@@ -13,7 +13,7 @@ EXAMPLE = "bodyseg join parts --out shards"
 
 @dataclass(frozen=True)
 class Options:
-    parts: tuple[Path, ...] = option("folders of parts, or one that holds all parts of a set", positional=True)
+    parts: tuple[Path, ...] = option("folders of the parts, or one that holds all parts of a set", positional=True)
     out: Path = option("folder for the set")
     shard_samples: int = option("samples a shard", 1080)
 

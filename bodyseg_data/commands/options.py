@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 Options = TypeVar("Options")
 
-OCCLUDER_HELP: Final = "where the projector's range is from: stored, or camera: what the camera sees"
+OCCLUDER_HELP: Final = "projector's range to use: the stored one, or one made of what the camera sees"
 WHERE_HELP: Final = "conditions that samples must all meet, like 'distance_cm<=255' 'subject=B,C'"
 """Help of `--where`, the option of commands that read a set."""
 
