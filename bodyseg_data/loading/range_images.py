@@ -79,16 +79,15 @@ class RangeImages(SampleDataset):
     seed: of all draws and of the order. epoch: the first epoch.
     sensor: the artifacts, of which the variant takes those of its kinds: a model, the name of one that ships with the
     package, or a TOML file (docs/how-to/sensors.md).
-    transform: one or several, applied to samples in their order by the workers (docs/how-to/transforms.md).
+    transform: of samples, one or several, applied in their order by the workers (docs/how-to/transforms.md).
     labels: classes in place of the set's own: a map, the name of one that ships with the package, or a TOML file
     (docs/how-to/label_maps.md). A map of regions of the template takes them from the column `template`.
-    unlabelled: label surfaces of no class 254 instead of 255, so that 255 means that nothing was measured.
-    planes: names of further images that items and batches hold, like "instances": as stored, also where pixels are
-    lost.
+    unlabelled: surfaces of no class get 254 instead of 255, so that 255 means that nothing was measured.
+    planes: names of further images that items and batches hold, like "instances"; as stored, also at lost pixels.
     occluder: "camera" makes the projector's range out of what the camera sees, also for a set that holds none; what the
     camera does not see then casts no shadow (docs/how-to/streaming.md).
-    only: patterns as for file names ("open-A-*", "*-d255-*"), one or several, one of which a sample's key must match.
-    where: conditions like "distance_cm<=255", one or several, that a sample must all meet (docs/how-to/streaming.md).
+    only: patterns as for file names ("open-A-*", "*-d255-*"), one or several; a sample's key must match one of them.
+    where: conditions like "distance_cm<=255", one or several; a sample must meet all (docs/how-to/streaming.md).
     columns: names of columns to open, planes or fields that the set got later (docs/how-to/columns.md); those that
     `where` and `planes` name are opened in any case.
     val_share: share of train, 0 to below 1, read as "val" instead: whole people and motions (docs/how-to/splits.md).
