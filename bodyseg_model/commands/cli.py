@@ -11,7 +11,7 @@ COMMANDS: Final[Commands] = {
     **SET_COMMANDS,
     "train": ("bodyseg_model.commands.train", "train a network on one variant of a set"),
     "evaluate": ("bodyseg_model.commands.evaluate", "score a network on a set"),
-    "export": ("bodyseg_model.commands.export", "write a trained network as two small files"),
+    "export": ("bodyseg_model.commands.export", "write a trained network as two small files, or as ONNX"),
     "export-labels": ("bodyseg_model.commands.export_labels", "write labels in formats of other programs"),
     "push": ("bodyseg_model.commands.sharing:Push", "copy a set or a network to an address"),
     "pull": ("bodyseg_model.commands.sharing:Pull", "copy a set or a network from an address"),
