@@ -49,36 +49,34 @@ _OF_IMAGES: Final = ("variant", "split", "val_share", "where", "seed", "sensor",
 
 @dataclass(frozen=True)
 class Options:
-    data: tuple[str, ...] = option("folders or addresses of sets of shards", address=True)
+    data: tuple[str, ...] = option("sets of shards to score on: folders or addresses", address=True)
     json: Path = option("write the scores to this file")
     run: Path | None = option(RUN_HELP, None, heading="Network")
     backend: BackendName | None = option(BACKEND_HELP, None)
     precision: Precision | None = option(PRECISION_HELP, None)
     flip_average: bool = option(FLIP_HELP, False)
     checkpoint: CheckpointName | None = option(
-        "of a run: its best or last one (default: what the training ended with)", None
+        "weights of the training in --run: its best or its last (default: those that it ended with)", None
     )
-    variant: VariantName = option("which artifacts the images have", "all", heading="Images")
-    split: ReadSplit = option("which split of the sets", "test")
-    val_share: float = option("share of train that is the split val, and not train", 0.0)
+    variant: VariantName = option("artifacts that the images have", "all", heading="Images")
+    split: ReadSplit = option("split of the sets to score", "test")
+    val_share: float = option("share of the train split that counts as val, not as train", 0.0)
     where: tuple[str, ...] = option(WHERE_HELP, ())
-    images: int | None = option("how many images of each set, drawn from the split by --seed (default: all)", None)
-    noise_mm: float | None = option("sigma of the noise, mm, the same for every image (default: drawn, 0 to 100)", None)
-    missing: float | None = option("share of pixels missing, the same for every image (default: drawn)", None)
-    labels: str | None = option("classes to score, of which the network's are parts (default: the network's)", None)
-    sensor: str = option("the artifacts: a sensor that ships with the package, or a TOML file", PAPER_SENSOR)
+    images: int | None = option("number of images of each set, drawn from the split by --seed (default: all)", None)
+    noise_mm: float | None = option("sigma of the noise, mm, of every image (default: drawn, as the sensor says)", None)
+    missing: float | None = option("share of pixels missing, of every image (default: drawn, as the sensor says)", None)
+    labels: str | None = option("label map to score by, joined from the network's classes (default: its own)", None)
+    sensor: str = option("sensor model with the artifacts: the name of one that ships, or a TOML file", PAPER_SENSOR)
     occluder: OccluderName = option(OCCLUDER_HELP, "stored")
-    artifacts: str = option("strengths of any artifacts that differ from the sensor's, as JSON", "{}")
-    seed: int = option("seed of the artifacts, and of the choice of images", 0)
-    other_rig: bool = option(
-        "also score images of a rig that is far from the one that the network was trained for", False
-    )
-    figures: Path | None = option("also draw charts and sample images as PNGs into this folder", None, heading="Report")
-    frames: int = option("images to time the network on, one at a time (0: none)", 50)
+    artifacts: str = option('strengths in place of those of the sensor, as JSON like {"noise": {"high_mm": 50}}', "{}")
+    seed: int = option("seed of the artifacts, and of the images drawn by --images", 0)
+    other_rig: bool = option("score images of a rig far from the network's own, too (default: refuse them)", False)
+    figures: Path | None = option("also draw charts and sample images, PNGs, into this folder", None, heading="Report")
+    frames: int = option("images on which the network is timed, one by one (0: not at all)", 50)
     batch_size: int = option("images that go through the network together", 16, heading="Machine")
     num_workers: int = option("workers that load images (0: none, the program itself does)", 2)
-    worker_method: WorkerMethod = option("kind of these workers", DEFAULT_WORKER_METHOD)
-    device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
+    worker_method: WorkerMethod = option("kind of these workers: threads or processes", DEFAULT_WORKER_METHOD)
+    device: str | None = option("device that computes: cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
     threads: int | None = option("threads that compute on the processor (default: all)", None)
 
 
