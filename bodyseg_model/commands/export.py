@@ -18,11 +18,11 @@ _OF_THE_FILE = ("format", "network", "settings", CardWords.WEIGHTS_SHA256)
 
 @dataclass(frozen=True)
 class Options:
-    run: Path | None = option("'large', a training's folder or a .safetensors file (default: compact)", None)
-    out: Path | None = option("the .safetensors file to write; its card goes beside it as .json", None)
-    onnx: Path | None = option("the .onnx file to write: range images -> labels and confidences", None)
+    run: Path | None = option("network: 'large', a training's folder or a .safetensors file (default: compact)", None)
+    out: Path | None = option("write this .safetensors file, and its card beside it as .json; or give --onnx", None)
+    onnx: Path | None = option("write this .onnx file, which turns range images into labels and confidences", None)
     scores: Path | None = option(
-        "figures of `bodyseg evaluate` to put on the card, their confusion matrix in a file beside it", None
+        "scores for the card, of `evaluate --json`; their confusion matrix goes into a file beside it", None
     )
 
 
