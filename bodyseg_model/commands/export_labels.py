@@ -53,22 +53,22 @@ Images = Iterator["LabelImage"]
 
 @dataclass(frozen=True)
 class Options:
-    folder: str = option("folder that `bodyseg segment` wrote, or folder or address of a set", address=True, flag="in")
-    out: Path = option("folder for the export: a new one, or of an earlier export")
+    folder: str = option("folder that `segment` wrote, or a set: its folder or address", address=True, flag="in")
+    out: Path = option("folder that gets the export: a new one, or that of an earlier export, which is replaced")
     format: FormatName = option("COCO's run lengths or panoptic PNGs, DensePose's parts, indexed PNGs, LeRobot v3.0")
     frames: tuple[Path, ...] = option(
-        "of `segment`'s folder: the frames, as given to it; exports their ranges, too", ()
+        "with a folder of `segment`: the frames that it labelled, to export their ranges, too", ()
     )
-    topic: str | None = option("topic of a bag or array of an NPZ file among --frames", None)
-    variant: VariantName = option("of a set: artifacts of the ranges; labels are those without artifacts", "none")
-    sensor: str = option("the artifacts: a sensor that ships with the package, or a TOML file", PAPER_SENSOR)
+    topic: str | None = option("of --frames: topic of a bag or array of an NPZ file (default: the only one)", None)
+    variant: VariantName = option("with a set: artifacts of the ranges; labels are those without artifacts", "none")
+    sensor: str = option("sensor model with the artifacts: the name of one that ships, or a TOML file", PAPER_SENSOR)
     seed: int = option("seed of the artifacts", 0)
-    split: ReadSplit | None = option("only this split of a set (default: train and test)", None)
+    split: ReadSplit | None = option("with a set: split to export (default: train and test)", None)
     where: tuple[str, ...] = option(WHERE_HELP, ())
-    labels: str | None = option("classes of a set to export: a label map (default: the set's)", None)
-    instances: str | None = option("the set's image of instances (default: instances, if it has one)", None)
-    uncompressed: bool = option("COCO's run lengths as numbers, not as text", False)
-    fps: int = option("LeRobot's frames per second", 10)
+    labels: str | None = option("with a set: classes to export, a label map by name or file (default: the set's)", None)
+    instances: str | None = option("with a set: its plane of instances (default: instances, if it has one)", None)
+    uncompressed: bool = option("with coco: write run lengths as numbers, not as text", False)
+    fps: int = option("with lerobot: frames a second", 10)
 
 
 class LabelImage(NamedTuple):
