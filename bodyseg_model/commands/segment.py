@@ -56,7 +56,7 @@ _SHADOW_FRAMES: Final = 8  # whose shadows tell whether a recording is mirrored
 @dataclass(frozen=True)
 class Options:
     frames: tuple[Path, ...] = option(RECORDINGS_HELP, positional=True)
-    out: Path = option("folder for labels, overlays, preview.gif, legend.png and summary.json")
+    out: Path = option("folder that gets labels, overlays, preview.gif, legend.png and summary.json")
     labels_out: Path | None = option("also write labels with their frames' times into this .mcap file", None)
     points: bool = option("with --labels-out: also write the points of people, with label and confidence", False)
     run: Path | None = option(RUN_HELP, None, heading="Network")
@@ -64,41 +64,41 @@ class Options:
     precision: Precision | None = option(QUICK_PRECISION_HELP, None)
     flip_average: bool = option(FLIP_HELP, False)
     labels: str | None = option(
-        "coarser classes to give, of which the network's are parts, such as limbs14 (default: the network's)", None
+        "classes to give, joined from the network's: a label map, such as limbs14 (default: the network's)", None
     )
     topic: str | None = option(
         "topic of a bag or array of an NPZ file (default: the only one of frames)", None, heading="Frames and camera"
     )
     units: str | None = option(UNITS_HELP, None)
-    rig: str | None = option(f"frames are from this camera: {', '.join(rig_names())} or a rig file (.toml)", None)
-    focal: float | None = option("focal length of the camera, pixels (default: told by the frames' size)", None)
-    centre: tuple[float, ...] = option("principal point of the camera, x y (default: the image's middle)", ())
+    rig: str | None = option(f"camera of the frames: {', '.join(rig_names())} or a rig file (.toml)", None)
+    focal: float | None = option("focal length, pixels (default: the recording's, or by the frames' size)", None)
+    centre: tuple[float, ...] = option("with --focal: principal point, x y, pixels (default: the image's middle)", ())
     mirrored: bool = option("frames show left for right, as some drivers give them", False)
     turned: Turned | None = option(f"{TURNED_HELP} (default: the rig's roll)", None)
     background: BackgroundMode | None = option(
-        "people: find people within the limits; limits: keep what is within them, as one body; keep: keep all that was "
-        "measured, as one body; frame: label whole frames as they stand (default: people, or frame for a network of "
-        "other classes than body parts)",
+        "what is labelled; people: those found from --near to --far; limits: all from --near to --far, as one body; "
+        "keep: all that was measured, as one body; frame: the whole frame as it stands (default: people, or frame for "
+        "a network of other classes than body parts)",
         None,
         heading="People",
     )
-    video: bool = option("frames are a video: labels are steadied by those of the frames before", False)
+    video: bool = option("frames are a video: steady labels by those of the frames before", False)
     finder: Path | None = option(
-        "network that finds people: a training's folder or a file (default: the shipped)", None
+        "network that finds people: a training's folder or a file (default: the one that ships)", None
     )
-    dense: bool = option("also write the point of the body's template at each pixel, 16-bit PNGs, 65535: none", False)
-    keep_things: bool = option("label whatever the finder takes for people, also where the network doubts it", False)
-    near: float | None = option("the near limit, metres (default: 0.4)", None)
-    far: float | None = option("the far limit, metres (default: 6)", None)
-    confidence: float = option("give no label to pixels of less confidence, 0 to 1", 0.0)
+    dense: bool = option("also write where on the body's template each pixel lies, 16-bit PNGs (65535: none)", False)
+    keep_things: bool = option("also label what the finder takes for people and the network doubts", False)
+    near: float | None = option("with people or limits: what is nearer is background, metres (default: 0.4)", None)
+    far: float | None = option("with people or limits: what is farther is background, metres (default: 6)", None)
+    confidence: float = option("leave pixels of less confidence than this, 0 to 1, without a label", 0.0)
     no_overlay: bool = option(
         "write labels and summary alone: no overlay, preview.gif and legend.png", False, heading="Output"
     )
-    skip_unreadable: int = option("skip up to this many frames that cannot be read, and list them", 0)
-    fps: float = option("frames per second of preview.gif, and of --labels-out where frames have no times", 10.0)
+    skip_unreadable: int = option("skip up to this many frames that cannot be read; summary.json lists them", 0)
+    fps: float = option("frames a second of preview.gif, and of --labels-out where frames have no times", 10.0)
     ahead: bool = option("find the people of the next frame while this one is labelled", False, heading="Machine")
-    threads: int | None = option("threads that compute the network on the processor (default: all)", None)
-    device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
+    threads: int | None = option("threads that compute on the processor (default: all)", None)
+    device: str | None = option("device that computes: cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
 
 
 def run(options: Options) -> int:
