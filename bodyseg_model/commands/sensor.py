@@ -30,24 +30,24 @@ EXAMPLE = "bodyseg sensor fit recording/ --focal 525 --nearer-than 1.2 --out sen
 @dataclass(frozen=True)
 class Options:
     frames: tuple[Path, ...] = option(RECORDINGS_HELP, positional=True)
-    out: Path | None = option("write the sensor model to this TOML file", None)
-    picture: Path | None = option("draw a frame beside its simulation in this PNG file", None)
-    json: bool = option("print all figures as JSON instead of the table", False)
-    name: str = option("name of the sensor model, one word", "measured")
+    out: Path | None = option("write the sensor model to this .toml file", None)
+    picture: Path | None = option("draw a frame beside its simulation into this PNG file", None)
+    json: bool = option("print all figures as JSON, in place of the table of verdicts", False)
+    name: str = option("name for the sensor model, one word", "measured")
     topic: str | None = option("topic of a bag or array of an NPZ file (default: the only one of frames)", None)
     units: str | None = option(UNITS_HELP, None)
-    rig: str | None = option(f"frames are from this sensor: {', '.join(rig_names())} or a rig file (.toml)", None)
-    focal: float | None = option("focal length of the camera, pixels (default: told by the frames' size)", None)
-    centre: tuple[float, ...] = option("principal point of the camera, x y (default: the image's middle)", ())
+    rig: str | None = option(f"sensor of the frames: {', '.join(rig_names())} or a rig file (.toml)", None)
+    focal: float | None = option("focal length, pixels (default: the recording's, or by the frames' size)", None)
+    centre: tuple[float, ...] = option("with --focal: principal point, x y, pixels (default: the image's middle)", ())
     turned: Turned | None = option(f"{TURNED_HELP} (default: the rig's roll)", None)
     background: BackgroundMode = option(
-        "people: find bodies as segment does; limits: all within the limits is a body; keep: all that was measured is",
+        "what is a body; people: as segment finds them; limits: all from --near to --far; keep, frame: all measured",
         "people",
     )
     skip_unreadable: int = option("skip up to this many frames that cannot be read", 0)
-    near: float | None = option("the near limit of people and limits, metres (default: 0.4)", None)
-    far: float | None = option("their far limit, metres (default: 6)", None)
-    nearer_than: float | None = option("all that is nearer than this, metres, is a body, whatever its size", None)
+    near: float | None = option("with people or limits: what is nearer is background, metres (default: 0.4)", None)
+    far: float | None = option("with people or limits: what is farther is background, metres (default: 6)", None)
+    nearer_than: float | None = option("in place of --background: all nearer than this is a body, metres", None)
 
 
 def run(options: Options) -> int:
