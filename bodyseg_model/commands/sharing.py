@@ -26,10 +26,10 @@ class Push:
 
     @dataclass(frozen=True)
     class Options:
-        what: Path = option("folder of a set, folder of a training, or a .safetensors file", positional=True)
+        what: Path = option("what to copy: folder of a set or a training, or a .safetensors file", positional=True)
         address: str = option("folder or address that gets the copy", positional=True, address=True)
-        replace: bool = option("replace another set or network at the address", False)
-        sizes_only: bool = option("compare files at the address by size alone: they are not read back", False)
+        replace: bool = option("replace another set or network at the address (default: refuse)", False)
+        sizes_only: bool = option("compare files at the address by size alone, without reading them back", False)
 
     @staticmethod
     def run(options: Options) -> int:
@@ -62,7 +62,7 @@ class Pull:
             "address of a set, of a training's folder or of a .safetensors file", positional=True, address=True
         )
         folder: Path = option("folder that gets the copy", positional=True)
-        replace: bool = option("replace another set or network in the folder", False)
+        replace: bool = option("replace another set or network in the folder (default: refuse)", False)
 
     @staticmethod
     def run(options: Options) -> int:
