@@ -41,18 +41,18 @@ _FORMAT: Final = "bodyseg stability 1"
 
 @dataclass(frozen=True)
 class Options:
-    run: tuple[Path, ...] = option("folders of training runs, or .safetensors files; seeds of one make a group")
-    data: str = option("folder or address of a set of shards, whose test split is used", address=True)
-    out: Path = option("folder for stability.json and stability.png")
+    run: tuple[Path, ...] = option("trainings' folders or .safetensors files; seeds of one training make a group")
+    data: str = option("set of shards whose test split is used: folder or address", address=True)
+    out: Path = option("folder that gets stability.json and stability.png")
     reference: tuple[Path, ...] = option(
         "runs that mCE compares with, such as FCN-AlexNet trained on none (default: no mCE)", ()
     )
-    hard: str | None = option("a set of hard poses, for the sweep 'hard' (default: without)", None, address=True)
-    sweeps: tuple[str, ...] = option(f"which sweeps: {', '.join(SWEEPS)} (default: all)", ())
+    hard: str | None = option("set of hard poses, for the sweep 'hard' (default: without it)", None, address=True)
+    sweeps: tuple[str, ...] = option(f"sweeps to measure: {', '.join(SWEEPS)} (default: all)", ())
     where: tuple[str, ...] = option(WHERE_HELP, ())
-    images: int = option("images of every condition", 40)
-    seed: int = option("seed of the artifacts, and of the choice of images", 0)
-    device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
+    images: int = option("images at each strength of a sweep", 40)
+    seed: int = option("seed of the artifacts, and of the images drawn by --images", 0)
+    device: str | None = option("device that computes: cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
     threads: int | None = option("threads that compute on the processor (default: all)", None)
 
 
