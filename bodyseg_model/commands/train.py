@@ -70,62 +70,63 @@ EXAMPLE = "bodyseg train --data shards --variant all --network compact --out run
 
 @dataclass(frozen=True)
 class Options:
-    data: tuple[str, ...] = option("folders or addresses of sets of shards; their train splits are used", address=True)
-    out: Path = option("folder of the run: log, checkpoints, network")
-    variant: VariantName = option("which artifacts the images have", "all")
-    network: NetworkName = option("which network", "compact")
-    weights: tuple[float, ...] = option("weights of the sets (default: their numbers of samples)", (), heading="Images")
-    samples: int | None = option("samples in an epoch of several sets (default: all of theirs together)", None)
+    data: tuple[str, ...] = option("sets of shards to train on, their train splits: folders or addresses", address=True)
+    out: Path = option("folder of this training, new or empty, for its log, checkpoints and network")
+    variant: VariantName = option("artifacts that the images have", "all")
+    network: NetworkName = option("network to train", "compact")
+    weights: tuple[float, ...] = option("weight of each set (default: its number of samples)", (), heading="Images")
+    samples: int | None = option("samples in an epoch (default: as many as the sets have together)", None)
     labels: str | None = option(
-        f"classes to predict (default: the set's): {', '.join(label_map_names())} or a label map (.toml)", None
+        f"classes to predict: {', '.join(label_map_names())} or a label map (.toml) (default: the set's)", None
     )
-    no_mirror: bool = option("never mirror images, as for classes without a mirror image", False)
+    no_mirror: bool = option("never mirror images, as is needed for classes without a mirror image", False)
     occluder: OccluderName = option(OCCLUDER_HELP, "stored")
-    only: tuple[str, ...] = option("patterns, of which a sample's key must match one, like '*-d255-*'", ())
+    only: tuple[str, ...] = option("take samples whose key matches one of these patterns, like '*-d255-*'", ())
     where: tuple[str, ...] = option(WHERE_HELP, ())
-    noise_mm: float | None = option("largest sigma of the noise, mm (default: 100)", None, heading="Artifacts")
-    missing: tuple[float, ...] | None = option("shares of pixels that images lose (default: 0 0.05 0.5)", None)
-    losses: float | None = option("largest share of pixels lost in patches or stripes", None)
+    noise_mm: float | None = option("largest sigma, mm (default: the sensor's; paper: 100)", None, heading="Artifacts")
+    missing: tuple[float, ...] | None = option("shares of pixels lost (default: the sensor's; paper: 0 0.05 0.5)", None)
+    losses: float | None = option("largest share of pixels lost in patches or stripes (default: the sensor's)", None)
     sensor: tuple[str, ...] = option(
-        "the artifacts: a sensor that ships with the package, or a TOML file; of several, each set once with each",
+        "sensor models with the artifacts: names or TOML files; of several, each set is read once with each",
         (PAPER_SENSOR,),
     )
-    artifacts: str = option("strengths of any artifacts that differ from the sensor's, as JSON", "{}")
-    recipe: RecipeName | None = option("the recipe (default: the network's own)", None, heading="Recipe")
-    steps: int | None = option("how often weights change (default: the network's recipe); may differ on --resume", None)
+    artifacts: str = option('strengths in place of those of the sensor, as JSON like {"noise": {"high_mm": 50}}', "{}")
+    recipe: RecipeName | None = option("recipe to start with (default: the network's)", None, heading="Recipe")
+    steps: int | None = option("updates of the weights (default: the recipe's); --resume takes another number", None)
     batch_size: int | None = option("images that go through the network together (default: the recipe's)", None)
-    accumulate: int | None = option("such batches a step (default: the recipe's)", None)
+    accumulate: int | None = option("batches whose gradients are added up for a step (default: the recipe's)", None)
     learning_rate: float | None = option("learning rate of the last layer (default: the recipe's)", None, flag="lr")
-    optimiser: OptimiserName | None = option("how weights follow gradients (default: the recipe's)", None)
-    no_geometric_augmentation: bool = option("leave bodies where they are: turn, zoom and cut none", False)
-    bust: float | None = option("share of the images that show only the upper part of the body", None)
+    optimiser: OptimiserName | None = option("optimiser of the weights (default: the recipe's)", None)
+    no_geometric_augmentation: bool = option("leave bodies where they are: no rotation, zoom or cuts of images", False)
+    bust: float | None = option("share of the images that show only the upper body (default: the recipe's)", None)
     remnants: float = option("share of the images with remnants of a wall beside the body, as masks leave them", 0.0)
-    ema: float | None = option("decay of averaged weights, like 0.999, which are validated and saved", None)
+    ema: float | None = option("validate and save weights averaged by this decay, like 0.999 (default: recipe's)", None)
     shuffle: Literal["global", "blocks"] = option("order of samples; blocks read a far store in few pieces", "global")
     val_share: float | None = option(
-        "share of the train split to hold out, by subject and motion, to validate on", None, heading="Validation"
+        "share of train to hold out, by subject and motion, and validate on (default: none)", None, heading="Validation"
     )
     val_every: int | None = option("steps between validations (default: 500)", None)
-    val_images: int | None = option("images to validate on, drawn from those held out (default: all)", None)
-    keep: CheckpointName | None = option("weights of the run's network (default: the best, if validated)", None)
-    seed: int = option("of weights, order, artifacts and all other draws", 0, heading="Run")
-    resume: bool = option("carry on from the folder's last checkpoint", False)
+    val_images: int | None = option("images of each set to validate on (default: all that are held out)", None)
+    keep: CheckpointName | None = option("weights to end with: best validation's or last step's (default: best)", None)
+    seed: int = option("seed of initial weights, order, artifacts and all other draws", 0, heading="Run")
+    resume: bool = option("carry on the training in --out from its last checkpoint", False)
     pretrained: Path | None = option(
-        "weights to start from: compact, large, a run's folder, a .safetensors file; for fcn_alexnet also AlexNet's",
+        "weights to start from: compact, large, a run's folder, a .safetensors file; for fcn_alexnet also AlexNet's "
+        "(default: random weights)",
         None,
         heading="Network",
     )
     settings: str = option("settings of the network that differ from its defaults, as JSON", "{}")
-    only_template: bool = option("train the head of places alone: labels stay the same bits; with --pretrained", False)
+    only_template: bool = option("with --pretrained: train the head of places alone; labels stay the same bits", False)
     precision: Literal["recipe", "float32", "bfloat16"] = option(
-        "what layers compute in; recipe: float32 on a processor without instructions for bfloat16",
+        "number type of layers; recipe: the recipe's, but float32 on a processor without instructions for bfloat16",
         "recipe",
         heading="Machine",
     )
-    device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
+    device: str | None = option("device that computes: cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
     threads: int | None = option("threads that compute on the processor (default: all)", None)
     num_workers: int = option("workers that load images (0: none, the program itself does)", 2)
-    worker_method: WorkerMethod = option("kind of these workers", DEFAULT_WORKER_METHOD)
+    worker_method: WorkerMethod = option("kind of these workers: threads or processes", DEFAULT_WORKER_METHOD)
     checkpoint_every: int = option("steps between checkpoints", 500)
     log_every: int = option("steps between lines of the log", 20)
 
