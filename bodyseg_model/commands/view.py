@@ -30,34 +30,34 @@ class Options:
     source: tuple[str, ...] = option(
         "folder or address of a set of shards; or frames as `segment` reads them", positional=True, address=True
     )
-    run: Path | None = option("'large', a training's folder or a .safetensors file (default: compact)", None)
-    host: str = option("serve on this address; any but loopback lets other machines in", LOOPBACK)
-    allow_host: tuple[str, ...] = option("serve also under these hosts' names, such as a proxy's", ())
-    port: int = option("serve on this port, or the next free one", 8080)
-    save: Path | None = option("folder for saved pictures (default: the browser downloads them)", None)
-    device: str | None = option("cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
-    split: ReadSplit | None = option("only this split (default: train and test)", None, heading="Sets")
-    val_share: float = option("share of train that is the split val, and not train", 0.0)
+    run: Path | None = option("network: 'large', a training's folder or a .safetensors file (default: compact)", None)
+    host: str = option("address to serve on; any but loopback lets other machines in", LOOPBACK)
+    allow_host: tuple[str, ...] = option("further names of hosts to answer under, such as a proxy's", ())
+    port: int = option("port to serve on, or the next free one", 8080)
+    save: Path | None = option("folder that gets saved pictures (default: the browser downloads them)", None)
+    device: str | None = option("device that computes: cpu, cuda, cuda:1 ... (default: a GPU if there is one)", None)
+    split: ReadSplit | None = option("split to show (default: train and test)", None, heading="Sets")
+    val_share: float = option("share of the train split that counts as val, not as train", 0.0)
     where: tuple[str, ...] = option(WHERE_HELP, ())
-    only: tuple[str, ...] = option("patterns of keys, of which a sample's must match one, like 'open-A-*'", ())
+    only: tuple[str, ...] = option("show samples whose key matches one of these patterns, like 'open-A-*'", ())
     labels: str | None = option(
         f"classes to show: {', '.join(label_map_names())} or a label map (.toml) (default: the network's)", None
     )
-    variant: VariantName = option("the variant to begin with", "all")
-    sensor: str = option("the artifacts: a sensor that ships with the package, or a TOML file", PAPER_SENSOR)
-    seed: int = option("seed of the artifacts' random draws", 0)
+    variant: VariantName = option("artifacts that images have at first; the page changes them", "all")
+    sensor: str = option("sensor model with the artifacts: the name of one that ships, or a TOML file", PAPER_SENSOR)
+    seed: int = option("seed of the artifacts", 0)
     topic: str | None = option(
         "topic of a bag or array of an NPZ file (default: the only one of frames)", None, heading="Frames"
     )
     units: str | None = option(UNITS_HELP, None)
-    rig: str | None = option(f"their camera: {', '.join(rig_names())} or a rig file (.toml)", None)
-    focal: float | None = option("focal length of the camera, pixels (default: told by their size)", None)
-    centre: tuple[float, ...] = option("principal point of the camera, x y (default: the image's middle)", ())
+    rig: str | None = option(f"camera of the frames: {', '.join(rig_names())} or a rig file (.toml)", None)
+    focal: float | None = option("focal length, pixels (default: the recording's, or by the frames' size)", None)
+    centre: tuple[float, ...] = option("with --focal: principal point, x y, pixels (default: the image's middle)", ())
     mirrored: bool = option("frames show left for right, as some drivers give them", False)
     turned: Turned | None = option(f"{TURNED_HELP} (default: the rig's roll)", None)
-    background: BackgroundMode | None = option("as for `segment`", None)
-    keep_things: bool = option("as for `segment`", False)
-    confidence: float = option("give no label to pixels of less confidence, 0 to 1", 0.0)
+    background: BackgroundMode | None = option("what is labelled, as for `segment`", None)
+    keep_things: bool = option("also label what the finder takes for people and the network doubts", False)
+    confidence: float = option("leave pixels of less confidence than this, 0 to 1, without a label", 0.0)
 
 
 def run(options: Options) -> int:
