@@ -30,7 +30,7 @@ _FORMATS: Final = "recordings: bags, MCAP, NPY, NPZ, TIFF, MKV"
 RECORDINGS_HELP: Final = f"16-bit grey PNGs, folders of them, or {_FORMATS}"
 """Help of commands' argument for frames."""
 
-UNITS_HELP: Final = "size of one step of a frame: mm, 0.1mm, cm ... (default: the recording's, or mm)"
+UNITS_HELP: Final = "length of one step of a pixel's value: mm, 0.1mm, cm ... (default: the recording's, or mm)"
 """Help of `--units`, whose text `metres_a_step` reads."""
 
 _LARGEST_FILE: Final = 1 << 28
