@@ -84,18 +84,18 @@ TORCH: Final = "torch"
 OF_FILES: Final = "onnxruntime"
 """The backend of an ONNX file for which none is named."""
 
-RUN_HELP: Final = "'large', a training's folder, a .safetensors or .onnx file (default: compact)"
+RUN_HELP: Final = "network: 'large', a training's folder, a .safetensors or .onnx file (default: compact)"
 BACKEND_HELP: Final = (
-    "what computes the network (default: torch; of an .onnx file, onnxruntime); on a processor, openvino takes 0.8 to "
-    "1.0 times as long as torch in the same precision"
+    "library that computes the network (default: torch, or onnxruntime for an .onnx file); on a processor, openvino "
+    "takes 0.8 to 1.0 times as long as torch in the same precision"
 )
 FLIP_HELP: Final = (
-    "label the mirror image, too, and average: 0.6 points more on real people, 1.5 to 2 times the network's time"
+    "average with labels of the mirror image: 0.6 points more on real people, in 1.5 to 2 times the network's time"
 )
-PRECISION_HELP: Final = "arithmetic of the network (default: float32)"
+PRECISION_HELP: Final = "number type in which the network computes (default: float32)"
 QUICK_PRECISION_HELP: Final = (
-    "arithmetic of the network (default: bfloat16 on a processor with instructions for it, else float32; of an .onnx "
-    "file, float32)"
+    "number type in which the network computes (default: bfloat16 on a processor with instructions for it, else "
+    "float32; for an .onnx file, float32)"
 )
 
 
