@@ -37,7 +37,7 @@ _END: Final = object()
 
 Turned = Literal["0", "90", "180", "270", "auto"]
 
-TURNED_HELP: Final = "the camera is mounted turned: heads point left in frames (90), down (180), right (270); or auto"
+TURNED_HELP: Final = "turn of the camera, by where heads point in frames: up 0, left 90, down 180, right 270; or auto"
 """Help of `--turned`."""
 
 _JUDGED: Final = 4  # frames with people that tell how the camera is turned
