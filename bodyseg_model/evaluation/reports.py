@@ -181,7 +181,7 @@ class RigFit:
         rigs = f"{path} is of rig {self.images.name}, the network was trained for rig {self.trained.name}"
         sizes = f"bodies have {self.pixels_a_metre:.2g} times as many pixels a metre"
         if self.factor > FAR_OFF and not other_rig:
-            raise BadConfig(f"{rigs}: {sizes}, too far off for a score of it; --other-rig goes on")
+            raise BadConfig(f"{rigs}: {sizes}, too far off to score the network; --other-rig does so all the same")
         if self.factor > SIMILAR:
             return f"{rigs}: {sizes}, which costs much accuracy"
         if self.factor > _SAME:
@@ -211,4 +211,4 @@ def sensor_warning(trained: Trained, augmentation: Augmentation, path: str) -> s
     lines = [f"{what} {', '.join(names)}" for what, names in differences.items() if names]
     if not lines:
         return None
-    return f"{path} has other artifacts than sensor {trained.sensor.name}, trained on: {'; '.join(lines)}"
+    return f"{path} has other artifacts than in training (sensor {trained.sensor.name}): {'; '.join(lines)}"

@@ -86,7 +86,7 @@ def test_a_rig_far_off_is_refused_unless_it_is_asked_for(factor: float) -> None:
     with pytest.raises(BadConfig) as caught:
         fit.check("set", False)
     told = f"{RIGS}bodies have {factor:.2g} times as many pixels a metre"
-    assert str(caught.value) == f"{told}, too far off for a score of it; --other-rig goes on"
+    assert str(caught.value) == f"{told}, too far off to score the network; --other-rig does so all the same"
     assert fit.check("set", True) == f"{told}, which costs much accuracy"
 
 
@@ -110,7 +110,7 @@ def test_other_artifacts_are_named() -> None:
     card = MODEL.with_artifacts(Noise(0.0, 5.0), MissingData((0.9,))).without("occlusion").to_json()
     shown = Augmentation(PAPER, "all", sensor=MODEL.without("missing_data").with_artifacts(Losses(0.1)))
     assert sensor_warning(trained(sensor=card), shown, "set") == (
-        "set has other artifacts than sensor paper, trained on: other strengths of noise; also occlusion, losses; "
+        "set has other artifacts than in training (sensor paper): other strengths of noise; also occlusion, losses; "
         "without missing_data"
     )
 
@@ -144,12 +144,14 @@ def test_evaluate_tells_refuses_and_goes_on(
     assert cli.main(list(map(str, words))) == 2
     told = "shards is of rig paper, the network was trained for rig small: bodies have 4 times as many pixels a metre"
     (line,) = capsys.readouterr().err.splitlines()
-    assert line == f"bodyseg evaluate: {told}, too far off for a score of it; --other-rig goes on"
+    assert line == f"bodyseg evaluate: {told}, too far off to score the network; --other-rig does so all the same"
     assert not (tmp_path / "x.json").exists()
     assert cli.main([*map(str, words), "--other-rig"]) == 0
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == f"bodyseg evaluate: warning: {told}, which costs much accuracy"
-    assert lines[1].startswith("bodyseg evaluate: warning: shards has other artifacts than sensor paper, trained on: ")
+    assert lines[1].startswith(
+        "bodyseg evaluate: warning: shards has other artifacts than in training (sensor paper): "
+    )
     tree = json.loads((tmp_path / "x.json").read_text())
     assert tree["data"][0]["pixels_a_metre_of_trained"] == 4
     assert tree["peak_mb"]["process"] > 50, "this process alone takes more"
