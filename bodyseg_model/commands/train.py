@@ -160,7 +160,7 @@ def run(options: Options) -> int:
     first_process = find_rank()[0] == 0
     clean = dict.fromkeys(each.augmentation.sensor.name for each in sets if not each.augmentation.applied)
     for name in clean if first_process and options.variant != "none" else ():
-        sys.stderr.write(f"sensor {name} has nothing for variant {options.variant}: images are clean\n")
+        sys.stderr.write(f"sensor {name} has no artifact of variant {options.variant}: images stay clean\n")
     with contextlib.ExitStack() as stack:
         report = stack.enter_context(reporting(options.out, recipe.steps, options.log_every)) if first_process else None
         trained = train(
@@ -283,7 +283,7 @@ def _pretrained(options: Options, network: Network, start: Trained | None, image
         if options.only_template:
             raise BadConfig(f"--only-template needs the labels of --pretrained {path}, {theirs.name!r}")
         anew = ", ".join(name for name in new if name not in fit)
-        does = f"{anew} begin at random" if anew else "as many, so that all weights are kept"
+        does = f"{anew} begin at random" if anew else "all weights are kept, as there are as many"
         sys.stderr.write(f"{path} has other classes, {theirs.name!r}: {does}\n")
     return _entry(path, start.card[CardWords.WEIGHTS_SHA256])
 
@@ -347,4 +347,4 @@ def reporting(folder: Path, steps: int, log_every: int) -> Iterator[Report]:
             stage = max(waits, key=waits.__getitem__)
             sys.stderr.write(f"waited mostly for {stage}; what may help: {WAITING_ADVICE[stage]}\n")
     if first is None:
-        sys.stderr.write(f"{folder} holds this training, ended: more --steps carry it on\n")
+        sys.stderr.write(f"{folder} holds this training, which has ended: a larger --steps carries it on\n")

@@ -52,7 +52,7 @@ class Metrics:
 
 
 WAITING_ADVICE: Final = {
-    **dict.fromkeys(("decode", "artifacts", "transform", "deliver"), "more num_workers, up to the processors"),
+    **dict.fromkeys(("decode", "artifacts", "transform", "deliver"), "--num-workers, up to the number of processors"),
     "store": "--shuffle blocks, a cache with room for the set, or a nearer store",
 }
 """Stage of loading -> what helps a training that waits for it."""

@@ -131,7 +131,7 @@ def test_a_network_refuses_sets_of_other_classes(
     words = ["--data", tmp_path / "other", "--out", tmp_path / "run", "--pretrained", folder / "run", *training]
     capsys.readouterr()
     assert main(["train", *map(str, words)]) == 0
-    assert "other classes, 'robot cell': as many, so that all weights are kept\n" in capsys.readouterr().err
+    assert "other classes, 'robot cell': all weights are kept, as there are as many\n" in capsys.readouterr().err
     line = refused("stability", "--run", folder / "run", "--data", folder / "cells", "--out", tmp_path / "stability")
     assert "stability is measured on the 33 parts" in line
 

@@ -76,7 +76,7 @@ def test_scores_reach_the_log_the_progress_line_and_tensorboard(
 def test_a_variant_that_a_sensor_has_nothing_for_is_said(
     small_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    line = "sensor kinect_v2 has nothing for variant occ: images are clean\n"
+    line = "sensor kinect_v2 has no artifact of variant occ: images stay clean\n"
     for sensors, variant, count in (
         (["paper", "kinect_v2"], "occ", 1),
         (["paper"], "occ", 0),
