@@ -224,7 +224,7 @@ def _remarks(
             f"{camera.camera.focal_px:.5g} px: are --focal, --rig and --turned right?"
         )
     if recording.skipped:
-        lines.append(f"{len(recording.skipped)} frames could not be read: skipped in summary.json lists them")
+        lines.append(f"{len(recording.skipped)} frames could not be read: summary.json lists them under skipped")
     if summary.things:
         lines.append(
             f"{summary.things / frames:.2g} things a frame that look like people got no label, as the network doubts "
