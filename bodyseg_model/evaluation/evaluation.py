@@ -53,7 +53,7 @@ class PredictedImage(NamedTuple):
 
 
 class Scores:
-    """Counts of one group of images.
+    """Counts over a group of images, from which accuracies and other scores are computed.
 
     confidences: whether they are counted; the attribute is None if not. label_map: the classes of truth and prediction.
     """
@@ -105,11 +105,12 @@ class Scores:
 
 @dataclass
 class Evaluation:
-    """Scores of every subset: the paper's A, B, C and people, those that a source names, or "all" where none is named.
+    """Scores of every subset of the images, as `evaluate` returns them; `total` sums them up.
 
-    confidences: as of `Scores`. label_map: the classes that are scored. milliseconds: time of the network, of scores,
-    and of waiting for images to be loaded. worst: average per-class accuracy and key of the ten images of lowest
-    accuracy, the lowest first. worker_peaks_mb: the most memory of each worker process that loaded images, MB; see
+    subsets: the paper's A, B, C and people, those that a source names, or "all" where none is named. confidences: as of
+    `Scores`. label_map: the classes that are scored. worst: average per-class accuracy and key of the ten images of
+    lowest accuracy, the lowest first. milliseconds: time of the network, of scores, and of waiting for images to be
+    loaded. worker_peaks_mb: the most memory of each worker process that loaded images, MB; see
     `Loader.worker_peaks_mb`.
     """
 
@@ -121,21 +122,21 @@ class Evaluation:
     worker_peaks_mb: list[float | None] = field(default_factory=list, repr=False)
 
     def total(self, subsets: Collection[str] | None = None) -> Scores:
-        """Sum the scores of all images, or of some subsets. Raises BadConfig for a subset without images."""
+        """Sum the scores of all subsets, or of those named. Raises BadConfig for a subset without images."""
         total = Scores(self.confidences, self.label_map)
         for name in self.subsets if subsets is None else subsets:
             total.merge(self.subsets[check_choice("the subset", name, sorted(self.subsets))])
         return total
 
     def add(self, image: PredictedImage) -> float:
-        """Count one image in its subset; see `Scores.add`."""
+        """Count one image in its subset; returns its accuracy, as `Scores.add`."""
         accuracy = self.subsets.setdefault(image.subset, Scores(self.confidences, self.label_map)).add(image)
         if not math.isnan(accuracy):
             self.worst = sorted([*self.worst, (accuracy, image.key)])[:_WORST]
         return accuracy
 
     def merge(self, other: Evaluation) -> None:
-        """Add the counts of other images. Raises BadConfig as `Scores.merge`."""
+        """Add the counts of another evaluation, of other images. Raises BadConfig as `Scores.merge`."""
         for name, scores in other.subsets.items():
             self.subsets.setdefault(name, Scores(self.confidences, self.label_map)).merge(scores)
         for stage, milliseconds in other.milliseconds.items():
@@ -159,11 +160,11 @@ def open_images(
     labels: str | Path | LabelMap | None = None,
     occluder: OccluderName = "stored",
 ) -> RangeImages:
-    """Open a set for evaluation; where, val_share: as for `RangeImages`.
+    """Open a set for `evaluate`: as `RangeImages`, where asked for with one strength of artifacts for every image.
 
-    noise_mm: sigma of the noise of every image, mm; missing: share of missing pixels of every image; both are drawn
-    for each image by default. artifacts: others that replace or follow the sensor's. labels: the classes to score, by
-    default the set's own. occluder: as for `RangeImages`.
+    noise_mm: sigma of the noise of every image, mm; missing: share of missing pixels of every image; both are drawn for
+    each image by default. artifacts: others that replace or follow the sensor's. labels: the classes to score, by
+    default the set's own. where, val_share, occluder: as for `RangeImages`.
     Raises BadConfig for a strength that is invalid, is given twice, or is of an artifact that the variant does not
     have; otherwise as `RangeImages`.
     """
@@ -199,15 +200,16 @@ def evaluate(
 ) -> Evaluation:
     """Evaluate a network, in evaluation mode, on `images` of their epoch.
 
-    count: number of images, the first in the permutation of the images' seed and epoch; None, or more than there are,
-    takes all. So networks, variants and strengths of artifacts are compared on the same bodies. confidences: whether
-    they and, with SciPy and images without transforms, gross errors are counted beside the confusion matrix.
+    count: number of images, the first in the permutation of the images' seed and epoch, so that networks, variants and
+    strengths of artifacts are compared on the same bodies; None, or more than there are, takes all.
+    confidences: whether they and, with SciPy and images without transforms, gross errors are counted beside the
+    confusion matrix. batch_size: images that go through the network together. num_workers, worker_method: see `loader`.
     label_map: the classes that the network predicts, by default those of the images' labels; where the images have
     coarser classes, each predicted label counts as the class that it is part of, with its own confidence.
     progress: called with images done and images in all. watch: with every image and its average per-class accuracy.
 
-    Raises BadConfig for an invalid count, another number of classes than the network's, classes that
-    cannot be joined to the images', or confidences outside 0 to 1; otherwise as `loader`.
+    Raises BadConfig for an invalid count, another number of classes than the network's, classes that cannot be joined
+    to the images', or confidences outside 0 to 1; otherwise as `loader`.
     """
     if not isinstance(images, RangeImages):
         raise BadConfig(f"images must be RangeImages, each set of a mixture by itself, found {type(images).__name__}")
