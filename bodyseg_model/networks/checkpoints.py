@@ -85,9 +85,9 @@ class CardWords:
 
 @dataclass(frozen=True)
 class Trained:
-    """A network in evaluation mode, and its card: name, settings, and how and on what it was trained.
+    """A network in evaluation mode with its card: name, settings, and how and on what it was trained.
 
-    label_map: the classes that it predicts, the 33 parts where the card does not name them. rig: camera, projector and
+    label_map: the classes that it predicts; the 33 parts where the card does not name them. rig: camera, projector and
     stand-off of the images that it was trained on. sensor: the artifacts of these images, before the variant took those
     of its kinds. Rig and sensor are the paper's where the card does not name them.
     """
@@ -229,15 +229,16 @@ def wrapped(
     prepare: Callable[[torch.Tensor], torch.Tensor] | None = None,
     multiple: int = 1,
 ) -> Trained:
-    """Wrap a torch module: `Segmenter` and `evaluate` take `wrapped(module).network`, `FrameLabeller` and `write_onnx`
-    all of it, which has a card.
+    """Wrap a torch module of your own as a `Trained`, which `FrameLabeller` and `write_onnx` take; `Segmenter` and
+    `evaluate` take its `network`.
 
     module: range images, float32 [B, 1, H, W], metres along the optical axis, 0 = nothing measured, of any size ->
-    scores (logits), float [B, C, H, W]. It is put into evaluation mode, and stays on its device. labels: its C classes
-    in their order, as names or a label map. rig: of the images that it was trained on, to which bodies are resampled;
-    None for the paper's. prepare: makes the module's input of range images, where it takes other units, normalised
-    ranges or more channels. multiple: range images are padded by 0 until both sides are multiples of it. Raises
-    BadConfig, where scores have another shape as soon as they are asked for.
+    scores (logits), float [B, C, H, W]. It is put into evaluation mode, and stays on its device.
+    labels: its C classes in their order, as names or a label map.
+    rig: of the images that it was trained on, to which bodies are resampled; None for the paper's.
+    prepare: makes the module's input of range images, where it takes other units, normalised ranges or more channels.
+    multiple: range images are padded by 0 until both sides are multiples of it.
+    Raises BadConfig; for scores of another shape, as soon as they are asked for.
     """
     if not isinstance(module, nn.Module) or isinstance(module, Network):
         raise BadConfig(f"what is wrapped must be a torch module and no Network, found {type(module).__name__}")
