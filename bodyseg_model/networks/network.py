@@ -34,7 +34,7 @@ RELIEF: Final = 2.0
 
 
 class Network(nn.Module, ABC):
-    """Range images -> scores of classes, by default the 33 parts.
+    """Base class of networks: range images -> scores of classes, by default the 33 parts. A new one defines `scores`.
 
     settings: arguments of the constructor as plain JSON, with which `registry.build` makes the same network again.
     classes: their number C; it is among the settings unless it is 33. Raises BadConfig unless it is 1 to 255.
@@ -74,14 +74,14 @@ class Network(nn.Module, ABC):
     def scores_at(self, range_m: torch.Tensor, rows: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
         """Compute scores at some pixels only, float [B, C, h, w]; for networks whose output stride is 1.
 
-        rows: int64 [h]; columns: int64 [w]. A network overrides this where that is cheaper than all of `scores`.
+        rows: int64 [h]; columns: int64 [w]. To be overridden where that is cheaper than all of `scores`.
         """
         return self.scores(range_m)[:, :, rows][..., columns]
 
     def scores_and_places(self, range_m: torch.Tensor) -> torch.Tensor:
         """Compute `scores` and, behind them, places on the template, float [B, C + 3, h, w] (`body_map`).
 
-        By default a network knows none: raises BadConfig.
+        Raises BadConfig for a network that knows no places, as by default.
         """
         raise BadConfig(
             f"{type(self).__name__} must have a head of places on the template: `train --settings "
@@ -89,7 +89,7 @@ class Network(nn.Module, ABC):
         )
 
     def forward(self, range_m: torch.Tensor) -> torch.Tensor:
-        """Compute scores of every pixel, float [B, C, H, W], interpolated between those of `scores`; see there."""
+        """Compute scores of every pixel, float [B, C, H, W], interpolated between those that `scores` computes."""
         scores = self.scores(range_m)
         if self.output_stride == 1:
             return scores
@@ -98,7 +98,7 @@ class Network(nn.Module, ABC):
         return full[:, :, :rows, :columns]
 
     def load_pretrained(self, path: Path) -> None:
-        """Fill layers from a file of published weights. By default a network reads none: raises BadConfig."""
+        """Fill layers from a file of published weights. Raises BadConfig by default: a network reads none."""
         raise BadConfig(f"{type(self).__name__} starts from a run's folder or a .safetensors file, found {path}")
 
     def extra_repr(self) -> str:
