@@ -20,7 +20,7 @@ from bodyseg_model.networks.network import Network, check_range_images
 
 
 class Prediction(NamedTuple):
-    """Labels of range images, and how sure the network is of them.
+    """Answer of `predict`: labels of range images, and how sure the network is of them.
 
     labels: uint8 [B, H, W], from 0 to below the network's `classes`, 255 where nothing was measured. confidence:
     float32 [B, H, W], the probability (of softmax) of that label; 0 where nothing was measured.
@@ -88,7 +88,7 @@ def device_of(network: nn.Module) -> torch.device:
 
 @torch.inference_mode()
 def predict(network: Network, range_m: torch.Tensor) -> Prediction:
-    """Labels and confidences of range images in metres, float32 [B, 1, H, W], 0 = nothing measured.
+    """Label range images in metres, float32 [B, 1, H, W], 0 = nothing measured; returns labels and confidences.
 
     network: in evaluation mode. It sees whole images, as in training: how much is empty around a body changes its
     labels. Scores that are coarser than the image are interpolated, as they were in training. Raises BadConfig for a
