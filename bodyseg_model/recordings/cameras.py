@@ -23,8 +23,8 @@ _NEARLY_SQUARE: Final = 0.1
 
 @dataclass(frozen=True)
 class FrameCamera:
-    """A camera and the origin of its numbers. assumed: whether they follow from the frames' size alone. rig: the camera
-    with its projector, where the sensor is known and has one.
+    """A camera, `camera`, and where its numbers come from. assumed: whether they follow from the frames' size alone.
+    rig: the camera with its projector, where the sensor is known and has one.
     """
 
     camera: Camera
@@ -78,10 +78,11 @@ def frame_camera(
     centre_px: tuple[float, ...] = (),
     trained: Rig | None = None,
 ) -> FrameCamera:
-    """The camera of frames of `shape` (rows, columns): that of a rig file (one of `rig_names`, or a path), or one of
-    given focal length and principal point (x, y; the middle if left out), or else one assumed for the size: of the rig
-    that a network was `trained` for, where it has the size, or a sensor's.
+    """The camera of frames of `shape` (rows, columns): of a rig, of given numbers, or assumed for that size.
 
+    rig: one of `rig_names`, or a path. focal_px, centre_px: focal length and principal point (x, y; by default the
+    middle). Without both, the camera is that of the rig that a network was `trained` for, where it has the size, or a
+    sensor's.
     where: a frame, for messages. Raises BadConfig for a rig of another image size, a size that no sensor is assumed
     for, or options that contradict each other.
     """
@@ -122,7 +123,7 @@ class Intrinsics:
 
     size: (rows, columns) of the frame, None if the file does not say. where: the file, for messages. Focal lengths that
     differ by more than 1 %, which square pixels do not have, are part of the lens: frames are resampled. Raises
-    BadConfig for more than 10 %, and unless both are above 0.
+    BadConfig if they differ by more than 10 %, and unless both are above 0.
     """
 
     fx: float
@@ -182,11 +183,11 @@ def driver_camera(
     size: tuple[int, int] | None,
     where: str,
 ) -> Intrinsics:
-    """A camera whose lens is given by the name of its model and its coefficients in that model's order.
+    """Camera as a driver gives it: a lens by the name of its model, with the coefficients in that model's order.
 
     They become a `Distortion`, none where all are 0: exact for plumb_bob, else fitted over the whole image. camera: fx,
-    fy, cx and cy of `Intrinsics`. Raises BadConfig as that, for a model or a number of coefficients that is not known,
-    and for a lens that five coefficients follow no nearer than to a pixel.
+    fy, cx and cy of `Intrinsics`, as are size and where. Raises BadConfig as that, for a model or a number of
+    coefficients that is not known, and for a lens that five coefficients do not follow to within a pixel.
     """
     fx, fy, cx, cy = camera
     if not any(coefficients):
