@@ -59,13 +59,13 @@ def find_frames(paths: Sequence[Path], topic: str | None = None, step_m: float |
 
 
 def open_recording(path: Path | str, topic: str | None = None, step_m: float | None = None) -> tuple[Frame, ...]:
-    """Open a recording, its frames in order: a PNG, a folder of PNGs, or a file or folder of one of `FORMATS`,
-    by content or suffix.
+    """Open a recording, its frames in order: a PNG, a folder of PNGs, or a file or folder of one of `FORMATS`, told by
+    content or suffix.
 
     A folder without any of these may hold files of `FORMATS`, which are read one after another, in natural order.
-    topic: which of several streams of frames, None for the only one. step_m: metres a step, or that 1.0 is in floating
-    point; None: as the recording says, or millimetres and metres. Raises BadConfig for a path that cannot be read, or
-    holds no frame, and for a step that is not above 0; MissingLibrary.
+    topic: which of several streams of frames; None for the only one. step_m: metres a step, or metres that 1.0 is in
+    floating point; None: as the recording says, or else millimetres and metres. Raises BadConfig for a path that cannot
+    be read, or holds no frame, and for a step that is not above 0; MissingLibrary.
     """
     if step_m is not None and not 0 < step_m < inf:
         raise BadConfig(f"step_m must be above 0, found {step_m!r}")
@@ -94,7 +94,7 @@ def metres_a_step(unit: str) -> float:
 
 
 def to_metres(frame: NDArray[np.uint16], step_m: float) -> NDArray[np.float32]:
-    """Convert to metres, float32 [H, W]; 0 (nothing measured) where the frame is 0 or 65535 (saturated)."""
+    """Convert a frame's steps to metres, float32 [H, W]; 0 (nothing measured) where it is 0 or 65535 (saturated)."""
     ranges = frame.astype(np.float32) * np.float32(step_m)
     ranges[frame == _SATURATED] = 0
     return ranges
