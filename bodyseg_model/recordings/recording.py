@@ -111,10 +111,11 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class LiveRecording(Checked):
-    """A recording of arrays that `arrays` yields: uint16 in steps of `step_m` metres, or floating point in metres;
-    masked pixels are 0.
+    """Frames of a live sensor, made of arrays as they come; for `FrameLabeller`. A frame lives as long as its caller
+    holds it.
 
-    Nothing is kept: a frame lives as long as its caller holds it. where: name in messages and of frames. Raises
+    arrays: pixels [H, W], or (time in seconds or None, pixels): uint16 in steps of `step_m` metres, or floating point
+    in metres; masked pixels are 0. camera: that of the frames, if known. where: name in messages and of frames. Raises
     BadConfig for a step that is not above 0, and on the way for an array of 8 bits, in millimetres.
     """
 
