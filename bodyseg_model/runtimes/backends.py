@@ -106,11 +106,11 @@ else:
 
 
 def on_backend(network: Network, backend: BackendName | None = None, precision: Precision | None = None) -> Network:
-    """A network, in evaluation mode, whose scores a backend computes in a precision; for torch, `folded`.
+    """A network, in evaluation mode, as a backend computes it in a precision; with torch `folded`.
 
-    None: torch and float32; of a `RuntimeNetwork`, its own runtime and precision. Raises BadConfig for an
-    unknown backend, a precision that it does not have, a network that cannot be written as ONNX; MissingLibrary, naming
-    the extra.
+    backend, precision: by default torch and float32; for a `RuntimeNetwork`, its own runtime and precision. Raises
+    BadConfig for an unknown backend, a precision that it does not have, and a network that cannot be written as ONNX;
+    MissingLibrary, naming the extra.
     """
     check_network(network)
     if isinstance(network, FlipAverage):
@@ -158,20 +158,18 @@ def put_on_backend(
 def load_network(
     path: Path | str | None = None, checkpoint: CheckpointName | None = None, *, dense: bool = False
 ) -> Trained:
-    """Load the network of a run's folder, of a .safetensors file with its .json beside it, or of an .onnx file, for the
-    runtime `OF_FILES`, onto the processor.
+    """Load a trained network with its card, onto the processor.
 
-    path: or "compact" or "large", where there is no such path, for one that ships with the package. None for `compact`.
-
+    path: a run's folder; a .safetensors file, with its .json beside it; an .onnx file, for onnxruntime; or, where
+    there is no such path, "compact" or "large", which ship with the package. None for `compact`.
     checkpoint: of a run's folder: "best" for the weights of its best validation, "last" for those of its last
     checkpoint. None takes the network that the training ended with, or the last checkpoint of one that has not ended.
     dense: with the head of places on the template, which the `compact` that ships has in a file of its own; others have
-    it if they were trained with one. The card's `step` says which step the weights are of, its `weights_sha256` which
-    file they were read from.
+    it if they were trained with one.
 
-    Raises BadConfig, naming the file, for what is missing, damaged or does not fit the card: with weights of another
-    SHA-256 than the card's, or a rig that is none; MissingLibrary for an .onnx file. A card without rig, sensor or
-    SHA-256 is valid.
+    The card's `step` says which step the weights are of, its `weights_sha256` which file they were read from. A card
+    without rig, sensor or SHA-256 is valid. Raises BadConfig, naming the file, for what is missing, damaged or does not
+    fit the card: with weights of another SHA-256, or a rig that is none; MissingLibrary for an .onnx file.
     """
     if path is None or Path(path).suffix != SUFFIX or Path(path).is_dir():
         return load_weights(path, checkpoint, dense=dense)
