@@ -177,7 +177,7 @@ def export_trained(trained: Trained) -> OnnxModel:
 
 
 def write_onnx(path: Path | str, trained: Trained | OnnxModel) -> int:
-    """Write a network with its card as an ONNX file, at once or not at all; returns its bytes. Raises BadConfig."""
+    """Write a network with its card as an ONNX file, whole or not at all; returns its bytes. Raises BadConfig."""
     model = trained if isinstance(trained, OnnxModel) else export_trained(trained)
     onnx = import_onnx()
     graph = onnx.ModelProto()
