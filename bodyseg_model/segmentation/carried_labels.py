@@ -163,16 +163,16 @@ class _LastFrame:
 
 
 class CarriedLabels:
-    """Steadies the labels of a recording's frames, called with each in turn.
+    """Steadies the labels of a recording's frames: called with each frame in turn, it returns the labels to show.
 
-    A label is kept on the point of the surface that it was found on: the body's motion since the last frame says where
-    each point was, and where the ranges agree, its evidence is carried along, less by `carrying.keep`, and the new
-    frame's confidence is added. Starts anew at `restart`, for frames of another camera, and for a body that was not
-    seen in the last frame. The result is the same on every run, for any number of torch's threads. Raises
-    MissingLibrary without numba.
+    Evidence for a label stays on the point of the surface on which it was found. The body's motion since the last frame
+    says where each point was; where the ranges agree, its evidence is carried along, less by `carrying.keep`, and the
+    new frame's confidence is added. It begins anew at `restart`, for frames of another camera, and for a body that was
+    not in the last frame. The result is the same on every run, for any number of torch's threads.
 
-    tracks: of each body of the last frame, the number that it keeps while it moves by at most `SAME_BODY_M` from frame
-    to frame, or by a metre while the camera changes or it is out of sight, for 30 frames at most; from 1 on.
+    tracks: number, from 1, of each body of the last frame. A body keeps it while it moves by at most `SAME_BODY_M` from
+    frame to frame; while the camera changes, or it is out of sight for 30 frames at most, by at most a metre.
+    Raises MissingLibrary without numba.
     """
 
     def __init__(self, carrying: Carrying | None = None) -> None:
@@ -181,7 +181,7 @@ class CarriedLabels:
         self.restart()
 
     def restart(self) -> None:
-        """Forget all frames, as at the start of a recording."""
+        """Forget all frames, as before a recording begins."""
         self._last: _LastFrame | None = None
         self._frame, self._new = 0, itertools.count(1)
         self._tracked: dict[int, tuple[Middle, int]] = {}  # number -> middle, and the frame in which it was there
@@ -190,8 +190,8 @@ class CarriedLabels:
     def __call__(self, range_m: Floats, labels: Labels, bodies: Sequence[SeenBody], camera: Camera) -> Labels:
         """Steady the labels of the next frame; returns the label image, uint8 [H, W], 255 off the bodies.
 
-        range_m: float32 [H, W], metres, 0 = nothing measured. labels: uint8 [H, W], the network's. bodies: pixels,
-        int64 [N], row * W + column, ascending, and confidence, float32 [N], of each. camera: that of the frame.
+        range_m: float32 [H, W], metres, 0 = nothing measured. labels: uint8 [H, W], the network's. bodies: of each its
+        pixels, int64 [N], row * W + column, ascending, and their confidence, float32 [N]. camera: the frame's.
         """
         if self._last is not None and self._last.camera != camera:
             self._last = None
