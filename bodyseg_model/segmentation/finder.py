@@ -60,11 +60,11 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Background(Checked):
-    """Rule for removing the background before a network labels the rest.
+    """Rule for what of a frame is labelled; all else is background, which is removed before a network labels the rest.
 
-    mode: "people" keeps the people that the finder finds, within the limits; "limits" keeps every pixel within the
-    limits, as one body; "keep" keeps every measured pixel, as one body, for frames whose background was removed before;
-    "frame" has whole frames labelled as they stand, for networks that were trained on whole images of such a camera.
+    mode: "people", the people whom the finder finds, within the limits; "limits", every pixel within the limits, as one
+    body; "keep", every measured pixel, as one body, for frames whose background was removed before; "frame", whole
+    frames as they stand, for networks that were trained on whole images of such a camera.
     near_m, far_m: the limits of range, metres. Raises BadConfig for another mode, or limits in the wrong order.
     """
 
@@ -89,7 +89,7 @@ class Background(Checked):
         return cls(mode, **given)
 
     def to_json(self) -> dict[str, Any]:
-        """Mode, and limits where they count, for summary.json."""
+        """The mode, and the limits where they count, as summary.json has them."""
         return {"mode": self.mode} if self.mode in ("keep", "frame") else asdict(self)
 
 
