@@ -51,14 +51,12 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True, kw_only=True)
 class LabelledFrame(Segmentation):
-    """A frame and its labels, people, things and confidences.
+    """A `Segmentation` of one frame of a recording or stream, with the facts of that frame.
 
-    number: its place, from 0, among the frames of its recording or stream. milliseconds: of reading, "read", and of
-    each of the segmenter's `STAGES`.
-
-    Of a recording's frames alone, live or stored: frame, which knows name, time and file. Of a stored one's: stored,
-    uint16 [H, W], without lens distortion, in its steps; own_camera: if the frame has one of its own; stamp: of its
-    message, if it was asked for.
+    number: the frame's place, from 0, in its recording or stream. milliseconds: time of reading, "read", and of each of
+    the segmenter's `STAGES`. frame: its name, time and file; of recordings alone, live or stored.
+    Of stored recordings alone: stored, uint16 [H, W], the frame in its steps, without lens distortion; own_camera, if
+    the frame has one of its own; stamp, of its message, if it was asked for.
     """
 
     number: int
@@ -93,26 +91,29 @@ class _Turns:
 
 
 class FrameLabeller:
-    """Labels frames of any range sensor: recordings (`recording`), streams of arrays (`stream`), or one array (a call).
+    """Labels body parts of people in frames of any range sensor: of one array (a call), a `stream`, or a `recording`.
 
-    A frame is undistorted, people in it are found, each is resampled for the network and labelled, and labels mapped
-    back (`Segmenter`, one for each camera). People whom the networks doubt more than the labelling one's card allows
-    are things, which get no labels (`least_confidence_of_people`).
+    Lens distortion is removed from a frame and people are found in it; each is resampled for the network and labelled,
+    and labels are mapped back (`Segmenter`, one for each camera). A person whom the networks doubt more than the card
+    of the labelling one allows is a thing, which gets no labels (`least_confidence_of_people`).
 
-    trained: the network with its card, by default the one that ships. background: rule for removing the background, by
-    default `Background()`, and for a network of other classes than body parts `Background("frame")`. mirrored: True if
-    frames show left for right, as those of some drivers do. least_confidence: pixels of less get no label. keep_things:
-    label these things, too. finder: the network that finds people, by default the one that ships. video: frames follow
-    each other in time, and labels are steadied by those of the frames before. backend, precision: what computes the
-    network (`on_backend`; by default torch in float32). flip_average: label the mirror image, too, and average. device:
-    "cpu", "cuda", "cuda:1" ..., by default a GPU if there is one. turned: degrees by which the camera was mounted
-    turned clockwise, as seen from behind it: 0; 90, heads point left in its frames; 180, down; 270, right; "auto", the
-    turn at which the network is surest of a person in four frames with people; by default the roll of the frames'
-    camera. Frames are turned upright before they are labelled, and labels back. dense: as of `Segmenter`. labels:
-    coarser classes to give, of which the network's are parts: a label map, or its name or file (`load_label_map`).
+    trained: network that labels, with its card; by default the one that ships.
+    background: rule for removing the background; by default `Background()`, or `Background("frame")` for a network of
+    other classes than body parts.
+    mirrored: True if frames show left for right, as those of some drivers do.
+    least_confidence: pixels of less confidence than this, 0 to 1, get no label. keep_things: label things, too.
+    finder: network that finds people; by default the one that ships.
+    video: frames follow each other in time; labels are steadied by those of the frames before (`CarriedLabels`).
+    backend, precision: what computes the networks (`on_backend`); by default torch in float32.
+    flip_average: label the mirror image, too, and average. dense: as of `Segmenter`.
+    device: "cpu", "cuda", "cuda:1" ...; by default a GPU if there is one.
+    turned: degrees by which the camera is mounted turned clockwise, as seen from behind it: 0; 90, heads point left in
+    its frames; 180, down; 270, right; "auto", the turn at which the network is surest of a person in four frames with
+    people; by default the roll of the frames' camera. Frames are turned upright to be labelled, and labels back.
+    labels: coarser classes to give, of which the network's are parts: a label map, its name or file (`load_label_map`).
 
-    Raises BadConfig for classes that the network's cannot be joined to, a confidence outside 0 to 1 as soon as a camera
-    is known, for another turn, or as `on_backend` and `to_device`; MissingLibrary.
+    Raises BadConfig for classes that the network's cannot be joined to, for another turn, for a confidence outside 0 to
+    1 as soon as a camera is known, and as `on_backend` and `to_device`; MissingLibrary.
     """
 
     def __init__(
@@ -169,15 +170,15 @@ class FrameLabeller:
         return f"FrameLabeller({self.trained!r}, {self.background}, for rig {self.rig.name})"
 
     def of(self, camera: Camera, turns: _Turns | None = None) -> tuple[Undistortion | None, Segmenter]:
-        """Undistortion, where a camera needs one, and segmenter of its frames. Raises BadConfig."""
+        """The undistortion of a camera's frames, None where they need none, and their segmenter. Raises BadConfig."""
         if not isinstance(camera, Camera):
             raise BadConfig(f"a frame needs its camera, like frame_camera((480, 640), 'mine').camera, found {camera!r}")
         return self._segmenters(camera, self.quarters(camera, turns))
 
     def quarters(self, camera: Camera, turns: _Turns | None = None) -> int:
-        """Right angles by which the camera's frames are turned clockwise before they are labelled.
+        """Number of right angles by which the camera's frames are turned clockwise before they are labelled.
 
-        turns: of its recording; by default of the frames of calls and of the stream.
+        turns: of the camera's recording; by default of the frames of calls and of the stream.
         """
         if self.tells_turn:
             return int((turns or self._turns).means().argmax())
@@ -188,10 +189,10 @@ class FrameLabeller:
         return (-quarters if self.mirrored else quarters) % 4
 
     def judge(self, turns: _Turns, range_m: NDArray[np.float32], camera: Camera) -> None:
-        """Note how sure the network is of the person that it is surest of in a frame, turned each way.
+        """Note how sure the network is of its surest person in a frame, for each way of turning the frame.
 
-        range_m: without distortion. A frame in which it is not sure of anything tells nothing: things look alike at
-        every turn.
+        range_m: without distortion. A frame in which it is sure of nobody does not count: things look alike at every
+        turn.
         """
         surest = np.zeros(4)
         for quarters in range(4):
@@ -206,12 +207,12 @@ class FrameLabeller:
         return lens, self._segmenter(camera if lens is None else lens.camera, quarters=quarters, video=self.video)
 
     def __call__(self, range_m: NDArray[np.float32], camera: Camera) -> LabelledFrame:
-        """Label one frame, [H, W], an array or tensor of floating point, metres along the optical axis, 0 or
-        beyond 16.4 = nothing measured.
+        """Label one frame.
 
-        camera: that took it, with or without lens distortion. With `video`, frames come in order; `restart` begins
-        another recording. Raises BadConfig for a frame of another size than the camera's, of whole numbers or in
-        millimetres, or a body too large for a view.
+        range_m: array or tensor of floating point, [H, W], metres along the optical axis, 0 or beyond 16.4 = nothing
+        measured. camera: the one that took it, with or without lens distortion.
+        With `video`, frames must come in order; `restart` begins another recording. Raises BadConfig for a frame of
+        another size than the camera's, of whole numbers or in millimetres, or with a body too large for a view.
         """
         return self._find_in_array(0, range_m, camera)()
 
@@ -222,7 +223,7 @@ class FrameLabeller:
         self.of(camera)[1].prepare()
 
     def restart(self) -> None:
-        """Begin another recording: nothing is carried over from frames before, neither labels of `video` nor a turn."""
+        """Begin another recording: neither labels of `video` nor a turn are carried over from frames before."""
         self._turns = _Turns()
         if self.video is not None:
             self.video.restart()
@@ -230,14 +231,14 @@ class FrameLabeller:
     def stream(
         self, frames: Iterable[NDArray[np.float32] | Frame], camera: Camera, ahead: bool = False
     ) -> Generator[LabelledFrame, None, None]:
-        """Label frames as they come, such as those of a live sensor; yields the answer to each before it asks for the
-        next.
+        """Label frames as they come, as from a live sensor: yields the answer to each before it asks for the next.
 
-        frames: float32 [H, W], metres, 0 = nothing measured, or those of a `LiveRecording`, with their times, as
-        `answer.frame.time_s`; they may never end. camera: that takes them, with or without lens distortion; `prepare`
-        comes first. ahead: a thread asks for the next frame and finds its people while this one is labelled; the same
-        answers in the same order, more of them a second where a processor is free. Each frame then is an array of its
-        own, which no driver writes into again. Raises BadConfig as a call, naming the frame by its number.
+        frames: float32 [H, W], metres, 0 = nothing measured; or those of a `LiveRecording`, whose times are then in
+        `answer.frame.time_s`. They may never end. camera: the one that takes them, with or without lens distortion; its
+        `prepare` comes first.
+        ahead: a thread asks for the next frame and finds its people while this one is labelled; the same answers in the
+        same order, and more of them a second where a processor is free. Each frame must then be an array of its own,
+        into which no driver writes again. Raises BadConfig as a call, naming the frame by its number.
         """
         self.restart()
         self.prepare(camera)
@@ -274,11 +275,11 @@ class FrameLabeller:
         centre_px: tuple[float, ...] = (),
         skip_unreadable: int = 0,
     ) -> LabelledRecording:
-        """Open recordings to label their frames.
+        """Open stored recordings to label their frames: in order by iterating over the answer, any one by its `label`.
 
-        source: a path, or several, of PNGs, folders or recordings, as `find_frames` takes them with `topic` and
-        `step_m`; or frames that it found. rig, focal_px, centre_px: the camera (`frame_camera`); by default the one
-        that recordings or files beside them hold, or that the frames' size tells. skip_unreadable: skip up to this many
+        source: a path, or several, of PNGs, folders or recordings, read with `topic` and `step_m` as by `find_frames`;
+        or frames that it found. rig, focal_px, centre_px: the camera, as of `frame_camera`; by default the one that
+        recordings or files beside them hold, or that the frames' size tells. skip_unreadable: skip up to this many
         frames that cannot be read. Raises BadConfig as `find_frames` and `FrameCameras`; MissingLibrary.
         """
         given = [source] if isinstance(source, (str, Path, Frame)) else list(source)
@@ -312,9 +313,9 @@ class FrameLabeller:
 
 
 class LabelledRecording:
-    """The frames of recordings, read and labelled when they are asked for: all in order by iteration, any by `label`.
+    """Recordings whose frames are read and labelled when asked for: all in order by iteration, any one by `label`.
 
-    frames: all of them, at least one. cameras: of each. `FrameLabeller.recording` makes it.
+    Made by `FrameLabeller.recording`. frames: all of them, at least one. cameras: of each.
     """
 
     def __init__(
@@ -364,7 +365,7 @@ class LabelledRecording:
         self.labeller.of(self.cameras.first.camera, self._turns)[1].prepare()
 
     def labelled(self, ahead: bool = False, stamps: bool = False) -> Generator[LabelledFrame, None, None]:
-        """Label the frames in order; those that are skipped are left out, as their numbers tell.
+        """Label the frames in order, without those that are skipped, as the numbers of the answers tell.
 
         ahead: as of `FrameLabeller.stream`; recordings are then read in that thread alone. stamps: read the headers of
         frames' messages, too. Video is carried along within each input. Raises BadConfig, naming the frame.
