@@ -45,12 +45,12 @@ def least_confidence_of_people(card: Mapping[str, Any]) -> float:
 
 @dataclass(frozen=True)
 class LabelledBody:
-    """One body of a frame. pixels: int64 [N], row * columns + column, ascending. confidence: float32 [N].
+    """One body of a frame: its pixels, int64 [N], row * columns + column, ascending, and their confidence, float32 [N].
 
     median_range_m, turn_rad, scale: its median range, and rotation and scale of its view for the network (`BodyView`).
     person: mean probability over its pixels that they show a person, 0 to 1, by the finder; None if none was asked.
-    places: of a dense segmenter alone, the point of the template that each pixel shows, uint16 [N]. track: of frames of
-    a video alone, the number that the body keeps from frame to frame (`CarriedLabels`).
+    places: with a dense segmenter alone, the point of the template that each pixel shows, uint16 [N]. track: in a video
+    alone, the number that the body keeps from frame to frame (`CarriedLabels`).
     """
 
     pixels: NDArray[np.intp] = field(repr=False)
@@ -64,16 +64,18 @@ class LabelledBody:
 
     @property
     def mean_confidence(self) -> float:
-        """Mean over all its pixels."""
+        """Mean confidence of its pixels, 0 to 1."""
         return float(self.confidence.mean(dtype=np.float64))
 
 
 @dataclass(frozen=True)
 class Segmentation:
-    """Labels of a frame, uint8 [H, W], the network's classes on bodies, 255 elsewhere; its bodies, the largest first;
-    and the time of each of `STAGES`, milliseconds. range_m: the frame, float32 [H, W], metres, without lens distortion,
-    0 = nothing measured. camera: of `range_m`. things: what the finder takes for people and the network doubts, without
-    labels. mirrored: the frame shows left for right. label_map: the classes, where they are known.
+    """Answer to a frame: its labels and bodies, from which methods make points, parts and joints of people.
+
+    labels: uint8 [H, W], the network's classes on bodies, 255 elsewhere; label_map: these classes, if known.
+    bodies: the largest first. things: what the finder takes for people and the network doubts, without labels.
+    range_m: float32 [H, W], the frame without lens distortion, metres, 0 = nothing measured; camera: of `range_m`.
+    mirrored: the frame shows left for right. milliseconds: time of each of `STAGES`.
     """
 
     labels: NDArray[np.uint8] = field(repr=False)
@@ -92,7 +94,7 @@ class Segmentation:
 
     @property
     def mean_confidence(self) -> float | None:
-        """Mean over all pixels that show a body; None if none does."""
+        """Mean confidence, 0 to 1, of all pixels that show a body; None if none does."""
         if not self.bodies:
             return None
         return float(np.concatenate([body.confidence for body in self.bodies]).mean(dtype=np.float64))
@@ -104,7 +106,7 @@ class Segmentation:
 
     @property
     def persons(self) -> NDArray[np.uint16]:
-        """The person that each pixel shows, uint16 [H, W], from 1, in the order of `bodies`; 0 where there is none."""
+        """The person that each pixel shows, uint16 [H, W]: from 1, in the order of `bodies`; 0 where there is none."""
         return self._image(np.uint16(0), range(1, len(self.bodies) + 1))
 
     @property
@@ -126,7 +128,7 @@ class Segmentation:
         return image
 
     def joined(self, coarser: str | Path | LabelMap) -> Self:
-        """The same frame with labels of coarser classes, of which the network's are parts; confidences stay those of
+        """The same answer with labels of coarser classes, of which the network's are parts; confidences stay those of
         the finer labels. Raises BadConfig as `load_label_map` and `LabelMap.joined_to`, or without a `label_map`.
         """
         if self.label_map is None:
@@ -140,13 +142,13 @@ class Segmentation:
 
     def parts(self, near_m: Sequence[float] = (0.0, 0.0, 0.0)) -> Records:
         """Each person's parts, `PART` [N]: labelled pixels, box, centroid_m, nearest_m, distance_m, confidence; axes as
-        of `points`. near_m: the point that distances are to. Raises BadConfig unless it is three finite numbers.
+        of `points`. near_m: the point to which distances are. Raises BadConfig unless it is three finite numbers.
         """
         return SurfacePixels(self).parts(near_m)
 
     def joints(self) -> Records:
-        """`JOINTS` of every person, `JOINT` [people, 15]: position_m, metres, axes as of `points`, NaN where unsure;
-        error_m, to be expected. Raises BadConfig for a network of other classes than the 33 parts.
+        """The 15 `JOINTS` of every person, `JOINT` [people, 15]: position_m, metres, axes as of `points`, NaN where
+        unsure; error_m, to be expected. Raises BadConfig for a network of other classes than the 33 parts.
         """
         return found_joints(self)
 
@@ -200,20 +202,21 @@ def _compute_alone_in_forks() -> None:
 
 
 class Segmenter:
-    """Labels the frames of one camera, each independently or, with `video`, steadied by those before it.
+    """Labels the frames of one camera without lens distortion, each alone or, with `video`, steadied by those before.
 
     network: in evaluation mode, on any backend (`on_backend`); frames are moved to its device. With its card, a
-    `Trained`, it brings rig, label_map and doubted_below. camera: that took the frames, which must be without lens
-    distortion (`Undistortion`). background, mirrored, least_confidence, finder: as of `FrameLabeller`, the background
-    by default `Background()`. rig: that the network was trained for, by default the paper's. doubted_below: of the
-    people that the finder finds, in the background mode "people", those whose mean probability times the mean
-    confidence of their labels is less are things (`least_confidence_of_people`). video: carries evidence from frame to
-    frame of a recording, whose frames must come in order (`CarriedLabels`); None to label each alone. quarters: right
-    angles by which the camera was mounted turned clockwise, as seen from behind it. label_map: the network's classes;
-    by default the 33 parts for a network of 33. dense: also tell where on the template of the body each pixel lies
-    (`Segmentation.template`). either_way: a person of whose parts the network is unsure is labelled upside down, too,
-    and the surer labels stay. Raises BadConfig for a confidence outside 0 to 1, a camera with distortion, a network of
-    other classes, that is no finder or knows no places and is to be dense; MissingLibrary without numba.
+    `Trained`, it brings rig, label_map and doubted_below. camera: the one that takes the frames; with lens distortion,
+    they must be undistorted first (`Undistortion`).
+    background, mirrored, least_confidence, finder: as of `FrameLabeller`; the background by default `Background()`.
+    rig: that the network was trained for, by default the paper's. label_map: the network's classes; by default the 33
+    parts for a network of 33. doubted_below: in the background mode "people", people whose mean probability, by the
+    finder, times the mean confidence of their labels is less are things (`least_confidence_of_people`).
+    video: carries evidence from frame to frame, which must come in order (`CarriedLabels`); None to label each alone.
+    quarters: right angles by which the camera is mounted turned clockwise, as seen from behind it.
+    dense: also tell where on the body's template each pixel lies (`Segmentation.template`).
+    either_way: a person of whose parts the network is unsure is labelled upside down, too; the surer labels stay.
+    Raises BadConfig for a confidence outside 0 to 1, a camera with distortion, and a network of other classes, that is
+    no finder, or that knows no places and is to be dense; MissingLibrary without numba.
     """
 
     def __init__(
@@ -276,9 +279,8 @@ class Segmenter:
         return f"Segmenter({type(self._network).__name__} on {device_of(self._network)}, {camera}, {self.background})"
 
     def __call__(self, range_m: NDArray[np.float32]) -> Segmentation:
-        """Label one frame, [H, W], metres along the optical axis, 0 = nothing measured.
-
-        Raises BadConfig as `find` and `label`.
+        """Label one frame, [H, W], metres along the optical axis, 0 = nothing measured. Raises BadConfig as `find` and
+        `label`.
         """
         return self.label(self.find(range_m))
 
@@ -302,7 +304,7 @@ class Segmenter:
         return FoundBodies(range_m, tuple(zip(bodies, views, strict=True)), watch.milliseconds)
 
     def label(self, found: FoundBodies) -> Segmentation:
-        """Label the bodies of a frame; those whose labels the network doubts too much for people are things, too.
+        """Label the bodies that `find` found; those that the network doubts too much to be people become things.
 
         With `video`, frames must come in order.
         """
