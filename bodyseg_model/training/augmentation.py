@@ -18,13 +18,13 @@ from bodyseg_model.networks import in_loops
 
 @dataclass(frozen=True)
 class GeometricAugmentation(Checked):
-    """Ranges of random rotation, zoom and cuts of images; 0 for none.
+    """Ranges of random rotation, zoom and cuts of the images of a training; 0 for none. For `Recipe`.
 
-    roll_deg: largest rotation either way, degrees. zoom: the scale is drawn from 1 / (1 + zoom) to 1 + zoom. stretch:
-    the scale of the width is further multiplied by up to 1 + stretch, or divided by it. cut: share of the images of
-    which one side, up to half of the height or width, is out of view. bust: share of the images that show only the
-    upper 35 to 80 % of the body's height, as of people at a desk or near the camera. Raises BadConfig for a value out
-    of range.
+    roll_deg: largest rotation either way, degrees. zoom: the scale is drawn from 1 / (1 + zoom) to 1 + zoom.
+    stretch: the scale of the width is further multiplied, or divided, by up to 1 + stretch.
+    cut: share of the images of which one side, up to half of the height or width, is out of view.
+    bust: share of the images that show only the upper 35 to 80 % of the body's height, as of people at a desk or near
+    the camera. Raises BadConfig for a value out of range.
     """
 
     roll_deg: float = bounded(0.0, 0, 180)
