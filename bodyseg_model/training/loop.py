@@ -52,7 +52,7 @@ from bodyseg_model.training.validation import WAITING_ADVICE, Metrics, MetricsWi
 
 
 class Diverged(BodysegError):
-    """A training's loss is no longer a number."""
+    """Raised by `train` as soon as its loss is no longer finite."""
 
 
 _OPTIMISER: Final = "optimiser."  # prefix of the optimisers' tensors in a checkpoint
@@ -80,20 +80,20 @@ def train(
 
     out: the run's folder, new or empty: plan, log, checkpoints, network. `load_network(out)` loads the network again.
     network: a name, for one of as many classes as the images' label map, with weights drawn for `seed`; or a network of
-    a registered class, whose weights a copy starts from. recipe: None for the network's own. seed: of mirroring,
-    geometric augmentation, dropout and the pixels that the loss selects; order and artifacts have the images' own.
-    validation: None for none; the network then has the weights of the last step.
+    a registered class, whose weights a copy starts from. recipe: None for the network's own.
+    validation: None for none; the network then has the weights of the last step. run_options: workers, and how often
+    there are checkpoints and lines of the log.
+    seed: of mirroring, geometric augmentation, dropout and the pixels that the loss selects; order and artifacts have
+    the images' own. resume: carry on from the folder's last checkpoint, with the same bits as without a break.
+    device: "cpu", "cuda:1" ...; None for a GPU if there is one. report: gets the metrics of each line of the log.
+    pretrained: file and SHA-256 of the weights to start from, for plan and card. facts: further entries of the card.
 
-    resume: carry the folder's training on from its last checkpoint, with the same bits as without a break.
-    device: "cpu", "cuda:1" ...; None for a GPU if there is one. report: called with the metrics of each line of the
-    log. pretrained: file and SHA-256 of the weights to start from, for plan and card. facts: further entries of the
-    card. Under torchrun, the processes share each batch, and the first of them alone writes and reports.
-
-    A KeyboardInterrupt ends the training after the step that runs, with a checkpoint; a second one ends it at once.
+    Under torchrun, the processes share each batch, and the first of them alone writes and reports. A KeyboardInterrupt
+    ends the training after the step that runs, with a checkpoint; a second one ends it at once.
 
     Raises BadConfig for a folder in which another training is at work, that holds another one, or this one without
-    `resume`, a network of other classes than the images or of no registered class, batches that cannot be divided
-    evenly between the processes, or a device that is absent; Diverged for a loss that is not finite; and as `loader`.
+    `resume`; a network of other classes than the images or of no registered class; batches that cannot be divided
+    evenly between the processes; or a device that is absent; Diverged for a loss that is not finite; and as `loader`.
     """
     if not isinstance(images, ImageSet):
         raise BadConfig(f"images must be RangeImages or a Mixture, found {type(images).__name__}")
@@ -122,11 +122,10 @@ _WAIT_NAMED: Final = 0.01  # share of waiting from which on the log says what fo
 
 @dataclass(frozen=True)
 class RunOptions(Checked):
-    """Options that are not part of a training's plan: a resumed training may have others.
+    """Options of a training that are not part of its plan, so that a resumed one may have others; for `train`.
 
     log_every, checkpoint_every: steps between lines of the log, and between checkpoints. num_workers, worker_method:
-    number and kind of the workers that load images; see `loader`.
-    Raises BadConfig for a value out of range.
+    number and kind of the workers that load images; see `loader`. Raises BadConfig for a value out of range.
     """
 
     log_every: int = bounded(20, 1)
