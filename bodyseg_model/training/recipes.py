@@ -21,30 +21,28 @@ OptimiserName = Literal["sgd", "adamw", "muon"]
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe(Checked):
-    """All hyperparameters of a training, by default those of `compact` but for geometric augmentation; with data,
-    network and seed they determine its result.
+    """All hyperparameters of a training, by default those of `compact` but for geometric augmentation (`recipe_for`).
+    With data, network and seed they determine its result.
 
-    steps: updates of the weights. batch_size: images in one pass through the network, over all processes. accumulate:
-    batches whose gradients are added up for one step. optimiser: "sgd" (with `momentum`), "adamw", or
-    "muon" (`optimisers.Muon`).
-
-    learning_rate: of the last layer, at its largest. layer_decay: learning rate of the deepest layer, the first that
-    the image passes, as a share of the last layer's; the layers between have shares in geometric progression, and 1
-    gives all layers the same. weight_decay: of the weights of convolutions; with sgd, of all weights. warmup: share of
-    the steps over which the learning rate rises from 0. cosine: whether it then falls to 0 as a cosine, else it stays.
-    clip: largest norm of a step's gradient, 0 for no limit.
-
+    steps: updates of the weights. batch_size: images in one pass through the network, over all processes.
+    accumulate: batches whose gradients are added up for one step.
+    optimiser: "sgd" (with `momentum`), "adamw", or "muon" (`optimisers.Muon`).
+    learning_rate: of the last layer, at its largest.
+    layer_decay: learning rate of the deepest layer, the first that the image passes, as a share of the last layer's;
+    the layers between have shares in geometric progression, and 1 gives all layers the same.
+    weight_decay: of the weights of convolutions; with sgd, of all weights.
+    warmup: share of the steps over which the learning rate rises from 0. cosine: whether it then falls to 0 as a
+    cosine; else it stays. clip: largest norm of a step's gradient, 0 for no limit.
     mirror: whether half of the images are mirrored, left and right parts exchanged. geometric_augmentation: rotation,
-    zoom and cuts of images.
-
+    zoom and cuts of images. bf16: whether layers compute in bfloat16.
     balance: a part's pixels are weighted by its share of all pixels to the power of -balance; 0 for equal weights.
     loss_stride: the loss selects one pixel of every square of so many pixels a side, or of the network's output stride
-    where that is larger. bf16: whether layers compute in bfloat16.
-
+    where that is larger.
     ema: decay of the exponential moving average of the weights, which is then validated and saved in their place
-    (`AveragedNetwork`); 0 for none. shuffle: order of the samples, "global" for a permutation of all or "blocks",
-    which suits far stores (`loader`). only_places: whether only the head of places on the template is trained; all else
-    of the network stays as it is, so that it labels with the same bits.
+    (`AveragedNetwork`); 0 for none.
+    shuffle: order of the samples, "global" for a permutation of all or "blocks", which suits far stores (`loader`).
+    only_places: whether only the head of places on the template is trained; all else of the network stays as it is, so
+    that it labels with the same bits.
 
     Raises BadConfig for a value out of range or of another type.
     """
@@ -70,7 +68,7 @@ class Recipe(Checked):
     only_places: bool = False
 
     def to_json(self) -> dict[str, Any]:
-        """The recipe as a JSON object; `ema`, `shuffle`, `only_places` and `bust` only if not the default."""
+        """The recipe as a JSON object. `ema`, `shuffle`, `only_places` and `bust` are left out at their defaults."""
         plain = ("ema", 0), ("shuffle", "global"), ("only_places", False)
         tree = {name: value for name, value in dataclasses.asdict(self).items() if (name, value) not in plain}
         if not self.geometric_augmentation.bust:
@@ -119,7 +117,7 @@ else:
 
 
 def recipe_for(name: str, **changes: Any) -> Recipe:
-    """A preset with some fields changed; None leaves a field as it is. Raises BadConfig for an unknown name."""
+    """The preset of a name, some fields changed; None leaves a field as it is. Raises BadConfig for an unknown name."""
     given = {field: value for field, value in changes.items() if value is not None}
     return dataclasses.replace(PRESETS[check_choice("the recipe", name, PRESETS)], **given)
 
