@@ -107,14 +107,13 @@ class MetricsWindow:
 
 @dataclass(frozen=True)
 class Validation:
-    """Images on which a training is validated, when, and what follows from it.
+    """Images on which a training is validated, when, and which weights it ends with; for `train`.
 
-    images: one set or several. count: images of each, as in `evaluate`: the first in the permutation of its seed and
-    epoch; None for all. So every validation sees the same images with the same draws, and `evaluate` gives its scores.
+    images: one set or several. count: images of each set, the first in the permutation of its seed and epoch, as in
+    `evaluate`; None for all. So all validations see the same images and draws, and `evaluate` gives their scores.
     every: steps between two validations; one more follows the last step.
-
-    keep: whether the network of the run has the weights of the best validation, the first of highest average per-class
-    accuracy (the last, where the head of places alone is trained), or those of the last step.
+    keep: "best" for the weights of the best validation, the first of highest average per-class accuracy (the last,
+    where the head of places alone is trained); "last" for those of the last step.
 
     Raises BadConfig for a value out of range, or no images.
     """
@@ -133,17 +132,17 @@ class Validation:
         object.__setattr__(self, "images", tuple(self.images))
 
     def plan(self) -> dict[str, Any]:
-        """Facts that the scores depend on beside the network, as plain JSON."""
+        """Facts, beside the network, on which the scores depend, as plain JSON."""
         return {"data": [images.identity() for images in self.images], "every": self.every, "images": self.count}
 
     def due(self, step: int, steps: int) -> bool:
-        """Return whether a training of `steps` steps is validated after `step` steps."""
+        """Return whether a training of `steps` steps is validated when `step` of them are done."""
         return step % self.every == 0 or step == steps
 
     def scores(
         self, network: Network, num_workers: int = 0, worker_method: WorkerMethod = DEFAULT_WORKER_METHOD
     ) -> Scores:
-        """Score a network, in evaluation mode, on the images; the scores are whole-image, as `evaluate` counts them.
+        """Score a network, in evaluation mode, on the images: on whole images, as `evaluate` counts.
 
         num_workers, worker_method: see `loader`. Raises BadConfig, and as `loader`.
         """
