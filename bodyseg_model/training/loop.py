@@ -385,7 +385,9 @@ def mixed(sets: Sequence[RangeImages], weights: Sequence[float], samples: int | 
     BadConfig for another number of weights than of sets, and as `Mixture`.
     """
     if weights and len(weights) != len(sets):
-        raise BadConfig(f"--weights needs a number for each of {len(sets)} sets in --data, found {len(weights)}")
+        raise BadConfig(
+            f"--weights needs a number for each set by each sensor, {len(sets)} in all, found {len(weights)}"
+        )
     parts = zip(sets, weights or [len(images) for images in sets], strict=True)
     mixture = Mixture([(images, float(weight)) for images, weight in parts], samples, seed)
     return sets[0] if len(sets) == 1 and samples is None else mixture
