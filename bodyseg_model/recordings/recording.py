@@ -67,12 +67,13 @@ class ArrayFrames(FrameSource):
 
 @dataclass(frozen=True)
 class Frame:
-    """One frame of a recording, frame `index` of what `source` reads; it is read when `read` is called.
+    """One frame of a recording: frame `index` of what `source` reads; it is read when `read` is called.
 
     name: of its result files, without suffix; it may name a folder for them ("left/1"). where: its name in messages.
     path: the file or folder that holds it, and member: its name in there, None if it is a file of its own. within: what
-    says where it is in the file, for `path_id`. time_s: when it was recorded, seconds, None if that is not stored.
-    step_m: metres a step. camera: stored with the recording, if any. float_m: metres that 1.0 is in floating point.
+    says where it is in the file, for `path_id`.
+    time_s: when it was recorded, seconds, None if that is not stored. camera: stored with the recording, if any.
+    step_m: metres a step. float_m: metres that 1.0 is in floating point.
     sequence: number of the input that it is from; single files are input 0. Frames of other inputs were not taken
     directly before or after it.
     """
