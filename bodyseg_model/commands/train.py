@@ -81,7 +81,7 @@ class Options:
     )
     no_mirror: bool = option("never mirror images, as is needed for classes without a mirror image", False)
     occluder: OccluderName = option(OCCLUDER_HELP, "stored")
-    only: tuple[str, ...] = option("take samples whose key matches one of these patterns, like '*-d255-*'", ())
+    only: tuple[str, ...] = option("take only samples whose key matches one of these patterns, like '*-d255-*'", ())
     where: tuple[str, ...] = option(WHERE_HELP, ())
     noise_mm: float | None = option("largest sigma, mm (default: the sensor's; paper: 100)", None, heading="Artifacts")
     missing: tuple[float, ...] | None = option("shares of pixels lost (default: the sensor's; paper: 0 0.05 0.5)", None)

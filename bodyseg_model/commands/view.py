@@ -39,7 +39,7 @@ class Options:
     split: ReadSplit | None = option("split to show (default: train and test)", None, heading="Sets")
     val_share: float = option("share of the train split that counts as val, not as train", 0.0)
     where: tuple[str, ...] = option(WHERE_HELP, ())
-    only: tuple[str, ...] = option("show samples whose key matches one of these patterns, like 'open-A-*'", ())
+    only: tuple[str, ...] = option("show only samples whose key matches one of these patterns, like 'open-A-*'", ())
     labels: str | None = option(
         f"classes to show: {', '.join(label_map_names())} or a label map (.toml) (default: the network's)", None
     )
