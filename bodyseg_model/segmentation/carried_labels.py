@@ -180,10 +180,10 @@ class CarriedLabels:
         self._loops = import_module(f"{__package__}.carried_loops")
         self.restart()
 
-    def restart(self) -> None:
-        """Forget all frames, as before a recording begins."""
+    def restart(self, *, numbers: bool = True) -> None:
+        """Forget all frames, as at the start of a recording. numbers: of bodies, begin at 1 again, else they go on."""
         self._last: _LastFrame | None = None
-        self._frame, self._new = 0, itertools.count(1)
+        self._frame, self._new = 0, itertools.count(1) if numbers else self._new
         self._tracked: dict[int, tuple[Middle, int]] = {}  # number -> middle, and the frame in which it was there
         self.tracks: list[int] = []
 

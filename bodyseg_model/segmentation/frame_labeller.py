@@ -222,11 +222,11 @@ class FrameLabeller:
         """
         self.of(camera)[1].prepare()
 
-    def restart(self) -> None:
-        """Begin another recording: neither labels of `video` nor a turn are carried over from frames before."""
+    def restart(self, *, numbers: bool = True) -> None:
+        """Begin another recording: no labels of `video` and no turn are carried over. numbers: people's begin at 1."""
         self._turns = _Turns()
         if self.video is not None:
-            self.video.restart()
+            self.video.restart(numbers=numbers)
 
     def stream(
         self, frames: Iterable[NDArray[np.float32] | Frame], camera: Camera, ahead: bool = False
@@ -374,7 +374,7 @@ class LabelledRecording:
         with contextlib.closing(read_ahead(found) if ahead else found) as coming:
             for number, label in enumerate(coming):
                 if number == 0 or self.frames[number].sequence != self.frames[number - 1].sequence:
-                    self.labeller.restart()
+                    self.labeller.restart(numbers=number == 0)  # nobody has that of somebody in another input
                 if label is not None:
                     yield label()
 

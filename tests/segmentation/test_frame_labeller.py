@@ -261,7 +261,7 @@ def test_a_video_begins_anew_with_each_recording_and_stream(tmp_path: Path, monk
     label = labeller(video=True)
     carried: list[int] = []
     assert label.video is not None
-    monkeypatch.setattr(label.video, "restart", lambda: carried.append(-1))
+    monkeypatch.setattr(label.video, "restart", lambda numbers: carried.append(-1))
     monkeypatch.setattr(Segmenter, "prepare", lambda segmenter: None)
     paths = [recording(tmp_path / "one", 20, 24), recording(tmp_path / "two", 28, 30)]
 

@@ -107,6 +107,15 @@ def test_coarser_classes_may_be_asked_for(recording: Path, tmp_path: Path) -> No
     assert tracks == [1] * 5 and "track" not in report(tmp_path / "fine")["each"][0]["bodies"][0]
 
 
+def test_people_of_several_recordings_have_numbers_of_their_own(recording: Path, tmp_path: Path) -> None:
+    (other := tmp_path / "other").mkdir()
+    shutil.copy(recording / "9.png", other)
+    for _ in range(2):
+        assert run(recording, other, "--focal", "100", "--out", tmp_path / "out", "--video") == 0
+        tracks = [body["track"] for frame in report(tmp_path / "out")["each"] for body in frame["bodies"]]
+        assert tracks == [1] * 5 + [2]
+
+
 def test_a_recording_is_labelled(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "new" / "out"
     assert run(recording, "--focal", "100", "--out", out, "--fps", "5") == 0
