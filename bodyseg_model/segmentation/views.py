@@ -21,7 +21,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bodyseg_data.core import BadConfig
+from bodyseg_data.core import BadConfig, reported
 from bodyseg_data.machine import compile_ahead
 from bodyseg_data.rigs import Camera, Distortion, Rig, load_rig
 from bodyseg_data.samples import FARTHEST_STEPS
@@ -172,7 +172,8 @@ def metres_of(frame: Any, camera: Camera) -> NDArray[np.float32]:
     if hasattr(frame, "detach"):  # a tensor, also of bfloat16, which NumPy has not
         frame = frame.detach().cpu()
         frame = frame.float() if frame.is_floating_point() else frame
-    values: NDArray[Any] = np.ma.filled(np.asanyarray(frame), 0)
+    with reported("a frame must be an array (of pairs with times, LiveRecording makes frames)", BadConfig, ValueError):
+        values: NDArray[Any] = np.ma.filled(np.asanyarray(frame), 0)
     check_size(values.shape, camera)
     if values.dtype.kind != "f":
         raise BadConfig(f"a frame must be of floating point, metres, found {values.dtype}: {_AS_METRES}")

@@ -146,6 +146,9 @@ def test_a_bad_frame_of_a_stream_is_named() -> None:
         next(answers)
     with pytest.raises(BadConfig, match="^a frame must have the camera's size"):
         labeller()(standing(20).T, CAMERA)
+    pairs: Any = [(0.5, standing(20))]
+    with pytest.raises(BadConfig, match=r"^frame 0: a frame must be an array \(of pairs with times, LiveRecording"):
+        next(labeller().stream(pairs, CAMERA))
 
 
 @pytest.mark.parametrize("given", [np.float64, np.float16, torch.from_numpy, np.ndarray.tolist])
