@@ -234,7 +234,7 @@ def segments(image: LabelImage) -> Iterator[tuple[dict[str, Any], NDArray[np.int
         box = [int(left[0]), first, int(right[-1] - left[0]) + 1, last - first + 1]
         facts = {"id": code, "category_id": code & 255, "area": int(counts[1::2].sum()), "bbox": box}
         facts |= {"iscrowd": int(code >> 8 in image.crowds), "instance": code >> 8}
-        facts |= {"track_id": image.tracks[code >> 8]} if code >> 8 in image.tracks else {}
+        facts |= {"track_id": image.tracks[code >> 8]} if code >> 8 in image.tracks.keys() - image.crowds else {}
         yield facts, counts if counts[-1] else counts[:-1]
 
 

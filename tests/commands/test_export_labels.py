@@ -285,8 +285,9 @@ def test_people_whose_boxes_share_pixels_are_a_crowd() -> None:
     found, crowds = persons(labels, [(2, 1, 8, 9), (4, 4, 5, 9), (0, 12, 3, 15)])
     assert crowds == {2} and set(np.unique(found)) == {0, 2, 3}
     assert (found[labels != BACKGROUND] > 0).all() and not found[labels == BACKGROUND].any()
-    (facts, _), (other, _) = segments(LabelImage("a", 1, labels, found, crowds))
+    (facts, _), (other, _) = segments(LabelImage("a", 1, labels, found, crowds, tracks={1: 7, 2: 8, 3: 9}))
     assert (facts["iscrowd"], other["iscrowd"]) == (1, 0)
+    assert "track_id" not in facts and other["track_id"] == 9, "a crowd is nobody's"
 
 
 def refused(capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:
