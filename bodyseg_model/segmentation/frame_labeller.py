@@ -142,8 +142,7 @@ class FrameLabeller:
         self.label_map = own if labels is None else load_label_map(labels, own.of)
         if labels is not None:
             own.joined_to(self.label_map)  # now, so that classes that cannot be given are refused
-        of_parts = own.of == PART_CLASSES
-        self.background = background or Background("people" if of_parts else "frame")
+        self.background = background or Background("people" if own.of == PART_CLASSES else "frame")
         check_class("background", self.background, Background)
         self.mirrored, self.least_confidence = mirrored, least_confidence
         self.video = CarriedLabels() if video else None

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies import load_template
 from bodyseg_data.core import BadConfig, Stopwatch, check_class
-from bodyseg_data.labels import BACKGROUND, NOWHERE, PART_COUNT, PARTS33, LabelMap, load_label_map
+from bodyseg_data.labels import BACKGROUND, NOWHERE, PART_CLASSES, PART_COUNT, PARTS33, LabelMap, load_label_map
 from bodyseg_data.machine import of_each, required
 from bodyseg_data.rigs import Camera, Rig, load_rig
 from bodyseg_model.networks import Network, Trained, check_label_map, device_of, predict_each
@@ -205,9 +205,9 @@ class Segmenter:
     """Labels the frames of one camera without lens distortion, each alone or, with `video`, steadied by those before.
 
     network: in evaluation mode, on any backend (`on_backend`); frames are moved to its device. With its card, a
-    `Trained`, it brings rig, label_map and doubted_below. camera: the one that takes the frames; with lens distortion,
-    they must be undistorted first (`Undistortion`).
-    background, mirrored, least_confidence, finder: as of `FrameLabeller`; the background by default `Background()`.
+    `Trained`, it brings rig, label_map, doubted_below and background. camera: the one that takes the frames; with lens
+    distortion, they must be undistorted first (`Undistortion`). background, mirrored, least_confidence, finder: as of
+    `FrameLabeller`; the background of a network alone is by default `Background()`.
     rig: that the network was trained for, by default the paper's. label_map: the network's classes; by default the 33
     parts for a network of 33. doubted_below: in the background mode "people", people whose mean probability, by the
     finder, times the mean confidence of their labels is less are things (`least_confidence_of_people`).
@@ -238,6 +238,7 @@ class Segmenter:
     ) -> None:
         if isinstance(network, Trained):
             rig, label_map = rig or network.rig, label_map or network.label_map
+            background = background or Background("people" if label_map.of == PART_CLASSES else "frame")
             doubted_below = least_confidence_of_people(network.card) if doubted_below is None else doubted_below
             network = network.network
         check_class("camera", camera, Camera)

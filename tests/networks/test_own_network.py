@@ -110,6 +110,7 @@ def test_an_onnx_file_has_answer_and_card(unet: UNet, tmp_path: Path) -> None:
 def test_classes_may_be_names() -> None:
     mine = wrapped(nn.Conv2d(1, 2, 1), ["floor", "arm"])
     assert mine.label_map.names == ("floor", "arm") and FrameLabeller(mine, device="cpu").background.mode == "frame"
+    assert (Segmenter(mine, CAMERA)(np.full((60, 80), 2, np.float32)).labels < 2).all()
 
 
 FRAME = torch.zeros(1, 1, 8, 8)
