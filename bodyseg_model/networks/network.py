@@ -176,8 +176,6 @@ class WrappedModule(Network):
     def scores(self, range_m: torch.Tensor) -> torch.Tensor:
         """Compute scores; see `Network.scores`. Raises BadConfig where the module gives others."""
         check_range_images(range_m)
-        if self.module.training and not self.training:  # it was trained meanwhile, and would normalise by the batch
-            raise BadConfig(f"{type(self.module).__name__} is in training mode: call its eval() first")
         rows, columns = range_m.shape[2:]
         image = F.pad(range_m, (0, -columns % self.multiple, 0, -rows % self.multiple))
         scores = self.module(image if self.prepare is None else self.prepare(image))

@@ -183,7 +183,8 @@ class CarriedLabels:
     def restart(self, *, numbers: bool = True) -> None:
         """Forget all frames, as at the start of a recording. numbers: of bodies, begin at 1 again, else they go on."""
         self._last: _LastFrame | None = None
-        self._frame, self._new = 0, itertools.count(1) if numbers else self._new
+        self._frame = 0
+        self._new: itertools.count[int] = itertools.count(1) if numbers else self._new
         self._tracked: dict[int, tuple[Middle, int]] = {}  # number -> middle, and the frame in which it was there
         self.tracks: list[int] = []
 
