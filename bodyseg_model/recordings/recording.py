@@ -127,11 +127,12 @@ class LiveRecording(Checked):
 
     def __iter__(self) -> Iterator[Frame]:
         for index, item in enumerate(self.arrays):
-            time_s, pixels = item if isinstance(item, tuple) else (None, item)
-            # A copy: drivers write the next frame into the same array.
-            pixels = np.array(np.ma.filled(np.asanyarray(pixels), 0))
-            step_m = FLOAT_STEP_M if pixels.dtype.kind == "f" else self.step_m
             name = f"{self.where}-{index:06d}"
+            with reported(f"{name} must be an array, or a tuple of seconds and an array", BadConfig, ValueError):
+                time_s, pixels = item if isinstance(item, tuple) else (None, item)
+                # A copy: drivers write the next frame into the same array.
+                pixels = np.array(np.ma.filled(np.asanyarray(pixels), 0))
+            step_m = FLOAT_STEP_M if pixels.dtype.kind == "f" else self.step_m
             if pixels.dtype.itemsize == 1 and step_m == MILLIMETRE:
                 raise BadConfig(f"{name}: of 8 bits, most images are pictures: step_m must say what a step is")
             held, within = ArrayFrames(pixels[np.newaxis]), ("", index)

@@ -44,6 +44,10 @@ def test_any_iterable_is_a_recording_and_is_read_as_it_comes() -> None:
         BadConfig, match="must be of whole numbers, steps, or of floating point, metres, found complex128"
     ):
         next(iter(LiveRecording([np.zeros((3, 3), complex)]))).read()
+    wrong: Any
+    for wrong in ([0.5, RAMP], (0.5, 1, RAMP)):
+        with pytest.raises(BadConfig, match="^live-000000 must be an array, or a tuple of seconds and an array: "):
+            next(iter(LiveRecording([wrong])))
 
 
 def test_pictures_are_no_ranges() -> None:
