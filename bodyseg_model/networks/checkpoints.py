@@ -229,8 +229,8 @@ def wrapped(
     prepare: Callable[[torch.Tensor], torch.Tensor] | None = None,
     multiple: int = 1,
 ) -> Trained:
-    """Wrap a torch module of your own as a `Trained`, which `FrameLabeller` and `write_onnx` take; `Segmenter` and
-    `evaluate` take its `network`.
+    """Wrap a torch module of your own as a `Trained`, which `FrameLabeller`, `Segmenter` and `write_onnx` take;
+    `evaluate` and `predict` take its `network`.
 
     module: range images, float32 [B, 1, H, W], metres along the optical axis, 0 = nothing measured, of any size ->
     scores (logits), float [B, C, H, W]. It is put into evaluation mode, and stays on its device.
