@@ -124,7 +124,7 @@ def predict_dense(network: Network, range_m: torch.Tensor, by_part: bool) -> tup
 def _predict(network: Network, range_m: torch.Tensor, scores: Callable[[torch.Tensor], torch.Tensor]) -> Prediction:
     check_network(network)
     check_range_images(range_m)
-    if network.training or any(part.training for part in network.children()):  # a wrapped module, trained meanwhile
+    if network.training:
         raise BadConfig("predict needs a network in evaluation mode: call network.eval() first")
     if next(network.parameters(), range_m).dtype == torch.float32:
         range_m = range_m.float()  # of float16, which layers of float32 refuse

@@ -27,6 +27,7 @@ from bodyseg_model import (
     wrapped,
     write_onnx,
 )
+from bodyseg_model.networks import FlipAverage
 
 CAMERA = Camera(60, 80, 100.0, (40.0, 30.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -73,10 +74,15 @@ def test_a_wrapped_module_is_asked_as_it_was_trained(unet: UNet) -> None:
 
 def test_a_module_that_was_trained_meanwhile_is_refused_until_it_is_in_evaluation_mode(unet: UNet) -> None:
     network = wrapped(unet, multiple=4).network
-    unet.train()
+    for each in (network, FlipAverage(network)):
+        unet.train()
+        with pytest.raises(BadConfig, match="^a wrapped module must be in evaluation mode, as its network is"):
+            predict(each, FRAME + 2)
+        predict(each.eval(), FRAME + 2)
+    unet.fine.train()  # of single layers, such as dropout that tells how unsure a network is, users decide themselves
+    predict(network, FRAME + 2)
     with pytest.raises(BadConfig, match="^predict needs a network in evaluation mode"):
-        predict(network, FRAME + 2)
-    predict(network.eval(), FRAME + 2)
+        predict(network.train(), FRAME + 2)
 
 
 @pytest.mark.usefixtures("near_is_person")
