@@ -42,6 +42,7 @@ NOWHERE: Final = 65535
 """What the column `TEMPLATE` has for a pixel that does not see the body: background, furniture, a held thing."""
 _LOOPS: Final = "bodyseg_data.labels.label_loops"
 _REGIONS: Final = ("parts33", "bones", "landmarks")
+_OF_REGIONS: Final = "regions"  # name of the classes of maps of the template, which cards hold without its points
 
 
 def colour_labels(labels: Bytes, background: tuple[int, int, int] = (24, 26, 32), colours: Bytes = COLOURS) -> Bytes:
@@ -150,8 +151,7 @@ class LabelMap:
         """Replace a set's labels by class labels in place.
 
         labels: uint8 [H, W], contiguous. unlabelled: label for surfaces of no class, 254 or 255.
-        edges: int32 [2 N], flat indices in reading order where foreground begins, ends, begins and so on; all else must
-        be background. None if they are not known.
+        edges: int32 [2 N], flat indices in reading order where foreground begins and ends, by turns; None: not known.
         """
         flat = labels.reshape(-1)
         table = self._tables[unlabelled]
@@ -165,8 +165,7 @@ class LabelMap:
     def mirrored(self) -> Bytes:
         """Class label -> class label in the mirror image, uint8 [256]; other values stay as they are.
 
-        Raises BadConfig if the mirror images of a class's members are not the members of one class: a flipped image
-        would need labels that the map has dropped.
+        Raises BadConfig if the mirror images of a class's members are not the members of one class.
         """
         lopsided = self._lopsided
         if lopsided is not None:
@@ -220,6 +219,11 @@ class LabelMap:
         if self.is_whole:
             return self.of.colours
         return class_colours(self.sides, [min(label, int(self._opposites[label])) for label in range(len(self))])
+
+    @property
+    def of_bodies(self) -> bool:
+        """True if the classes are parts of people: of the 33 parts, or of regions of the template."""
+        return self.of == PART_CLASSES or self.of.name == _OF_REGIONS
 
     @property
     def is_whole(self) -> bool:
@@ -287,18 +291,14 @@ def label_map_from_json(tree: Any, where: str) -> LabelMap:
     of = classes_from_json(tree["of"], where) if "of" in tree else PART_CLASSES
     if not isinstance(rows, list):
         raise BadConfig(f"{where}: 'classes' must be a list, found {type(rows).__name__}")
-    classes = []
-    for row in rows:
-        each = _table(row, f"{where}, a class")
-        classes.append((each.text("name"), row.get(_listed(of))))
+    classes = [(_table(row, f"{where}, a class").text("name"), row.get(_listed(of))) for row in rows]
     return _map(name, classes, of, where)
 
 
 def load_label_map(labels: str | Path | LabelMap, of: Classes = PART_CLASSES) -> LabelMap:
     """Load a label map: one that ships, or `of` itself, by its name, or that of a TOML file; a LabelMap stays as it is.
 
-    of: the classes of the set, which a map of regions of the template does not need. Raises BadConfig, also for a map
-    of another set's classes.
+    of: the set's classes, not needed for regions of the template. Raises BadConfig, also for a map of other classes.
     """
     if not isinstance(of, Classes):
         raise BadConfig(f"label maps are of the classes of a set, found {of!r:.100}")
@@ -341,7 +341,7 @@ def _regions(kind: Any, numbers: Any, classes: Any, folder: Path, where: str) ->
     if not isinstance(numbers, dict) or {*map(type, numbers.values())} != {int}:
         raise BadConfig(f"{where}: the table [regions] must give each region a whole number, found {numbers!r:.60}")
     with reported(where, BadConfig):
-        of = classes_of(list(numbers), "regions")
+        of = classes_of(list(numbers), _OF_REGIONS)
     return OnTemplate(str(folder / kind) if is_file else kind, () if kind == "bones" else tuple(numbers.values())), of
 
 

@@ -187,7 +187,7 @@ def _frames(options: Options, progress: ProgressCallback) -> tuple[LabelMap, Ima
                 raise BadConfig(f"labels must be uint8 [H, W], found {labels.dtype} {labels.shape}: {name}")
             if len(wrong := labels[(labels >= len(label_map)) & (labels != BACKGROUND)]):
                 raise BadConfig(f"labels must be below {len(label_map)}, or {BACKGROUND}, found {wrong[0]}: {name}")
-            counted = persons(labels, boxes) if label_map.of == PART_CLASSES else (None, frozenset[int]())
+            counted = persons(labels, boxes) if label_map.of_bodies else (None, frozenset[int]())
             if frames:
                 if path_id not in frames:
                     raise BadConfig(f"--frames must be those labelled, where they lay: {name} is not among them")

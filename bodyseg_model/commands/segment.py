@@ -13,7 +13,7 @@ from typing import Final
 from bodyseg_data import load_template
 from bodyseg_data.commands import Progress, option, rate_text
 from bodyseg_data.core import BadConfig
-from bodyseg_data.labels import PART_CLASSES, TEMPLATE, LabelMap
+from bodyseg_data.labels import TEMPLATE, LabelMap
 from bodyseg_data.machine import hardware, keep_freed_memory
 from bodyseg_data.rigs import rig_names
 from bodyseg_model.recordings import RECORDINGS_HELP, UNITS_HELP, LabelsOut, find_frames, labels_out, metres_a_step
@@ -112,7 +112,7 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
     use_threads(options.threads)
     step_m = None if options.units is None else metres_a_step(options.units)
     trained = load_network(options.run, dense=options.dense)
-    mode = options.background or ("people" if trained.label_map.of == PART_CLASSES else "frame")
+    mode = options.background or ("people" if trained.label_map.of_bodies else "frame")
     background = Background.of_options(mode, options.near, options.far)
     frames = find_frames(options.frames, options.topic, step_m)
     labeller = FrameLabeller(

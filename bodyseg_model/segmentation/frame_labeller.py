@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, Stopwatch, check_choice, check_class, reported
-from bodyseg_data.labels import PART_CLASSES, LabelMap, load_label_map
+from bodyseg_data.labels import LabelMap, load_label_map
 from bodyseg_data.rigs import Camera
 from bodyseg_model.networks import CardWords, Trained, device_of, load_network
 from bodyseg_model.recordings import Frame, FrameCamera, FrameCameras, Pixels, Skipping, Stamp, find_frames, to_metres
@@ -142,7 +142,7 @@ class FrameLabeller:
         self.label_map = own if labels is None else load_label_map(labels, own.of)
         if labels is not None:
             own.joined_to(self.label_map)  # now, so that classes that cannot be given are refused
-        self.background = background or Background("people" if own.of == PART_CLASSES else "frame")
+        self.background = background or Background("people" if own.of_bodies else "frame")
         check_class("background", self.background, Background)
         self.mirrored, self.least_confidence = mirrored, least_confidence
         self.video = CarriedLabels() if video else None

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from bodyseg_data.bodies import load_template
 from bodyseg_data.core import BadConfig, Stopwatch, check_class
-from bodyseg_data.labels import BACKGROUND, NOWHERE, PART_CLASSES, PART_COUNT, PARTS33, LabelMap, load_label_map
+from bodyseg_data.labels import BACKGROUND, NOWHERE, PART_COUNT, PARTS33, LabelMap, load_label_map
 from bodyseg_data.machine import of_each, required
 from bodyseg_data.rigs import Camera, Rig, load_rig
 from bodyseg_model.networks import Network, Trained, check_label_map, device_of, predict_each
@@ -238,7 +238,7 @@ class Segmenter:
     ) -> None:
         if isinstance(network, Trained):
             rig, label_map = rig or network.rig, label_map or network.label_map
-            background = background or Background("people" if label_map.of == PART_CLASSES else "frame")
+            background = background or Background("people" if label_map.of_bodies else "frame")
             doubted_below = least_confidence_of_people(network.card) if doubted_below is None else doubted_below
             network = network.network
         check_class("camera", camera, Camera)

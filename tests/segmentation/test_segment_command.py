@@ -28,6 +28,7 @@ from bodyseg_model.networks import Trained, build, save_network
 from bodyseg_model.recordings import Skipping, find_frames
 from bodyseg_model.recordings.camera_files import cameras_beside
 from bodyseg_model.runtimes import backends, load_network
+from bodyseg_model.segmentation import FrameLabeller, Segmenter
 from bodyseg_model.segmentation.views import Undistortion, usual_views
 
 pytestmark = pytest.mark.usefixtures("near_is_person")
@@ -560,9 +561,10 @@ def test_another_finder_may_be_given(recording: Path, tmp_path: Path, capsys: py
     assert not (tmp_path / "out").exists()
 
 
-def test_a_network_of_classes_names_and_colours_them(recording: Path, tmp_path: Path) -> None:
-    limbs = load_label_map("limbs14")
-    network = build("compact", {"patch": 16, "widths": [8], "blocks": [0], "classes": 14}, seed=1)
+@pytest.mark.parametrize("name", ["limbs14", "densepose24"])
+def test_a_network_of_classes_names_and_colours_them(recording: Path, tmp_path: Path, name: str) -> None:
+    limbs = load_label_map(name)
+    network = build("compact", {"patch": 16, "widths": [8], "blocks": [0], "classes": len(limbs)}, seed=1)
     save_network(tmp_path / "limbs.safetensors", network, "compact", {"labels": limbs.to_json()})
     out = tmp_path / "out"
     assert run(recording, "--focal", "100", "--out", out, "--run", tmp_path / "limbs.safetensors") == 0
@@ -571,8 +573,15 @@ def test_a_network_of_classes_names_and_colours_them(recording: Path, tmp_path: 
     assert {tuple(colour) for colour in limbs.colours.tolist()} <= legend
     labels, overlay = pixels(out / "labels" / "7.png"), pixels(out / "overlay" / "7.png")
     body = labels != BACKGROUND
-    assert body.sum() == 480 and labels[body].max() < 14
+    assert body.sum() == 480 and labels[body].max() < len(limbs)
     np.testing.assert_allclose(overlay[body], limbs.colours[labels[body]], atol=1)
+    trained = load_network(tmp_path / "limbs.safetensors")
+    for each in (FrameLabeller(trained, device="cpu"), Segmenter(trained, trained.rig.camera)):
+        assert each.background.mode == "people"
+    words = "export-labels", "--in", str(out), "--out", str(tmp_path / "coco"), "--format", "coco"
+    assert cli.main([*words]) == 0
+    found = json.loads((tmp_path / "coco" / "annotations.json").read_text())["annotations"]
+    assert {each["instance"] for each in found} == {1}, "people, not stuff"
 
 
 def test_frames_that_are_skipped_at_the_end_are_counted(
