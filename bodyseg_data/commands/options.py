@@ -44,8 +44,7 @@ def option(
     """Declare a field of an options class: its help text and its default (none: required).
 
     positional: given without a flag. address: its text is a path or an address. flag: its name on the command line if
-    that differs from the field's, as `lr` for `learning_rate`. heading: of the help, above this option and those after
-    it.
+    that differs from the field's, as `lr` for `learning_rate`. heading: in the help, above this and later options.
     """
     metadata = {"help": text, "positional": positional, "address": address, "flag": flag, "heading": heading}
     return dataclasses.field(default=default, metadata=metadata)
@@ -92,20 +91,20 @@ def command_parser(kind: type[Any], program: str, summary: str, example: str) ->
 
     cyclopts is imported here, not above: streaming and the list of commands do not need its 70 ms.
     """
-    from cyclopts import App
+    from cyclopts import App, Group
     from cyclopts.help import DefaultFormatter, PanelSpec
     from rich.box import Box
 
-    hints, headings = typing.get_type_hints(kind), _headings(kind)
+    hints, above = typing.get_type_hints(kind), headings(kind)
+    groups = {text: Group(text, sort_key=number) for number, text in enumerate(filter(None, above.values()))}
     fields = sorted(dataclasses.fields(kind), key=lambda field: not field.metadata["positional"])
 
     def read(*values: Any, **named: Any) -> Any:
         return kind(**{field.name: value for field, value in zip(fields, values, strict=False)}, **named)
 
     # A function stands for the dataclass, none of whose fields could be positional only.
-    read.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-        [_parameter(field, hints[field.name], headings[field.name]) for field in fields]
-    )
+    parameters = [_parameter(field, hints[field.name], groups.get(above[field.name] or "")) for field in fields]
+    read.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     columns = DefaultFormatter(panel_spec=PanelSpec(box=Box("    \n" * 8), padding=0))  # without lines around them
     app = App(
         program,
@@ -153,16 +152,12 @@ def flag_of(field: dataclasses.Field[Any]) -> str:
     return "--" + (field.metadata["flag"] or field.name.replace("_", "-"))
 
 
-def _headings(kind: type[Any]) -> dict[str, Any]:
-    """The group of the help in which each field stands, by name; None above the first heading."""
-    from cyclopts import Group
-
-    headings, group = dict[str, Any](), None
-    for number, field in enumerate(dataclasses.fields(kind), start=1):
-        if field.metadata["heading"] is not None:
-            group = Group(field.metadata["heading"], sort_key=number)
-        headings[field.name] = group
-    return headings
+def headings(kind: type[Any]) -> dict[str, str | None]:
+    """Return the heading of the help under which each field stands, by name; None above the first heading."""
+    found, heading = dict[str, str | None](), None
+    for field in dataclasses.fields(kind):
+        found[field.name] = heading = field.metadata["heading"] or heading
+    return found
 
 
 def _parameter(field: dataclasses.Field[Any], hint: Any, group: Any) -> inspect.Parameter:

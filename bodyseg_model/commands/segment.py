@@ -16,7 +16,16 @@ from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import TEMPLATE, LabelMap
 from bodyseg_data.machine import hardware, keep_freed_memory
 from bodyseg_data.rigs import rig_names
-from bodyseg_model.recordings import RECORDINGS_HELP, UNITS_HELP, LabelsOut, find_frames, labels_out, metres_a_step
+from bodyseg_model.recordings import (
+    CENTRE_HELP,
+    FOCAL_HELP,
+    RECORDINGS_HELP,
+    UNITS_HELP,
+    LabelsOut,
+    find_frames,
+    labels_out,
+    metres_a_step,
+)
 from bodyseg_model.runtimes import (
     BACKEND_HELP,
     FLIP_HELP,
@@ -71,8 +80,8 @@ class Options:
     )
     units: str | None = option(UNITS_HELP, None)
     rig: str | None = option(f"camera of the frames: {', '.join(rig_names())} or a rig file (.toml)", None)
-    focal: float | None = option("focal length, pixels (default: the recording's, or by the frames' size)", None)
-    centre: tuple[float, ...] = option("with --focal: principal point, x y, pixels (default: the image's middle)", ())
+    focal: float | None = option(FOCAL_HELP, None)
+    centre: tuple[float, ...] = option(CENTRE_HELP, ())
     mirrored: bool = option("frames show left for right, as some drivers give them", False)
     turned: Turned | None = option(f"{TURNED_HELP} (default: the rig's roll)", None)
     background: BackgroundMode | None = option(
@@ -112,7 +121,7 @@ def _segment(options: Options, claim: contextlib.ExitStack) -> int:
     use_threads(options.threads)
     step_m = None if options.units is None else metres_a_step(options.units)
     trained = load_network(options.run, dense=options.dense)
-    mode = options.background or ("people" if trained.label_map.of_bodies else "frame")
+    mode = options.background or Background.usual(trained.label_map).mode
     background = Background.of_options(mode, options.near, options.far)
     frames = find_frames(options.frames, options.topic, step_m)
     labeller = FrameLabeller(

@@ -12,6 +12,8 @@ from bodyseg_data.drawing import check_picture, save_picture
 from bodyseg_data.files import write_result
 from bodyseg_data.rigs import load_rig, rig_names
 from bodyseg_model.recordings import (
+    CENTRE_HELP,
+    FOCAL_HELP,
     RECORDINGS_HELP,
     UNITS_HELP,
     Frame,
@@ -37,8 +39,8 @@ class Options:
     topic: str | None = option("topic of a bag or array of an NPZ file (default: the only one of frames)", None)
     units: str | None = option(UNITS_HELP, None)
     rig: str | None = option(f"sensor of the frames: {', '.join(rig_names())} or a rig file (.toml)", None)
-    focal: float | None = option("focal length, pixels (default: the recording's, or by the frames' size)", None)
-    centre: tuple[float, ...] = option("with --focal: principal point, x y, pixels (default: the image's middle)", ())
+    focal: float | None = option(FOCAL_HELP, None)
+    centre: tuple[float, ...] = option(CENTRE_HELP, ())
     turned: Turned | None = option(f"{TURNED_HELP} (default: the rig's roll)", None)
     background: BackgroundMode = option(
         "what is a body; people: as segment finds them; limits: all from --near to --far; keep, frame: all measured",

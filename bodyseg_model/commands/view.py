@@ -9,14 +9,14 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from bodyseg_data.artifacts import PAPER_SENSOR, VariantName, load_sensor_model
-from bodyseg_data.commands import WHERE_HELP, option
+from bodyseg_data.commands import WHERE_HELP, headings, option
 from bodyseg_data.core import BadConfig
 from bodyseg_data.labels import label_map_names
 from bodyseg_data.rigs import rig_names
 from bodyseg_data.samples import ReadSplit
 from bodyseg_data.shards import MANIFEST_NAME
 from bodyseg_model.networks import Trained, find_device, load_network
-from bodyseg_model.recordings import UNITS_HELP, find_frames, metres_a_step
+from bodyseg_model.recordings import CENTRE_HELP, FOCAL_HELP, UNITS_HELP, find_frames, metres_a_step
 from bodyseg_model.segmentation import TURNED_HELP, Background, BackgroundMode, FrameLabeller, Turned
 from bodyseg_model.viewing import LOOPBACK, Page, RecordingPage, RecordingView, SetPage, SetView, Shown
 
@@ -25,7 +25,7 @@ EXAMPLE = "bodyseg view shards"
 
 @dataclass(frozen=True)
 class Options:
-    """Options of `bodyseg view`: the help of those for one kind of source begins with its name, "sets" or "frames"."""
+    """Options of `bodyseg view`: those for one kind of source stand under its heading, "Sets" or "Frames"."""
 
     source: tuple[str, ...] = option(
         "folder or address of a set of shards; or frames as `segment` reads them", positional=True, address=True
@@ -51,8 +51,8 @@ class Options:
     )
     units: str | None = option(UNITS_HELP, None)
     rig: str | None = option(f"camera of the frames: {', '.join(rig_names())} or a rig file (.toml)", None)
-    focal: float | None = option("focal length, pixels (default: the recording's, or by the frames' size)", None)
-    centre: tuple[float, ...] = option("with --focal: principal point, x y, pixels (default: the image's middle)", ())
+    focal: float | None = option(FOCAL_HELP, None)
+    centre: tuple[float, ...] = option(CENTRE_HELP, ())
     mirrored: bool = option("frames show left for right, as some drivers give them", False)
     turned: Turned | None = option(f"{TURNED_HELP} (default: the rig's roll)", None)
     background: BackgroundMode | None = option("what is labelled, as for `segment`", None)
@@ -120,10 +120,9 @@ def is_set(source: Sequence[str]) -> bool:
 
 def check_options(options: Options, kind: str) -> None:
     """Raise BadConfig for an option that a set or a recording does not have, so that none is given in vain."""
-    heading, other = None, "Frames" if kind == "set" else "Sets"
+    above, other = headings(Options), "Frames" if kind == "set" else "Sets"
     for field in fields(options):
-        heading = field.metadata["heading"] or heading
-        if heading == other and getattr(options, field.name) != field.default:
+        if above[field.name] == other and getattr(options, field.name) != field.default:
             raise BadConfig(f"--{field.name.replace('_', '-')} is for {other.lower()}, found it with a {kind}")
 
 

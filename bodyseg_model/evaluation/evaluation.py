@@ -25,7 +25,7 @@ from bodyseg_data.artifacts import (
 from bodyseg_data.core import BadConfig, ProgressCallback, Stopwatch, check_choice, check_int, silent
 from bodyseg_data.labels import BACKGROUND, PARTS33, LabelMap
 from bodyseg_data.loading import DEFAULT_WORKER_METHOD, OccluderName, RangeImages, WorkerMethod, loader
-from bodyseg_data.samples import ReadSplit, metres, split_key
+from bodyseg_data.samples import ReadSplit, metres
 from bodyseg_model.evaluation.gross_errors import MEASURABLE, GrossErrors, TrueSurface
 from bodyseg_model.evaluation.scores import Confidences, ConfusionMatrix, PerImageAccuracy, count_pairs, pairs_of
 from bodyseg_model.networks import Network, check_label_map, check_network, device_of, predict
@@ -219,8 +219,6 @@ def evaluate(
     check_network(network)
     check_label_map(network, predicts)
     joined = None if predicts.difference(images.label_map) is None else predicts.joined_to(images.label_map)
-    grouped = "subset" in images.manifest.fields.kinds
-    subset_of = dict[str, str]()
     device = device_of(network)
     measures = confidences and MEASURABLE and not images.transforms  # which may move pixels
     stage = Stopwatch(_STAGES)
@@ -242,14 +240,9 @@ def evaluate(
         ranges, labels = batch["range"][:, 0].numpy(), batch["labels"].numpy()
         with stage("scores"):
             for at, (key, index) in enumerate(zip(keys, batch["index"], strict=False)):
-                body = split_key(key)[0] if images.manifest.fields.of_bodies else key
-                if body not in subset_of:  # the same of all views of a body
-                    fields = images.describe(index) if grouped else {}
-                    subset_of[body] = str(fields.get("subset", _WHOLE))
+                subset = str(images.describe(index).get("subset", _WHOLE))
                 away = _away(images, index, labels[at], predicted[at]) if measures else None
-                image = PredictedImage(
-                    key, subset_of[body], ranges[at], labels[at], predicted[at], confidence[at], away
-                )
+                image = PredictedImage(key, subset, ranges[at], labels[at], predicted[at], confidence[at], away)
                 accuracy = found.add(image)
                 if watch is not None:
                     watch(image, accuracy)

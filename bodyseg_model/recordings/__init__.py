@@ -8,6 +8,8 @@ if TYPE_CHECKING:
     from bodyseg_model.recordings.camera_files import FrameCameras
     from bodyseg_model.recordings.cameras import FrameCamera, driver_camera, frame_camera, other_sensors
     from bodyseg_model.recordings.frames import (
+        CENTRE_HELP,
+        FOCAL_HELP,
         RECORDINGS_HELP,
         UNITS_HELP,
         Skipping,

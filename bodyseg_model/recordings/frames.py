@@ -30,8 +30,10 @@ _FORMATS: Final = "recordings: bags, MCAP, NPY, NPZ, TIFF, MKV"
 RECORDINGS_HELP: Final = f"16-bit grey PNGs, folders of them, or {_FORMATS}"
 """Help of commands' argument for frames."""
 
+FOCAL_HELP: Final = "focal length, pixels (default: the recording's, or by the frames' size)"
+CENTRE_HELP: Final = "with --focal: principal point, x y, pixels (default: the image's middle)"
 UNITS_HELP: Final = "length of one step of a pixel's value: mm, 0.1mm, cm ... (default: the recording's, or mm)"
-"""Help of `--units`, whose text `metres_a_step` reads."""
+"""Help of options of the camera; `metres_a_step` reads the text of `--units`."""
 
 _LARGEST_FILE: Final = 1 << 28
 _UNIT: Final = re.compile(r"([0-9]+(?:\.[0-9]+)?|\.[0-9]+)? ?(mm|cm|m)")

@@ -21,8 +21,7 @@ SCORES: Final = "scores"
 """Names of values of a graph: range images [B, 1, H, W], metres; scores [B, H / stride, W / stride, C], rounded up."""
 
 _FATAL_ONLY: Final = 4  # of ONNX Runtime's log
-MOST_BYTES: Final = 1 << 32
-"""That ONNX Runtime allocates in all: small graphs may ask for any number."""
+MOST_BYTES: Final = 1 << 32  # of ONNX Runtime in all: small graphs may ask for any number
 
 
 class Runtime(ABC):

@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 
 from bodyseg_data.core import BadConfig, Checked
+from bodyseg_data.labels import LabelMap
 from bodyseg_data.machine import required
 from bodyseg_data.rigs import Camera
 from bodyseg_model.networks import FINDER, Network, Trained, check_network, device_of, load_network
@@ -79,6 +80,11 @@ class Background(Checked):
                 "the near limit must be at least 0 m and less than the far one, found "
                 f"{self.near_m:g} and {self.far_m:g} m"
             )
+
+    @classmethod
+    def usual(cls, label_map: LabelMap) -> Background:
+        """The rule for a network of these classes: people, but whole frames for classes that are no parts of people."""
+        return cls("people" if label_map.of_bodies else "frame")
 
     @classmethod
     def of_options(cls, mode: BackgroundMode, near_m: float | None, far_m: float | None) -> Background:

@@ -142,7 +142,7 @@ class FrameLabeller:
         self.label_map = own if labels is None else load_label_map(labels, own.of)
         if labels is not None:
             own.joined_to(self.label_map)  # now, so that classes that cannot be given are refused
-        self.background = background or Background("people" if own.of_bodies else "frame")
+        self.background = background or Background.usual(own)
         check_class("background", self.background, Background)
         self.mirrored, self.least_confidence = mirrored, least_confidence
         self.video = CarriedLabels() if video else None

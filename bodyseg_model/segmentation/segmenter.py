@@ -238,7 +238,7 @@ class Segmenter:
     ) -> None:
         if isinstance(network, Trained):
             rig, label_map = rig or network.rig, label_map or network.label_map
-            background = background or Background("people" if label_map.of_bodies else "frame")
+            background = background or Background.usual(label_map)
             doubted_below = least_confidence_of_people(network.card) if doubted_below is None else doubted_below
             network = network.network
         check_class("camera", camera, Camera)
