@@ -217,8 +217,11 @@ from bodyseg_data.loading.loaders import Loader, Nothing
 
 def test_every_decision_is_in_the_index() -> None:
     folder = DOCS / "decisions"
+    index = (folder / "README.md").read_text()
     pages = {path.name for path in folder.glob("*.md")} - {"README.md"}
-    assert set(LINK.findall((folder / "README.md").read_text())) == pages | {"../explanation/architecture.md"}
+    assert set(LINK.findall(index)) == pages | {"../explanation/architecture.md"}
+    titles = {name: (folder / name).read_text().partition("\n")[0].partition(". ")[2] for name in pages}
+    assert not [name for name, title in titles.items() if f"- [{name[:4]}]({name}) {title}" not in index]
 
 
 def test_the_front_page_lists_every_page_of_the_site() -> None:
