@@ -33,10 +33,9 @@ def seen_by_projectors(camera_range: NDArray[np.uint16], rig: Rig) -> NDArray[np
 
 
 def _joined(ranges: NDArray[np.uint16], edge: np.float32) -> NDArray[np.bool_]:
-    """Mask of pixels that are on one surface with the one below, bool [H - 1, W], where both see any.
+    """Mask of pixels on one surface with the pixel below, bool [H - 1, W]; without meaning where one is not measured.
 
-    Their ranges differ by less than an edge; or, as on a floor seen at a grazing angle, by about as much as those of
-    the next pixels do.
+    Their ranges differ by less than an edge, or by about as much as the next ones, as on a floor at a grazing angle.
     """
     jump = np.diff(ranges.astype(np.int32), axis=0)
     found: NDArray[np.bool_] = np.abs(jump) < edge
@@ -54,13 +53,14 @@ def _loop() -> Any:
 def _cast(
     ranges: Any, of_columns: Any, of_rows: Any, offsets: Any, below: Any, beside: Any, places: Any, found: Any
 ) -> None:
-    """Draw the camera's mesh into `found`, uint16 [Hp, Wp]; places: float32 [3, H, W], for x, y and 1 / range there.
+    """Draw the camera's image as a mesh into the projector's image `found`, uint16 [Hp, Wp]; both in steps.
 
-    of_columns, of_rows, offsets: as of `ShadowTest`, float32. below, beside: `_joined` to the pixel there.
+    places: memory for x, y and 1 / range of all pixels in that image, float32 [3, H, W]. below, beside: `_joined`, of
+    the pixel below and of the one to the right. of_columns, of_rows, offsets: as of `ShadowTest`, float32.
     """
     rows, columns = ranges.shape
     high, wide = found.shape
-    alone = np.ones(ranges.shape, np.bool_)  # of no triangle
+    alone = np.ones(ranges.shape, np.bool_)  # pixels that are in no triangle
     for r in range(rows):
         for c in range(columns):
             z = np.float32(ranges[r, c])
@@ -97,7 +97,7 @@ def _cast(
                             away = np.uint16(np.rint(1 / (w0 + along * w1 + across * w2)))
                             if found[row, column] == 0 or away < found[row, column]:
                                 found[row, column] = away
-    for r in range(rows):  # rims, and thin things, of which no triangle is left
+    for r in range(rows):  # single pixels: rims, and thin things without a triangle
         for c in range(columns):
             y, x = np.int64(np.rint(places[1, r, c])), np.int64(np.rint(places[0, r, c]))
             if places[2, r, c] > 0 and 0 <= y < high and 0 <= x < wide:

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-FAR: Final = np.float32(1e7)  # steps: behind every range, and its square times a focal length's is still a float32
+FAR: Final = np.float32(1e7)  # steps: beyond every range; its square times that of a focal length is a float32
 
 # A segment is a float's exponent and the highest four bits of its mantissa, the rest is the offset in the segment. The
 # lowest segment begins at 0.5, the last one is 2**31 alone.

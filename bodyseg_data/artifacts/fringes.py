@@ -16,7 +16,7 @@ from bodyseg_data.labels import PART_COUNT
 REACH: Final = 2
 """Pixels to the neighbours that give slopes: over fewer of them, whole steps of a range make the slopes coarse."""
 BEND_M: Final = 0.008
-"""Slopes before and behind a pixel that differ by more, over `REACH` pixels, are those of two surfaces."""
+"""A pixel is on one surface with those `REACH` before and behind it if their mean range is within this of its own."""
 EDGE_M: Final = 0.1
 """A pixel that was this much nearer or farther in another pattern saw another surface."""
 MARGIN: Final = 32
@@ -24,7 +24,7 @@ MARGIN: Final = 32
 
 _ZERO, _SIXTH, _QUARTER, _HALF, _ONE, _TWO, _THREE = map(np.float32, (0, 1 / 6, 0.25, 0.5, 1, 2, 3))
 _LEAST: Final = np.float32(1e-3)
-_EXPONENT, _BIAS = map(np.int32, (23, 127))  # of a float32: the bits behind it, and that of 1
+_EXPONENT, _BIAS = map(np.int32, (23, 127))  # of a float32: bits of its mantissa, and the exponent of 1
 _FAR_MOVED: Final = np.float32(MARGIN)
 _PAIRS, _WORD, _EIGHT, _SIXTEEN = map(np.uint32, (0x00FF00FF, 0xFFFF, 8, 16))
 _MIDDLE, _SPREAD = np.float32(510), np.float32(math.sqrt(3 / 65535))
@@ -40,17 +40,17 @@ class Optics(NamedTuple):
     """
 
     step_m: Any
-    slope: Any  # metres of range a pixel times the focal length, of a step over 2 REACH pixels
-    bend: Any  # BEND_M in steps
+    slope: Any  # gradient, metres of range a pixel times focal length, of a step over 2 REACH pixels
+    bend: Any  # 2 BEND_M in steps
     a: Any
     b: Any
     c: Any
     d: Any
     light: Any
     light_m2: Any  # squared distance to the projector
-    square_m2: Any  # squared distance from it to the stand-off
+    square_m2: Any  # squared distance from the projector to the stand-off's point
     fringes: Any
-    focus: Any  # 1 / range of the stand-off before the projector
+    focus: Any  # 1 / range of the stand-off's point in the projector's frame
     blur: Any
     signal: Any
     ambient: Any
@@ -58,15 +58,15 @@ class Optics(NamedTuple):
     threshold: Any
     random: Any  # sqrt(2 / N)
     period_s: Any  # between patterns
-    drift_px: Any  # focal length times that
+    drift_px: Any  # focal length times period_s
     apart: Any  # EDGE_M in steps
-    most: Any  # drift of fringes a pattern, 1 / N, that leaves no modulation
-    finest: Any  # when the finest binary pattern is taken, patterns
-    middle: Any  # the same of the mean of all binary ones
+    most: Any  # 1 / N, the drift in fringes a pattern that leaves no modulation
+    finest: Any  # time of the finest binary pattern, in patterns from the middle of the phase patterns
+    middle: Any  # mean time of all binary patterns, likewise
     edge: Any
-    found: Any  # noise below is that of jumps that the sensor finds
-    curve: Any  # brightness of a fringe, a polynomial's factors in squared turns
-    patterns: Any  # of each its shift, its time, and its weights in both sums
+    found: Any  # the sensor finds a jump whose normal draw is below this
+    curve: Any  # brightness of a fringe: the factors of a polynomial in squared turns
+    patterns: Any  # for each pattern its shift, its time, and its weights in both sums
 
 
 def pick(condition: Any, first: Any, second: Any) -> Any:
@@ -127,8 +127,8 @@ def total(patterns: Any, curve: Any, phases: Any, real: Any, imaginary: Any) -> 
 
 
 def add(shown: Any, curve: Any, phases: Any, real: Any, imaginary: Any) -> Any:
-    """Both sums with one more pattern; shown, curve: of `Optics`; phases: in the middle of the patterns, its drift a
-    pattern, what each pattern takes from that; brightening a pattern; mean brightness.
+    """Both sums with one more pattern. shown, curve: one of `Optics.patterns`, and `Optics.curve`. phases: the phase in
+    the middle of all, its drift a pattern, how much that falls a pattern, gain of brightness a pattern, and its mean.
     """
     phase, drift, bend, gain, blur = phases
     turns = phase + shown[0] + shown[1] * (drift - shown[1] * bend)
@@ -165,7 +165,7 @@ def decode(
     two = wave(z * (look[4] * x + (look[5] * y + look[6])) + look[7])
     albedo = pick(look[8] * one + look[9] * two + look[10] * one * two > _ZERO, look[11], look[12])
 
-    # Light: cosine of the angle to the projector over its squared distance, 1 for a surface that faces it.
+    # Light: cosine of the angle to the projector over its squared distance; 1 at the stand-off, facing the projector.
     along = o.light[0] * x + (o.light[1] * y + o.light[2])
     away = z * (x * x + (y * y + _ONE)) - along
     far = z * (away - along) + o.light_m2
@@ -174,19 +174,19 @@ def decode(
     gain = speed * (z * far - _THREE * away * faces) / (faces * far)
     mean = o.signal * albedo * light
 
-    # Fringes. Amplitudes are shares of theirs.
+    # Fringes. Noise and threshold are in multiples of the fringes' amplitude.
     a, c = o.a[0] * x + (o.a[1] * y + o.a[2]), o.c[0] * x + (o.c[1] * y + o.c[2])
     w = _ONE / (z * c + o.d)
     position, curve, scale = (z * a + o.b) * w, c * w, (a * o.d - o.b * c) * w * w
     lit = (faces > _ZERO) & (position >= _ZERO) & (position < o.fringes)
     t = o.blur * (w - o.focus) * (w - o.focus)
-    blur = _ONE + t * (_ONE + t * (_HALF + t * _SIXTH))  # exp(t), to its third power
+    blur = _ONE + t * (_ONE + t * (_HALF + t * _SIXTH))  # exp(t), by a polynomial of third degree
     share = blur / pick(mean > _LEAST, mean, _LEAST)
     sigma = np.sqrt(o.read + pick(lit, mean, _ZERO) + o.ambient * albedo) * share
     drift = within(scale * speed, o.most)
     bend = drift * curve * speed
 
-    # Noise: sums and differences of four bytes are two draws that do not depend on each other, nearly normal.
+    # Noise: sum and difference of two sums of two bytes are two independent, nearly normal draws.
     pairs = np.uint32((bits & _PAIRS) + ((bits >> _EIGHT) & _PAIRS))
     low, high = np.int32(pairs & _WORD), np.int32(pairs >> _SIXTEEN)
     first, other = (np.float32(np.int32(low + high)) - _MIDDLE) * _SPREAD, np.float32(np.int32(low - high)) * _SPREAD
@@ -194,8 +194,8 @@ def decode(
     phases = position - np.rint(position), drift, bend, gain, blur
     real, imaginary = total(o.patterns, o.curve, phases, random * other, random * first)
 
-    # The count of fringes. Of the one boundary that drift may bring between its pattern and the fringes, the Gray code
-    # has one pattern that changes there.
+    # The count of fringes, by the Gray code. Between its patterns and the fringes a pixel may drift over one boundary
+    # of fringes; only one pattern changes at that boundary.
     boundary = np.rint(position + drift * o.middle)
     whole = np.int32(boundary)
     lowest = np.float32(whole & -whole)
@@ -213,7 +213,7 @@ def decode(
     return pick(kept, moved / ((scale - moved * curve) * o.step_m), _ZERO), kept
 
 
-# Rigid parts of a body, each (labels, the part before it or -1, where it turns from its middle to that one's, limb).
+# Rigid parts of a body: labels; the part that each hangs from, or -1; its joint, as a share of the way to there; limb.
 _TRUNK, _HEAD = (tuple(range(3, 15)), -1, 0.0, 0), ((0, 1, 2), 0, 0.3, 1)
 _ARMS = (((15,), 0, 0.2, 2), ((16,), 0, 0.2, 3), ((17,), 2, 0.5, 2), ((18,), 3, 0.5, 3), ((19,), 4, 0.5, 2))
 _HANDS = (((20,), 5, 0.5, 3), ((21,), 6, 0.5, 2), ((22,), 7, 0.5, 3))
@@ -229,10 +229,10 @@ _PART_OF: Final = np.array(
 DRAWN: Final = {"clothes": 6 * 12, "motion": 6 * len(CHAIN) + 6}
 """Purpose -> how many numbers of 32 bits `fill` takes."""
 _LIMB_M: Final = 0.6
-"""From the joint of an arm to its end: what turns with the speed of an image over this moves about so fast there."""
+"""Length of an arm: a part that turns by (speed / this) rad/s moves with about that speed at its end."""
 
 _SKIN, _HAIR, _COAT, _TROUSERS, _SHOES, _THINGS = range(6)
-_WORN: Final = np.full(PART_COUNT + 1, _COAT)  # garment of each part; the last one is of what has no part
+_WORN: Final = np.full(PART_COUNT + 1, _COAT)  # garment of each part; the last entry is for what has no part
 _WORN[[0, 2, 21, 22]], _WORN[1], _WORN[31:33], _WORN[PART_COUNT] = _SKIN, _HAIR, _SHOES, _THINGS
 _WORN[[7, 8, 11, 12, *range(23, 31)]] = _TROUSERS
 
@@ -265,9 +265,9 @@ def fill(parts: Any, place: Any, cloth: Any, sums: Any, clothes: Any, motion: An
         row[11] = albedo
         row[12] = albedo if bare or chance[10] >= patterned else darkest + spread * other * other
     if clothes[_TROUSERS, 11] * 2.0**-32 < 0.25:
-        garments[_TROUSERS] = garments[_COAT]  # a coat that reaches down
+        garments[_TROUSERS] = garments[_COAT]  # a long coat covers them
 
-    # Where the rigid parts are, metres in the camera's frame; of one that is not seen, that before it.
+    # Middles of the rigid parts, metres, camera's frame; a part that is not seen takes that of the one it hangs from.
     count = len(_BEFORE) if parts else 1
     totals, middles, moving = np.zeros((count + 1, 4), np.int64), np.zeros((count, 3)), np.zeros((count + 1, 6))
     for label in range(PART_COUNT + 1):
@@ -283,7 +283,7 @@ def fill(parts: Any, place: Any, cloth: Any, sums: Any, clothes: Any, motion: An
         else:
             middle[2] = stand_off
 
-    # Velocity at the camera and rotation of each: those of the part before it, and a turn around where both meet.
+    # Velocity at the camera and rotation of each part: those of the part it hangs from, and a turn about their joint.
     chances, own = motion * 2.0**-31 - 1.0, 6 * len(_LIMB)
     for part in range(count):
         much, before, at = speed * abs(chances[own + _LIMB[part]]), _BEFORE[part], 6 * part

@@ -55,7 +55,7 @@ def alter(image: Any, labels: Any, found: Any, scratch: Any, losing: Any, noisy:
         while piece < np.uint64(found) and np.uint64(pieces[0, piece]) == first + length:
             length += np.uint64(pieces[1, piece])
             piece += np.uint64(1)
-        # Whole blocks are quicker; pixels behind the last point stay.
+        # Whole blocks are quicker to compute; pixels behind the last point keep their values.
         blocks = (np.int64(length) + BLOCK - 1) // BLOCK
         span = np.uint64(min(size - np.int64(first), blocks * BLOCK))
         if noisy:
@@ -71,7 +71,7 @@ def alter(image: Any, labels: Any, found: Any, scratch: Any, losing: Any, noisy:
                 image[first + i] = np.uint16(before * np.uint16(marks[point + i])) if i < length else before
         if losing:
             for i in range(span):
-                # A mark less one is 0 for kept pixels and all bits, which is background, for the others.
+                # Less one, a kept pixel's mark, 1, is 0, and a lost one's, 0, is 255, the label of background.
                 lost = np.uint8(marks[point + i] - np.uint8(1))
                 labels[first + i] |= lost if i < length else np.uint8(0)
 
@@ -99,7 +99,7 @@ def apply(
     """
     if runs < 0:
         runs = find_runs(camera_range, scratch.changes, scratch.edges)
-    # Only bounds of texels need small pieces, in one row each.
+    # Only the shadow test, which bounds the texels of a piece, needs small pieces that lie in one row each.
     width, block, losing = image.size, CHUNK, strengths.threshold > 0
     if shadow is not None:
         width, block, losing = columns, BLOCK, True

@@ -61,12 +61,12 @@ def lost_patches(range_image: NDArray[np.uint16], share: float, generator: np.ra
     if box is None:
         return np.zeros(range_image.shape, np.bool_)
     inside = range_image[box]
-    pixels = np.flatnonzero(inside != 0)  # of bools: five times faster
+    pixels = np.flatnonzero(inside != 0)  # searching booleans is five times faster
     count, *chances = units(generator, 1 + 3 * MOST_PATCHES)
     down, along = [], []
     for centre, length, size in np.reshape(chances, (MOST_PATCHES, 3))[: 1 + int(count * MOST_PATCHES)]:
         row, column = divmod(int(pixels[int(centre * len(pixels))]), inside.shape[1])
-        half = np.exp2(size) * LONGEST ** (length - 0.5)  # of its height; its width is the other way round
+        half = np.exp2(size) * LONGEST ** (length - 0.5)  # half height; the half width has the inverse ratio
         other = np.exp2(size) / LONGEST ** (length - 0.5)
         down.append((((np.arange(inside.shape[0]) - row) / half) ** 2).astype(np.float32))
         along.append((((np.arange(inside.shape[1]) - column) / other) ** 2).astype(np.float32))

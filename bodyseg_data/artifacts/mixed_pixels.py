@@ -40,7 +40,7 @@ class MixedPixels(Artifact):
         if self.nearest_m is not None:
             wall_m = self.nearest_m + (wall_m - self.nearest_m) * draws.chance("mixed background")
         behind = round(wall_m / scene.step_m)
-        # The higher half of a draw chooses, the lower one is the position in the gap.
+        # The upper 16 bits of a draw choose the pixels, the lower 16 give the position in the gap.
         bits = drawn_bits(draws, "mixed pixels", len(scene.pixels))
         with if_ready:
             flat, steps = image.range.reshape(-1), np.ascontiguousarray(scene.sample.range).reshape(-1)

@@ -130,7 +130,7 @@ class ShadowTest:
         z = camera_range.ravel().take(pixels).astype(np.float32)
         across, down, forward = (slope.take(pixels) for slope in self.slopes)
         away = z * forward + self.offsets[2]
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # level with the projector: left out below
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # level with the projector: not `inside`
             x = (z * across + self.offsets[0]) / away
             y = (z * down + self.offsets[1]) / away
         rows, columns = np.float32(self.rig.projector.rows), np.float32(self.rig.projector.columns)
@@ -211,7 +211,7 @@ def reached(
     the thresholds. Ranges and thresholds are in the rig's steps.
     """
     texels, along, below = four_texels(projector_range, x, y)
-    away = np.minimum(away - _ONE, FARTHEST_STEPS)  # one step off, as the texels are
+    away = np.minimum(away - _ONE, FARTHEST_STEPS)  # less one step, as the texels are
     nearest = np.minimum(np.minimum(texels[0], texels[1]), np.minimum(texels[2], texels[3]))
     farthest = np.maximum(np.maximum(texels[0], texels[1]), np.maximum(texels[2], texels[3]))
 

@@ -44,7 +44,7 @@ def _pick(condition: Any, first: Any, second: Any) -> Any:
 
 @overload(total, strict=False, jit_options={"forceinline": True})  # type: ignore[untyped-decorator]
 def _total(patterns: Any, curve: Any, phases: Any, real: Any, imaginary: Any) -> Any:
-    """Without a loop, as `_select` without a branch."""
+    """Unrolled: a loop, too, would keep the compiler from taking several pixels at once."""
     if not len(patterns):
         return lambda patterns, curve, phases, real, imaginary: (real, imaginary)
 
@@ -96,14 +96,14 @@ def _alter(
     image: Any, padded: Any, width: Any, runs: Any, count: Any, x: Any, y: Any, looks: Any, o: Any, times: Any,
     bits: Any,
 ) -> None:  # fmt: skip
-    """Alter the pixels of runs. Whole vectors are quicker; pixels behind the last one stay."""
+    """Alter the pixels of runs, in whole vectors, which are quicker; pixels behind the last one keep their values."""
     stride, point = width + 2 * _MARGIN, np.uint64(0)
     for run in range(np.uint64(count)):
         first, end = np.int64(runs[run, 0]), np.int64(runs[run, 1])
         row, middle, look = first // width, (first + end - 1) // 2, to_fixed_tuple(looks[runs[run, 2]], _LOOKS)
         line = row * width
         low, high = first, end
-        while low < high and image[low] == 0:  # what is lost stays so
+        while low < high and image[low] == 0:  # pixels that were lost before stay lost
             low += 1
         while low < high and image[high - 1] == 0:
             high -= 1

@@ -109,7 +109,7 @@ class PhaseShift(Artifact):
         across, along = (0, 0, 0, -REACH, REACH), (0, -REACH, REACH, 0, 0)
         here, *beside = (padded[rows_in + down, columns_in + right] for down, right in zip(across, along, strict=True))
         x, y = x[columns], y[rows]
-        # What moves sideways is the same for a row of pixels of one label: that of its middle.
+        # All pixels of one label that follow each other in a row move sideways as the middle one does.
         begins = np.ones(len(pixels), bool)
         begins[1:] = (np.diff(pixels) != 1) | (named[1:] != named[:-1]) | (columns[1:] == 0)
         edges = np.append(np.flatnonzero(begins), len(pixels))
@@ -119,7 +119,7 @@ class PhaseShift(Artifact):
             along, down = sideways(here[middle], x[middle], y, look, optics, time)
             seen.append(padded[rows_in - down.astype(np.intp), columns_in - along.astype(np.intp)])
         bits = draws.pixels("fringe noise", len(pixels), np.uint32)
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # of what is lost
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # at pixels that are lost
             steps, kept = decode(*[here, *beside, *seen, x, y, look, optics, bits])
         ranges = image.range.reshape(-1)
         before = ranges[pixels]
@@ -133,14 +133,14 @@ class PhaseShift(Artifact):
         optics, x, y = self._of_rig(rig)
         return optics._replace(ambient=np.float32(self.signal_e * ambient)), x, y
 
-    @lru_cache(maxsize=64)  # noqa: B019 - of an artifact, whose strengths are its identity
+    @lru_cache(maxsize=64)  # noqa: B019 - artifacts of equal strengths are equal, and small
     def _of_rig(self, rig: Rig) -> OfRig:
         rotation, shift = rig.camera_to_projector()
         if not shift.any():
             raise BadConfig(f"rig {rig.name} has no baseline, which phase_shift needs")
         axis, count, bits = int(abs(shift[1]) > abs(shift[0])), self.phase_patterns, self.binary_patterns
         projector = rig.projector
-        pitch = (projector.columns, projector.rows)[axis] / 2**bits  # of fringes, projector's pixels
+        pitch = (projector.columns, projector.rows)[axis] / 2**bits  # width of a fringe, projector's pixels
         to_fringe = np.array([0.0, 0.0, projector.centre_px[axis]])
         to_fringe[axis] = projector.focal_px
         to_fringe /= pitch
@@ -148,7 +148,7 @@ class PhaseShift(Artifact):
         camera, light, finest = rig.camera, -rotation.T @ shift, -(count + 1) / 2
         # A disc of diameter d dims fringes of period p by 1 - (pi d / p)^2 / 8, as exp(-t) does.
         blur = math.pi**2 / 8 * (self.aperture_mm / 1000 * projector.focal_px / pitch) ** 2
-        found = np.clip(self.jumps_found, 1e-12, 1 - 1e-12)  # noise is never as strong as that
+        found = np.clip(self.jumps_found, 1e-12, 1 - 1e-12)  # finite quantiles, beyond every draw
         values = (
             *(rig.range_step_m, camera.focal_px * rig.range_step_m / (2 * REACH), 2 * BEND_M / rig.range_step_m),
             *(to_fringe @ rotation, to_fringe @ shift, rotation[2], shift[2], light, light @ light),
@@ -180,7 +180,7 @@ class PhaseShift(Artifact):
         return tables.T
 
     def _given(self, scene: Scene, drawn: Mapping[str, float]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Place and cloth of `fill`."""
+        """The arguments `place` and `cloth` of `fill`."""
         camera = scene.rig.camera
         place = scene.step_m, camera.focal_px, *camera.centre_px, scene.rig.stand_off_m
         cloth = drawn["coat"], self.darkest, self.lightest - self.darkest, self.patterned, drawn["speed_m_s"]

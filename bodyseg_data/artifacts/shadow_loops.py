@@ -127,7 +127,7 @@ def mark_occupied(shadow: Any, scratch: Any) -> None:
         tile = np.uint64((row >> (shift - 1)) * across + ((texel - start) >> shift))
         coarse[tile] = min(coarse[tile], value)
     repeat_border(frame, shadow.rows, shadow.columns)
-    # Behind a row's end are the tiles of the next one: a window there is too near, never too far.
+    # At the end of a row this takes in tiles of the next row: a window there may be too near, never too far.
     for beside in (np.uint64(across), np.uint64(1), np.uint64(2)):
         for i in range(np.uint64(coarse.size) - beside):
             coarse[i] = min(coarse[i], coarse[i + beside])
@@ -165,7 +165,7 @@ def find_extremes(camera_range: Any, pieces: Any, found: Any, extremes: Any) -> 
     for piece in range(np.uint64(found)):
         first = np.uint64(pieces[0, piece])
         least, greatest = np.uint16(65535), np.uint16(0)
-        # As many pixels at a time as a piece can have, for the compiler; background, less one, is the farthest of all.
+        # Always as many pixels as a piece can have, for the compiler; less one, background is 65535, the farthest.
         span: Any = min(size - np.int64(first), BLOCK)
         for i in range(np.uint64(span)):
             z = camera_range[first + i]
@@ -191,7 +191,7 @@ def bound_pieces(shadow: Any, pieces: Any, found: Any, extremes: Any, boxes: Any
     last_column, last_row = np.int32(shadow.columns - 1), np.int32(shadow.rows - 1)
     firsts, lengths, rows = pieces[0], pieces[1], pieces[2]
     width = np.int32(shadow.width)
-    # A step is far more than what rounding can make of an interpolated range.
+    # One step is far more than an interpolated range can be off by rounding.
     surely_lit = min(shadow.gap_steps, shadow.edge_steps) - _ONE
     for piece in range(np.uint64(found)):
         row, left = np.float32(rows[piece]), np.float32(np.int32(firsts[piece] - np.int32(rows[piece] * width)))

@@ -126,7 +126,7 @@ class Augmentation:
             drawn.update(artifact.draw(replace(draws, purposes=artifact.purposes)))
         made = RangeImage(sample.key, image, labels, drawn)
         covered, clean = 0, sample
-        # Artifacts see the clean sample, also where its arrays are to be written.
+        # Artifacts see the clean sample, even if the result is written into its arrays.
         with if_ready:
             if self._covered:
                 clean = _apart(sample, made) if self._covered < len(self.applied) else sample
@@ -168,7 +168,7 @@ def shown_with(artifact: Artifact, sample: Sample, rig: Rig, seed: int, epoch: i
 def _unlabel_lost(image: RangeImage) -> None:
     """Give lost pixels the label of background: they show nothing, so there is nothing to classify."""
     lost = (image.range == 0).view(np.uint8)
-    lost *= BACKGROUND  # all bits
+    lost *= BACKGROUND  # 255: all bits
     image.labels[...] |= lost
 
 
