@@ -21,7 +21,7 @@ UPRIGHT_DEG: Final = 25.0
 """Largest lean of trunk and legs of a body that counts as upright, degrees."""
 
 _TOO_LEANING_DEG: Final = 40.0  # at 45 degrees the next axis is as near
-_LARGER, _OTHER_UNIT = 1.4, 9.0  # times its landmarks' extent that no body is; from the second on, other units may be
+_LARGER, _OTHER_UNIT = 1.4, 9.0  # no body is 1.4 times as large as its landmarks; from 9 on, their units may differ
 _FOUND_BY_SIZE: Final = ("m", "cm", "mm")
 
 

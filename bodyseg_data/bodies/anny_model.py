@@ -35,7 +35,7 @@ BODY_FROM_ANNY: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 """From Anny's axes (x left, -y front, z up) to the body frame."""
 
 _DECIMALS: Final = 6
-_CROWN_M: Final = 0.06  # generous: the highest and lowest vertices of people differ by far less in height
+_CROWN_M: Final = 0.06  # from the ends, within which the highest and lowest vertex of any person lie, generously
 
 
 def load_anny() -> Any:

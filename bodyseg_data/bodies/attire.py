@@ -39,10 +39,10 @@ _HEAD: Final = _parts("Sellion", "Nuchale", "Supramenton")
 _UPPER_TRUNK: Final = _parts("Suprasternale", "Bustpoint", "Substernale", "Cervicale", "Midspine", "Post.", "Acromion")
 _LEGS: Final = _parts("ASIS", "PSIS", "Trochanterion", "Epicn", "Knee Crease", "Malleolus")
 _UNDER_DRAPE: Final = _LEGS + _parts("Bustpoint", "Substernale", "Midspine", "Post.")
-"""A skirt beside a hanging hand takes no label from it."""
+"""Parts whose labels a skirt or dress takes: not those of a hand that hangs beside it."""
 
 
-_COAT_FROM: Final = 0.85  # upper end of coats
+_COAT_FROM: Final = 0.85  # a drape whose upper end is higher is a coat
 
 
 def put_on(wearer: Wearer, attire: Attire, cloth: Solid | None) -> Worn:
@@ -64,7 +64,7 @@ def put_on(wearer: Wearer, attire: Attire, cloth: Solid | None) -> Worn:
         ]
     if attire.held is not None:
         over += [(thing, ()) for thing in held_thing(wearer, attire.held)]
-    return points, [each for each in over if each[0].volume > 0]  # not what is crumpled inside out
+    return points, [each for each in over if each[0].volume > 0]  # others are crumpled until they are inside out
 
 
 def under(drape: Drape, outfit: Outfit) -> Outfit:

@@ -61,7 +61,7 @@ _BY: Final = {
 _BY_CROSSED: Final = {"palm": 0.4, "fingertips": 0.2, "inner forearm": 0.4}
 _FOLDED: Final = {"chest": 0.4, "belly": 0.3, "waist": 0.15, "shoulder": 0.15}
 _CROSSED: Final = {"upper arm": 0.4, "elbow": 0.2, "forearm": 0.25, "shoulder": 0.15}
-"""Places of the first and of the second one of two crossed arms."""
+"""`_FOLDED` and this: the places that the first and the second of two crossed arms touch, with their weights."""
 
 _FISTS: Final = {"palm": (0.0, 0.45), "fingertips": (0.0, 0.4), "back of the hand": (0.0, 1.0), "knuckles": (0.9, 1.0)}
 
@@ -87,15 +87,15 @@ _RELAXED: Final[Ranges] = {
 DEEPEST_M: Final = 0.012
 """Depth of skin in skin beyond which a pose is rejected."""
 
-_MISS_M: Final = 0.02  # of a foot or hand from its place
+_MISS_M: Final = 0.02  # largest distance of a foot or hand from its place
 _PRESSED_M: Final = 0.01  # by which flesh gives way on the floor
 _BELOW_M: Final = 0.015  # below the floor, beyond which a pose is rejected
 _ATTEMPTS: Final = 40
 _ARM_TRIES: Final = 8
 _SAME_KIND: Final = 4  # tries, before an arm is given another kind of task
 _ALIKE: Final = 0.4  # chance that both arms, or legs with one task, have the same angles where they can
-_CENTRE: Final = 0.8  # of the way from pelvis to chest is above the feet of those who keep their balance
-_STRETCHED: Final = 0.985  # of a leg's length, the most between hip and sole
+_CENTRE: Final = 0.8  # the point this far from pelvis to chest is above the feet of who keeps his balance
+_STRETCHED: Final = 0.985  # largest distance from hip to sole, as a share of a leg's length
 _KNEE_M: Final = 0.03  # from a knee's centre to the floor under it
 _PAIRS: Final = 10
 _SHOULDER_M: Final = 0.05  # by which shoulder and hip may be below the floor that the trunk lies on

@@ -66,7 +66,7 @@ class ClassTable:
         tree = {"name": folder.name or "labelled", **tree, "classes": rows}
         self.classes = classes_from_json(tree, str(self.path), of_pairs=True)
         entries = self.classes.entries
-        colours = [entry.colour for entry in entries]  # one that two classes have tells neither
+        colours = [entry.colour for entry in entries]  # a colour of two classes tells neither of them
         self.colours = {each.colour: each.name for each in entries if each.colour and colours.count(each.colour) < 2}
 
     def knows(self, name: str) -> bool:
@@ -247,7 +247,7 @@ def file_labels(content: MeshContent, wanted: str | None, table: ClassTable, whe
 
 
 def _having(content: MeshContent, names: Sequence[str]) -> tuple[str, dict[str, NDArray[Any]]]:
-    """Whose columns have all of some names, "faces", "vertices" or "", and these columns."""
+    """Of what the columns have all the names, "faces" or "vertices", and these columns; "" and none if neither has."""
     for of, columns in (("faces", content.of_polygons), ("vertices", content.of_vertices)):
         if all(name in columns for name in names):
             return of, {name: np.asarray(columns[name]) for name in names}

@@ -232,7 +232,7 @@ class PosedSkin:
         found = np.full(len(points), np.inf)
         offset = points[near] - self._points[nearest[near]]
         side = np.einsum("ij,ij->i", offset, self._normals[nearest[near]])
-        # Beside the rim of the part, the plane goes on where the skin does not.
+        # Outside, the distance to the vertex: its plane goes on beyond the rim of the part, where there is no skin.
         found[near] = np.where(side < 0, side, distance[near])
         return found
 

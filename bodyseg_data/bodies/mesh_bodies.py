@@ -41,7 +41,7 @@ Surface = tuple[NDArray[np.float64], NDArray[np.int32]]
 
 _MOST_TRIED: Final = 12  # bodies of a group, evenly spaced, of which an upright one is sought
 _REMEDY: Final = "; --pymeshlab repairs most scans"
-_IN_METRES: Final = (700.0, 1700.0)  # bodies are a little larger than their landmarks' extent
+_IN_METRES: Final = (700.0, 1700.0)  # size of a body over that of landmarks in metres that were read as millimetres
 
 
 def given_landmarks(path: Path, landmarks: Path | None) -> tuple[Path | None, Path]:
@@ -71,7 +71,7 @@ def files_below(root: Path) -> list[Path]:
     found: list[Path] = []
     seen: set[tuple[int, int]] = set()
     tops = [root]
-    for top in tops:  # links after all that is none: PATH/chosen/latest must not take what is in PATH/test
+    for top in tops:  # linked folders come last: what is in PATH/test must not be found as PATH/chosen/latest
         for folder, folders, names in os.walk(top, onerror=refuse):
             identity = (status := Path(folder).stat()).st_dev, status.st_ino
             new = identity not in seen  # a link to a folder above itself would never end
@@ -207,7 +207,7 @@ class MeshBodies(ListedBodies[MeshFile]):
         return self._sets[key]
 
     def _propagated(self, points: PointLandmarks, source: Path | str) -> LandmarkSet:
-        """Turn points on the mesh that has them alone, else the first that shares them, into vertices of all meshes."""
+        """Turn points into vertices, the same for all meshes: on the mesh that has them alone, else on the first."""
         sharing = (item for item in self._entries.items() if item[1].landmarks == source)
         body, file = min(sharing, key=lambda item: item[1].shared)
         surface = read_mesh(file.path)
@@ -294,8 +294,8 @@ def _ignored(landmarks: LandmarkSet | PointLandmarks) -> tuple[str, ...]:
 
 
 def _in_millimetres(landmarks: PointLandmarks, surface: NDArray[np.float64]) -> tuple[PointLandmarks, tuple[str, ...]]:
-    """Enlarge landmarks a thousandth as large as their surface, vertices [N, 3], which are metres read as millimetres,
-    and add a note.
+    """Enlarge landmarks by 1000, with a note, if they are a thousandth as large as their surface, vertices [N, 3]: they
+    were metres, and were read as millimetres.
     """
     ratio = np.ptp(surface, axis=0).max() / max(np.ptp(landmarks.points, axis=0).max(), 1e-9)
     if not _IN_METRES[0] < ratio < _IN_METRES[1]:

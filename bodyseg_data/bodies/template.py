@@ -26,9 +26,9 @@ from bodyseg_data.machine import required
 from bodyseg_data.meshes import Mesh, partition, vertex_normals
 
 _FILE: Final = "template.npz"
-_DIRECTIONS: Final = 200  # of rays from a vertex, evenly over the sphere
-_ABOVE_M: Final = 1e-4  # of its surface, where they begin
-_NECK_M: Final = 1.5  # above which nothing but the head lies; deep in an armpit, skin is not seen either
+_DIRECTIONS: Final = 200  # number of rays from a vertex, evenly over the sphere
+_ABOVE_M: Final = 1e-4  # above the surface, where rays begin
+_NECK_M: Final = 1.5  # height above which only the head is: lower, as deep in an armpit, skin may be unseen, too
 
 
 @dataclass(frozen=True)

@@ -37,12 +37,12 @@ FINE_M: Final = 0.022
 _THICKNESS_M: Final = 0.004  # of cloth: its smallest distance from the skin
 _SMOOTH_M: Final = 0.03  # detail of the body much smaller than this does not show through
 _DIFFUSION_M: Final = 0.035  # over which the width of a garment is evened out
-_HANG: Final = 0.9  # difference of the distance below and above a level limb, as a share
+_HANG: Final = 0.9  # cloth stands off by 1 + this of its width below a level limb, by 1 - this above it
 _MOST_SHORTENED: Final = 0.25  # beyond, cloth slides along the body instead of folding deeper
 _DEEPEST_M: Final = 0.022
 _AT_REST: Final = np.array([0.1, 0.6, 1.0, 0.6])  # share of an outfit's slack that folds across each of DIRECTIONS
-_AT_ENDS: Final = np.array([1.0, 0.5, 0.2, 0.5])  # and of its crumple
-_SMOOTHINGS: Final = 3  # of normals over neighbouring vertices, or flat triangles would show through wide cloth
+_AT_ENDS: Final = np.array([1.0, 0.5, 0.2, 0.5])  # the same of its crumple
+_SMOOTHINGS: Final = 3  # times that normals are averaged over neighbours: flat triangles would show in wide cloth
 _DECIMALS: Final = 6  # to the micrometre, as the body
 
 
@@ -212,7 +212,7 @@ def fold_patterns(points: Floats, normals: Floats, axes: Floats, areas: Floats, 
             ways = [np.cos(turn) * axis + np.sin(turn) * around, np.cos(turn) * around - np.sin(turn) * axis]
             across, along, through = np.stack([*ways, normals[centre]]) @ (points[near] - points[centre]).T / wave
             fade = np.exp(-0.5 * ((across / _ACROSS) ** 2 + (along / _ALONG) ** 2 + (through / _THROUGH) ** 2))
-            fade *= np.maximum(normals[near] @ normals[centre], 0)  # the far side of a limb folds by itself
+            fade *= np.maximum(normals[near] @ normals[centre], 0)  # folds do not continue on the far side of a limb
             value[near] += fade * np.cos(2 * np.pi * across + phase)
             energy[near] += fade**2
         patterns[:, column] = (np.exp(1.43 * (value / np.sqrt(energy))) - 1.9) / 2.2

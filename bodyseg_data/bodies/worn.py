@@ -18,12 +18,12 @@ from bodyseg_data.bodies.wardrobe import fold_patterns
 from bodyseg_data.meshes import Solid, cuboid, turned_solid
 
 _RING_STEP_M: Final = 0.025  # between rings
-_BAND_M: Final = 0.035  # to each side of a ring, whose skin it encloses: longer than the skin's edges
-_RAISED_M: Final = 0.12  # to each side, of the skin that a ring passes
+_BAND_M: Final = 0.035  # a ring encloses the skin this far to each side; longer than the skin's edges
+_RAISED_M: Final = 0.12  # the same, in height at rest, of skin that a tilted ring passes
 _DRAPE_COLUMNS: Final = 96
-_LEAST_AWAY_M: Final = 0.006  # of the cloth from the hull
+_LEAST_AWAY_M: Final = 0.006  # least distance of the cloth from the body's hull
 _CLOTH_M: Final = 0.003
-_HANG: Final = 0.9  # difference of the distance below and above a level limb, as a share
+_HANG: Final = 0.9  # cloth stands off by 1 + this of its width below a level limb, by 1 - this above it
 _SHRINK: Final = 0.5  # metres a metre by which cloth that does not hang comes back to the body
 _STEEPEST: Final = 1.0  # tilt of a ring, where one leg is ahead of the other
 _FOLDING_M: Final = 0.3  # below the hips, over which folds become as deep as at the hem
@@ -122,7 +122,7 @@ class _Rings:
         self._tilts: Floats = gaussian_filter1d(tilts, 2.0, axis=0, mode="nearest")
         hulls = []
         for at, ring, tilt, height in zip(local, near, self._tilts, heights, strict=True):
-            # Of a raised leg, other skin than that of its own height is beside the ring, too.
+            # Where a leg is raised, skin of other heights at rest is beside the ring, too.
             beside = (np.abs(at[:, 2] - at[:, :2] @ tilt) < _RING_STEP_M) & (np.abs(rest[:, 1] - height) < _RAISED_M)
             hulls.append(hull_radius(at[ring | beside, :2], self._ways))
         self.body: Floats = np.array(hulls)
@@ -163,7 +163,7 @@ class _Rings:
         return radii, np.linalg.norm(np.roll(loops, -1, axis=1) - loops, axis=2).sum(axis=1)
 
     def _radius(self, loop: Floats, level: int) -> Floats:
-        """Radii [J] of a loop [J, 3] in the frame of a ring, along which it is carried."""
+        """Radii [J] of a loop [J, 3] that is moved along the axis of a ring into its frame."""
         x, y = ((loop - self.centres[level]) @ self.frames[level, :2].T).T
         angles = np.arctan2(y, x)
         order = np.argsort(angles)
@@ -189,7 +189,7 @@ def _folds(drape: Drape, rows: int) -> Floats:
 
 def _opened(loop: Floats, half_rad: Floats) -> Floats:
     """The loop [K, J, 3] cut open in front: columns closer together, from `half_rad` [K] on one side to the other."""
-    front = 0.75 * _DRAPE_COLUMNS  # of the columns, whose angle begins on the left and passes the back
+    front = 0.75 * _DRAPE_COLUMNS  # number of the column in front: they begin on the left and pass the back first
     shares = np.linspace(0, 1, _DRAPE_COLUMNS)
     rows = []
     for ring, half in zip(loop, half_rad * (_DRAPE_COLUMNS / (2 * np.pi)), strict=True):
@@ -257,7 +257,7 @@ class _Hand:
         self.near = wearer.of("lowerarm", "wrist", "metacarpal", "finger", side=side)
 
     def put(self, thing: Solid, up: Floats, at: Floats) -> Solid:
-        """The thing with its y axis along `up` [3], its z axis away from the palm if it can, its origin at [3]."""
+        """The thing with its y axis along `up` [3], its z axis away from the palm if it can, its origin at `at`."""
         y = _unit(up)
         z = _level(self.out if abs(self.out @ y) < 0.95 else self.along, y)
         return thing.placed(np.stack([np.cross(y, z), y, z]), at)
@@ -297,7 +297,7 @@ def _backpack(wearer: Wearer, size: float) -> tuple[list[Solid], NDArray[np.bool
     wide, high, deep = 0.25 + 0.1 * size, 0.34 + 0.16 * size, 0.11 + 0.13 * size
     trunk = wearer.of("spine01", "spine02", "spine03")
     frame = wearer.frame(trunk)
-    back = frame.back(wearer.points[wearer.places.on("upper back")])  # as at rest, with its clothes
+    back = frame.back(wearer.points[wearer.places.on("upper back")])  # the dressed back, moved to the pose at rest
     top = wearer.landmark("Cervicale")[1] - 0.06
     pack = padded((wide, high, deep)).moved((0, top - high / 2, float(np.quantile(back[:, 2], 0.1)) - deep / 2 + 0.02))
     return [frame.of(pack)], trunk | wearer.of("spine04", "spine05", "clavicle", "shoulder01")
@@ -319,7 +319,7 @@ def padded(size_m: tuple[float, float, float]) -> Solid:
 
 
 def _bar(a: Floats, b: Floats) -> Solid:
-    """A strap from [3] to [3]."""
+    """A strap from `a` [3] to `b` [3]."""
     length = float(np.linalg.norm(b - a))
     y = (b - a) / length
     x = _level(np.eye(3)[int(np.abs(y).argmin())], y)
@@ -327,7 +327,7 @@ def _bar(a: Floats, b: Floats) -> Solid:
 
 
 def _inside(thing: Solid, points: Floats) -> int:
-    """Number of `points` [N, 3] behind all faces of a thing, which is right for convex ones."""
+    """Number of `points` [N, 3] inside a convex thing: behind all of its faces."""
     near = ((points >= thing.vertices.min(axis=0)) & (points <= thing.vertices.max(axis=0))).all(axis=1)
     offsets = np.einsum("fi,fi->f", thing.normals, thing.vertices[thing.faces[:, 0]])
     return int((points[near] @ thing.normals.T < offsets).all(axis=1).sum())

@@ -50,7 +50,7 @@ class _Piece:
 
 @dataclass(frozen=True)
 class _SceneFiles:
-    """A member. path: its file, for messages. centre: float64 [3], metres, axes of the files."""
+    """The files of a scene. path: names it in messages. centre: float64 [3], metres, axes of the files."""
 
     path: Path
     pieces: tuple[_Piece, ...]
@@ -89,8 +89,8 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
         names: dict[str, None] = {}
         files: set[Path] = set()
         for piece in (piece for scene in self._entries.values() for piece in scene.pieces):
-            if piece.labels not in files:  # one that many meshes share names the same classes each time
-                with contextlib.suppress(BadMesh):  # the check of the meshes names it
+            if piece.labels not in files:  # a label file that meshes share names the same classes each time
+                with contextlib.suppress(BadMesh):  # which the check of the meshes reports
                     names |= dict.fromkeys(self._named(piece, mesh_content(piece.mesh)).names)
                     files |= {piece.labels} if isinstance(piece.labels, Path) else set()
         with reported(str(self._folder), BadConfig):
@@ -160,7 +160,7 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
 
     def _coded(self, named: NamedCorners, classes: Classes | None, where: str) -> NDArray[np.uint8]:
         """Labels at the corners, uint8 [F, 3]; all 255 as long as the classes are not known."""
-        code = np.full(len(named.names) + 1, BACKGROUND, np.uint8)  # its last entry is that of -1
+        code = np.full(len(named.names) + 1, BACKGROUND, np.uint8)  # the last entry is that of corner -1, no label
         for at in np.unique(named.corners).tolist():
             found = None if at < 0 else self._table.class_of(named.names[at], where)
             if found is not None and classes is not None:
@@ -200,7 +200,7 @@ class LabelledScenes(ListedBodies[_SceneFiles]):
             raise BadConfig(f"{path}: 'meshes' must be a list of objects, each with a 'mesh'")
         table = Table(tree, str(path))
         centre = np.array(table.numbers("centre_m", 3)) if "centre_m" in table else None
-        # A scene.json right in the folder of a split is named as the folder, which for other meshes is no split.
+        # test/scene.json has the name "test", in which `body_ref` sees no split: it takes one from a folder above.
         own = {"split": "test"} if path.relative_to(self._folder).parts[0].lower() == "test" else {}
         own |= {name: table.text(name) for name in ("subject", "pose", "split") if name in table}
         table.finish()

@@ -379,7 +379,7 @@ class EverydayBodies(MadeBodies):
         """Return the top and trousers that are drawn for a body, or None."""
         draws = Draws(0, 0, f"everyday/{body.mesh}").generator("clothes")
         dressed = draws.random() < _DRESSED
-        # A hand on the body would be hidden in loose cloth, which does not know of it.
+        # Loose cloth, whose shape does not depend on hands, would hide a hand on the body.
         close = any(contact.endswith(_ON_CLOTHES) for contact in self.drawn(body).contacts)
         return drawn_outfit(draws, close) if dressed else None
 
